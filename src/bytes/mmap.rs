@@ -149,7 +149,7 @@ mod guard {
         }
     }
 
-    /// Puts a node at the front of the list. Called with `FREE` locked: nobody else pushes
+    /// Puts a node at the front of the list. Called with `FREE` locked: no other thread pushes
     /// meanwhile.
     fn push_node() -> &'static Node {
         let first = NEWEST.load(Ordering::Acquire);

@@ -77,8 +77,7 @@ pub(crate) fn files_of(input: &Path, options: &OpenOptions) -> Vec<PathBuf> {
     files
 }
 
-/// Refuses an output that is one of the inputs, by whatever name, or that lies in a folder that is
-/// one.
+/// Refuses an output that is one of the inputs, by any name, or that lies in a folder that is one.
 ///
 /// # Errors
 /// [`Error::Usage`] that names both.

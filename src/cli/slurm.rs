@@ -1,8 +1,8 @@
 //! `isospan slurm`: a planned reduction as jobs of a Slurm cluster.
 //!
-//! Three scripts beside the plan: `work.sh`, a job array of shards; `commit.sh`, which waits for
-//! them, and submits what is missing again; `submit.sh`, which submits both. They are plain
-//! scripts: to be read, changed and submitted by hand.
+//! It writes three scripts next to the plan: `work.sh`, a job array of shards; `commit.sh`, which
+//! waits for them, and submits what is missing again; `submit.sh`, which submits both. They are
+//! plain scripts: to be read, changed and submitted by hand.
 
 use super::grammar;
 use super::output::{Force, exists};
@@ -284,7 +284,7 @@ mod tests {
         assert!(["/a%j", "/a\"b", "/a\nb"].iter().all(|p| in_directive(Path::new(p)).is_err()));
     }
 
-    /// A value is not looked at again: it may be a name that somebody else has chosen.
+    /// A value is not looked at again: it may be a name that another user has chosen.
     #[test]
     fn values_are_not_filled_in() {
         let nasty = "@QUOTED_FOLDER@;touch pwned;x";

@@ -239,7 +239,7 @@ fn in_words(report: &SurfaceReport, stats: bool) -> String {
 }
 
 /// Writes a surface to standard output, by way of a file in the scratch folder, so that it comes
-/// whole or not at all. What was made is told on standard error.
+/// whole or not at all. What was made is reported on standard error.
 fn to_standard_output(
     args: &Args,
     settings: &SurfaceSettings,

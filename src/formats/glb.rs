@@ -334,7 +334,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// Adds the vertices of a primitive, and tells how many there are.
+    /// Adds the vertices of a primitive, and returns their number.
     fn add_vertices(&self, primitive: &Value, at: &str, out: &mut StoredSurface) -> Result<usize> {
         let none = Value::Null;
         let attributes = primitive.get("attributes").unwrap_or(&none);

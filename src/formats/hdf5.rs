@@ -164,7 +164,7 @@ pub(super) fn frames(
     Ok(frames.iter().enumerate().map(|(n, f)| (f.info.name.clone(), time(n))).collect())
 }
 
-/// The times of frames by the names of their fields, where their datasets tell them.
+/// The times of frames by the names of their fields, where their datasets have them.
 ///
 /// # Errors
 /// As [`open`].
@@ -399,7 +399,7 @@ impl Tree {
         found.map_or_else(|| wanted.to_string(), |f| f.info.name.clone())
     }
 
-    /// Tells why the dataset that is wanted, or the only one, cannot be read.
+    /// Fails with the reason why the wanted dataset, or the only one, cannot be read.
     fn check_wanted(&mut self, path: &Path, wanted: Option<&str>) -> Result<()> {
         let refused = match wanted {
             Some(wanted) => self.refused.iter().position(|(name, _)| name == wanted),
@@ -439,7 +439,8 @@ fn kind_of_name(name: &str) -> char {
     }
 }
 
-/// What an axis with a coordinate variable is: as that tells by CF's attributes, else by its name.
+/// What an axis with a coordinate variable is, by CF's attributes of the variable, else by its
+/// name.
 fn kind_of_line(path: &str, line: &Dataset) -> char {
     let text = |name: &str| line.attribute(name).ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
     let (axis, units) = (text("axis"), text("units"));
@@ -711,7 +712,7 @@ impl Field {
     }
 
     /// Spacing, origin and directions, from the coordinate variables, or from what other attributes
-    /// tell of the voxels.
+    /// say about the voxels.
     fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
         let lines = self.lines(tree);
         if lines.iter().flatten().any(|l| l.regular.is_none()) {
@@ -874,8 +875,8 @@ struct Pieces {
     piece: [u64; 3],
     /// Bytes of a chunk.
     chunk_bytes: u64,
-    /// The type in the file, and how its numbers become values, where that is not told by `info`;
-    /// values are `f64` then.
+    /// The type in the file, and how its numbers become values, where `info` does not say that.
+    /// Values are `f64` then.
     convert: Option<(ScalarType, Convert)>,
 }
 

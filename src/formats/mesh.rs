@@ -68,7 +68,7 @@ fn open_kind(kind: Kind, path: &Path, options: &OpenOptions) -> Result<CellMesh>
 }
 
 fn kind_of(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
-    // Folders and patterns for names are volumes, and so is what is told to be headerless.
+    // Folders and patterns for names are volumes, and so are files that are declared headerless.
     if options.raw.is_some() || !path.is_file() {
         return Ok(None);
     }

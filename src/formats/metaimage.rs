@@ -202,7 +202,7 @@ impl<'a> Header<'a> {
         geometry(self.path, "ElementSpacing and TransformMatrix", origin, columns)
     }
 
-    /// The files beside the header that hold the samples.
+    /// The files next to the header that hold the samples.
     fn files(&self, dims: [u64; 3], io: IoMode) -> Result<Vec<Arc<ByteSource>>> {
         let value = self.require("ElementDataFile")?;
         let words: Vec<&str> = value.split_whitespace().collect();

@@ -80,7 +80,7 @@ struct Member {
 }
 
 impl Member {
-    /// The array's header. NumPy writes at most 64 KiB of it unless told to write more.
+    /// The array's header. NumPy writes at most 64 KiB of it unless more is asked for.
     fn array(&self, source: &Arc<ByteSource>) -> Result<Array> {
         let mut head = vec![];
         let reader: Box<dyn Read> = if self.deflated {

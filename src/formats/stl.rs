@@ -128,7 +128,7 @@ fn position(bytes: &[u8]) -> [f32; 3] {
     position
 }
 
-/// The number of triangles that byte 80 tells.
+/// The number of triangles that is stored at byte 80.
 fn count(bytes: &[u8]) -> Option<u64> {
     bytes.get(HEADER..HEADER + 4).map(|field| LE::read_u32(field).into())
 }

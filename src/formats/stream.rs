@@ -102,8 +102,8 @@ pub struct ByteSlabs {
     before: u64,
 }
 
-/// Bytes that are skipped, and so looked at, when a stream is opened, at most: what many headers
-/// tell is asked of files that nobody reads then.
+/// The most bytes that are skipped, and so read, when a stream is opened. Many files are opened
+/// only for what their headers say, and their samples are not read.
 const SKIPPED_AT_ONCE: u64 = 1 << 16;
 
 impl ByteSlabs {
@@ -111,7 +111,7 @@ impl ByteSlabs {
     ///
     /// # Errors
     /// [`Error::BadInput`] when the range is not in the file, cannot hold so many samples, or ends
-    /// before `skip`, if that is no more than a header; else reading tells.
+    /// before `skip`, if that is no more than a header; otherwise reading gives that error.
     pub fn new(
         info: VolumeInfo,
         source: &Arc<ByteSource>,

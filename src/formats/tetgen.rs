@@ -21,8 +21,8 @@
 //! pass over the tetrahedra finds out.
 //!
 //! Values of a field can come from a third file (`--value-file`) of one number a point; the field
-//! has the file's name. Either file of a pair may be named; the other lies beside it. Everything is
-//! read row by row.
+//! has the file's name. Either file of a pair may be named; the other lies next to it. Everything
+//! is read row by row.
 
 use super::text::{place, word};
 use super::{OpenOptions, has_suffix};

@@ -183,7 +183,7 @@ fn read_polygons(doc: &Document, piece: &Element, first: u64, out: &mut StoredSu
         let found = polys.all("DataArray").find(|a| a.attribute("Name") == Some(name));
         found.ok_or_else(|| doc.wrong(polys, format!("an array '{name}'"), "none"))
     };
-    // The last offset tells how many corners there are: the offsets are read twice.
+    // The last offset is the number of corners, so the offsets are read twice.
     let mut offsets = Numbers::integers(doc, named("offsets")?, count)?;
     let all = (0..count).try_fold(0, |_, _| offsets.next_integer())?;
     offsets.finish()?;

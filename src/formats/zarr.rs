@@ -17,7 +17,7 @@
 //! of several entries, named t or time or without a name the first of four, has the frames of a
 //! series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's
 //! `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and origin are
-//! those of `coordinateTransformations`; else of the arrays beside the array that are named like
+//! those of `coordinateTransformations`; else of the arrays next to the array that are named like
 //! its axes (xarray), which make a rectilinear grid where they are not regular; else 1 and 0.
 //! `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are followed. Four axes without
 //! names, the last of at most four entries, are refused: vectors, or colours. (A chunk of several
@@ -31,8 +31,8 @@
 //! ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its
 //! chunks), and a slab of at most 4 MiB. Chunks of more than a gibibyte are refused.
 //!
-//! Our own reader, as chunks are files with compressors that we have anyway, and one chunk at a
-//! time is all that is needed. The formats: <https://zarr-specs.readthedocs.io>,
+//! The reader is our own, because chunks are files with compressors that we have anyway, and only
+//! one chunk is needed at a time. The formats: <https://zarr-specs.readthedocs.io>,
 //! <https://ngff.openmicroscopy.org>.
 
 mod blosc;
@@ -118,7 +118,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 }
 
 /// The frames of the array that is `wanted`, or that is read without a choice, by the names of
-/// their fields, and their times, where OME-Zarr tells them. None where there is one volume.
+/// their fields, and their times, where OME-Zarr states them. None where there is one volume.
 ///
 /// # Errors
 /// As [`open`].
@@ -195,12 +195,13 @@ pub(super) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<G
 /// Coordinates along an axis, and whether they are of single precision.
 type Coordinates = (Vec<f64>, bool);
 
-/// The coordinates along x, y, z, where arrays beside the array have them, as xarray writes them.
+/// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
 fn lines(array: &Array, axes: Axes, io: IoMode) -> [Option<Coordinates>; 3] {
     axes.map(|axis| line(array, axis?, io))
 }
 
-/// The numbers of the array of one axis that is named like an axis of an array, and lies beside it.
+/// The numbers of the array of one axis that is named like an axis of an array, and lies next to
+/// it.
 fn line(array: &Array, axis: usize, io: IoMode) -> Option<Coordinates> {
     let name = array.names.as_ref().filter(|n| n.len() == array.shape.len())?.get(axis)?;
     let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));

@@ -300,7 +300,7 @@ impl Cache {
     }
 }
 
-/// Gives up the place of a chunk that could not be decoded, so that nobody waits for it.
+/// Gives up the place of a chunk that could not be decoded, so that no thread waits for it.
 struct Claim<'a> {
     volume: &'a ChunkedVolume,
     at: [u64; 3],

@@ -234,8 +234,8 @@ const BETWEEN: u64 = 256 << 10;
 /// Bytes of a plane that is read at once.
 const LARGEST_PIECE: u64 = 4 << 20;
 
-/// Bytes of a plane that the processor is told of while the one before is read: half of its nearest
-/// cache. Of longer rows it finds out by itself.
+/// Bytes of a plane that are prefetched while the one before is read: half of the processor's
+/// nearest cache. It detects longer rows by itself.
 const MOST_AHEAD: u64 = 16 << 10;
 
 /// `count` samples from byte `at` of a piece on, `stride` apart.

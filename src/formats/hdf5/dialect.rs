@@ -94,7 +94,7 @@ fn refused(path: &Path, at: &str, got: impl Into<String>, help: &str) -> Error {
     Error::bad_input(path, at, expected, got).with_help(help)
 }
 
-/// A field of a convention, placed as it tells.
+/// A field of a convention, placed as the convention says.
 pub(super) struct Placed {
     /// Which of the tree's fields.
     pub(super) number: usize,
@@ -363,7 +363,7 @@ fn slices(
 /// Groups that NeXus marks: the names of the axes of the datasets in an `NXdata`.
 ///
 /// # Errors
-/// [`Error::BadInput`] where they are told in a form that is not read.
+/// [`Error::BadInput`] where they have a form that is not read.
 pub(super) fn nexus_axes(
     path: &Path,
     group: &Group,

@@ -160,7 +160,8 @@ impl Ifd<'_> {
         self.entries.iter().find(|e| e.tag == tag)
     }
 
-    /// The stored bytes of an entry. They lie in the file, whatever the entry's count says.
+    /// The stored bytes of an entry. They are sure to lie in the file, even if the entry's count is
+    /// wrong.
     fn bytes(&self, entry: &Entry) -> Result<&[u8]> {
         let size = size_of_kind(entry.kind).and_then(|s| s.checked_mul(entry.count));
         let end = size.and_then(|s| entry.at.checked_add(s));

@@ -53,7 +53,7 @@ pub(super) struct Array {
 }
 
 impl Array {
-    /// What a volume can tell of it.
+    /// Its description as a field of a volume; `None` where it has none.
     pub(super) fn field(&self) -> Option<FieldInfo> {
         match self.kind {
             Type::Number(scalar) => {
@@ -458,7 +458,7 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    /// Goes over numbers that begin here, and tells where they lie.
+    /// Skips the numbers that begin here, and returns where they lie.
     fn data(&mut self, name: &str, kind: Type, components: u64, tuples: u64) -> Result<Range<u64>> {
         let start = self.words.at() as u64;
         let count = components.checked_mul(tuples);
@@ -480,7 +480,7 @@ impl<'a> Scanner<'a> {
         Ok(start..self.words.at() as u64)
     }
 
-    /// A binary string: the two highest bits of its first byte tell how wide its length is.
+    /// Skips a binary string: the two highest bits of its first byte give the width of its length.
     fn skip_string(&mut self) -> Option<()> {
         let first = *self.words.rest().first()?;
         let width = [8, 4, 2, 1][usize::from(first >> 6)];

@@ -116,8 +116,8 @@ impl ArrayStream {
         Ok(Self { scalar, big_endian: doc.big_endian, data })
     }
 
-    /// The array of an element, of as many values as it tells itself: of a text that is known only
-    /// at its end.
+    /// The array of an element, with as many values as its own data say. In a text this number is
+    /// known only at the end.
     ///
     /// # Errors
     /// [`Error::BadInput`] when the array is malformed, or longer than the file has room for.
@@ -351,8 +351,8 @@ fn check_length(doc: &Document, element: &Element, found: u64, expected: u64) ->
     })
 }
 
-/// Refuses a header that tells of more than the file can hold, before memory is reserved for a part
-/// of it.
+/// Refuses a header that announces more than the file can hold, before memory is reserved for a
+/// part of it.
 fn check_room(doc: &Document, element: &Element, most: u64, expected: u64) -> Result<()> {
     if expected <= most {
         return Ok(());

@@ -163,7 +163,7 @@ impl Document {
         )
     }
 
-    /// What tells how the bytes of arrays are to be read.
+    /// All that decides how the bytes of arrays are read.
     pub(super) fn stored_as(&self) -> String {
         format!("{} {} {:?}", self.big_endian, self.wide, self.compressor)
     }

@@ -238,7 +238,7 @@ fn data_of(piece: &Element, center: Center) -> Option<&Element> {
     })
 }
 
-/// The field to read, and all that can be told of.
+/// The field to read, and all that can be listed.
 fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<Picked> {
     let of = |center| fields(doc, data_of(piece, center));
     let (points, mut cells) = (of(Center::Point)?, of(Center::Cell)?);

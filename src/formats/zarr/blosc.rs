@@ -133,7 +133,7 @@ fn blosclz(stored: &[u8], out: &mut [u8]) -> std::result::Result<usize, String> 
     let cut = || "BloscLZ data that are cut short".to_string();
     let mut input = stored.iter().map(|&b| usize::from(b));
     let mut next = || input.next();
-    // The first code is of literals, whatever its upper bits.
+    // The first code is of literals, for any upper bits.
     let (mut code, mut at) = (next().ok_or_else(cut)? & 31, 0);
     loop {
         if code < 32 {
