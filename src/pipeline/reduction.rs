@@ -1,4 +1,4 @@
-//! [`Reduction`]: from volumes or meshes to an archive, set up word by word.
+//! [`Reduction`]: from volumes or meshes to an archive, set up one method at a time.
 
 use crate::error::Result;
 use crate::exec::{Progress, Resources, Silent};

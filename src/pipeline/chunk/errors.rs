@@ -1,14 +1,14 @@
-//! The errors of a chunk: its field against every sample of the source, while tetrahedra and values
-//! are at hand.
+//! Measures the errors of a chunk: its field is compared with every sample of the source while its
+//! tetrahedra and values are in memory.
 //!
 //! ```text
 //!  some blocks ─▶ the box of their tetrahedra ─▶ read its samples, of each step ─▶ scan conversion ─▶ sample and field
 //! ```
 //!
-//! The tetrahedra of a block lie together, so the box around a few that follow each other is small:
-//! it is read from the source, and the scan conversion ([`crate::raster`]) visits each sample of
-//! the domain in exactly one tetrahedron. Which samples lie in a tetrahedron, and with which
-//! weights, is found out once for all steps that are measured together.
+//! The tetrahedra of a block lie together, so the box around a few consecutive blocks is small. Its
+//! samples are read from the source. The scan conversion ([`crate::raster`]) visits each sample of
+//! the domain in exactly one tetrahedron. The samples in a tetrahedron and their weights are found
+//! once for all steps that are measured together.
 
 use super::step_errors::{Measured, Room};
 use super::step_lanes::StepLanes;

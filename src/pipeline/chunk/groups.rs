@@ -1,5 +1,5 @@
-//! Which vertices of a chunk are sampled together, from the samples of one box: the same at all
-//! steps.
+//! Groups the vertices of a chunk that are sampled together, from the samples of one box. The
+//! groups are the same at all steps.
 //!
 //! ```text
 //!        ┌──────┬──────┬──────┐        bricks of a chunk that lie side by side along x: a row of them,

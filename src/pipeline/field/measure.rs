@@ -1,9 +1,9 @@
-//! `measure`: the reduced field against every sample of its source.
+//! `measure`: compares the reduced field with every sample of its source.
 //!
 //! Chunk after chunk is decoded and measured as `reduce` does it while it makes one
-//! ([`errors`](crate::pipeline::chunk::errors)). All sums are integers ([`crate::measure`]), so
-//! neither threads nor chunks show, and the figures are those that `reduce` has stored. The
-//! vertices of a mesh are located as `probe` locates points, in batches.
+//! ([`errors`](crate::pipeline::chunk::errors)). All sums are integers ([`crate::measure`]), so the
+//! results do not depend on threads or chunks, and are those that `reduce` has stored. The vertices
+//! of a mesh are located as `probe` locates points, in batches.
 //!
 //! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some
 //! chunks; with a map of bricks, a record for each brick of a chunk, sorted on disk where memory

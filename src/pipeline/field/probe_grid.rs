@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once,
-//! by whichever chunk has that tetrahedron, and chunks need not wait for each other. Memory: some
+//! by the chunk with that tetrahedron, and chunks need not wait for each other. Memory: some
 //! chunks, and a window for each.
 //!
 //! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. One bit for

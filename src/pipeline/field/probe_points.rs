@@ -1,15 +1,15 @@
-//! `probe` at points: each is located exactly, in the chunk that has its tetrahedron.
+//! `probe` at points: each point is located exactly, in the chunk that has its tetrahedron.
 //!
 //! The points of a batch are sorted by brick. A chunk's tetrahedra lie in its region, core and
-//! halo, so the points that it may hold are a few runs of that list; the chunk's tetrahedra then
-//! look up the points in their boxes ([`PointLocator`]), which is scan conversion with points for
+//! halo, so the points that it may hold are a few runs of that list. Each tetrahedron then looks up
+//! the points in its box ([`PointLocator`]), as in scan conversion, with points in place of
 //! samples. Chunks without a point near them are not read. A list that does not fit in memory is
-//! taken in batches, each of which reads the archive again where it has points.
+//! processed in batches. Each batch reads the archive again where it has points.
 //!
-//! Surfaces are written in `f32`, so a vertex on the boundary lies a rounding outside as often as
-//! inside. So a point in no tetrahedron takes the value of the nearest place of one
-//! ([`super::nearest`]) when that is as near as such a rounding: chunks around it are read once
-//! more.
+//! Surfaces are written in `f32`, and rounding moves a vertex on the boundary outside as often as
+//! inside. So a point outside of all tetrahedra takes the value at the nearest place of one
+//! ([`super::nearest`]), if that is within such a rounding. For this, the chunks around the point
+//! are read once more.
 
 use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};

@@ -1,15 +1,16 @@
-//! Access in any order to the samples of a source: where they lie, through a cache of decoded
-//! chunks, or from a copy in bricks.
+//! Access in any order to the samples of a source: in place, through a cache of decoded chunks, or
+//! from a copy in bricks.
 //!
-//! Whether a cache will do follows from sizes alone. Boxes of samples are read in rows along x,
-//! rows in layers along z: the chunks of an archive, or blocks. So a chunk of the source is decoded
-//! once where all that meet a layer are cached, and about twice where those that meet a row are:
+//! Sizes alone decide whether a cache suffices. Boxes of samples, those of the archive's chunks or
+//! of blocks, are read in rows along x, and rows in layers along z. So a chunk of the source is
+//! decoded once if all chunks that meet a layer are cached, and about twice if those that meet a
+//! row are. The cache holds:
 //!
-//! * those of two layers, where they take at most a quarter of the memory: some threads are at work
-//!   on the next layer already;
-//! * else those of a layer, or of two rows, or of a row; of rows where these decode a chunk 2.5
-//!   times at most;
-//! * without any, the source is copied into bricks, as a stream is.
+//! * the chunks of two layers, if they take at most a quarter of the memory, because some threads
+//!   work on the next layer already;
+//! * else those of a layer, or of two rows, or of a row; rows only if they decode a chunk 2.5 times
+//!   at most;
+//! * if none of these fit, the source is copied into bricks, as a stream is.
 
 use super::bricked_copy::{Scratch, copied};
 use crate::error::Result;

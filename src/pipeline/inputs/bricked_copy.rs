@@ -1,4 +1,4 @@
-//! Copies of volumes in bricks: made on request, and of inputs that have no random access.
+//! Copies volumes into bricks: on request, and where an input has no random access.
 
 use crate::archive::publish;
 use crate::error::Result;

@@ -1,10 +1,10 @@
 //! A bounded look at the samples before work begins: fill values, a constant field, outliers that
 //! stretch the range, labels.
 //!
-//! At most [`BUDGET`] samples are read. Of a volume with random access they are pieces of rows
-//! spread evenly over it (all of a small volume); of a stream, which has no random access, they
-//! come from its beginning, unless it is read to the end anyway. Which samples these are depends on
-//! the volume's size alone, so the same input always gives the same findings.
+//! At most [`BUDGET`] samples are read. In a volume with random access they are pieces of rows
+//! spread evenly over it (all of a small volume). In a stream they come from its beginning, unless
+//! it is read to the end anyway. The choice depends on the volume's size alone, so the same input
+//! always gives the same findings.
 
 use crate::cells::{CellField, CellMesh, Center};
 use crate::error::Result;

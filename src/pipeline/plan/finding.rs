@@ -1,4 +1,4 @@
-//! What a user should know before or after a run: what was found, and the same in words.
+//! What a user should know before or after a run: the findings, and their messages.
 
 use serde::Serialize;
 use std::fmt;

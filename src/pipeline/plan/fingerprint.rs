@@ -3,8 +3,8 @@
 //!
 //! An archive is made from one state of its input. Before a file is hashed its [`Stamp`] is taken
 //! (length, times of change, inode); the watch compares it again before each chunk and each segment
-//! is stored, and before a manifest is published. What was read before a comparison that finds no
-//! change is then of the bytes that were hashed.
+//! is stored, and before a manifest is published. If a comparison finds no change, all that was
+//! read before it is from the bytes that were hashed.
 
 use crate::bytes::open_regular;
 use crate::error::{Error, Result};

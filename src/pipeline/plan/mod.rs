@@ -3,7 +3,7 @@
 //! Threads, memory, folders and restarts are not in it. It has two parts
 //! ([`crate::archive::manifest`]): what decides the mesh, the same for all fields and steps, and
 //! what decides the values of a step. Segments carry the hash of what they depend on, so a segment
-//! of another plan is never taken for one of this.
+//! of another plan is never used for this one.
 
 mod attachments;
 pub(super) mod estimate;

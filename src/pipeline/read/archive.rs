@@ -1,7 +1,7 @@
-//! An archive opened for reading: manifest, point set, grids; segments are opened when first
+//! An archive opened for reading: manifest, point set, grids. Segments are opened when first
 //! needed.
 //!
-//! All of it is common to the steps. What depends on the step is in `step_view`.
+//! All of this is common to the steps. What depends on the step is in `step_view`.
 
 use super::pools::Pools;
 use crate::archive::chunked::ChunkSegment;

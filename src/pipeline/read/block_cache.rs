@@ -10,8 +10,8 @@
 //! others. The precomputed form is three times as large; a block stays packed where there is no
 //! room for it.
 //!
-//! Eviction follows the clock algorithm (Corbató 1968): the hand passes over a block, once, if it
-//! was used since the hand came by last.
+//! Eviction follows the clock algorithm (Corbató 1968): the hand skips a block once if it was used
+//! since the hand last passed.
 
 use super::block::{Block, BlockCorners, PackedBlock};
 use crate::exec::will_read;

@@ -1,4 +1,4 @@
-//! The mesh of a chunk, however it was made: from points, by formula, or read from an archive.
+//! The mesh of a chunk: made from points, made by formula, or read from an archive.
 
 use crate::archive::values::ValueBlocks;
 use crate::geom::{LatticePos, PointId};

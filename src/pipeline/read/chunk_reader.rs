@@ -1,5 +1,5 @@
-//! A chunk of an archive while a question reads it: block by block, and only the corners that
-//! blocks use.
+//! Reads a chunk of an archive for a question: block by block, and only the corners that blocks
+//! use.
 //!
 //! ```text
 //!  header (once) ─▶ block(n): its corners, their positions ─▶ its tetrahedra ─▶ the corners' values

@@ -1,5 +1,5 @@
-//! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the
-//! archive is, and read back.
+//! The contour spectrum of a step: summed chunk by chunk while chunks are made, merged when the
+//! archive is completed, and read back.
 
 use super::archive::expect_recorded;
 use super::step_view::StepView;

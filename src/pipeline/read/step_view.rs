@@ -1,4 +1,4 @@
-//! An archive at one of its steps, or at a moment between two: what questions are asked of.
+//! An archive at one of its steps, or at a moment between two. Questions are asked of such a view.
 //!
 //! ```text
 //!  OpenArchive: manifest, mesh, all value segments ◀── StepView: a step, its index, its cached blocks

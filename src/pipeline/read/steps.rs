@@ -8,10 +8,10 @@
 //!  block n  values ◀─ diff. ◀─ diff.    values ◀─ diff.     a block of step 2: three blocks are read
 //! ```
 //!
-//! Between two steps the field is linear in time. Then no index says which blocks have an answer (a
+//! Between two steps the field is linear in time. Then no index says which blocks have an answer: a
 //! block where one step lies below an isovalue and the other above is active between them, and in
-//! neither), so the ranges of all blocks of both are looked at: the range of a mean is the mean of
-//! the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
+//! neither. So the ranges of all blocks of both are read. The range of a mean is the mean of the
+//! ranges, or within it. This is true in rounded arithmetic too, because rounding keeps the order.
 
 use super::archive::OpenArchive;
 use super::choice::Moment;

@@ -1,12 +1,12 @@
-//! Chunk after chunk of an archive, decoded and worked on in parallel, the results handed on in
-//! chunk order.
+//! Visits the chunks of an archive: they are decoded and processed in parallel, and the results are
+//! handed on in chunk order.
 //!
 //! ```text
 //!  chunks of a question ──▶ as many as fit the memory: decode ▶ job, on all threads ──▶ take, in order
 //! ```
 //!
-//! What [`crate::pipeline::surface`] does for surfaces, for the questions that want whole
-//! tetrahedra.
+//! This serves the questions that want whole tetrahedra, as [`crate::pipeline::surface`] serves
+//! those about surfaces.
 
 use super::decoded::DecodedChunk;
 use super::step_view::StepView;

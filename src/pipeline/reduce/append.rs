@@ -1,4 +1,4 @@
-//! Further steps for an archive that is there.
+//! Adds further steps to an existing archive.
 //!
 //! New files are written next to the old ones. In the end the manifest that names them is renamed
 //! over the old one: until then the archive is the old one. The same call continues a run that was
@@ -6,8 +6,8 @@
 //!
 //! A tetrahedral mesh is laid out on disk again, from the first of the new files that has it,
 //! because the points are located in it. The archive has hashes of its points and cells, by which
-//! others are refused, and the vertices that were one at the first step: so samples of its boundary
-//! are the same ones.
+//! other meshes are refused. It also has the vertices that were merged at the first step, so the
+//! samples of its boundary are the same.
 
 use super::advice::look;
 use super::existing::{lock_for_writing, sweep};

@@ -1,4 +1,4 @@
-//! Making the segments of an archive, some steps of a series at a time.
+//! Makes the segments of an archive, some steps of a series at a time.
 //!
 //! ```text
 //!  steps   0 1 2 … 15 │ 16 … 31 │ …           as many at a time as memory and open files allow
@@ -6,12 +6,12 @@
 //! ```
 //!
 //! Chunks of sources are read through caches ([`super::cached`]). Other sources without random
-//! access are copied into bricks, small ones together. The copies that are on the disk at a time
-//! take no more than 256 MiB, or there is one.
+//! access are copied into bricks, small ones together. The copies on disk at a time take no more
+//! than 256 MiB, unless a single one is larger.
 //!
-//! How steps are taken together decides no byte: a step refers to the one before, whichever pass
-//! made that. A step that turns out to be bad in its pass is left out where that is wanted. The
-//! steps that refer to it have another hash then, and are made again; all else is found there.
+//! The grouping of steps into passes does not affect any byte: a step refers to the one before,
+//! from any pass. A step that turns out to be bad in its pass is left out where that is wanted. The
+//! steps that refer to it then have another hash and are made again; all others are kept.
 
 use super::encode::{BadSteps, ChunkMaker, StepInput, StoredMesh, Workspaces};
 use super::fields::Fields;

@@ -1,7 +1,7 @@
-//! The end of a reduction: what all chunks have said of themselves is put together.
+//! The end of a reduction: merges what all chunks have reported.
 //!
-//! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its
-//! index and its spectrum.
+//! For the mesh, once, these are counts, and the proof that the tetrahedra fill the box. For each
+//! step, they are its index and its spectrum.
 
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};

@@ -1,4 +1,5 @@
-//! What is in the place of an archive before it is made: [`Existing`], found once, at the door.
+//! What is at the path of an archive before it is made: [`Existing`], found once, at the door: when
+//! a command starts.
 //!
 //! ```text
 //!                at the door                     with the plan

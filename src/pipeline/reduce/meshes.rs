@@ -9,8 +9,8 @@
 //! A file that stores points and cells by the very bytes of the one before
 //! ([`CellMesh::stored_hash`]) has the same of both, and they are not decoded.
 //!
-//! Which vertices are one is decided by the values of the first step, and known of an archive that
-//! steps are added to.
+//! The values of the first step decide which vertices are merged. An archive to which steps are
+//! added has them recorded.
 
 use super::job::Job;
 use super::mesh_fields::{LastMesh, Listed, MeshInput};

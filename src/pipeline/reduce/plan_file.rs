@@ -11,10 +11,10 @@
 //! It holds the paths of the steps, the settings, and the [`Plan`] that follows from both, whose
 //! hashes every segment carries. A worker makes the plan again from the input that it finds and
 //! refuses to work when the two differ: then the input has changed, or is another. It also refuses
-//! a plan of another version of the program, for versions may differ in bytes.
+//! a plan of another version of the program, because versions may write different bytes.
 //!
-//! Of the files of the input it has lengths and times of change: a worker that finds the same ones
-//! does not read them all to hash them.
+//! The file also records the lengths and times of change of the input files. A worker that finds
+//! the same ones need not read the whole input to hash it.
 //!
 //! The file is written once and never changed: JSON, its last member a checksum of all bytes before
 //! it, as in a manifest.

@@ -1,4 +1,4 @@
-//! What is reported of a reduction.
+//! What is reported about a reduction.
 
 use super::series::{SeriesPlan, SkippedStep};
 use crate::archive::coordinates::CellCount;

@@ -1,4 +1,4 @@
-//! From one try of a search to the next: unchanged chunks are reused.
+//! Reuses unchanged chunks from one try of a search to the next.
 //!
 //! A round of a search makes some cells denser, and the rest stays as it is. The contents of a
 //! chunk follow from the points in its region and from the samples there. Nothing else of the plan

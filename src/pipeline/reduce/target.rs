@@ -33,8 +33,8 @@
 //! at the limit is published and the report says so. The largest error is a matter of a few places:
 //! [`target_max`](super::target_max) makes those denser.
 //!
-//! The numbers of points follow from measured errors, which depend on nothing but the input: the
-//! same archive for any threads.
+//! The numbers of points follow from measured errors, which depend on nothing but the input. So the
+//! archive is the same for any number of threads.
 
 use super::existing::{Existing, exists, lacks_files};
 use super::job::Job;

@@ -15,10 +15,10 @@
 //! files of different names, and the later rename replaces a file by its copy. So a task may be
 //! started twice, or go on after its machine was thought to be dead.
 //!
-//! The input is read by every worker. One without random access (compressed) is copied into bricks
-//! by each of them, and the structures of a tetrahedral mesh are made by each of them, in its own
-//! `scratch`: nothing is shared between machines but the archive. Where a source has chunks, each
-//! worker decodes those that it needs, if its memory holds them: see `inputs::access`.
+//! Every worker reads the input. Each copies a compressed input, which has no random access, into
+//! bricks, and makes the structures of a tetrahedral mesh, in its own `scratch`: nothing is shared
+//! between machines but the archive. Where a source has chunks, each worker decodes those that it
+//! needs, if its memory holds them: see `inputs::access`.
 
 mod status;
 

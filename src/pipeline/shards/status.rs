@@ -1,4 +1,4 @@
-//! How far is a planned reduction? Every segment is looked at, on several threads; nothing is
+//! The progress of a planned reduction. Every segment is checked, on several threads; nothing is
 //! written.
 
 use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};

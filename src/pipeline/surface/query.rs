@@ -1,5 +1,5 @@
-//! Questions to an archive: the index names the blocks that can hold an answer; those are read, and
-//! no others.
+//! Questions to an archive: the index names the blocks that can hold an answer, and only those are
+//! read.
 
 use super::extract::{Extracted, Room, extract_surfaces};
 use super::refine::{Means, RefineReport};

@@ -1,10 +1,9 @@
-//! Isosurfaces of many steps: a file each, and a list of the files with their times.
+//! Isosurfaces of many steps: one file for each, and a list of the files with their times.
 //!
-//! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; of other formats the list
-//! is ParaView's JSON, `out.ply.series`. Both are read by ParaView, and by
-//! [`crate::formats::steps_of`]. Several steps are extracted in one pass (`extract_steps.rs`). A
-//! step whose values all lie on one side of the isovalues is not read: its file is an empty
-//! surface, so that the list has all steps.
+//! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; for other formats the list
+//! is ParaView's JSON, `out.ply.series`. ParaView and [`crate::formats::steps_of`] read both.
+//! Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one
+//! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
 
 use super::extract_steps::{MOST_STEPS, Pass};
 use super::query::{Made, write_made};

@@ -1,4 +1,4 @@
-//! What is asked of a surface, and what is reported of it.
+//! What is asked of a surface, and what is reported about it.
 
 use super::refine::{Refine, RefineReport};
 use crate::archive::publish::folder_of;

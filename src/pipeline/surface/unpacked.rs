@@ -6,8 +6,9 @@
 //! ```
 //!
 //! They are used where they exist and were made for this archive, for a stored step on this
-//! machine. Between two steps blocks are decoded. So they are on a server, where sixty bytes per
-//! tetrahedron would cross the network. A damaged file, or one of other segments, is an error.
+//! machine. Blocks are decoded instead between two steps, and in an archive on a server, where
+//! sixty bytes per tetrahedron would cross the network. A damaged file, or one of other segments,
+//! is an error.
 
 use super::worker::{ChunkWork, ChunkWorker};
 use crate::archive::Malformed;
