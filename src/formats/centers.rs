@@ -1,12 +1,11 @@
-//! Fields of an image that has two kinds of them: values at its points, and values of the cells
-//! between them.
+//! Fields of an image that has both values at its points and values of the cells between them.
 //!
 //! ```text
 //!  points  0───1───2───3     n of them along an axis, the first at the origin
 //!  cells     0   1   2       n - 1, the first half a step from it: a cell's value is a sample in its middle
 //! ```
 //!
-//! An image that is one point thick has cells as thin as that.
+//! An image that is one point thick has cells that are just as thin.
 
 use super::pick_field;
 use crate::cells::Center;

@@ -1,4 +1,4 @@
-//! The coordinates of rectilinear and curvilinear grids, whose samples are read as those of a
+//! Reads the coordinates of rectilinear and curvilinear grids. Their samples are read as those of a
 //! volume.
 
 use super::{OpenOptions, folder, kind_of, vtk_legacy, vtk_xml, zarr};

@@ -9,21 +9,21 @@
 //!        indices    3 × u32 a triangle
 //! ```
 //!
-//! One mesh of one primitive (triangles); everything is little-endian and a multiple of 4 bytes.
-//! The JSON text names the three runs of bytes, and the least and largest position, as the format
-//! demands: one more pass over the vertices before the first byte is written. The isovalue and the
-//! comments are `asset.extras`. Coordinates are the world's, as in all our formats, though glTF
-//! says metres and y up. A surface without triangles is a scene without a mesh, as glTF has no
-//! empty arrays.
+//! We write one mesh of one primitive (triangles); everything is little-endian and a multiple of 4
+//! bytes. The JSON text names the three runs of bytes. It also has the least and the largest
+//! position, as the format demands: this takes one more pass over the vertices before the first
+//! byte is written. The isovalue and the comments are `asset.extras`. Coordinates are the world's,
+//! as in all our formats, though glTF says metres and y up. A surface without triangles is a scene
+//! without a mesh, as glTF has no empty arrays.
 //!
 //! All lengths are 32 bits wide, so a file ends at 4 GiB: about 89 million vertices with twice as
-//! many triangles. More is refused before a byte is written. One primitive always suffices: 2^32
-//! indices alone are 16 GiB.
+//! many triangles. Larger surfaces are refused before a byte is written. One primitive always
+//! suffices: 2^32 indices alone are 16 GiB.
 //!
-//! Read are the triangles of all meshes, as stored, from where they lie in the file: only the tree
-//! of the JSON text, usually a few KiB, is in memory. What would need more than this to be the true
-//! shape is refused: node transforms, sparse accessors, data in other files, required extensions
-//! (compression), strips and fans. Primitives that are points or lines are passed over.
+//! We read the triangles of all meshes, as stored, in place: only the tree of the JSON text,
+//! usually a few KiB, is in memory. Files whose true shape needs more than this are refused: node
+//! transforms, sparse accessors, data in other files, required extensions (compression), strips and
+//! fans. Primitives that are points or lines are skipped.
 
 use crate::error::{Error, Result};
 use crate::formats::ply::check_indices;

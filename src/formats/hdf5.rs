@@ -5,43 +5,42 @@
 //!  /group/name                a dataset: shape, type, layout (contiguous, compact, chunked), filters, attributes
 //! ```
 //!
-//! Datasets of three axes (slowest first: z, y, x, as in NPY) and of one number a sample are the
-//! fields, named by their path. Axes before the last three must have one entry; of a dataset of
+//! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
+//! a sample, named by their path. Axes before the last three must have one entry. In a dataset of
 //! four axes each entry of the first is a field of its own, `name:t0`, `name:t1`, …; `name` is all
 //! of them, as a series. Links to one dataset are one field.
 //!
 //! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
-//! are what they are called: time, x, y, z in any order, channels. Of four axes without names, the
-//! last of at most four entries, the components of vectors are the last: they are listed, and not
-//! read.
+//! are what their names say: time, x, y, z in any order, channels. If the last of four axes without
+//! names has at most four entries, it holds the components of vectors: such fields are listed, and
+//! not read.
 //!
-//! Attributes that are followed: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
+//! These attributes are used: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
 //! `valid_range`, `valid_min`, `valid_max`; `element_size_um` (z, y, x); coordinate variables
 //! (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a step they are
-//! spacing and origin, else the dataset is a rectilinear grid. Without any, spacing is 1 and
-//! origin 0.
+//! spacing and origin, else the dataset is a rectilinear grid. Without any of these, the spacing is
+//! 1 and the origin is 0.
 //!
 //! Conventions of other programs: see the module `dialect`.
 //!
 //! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle,
 //! Fletcher-32, scale-offset, N-bit, szip, LZF) as they are asked for ([`crate::volume::chunked`]);
-//! small chunks are taken together. Memory: one chunk, stored, decoded and once more as it is given
-//! out; chunks of more than 256 MiB are refused. Chunks that were never written read as the fill
-//! value.
+//! small chunks are read together. Memory: one chunk, stored, decoded and once more for output;
+//! chunks of more than 256 MiB are refused. Chunks that were never written read as the fill value.
 //!
 //! # The crate behind it
-//! Tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file versions; ten types
-//! in both byte orders; each layout, chunk index and filter above):
+//! Two crates were tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file
+//! versions; ten types in both byte orders; each layout, chunk index and filter above):
 //!
-//! * `hdf5-reader` 0.12: pure Rust, for reading alone. Read all of them right, by boxes, in memory
-//!   of a few megabytes, through our own access to the file, with bounds on what a header can make
-//!   it allocate. Taken, without its own threads.
-//! * `hdf5-pure` 0.47: pure Rust, also writes. Refuses layout version 5 (what HDF5 2.0 writes for
-//!   filtered chunks of its newest file version) and chunks indexed by a version 2 B-tree; reads by
-//!   whole slices only.
+//! * `hdf5-reader` 0.12: pure Rust, for reading alone. It read all of them right, by boxes, in a
+//!   few megabytes of memory, through our own access to the file, with bounds on what a header can
+//!   make it allocate. We use it, without its own threads.
+//! * `hdf5-pure` 0.47: pure Rust, also writes. It refuses layout version 5 (what HDF5 2.0 writes
+//!   for filtered chunks of its newest file version) and chunks indexed by a version 2 B-tree; it
+//!   reads whole slices only.
 //!
-//! Not tried, as the first sufficed: `hdf5-metno`, bindings to the C library, which would have to
-//! be installed or built by CMake and allows one thread at a time.
+//! `hdf5-metno` was not tried, because the first sufficed: it binds the C library, which would have
+//! to be installed or built by CMake and allows one thread at a time.
 //!
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 

@@ -1,4 +1,4 @@
-//! Meshes: which of their formats a file has.
+//! Meshes: finds out which of their formats a file has.
 
 use super::{OpenOptions, VolumeSource, gmsh, has_suffix, open_volume, tetgen, vtk_legacy, vtk_xml};
 use crate::bytes::ByteSource;

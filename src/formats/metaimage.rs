@@ -17,9 +17,10 @@
 //! ElementDataFile = LIST             or a name on each of the lines that follow
 //! ```
 //!
-//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. Refused
-//! by name: other than three axes, several channels, arrays, compressed or text data in several
-//! files. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK do.
+//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. The
+//! reader refuses by name: other than three axes, several channels, arrays, compressed or text data
+//! in several files. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK
+//! do.
 //!
 //! The format: <https://itk.org/Wiki/ITK/MetaIO/Documentation>.
 

@@ -21,8 +21,8 @@
 //! | `quatern_b` … `qoffset_z` | 256, 6 x f32 | 352, 6 x f64 | a rotation and an origin |
 //! | `srow_x` … `srow_z` | 280, 12 x f32 | 400, 12 x f64 | the rows of an affine map |
 //!
-//! The affine map is taken where there is one, else the quaternion, else `pixdim` alone (0
-//! means 1). The frames of a time series are fields "t0", "t1", …. Refused by name: fewer than
+//! The affine map is used where there is one, else the quaternion, else `pixdim` alone (0 means 1).
+//! The frames of a time series are fields "t0", "t1", …. The reader refuses by name: fewer than
 //! three axes, several numbers a sample (vectors, complex, colours), long double.
 //!
 //! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and

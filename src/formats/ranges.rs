@@ -1,5 +1,5 @@
-//! Numbers of one type that lie one after another in a range of a file, as text or binary, front to
-//! back.
+//! Reads numbers of one type that lie one after another in a range of a file, as text or binary,
+//! front to back.
 
 use super::numbers::{push_ids, to_f64};
 use super::text::TextNumbers;

@@ -1,4 +1,4 @@
-//! A series of steps: which file, and which field of it, is each of them.
+//! A series of steps: finds the file of each step, and the field in it.
 //!
 //! | what is named | steps |
 //! |---|---|
@@ -9,8 +9,8 @@
 //! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
-//! A pattern that matches TIFF files is one volume: its slices. The time of a VTK file is that
-//! which it has in its field data: `TimeValue`, or `TIME`.
+//! A pattern that matches TIFF files is one volume, whose slices they are. The time of a VTK file
+//! is in its field data: `TimeValue`, or `TIME`.
 
 use super::nifti::UnpackedFrames;
 use super::stack::{by_numbers, rise};

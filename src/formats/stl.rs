@@ -1,9 +1,9 @@
 //! STL, the stereolithography format of 3D Systems (1989).
 //!
-//! Triangles only, each with its three positions: shared vertices are repeated, and the reader
-//! joins those of equal bits (-0 being 0), which restores exactly the sharing of a surface whose
-//! vertices are distinct in `f32`. It does so by sorting, three times, so that the surface need not
-//! fit in memory:
+//! A file has only triangles, each with its three positions, so shared vertices are repeated. The
+//! reader merges vertices of equal bits (-0 being 0). This restores exactly the sharing of a
+//! surface whose vertices are distinct in `f32`. The reader sorts three times, so that the surface
+//! need not fit in memory:
 //!
 //! ```text
 //! corners by position           equal ones lie together: each learns the first corner at its place

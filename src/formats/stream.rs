@@ -1,8 +1,8 @@
 //! Samples that must be read front to back: compressed ones ([`ByteSlabs`]) and text
 //! ([`TextSlabs`]).
 //!
-//! Memory: one slab and the decoder's window. A header may claim any size, so nothing is allocated
-//! on its word alone: a compressed stream must be long enough to hold the claimed samples at
+//! Memory: one slab and the decoder's window. A header may claim any size, so its claim alone
+//! allocates nothing: a compressed stream must be long enough to hold the claimed samples at
 //! deflate's best possible ratio, a text must have at least two bytes a sample, and a slab grows as
 //! its bytes arrive.
 

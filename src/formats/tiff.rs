@@ -11,10 +11,10 @@
 //!                          └────┴────┴──┘
 //! ```
 //!
-//! Uncompressed strips that follow each other are read where they lie, mapped, without a copy:
-//! every page may start elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors)
-//! is decoded by rows of strips or tiles, as they are asked for ([`crate::volume::chunked`]).
-//! Memory: some rows, and a page's table of strips, which is read for each.
+//! Consecutive uncompressed strips are mapped and read in place, without a copy; every page may
+//! start elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors) is decoded by
+//! rows of strips or tiles, as they are asked for ([`crate::volume::chunked`]). Memory: some rows,
+//! and a page's table of strips, which is read for each.
 //!
 //! The reader takes grey values of 8 to 64 bits, integers and floats, in either byte order. It
 //! refuses by name: colours, palettes, other numbers of bits, JPEG and other compressions, pages
@@ -27,8 +27,8 @@
 //! OME-XML's `PhysicalSizeX`, `Y`, `Z` (when their units agree); without either it is 1. Rows are
 //! in the file's order: the tag for orientation is not applied.
 //!
-//! The parser is our own because mapping in place needs the places of the strips, which are most of
-//! TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
+//! The parser is our own, because mapping in place needs the places of the strips, and they are
+//! most of TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
 //! <https://www.awaresystems.be/imaging/tiff/bigtiff.html>.
 
 mod ifd;

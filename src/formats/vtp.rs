@@ -1,7 +1,7 @@
 //! VTP: VTK XML PolyData.
 //!
 //! We write one piece of triangles, its arrays appended raw, so that each is one run of bytes that
-//! a reader may map. All lengths follow from the two counts, so the XML head is final before the
+//! a reader may map. All lengths follow from the two counts, so the XML header is final before the
 //! first vertex.
 //!
 //! ```text
@@ -21,9 +21,9 @@
 //! have it as the active scalars of the points, as VTK's contour filters do: ParaView colours by
 //! it, and its Threshold filter picks one.
 //!
-//! Read are the polygons of all pieces, with the points (and the point data's active normals) of
-//! any number type, in every encoding of [`vtk_xml`](super::vtk_xml). Vertices and lines are no
-//! surface and are passed over; triangle strips are refused.
+//! We read the polygons of all pieces, with the points (and the point data's active normals) of any
+//! number type, in every encoding of [`vtk_xml`](super::vtk_xml). Vertices and lines are no surface
+//! and are skipped; triangle strips are refused.
 
 use crate::bytes::ByteSource;
 use crate::error::Result;

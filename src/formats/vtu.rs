@@ -29,8 +29,8 @@
 //!
 //! Coordinates are `f64`: the lattice is finer than `f32` can resolve, and rounding could turn over
 //! a flat tetrahedron. Every tetrahedron has a positive volume as VTK counts it, also where the
-//! volume's geometry mirrors; of a curvilinear grid all but those that its coordinates turn over:
-//! in folded cells, and slivers where cells are bent.
+//! volume's geometry mirrors. On a curvilinear grid this excludes those that its coordinates turn
+//! over: tetrahedra in folded cells, and slivers where cells are bent.
 
 use crate::bytes::store::{read_at, write_at};
 use crate::error::{Error, Result};

@@ -1,5 +1,5 @@
-//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a file, compressed
-//! by itself.
+//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a separately
+//! compressed file.
 //!
 //! ```text
 //!  image.ome.zarr/            a group; .zattrs (2) or zarr.json (3) tell the levels, axes, spacing
@@ -8,27 +8,27 @@
 //!    1/                       the next level, coarser
 //! ```
 //!
-//! The path is the group or an array in it (`image.ome.zarr/1`); of a group's arrays `--field`
-//! chooses one: by its path, the first part of that, or "scaleN" for level N. Without a choice an
-//! OME-Zarr image gives its first level, which is the image in full.
+//! The path is the group or an array in it (`image.ome.zarr/1`). In a group, `--field` chooses one
+//! array: by its path, the first part of that, or "scaleN" for level N. Without a choice an
+//! OME-Zarr image gives its first level, which is the full image.
 //!
 //! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`,
 //! `_ARRAY_DIMENSIONS`); without names the last axis is x, the one before y, then z. One more axis
-//! of several entries, named t or time or without a name the first of four, has the frames of a
-//! series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's
-//! `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and origin are
-//! those of `coordinateTransformations`; else of the arrays next to the array that are named like
-//! its axes (xarray), which make a rectilinear grid where they are not regular; else 1 and 0.
-//! `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are followed. Four axes without
-//! names, the last of at most four entries, are refused: vectors, or colours. (A chunk of several
-//! frames is decoded for each of them.)
+//! may have several entries: the frames of a series. It is named t or time, or is the first of four
+//! without names. The frames are the fields `NAME:t0`, `NAME:t1`, …; their times are those of
+//! OME-Zarr's `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and
+//! origin are those of `coordinateTransformations`; else of the arrays next to the array that are
+//! named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1
+//! and 0. `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
+//! without names are refused if the last has at most four entries: these are vectors, or colours. A
+//! chunk of several frames is decoded for each of them.
 //!
-//! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd,
-//! LZ4; also shards with their index, CRC32C, `transpose`, order C or F. Others are refused by
-//! name. A chunk that is not there reads as the fill value, as Zarr has it.
+//! The reader knows these compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or
+//! bits), gzip, zlib, zstd, LZ4; also shards with their index, CRC32C, `transpose`, order C or F.
+//! Others are refused by name. A missing chunk reads as the fill value, as Zarr specifies.
 //!
 //! Chunks are decoded in their order, each once, or as they are asked for
-//! ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its
+//! ([`crate::volume::chunked`]). Memory: one chunk, stored and decoded (in a shard, one of its
 //! chunks), and a slab of at most 4 MiB. Chunks of more than a gibibyte are refused.
 //!
 //! The reader is our own, because chunks are files with compressors that we have anyway, and only

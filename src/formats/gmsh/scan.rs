@@ -1,4 +1,4 @@
-//! The first look at a `.msh` file: where its sections are, which tags it has, which data.
+//! The first pass over a `.msh` file finds its sections, its tags and its data.
 
 use super::MOST_RUNS;
 use super::elements::skip_elements;

@@ -1,4 +1,4 @@
-//! What tests of all mesh readers use, and tests on real files.
+//! Helpers for the tests of all mesh readers, and tests on real files.
 
 use super::*;
 use crate::cells::scan::{FieldScan, MeshScan, scan, scan_field};

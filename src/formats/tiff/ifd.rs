@@ -1,4 +1,4 @@
-//! The directories of a TIFF file: where its pages are, and what each of them says.
+//! Reads the directories of a TIFF file: where its pages are, and what each of them says.
 //!
 //! ```text
 //!  II 2a 00 | first IFD u32        little-endian; MM 00 2a big-endian

@@ -1,8 +1,8 @@
-//! A stack of uncompressed slices in files of their own, read where they lie.
+//! A stack of uncompressed slices in separate files, read in place.
 //!
 //! A stack may have more files than a process may have open (often 1024). So files are opened when
-//! a slice is first needed, and the ones used last stay open. Chunks come in layers along z:
-//! neighbours need the same slices.
+//! a slice is first needed, and the most recently used ones stay open. Chunks come in layers along
+//! z: neighbours need the same slices.
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};

@@ -1,4 +1,4 @@
-//! From front to back through a legacy VTK file: where everything lies.
+//! Scans a legacy VTK file from front to back, and finds where everything lies.
 
 use crate::cells::Center;
 use crate::error::{Error, Fault, Place, Result};

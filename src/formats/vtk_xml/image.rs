@@ -1,4 +1,4 @@
-//! Images: extents, pieces, the choice of a field, and pieces as one stream of slabs.
+//! Reads images: extents, pieces, the choice of a field, and pieces as one stream of slabs.
 
 use super::array::{ArrayStream, BlockArray, in_place, scalar_type};
 use super::head::{Document, Element};

@@ -1,4 +1,5 @@
-//! The metadata of a Zarr array, versions 2 (`.zarray`) and 3 (`zarr.json`), as one structure.
+//! Reads the metadata of a Zarr array, versions 2 (`.zarray`) and 3 (`zarr.json`), into one
+//! structure.
 
 use super::codec::Codec;
 use crate::bytes::read_whole;
