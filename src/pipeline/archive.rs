@@ -62,7 +62,7 @@ pub struct Opening {
     pub bytes_read: u64,
     /// Seconds of wall time.
     pub seconds: f64,
-    /// Of an archive on a server: what was fetched from there.
+    /// What was fetched from the server, if the archive is on one.
     pub remote: Option<Traffic>,
 }
 

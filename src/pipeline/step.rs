@@ -60,7 +60,7 @@ impl Step {
         self.view.path()
     }
 
-    /// Number of the step; of a time between two steps, that of the first.
+    /// Number of the step; for a time between two steps, that of the first.
     pub fn number(&self) -> u64 {
         self.view.step().plan.number
     }
@@ -78,7 +78,7 @@ impl Step {
         summarize(&self.view)
     }
 
-    /// The file that the step was made from, or what stood for it; of a time between two steps,
+    /// The file that the step was made from, or what stood for it; for a time between two steps,
     /// that of the first.
     pub fn source(&self) -> &str {
         &self.view.step().plan.source.path

@@ -143,9 +143,9 @@ impl CellField<'_> {
         Ok(outside)
     }
 
-    /// The places that a body has if a tetrahedron is in it: the centroid; of a flat one on the rim
-    /// a place on either side, as it may be a part of a wall. `None` if one lies outside of the
-    /// box.
+    /// The places that a body has if a tetrahedron is in it: its centroid. For a flat one on the
+    /// rim, they are a place on either side, because it may be a part of a wall. `None` if one lies
+    /// outside of the box.
     fn places_in(&self, corners: [LatticePos; 4], on_rim: bool) -> Option<Vec<FinePos>> {
         // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
         let centroid: FinePos =

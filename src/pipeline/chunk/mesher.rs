@@ -31,7 +31,7 @@ pub(in crate::pipeline) enum Meshing {
 #[derive(Default)]
 pub(in crate::pipeline) struct ChunkMesher {
     mesher: Mesher,
-    /// Those of the core, brick after brick, then those of the halo.
+    /// The sites of the core, brick after brick, then those of the halo.
     sites: Vec<Site>,
     one_box: Vec<Site>,
     late: Vec<Site>,
@@ -216,8 +216,8 @@ impl ChunkMesher {
     }
 }
 
-/// Lists the sites of a box by their ids: of equal positions the mesh keeps the first, which must
-/// be the one of the lowest id.
+/// Lists the sites of a box by their ids. If positions are equal, the mesh keeps the first, which
+/// must be the one with the lowest id.
 fn list_box(points: &PointSet, b: &LatticeBox, sites: &mut Vec<Site>) {
     points.candidates_in(b, sites);
     sites.sort_unstable_by_key(|s| s.id);

@@ -37,7 +37,7 @@ use std::time::Instant;
 /// How a field is measured.
 #[derive(Clone, Debug, Default)]
 pub struct MeasureSettings {
-    /// Of a series: the number of the step; the first one if not given.
+    /// The number of the step in a series; the first one if not given.
     pub step: Option<u64>,
     /// A VTI file for the errors of each brick.
     pub map: Option<PathBuf>,
@@ -446,8 +446,8 @@ impl AgainstSamples<'_> {
     }
 }
 
-/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, its
-/// value, and the nearest place.
+/// Bytes for a vertex of a batch: its place, three times while it is sorted and located, its value,
+/// and the nearest place.
 pub(in crate::pipeline) const VERTEX: u64 = 300;
 /// Bytes for the value of each further step.
 const FURTHER: u64 = 16;

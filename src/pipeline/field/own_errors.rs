@@ -21,7 +21,7 @@ use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{ChunkReader, ReaderMemory, StepView};
 use std::collections::BTreeMap;
 
-/// Vertices of which the errors of bricks are handed on together.
+/// Vertices whose errors in bricks are handed on together.
 const BATCH: usize = 1 << 16;
 
 /// The errors of steps, by their positions in the manifest, whose values at the vertices are given;

@@ -39,9 +39,9 @@ pub struct ProbeSettings {
 pub struct ProbeReport {
     /// Samples or points asked for.
     pub samples: u64,
-    /// Of those, without value because a corner of their tetrahedron has none: NaN.
+    /// Those without a value, because a corner of their tetrahedron has none: NaN.
     pub void: u64,
-    /// Of those, outside the domain: NaN.
+    /// Those outside the domain: NaN.
     pub outside: u64,
     /// Chunks read, each as often as it was.
     pub chunks_read: u64,

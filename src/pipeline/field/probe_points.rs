@@ -82,7 +82,7 @@ fn lattice_position(
     Some(pos)
 }
 
-/// Distances from an edge's middle, in voxels, at which data are looked for: an edge may be as
+/// Distances from an edge's middle, in voxels, at which data are searched for: an edge may be as
 /// short as the least of them, or lie in a thin tetrahedron.
 const AROUND: [f64; 4] = [0.2, 0.05, 0.01, 0.002];
 
@@ -271,7 +271,7 @@ pub(in crate::pipeline) fn values_at(
     Ok(Probed { values, outside: points.len() as u64 - found, chunks_read })
 }
 
-/// How points are looked for.
+/// How points are located.
 pub(in crate::pipeline) struct Find<'a> {
     pub(in crate::pipeline) resources: &'a Resources,
     /// The part of the memory that is for chunks.
@@ -384,7 +384,7 @@ fn find_each(
             Ok(())
         })?;
         chunks_read += visit.chunks.len() as u64;
-        // What is farther than the reach along some axis was not looked at.
+        // Places farther than the reach along some axis were not searched.
         places.retain(|_, place| place.is_within(reach));
         places.iter().for_each(|(&n, place)| each(n, &place.values, false));
         if find.outside != Outside::All || reach >= whole.saturating_mul(2) {

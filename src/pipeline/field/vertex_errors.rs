@@ -8,8 +8,8 @@ use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{ErrorSums, FieldError, LevelError, Worst};
 use crate::pipeline::read::StepView;
 
-/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each
-/// level, where its points have levels.
+/// The errors of a step: that of the field and, for a mesh whose points have levels, those at the
+/// vertices in the cells of each level.
 pub(in crate::pipeline) type StepErrors = (FieldError, Vec<LevelError>);
 
 /// The error of a mesh of the archive's size whose vertices are others.

@@ -65,8 +65,8 @@ pub(in crate::pipeline) fn boxes_of_chunks<'a>(
     })
 }
 
-/// Useful sizes of a cache, from the largest to the least: of the chunks that meet two layers of
-/// boxes, a layer, two rows, a row. None of rows that would decode chunks too often.
+/// Useful sizes of a cache, from the largest to the least: for the chunks that meet two layers of
+/// boxes, a layer, two rows, a row. Rows have no size where they would decode chunks too often.
 pub(in crate::pipeline) fn cache_sizes(
     shape: &ChunkShape,
     boxes: impl Iterator<Item = ReadBox>,

@@ -19,7 +19,7 @@ pub(super) struct BendBlocks {
     blocks: Vec<Block>,
     /// Positions among the blocks, by the first slice that they need.
     waiting: BTreeMap<u64, Vec<usize>>,
-    /// Of those that are begun.
+    /// Positions of the blocks that are begun.
     open: Vec<usize>,
     missing: Option<f32>,
 }
@@ -32,7 +32,7 @@ struct Block {
 }
 
 impl BendBlocks {
-    /// Of a volume in which a value means "no data".
+    /// The blocks of a volume; the value `missing` means "no data".
     pub(super) fn new(dims: [u64; 3], missing: Option<f32>) -> Self {
         let starts = dims.map(|n| {
             let edge = EDGE.min(n);

@@ -31,7 +31,7 @@ pub(in crate::pipeline) struct Errors<'a> {
 struct Found {
     errors: BlockErrors,
     bend: Bend,
-    /// Of its samples.
+    /// The range of its samples.
     range: Option<[f32; 2]>,
 }
 
@@ -40,7 +40,7 @@ fn needed(lattice: Lattice) -> u64 {
     estimate::BASE + ErrorCurves::bytes_for(lattice) + BLOCKS_AT_ONCE * BLOCK_BYTES
 }
 
-/// Most blocks that are looked at for how many chunks of a source meet one.
+/// The most blocks that are checked to find how many chunks of a source meet one.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
 /// The samples of all blocks, or of some that stand for all.

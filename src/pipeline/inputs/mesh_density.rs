@@ -41,7 +41,7 @@ pub(in crate::pipeline) struct MeshChoice {
 /// The errors of simple reductions of a mesh, from which levels are chosen.
 pub(in crate::pipeline) struct MeshCurves {
     curves: ErrorCurves,
-    /// Of the values at vertices.
+    /// The range of the values at vertices.
     range: [f32; 2],
     vertices: u64,
     threads: usize,

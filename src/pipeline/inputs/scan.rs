@@ -323,7 +323,7 @@ mod tests {
         };
         assert_eq!(nearly_all(&[f32::NAN, -9.0, f32::INFINITY]), (None, None));
         assert_eq!(nearly_all(&[-0.0]).1.map(|r| r.map(f32::to_bits)), Some([0, 0]));
-        // Of fewer than a thousand samples each one counts.
+        // Among fewer than a thousand samples each one counts.
         let mut values = vec![1.0; 998];
         values.push(1e30);
         assert_eq!(nearly_all(&values), (Some([1.0, 1e30]), Some([1.0, 1e30])));

@@ -28,7 +28,7 @@ impl Shift {
         Self { offset: step.source.offset, rounding: step.source.rounding }
     }
 
-    /// That of a volume; `offset` is the one that the archive has already.
+    /// The shift of a volume; `offset` is the one that the archive has already.
     ///
     /// # Errors
     /// Those of reading it; [`Error::BadInput`] for values that `f32` does not hold.
@@ -56,7 +56,7 @@ impl Shift {
         Self::chosen(&path, is_whole(field.scalar, slope, intercept), offset, look)
     }
 
-    /// That of a field of a mesh.
+    /// The shift of a field of a mesh.
     ///
     /// # Errors
     /// As [`Shift::of_volume`].

@@ -145,7 +145,7 @@ impl Survey {
                 self.pairs[if jump == 0.0 { 0 } else { 2 - usize::from(jump > 1.0) }] += 1;
             }
         }
-        // Of two zeros of different sign only one is kept.
+        // Only one of two zeros of different sign is kept.
         self.values.extend(row.iter().filter(|v| v.is_finite()).map(|v| v + 0.0));
     }
 
@@ -283,7 +283,7 @@ fn stretch(runs: &[Run]) -> Option<Stretch> {
     })
 }
 
-/// The boxes that are looked at, of a volume of these dimensions: each is a piece of a row, of a
+/// The boxes that are read in a volume of these dimensions: each is a piece of a row, a piece of a
 /// slice, or whole slices.
 fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     let [x, y, z] = dims;
@@ -507,8 +507,8 @@ impl SlabStream for Seeing {
     }
 }
 
-/// Looks at the first values of a mesh's field, as they are stored: averages of cell data would
-/// blur what is looked for.
+/// Surveys the first values of a mesh's field, as they are stored: averages of cell data would hide
+/// what is searched for.
 ///
 /// # Errors
 /// Those of [`CellMesh::field`]; when the file cannot be read.
@@ -658,8 +658,8 @@ mod tests {
         assert_eq!(found(&[source]), Found::default());
     }
 
-    /// A stream that is read to its end shows the samples that random access has; of one that is
-    /// not, the first ones are known.
+    /// A stream that is read to its end shows the samples that random access has. Of any other
+    /// stream, only the first samples are known.
     #[test]
     fn streams_show_the_same_samples() {
         let dir = tempfile::tempdir().unwrap();

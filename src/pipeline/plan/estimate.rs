@@ -79,7 +79,7 @@ const FURTHER_PASS: f64 = 0.35;
 const FURTHER_FITTED_PASS: f64 = 0.8;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;
-/// Chunks looked at to find the largest.
+/// The most chunks that are checked to find the largest.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
 /// Halo width in quarters of the mean point spacing. All points within the first are inserted at
@@ -173,7 +173,7 @@ pub(in crate::pipeline) fn product_bytes(core_points: u64, steps: u64) -> u64 {
 /// The memory of a run, as it is shared out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::pipeline) struct Shares {
-    /// Of the process itself, and what is there all the time.
+    /// For the process itself, and what is in memory all the time.
     base: u64,
     /// Chunks at work at one time.
     pub(in crate::pipeline) workers: usize,
@@ -213,7 +213,7 @@ pub(in crate::pipeline) struct Need {
     held: Held,
     /// Samples of a window, where values are fitted to those.
     window: u64,
-    /// Of the index.
+    /// Entries of the index.
     entries: u64,
 }
 

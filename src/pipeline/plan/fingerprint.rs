@@ -24,9 +24,9 @@ const PIECE: usize = 1 << 20;
 /// fill values.
 const NO_FILE: u64 = u64::MAX;
 
-/// XXH3 (128 bits), in hexadecimal, of the files that make up an input: of each, in order, its
-/// length as a little-endian u64, then all its bytes. A file that does not exist counts as the
-/// length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB.
+/// XXH3 (128 bits), in hexadecimal, of the files that make up an input. It hashes, for each file in
+/// order, its length as a little-endian u64, then all its bytes. A file that does not exist counts
+/// as the length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read; [`Error::BadInput`] for what is no regular file.
@@ -70,7 +70,7 @@ struct Stamp {
 }
 
 impl Stamp {
-    /// That of a file; `None` of a folder, and where there is nothing.
+    /// The stamp of a file; `None` for a folder, and where there is nothing.
     fn of(path: &Path) -> Option<Self> {
         let about = std::fs::metadata(path).ok().filter(|about| !about.is_dir())?;
         let modified = about.modified().ok().map_or(0, |time| match time.duration_since(UNIX_EPOCH) {
@@ -101,7 +101,7 @@ pub(in crate::pipeline) struct RecordedFile {
     modified: String,
 }
 
-/// More files than these are not all looked at before each chunk, but at the end of each segment.
+/// More files than these are not all checked before each chunk, but at the end of each segment.
 const FEW: usize = 64;
 
 /// The files of a run's input, as they were when it began to read them.
@@ -209,7 +209,7 @@ impl<'a> Inputs<'a> {
         Ok(found)
     }
 
-    /// As [`Inputs::fingerprint`]; of a volume that a program gives, a hash of its samples.
+    /// As [`Inputs::fingerprint`]; for a volume that a program gives, a hash of its samples.
     ///
     /// # Errors
     /// Those of [`Inputs::fingerprint`], and of reading the samples.

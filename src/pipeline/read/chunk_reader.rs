@@ -48,7 +48,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     value_blocks: ValueBlocks,
     /// What is known of the values that have not been read, once that was needed.
     value_ranges: Option<Vec<ValueRange>>,
-    /// Of each block of values, whether a corner of an active tetrahedron is in it.
+    /// For each block of values, whether a corner of an active tetrahedron is in it.
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
     active_bytes: u64,
@@ -59,7 +59,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
 struct Pages {
     /// Pages of flags; behind them are those of ids.
     of_flags: usize,
-    /// Of each page whether it has been read.
+    /// For each page, whether it has been read.
     read: Vec<bool>,
 }
 
@@ -528,7 +528,7 @@ impl<'a> ChunkReader<'a> {
         self.archive.points.position(id).ok_or_else(wrong)
     }
 
-    /// Reads the flags of corners, of which the numbers of core ones come first.
+    /// Reads the flags of corners; the numbers of core corners come first.
     fn load_flags(&mut self, corners: &[u32]) -> Result<()> {
         let mut last = usize::MAX;
         for &v in corners {
@@ -629,7 +629,7 @@ impl<'a> ChunkReader<'a> {
         (0..self.pages.of_flags).try_for_each(|page| self.load_page(page))
     }
 
-    /// The mesh of the chunk, of which all corners have been placed.
+    /// The mesh of the chunk, all of whose corners have been placed.
     pub(super) fn into_mesh(self, tets: Vec<Tet>) -> MeshedChunk {
         let core = self.core();
         MeshedChunk {
@@ -660,7 +660,7 @@ impl<'a> ChunkReader<'a> {
 /// Which values of a block's corners are needed.
 pub(in crate::pipeline) enum Needed<'a> {
     All,
-    /// Those of tetrahedra that some isovalue crosses.
+    /// The values at corners of tetrahedra that some isovalue crosses.
     ForActive(&'a [f32]),
 }
 

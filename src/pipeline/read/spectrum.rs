@@ -184,7 +184,7 @@ impl StepSpectrum {
 }
 
 impl StepView {
-    /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the
+    /// The contour spectrum; none where every tetrahedron is void. In a small archive it is the
     /// part of its only chunk.
     pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
         if self.step().index.is_none() {

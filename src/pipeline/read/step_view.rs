@@ -46,7 +46,7 @@ pub(in crate::pipeline) struct StepView {
     pub(in crate::pipeline) cache: BlockCache,
     /// Buffers for it, while blocks are cached.
     pub(in crate::pipeline) spare: BufferPool,
-    /// The unpacked blocks of the step, once they were looked for.
+    /// The unpacked blocks of the step, once they were searched for.
     pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
 }
 
@@ -105,7 +105,7 @@ impl StepView {
         self.moment.step
     }
 
-    /// Whether this is a moment between two steps, of which nothing is stored.
+    /// Whether this is a moment between two steps, for which nothing is stored.
     pub(in crate::pipeline) fn is_between(&self) -> bool {
         self.moment.beyond.is_some()
     }

@@ -61,7 +61,7 @@ impl OpenArchive {
         self.bcc.map_or(self.manifest.counts.blocks, |mesh| mesh.block_total())
     }
 
-    /// The blocks that an entry of the index stands for: of a lattice, those of a brick.
+    /// The blocks that an entry of the index stands for; on a lattice, those of a brick.
     pub(in crate::pipeline) fn blocks_of(&self, id: ChunkId) -> EntryBlocks {
         EntryBlocks(self.bcc_chunk(id))
     }
@@ -271,7 +271,7 @@ impl StepView {
 pub(in crate::pipeline) struct EntryBlocks(Option<BccChunk>);
 
 impl EntryBlocks {
-    /// The blocks of an entry; of one that is not there, a block that is not there.
+    /// The blocks of an entry; for a missing entry, a block that does not exist.
     pub(in crate::pipeline) fn of(&self, entry: u32) -> Range<u32> {
         match &self.0 {
             Some(chunk) if (entry as usize) < chunk.brick_count() => chunk.blocks_of(entry as usize),

@@ -29,7 +29,7 @@ const TETS_A_POINT: u64 = 8;
 pub(in crate::pipeline) enum Blocks {
     /// All of the archive.
     All,
-    /// Those of an index's answer, in order.
+    /// The blocks of an index's answer, in order.
     Some(Vec<Entry>),
 }
 
@@ -56,7 +56,7 @@ pub(in crate::pipeline) struct Visit<'a> {
 }
 
 impl<'a> Visit<'a> {
-    /// All chunks of some blocks. Of the memory of `resources` chunks at work have a `share`.
+    /// All chunks of some blocks. Chunks at work have a `share` of the memory of `resources`.
     pub(in crate::pipeline) fn new(
         archive: &'a StepView,
         blocks: Blocks,
@@ -178,7 +178,7 @@ impl<'a> Visit<'a> {
     }
 }
 
-/// The least budget of which the share, which grows with it, is `wanted` bytes.
+/// The least budget whose share, which grows with it, is `wanted` bytes.
 fn least_with(wanted: u64, share: impl Fn(u64) -> u64) -> u64 {
     let (mut too_little, mut enough) = (0, wanted.max(1));
     while share(enough) < wanted {

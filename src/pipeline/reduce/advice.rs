@@ -20,10 +20,10 @@ use crate::sample::Interpolation;
 use crate::volume::{VolumeInfo, VolumeSource};
 use std::path::{Path, PathBuf};
 
-/// Steps of a series that are looked at, evenly spread; all of them share the samples that are
-/// read.
+/// The most steps of a series that are surveyed, evenly spread; all of them share the samples that
+/// are read.
 const MOST_STEPS: usize = 8;
-/// The samples that are read of all these together.
+/// The samples that are read in all these steps together.
 const SAMPLES: u64 = 1 << 20;
 /// Bytes of a point in an archive, as measured: 5 to 7, with values as they are; less what rounding
 /// them saves; and of a further step.
@@ -190,7 +190,7 @@ fn could_keep_own(settings: &ReduceSettings) -> bool {
 /// are added to an archive, points and interpolation are chosen already.
 ///
 /// # Errors
-/// [`Cancelled`](crate::Error::Cancelled) alone: a source that cannot be read is passed over here.
+/// [`Cancelled`](crate::Error::Cancelled) alone: a source that cannot be read is skipped here.
 pub(in crate::pipeline) fn look(job: &Job<'_>) -> Result<Looked> {
     let looked = look_at(job)?;
     looked.notices.iter().for_each(|notice| job.progress.notice(&notice.text));
@@ -217,7 +217,7 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
             }
         }
         let found = match input {
-            // Much is decoded for a few samples: of a stream all before them.
+            // Much is decoded for a few samples: in a stream, all before them.
             Input::Volume(VolumeSource::Stream(_) | VolumeSource::Chunked(_)) if n > 0 => continue,
             Input::Volume(volume) => survey_volume(volume, SAMPLES / looked_at),
             Input::Mesh(mesh) => survey_mesh(&mesh),

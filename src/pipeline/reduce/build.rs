@@ -71,7 +71,7 @@ impl Segments {
     }
 }
 
-/// An archive that is being made: where, of which parts, with which share of the machine.
+/// An archive that is being made: its place, its parts, its share of the machine.
 pub(super) struct Build<'a> {
     pub(super) parts: &'a MeshParts,
     pub(super) layout: &'a Layout,
@@ -258,8 +258,8 @@ impl<'a> Build<'a> {
         Meter::new(&plan.mesh, self.parts.points.len(), &first.source, coordinates)
     }
 
-    /// Measures steps of a mesh that were just made, whose data are still open. Those of a volume
-    /// were, chunk by chunk.
+    /// Measures steps of a mesh that were just made, while their data are still open. Steps of a
+    /// volume have been measured chunk by chunk.
     fn measure_steps(
         &self,
         plan: &Plan,
@@ -316,7 +316,7 @@ impl<'a> Build<'a> {
             });
         }
         if self.old.is_none() {
-            // Which are looked for with the first step.
+            // They are expected with the first step.
             steps[0].coordinates = coordinates;
         }
         let counts = Counts { chunks: self.parts.chunks.len(), ..Counts::default() };
@@ -324,7 +324,8 @@ impl<'a> Build<'a> {
         OpenArchive::of(self.layout.root(), manifest).map(Some)
     }
 
-    /// Records of the segments that are made; of others their place alone: they are not looked at.
+    /// Records of the segments that are made. Other segments have their place alone, because they
+    /// are not read.
     fn records(
         &self,
         source: &SegmentSource<'_>,

@@ -231,7 +231,7 @@ impl ChunkMaker<'_> {
         let mut lap = Lap(Instant::now());
         let place = |mesh: &MeshedChunk| self.note(0, self.steps[0].field.place(mesh));
         let placement = match again {
-            // Of a mesh in which nothing lies outside any more.
+            // The mesh has nothing outside any more.
             None => place(&mesh)?,
             Some(mut whole) => {
                 let mut placement = place(&whole)?;

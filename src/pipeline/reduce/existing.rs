@@ -49,8 +49,8 @@ fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, u64)> {
     mesh.chain(manifest.steps.iter().flat_map(of_step)).collect()
 }
 
-/// Whether a file that the manifest of an archive names is not there, or not as long as it was.
-/// What a file holds is not looked at.
+/// Whether a file that the manifest of an archive names is not there, or not as long as it was. The
+/// contents of files are not checked.
 pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
     let gone = |(path, bytes): &(PathBuf, u64)| fs::metadata(path).map_or(true, |f| f.len() != *bytes);
     segments(archive, manifest).iter().any(gone) || !Attachments::missing(archive, &manifest.plan).is_empty()
@@ -300,7 +300,7 @@ fn may_be_of(job: &Job<'_>, manifest: &Manifest) -> bool {
     }
 }
 
-/// There is unfinished work of something else, of which this is a file.
+/// There is unfinished work of something else; `file` is a file of it.
 fn is_unfinished(out: &Path, file: &Path) -> Error {
     let file = file.strip_prefix(out).unwrap_or(file).display();
     Error::usage(format!(

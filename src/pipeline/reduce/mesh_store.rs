@@ -23,7 +23,7 @@ const FITTED_VERTEX: u64 = 8 + 3 * 24;
 pub(super) fn store_settings(job: &Job<'_>, offset: f64) -> StoreSettings {
     let (settings, resources) = (job.settings, &job.run.resources);
     StoreSettings {
-        // Two sorters are there at a time, of which one merges into the other, and the bodies.
+        // Memory has two sorters at a time, one merging into the other, and the bodies.
         memory: resources.memory / 4,
         scratch: resources.scratch_folder(),
         bad_value: match settings.nan {

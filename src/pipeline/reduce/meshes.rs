@@ -53,7 +53,7 @@ impl Common {
         Self { identity, vertices, name: mesh.info().path.display().to_string() }
     }
 
-    /// That of an archive of a mesh.
+    /// The mesh of an archive.
     fn of_archive(archive: &OpenArchive) -> Self {
         let first = &archive.manifest.steps[0].plan;
         let source = &first.source;
@@ -325,8 +325,8 @@ const TRIES: usize = 12;
 const MET: f64 = 0.005;
 
 impl Search<'_> {
-    /// Looks among the sets that `make` gives for a count; of `count` points so many as `filled` of
-    /// them lie inside, about. Sets too large to be counted are judged by smaller ones.
+    /// Searches the sets that `make` gives for a count. About the share `filled` of `count` points
+    /// lies inside. Sets too large to be counted are judged by smaller ones.
     fn find<T>(
         &self,
         filled: f64,
@@ -511,8 +511,8 @@ fn plan_steps(
 struct ReadMesh {
     path: PathBuf,
     identity: Identity,
-    /// The hash of them as they are stored: of another file that stores the same ones they need not
-    /// be read.
+    /// The hash of them as they are stored: another file that stores the same ones need not be read
+    /// for them.
     stored: Option<u128>,
 }
 

@@ -50,7 +50,7 @@ impl Round {
 }
 
 impl Frame {
-    /// That of an archive, for other levels of its points; `None` where their bricks or chunks
+    /// The frame of an archive, for other levels of its points; `None` where their bricks or chunks
     /// would be too large.
     fn of(before: &StepView, choice: &Choice) -> Result<Option<Self>> {
         let (plan, levels) = (&before.manifest.plan, Arc::new(choice.levels.clone()));

@@ -33,7 +33,7 @@ pub(super) struct Copies {
 #[derive(Clone)]
 pub(in crate::pipeline) struct PlannedSource {
     pub(super) source: StepSource,
-    /// Of one that is read by chunks.
+    /// The chunks of a source that is read by chunks.
     pub(super) chunks: Option<ChunkShape>,
     /// Bytes of decoded chunks in its cache, where it is read through one.
     pub(super) cached: Option<u64>,
@@ -90,7 +90,7 @@ impl PlannedSource {
 /// The plan of a series, and where its steps come from.
 pub(in crate::pipeline) struct SeriesPlan {
     pub(in crate::pipeline) plan: Plan,
-    /// Of each step of the plan.
+    /// The source of each step of the plan.
     pub(in crate::pipeline) sources: Vec<PlannedSource>,
     pub(in crate::pipeline) skipped: Vec<SkippedStep>,
     /// The last step that the archive has already.

@@ -68,7 +68,7 @@ impl Target {
         }
     }
 
-    /// What an archive has of that which is bounded; of several steps the worst one has.
+    /// The error or the size that an archive has; with several steps, that of the worst one.
     fn reached(self, report: &ReduceReport) -> f64 {
         match self {
             Self::Rms(_) | Self::Max(_) => error_of(self, report),
@@ -164,8 +164,8 @@ impl Search {
     }
 }
 
-/// Of errors and numbers of points; of sizes and samples a point, whose archives have a manifest
-/// besides.
+/// The powers between errors and numbers of points, and between sizes and samples a point: archives
+/// have a manifest besides.
 const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 
 /// A lattice's values are rounded to a step of so many times the RMS error.
@@ -181,7 +181,7 @@ struct Rounding {
     /// Whether they are chosen here.
     is_chosen: bool,
     bits: ValueBits,
-    /// Tries that have told the error, of a size.
+    /// Tries whose results have been used to choose the bits.
     told: u32,
 }
 

@@ -114,7 +114,7 @@ fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Opt
         filled = Measuring { archive: &view, cells: &cells, bound, worst: &worst }.add(job, source)?;
     }
     let worst: Vec<f32> = worst.into_iter().map(|e| f32::from_bits(e.into_inner())).collect();
-    // Points are those of the box, of which a mesh may fill a part.
+    // Points are those of the box; a mesh may fill only a part of it.
     let most = (samples as f64 / filled) as u64;
     Choice { n, levels: (*levels).clone() }.raised(&worst, bound, most)
 }
@@ -124,8 +124,8 @@ struct Measuring<'a> {
     archive: &'a StepView,
     cells: &'a BrickGrid,
     bound: f64,
-    /// The bits of the largest error of each cell: of numbers that are not negative they are in the
-    /// same order.
+    /// The bits of the largest error of each cell: the bits of numbers that are not negative are in
+    /// the same order.
     worst: &'a [AtomicU32],
 }
 

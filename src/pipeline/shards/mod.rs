@@ -48,7 +48,7 @@ use std::time::Instant;
 pub struct PlanReport {
     /// The plan's file.
     pub plan: PathBuf,
-    /// Hash of the plan: of the mesh, and of the values.
+    /// The hashes of the plan: that of the mesh, and that of the values.
     pub hash: [String; 2],
     /// Shards.
     pub shards: u64,
@@ -166,7 +166,7 @@ pub struct WorkReport {
     pub segments: u64,
     /// Points of its chunks; 0 when all was done before.
     pub points: u64,
-    /// Of sources that are read by chunks: how often this worker decoded these.
+    /// How often this worker decoded chunks, for sources that are read by chunks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_chunks: Option<SourceChunks>,
     /// Seconds of each stage.
@@ -251,7 +251,7 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     };
     let seconds = vec![(Stage::Verify, verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
-    // Of a mesh its vertices are read once more, to measure; of a volume workers have done that.
+    // The vertices of a mesh are read once more, to measure; for a volume, workers have done that.
     let is_read = file.settings.measure && file.plan.first().source.mesh.is_some();
     let watch = if is_read { file.expect_same_inputs(run)? } else { Watch::default() };
     let series = file.series(watch);

@@ -116,7 +116,7 @@ pub struct StatusReport {
     pub committed: bool,
     /// Segments of the plan.
     pub segments: u64,
-    /// Of these, segments that are whole.
+    /// Those of them that are complete.
     pub done: u64,
     /// Shards that were asked about.
     pub shards: u64,

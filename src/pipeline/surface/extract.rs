@@ -33,8 +33,8 @@ pub(super) struct Extracted {
 pub(super) struct Room {
     /// For what memory does not hold.
     pub(super) scratch: PathBuf,
-    /// Surfaces that are no longer needed, of which the memory is used again: the first one for the
-    /// first isovalue, and so on.
+    /// Surfaces that are no longer needed, whose memory is reused: the first one for the first
+    /// isovalue, and so on.
     pub(super) reused: Vec<TriMesh>,
 }
 

@@ -299,7 +299,7 @@ enum ShapeCorners {
     Plain(Box<Block>),
 }
 
-/// A chunk of which the blocks have been read.
+/// A chunk whose blocks have been read.
 struct ShapedChunk<'a> {
     part: &'a ChunkPart,
     shapes: Vec<Option<Shape>>,

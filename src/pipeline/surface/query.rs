@@ -364,7 +364,7 @@ fn refine_all(
     surfaces.into_iter().map(refine).collect()
 }
 
-/// The chunks of which a tetrahedron may touch the cut.
+/// The chunks with a tetrahedron that may touch the cut.
 fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);

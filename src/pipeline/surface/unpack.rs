@@ -77,7 +77,7 @@ pub struct UnpackedFile {
     pub blocks: u64,
     /// See `blocks`.
     pub tetrahedra: u64,
-    /// Blocks that are to be had packed only: out of the range, without a value, or too large.
+    /// Blocks that are available only packed: out of the range, without a value, or too large.
     pub packed_blocks: u64,
 }
 
@@ -192,7 +192,7 @@ pub fn remove_unpacked(path: &Path, settings: &UnpackSettings, chosen_only: bool
         let mut files = vec![];
         for entry in fs::read_dir(&folder).map_err(list)? {
             let name = entry.map_err(list)?.file_name().to_string_lossy().into_owned();
-            // Those of steps that are no more too.
+            // The files of steps that no longer exist, too.
             if unpacked_step(&name).is_some() {
                 files.push(folder.join(name));
             }
@@ -331,7 +331,7 @@ struct MadeChunk {
     corners: u32,
     /// Edges of several blocks that have numbers.
     edges: u32,
-    /// The words of each block; none of those that are to be had packed only.
+    /// The words of each block; none for blocks that are available only packed.
     blocks: Vec<Vec<u32>>,
 }
 
