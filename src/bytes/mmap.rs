@@ -56,7 +56,7 @@ impl Mapping {
         &self.map
     }
 
-    /// Whether a page of the mapping could not be had and reads as zeros.
+    /// Whether a page of the mapping could not be loaded and reads as zeros.
     pub(super) fn is_broken(&self) -> bool {
         #[cfg(unix)]
         return self.guard.is_broken();

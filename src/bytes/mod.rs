@@ -45,7 +45,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// How a file's bytes are had. All give the same bytes.
+/// How a file's bytes are accessed. All modes give the same bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IoMode {
@@ -175,7 +175,7 @@ impl ByteSource {
         self.len == 0
     }
 
-    /// How the bytes are had: [`IoMode::Map`] or [`IoMode::Read`].
+    /// How the bytes are accessed: [`IoMode::Map`] or [`IoMode::Read`].
     pub fn mode(&self) -> IoMode {
         if matches!(self.bytes, Bytes::Read(..)) { IoMode::Read } else { IoMode::Map }
     }

@@ -89,7 +89,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
 struct Opened {
     input: formats::Input,
     options: OpenOptions,
-    /// The steps in it, of which the first is opened.
+    /// The steps in it; the first is opened.
     steps: Vec<StepSource>,
     /// Whether there are several fields, none of which was chosen: the first is opened.
     several: bool,
@@ -337,7 +337,7 @@ fn point_set(set: &PointSpec) -> String {
     }
 }
 
-/// The steps: of a series, a line each.
+/// The steps, one line for each in a series.
 fn steps_text(s: &ArchiveSummary) -> String {
     let mut out = format!("  steps       {}\n", s.steps.len());
     if s.steps.len() == 1 {

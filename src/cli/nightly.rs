@@ -190,7 +190,7 @@ fn settled(args: &Args) -> Result<Vec<PathBuf>> {
     let mut files = vec![];
     for entry in std::fs::read_dir(&args.folder).map_err(refused)? {
         let path = entry.map_err(refused)?.path();
-        // Of a file that cannot be looked at, the reader says why it is left out.
+        // If a file cannot be examined here, the reader says why it is left out.
         let written = path.metadata().and_then(|about| about.modified());
         if args.pattern.matches(&name_of(&path)) && written.map_or(true, |time| time <= limit) {
             files.push(path);

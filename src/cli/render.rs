@@ -128,7 +128,7 @@ struct Panel {
     name: String,
     isovalue: Option<f64>,
     surface: StoredSurface,
-    /// Of each vertex, where they are asked for.
+    /// The distance of each vertex, where they are asked for.
     distances: Vec<f32>,
 }
 

@@ -36,9 +36,9 @@ pub(super) struct Picked {
     pub(super) fields: Vec<FieldInfo>,
 }
 
-/// Picks a field by its name, of points before one of cells. Without a name those at points are
-/// looked at, and those of cells where none at points is a scalar: the one that is `active` among
-/// them, else the only scalar one.
+/// Picks a field by its name, one of points before one of cells. Without a name, the choice is
+/// among the fields at points or, where none of these is a scalar, those of cells: the one that is
+/// `active`, else the only scalar one.
 ///
 /// # Errors
 /// As [`pick_field`].

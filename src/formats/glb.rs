@@ -40,7 +40,7 @@ const BIN: u32 = u32::from_le_bytes(*b"BIN\0");
 /// Bytes of the file's head, and of a chunk's.
 const HEAD: u64 = 12;
 const CHUNK_HEAD: u64 = 8;
-/// Room for the JSON text when the limits are checked; the text is far shorter but for long
+/// Bytes for the JSON text when the limits are checked; the text is far shorter, except with long
 /// comments.
 const JSON_ROOM: u64 = 1 << 20;
 /// Bytes of memory that the tree of a JSON text takes for each of its bytes, at most: a map of one
@@ -112,7 +112,7 @@ pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceM
     })
 }
 
-/// The JSON text. Bounds are written so that they are exact also for who reads them as `f64`.
+/// The JSON text. Bounds are written so that they are exact also for a reader that uses `f64`.
 fn document(vertices: u64, triangles: u64, bounds: [[f32; 3]; 2], meta: &SurfaceMeta) -> Value {
     let asset = json!({
         "version": "2.0",

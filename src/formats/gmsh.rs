@@ -162,8 +162,8 @@ struct Gathered {
     field: usize,
     /// Whether the list is in the order of the points or cells.
     ordered: bool,
-    /// The next entry, and how many there were before it; of a list that is not ordered, the first
-    /// one.
+    /// The next entry, and the number of entries before it; the first one in a list that is not
+    /// ordered.
     next: Tokens,
     entry: u64,
     /// Numbers of all tuples.

@@ -69,11 +69,12 @@ use std::sync::Arc;
 
 /// Most bytes of a decoded chunk.
 const MOST_CHUNK: u64 = 256 << 20;
-/// Small chunks are read together up to so many bytes; what has no chunks, in pieces of so many.
+/// Small chunks are read together up to this many bytes; datasets without chunks are read in pieces
+/// of this size.
 const PIECE: u64 = 128 << 10;
 /// Most frames of a dataset with four axes.
 const MOST_FRAMES: u64 = 1 << 16;
-/// Most samples of a coordinate variable that is looked at.
+/// The most samples of a coordinate variable that is read.
 const MOST_COORDINATES: u64 = 1 << 24;
 
 /// Opens a dataset of an HDF5 file.
@@ -253,7 +254,7 @@ struct Tree {
     fields: Vec<Field>,
     /// Datasets of one axis, by their paths: coordinates, maybe.
     lines: Vec<(String, Dataset)>,
-    /// Of groups that NeXus marks, by their paths: the datasets that are the axes of those in it.
+    /// The axes of the datasets in groups that NeXus marks, by the paths of the groups.
     axes: HashMap<String, Vec<String>>,
     /// Datasets of three axes or more that cannot be read, and why.
     refused: Vec<(String, Error)>,
@@ -591,8 +592,8 @@ fn kind(datatype: &Datatype) -> &'static str {
     }
 }
 
-/// Whether a datatype message describes the machine's form of a type: all bits used; of floats, the
-/// fields of IEEE 754.
+/// Whether a datatype message describes the machine's form of a type: all bits used and, for
+/// floats, the fields of IEEE 754.
 fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
     let bits = 8 * scalar.bytes() as u8;
     let float: &[u8] = match scalar {

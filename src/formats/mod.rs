@@ -268,7 +268,7 @@ pub fn pick_field(path: &Path, fields: &[FieldInfo], wanted: Option<&str>) -> Re
     }
 }
 
-/// "speed (float32), velocity (3 x float32, not scalar)"; of very many, the first.
+/// "speed (float32), velocity (3 x float32, not scalar)"; only the first if there are very many.
 fn list_fields(fields: &[FieldInfo]) -> String {
     const MOST: usize = 40;
     let one = |f: &FieldInfo| match f.components {

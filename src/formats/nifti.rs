@@ -117,11 +117,11 @@ fn first_frame(options: &OpenOptions) -> OpenOptions {
     OpenOptions { field: Some("t0".into()), ..options.clone() }
 }
 
-/// The frames of a gzipped file, unpacked into a nameless file: each frame by itself would be
+/// The frames of a gzipped file, unpacked into a nameless file: otherwise each frame would be
 /// decoded from the beginning.
 pub struct UnpackedFrames {
     source: Arc<ByteSource>,
-    /// Of the first frame.
+    /// The description of the first frame.
     info: VolumeInfo,
     big_endian: bool,
 }
@@ -434,7 +434,7 @@ impl Header {
         )
     }
 
-    /// The rotation of the unit quaternion (a, b, c, d), of which the file has b, c, d.
+    /// The rotation of the unit quaternion (a, b, c, d); the file has b, c, d.
     fn rotation(&self) -> [[f64; 3]; 3] {
         let [mut b, mut c, mut d] = std::array::from_fn(|i| self.float(256, 352, i));
         let squares = b * b + c * c + d * d;

@@ -15,7 +15,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// The longest first line that is looked at to find what separates numbers.
+/// The longest first line that is read to find what separates numbers.
 const LONGEST_LINE: u64 = 1 << 20;
 
 /// A table being read.

@@ -87,7 +87,7 @@ impl NumberStream for RangeNumbers {
     }
 }
 
-/// Integers one at a time, of which it is known how many there are.
+/// A known number of integers, one at a time.
 pub(super) struct Ids {
     numbers: RangeNumbers,
     /// Numbers not loaded yet.

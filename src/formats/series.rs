@@ -46,7 +46,7 @@ pub struct StepSource {
     /// The volume itself, where a program gives that and no file.
     #[serde(skip)]
     given: Option<Given>,
-    /// Of a source of chunks: how often these were decoded.
+    /// How often the chunks of a source were decoded.
     #[serde(skip)]
     decodes: DecodeCount,
 }
@@ -95,7 +95,7 @@ impl StepSource {
         }
     }
 
-    /// How often chunks of this source were decoded, by all who opened it here.
+    /// How often chunks of this source were decoded, by all its readers here.
     pub(crate) fn decodes(&self) -> &DecodeCount {
         &self.decodes
     }

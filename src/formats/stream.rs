@@ -29,7 +29,7 @@ pub enum Codec {
     /// RFC 1951, without header and checksum: a member of a zip file, whose directory has the
     /// CRC-32.
     Deflate {
-        /// Of the decoded bytes.
+        /// The checksum of the decoded bytes.
         crc32: u32,
     },
 }

@@ -87,8 +87,8 @@ pub struct SurfaceMeta {
     pub isovalue: Option<f64>,
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
-    /// The surfaces of which the surface consists, one after another, where it is several: PLY and
-    /// VTP then have an array `isovalue` of the vertices, OBJ has groups. None if it is one.
+    /// The parts of the surface, one after another, where it has several: PLY and VTP then have an
+    /// array `isovalue` of the vertices, OBJ has groups. Empty if it is one surface.
     pub parts: Vec<SurfacePart>,
 }
 
@@ -125,7 +125,7 @@ impl SurfaceMeta {
         if self.parts.iter().all(|p| shortest(p.isovalue as f32) == p.isovalue) { 4 } else { 8 }
     }
 
-    /// Appends the isovalue of a vertex of several parts, in so many bytes.
+    /// Appends the isovalue of a vertex of several parts.
     pub(super) fn put_isovalue(&self) -> impl Fn(u64, &mut Vec<u8>) + use<> {
         let (ends, bytes) = (self.vertex_ends(), self.isovalue_bytes());
         move |vertex, out| {

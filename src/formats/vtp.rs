@@ -128,7 +128,7 @@ fn comment_text(line: &str) -> String {
     line.replace("--", "- -").replace("--", "- -")
 }
 
-/// Reads a VTP surface. Of each array no more than a batch is in memory.
+/// Reads a VTP surface. No more than a batch of each array is in memory.
 pub(super) fn read(source: &Arc<ByteSource>, out: &mut StoredSurface) -> Result<()> {
     let doc = Document::open(source, "PolyData")?;
     for piece in doc.data.all("Piece") {

@@ -186,7 +186,7 @@ fn each_part(
     }
 }
 
-/// Tetrahedra of which offsets and types are made at a time.
+/// Tetrahedra whose offsets and types are made at a time.
 const PART: usize = 4096;
 /// Bytes that are compressed together.
 const BLOCK: usize = 1 << 20;

@@ -67,8 +67,8 @@ const OPEN_INDICES: u64 = 4 << 20;
 const MOST_COORDINATES: u64 = 1 << 24;
 /// Most frames of an array.
 const MOST_FRAMES: u64 = 1 << 16;
-/// Of an array of more chunk files, so many stand for all in [`VolumeInfo::data_files`], evenly
-/// spread.
+/// If an array has more chunk files than this, this many of them, evenly spread, stand for all in
+/// [`VolumeInfo::data_files`].
 const LISTED: u64 = 1 << 20;
 
 /// Whether a folder is a Zarr array or group.
@@ -526,7 +526,7 @@ fn check_chunks(array: &Array) -> Result<()> {
         .with_help("write the array again in smaller chunks"))
 }
 
-/// The metadata's file and the chunks' files that exist; of very many, evenly chosen ones.
+/// The metadata's file and the chunks' files that exist; evenly chosen ones if there are very many.
 fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
     let mut grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
     frame.iter().for_each(|f| grid[f.axis] = 1);
@@ -551,7 +551,7 @@ struct Chunks {
     info: VolumeInfo,
     array: Array,
     axes: Axes,
-    /// Of an array with a time axis: which entry.
+    /// The entry of the time axis, if the array has one.
     frame: Option<Frame>,
     io: IoMode,
     /// Shards that were opened last, by their places in the grid of files.

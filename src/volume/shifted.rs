@@ -37,7 +37,7 @@ pub(crate) fn may_need_offset(scalar: ScalarType, slope: f64, intercept: f64) ->
     }
 }
 
-/// Whether all values are whole numbers, of which each counts.
+/// Whether all values are whole numbers, each of which counts.
 pub(crate) fn is_whole(scalar: ScalarType, slope: f64, intercept: f64) -> bool {
     !matches!(scalar, ScalarType::F32 | ScalarType::F64) && slope == 1.0 && intercept.fract() == 0.0
 }
@@ -240,7 +240,7 @@ mod tests {
         assert_eq!(surveyed(&[101_324_997.3, 101_325_002.9]).offset(false), 101_325_000.0);
         assert_eq!(surveyed(&[2e9, 2e9 + 1000.0, 2e9 + 7.0]).offset(true), 2_000_000_500.0);
         assert_eq!(surveyed(&[101_325_000.31, 101_325_000.9]).offset(false), 101_325_000.6);
-        // Of a constant all is the offset.
+        // A constant is all offset.
         assert_eq!(surveyed(&[101_325_000.3]).offset(false), 101_325_000.3);
         // A hundred million whole numbers from 0 on are too many for any offset; thirty million are
         // not.

@@ -27,7 +27,7 @@ pub struct StridedVolume {
     /// One file for each `slices_per_part` slices.
     parts: Vec<Arc<ByteSource>>,
     slices_per_part: u64,
-    /// Of each part: the byte of its first sample.
+    /// The byte of the first sample in each part.
     offsets: Vec<u64>,
     big_endian: bool,
     strides: [i64; 3],
@@ -192,8 +192,8 @@ impl StridedVolume {
         corner.wrapping_add_signed(self.strides[axis].wrapping_mul(row as i64))
     }
 
-    /// The axes, that of the least step first; of equal ones, as where a dimension is 1, x before y
-    /// before z.
+    /// The axes, that of the least step first. Equal steps, as where a dimension is 1, are in the
+    /// order x, y, z.
     fn axes_by_step(&self) -> [usize; 3] {
         let mut axes = [0, 1, 2];
         axes.sort_by_key(|&a| self.strides[a].unsigned_abs());

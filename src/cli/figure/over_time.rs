@@ -68,7 +68,7 @@ impl Figure for OverTime<'_> {
 }
 
 impl OverTime<'_> {
-    /// Of the values of all steps.
+    /// The range of the values of all steps.
     fn range(&self) -> [f64; 2] {
         let ranges = self.steps.iter().filter_map(|s| s.spectrum.range);
         let all = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// Data lists that a file may have.
 const MOST_LISTS: usize = 1 << 16;
-/// The most lines of text of a section of data, of which the first is its name.
+/// The most lines of text of a section of data; the first is its name.
 const MOST_STRINGS: u64 = 1000;
 
 /// Components of a datum.

@@ -208,7 +208,7 @@ impl Ifd<'_> {
     /// The text of a tag, empty where it is missing. A description that does not lie in the file is
     /// no reason to refuse the samples.
     pub(super) fn text(&self, tag: u16) -> String {
-        /// Longest text looked at: OME-XML of large data sets has some megabytes.
+        /// The longest text that is read: OME-XML of large data sets has some megabytes.
         const MOST: usize = 64 << 20;
         let bytes = self.entry(tag).filter(|e| e.kind == 2 || e.kind == 1).and_then(|e| self.bytes(e).ok());
         let bytes = bytes.filter(|b| b.len() <= MOST).unwrap_or_default();

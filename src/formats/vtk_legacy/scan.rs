@@ -73,9 +73,9 @@ pub(super) struct Scanned {
     pub(super) dims: [u64; 3],
     pub(super) origin: [f64; 3],
     pub(super) spacing: [f64; 3],
-    /// Of an unstructured or a curvilinear grid.
+    /// The points of an unstructured or a curvilinear grid.
     pub(super) points: Option<Array>,
-    /// Of a rectilinear grid, each with its number of samples.
+    /// The axes of a rectilinear grid, each with its number of samples.
     pub(super) axes: [Option<(u64, Array)>; 3],
     /// Number of those.
     pub(super) point_count: u64,

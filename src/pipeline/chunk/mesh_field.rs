@@ -184,7 +184,7 @@ fn flat_normal(corners: [LatticePos; 4]) -> Option<[f64; 3]> {
     is_flat.then(|| largest.map(|c| c / length(largest)))
 }
 
-/// What values are made from, at hand.
+/// The data that values are made from, in memory.
 struct AtHand<'a> {
     interpolation: Interpolation,
     tets: &'a [[u64; 4]],

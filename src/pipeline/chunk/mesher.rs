@@ -18,7 +18,7 @@ use crate::pipeline::read::MeshedChunk;
 use crate::points::PointSet;
 use std::collections::HashMap;
 
-/// What came of meshing a chunk.
+/// The result of meshing a chunk.
 pub(in crate::pipeline) enum Meshing {
     Done(MeshedChunk),
     /// A halo that is wide enough needs more memory than there is room for.

@@ -46,8 +46,8 @@ pub struct MeasureSettings {
 }
 
 impl MeasureSettings {
-    /// Those of a reduction's run, with as many threads as chunks were at work: for so many the
-    /// memory suffices.
+    /// The settings of a reduction's run, with as many threads as chunks were at work, because the
+    /// memory suffices for these.
     pub(in crate::pipeline) fn of_run(run: &RunSettings, workers: usize) -> Self {
         Self { resources: run.resources.clone().with_threads(workers), step: None, map: None }
     }

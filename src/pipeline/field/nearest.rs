@@ -28,7 +28,7 @@ impl NearPlace {
         (self.distance2, self.corners) < (other.distance2, other.corners)
     }
 
-    /// Whether the place is within so many lattice steps of its point.
+    /// Whether the place is within `steps` lattice steps of its point.
     pub(super) fn is_within(&self, steps: u32) -> bool {
         let most = f64::from(steps) * f64::from(1u32 << FINE_BITS);
         self.distance2 <= most * most

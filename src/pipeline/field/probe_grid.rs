@@ -141,7 +141,7 @@ struct TakenSamples {
     counted: Mutex<Counted>,
 }
 
-/// Bytes for bits of so many samples.
+/// Bytes for the bits of `samples` samples.
 fn taken_bytes(samples: u64) -> u64 {
     8 * samples.div_ceil(64)
 }

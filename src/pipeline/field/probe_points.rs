@@ -283,7 +283,7 @@ pub(in crate::pipeline) struct Find<'a> {
 /// Points that lie in no tetrahedron.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::pipeline) enum Outside {
-    /// Those within so many lattice steps of one have a value.
+    /// Those within this many lattice steps of one have a value.
     Within(u32),
     /// All have one.
     All,

@@ -176,7 +176,7 @@ mod tests {
         VolumeSource::Chunked(Arc::new(Made(info_of("made", [512; 3], ScalarType::U16))))
     }
 
-    /// Boxes of so many samples along each axis, and 4 more on each side.
+    /// Boxes of `edge` samples along each axis, and 4 more on each side.
     fn boxes(edge: u64) -> impl Iterator<Item = ReadBox> {
         let places = move || (0..512).step_by(edge as usize);
         let all = places().flat_map(move |z| places().flat_map(move |y| places().map(move |x| [x, y, z])));

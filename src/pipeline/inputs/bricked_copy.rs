@@ -128,7 +128,7 @@ pub(super) fn copied(
     let scratch = Scratch::new(&folder);
     brick_with(BrickedVolume::build_scratch, source, &scratch.0, rest / 2, &run.resources.cancel, progress)?;
     let reader = BrickedVolume::open(&scratch.0)?;
-    // An open file without a name is gone with the process, however that ends.
+    // An open file without a name is gone when the process ends in any way.
     #[cfg(unix)]
     scratch.remove();
     Ok((Box::new(reader), Some(scratch)))

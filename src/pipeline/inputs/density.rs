@@ -119,14 +119,14 @@ impl<'a> Errors<'a> {
         Ok(pool(self.run.resources.worker_threads())?.install(|| Choice::count_of_rms(&self.curves, rms)))
     }
 
-    /// Levels at which errors are about this everywhere, with at most so many points.
+    /// Levels at which errors are about `bound` everywhere, with at most `most` points.
     pub(in crate::pipeline) fn choice_of_bound(&self, bound: f64, most: u64) -> Result<Choice> {
         let choice = pool(self.run.resources.worker_threads())?
             .install(|| Choice::of_bound(&self.curves, bound, most))?;
         Ok(choice.stretched(&self.bend))
     }
 
-    /// The levels of so many points.
+    /// The levels of `count` points.
     pub(in crate::pipeline) fn choice(&self, count: u64) -> Result<Choice> {
         let choice =
             pool(self.run.resources.worker_threads())?.install(|| Choice::of_count(&self.curves, count))?;

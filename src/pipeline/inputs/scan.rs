@@ -192,7 +192,7 @@ pub(in crate::pipeline) struct Spread {
     bends: BendBlocks,
 }
 
-/// One of so many samples may lie below the range of nearly all, and one above.
+/// One of this many samples may lie below the range of nearly all, and one above.
 const OUTLIERS: u64 = 1000;
 
 impl Spread {
@@ -241,7 +241,7 @@ impl Spread {
     }
 }
 
-/// The first key with more than so many samples up to it.
+/// The first key with more than `outside` samples up to it.
 fn first_within<'a>(mut counts: impl Iterator<Item = (u32, &'a u64)>, outside: u64) -> Option<u32> {
     let mut passed = 0;
     let found = counts.find(|(_, n)| {

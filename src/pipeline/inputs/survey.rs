@@ -70,7 +70,7 @@ pub(in crate::pipeline) enum Seen {
     All,
     /// Some, spread over the volume.
     Spread,
-    /// The first so many.
+    /// This many samples from the beginning.
     First(u64),
 }
 
@@ -367,8 +367,8 @@ fn seen(dims: [u64; 3], budget: u64) -> Seen {
     if total <= budget { Seen::All } else { Seen::Spread }
 }
 
-/// Looks at at most so many samples of a volume, at most [`BUDGET`]; a stream is decoded as far as
-/// that takes.
+/// Surveys at most `budget` samples of a volume, and at most [`BUDGET`]; a stream is decoded only
+/// as far as needed.
 ///
 /// # Errors
 /// Those of reading them.
@@ -523,7 +523,7 @@ pub(in crate::pipeline) fn survey_mesh(mesh: &CellMesh) -> Result<Survey> {
                 survey.add(&block);
             }
         }
-        // A component or a magnitude of cell data is not stored by itself, and averaging needs all
+        // A component or a magnitude of cell data is not stored separately, and averaging needs all
         // cells.
         None if field.center == Center::Cell => {}
         None => {

@@ -42,7 +42,7 @@ impl Attachments {
         Ok(Self { explicit, levels, repeated: None })
     }
 
-    /// Which of so many vertices of its source an archive takes for one.
+    /// The vertices of its source that an archive merges.
     ///
     /// # Errors
     /// As [`Attachments::read`]; when the scratch folder cannot be written.

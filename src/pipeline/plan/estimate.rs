@@ -99,7 +99,7 @@ pub(in crate::pipeline) const MOST_STEPS_AT_ONCE: u64 = 32;
 pub(in crate::pipeline) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
 const FEW_POINTS: u64 = 1 << 16;
 
-/// Samples of a step that are read at a time: those around a block are fewer, but for coarse
+/// Samples of a step that are read at a time: those around a block are fewer, except in coarse
 /// meshes.
 pub(in crate::pipeline) const ERROR_WINDOW: u64 = 1 << 16;
 
@@ -126,7 +126,7 @@ impl Halo {
     }
 }
 
-/// The core of a chunk with its halo, widened so many times.
+/// The core of a chunk with its halo, widened `retries` times.
 pub(in crate::pipeline) fn region(
     points: &PointSet,
     core: &LatticeBox,
@@ -154,7 +154,8 @@ fn widths(points: &PointSet, core: &LatticeBox, quarters: u64, retries: u32) -> 
     points.spacing_around(core).map(|side| side.map(width))
 }
 
-/// Bytes in which a chunk whose region holds so many points is meshed, sampled and encoded.
+/// Bytes in which a chunk with `points_in_region` points in its region is meshed, sampled and
+/// encoded.
 pub(in crate::pipeline) fn room_for(points_in_region: u64, halo: Halo) -> u64 {
     let fixed = match halo {
         Halo::Owned => PER_CHUNK,
@@ -163,7 +164,7 @@ pub(in crate::pipeline) fn room_for(points_in_region: u64, halo: Halo) -> u64 {
     points_in_region.saturating_mul(PER_POINT).saturating_add(fixed)
 }
 
-/// Bytes of an encoded chunk of so many points, with the values of so many steps, at most.
+/// The most bytes of an encoded chunk of `core_points` points, with the values of `steps` steps.
 pub(in crate::pipeline) fn product_bytes(core_points: u64, steps: u64) -> u64 {
     let further = steps.saturating_sub(1);
     let per_point = PRODUCT_PER_POINT.saturating_add(STEP_PER_POINT.saturating_mul(further));
@@ -207,7 +208,7 @@ pub(in crate::pipeline) struct Need {
     room: u64,
     /// Points of the largest region.
     region_points: u64,
-    /// Points of the largest chunk, encoded with the values of so many steps.
+    /// Points of the largest chunk, encoded with the values of `steps` steps.
     core_points: u64,
     steps: u64,
     held: Held,
@@ -278,7 +279,7 @@ impl Need {
         choices.reduce(|a, b| if b.0 < a.0 { b } else { a }).map_or(of(1), |(_, need)| need)
     }
 
-    /// The work of so many steps, in that of the first one.
+    /// The work of `steps` steps, in units of that of the first one.
     fn work(&self, steps: u64) -> f64 {
         let pass = if self.window == 0 { FURTHER_PASS } else { FURTHER_FITTED_PASS };
         let passes = steps.div_ceil(self.steps).max(1);
@@ -334,12 +335,12 @@ impl Need {
         self.of_workers(1)
     }
 
-    /// Memory with which so many threads work, as far as there are chunks for them.
+    /// Memory with which `threads` threads work, as far as there are chunks for them.
     pub(in crate::pipeline) fn comfortable(&self, threads: usize) -> u64 {
         self.of_workers((threads as u64).min(self.chunks))
     }
 
-    /// Seconds of so many workers for so many steps, roughly.
+    /// Roughly the seconds of `workers` workers for `steps` steps.
     pub(in crate::pipeline) fn seconds(&self, workers: usize, steps: usize) -> f64 {
         self.points as f64 * self.work(steps as u64) / (POINTS_PER_SECOND * workers.max(1) as f64)
     }
@@ -376,8 +377,8 @@ pub(in crate::pipeline) fn need_of(
     need.with_steps(steps as u64, most, memory, run.resources.worker_threads())
 }
 
-/// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once
-/// more while they are put side by side, sums.
+/// Bytes that measuring a chunk at `steps` steps takes: samples, those of up to eight steps once
+/// more while they are interleaved, sums.
 pub(in crate::pipeline) const fn error_bytes(steps: u64) -> u64 {
     // As they lie side by side.
     let lanes = match steps % 8 {
@@ -549,8 +550,8 @@ impl SurfaceShares {
     }
 }
 
-/// Bytes in which a chunk of so many vertices, of so many bytes each, is extracted; a tetrahedron
-/// counts for each isovalue for which its block is active.
+/// Bytes in which a chunk of `vertices` vertices, of `per_vertex` bytes each, is extracted; a
+/// tetrahedron counts for each isovalue for which its block is active.
 pub(in crate::pipeline) fn extraction_bytes(vertices: u64, per_vertex: u64, tets: u64) -> u64 {
     DECODED_CHUNK
         .saturating_add(vertices.saturating_mul(per_vertex))

@@ -115,7 +115,7 @@ impl Plan {
         Self::on_lattice(lattice, (kind, count), source_of(info, fingerprint), settings)
     }
 
-    /// A plan of so many points of a set on a lattice.
+    /// A plan for a number of points of a set on a lattice.
     pub(crate) fn on_lattice(
         lattice: Lattice,
         (kind, count): (SetKind, u64),

@@ -146,8 +146,8 @@ impl OpenArchive {
         }
     }
 
-    /// Bytes of all files of the archive but for unpacked blocks. Where files cannot be listed,
-    /// those that the manifest names.
+    /// Bytes of all files of the archive except unpacked blocks. Where files cannot be listed,
+    /// these are the files that the manifest names.
     pub(in crate::pipeline) fn file_bytes(&self) -> Result<u64> {
         if let Some(&bytes) = self.bytes.get() {
             return Ok(bytes);

@@ -113,7 +113,7 @@ struct Slot {
 }
 
 impl BlockCache {
-    /// Keeps up to about so many bytes.
+    /// Keeps up to about `most` bytes.
     pub(super) fn new(most: usize) -> Self {
         Self { most, blocks: Mutex::default() }
     }

@@ -57,7 +57,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
 
 /// The pages of a chunk's corners.
 struct Pages {
-    /// Pages of flags; behind them are those of ids.
+    /// Pages of flags; those of ids follow.
     of_flags: usize,
     /// For each page, whether it has been read.
     read: Vec<bool>,
@@ -289,7 +289,7 @@ impl<'a> ChunkReader<'a> {
         Ok(true)
     }
 
-    /// As [`ChunkReader::block`], but for the values of the corners: they mean nothing.
+    /// As [`ChunkReader::block`], but the values of the corners mean nothing.
     pub(in crate::pipeline) fn shape(
         &mut self,
         number: u32,
@@ -486,7 +486,7 @@ impl<'a> ChunkReader<'a> {
         Ok(())
     }
 
-    /// Notes that a block of so many bytes holds active tetrahedra, with these corners.
+    /// Notes that a block of `block_bytes` bytes holds active tetrahedra, with these corners.
     pub(in crate::pipeline) fn count_active(&mut self, block_bytes: u64, corners: impl Iterator<Item = u32>) {
         self.active_bytes += block_bytes;
         corners.for_each(|v| self.active_values[self.value_blocks.of(v as usize)] = true);

@@ -85,7 +85,7 @@ impl StepView {
         }
     }
 
-    /// The same, with a cache of about so many bytes of decoded blocks.
+    /// The same, with a cache of about `bytes` bytes of decoded blocks.
     pub(in crate::pipeline) fn keeping(self, bytes: usize) -> Self {
         Self { cache: BlockCache::new(bytes), ..self }
     }

@@ -51,7 +51,7 @@ fn mean(a: f32, b: f32, share: f64) -> f32 {
 }
 
 impl OpenArchive {
-    /// How the values of a chunk with so many vertices are cut into blocks.
+    /// How the values of a chunk with `vertices` vertices are cut into blocks.
     pub(in crate::pipeline) fn value_blocks(&self, id: ChunkId, vertices: usize) -> ValueBlocks {
         self.bcc_chunk(id).map_or_else(|| ValueBlocks::even(vertices), |chunk| value_blocks(&chunk))
     }
@@ -289,7 +289,7 @@ impl EntryBlocks {
         }
     }
 
-    /// All blocks of a chunk with so many entries.
+    /// All blocks of a chunk with `entries` entries.
     pub(in crate::pipeline) fn all(&self, entries: u32) -> Range<u32> {
         self.0.as_ref().map_or(0..entries, |chunk| 0..chunk.block_count() as u32)
     }

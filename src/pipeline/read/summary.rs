@@ -132,7 +132,7 @@ pub struct ArchiveSummary {
     pub suggestions: Vec<Suggestion>,
     /// How far the reduced field is from the samples of its source, where that was measured.
     pub error: Option<FieldError>,
-    /// Bytes of all files, but for unpacked blocks.
+    /// Bytes of all files, except unpacked blocks.
     pub bytes: u64,
 }
 

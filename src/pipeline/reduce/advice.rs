@@ -96,7 +96,7 @@ impl Notice {
         Self::new(path, Finding::OwnIsBetter { points, vertices, own }, &text)
     }
 
-    /// That an archive of so many bytes was made of a source, if it is the larger one.
+    /// The notice that an archive of `archive` bytes is larger than its source, if it is.
     pub(super) fn of_size(path: &Path, archive: u64, size: &SourceSize, target: bool) -> Option<Self> {
         let help = if target { "a larger error" } else { "fewer points (--fraction)" };
         let text = format!(
@@ -144,7 +144,7 @@ impl Looked {
         let larger = size.and_then(|size| Notice::of_size(path, report.archive_bytes, &size, target));
         let before = notices.len();
         notices.retain(|n| !matches!(n.finding, Finding::LargerThanSource { .. }));
-        // What was said before is said once; the report has the bytes that came of it.
+        // A notice that was given before is not repeated; the report has the resulting bytes.
         if let Some(larger) = larger {
             if notices.len() == before {
                 job.progress.notice(&larger.text);
@@ -361,7 +361,8 @@ fn of_numbers(
     out
 }
 
-/// Flags with which an archive is smaller than its source, as far as a number of points does that.
+/// Flags with which an archive is smaller than its source, as far as the number of points can
+/// achieve that.
 fn smaller(archive: u64, source: u64, settings: &ReduceSettings, rounded: bool) -> String {
     let bits = if rounded { "" } else { " or --value-bits" };
     let times = archive as f64 / source.max(1) as f64;

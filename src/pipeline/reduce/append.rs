@@ -55,7 +55,7 @@ impl Default for AppendSettings {
 /// # Errors
 /// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where
 /// dimensions or geometry, or points or cells, are not the archive's; [`Error::Io`] when another
-/// run has changed the archive meanwhile: the same call adds the steps behind.
+/// run has changed the archive meanwhile: the same call then adds the steps at the end.
 pub fn append(
     sources: &[StepSource],
     settings: &AppendSettings,

@@ -38,8 +38,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in
-/// the world by itself.
+/// Copies the coordinates that a grid has of its own into the archive; a mesh has its world
+/// positions anyway.
 pub(in crate::pipeline) fn grid_coordinates(
     series: &SeriesPlan,
     layout: &Layout,

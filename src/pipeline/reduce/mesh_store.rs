@@ -37,7 +37,7 @@ pub(super) fn store_settings(job: &Job<'_>, offset: f64) -> StoreSettings {
     }
 }
 
-/// Of a mesh of so many points and cells.
+/// Bytes on disk for a mesh of `points` points and `cells` cells.
 pub(super) fn scratch_bytes([points, cells]: [u64; 2], job: &Job<'_>) -> u64 {
     let quadratic = u64::from(job.settings.interpolation == Interpolation::Quadratic);
     let fitted = u64::from(job.settings.values == Values::Fit);

@@ -202,8 +202,8 @@ pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInp
     Ok((MeshInput { store, listed, settings }, series, dense.wanted))
 }
 
-/// Whether a mesh of so many vertices is kept as it is: as the archive or the plan has it, else as
-/// the settings ask.
+/// Whether a mesh of `vertices` vertices is kept as it is: as the archive or the plan has it, else
+/// as the settings ask.
 fn is_own(job: &Job<'_>, vertices: u64) -> bool {
     let known = job.basis.archive().map(|archive| &archive.manifest.plan);
     match known.or_else(|| job.basis.plan().map(|plan| &plan.mesh)) {
@@ -382,7 +382,7 @@ impl Search<'_> {
     }
 }
 
-/// Points that the settings ask for, of a mesh of so many vertices.
+/// Points that the settings ask for, in a mesh of `vertices` vertices.
 fn wanted_of(settings: &ReduceSettings, vertices: u64) -> f64 {
     match settings.amount {
         Amount::Count(n) => n as f64,
