@@ -56,7 +56,7 @@ impl Mapping {
         &self.map
     }
 
-    /// Whether a page of the mapping could not be had and reads as zeros.
+    /// Whether a page of the mapping could not be loaded and reads as zeros.
     pub(super) fn is_broken(&self) -> bool {
         #[cfg(unix)]
         return self.guard.is_broken();
@@ -149,7 +149,7 @@ mod guard {
         }
     }
 
-    /// Puts a node at the front of the list. Called with `FREE` locked: nobody else pushes
+    /// Puts a node at the front of the list. Called with `FREE` locked: no other thread pushes
     /// meanwhile.
     fn push_node() -> &'static Node {
         let first = NEWEST.load(Ordering::Acquire);

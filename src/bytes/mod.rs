@@ -45,7 +45,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// How a file's bytes are had. All give the same bytes.
+/// How a file's bytes are accessed. All modes give the same bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IoMode {
@@ -153,7 +153,7 @@ impl ByteSource {
         Self::in_memory(path, bytes)
     }
 
-    /// As [`ByteSource::from_vec`], whatever owns the bytes. They must stay the same.
+    /// As [`ByteSource::from_vec`], for bytes with any owner. They must stay the same.
     pub fn in_memory(path: impl AsRef<Path>, owner: impl AsRef<[u8]> + Send + Sync + 'static) -> Self {
         let bytes = InMemory(Box::new(owner));
         let len = bytes.bytes().len() as u64;
@@ -175,7 +175,7 @@ impl ByteSource {
         self.len == 0
     }
 
-    /// How the bytes are had: [`IoMode::Map`] or [`IoMode::Read`].
+    /// How the bytes are accessed: [`IoMode::Map`] or [`IoMode::Read`].
     pub fn mode(&self) -> IoMode {
         if matches!(self.bytes, Bytes::Read(..)) { IoMode::Read } else { IoMode::Map }
     }
@@ -207,7 +207,7 @@ impl ByteSource {
     }
 
     /// A range of bytes: borrowed where they are in memory or mapped, else read into `buffer`. When
-    /// they have been used, [`ByteSource::check`] tells whether they were the file's.
+    /// they have been used, [`ByteSource::check`] says whether they were the file's.
     ///
     /// # Errors
     /// [`Error::BadInput`] when the range does not lie within the file, or that has become shorter.
@@ -235,10 +235,10 @@ impl ByteSource {
         bytes.get(usize::try_from(range.start).ok()?..usize::try_from(range.end).ok()?)
     }
 
-    /// Borrows a range of bytes. Of a file that is read and not mapped too, through a mapping made
-    /// for that: for headers, directories and text that must be searched, of which only what is
-    /// touched is loaded. Samples are had by [`ByteSource::view`]. When they have been used,
-    /// [`ByteSource::check`] tells whether they were the file's.
+    /// Borrows a range of bytes. A file that is read and not mapped gets a mapping for that. This
+    /// is for headers, directories and text that must be searched: only what is touched is loaded.
+    /// Samples are read by [`ByteSource::view`]. When the bytes have been used,
+    /// [`ByteSource::check`] says whether they were the file's.
     ///
     /// # Errors
     /// [`Error::BadInput`] when it does not lie within the file, [`Error::Io`] when it cannot be
@@ -298,8 +298,8 @@ impl ByteSource {
         Ok(ByteReader { source: Arc::clone(self), at: range.start, end: range.end, released: range.start })
     }
 
-    /// Tells the system that a range will be read soon. A hint: nothing happens where it cannot be
-    /// given.
+    /// Advises the system that a range will be read soon. A hint: nothing happens where it cannot
+    /// be given.
     pub fn advise_will_need(&self, range: Range<u64>) {
         let range = range.start.min(self.len)..range.end.min(self.len);
         match &self.bytes {
@@ -309,8 +309,9 @@ impl ByteSource {
         }
     }
 
-    /// Tells that a range will not be read again by this run: of a file larger than a quarter of
-    /// the machine's memory its pages are dropped. A hint: reading it again gives the same bytes.
+    /// Announces that this run will not read a range again. Its pages are dropped if the file is
+    /// larger than a quarter of the machine's memory. A hint: reading it again gives the same
+    /// bytes.
     pub fn release(&self, range: Range<u64>) {
         let range = range.start.min(self.len)..range.end.min(self.len);
         if !self.drop_behind || range.is_empty() {
@@ -549,7 +550,7 @@ mod tests {
             let mut reader = source.reader(0..source.len()).unwrap();
             reader.read_exact(&mut [0; 50]).unwrap();
             File::options().write(true).open(&path).unwrap().set_len(cut as u64).unwrap();
-            // Whoever looks at borrowed bytes sees zeros at worst, and is told afterwards.
+            // Borrowed bytes are zeros at worst, and a check afterwards reports the cut.
             let sum: u64 = source.slice(0..source.len()).map_or(0, |b| b.iter().map(|&b| u64::from(b)).sum());
             assert!(sum <= 7 * 4096 * 64);
             let mut buffer = vec![];

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 /// Records of a page.
 const PAGE: usize = 1 << 12;
-/// The least number of pages kept, whatever the memory: those of a triangle and one more.
+/// The least number of pages kept, with any memory: those of a triangle and one more.
 const LEAST_FRAMES: usize = 4;
 const NONE: u32 = u32::MAX;
 

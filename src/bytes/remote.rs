@@ -2,9 +2,9 @@
 //! `https://host/name`.
 //!
 //! An object is cut into pages. A page that is asked for is fetched with all missing ones of the
-//! same read, in one request; where the page before it is there already, somebody reads forward,
-//! and the next ones come along. Fetched pages are kept, a fixed number for each server. Opening an
-//! object fetches its end, which tells the length, and where a segment has its directory.
+//! same read, in one request. If the page before it is there already, the reader moves forward, and
+//! the next pages are fetched too. Fetched pages are kept, a fixed number for each server. Opening
+//! an object fetches its end, which gives the length, and where a segment has its directory.
 //!
 //! ```text
 //!  read_at(offset, n) ─▶ pages ─▶ kept? ── no ─▶ GET, Range: bytes=from-to ─▶ keep
@@ -112,7 +112,7 @@ mod with_client {
 
     /// Bytes of a page: a block of tetrahedra and its neighbours, or a few pages of an index.
     const PAGE: u64 = 16 << 10;
-    /// Pages that come along when somebody reads forward.
+    /// Pages that are fetched too when a reader moves forward.
     const AHEAD: u64 = 8;
     /// Pages kept for each server: 32 MiB.
     const KEPT: usize = 2048;
@@ -271,8 +271,8 @@ mod with_client {
         io::Error::new(kind, one_line(&error))
     }
 
-    /// A message (those of servers have line ends), with its first cause, where it does not tell
-    /// it.
+    /// A message in one line (those of servers have line ends), with its first cause where the
+    /// message does not include it.
     fn one_line(error: &dyn std::error::Error) -> String {
         let line = |e: &dyn std::error::Error| e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
         let first = std::iter::successors(error.source(), |e| e.source()).last().map(line);
@@ -314,8 +314,7 @@ mod with_client {
             return Err(bad("an address with ? or #".into()));
         }
         let (scheme, key) = ObjectStoreScheme::parse(&url).map_err(|e| bad(one_line(&e)))?;
-        // What is left of the address without the key: a bucket may be told by the first part of
-        // the path.
+        // The rest of the address without the key: the first part of the path may name a bucket.
         let mut origin = url.as_str().trim_end_matches('/');
         for _ in key.parts() {
             origin = origin.rsplit_once('/').map_or(origin, |(parent, _)| parent);
@@ -339,9 +338,9 @@ mod with_client {
         Ok((server, key))
     }
 
-    /// Failed requests are tried again, but none is begun later than this. A request that nobody
-    /// answers takes half a minute itself, one whose server cannot be reached five seconds: by
-    /// default of the client.
+    /// Failed requests are tried again, but none is begun later than this. A request without an
+    /// answer takes half a minute itself, one whose server cannot be reached five seconds: the
+    /// defaults of the client.
     const TRIES_END: Duration = Duration::from_secs(15);
     const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 

@@ -211,7 +211,7 @@ impl Choices {
         })
     }
 
-    /// The range that matters; of a percentage, of the values of a step.
+    /// The range that matters; percentages refer to the values of a step.
     fn focus(&self, first: &StepSource) -> Result<Option<[f64; 2]>> {
         let Some(focus) = self.focus else { return Ok(None) };
         if !focus.is_of_a_range() {

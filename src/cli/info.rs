@@ -89,7 +89,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
 struct Opened {
     input: formats::Input,
     options: OpenOptions,
-    /// The steps in it, of which the first is opened.
+    /// The steps in it; the first is opened.
     steps: Vec<StepSource>,
     /// Whether there are several fields, none of which was chosen: the first is opened.
     several: bool,
@@ -102,7 +102,7 @@ fn open(path: &Path, args: &Args) -> Result<Opened> {
     let (mut options, mut several) = (first.options, false);
     let input = match formats::open_input(&first.path, &options) {
         Err(error @ Error::Usage(_)) if options.field.is_none() => {
-            // Any field: what is in the file is to be told, to choose from.
+            // Any field: the contents of the file are listed, to choose from.
             options.field = Some("*".into());
             several = true;
             formats::open_input(&first.path, &options).map_err(|_| error)?
@@ -198,7 +198,7 @@ fn triple(v: [f64; 3]) -> String {
     v.map(text::number).join(" ")
 }
 
-/// Heights by a root of the share of the largest, so that small bins show beside a large
+/// Heights by a root of the share of the largest, so that small bins show next to a large
 /// background.
 fn sparkline(bins: &[f64], root: fn(f64) -> f64) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
@@ -337,7 +337,7 @@ fn point_set(set: &PointSpec) -> String {
     }
 }
 
-/// The steps: of a series, a line each.
+/// The steps, one line for each in a series.
 fn steps_text(s: &ArchiveSummary) -> String {
     let mut out = format!("  steps       {}\n", s.steps.len());
     if s.steps.len() == 1 {

@@ -8,7 +8,7 @@ use isospan::cells::{CellField, CellMesh, Center};
 use isospan::pipeline::mesh_notices;
 use std::fmt::Write as _;
 
-/// Prints what is in a mesh; without `read` only what its head tells.
+/// Prints what is in a mesh; without `read` only what its header says.
 pub(super) fn run(mesh: &CellMesh, read: bool, json: bool, talk: &Talk) -> Result<()> {
     let info = mesh.info();
     let (mut found, mut ranges) = (None, vec![]);
@@ -20,7 +20,7 @@ pub(super) fn run(mesh: &CellMesh, read: bool, json: bool, talk: &Talk) -> Resul
         }
     }
     let chosen = mesh.field().ok().map(|f| f.name.clone());
-    // A field that cannot be read is told with its range.
+    // A field that cannot be read is reported with its range.
     let notices = match &chosen {
         Some(_) if read => mesh_notices(mesh).unwrap_or_default(),
         _ => vec![],

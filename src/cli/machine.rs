@@ -19,7 +19,8 @@ pub(crate) struct Machine {
 }
 
 impl Machine {
-    /// The memory of a run: what was asked for, or half of what the process may use, which is told.
+    /// The memory of a run: what was asked for, or half of what the process may use; that number is
+    /// reported.
     pub(crate) fn memory(&self, talk: &Talk) -> u64 {
         super::memory(self.memory, talk)
     }

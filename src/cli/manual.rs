@@ -241,7 +241,7 @@ mod tests {
         }
     }
 
-    /// Every value that no list explains is parsed by the grammar: its message tells what is
+    /// Every value that no list explains is parsed by the grammar: its message says what is
     /// expected.
     #[test]
     fn values_have_one_kind_of_message() {

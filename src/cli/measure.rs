@@ -84,7 +84,7 @@ pub(crate) fn line(e: &FieldError) -> String {
     )
 }
 
-/// Of a mesh: how many of its vertices the reduced domain leaves out.
+/// How many vertices of a mesh the reduced domain leaves out.
 fn beyond(e: &FieldError) -> Option<String> {
     let share = 100.0 * e.beyond as f64 / e.samples.max(1) as f64;
     (e.beyond > 0).then(|| {

@@ -174,7 +174,7 @@ fn run(cli: &Cli) -> Result<()> {
     }
 }
 
-/// Refuses an archive that was not planned, and tells what it is.
+/// Refuses an archive that was not planned, and says what it is.
 fn expect_planned(archive: &Path) -> Result<()> {
     if isospan::pipeline::plan_path(archive).exists() {
         return Ok(());
@@ -189,7 +189,8 @@ fn expect_planned(archive: &Path) -> Result<()> {
     Err(isospan::Error::bad_input(archive, "plan", "one that isospan plan made", got))
 }
 
-/// The memory of a run: what was asked for, or half of what the process may use, which is told.
+/// The memory of a run: what was asked for, or half of what the process may use; that number is
+/// reported.
 fn memory(asked: Option<u64>, talk: &progress::Talk) -> u64 {
     asked.unwrap_or_else(|| {
         let half = isospan::exec::usable_memory() / 2;

@@ -5,9 +5,9 @@
 //!  FOLDER ──▶ names that match, settled, not in the archive yet ──▶ reduce, or append ──▶ summary
 //! ```
 //!
-//! It is meant for `cron` and Slurm, where nobody looks at the screen: whatever goes wrong is in
-//! the summary too, and the exit code tells whether somebody should look. The job script for Slurm
-//! is made from the command itself, so a job can submit its successor.
+//! It is meant for `cron` and Slurm, which run without a screen: all errors are in the summary too,
+//! and the exit code shows whether a person should look. The job script for Slurm is made from the
+//! command itself, so a job can submit its successor.
 
 use super::choices::Choices;
 use super::input::InputArgs;
@@ -109,8 +109,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.again && job.is_none() {
         return Err(Error::usage("--again: this is no job of Slurm; add --submit TIME to make it one"));
     }
-    // First: later, the job's time may be over. What comes of it is told last, for the work matters
-    // more.
+    // Submitted first, because the job's time may be over later. Its result is reported last,
+    // because the work matters more.
     let next = if args.again { submit(&args.option, "now+1day").map(drop) } else { Ok(()) };
     let (started, mut summary) = (Instant::now(), Summary::default());
     let done = add(args, talk, &mut summary).and(next);
@@ -179,7 +179,7 @@ fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The files that match and that nobody writes to any more, in the order of their names.
+/// The files that match and are not written to any more, in the order of their names.
 ///
 /// # Errors
 /// [`Error::BadInput`] where the folder cannot be read: it may not be mounted tonight.
@@ -190,7 +190,7 @@ fn settled(args: &Args) -> Result<Vec<PathBuf>> {
     let mut files = vec![];
     for entry in std::fs::read_dir(&args.folder).map_err(refused)? {
         let path = entry.map_err(refused)?.path();
-        // Of a file that cannot be looked at, the reader says why it is left out.
+        // If a file cannot be examined here, the reader says why it is left out.
         let written = path.metadata().and_then(|about| about.modified());
         if args.pattern.matches(&name_of(&path)) && written.map_or(true, |time| time <= limit) {
             files.push(path);
@@ -202,10 +202,11 @@ fn settled(args: &Args) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The steps in the files. A file that does not tell is left out.
+/// The steps in the files. A file whose steps cannot be found is left out.
 ///
 /// # Errors
-/// That of the first file, where none tells; [`Error::Usage`] for flags that contradict each other.
+/// That of the first file, where no file has steps; [`Error::Usage`] for flags that contradict each
+/// other.
 fn usable(args: &Args, files: &[PathBuf], left_out: &mut Vec<LeftOut>) -> Result<Vec<StepSource>> {
     let (options, mut steps, mut first_error) = (args.read.options()?, vec![], None);
     for file in files {
@@ -220,7 +221,7 @@ fn usable(args: &Args, files: &[PathBuf], left_out: &mut Vec<LeftOut>) -> Result
     first_error.filter(|_| steps.is_empty()).map_or(Ok(steps), Err)
 }
 
-/// Writes the summary beside the archive, as JSON and in words, each whole or not at all.
+/// Writes the summary next to the archive, as JSON and in words, each whole or not at all.
 fn keep(archive: &Path, job: Option<String>, summary: &Summary) -> Result<()> {
     let folder = work_folder(archive).join("nightly");
     std::fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
@@ -287,8 +288,8 @@ fn submit(options: &[String], begin: &str) -> Result<String> {
     Ok(String::from_utf8_lossy(&out.stdout).trim().split(';').next().unwrap_or_default().to_owned())
 }
 
-/// The job: one at a time, started anew after its node died, told to end two minutes before its
-/// time is over.
+/// The script of a job: one runs at a time, is started again after its node died, and gets a signal
+/// to end two minutes before its time is over.
 fn job_script(program: &Path, words: Vec<OsString>, options: &[String]) -> Result<String> {
     let mut script = String::from(
         "#!/bin/bash\n#SBATCH --job-name=isospan-nightly\n#SBATCH --dependency=singleton\n#SBATCH --requeue\n\

@@ -65,8 +65,8 @@ fn expect_a_file(output: &Path) -> Result<()> {
     }
 }
 
-/// The files that an input is made of: itself, slices, the raw data of a header, pieces. Of one
-/// that cannot be opened, itself.
+/// The files that an input is made of: itself, slices, the raw data of a header, pieces. For one
+/// that cannot be opened, this is the input itself.
 pub(crate) fn files_of(input: &Path, options: &OpenOptions) -> Vec<PathBuf> {
     let mut files = match formats::open_input(input, options) {
         Ok(Input::Volume(volume)) => volume.info().files(),
@@ -77,8 +77,7 @@ pub(crate) fn files_of(input: &Path, options: &OpenOptions) -> Vec<PathBuf> {
     files
 }
 
-/// Refuses an output that is one of the inputs, by whatever name, or that lies in a folder that is
-/// one.
+/// Refuses an output that is one of the inputs, by any name, or that lies in a folder that is one.
 ///
 /// # Errors
 /// [`Error::Usage`] that names both.

@@ -57,14 +57,14 @@ impl Talk {
         }
     }
 
-    /// Tells what a user should know.
+    /// Prints what a user should know.
     pub(crate) fn note(&self, text: &str) {
         if !self.quiet {
             self.line(text);
         }
     }
 
-    /// Tells what `-v` asks for.
+    /// Prints what `-v` asks for.
     pub(crate) fn detail(&self, text: &str) {
         if self.verbose {
             self.line(text);

@@ -170,8 +170,7 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     let mut out = String::new();
     let per_point = report.archive_bytes as f64 / report.points.max(1) as f64;
     let _ = writeln!(out, "{}", archive.display());
-    // Steps of a mesh may have holes of their own; then the archive's points are all that can be
-    // told.
+    // Steps of a mesh may have holes of their own; then only the archive's points can be reported.
     let of_mesh = report.mesh.is_some() && report.steps.len() == 1;
     let points = report.points - if of_mesh { report.void_points } else { 0 };
     let of_what = if report.mesh.is_some() { "vertices" } else { "samples" };

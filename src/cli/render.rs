@@ -128,7 +128,7 @@ struct Panel {
     name: String,
     isovalue: Option<f64>,
     surface: StoredSurface,
-    /// Of each vertex, where they are asked for.
+    /// The distance of each vertex, where they are asked for.
     distances: Vec<f32>,
 }
 
@@ -319,14 +319,14 @@ impl Job<'_> {
         }
         let name = |p: &Panel| {
             let stem = Path::new(&p.name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            // What the font cannot write is no reason to draw nothing where nobody asked for words.
+            // A character that the font lacks is no reason to fail where no labels were asked for.
             let stem: String = stem.chars().map(|c| if c.is_ascii_graphic() { c } else { '_' }).collect();
             p.isovalue.map_or(stem.clone(), |v| format!("{stem}, {v}"))
         };
         Ok(panels.iter().map(name).collect())
     }
 
-    /// Measures the distances of all vertices; tells the end of the scale.
+    /// Measures the distances of all vertices; returns the end of the scale.
     fn measure(&self, panels: &mut [Panel], progress: &dyn Progress) -> Result<Option<f32>> {
         let Some(target) = &self.args.distance_to else { return Ok(None) };
         let check = CheckSettings { memory: self.memory / 4, scratch: self.scratch.clone() };

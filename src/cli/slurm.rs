@@ -1,8 +1,8 @@
 //! `isospan slurm`: a planned reduction as jobs of a Slurm cluster.
 //!
-//! Three scripts beside the plan: `work.sh`, a job array of shards; `commit.sh`, which waits for
-//! them, and submits what is missing again; `submit.sh`, which submits both. They are plain
-//! scripts: to be read, changed and submitted by hand.
+//! It writes three scripts next to the plan: `work.sh`, a job array of shards; `commit.sh`, which
+//! waits for them, and submits what is missing again; `submit.sh`, which submits both. They are
+//! plain scripts: to be read, changed and submitted by hand.
 
 use super::grammar;
 use super::output::{Force, exists};
@@ -207,8 +207,8 @@ impl Job {
     }
 }
 
-/// This program and the words that it was given. Of the Python package it is a script, the second
-/// word of a command of the interpreter.
+/// This program and its arguments. In the Python package it is a script, the second word of a
+/// command of the interpreter.
 pub(super) fn own_command() -> Result<(PathBuf, Vec<OsString>)> {
     let failed = |e: std::io::Error| Error::io("find", "this program", e);
     let mut words = std::env::args_os().skip(1);
@@ -284,7 +284,7 @@ mod tests {
         assert!(["/a%j", "/a\"b", "/a\nb"].iter().all(|p| in_directive(Path::new(p)).is_err()));
     }
 
-    /// A value is not looked at again: it may be a name that somebody else has chosen.
+    /// A value is not filled in again: it may be a name that another user has chosen.
     #[test]
     fn values_are_not_filled_in() {
         let nasty = "@QUOTED_FOLDER@;touch pwned;x";

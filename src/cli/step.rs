@@ -1,4 +1,4 @@
-//! The flags that choose a step of an archive, and those that tell the times of steps.
+//! The flags that choose a step of an archive, and those that give the times of steps.
 
 use super::grammar;
 use super::input::InputArgs;
@@ -37,7 +37,7 @@ impl StepInputs {
         Ok(steps)
     }
 
-    /// Gives steps the times that were told.
+    /// Gives steps the times that the user gave.
     pub(crate) fn set_times(&self, steps: &mut [StepSource]) -> Result<()> {
         self.times.as_ref().map_or(Ok(()), |times| times.apply(steps))
     }
@@ -88,7 +88,7 @@ pub(crate) enum Times {
 }
 
 impl Times {
-    /// Gives steps their times, whatever their files tell.
+    /// Gives steps their times, in place of those in their files.
     pub(crate) fn apply(&self, steps: &mut [StepSource]) -> Result<()> {
         let count = steps.len();
         for (n, step) in steps.iter_mut().enumerate() {

@@ -218,7 +218,7 @@ fn in_world(length: Length, archive: &Archive) -> Result<f64> {
     Ok(share * squares.sum::<f64>().sqrt())
 }
 
-/// The isovalues: of percentages, those of the step or of all steps together.
+/// The isovalues; percentages refer to the step or to all steps together.
 fn isovalues(args: &Args, archive: &Archive, steps: Option<StepRange>) -> Result<Vec<f64>> {
     let is_share = |value: &Value| matches!(value, Value::Share(_));
     let range = match steps {
@@ -239,7 +239,7 @@ fn in_words(report: &SurfaceReport, stats: bool) -> String {
 }
 
 /// Writes a surface to standard output, by way of a file in the scratch folder, so that it comes
-/// whole or not at all. What was made is told on standard error.
+/// whole or not at all. What was made is reported on standard error.
 fn to_standard_output(
     args: &Args,
     settings: &SurfaceSettings,

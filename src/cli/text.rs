@@ -32,7 +32,7 @@ pub(crate) fn number(v: f64) -> String {
     value(figures(v, 7))
 }
 
-/// A value of a field whose values have this range: with the digits that tell places in it.
+/// A value of a field whose values have this range: with the digits that distinguish places in it.
 pub(crate) fn in_range(v: f64, [lo, hi]: [f64; 2]) -> String {
     let beyond = (v.abs() / (hi - lo)).log10();
     let more = if beyond.is_finite() { beyond.clamp(0.0, 9.0) as usize } else { 0 };

@@ -1,9 +1,10 @@
-//! A map of bricks as VTI: numbers of each brick as data of a cell, written in any order.
+//! Writes a map of bricks as VTI: the numbers of each brick are the data of a cell, written in any
+//! order.
 //!
-//! One piece, appended raw, `UInt64` header; three arrays one after another, `rms` and `max`
-//! (`Float32`) and `samples` (`UInt64`), so each number has its place in the file whenever it is
-//! known. The cell of a brick reaches from its first sample to that of the next brick; the last
-//! brick of an axis may be smaller than its cell.
+//! The file has one piece, appended raw, with a `UInt64` header. Three arrays follow one another:
+//! `rms` and `max` (`Float32`) and `samples` (`UInt64`). So each number has a known place in the
+//! file and can be written at any time. The cell of a brick reaches from its first sample to that
+//! of the next brick; the last brick of an axis may be smaller than its cell.
 
 use super::samples::{numbers, publishable};
 use crate::archive::publish::Unpublished;

@@ -1,12 +1,11 @@
-//! Fields of an image that has two kinds of them: values at its points, and values of the cells
-//! between them.
+//! Fields of an image that has both values at its points and values of the cells between them.
 //!
 //! ```text
 //!  points  0───1───2───3     n of them along an axis, the first at the origin
 //!  cells     0   1   2       n - 1, the first half a step from it: a cell's value is a sample in its middle
 //! ```
 //!
-//! An image that is one point thick has cells as thin as that.
+//! An image that is one point thick has cells that are just as thin.
 
 use super::pick_field;
 use crate::cells::Center;
@@ -37,9 +36,9 @@ pub(super) struct Picked {
     pub(super) fields: Vec<FieldInfo>,
 }
 
-/// Picks a field by its name, of points before one of cells. Without a name those at points are
-/// looked at, and those of cells where none at points is a scalar: the one that is `active` among
-/// them, else the only scalar one.
+/// Picks a field by its name, one of points before one of cells. Without a name, the choice is
+/// among the fields at points or, where none of these is a scalar, those of cells: the one that is
+/// `active`, else the only scalar one.
 ///
 /// # Errors
 /// As [`pick_field`].

@@ -1,4 +1,4 @@
-//! The coordinates of rectilinear and curvilinear grids, whose samples are read as those of a
+//! Reads the coordinates of rectilinear and curvilinear grids. Their samples are read as those of a
 //! volume.
 
 use super::{OpenOptions, folder, kind_of, vtk_legacy, vtk_xml, zarr};
@@ -49,7 +49,7 @@ pub(super) fn rectilinear(
 ) -> Result<GridCoordinates> {
     let mut axes: [Vec<f64>; 3] = Default::default();
     for (a, line) in lines.into_iter().enumerate() {
-        // Of an axis without coordinates: the numbers of its samples.
+        // An axis without coordinates has the numbers of its samples.
         let values = line.unwrap_or_else(|| (0..dims[a]).map(|i| i as f64).collect());
         let falls = values.windows(2).all(|w| w[1] < w[0]);
         if !falls && !values.windows(2).all(|w| w[1] > w[0]) {

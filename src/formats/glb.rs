@@ -9,21 +9,21 @@
 //!        indices    3 × u32 a triangle
 //! ```
 //!
-//! One mesh of one primitive (triangles); everything is little-endian and a multiple of 4 bytes.
-//! The JSON text names the three runs of bytes, and the least and largest position, as the format
-//! demands: one more pass over the vertices before the first byte is written. The isovalue and the
-//! comments are `asset.extras`. Coordinates are the world's, as in all our formats, though glTF
-//! says metres and y up. A surface without triangles is a scene without a mesh, as glTF has no
-//! empty arrays.
+//! We write one mesh of one primitive (triangles); everything is little-endian and a multiple of 4
+//! bytes. The JSON text names the three runs of bytes. It also has the least and the largest
+//! position, as the format demands: this takes one more pass over the vertices before the first
+//! byte is written. The isovalue and the comments are `asset.extras`. Coordinates are the world's,
+//! as in all our formats, though glTF says metres and y up. A surface without triangles is a scene
+//! without a mesh, as glTF has no empty arrays.
 //!
 //! All lengths are 32 bits wide, so a file ends at 4 GiB: about 89 million vertices with twice as
-//! many triangles. More is refused before a byte is written. One primitive always suffices: 2^32
-//! indices alone are 16 GiB.
+//! many triangles. Larger surfaces are refused before a byte is written. One primitive always
+//! suffices: 2^32 indices alone are 16 GiB.
 //!
-//! Read are the triangles of all meshes, as stored, from where they lie in the file: only the tree
-//! of the JSON text, usually a few KiB, is in memory. What would need more than this to be the true
-//! shape is refused: node transforms, sparse accessors, data in other files, required extensions
-//! (compression), strips and fans. Primitives that are points or lines are passed over.
+//! We read the triangles of all meshes, as stored, in place: only the tree of the JSON text,
+//! usually a few KiB, is in memory. Files whose true shape needs more than this are refused: node
+//! transforms, sparse accessors, data in other files, required extensions (compression), strips and
+//! fans. Primitives that are points or lines are skipped.
 
 use crate::error::{Error, Result};
 use crate::formats::ply::check_indices;
@@ -40,7 +40,7 @@ const BIN: u32 = u32::from_le_bytes(*b"BIN\0");
 /// Bytes of the file's head, and of a chunk's.
 const HEAD: u64 = 12;
 const CHUNK_HEAD: u64 = 8;
-/// Room for the JSON text when the limits are checked; the text is far shorter but for long
+/// Bytes for the JSON text when the limits are checked; the text is far shorter, except with long
 /// comments.
 const JSON_ROOM: u64 = 1 << 20;
 /// Bytes of memory that the tree of a JSON text takes for each of its bytes, at most: a map of one
@@ -112,7 +112,7 @@ pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceM
     })
 }
 
-/// The JSON text. Bounds are written so that they are exact also for who reads them as `f64`.
+/// The JSON text. Bounds are written so that they are exact also for a reader that uses `f64`.
 fn document(vertices: u64, triangles: u64, bounds: [[f32; 3]; 2], meta: &SurfaceMeta) -> Value {
     let asset = json!({
         "version": "2.0",
@@ -334,7 +334,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// Adds the vertices of a primitive, and tells how many there are.
+    /// Adds the vertices of a primitive, and returns their number.
     fn add_vertices(&self, primitive: &Value, at: &str, out: &mut StoredSurface) -> Result<usize> {
         let none = Value::Null;
         let attributes = primitive.get("attributes").unwrap_or(&none);

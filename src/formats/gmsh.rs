@@ -23,15 +23,15 @@
 //! ```
 //!
 //! **Tags.** Nodes have tags of their own, in any order and with gaps, and elements name them.
-//! Points are numbered here in file order; tags are found in a table of *runs* of consecutive tags,
-//! of which real files have one an entity. A file with more than [`MOST_RUNS`] is refused: Gmsh can
-//! renumber it.
+//! Points are numbered here in file order; tags are found in a table of *runs* of consecutive tags.
+//! Real files have one run for each entity. A file with more than [`MOST_RUNS`] is refused: Gmsh
+//! can renumber it.
 //!
-//! **Data** lists may lack entries: those are NaN. They may be in any order: one in the order of
-//! the points is gone through once, another once for each window of a million numbers. A name that
-//! occurs again (other time steps) has the step's number added: `pressure@1`.
+//! **Data** lists may lack entries: those are NaN. They may be in any order: a list in the order of
+//! the points is read once, any other once for each window of a million numbers. A name that occurs
+//! again (other time steps) has the step's number added: `pressure@1`.
 //!
-//! Other sections are passed over. The first look goes through the whole file once; it holds the
+//! Other sections are skipped. A first pass scans the whole file once; its memory is that of the
 //! runs.
 
 mod elements;
@@ -162,8 +162,8 @@ struct Gathered {
     field: usize,
     /// Whether the list is in the order of the points or cells.
     ordered: bool,
-    /// The next entry, and how many there were before it; of a list that is not ordered, the first
-    /// one.
+    /// The next entry, and the number of entries before it; the first one in a list that is not
+    /// ordered.
     next: Tokens,
     entry: u64,
     /// Numbers of all tuples.

@@ -5,43 +5,42 @@
 //!  /group/name                a dataset: shape, type, layout (contiguous, compact, chunked), filters, attributes
 //! ```
 //!
-//! Datasets of three axes (slowest first: z, y, x, as in NPY) and of one number a sample are the
-//! fields, named by their path. Axes before the last three must have one entry; of a dataset of
+//! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
+//! a sample, named by their path. Axes before the last three must have one entry. In a dataset of
 //! four axes each entry of the first is a field of its own, `name:t0`, `name:t1`, …; `name` is all
 //! of them, as a series. Links to one dataset are one field.
 //!
 //! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
-//! are what they are called: time, x, y, z in any order, channels. Of four axes without names, the
-//! last of at most four entries, the components of vectors are the last: they are listed, and not
-//! read.
+//! are what their names say: time, x, y, z in any order, channels. If the last of four axes without
+//! names has at most four entries, it holds the components of vectors: such fields are listed, and
+//! not read.
 //!
-//! Attributes that are followed: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
+//! These attributes are used: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
 //! `valid_range`, `valid_min`, `valid_max`; `element_size_um` (z, y, x); coordinate variables
 //! (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a step they are
-//! spacing and origin, else the dataset is a rectilinear grid. Without any, spacing is 1 and
-//! origin 0.
+//! spacing and origin, else the dataset is a rectilinear grid. Without any of these, the spacing is
+//! 1 and the origin is 0.
 //!
 //! Conventions of other programs: see the module `dialect`.
 //!
 //! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle,
 //! Fletcher-32, scale-offset, N-bit, szip, LZF) as they are asked for ([`crate::volume::chunked`]);
-//! small chunks are taken together. Memory: one chunk, stored, decoded and once more as it is given
-//! out; chunks of more than 256 MiB are refused. Chunks that were never written read as the fill
-//! value.
+//! small chunks are read together. Memory: one chunk, stored, decoded and once more for output;
+//! chunks of more than 256 MiB are refused. Chunks that were never written read as the fill value.
 //!
 //! # The crate behind it
-//! Tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file versions; ten types
-//! in both byte orders; each layout, chunk index and filter above):
+//! Two crates were tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file
+//! versions; ten types in both byte orders; each layout, chunk index and filter above):
 //!
-//! * `hdf5-reader` 0.12: pure Rust, for reading alone. Read all of them right, by boxes, in memory
-//!   of a few megabytes, through our own access to the file, with bounds on what a header can make
-//!   it allocate. Taken, without its own threads.
-//! * `hdf5-pure` 0.47: pure Rust, also writes. Refuses layout version 5 (what HDF5 2.0 writes for
-//!   filtered chunks of its newest file version) and chunks indexed by a version 2 B-tree; reads by
-//!   whole slices only.
+//! * `hdf5-reader` 0.12: pure Rust, for reading alone. It read all of them right, by boxes, in a
+//!   few megabytes of memory, through our own access to the file, with bounds on what a header can
+//!   make it allocate. We use it, without its own threads.
+//! * `hdf5-pure` 0.47: pure Rust, also writes. It refuses layout version 5 (what HDF5 2.0 writes
+//!   for filtered chunks of its newest file version) and chunks indexed by a version 2 B-tree; it
+//!   reads whole slices only.
 //!
-//! Not tried, as the first sufficed: `hdf5-metno`, bindings to the C library, which would have to
-//! be installed or built by CMake and allows one thread at a time.
+//! `hdf5-metno` was not tried, because the first sufficed: it binds the C library, which would have
+//! to be installed or built by CMake and allows one thread at a time.
 //!
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
@@ -70,11 +69,12 @@ use std::sync::Arc;
 
 /// Most bytes of a decoded chunk.
 const MOST_CHUNK: u64 = 256 << 20;
-/// Small chunks are read together up to so many bytes; what has no chunks, in pieces of so many.
+/// Small chunks are read together up to this many bytes; datasets without chunks are read in pieces
+/// of this size.
 const PIECE: u64 = 128 << 10;
 /// Most frames of a dataset with four axes.
 const MOST_FRAMES: u64 = 1 << 16;
-/// Most samples of a coordinate variable that is looked at.
+/// The most samples of a coordinate variable that is read.
 const MOST_COORDINATES: u64 = 1 << 24;
 
 /// Opens a dataset of an HDF5 file.
@@ -164,7 +164,7 @@ pub(super) fn frames(
     Ok(frames.iter().enumerate().map(|(n, f)| (f.info.name.clone(), time(n))).collect())
 }
 
-/// The times of frames by the names of their fields, where their datasets tell them.
+/// The times of frames by the names of their fields, where their datasets have them.
 ///
 /// # Errors
 /// As [`open`].
@@ -254,7 +254,7 @@ struct Tree {
     fields: Vec<Field>,
     /// Datasets of one axis, by their paths: coordinates, maybe.
     lines: Vec<(String, Dataset)>,
-    /// Of groups that NeXus marks, by their paths: the datasets that are the axes of those in it.
+    /// The axes of the datasets in groups that NeXus marks, by the paths of the groups.
     axes: HashMap<String, Vec<String>>,
     /// Datasets of three axes or more that cannot be read, and why.
     refused: Vec<(String, Error)>,
@@ -399,7 +399,7 @@ impl Tree {
         found.map_or_else(|| wanted.to_string(), |f| f.info.name.clone())
     }
 
-    /// Tells why the dataset that is wanted, or the only one, cannot be read.
+    /// Fails with the reason why the wanted dataset, or the only one, cannot be read.
     fn check_wanted(&mut self, path: &Path, wanted: Option<&str>) -> Result<()> {
         let refused = match wanted {
             Some(wanted) => self.refused.iter().position(|(name, _)| name == wanted),
@@ -439,7 +439,8 @@ fn kind_of_name(name: &str) -> char {
     }
 }
 
-/// What an axis with a coordinate variable is: as that tells by CF's attributes, else by its name.
+/// What an axis with a coordinate variable is, by CF's attributes of the variable, else by its
+/// name.
 fn kind_of_line(path: &str, line: &Dataset) -> char {
     let text = |name: &str| line.attribute(name).ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
     let (axis, units) = (text("axis"), text("units"));
@@ -591,8 +592,8 @@ fn kind(datatype: &Datatype) -> &'static str {
     }
 }
 
-/// Whether a datatype message describes the machine's form of a type: all bits used; of floats, the
-/// fields of IEEE 754.
+/// Whether a datatype message describes the machine's form of a type: all bits used and, for
+/// floats, the fields of IEEE 754.
 fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
     let bits = 8 * scalar.bytes() as u8;
     let float: &[u8] = match scalar {
@@ -711,7 +712,7 @@ impl Field {
     }
 
     /// Spacing, origin and directions, from the coordinate variables, or from what other attributes
-    /// tell of the voxels.
+    /// say about the voxels.
     fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
         let lines = self.lines(tree);
         if lines.iter().flatten().any(|l| l.regular.is_none()) {
@@ -874,8 +875,8 @@ struct Pieces {
     piece: [u64; 3],
     /// Bytes of a chunk.
     chunk_bytes: u64,
-    /// The type in the file, and how its numbers become values, where that is not told by `info`;
-    /// values are `f64` then.
+    /// The type in the file, and how its numbers become values, where `info` does not say that.
+    /// Values are `f64` then.
     convert: Option<(ScalarType, Convert)>,
 }
 

@@ -1,4 +1,4 @@
-//! What the headers of several formats have in common: text lines, lists of numbers, numbered slice
+//! Common parts of the headers of several formats: text lines, lists of numbers, numbered slice
 //! files, axes.
 
 use crate::bytes::{ByteSource, IoMode};

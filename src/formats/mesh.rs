@@ -1,4 +1,4 @@
-//! Meshes: which of their formats a file has.
+//! Meshes: finds out which of their formats a file has.
 
 use super::{OpenOptions, VolumeSource, gmsh, has_suffix, open_volume, tetgen, vtk_legacy, vtk_xml};
 use crate::bytes::ByteSource;
@@ -68,7 +68,7 @@ fn open_kind(kind: Kind, path: &Path, options: &OpenOptions) -> Result<CellMesh>
 }
 
 fn kind_of(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
-    // Folders and patterns for names are volumes, and so is what is told to be headerless.
+    // Folders and patterns for names are volumes, and so are files that are declared headerless.
     if options.raw.is_some() || !path.is_file() {
         return Ok(None);
     }

@@ -17,9 +17,10 @@
 //! ElementDataFile = LIST             or a name on each of the lines that follow
 //! ```
 //!
-//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. Refused
-//! by name: other than three axes, several channels, arrays, compressed or text data in several
-//! files. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK do.
+//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. The
+//! reader refuses by name: other than three axes, several channels, arrays, compressed or text data
+//! in several files. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK
+//! do.
 //!
 //! The format: <https://itk.org/Wiki/ITK/MetaIO/Documentation>.
 
@@ -202,7 +203,7 @@ impl<'a> Header<'a> {
         geometry(self.path, "ElementSpacing and TransformMatrix", origin, columns)
     }
 
-    /// The files beside the header that hold the samples.
+    /// The files next to the header that hold the samples.
     fn files(&self, dims: [u64; 3], io: IoMode) -> Result<Vec<Arc<ByteSource>>> {
         let value = self.require("ElementDataFile")?;
         let words: Vec<&str> = value.split_whitespace().collect();

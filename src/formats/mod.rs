@@ -1,10 +1,10 @@
-//! Other programs' files, both ways.
+//! Reads and writes other programs' files.
 //!
-//! [`open_volume`] finds out what a file is, from its first bytes where they say it and from its
-//! name otherwise, and hands it to the module of that format. Each of them parses a header, checks
-//! every number of it against the file's length, and ends in one of two ways: samples that lie in
-//! the file as they are become a mapped [`StridedVolume`](crate::volume::strided::StridedVolume);
-//! compressed samples and text become a stream of slabs.
+//! [`open_volume`] finds the format of a file by its first bytes or, where they do not show it, by
+//! its name. It hands the file to the module of that format. Each module parses a header, and
+//! checks every number of it against the file's length. Uncompressed samples become a mapped
+//! [`StridedVolume`](crate::volume::strided::StridedVolume); compressed samples and text become a
+//! stream of slabs.
 //!
 //! World coordinates are the file's own: NRRD and MetaImage files usually say
 //! left-posterior-superior, NIfTI right-anterior-superior. They are not converted into one another.
@@ -268,7 +268,7 @@ pub fn pick_field(path: &Path, fields: &[FieldInfo], wanted: Option<&str>) -> Re
     }
 }
 
-/// "speed (float32), velocity (3 x float32, not scalar)"; of very many, the first.
+/// "speed (float32), velocity (3 x float32, not scalar)"; only the first if there are very many.
 fn list_fields(fields: &[FieldInfo]) -> String {
     const MOST: usize = 40;
     let one = |f: &FieldInfo| match f.components {

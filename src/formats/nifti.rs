@@ -21,8 +21,8 @@
 //! | `quatern_b` … `qoffset_z` | 256, 6 x f32 | 352, 6 x f64 | a rotation and an origin |
 //! | `srow_x` … `srow_z` | 280, 12 x f32 | 400, 12 x f64 | the rows of an affine map |
 //!
-//! The affine map is taken where there is one, else the quaternion, else `pixdim` alone (0
-//! means 1). The frames of a time series are fields "t0", "t1", …. Refused by name: fewer than
+//! The affine map is used where there is one, else the quaternion, else `pixdim` alone (0 means 1).
+//! The frames of a time series are fields "t0", "t1", …. The reader refuses by name: fewer than
 //! three axes, several numbers a sample (vectors, complex, colours), long double.
 //!
 //! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and
@@ -117,11 +117,11 @@ fn first_frame(options: &OpenOptions) -> OpenOptions {
     OpenOptions { field: Some("t0".into()), ..options.clone() }
 }
 
-/// The frames of a gzipped file, unpacked into a nameless file: each frame by itself would be
+/// The frames of a gzipped file, unpacked into a nameless file: otherwise each frame would be
 /// decoded from the beginning.
 pub struct UnpackedFrames {
     source: Arc<ByteSource>,
-    /// Of the first frame.
+    /// The description of the first frame.
     info: VolumeInfo,
     big_endian: bool,
 }
@@ -434,7 +434,7 @@ impl Header {
         )
     }
 
-    /// The rotation of the unit quaternion (a, b, c, d), of which the file has b, c, d.
+    /// The rotation of the unit quaternion (a, b, c, d); the file has b, c, d.
     fn rotation(&self) -> [[f64; 3]; 3] {
         let [mut b, mut c, mut d] = std::array::from_fn(|i| self.float(256, 352, i));
         let squares = b * b + c * c + d * d;

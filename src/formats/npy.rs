@@ -10,9 +10,9 @@
 //!
 //! An array is indexed `[z, y, x]`, as volumes are in NumPy: a shape of (256, 128, 64) has 64
 //! samples along x. In memory order that is x fastest, unless `fortran_order` is true: then z is
-//! fastest, and the same array gives the same volume. `bool` is read as `u8` 0 and 1. Refused by
-//! name: other than three axes, complex numbers, half and long double, records, objects. `.npz`
-//! archives are read by [`super::npz`].
+//! fastest, and the same array gives the same volume. `bool` is read as `u8` 0 and 1. The reader
+//! refuses by name: other than three axes, complex numbers, half and long double, records, objects.
+//! `.npz` archives are read by [`super::npz`].
 //!
 //! The format: NumPy Enhancement Proposal 1, and `numpy.lib.format`.
 

@@ -10,8 +10,8 @@
 //!
 //! A stored member (`numpy.savez`) is mapped where it lies in the archive; a deflated one
 //! (`numpy.savez_compressed`) is a stream, whose CRC-32 is checked at its end. Deflated arrays in
-//! Fortran order are refused: they would have to be transposed out of core; unpacked, they are
-//! read.
+//! Fortran order are refused, because they would have to be transposed out of core; once unpacked,
+//! they can be read.
 //!
 //! The format: PKWARE's APPNOTE.TXT, sections 4.3 to 4.5.
 
@@ -80,7 +80,7 @@ struct Member {
 }
 
 impl Member {
-    /// The array's header. NumPy writes at most 64 KiB of it unless told to write more.
+    /// The array's header. NumPy writes at most 64 KiB of it unless more is asked for.
     fn array(&self, source: &Arc<ByteSource>) -> Result<Array> {
         let mut head = vec![];
         let reader: Box<dyn Read> = if self.deflated {

@@ -18,8 +18,9 @@
 //!
 //! `line skip` lines of the data file come before the samples, and then `byte skip` bytes, which
 //! count decoded bytes in a compressed file; `byte skip: -1` means that the samples are the last
-//! bytes. Read here: three spatial axes of one number a sample. Refused by name: other numbers of
-//! axes, colour and vector axes, bzip2 and hex, compressed or text data in several files.
+//! bytes. The reader takes three spatial axes of one number a sample. It refuses by name: other
+//! numbers of axes, colour and vector axes, bzip2 and hex, compressed or text data in several
+//! files.
 //!
 //! The format: <https://teem.sourceforge.net/nrrd/format.html>.
 

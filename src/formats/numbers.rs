@@ -1,4 +1,4 @@
-//! Stored numbers of any type as what a mesh is made of: `f64`, and numbers of points.
+//! Converts stored numbers of any type to those of a mesh: `f64`, and numbers of points.
 
 use crate::volume::ScalarType;
 use byteorder::{ByteOrder, LE};

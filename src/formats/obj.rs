@@ -4,9 +4,9 @@
 //! vertex and normal numbers, both counted from 1. Several surfaces in one file are groups,
 //! `g isovalue_600`. We write the shortest decimals that read back as the same `f32`.
 //!
-//! Read: `v` and `f` in all their forms (`a`, `a/t`, `a//n`, `a/t/n`; negative numbers count back
-//! from the last vertex; polygons become fans; `\` continues a line). What cannot matter to the
-//! shape (normals, texture, groups, materials, curves) is passed over; a statement that OBJ does
+//! We read `v` and `f` in all their forms (`a`, `a/t`, `a//n`, `a/t/n`; negative numbers count back
+//! from the last vertex; polygons become fans; `\` continues a line). Statements that do not affect
+//! the shape (normals, texture, groups, materials, curves) are skipped; a statement that OBJ does
 //! not have is an error.
 
 use crate::error::Result;

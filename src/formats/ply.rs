@@ -16,9 +16,9 @@
 //!
 //! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are
 //! more than 2³¹-1 vertices. Several surfaces in one file have a seventh property, `float isovalue`
-//! (`double` where one has more digits). Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are
-//! kept); `face` needs the list `vertex_indices` or `vertex_index`; all other elements and
-//! properties are skipped. Triangle strips are refused.
+//! (`double` where one has more digits). In a file that we read, `vertex` needs `x`, `y`, `z`
+//! (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or `vertex_index`; all other
+//! elements and properties are skipped. Triangle strips are refused.
 
 use crate::error::{Error, Place, Result};
 use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};

@@ -1,10 +1,11 @@
 //! Lists of points as text: CSV in, CSV or NPY out.
 //!
-//! A table of numbers with a comma, a semicolon or a tab between them, told by the first line. With
-//! titles, the columns named x, y and z (in any case; or `Points:0`, `Points:1`, `Points:2`, as
-//! ParaView writes them) are the coordinates; without, the first three. Lines that begin with `#`
-//! are passed over. What comes out has the columns that came in, as they were, and one more; NaN is
-//! written `nan`. Memory: that of a line; a table is read twice, so it must be a file.
+//! A list is a table of numbers with a comma, a semicolon or a tab between them; the first line
+//! shows which. With titles, the columns named x, y and z (in any case; or `Points:0`, `Points:1`,
+//! `Points:2`, as ParaView writes them) are the coordinates; without titles, the first three
+//! columns are. Lines that begin with `#` are skipped. The output has the columns of the input,
+//! unchanged, and one more; NaN is written `nan`. Memory: that of a line. A table is read twice, so
+//! it must be a file.
 
 use super::surface::resolve;
 use crate::archive::publish::Unpublished;
@@ -14,7 +15,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// The longest first line that is looked at to find what separates numbers.
+/// The longest first line that is read to find what separates numbers.
 const LONGEST_LINE: u64 = 1 << 20;
 
 /// A table being read.
@@ -135,7 +136,7 @@ fn delimiter(path: &Path) -> Result<u8> {
     })
 }
 
-/// Values for the points of a table, written beside its columns.
+/// Writes the columns of a table, and next to them the values at its points.
 pub struct PointWriter {
     input: PointReader,
     rows: csv::Writer<Vec<u8>>,

@@ -1,5 +1,5 @@
-//! Numbers of one type that lie one after another in a range of a file, as text or binary, front to
-//! back.
+//! Reads numbers of one type that lie one after another in a range of a file, as text or binary,
+//! front to back.
 
 use super::numbers::{push_ids, to_f64};
 use super::text::TextNumbers;
@@ -87,7 +87,7 @@ impl NumberStream for RangeNumbers {
     }
 }
 
-/// Integers one at a time, of which it is known how many there are.
+/// A known number of integers, one at a time.
 pub(super) struct Ids {
     numbers: RangeNumbers,
     /// Numbers not loaded yet.

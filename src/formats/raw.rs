@@ -1,4 +1,4 @@
-//! Headerless files: the user tells the layout.
+//! Headerless files, whose layout the user gives.
 //!
 //! ```text
 //! byte 0        offset                                 end of file
@@ -34,7 +34,7 @@ pub struct RawLayout {
     pub spacing: [f64; 3],
 }
 
-/// A type of samples, with the byte order where its name tells one.
+/// A type of samples, with the byte order where its name states one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SampleType {
     /// The type.
@@ -99,7 +99,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     Ok(VolumeSource::Random(Box::new(volume)))
 }
 
-/// The error for a file whose layout must be told.
+/// The error for a file whose layout must be given.
 pub(super) fn no_layout(path: &Path) -> Error {
     Error::usage(format!(
         "{}: a headerless file: give its layout with --dims X,Y,Z --type TYPE, as in uint16 or float32 \

@@ -1,9 +1,9 @@
 //! Samples of a field on a grid, written in any order: VTI and NPY.
 //!
-//! Both formats are a head whose length is known beforehand and samples, `f32` or, where they are
-//! counted from an offset, `f64`, x fastest, one after another; so a run of samples has its place
-//! in the file whenever it is ready, and the memory used is that of a head. The bytes go to a
-//! temporary file beside the target, which is synced and then renamed.
+//! Both formats have a header whose length is known beforehand, then the samples one after another,
+//! x fastest: `f32`, or `f64` where they are counted from an offset. So each run of samples has a
+//! known place in the file and is written as soon as it is ready; the memory used is that of a
+//! header. The bytes go to a temporary file next to the target, which is synced and then renamed.
 //!
 //! * **VTI** (VTK ImageData): one piece, appended raw, `UInt64` header, with origin, spacing and
 //!   direction.

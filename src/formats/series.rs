@@ -1,4 +1,4 @@
-//! A series of steps: which file, and which field of it, is each of them.
+//! A series of steps: finds the file of each step, and the field in it.
 //!
 //! | what is named | steps |
 //! |---|---|
@@ -9,8 +9,8 @@
 //! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
-//! A pattern that matches TIFF files is one volume: its slices. The time of a VTK file is that
-//! which it has in its field data: `TimeValue`, or `TIME`.
+//! A pattern that matches TIFF files is one volume, whose slices they are. The time of a VTK file
+//! is in its field data: `TimeValue`, or `TIME`.
 
 use super::nifti::UnpackedFrames;
 use super::stack::{by_numbers, rise};
@@ -46,7 +46,7 @@ pub struct StepSource {
     /// The volume itself, where a program gives that and no file.
     #[serde(skip)]
     given: Option<Given>,
-    /// Of a source of chunks: how often these were decoded.
+    /// How often the chunks of a source were decoded.
     #[serde(skip)]
     decodes: DecodeCount,
 }
@@ -95,7 +95,7 @@ impl StepSource {
         }
     }
 
-    /// How often chunks of this source were decoded, by all who opened it here.
+    /// How often chunks of this source were decoded, by all its readers here.
     pub(crate) fn decodes(&self) -> &DecodeCount {
         &self.decodes
     }
@@ -194,8 +194,8 @@ pub(super) type Frames = Vec<(String, Option<f64>)>;
 /// The most bytes of a list of files.
 const LARGEST_LIST: u64 = 64 << 20;
 
-/// The steps that some inputs stand for, in order. What is in the files is looked at only as far as
-/// it takes to tell steps apart.
+/// The steps that some inputs stand for, in order. The contents of the files are read only as far
+/// as it takes to distinguish steps.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a list of files that is malformed, or a pattern without files;
@@ -241,7 +241,7 @@ fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     Ok(files.into_iter().map(|f| (f, None)).collect())
 }
 
-/// A list in the order of its times, as ParaView plays it, whatever the order in which files were
+/// A list in the order of its times, as ParaView plays it, not in the order in which files were
 /// added to it.
 fn by_times(mut files: Vec<(PathBuf, Option<f64>)>) -> Vec<(PathBuf, Option<f64>)> {
     let times: Option<Vec<f64>> = files.iter().map(|(_, time)| time.filter(|t| t.is_finite())).collect();
@@ -255,9 +255,9 @@ fn is_pattern(text: &str) -> bool {
     text.contains(['*', '?', '['])
 }
 
-/// What speaks against the order in which files were named, as a shell without numbers gives it:
-/// their names differ in numbers alone, which do not rise, or their times fall. `None` where
-/// nothing does.
+/// A reason to doubt the order in which files were named, as a shell sorts them without regard to
+/// numbers: their names differ in numbers alone, which do not rise, or their times fall. `None`
+/// where there is none.
 pub fn order_in_doubt(inputs: &[PathBuf], steps: &[StepSource]) -> Option<String> {
     let times: Option<Vec<f64>> = steps.iter().map(|s| s.time).collect();
     if let Some(times) = times.filter(|t| t.len() > 1) {
@@ -272,7 +272,8 @@ pub fn order_in_doubt(inputs: &[PathBuf], steps: &[StepSource]) -> Option<String
     Some(format!("the numbers in the names of the files do not rise ({after} comes after {before})"))
 }
 
-/// The steps in a file. One that cannot be opened is a step: opening it will tell why.
+/// The steps in a file. A file that cannot be opened counts as a step: the error comes when it is
+/// opened.
 fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSource> {
     let pattern = options.field.as_deref().filter(|name| is_pattern(name));
     let fields = match pattern {
@@ -294,7 +295,7 @@ fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSo
     }
 }
 
-/// The time that a file tells of itself.
+/// The time that a file states itself.
 fn time_of(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
     if options.raw.is_some() || !path.is_file() {
         return Ok(None);

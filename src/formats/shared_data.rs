@@ -1,5 +1,6 @@
-//! Tests on real files: the folder named by `ISOSPAN_SHARED_DATA`, whose MANIFEST.tsv tells what a
-//! file holds. They are ignored unless asked for, as tools/check does where the variable is set.
+//! Tests on real files: the folder named by `ISOSPAN_SHARED_DATA`, whose MANIFEST.tsv says what
+//! each file holds. They are ignored unless asked for, as tools/check does where the variable is
+//! set.
 
 use super::tests::try_read_all;
 use super::*;
@@ -94,7 +95,7 @@ fn variants_are_read_right_or_refused_clearly() {
             Ok((info, _)) if row.notes.starts_with("loads") => {
                 assert_eq!((Some(info.dims), Some(info.field.scalar)), (dims, scalar), "{}", row.file);
             }
-            // Halves of pairs, of which the manifest tells nothing.
+            // Halves of pairs, about which the manifest says nothing.
             Ok((info, _)) => assert!(row.notes == "not loaded" && info.dims == [64, 64, 10], "{}", row.file),
             Err(e) => {
                 let line = e.to_string();

@@ -1,9 +1,9 @@
 //! Volumes that are many files: the slices in a folder, or those that a pattern matches.
 //!
 //! Slices are ordered by the numbers in their names as numbers: `slice_9` comes before `slice_10`.
-//! The names must differ in numbers alone, and the first number in which they differ must tell them
-//! all apart. Where these numbers leave a gap, a slice is missing: a volume with a slice less would
-//! be silently wrong, so that is an error that names the numbers.
+//! The names must differ in numbers alone, and the first number in which they differ must be
+//! different for all. A gap in these numbers means that a slice is missing. A volume without it
+//! would be silently wrong, so that is an error that names the numbers.
 
 use super::has_suffix;
 use crate::archive::publish::folder_of;

@@ -1,9 +1,9 @@
 //! STL, the stereolithography format of 3D Systems (1989).
 //!
-//! Triangles only, each with its three positions: shared vertices are repeated, and the reader
-//! joins those of equal bits (-0 being 0), which restores exactly the sharing of a surface whose
-//! vertices are distinct in `f32`. It does so by sorting, three times, so that the surface need not
-//! fit in memory:
+//! A file has only triangles, each with its three positions, so shared vertices are repeated. The
+//! reader merges vertices of equal bits (-0 being 0). This restores exactly the sharing of a
+//! surface whose vertices are distinct in `f32`. The reader sorts three times, so that the surface
+//! need not fit in memory:
 //!
 //! ```text
 //! corners by position           equal ones lie together: each learns the first corner at its place
@@ -128,7 +128,7 @@ fn position(bytes: &[u8]) -> [f32; 3] {
     position
 }
 
-/// The number of triangles that byte 80 tells.
+/// The number of triangles that is stored at byte 80.
 fn count(bytes: &[u8]) -> Option<u64> {
     bytes.get(HEADER..HEADER + 4).map(|field| LE::read_u32(field).into())
 }

@@ -1,8 +1,8 @@
 //! Samples that must be read front to back: compressed ones ([`ByteSlabs`]) and text
 //! ([`TextSlabs`]).
 //!
-//! Memory: one slab and the decoder's window. A header may claim any size, so nothing is allocated
-//! on its word alone: a compressed stream must be long enough to hold the claimed samples at
+//! Memory: one slab and the decoder's window. A header may claim any size, so its claim alone
+//! allocates nothing: a compressed stream must be long enough to hold the claimed samples at
 //! deflate's best possible ratio, a text must have at least two bytes a sample, and a slab grows as
 //! its bytes arrive.
 
@@ -29,7 +29,7 @@ pub enum Codec {
     /// RFC 1951, without header and checksum: a member of a zip file, whose directory has the
     /// CRC-32.
     Deflate {
-        /// Of the decoded bytes.
+        /// The checksum of the decoded bytes.
         crc32: u32,
     },
 }
@@ -102,8 +102,8 @@ pub struct ByteSlabs {
     before: u64,
 }
 
-/// Bytes that are skipped, and so looked at, when a stream is opened, at most: what many headers
-/// tell is asked of files that nobody reads then.
+/// The most bytes that are skipped, and so read, when a stream is opened. Many files are opened
+/// only for what their headers say, and their samples are not read.
 const SKIPPED_AT_ONCE: u64 = 1 << 16;
 
 impl ByteSlabs {
@@ -111,7 +111,7 @@ impl ByteSlabs {
     ///
     /// # Errors
     /// [`Error::BadInput`] when the range is not in the file, cannot hold so many samples, or ends
-    /// before `skip`, if that is no more than a header; else reading tells.
+    /// before `skip`, if that is no more than a header; otherwise reading gives that error.
     pub fn new(
         info: VolumeInfo,
         source: &Arc<ByteSource>,

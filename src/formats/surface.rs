@@ -1,10 +1,9 @@
-//! Surface files, both ways: one face for PLY, STL, OBJ, VTP and GLB.
+//! Surface files, read and written: one interface for PLY, STL, OBJ, VTP and GLB.
 //!
 //! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every
-//! header is final when it is written, and the memory used is that of a buffer, whatever the size
-//! of the surface. The bytes go to a temporary file beside the target, which is synced and then
-//! renamed: under the target's name there is either what was there before or a complete file, also
-//! after a crash.
+//! header is final when it is written, and the memory used is that of a buffer, for a surface of
+//! any size. The bytes go to a temporary file next to the target, which is synced and then renamed.
+//! So the target's name has either what was there before or a complete file, also after a crash.
 //!
 //! | format | stores | limit, refused before a byte is written |
 //! |---|---|---|
@@ -14,11 +13,11 @@
 //! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
 //! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
 //!
-//! **Reading** ([`load_surface`], for the checker) streams too: what a given memory does not hold
-//! goes to a scratch folder. Read are the formats as we write them and as other programs do.
-//! Polygons are cut into fans. Vertex normals are kept where the format has them beside the
-//! vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one that is not
-//! finite is an error.
+//! **Reading** ([`load_surface`], for the checker) streams too: what does not fit into a given
+//! memory goes to a scratch folder. It reads the formats as we write them and as other programs do.
+//! Polygons are cut into fans of triangles. Vertex normals are kept where the format stores them
+//! with the vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one
+//! that is not finite is an error.
 
 use crate::archive::publish::{Unpublished, folder_of};
 use crate::bytes::ByteSource;
@@ -81,15 +80,15 @@ impl SurfaceFormat {
     }
 }
 
-/// What a surface file tells of itself besides the surface.
+/// What a surface file says about itself besides the surface.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfaceMeta {
     /// The isovalue that the surface belongs to.
     pub isovalue: Option<f64>,
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
-    /// The surfaces of which the surface consists, one after another, where it is several: PLY and
-    /// VTP then have an array `isovalue` of the vertices, OBJ has groups. None if it is one.
+    /// The parts of the surface, one after another, where it has several: PLY and VTP then have an
+    /// array `isovalue` of the vertices, OBJ has groups. Empty if it is one surface.
     pub parts: Vec<SurfacePart>,
 }
 
@@ -126,7 +125,7 @@ impl SurfaceMeta {
         if self.parts.iter().all(|p| shortest(p.isovalue as f32) == p.isovalue) { 4 } else { 8 }
     }
 
-    /// Appends the isovalue of a vertex of several parts, in so many bytes.
+    /// Appends the isovalue of a vertex of several parts.
     pub(super) fn put_isovalue(&self) -> impl Fn(u64, &mut Vec<u8>) + use<> {
         let (ends, bytes) = (self.vertex_ends(), self.isovalue_bytes());
         move |vertex, out| {
@@ -196,9 +195,9 @@ pub fn read_surface(path: &Path) -> Result<TriMesh> {
     TriMesh::from_source(&load_surface(path, &CheckSettings::default())?)
 }
 
-/// Reads a surface; the format is told by the first bytes, then by the extension. While it is read
-/// up to half of the memory is used, and as it is returned [`CheckSettings::of_source`]; what that
-/// does not hold is in a nameless file in the scratch folder.
+/// Reads a surface. Its format is found by the first bytes, then by the extension. Reading uses up
+/// to half of the memory. The surface returned uses up to [`CheckSettings::of_source`]; the rest of
+/// it is in a nameless file in the scratch folder.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file, or one that is no surface; [`Error::Io`] when it
@@ -233,7 +232,7 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
     read.map(|()| surface)
 }
 
-/// What a reader may use while it reads, beside the surface itself.
+/// What a reader may use while it reads, in addition to the surface itself.
 pub(super) struct Room {
     bytes: u64,
     scratch: PathBuf,
@@ -264,7 +263,7 @@ pub(super) fn is_finite(p: &[f32; 3]) -> bool {
     p.iter().all(|c| c.is_finite())
 }
 
-/// A file being written under a temporary name beside its target.
+/// A file being written under a temporary name next to its target.
 pub(super) struct Sink {
     out: Unpublished,
     target: PathBuf,
@@ -298,8 +297,8 @@ impl Sink {
         &self.target
     }
 
-    /// A second file beside the target, for data that a format needs in another order. It has no
-    /// name, so nothing is left of it in any case.
+    /// A second file next to the target, for data that a format needs in another order. It has no
+    /// name, so it never stays behind.
     pub(super) fn scratch(&self) -> Result<File> {
         tempfile::tempfile_in(&self.parent)
             .map_err(|e| Error::io("create a scratch file beside", &self.target, e))

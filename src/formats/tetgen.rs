@@ -14,15 +14,15 @@
 //!
 //! Numbers count from 0 or from 1, as the first point's does, and must be in order. `#` begins a
 //! comment. Attributes of points are the fields `attribute` (or `attribute1`, `attribute2`, …),
-//! those of cells `region` (…); boundary markers are passed over.
+//! those of cells are `region` (…); boundary markers are skipped.
 //!
-//! A `.pts` file has x, y, z on each line, a `.tet` file four vertices, and neither a head (a first
-//! line of one number, the count, is allowed). Vertices count from 1, unless a 0 occurs: a first
-//! pass over the tetrahedra finds out.
+//! A `.pts` file has x, y, z on each line, a `.tet` file four vertices. Neither has a header (a
+//! first line of one number, the count, is allowed). Vertices count from 1, unless a 0 occurs: a
+//! first pass over the tetrahedra finds that out.
 //!
-//! Values of a field can come from a third file (`--value-file`) of one number a point; the field
-//! has the file's name. Either file of a pair may be named; the other lies beside it. Everything is
-//! read row by row.
+//! Values of a field can come from a third file (`--value-file`) with one number for each point;
+//! the field has the file's name. Either file of a pair may be named; the other lies next to it.
+//! Everything is read row by row.
 
 use super::text::{place, word};
 use super::{OpenOptions, has_suffix};

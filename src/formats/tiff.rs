@@ -11,24 +11,24 @@
 //!                          └────┴────┴──┘
 //! ```
 //!
-//! Uncompressed strips that follow each other are read where they lie, mapped, without a copy:
-//! every page may start elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors)
-//! is decoded by rows of strips or tiles, as they are asked for ([`crate::volume::chunked`]).
-//! Memory: some rows, and a page's table of strips, which is read for each.
+//! Consecutive uncompressed strips are mapped and read in place, without a copy; every page may
+//! start elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors) is decoded by
+//! rows of strips or tiles, as they are asked for ([`crate::volume::chunked`]). Memory: some rows,
+//! and a page's table of strips, which is read for each.
 //!
-//! Read: grey values of 8 to 64 bits, integers and floats, of either order of bytes. Refused by
-//! name: colours, palettes, other numbers of bits, JPEG and other compressions, pages that differ
-//! in size or type, missing slices, several channels or moments. Pages that are thumbnails or masks
-//! of others are skipped. ImageJ's stacks of more than 4 GiB have one page, whose description tells
-//! the number of images that follow each other: they are read too.
+//! The reader takes grey values of 8 to 64 bits, integers and floats, in either byte order. It
+//! refuses by name: colours, palettes, other numbers of bits, JPEG and other compressions, pages
+//! that differ in size or type, missing slices, several channels or moments. Pages that are
+//! thumbnails or masks of others are skipped. ImageJ's stacks of more than 4 GiB have one page,
+//! whose description has the number of images that follow each other: they are read too.
 //!
 //! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
 //! spacing comes from ImageJ's description (`spacing=` and the resolution tags that go with it) or
 //! OME-XML's `PhysicalSizeX`, `Y`, `Z` (when their units agree); without either it is 1. Rows are
 //! in the file's order: the tag for orientation is not applied.
 //!
-//! The parser is our own because mapping in place needs the places of the strips, which are most of
-//! TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
+//! The parser is our own, because mapping in place needs the places of the strips, and they are
+//! most of TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
 //! <https://www.awaresystems.be/imaging/tiff/bigtiff.html>.
 
 mod ifd;
@@ -213,7 +213,7 @@ fn packed(info: &VolumeInfo) -> Result<[i64; 3]> {
     })
 }
 
-/// The number of images that an ImageJ description tells of; 1 without one.
+/// The number of images that an ImageJ description states; 1 without one.
 fn images(path: &Path, description: &str) -> Result<u64> {
     let count = |key: &str| imagej(description, key).and_then(|v| v.parse::<u64>().ok());
     let ome = |key: &str| ome(description, key).and_then(|v| v.parse::<u64>().ok());
@@ -248,7 +248,7 @@ fn ome<'a>(description: &'a str, key: &str) -> Option<&'a str> {
     tag[at..].split('"').next()
 }
 
-/// Spacing along x, y, z where the file tells all three.
+/// Spacing along x, y, z where the file has all three.
 fn spacing(page: &Page) -> Option<[f64; 3]> {
     let text = &page.description;
     if text.starts_with("ImageJ=") {

@@ -1,7 +1,7 @@
 //! VTP: VTK XML PolyData.
 //!
 //! We write one piece of triangles, its arrays appended raw, so that each is one run of bytes that
-//! a reader may map. All lengths follow from the two counts, so the XML head is final before the
+//! a reader may map. All lengths follow from the two counts, so the XML header is final before the
 //! first vertex.
 //!
 //! ```text
@@ -21,9 +21,9 @@
 //! have it as the active scalars of the points, as VTK's contour filters do: ParaView colours by
 //! it, and its Threshold filter picks one.
 //!
-//! Read are the polygons of all pieces, with the points (and the point data's active normals) of
-//! any number type, in every encoding of [`vtk_xml`](super::vtk_xml). Vertices and lines are no
-//! surface and are passed over; triangle strips are refused.
+//! We read the polygons of all pieces, with the points (and the point data's active normals) of any
+//! number type, in every encoding of [`vtk_xml`](super::vtk_xml). Vertices and lines are no surface
+//! and are skipped; triangle strips are refused.
 
 use crate::bytes::ByteSource;
 use crate::error::Result;
@@ -128,7 +128,7 @@ fn comment_text(line: &str) -> String {
     line.replace("--", "- -").replace("--", "- -")
 }
 
-/// Reads a VTP surface. Of each array no more than a batch is in memory.
+/// Reads a VTP surface. No more than a batch of each array is in memory.
 pub(super) fn read(source: &Arc<ByteSource>, out: &mut StoredSurface) -> Result<()> {
     let doc = Document::open(source, "PolyData")?;
     for piece in doc.data.all("Piece") {
@@ -183,7 +183,7 @@ fn read_polygons(doc: &Document, piece: &Element, first: u64, out: &mut StoredSu
         let found = polys.all("DataArray").find(|a| a.attribute("Name") == Some(name));
         found.ok_or_else(|| doc.wrong(polys, format!("an array '{name}'"), "none"))
     };
-    // The last offset tells how many corners there are: the offsets are read twice.
+    // The last offset is the number of corners, so the offsets are read twice.
     let mut offsets = Numbers::integers(doc, named("offsets")?, count)?;
     let all = (0..count).try_fold(0, |_, _| offsets.next_integer())?;
     offsets.finish()?;

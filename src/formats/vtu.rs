@@ -1,8 +1,8 @@
-//! VTU: VTK XML UnstructuredGrid, of tetrahedra, written.
+//! Writes VTU files: VTK XML UnstructuredGrid, of tetrahedra.
 //!
-//! One piece, its arrays appended raw, so that each is one run of bytes that a reader may map; all
-//! lengths follow from the two counts, so the XML head is final before the first point, and the
-//! memory used is that of a buffer.
+//! A file has one piece. Its arrays are appended raw, so that each is one run of bytes that a
+//! reader may map. All lengths follow from the two counts, so the XML header is final before the
+//! first point, and the memory used is that of a buffer.
 //!
 //! ```text
 //! <VTKFile type="UnstructuredGrid" … byte_order="LittleEndian" header_type="UInt64">
@@ -17,20 +17,20 @@
 //! </VTKFile>
 //! ```
 //!
-//! Or compressed (`compressor="vtkZLibDataCompressor"`): each array is then cut in blocks of 1 MiB,
-//! and in place of its length there is
+//! Arrays may be compressed (`compressor="vtkZLibDataCompressor"`). Each is then cut into blocks of
+//! 1 MiB, and in place of its length there is
 //!
 //! ```text
 //!     [u64 blocks n][u64 bytes of a block][u64 bytes of the last one, 0 if it is full][n × u64 compressed bytes][zlib streams]
 //! ```
 //!
-//! What lengths come out is known at the end only, so the streams wait in a nameless file beside
-//! the target until the head is written.
+//! The compressed lengths are known only at the end, so the streams wait in a nameless file next to
+//! the target until the header is written.
 //!
-//! Coordinates are `f64`: the lattice is finer than `f32` tells apart, and a flat tetrahedron could
-//! turn over by rounding. Every tetrahedron has a positive volume as VTK counts it, also where the
-//! volume's geometry mirrors; of a curvilinear grid all but those that its coordinates turn over:
-//! in folded cells, and slivers where cells are bent.
+//! Coordinates are `f64`: the lattice is finer than `f32` can resolve, and rounding could turn over
+//! a flat tetrahedron. Every tetrahedron has a positive volume as VTK counts it, also where the
+//! volume's geometry mirrors. On a curvilinear grid this excludes those that its coordinates turn
+//! over: tetrahedra in folded cells, and slivers where cells are bent.
 
 use crate::bytes::store::{read_at, write_at};
 use crate::error::{Error, Result};
@@ -47,7 +47,7 @@ use std::path::Path;
 /// VTK's number of a tetrahedron.
 const VTK_TETRA: u8 = 10;
 
-/// What a file tells besides the mesh.
+/// What a file states besides the mesh.
 pub struct TetMeta<'a> {
     /// World position of a lattice position.
     pub place: &'a dyn Fn(LatticePos) -> Result<[f64; 3]>,
@@ -186,7 +186,7 @@ fn each_part(
     }
 }
 
-/// Tetrahedra of which offsets and types are made at a time.
+/// Tetrahedra whose offsets and types are made at a time.
 const PART: usize = 4096;
 /// Bytes that are compressed together.
 const BLOCK: usize = 1 << 20;

@@ -1,5 +1,5 @@
-//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a file, compressed
-//! by itself.
+//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a separately
+//! compressed file.
 //!
 //! ```text
 //!  image.ome.zarr/            a group; .zattrs (2) or zarr.json (3) tell the levels, axes, spacing
@@ -8,31 +8,31 @@
 //!    1/                       the next level, coarser
 //! ```
 //!
-//! The path is the group or an array in it (`image.ome.zarr/1`); of a group's arrays `--field`
-//! chooses one: by its path, the first part of that, or "scaleN" for level N. Without a choice an
-//! OME-Zarr image gives its first level, which is the image in full.
+//! The path is the group or an array in it (`image.ome.zarr/1`). In a group, `--field` chooses one
+//! array: by its path, the first part of that, or "scaleN" for level N. Without a choice an
+//! OME-Zarr image gives its first level, which is the full image.
 //!
 //! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`,
 //! `_ARRAY_DIMENSIONS`); without names the last axis is x, the one before y, then z. One more axis
-//! of several entries, named t or time or without a name the first of four, has the frames of a
-//! series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's
-//! `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and origin are
-//! those of `coordinateTransformations`; else of the arrays beside the array that are named like
-//! its axes (xarray), which make a rectilinear grid where they are not regular; else 1 and 0.
-//! `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are followed. Four axes without
-//! names, the last of at most four entries, are refused: vectors, or colours. (A chunk of several
-//! frames is decoded for each of them.)
+//! may have several entries: the frames of a series. It is named t or time, or is the first of four
+//! without names. The frames are the fields `NAME:t0`, `NAME:t1`, …; their times are those of
+//! OME-Zarr's `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and
+//! origin are those of `coordinateTransformations`; else of the arrays next to the array that are
+//! named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1
+//! and 0. `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
+//! without names are refused if the last has at most four entries: these are vectors, or colours. A
+//! chunk of several frames is decoded for each of them.
 //!
-//! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd,
-//! LZ4; also shards with their index, CRC32C, `transpose`, order C or F. Others are refused by
-//! name. A chunk that is not there reads as the fill value, as Zarr has it.
+//! The reader knows these compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or
+//! bits), gzip, zlib, zstd, LZ4; also shards with their index, CRC32C, `transpose`, order C or F.
+//! Others are refused by name. A missing chunk reads as the fill value, as Zarr specifies.
 //!
 //! Chunks are decoded in their order, each once, or as they are asked for
-//! ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its
+//! ([`crate::volume::chunked`]). Memory: one chunk, stored and decoded (in a shard, one of its
 //! chunks), and a slab of at most 4 MiB. Chunks of more than a gibibyte are refused.
 //!
-//! Our own reader, as chunks are files with compressors that we have anyway, and one chunk at a
-//! time is all that is needed. The formats: <https://zarr-specs.readthedocs.io>,
+//! The reader is our own, because chunks are files with compressors that we have anyway, and only
+//! one chunk is needed at a time. The formats: <https://zarr-specs.readthedocs.io>,
 //! <https://ngff.openmicroscopy.org>.
 
 mod blosc;
@@ -67,8 +67,8 @@ const OPEN_INDICES: u64 = 4 << 20;
 const MOST_COORDINATES: u64 = 1 << 24;
 /// Most frames of an array.
 const MOST_FRAMES: u64 = 1 << 16;
-/// Of an array of more chunk files, so many stand for all in [`VolumeInfo::data_files`], evenly
-/// spread.
+/// If an array has more chunk files than this, this many of them, evenly spread, stand for all in
+/// [`VolumeInfo::data_files`].
 const LISTED: u64 = 1 << 20;
 
 /// Whether a folder is a Zarr array or group.
@@ -118,7 +118,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 }
 
 /// The frames of the array that is `wanted`, or that is read without a choice, by the names of
-/// their fields, and their times, where OME-Zarr tells them. None where there is one volume.
+/// their fields, and their times, where OME-Zarr states them. None where there is one volume.
 ///
 /// # Errors
 /// As [`open`].
@@ -195,12 +195,13 @@ pub(super) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<G
 /// Coordinates along an axis, and whether they are of single precision.
 type Coordinates = (Vec<f64>, bool);
 
-/// The coordinates along x, y, z, where arrays beside the array have them, as xarray writes them.
+/// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
 fn lines(array: &Array, axes: Axes, io: IoMode) -> [Option<Coordinates>; 3] {
     axes.map(|axis| line(array, axis?, io))
 }
 
-/// The numbers of the array of one axis that is named like an axis of an array, and lies beside it.
+/// The numbers of the array of one axis that is named like an axis of an array, and lies next to
+/// it.
 fn line(array: &Array, axis: usize, io: IoMode) -> Option<Coordinates> {
     let name = array.names.as_ref().filter(|n| n.len() == array.shape.len())?.get(axis)?;
     let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
@@ -525,7 +526,7 @@ fn check_chunks(array: &Array) -> Result<()> {
         .with_help("write the array again in smaller chunks"))
 }
 
-/// The metadata's file and the chunks' files that exist; of very many, evenly chosen ones.
+/// The metadata's file and the chunks' files that exist; evenly chosen ones if there are very many.
 fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
     let mut grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
     frame.iter().for_each(|f| grid[f.axis] = 1);
@@ -550,7 +551,7 @@ struct Chunks {
     info: VolumeInfo,
     array: Array,
     axes: Axes,
-    /// Of an array with a time axis: which entry.
+    /// The entry of the time axis, if the array has one.
     frame: Option<Frame>,
     io: IoMode,
     /// Shards that were opened last, by their places in the grid of files.

@@ -62,7 +62,7 @@ pub struct Opening {
     pub bytes_read: u64,
     /// Seconds of wall time.
     pub seconds: f64,
-    /// Of an archive on a server: what was fetched from there.
+    /// What was fetched from the server, if the archive is on one.
     pub remote: Option<Traffic>,
 }
 
@@ -134,9 +134,10 @@ impl Archive {
         positions.map(|n| StepSpectrum::of(&self.open.step_at(n))).collect()
     }
 
-    /// Isosurfaces of many steps, in memory, step after step: `each` is told number and time of the
-    /// step, and the surfaces. Steps are extracted several at a time, as memory allows: what they
-    /// share is decoded once. What `each` leaves of the surfaces is memory for later ones.
+    /// Extracts the isosurfaces of many steps in memory, step after step. `each` gets the number
+    /// and the time of a step, and its surfaces. Several steps are extracted at a time, as memory
+    /// allows: what they share is decoded once. The memory of surfaces that `each` does not take is
+    /// reused for later ones.
     ///
     /// ```
     /// # use isospan::{Archive, StepSource};

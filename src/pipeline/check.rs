@@ -182,7 +182,7 @@ fn check_totals(archive: &StepView, volume6: i128, check: &ArchiveCheck) -> Resu
     Ok(())
 }
 
-/// The error that the manifest tells is that of the chunks.
+/// Checks that the error in the manifest is that of the chunks.
 fn check_error(archive: &StepView) -> Result<()> {
     let step = archive.step();
     if !step.plan.measured {
@@ -303,7 +303,7 @@ fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, (file, by_formula): (&Path,
         let corners = tet.map(|v| decoded.positions[v as usize]);
         let [a, b, c, d] = corners;
         let volume = signed_volume6(a, b, c, d);
-        // Of a lattice, those of a chunk are those of its cells.
+        // On a lattice, the tetrahedra of a chunk are those of its cells.
         let is_own = by_formula || chunk.core.contains(a.min(b).min(c).min(d));
         if volume <= 0 || !is_own {
             let at = format!("chunk {}, a tetrahedron", chunk.id.0);

@@ -1,4 +1,4 @@
-//! [`Reduction`]: from volumes or meshes to an archive, set up word by word.
+//! [`Reduction`]: from volumes or meshes to an archive, set up one method at a time.
 
 use crate::error::Result;
 use crate::exec::{Progress, Resources, Silent};
@@ -41,13 +41,13 @@ pub struct Reduction<'a> {
 }
 
 impl Reduction<'static> {
-    /// Of one file or volume.
+    /// A reduction of one file or volume.
     pub fn of(source: impl Into<StepSource>) -> Self {
         Self::of_steps([source.into()])
     }
 
-    /// Of the steps of a series: one mesh, and the values of each step. They are numbered from 0.
-    /// [`steps_of`](crate::formats::steps_of) finds them in files.
+    /// A reduction of the steps of a series: one mesh, and the values of each step. They are
+    /// numbered from 0. [`steps_of`](crate::formats::steps_of) finds them in files.
     pub fn of_steps(sources: impl IntoIterator<Item = StepSource>) -> Self {
         Self {
             sources: sources.into_iter().collect(),

@@ -53,9 +53,9 @@ pub struct ReduceSettings {
     pub points: Option<SetKind>,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
-    /// Number of interior points of a volume; of points with a value of a mesh, boundary included.
-    /// A mesh is kept as it is by a fraction of 1, or a count of its vertices or more: with default
-    /// points, linear interpolation, and neither `adapt` nor `target`.
+    /// The number of interior points for a volume; for a mesh, the number of points with a value,
+    /// boundary included. A mesh is kept as it is by a fraction of 1, or a count of its vertices or
+    /// more: with default points, linear interpolation, and neither `adapt` nor `target`.
     pub amount: Amount,
     /// Whether points are dense where the field needs them; a Halton set can be.
     #[serde(default)]
@@ -77,8 +77,8 @@ pub struct ReduceSettings {
     pub value_bits: ValueBits,
     /// Points meshed together.
     pub chunk_points: u64,
-    /// Of a series: steps from one keyframe, which is stored without looking back, to the next; 1
-    /// makes each step one.
+    /// In a series: steps from one keyframe, which refers to no other step, to the next; 1 makes
+    /// each step a keyframe.
     pub keyframes: u64,
     /// Whether the field is measured at every sample of the source in the end.
     pub measure: bool,
@@ -155,7 +155,7 @@ impl Default for ReduceSettings {
 /// What decides where points are dense.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Adapt {
-    /// The values that somebody will look at: what happens above and below does not count.
+    /// The values of interest: what happens above and below does not count.
     pub focus: Option<[f64; 2]>,
 }
 
@@ -284,8 +284,8 @@ impl Target {
 pub struct RunSettings {
     /// Whether an archive that is already there is replaced.
     pub replace: bool,
-    /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but
-    /// nothing of the other steps.
+    /// In a series: leave out steps that cannot be used, and report them. This changes which steps
+    /// are made, but nothing in the other steps.
     pub keep_going: bool,
     /// Threads, memory, scratch folder, and what stops it.
     pub resources: Resources,

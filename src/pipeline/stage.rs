@@ -1,4 +1,4 @@
-//! [`Stage`]: the parts of a run whose time reports tell.
+//! [`Stage`]: the parts of a run whose times are reported.
 
 use serde::Serializer;
 use serde::ser::SerializeMap as _;

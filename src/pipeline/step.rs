@@ -60,7 +60,7 @@ impl Step {
         self.view.path()
     }
 
-    /// Number of the step; of a time between two steps, that of the first.
+    /// Number of the step; for a time between two steps, that of the first.
     pub fn number(&self) -> u64 {
         self.view.step().plan.number
     }
@@ -78,7 +78,7 @@ impl Step {
         summarize(&self.view)
     }
 
-    /// The file that the step was made from, or what stood for it; of a time between two steps,
+    /// The file that the step was made from, or what stood for it; for a time between two steps,
     /// that of the first.
     pub fn source(&self) -> &str {
         &self.view.step().plan.source.path
@@ -89,9 +89,9 @@ impl Step {
         self.view.file_range()
     }
 
-    /// What all values of the archive are counted from: they are `f32`, and those of the file less
-    /// this. 0 wherever `f32` holds them well. Only [`Step::active_blocks`] tells values less the
-    /// offset.
+    /// The offset that is subtracted from all values of the file: the archive has the differences,
+    /// as `f32`. It is 0 wherever `f32` holds the values well. Only [`Step::active_blocks`] returns
+    /// values less the offset.
     pub fn offset(&self) -> f64 {
         self.view.step().plan.source.offset
     }
@@ -132,8 +132,8 @@ impl Step {
         spectrum::report(&self.view)
     }
 
-    /// The blocks that an isosurface may cross, as the index tells, in order; their ranges are less
-    /// [`Step::offset`].
+    /// The blocks that an isosurface may cross according to the index, in order. Their ranges are
+    /// less [`Step::offset`].
     ///
     /// # Errors
     /// As [`Step::count`].

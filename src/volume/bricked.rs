@@ -2,9 +2,9 @@
 //! is slow.
 //!
 //! The volume is cut into bricks of 32³ samples, of the stored type, little-endian and
-//! uncompressed, so that the file is mapped and read in place: a box of samples touches the pages
-//! of the bricks that it meets and no others, whatever its shape. Bricks at the far faces keep only
-//! the samples that exist; so no byte is padding and a brick's place needs no table: the samples
+//! uncompressed, so that the file is mapped and read in place: a box of samples of any shape
+//! touches the pages of the bricks that it meets, and no others. Bricks at the far faces have only
+//! the samples that exist, so no byte is padding. A brick's place needs no table: the samples
 //! before brick (bx, by, bz), whose first sample is (x0, y0, z0) and which has hy rows and hz
 //! slices, are `dx·dy·z0 + hz·(dx·y0 + hy·x0)`.
 //!
@@ -143,7 +143,7 @@ pub struct BrickedVolume {
 impl BrickedVolume {
     /// Copies a stream into a bricked file at `out`, which is replaced if it exists.
     /// `max_buffer_bytes` is what the samples being collected may take (one row at the least); the
-    /// fewer, the more and smaller the writes. `progress` is told the samples done so far.
+    /// fewer, the more and smaller the writes. `progress` gets the number of samples done so far.
     ///
     /// # Errors
     /// Those of the stream; [`Error::Io`] when the file cannot be written. Nothing is left under

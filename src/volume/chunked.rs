@@ -193,7 +193,7 @@ impl ChunkSlabs {
         Self { source, file: Some([0; 3]), inner: [0; 3], left, bytes: vec![] }
     }
 
-    /// Moves to the next chunk: of this file, or the first of the next file.
+    /// Moves to the next chunk of this file, or to the first of the next file.
     fn advance(&mut self, file: [u64; 3]) {
         let (together, c, d) = (self.source.together(), self.source.chunk_dims(), self.source.info().dims);
         if step(&mut self.inner, together) {
@@ -300,7 +300,7 @@ impl Cache {
     }
 }
 
-/// Gives up the place of a chunk that could not be decoded, so that nobody waits for it.
+/// Gives up the place of a chunk that could not be decoded, so that no thread waits for it.
 struct Claim<'a> {
     volume: &'a ChunkedVolume,
     at: [u64; 3],

@@ -1,7 +1,7 @@
-//! Volumes: what a reader tells of a structured scalar field, and how its samples are had.
+//! Volumes: how a reader describes a structured scalar field, and how its samples are read.
 //!
 //! A format of `formats/` gives random access (a mapped file, [`VolumeReader`]), chunks that are
-//! decoded each by itself ([`chunked`], random access through a cache of those), or a sequence of
+//! decoded separately ([`chunked`], random access through a cache of chunks), or a sequence of
 //! slabs ([`SlabStream`]: other compressed files, and text). A stream is turned into random access
 //! by [`bricked`], once; a small one in memory.
 
@@ -173,10 +173,10 @@ pub trait VolumeReader: Send + Sync {
         None
     }
 
-    /// Tells that `voxels` will be read soon; a hint.
+    /// Announces that `voxels` will be read soon; a hint.
     fn will_need(&self, _voxels: IndexBox) {}
 
-    /// Tells that no sample with a z in `slices` will be read again by this run, after the slices
+    /// Announces that this run will not read samples with a z in `slices` again, after the slices
     /// before were given up in the same way; a hint.
     fn release(&self, _slices: Range<u64>) {}
 
@@ -279,7 +279,7 @@ impl VolumeSource {
         }
     }
 
-    /// The stored samples front to back, whatever the source.
+    /// The stored samples front to back, for any source.
     pub fn into_stream(self) -> Box<dyn SlabStream> {
         match self {
             Self::Random(reader) => Box::new(slabs::ReaderSlabs::new(reader)),

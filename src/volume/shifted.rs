@@ -37,7 +37,7 @@ pub(crate) fn may_need_offset(scalar: ScalarType, slope: f64, intercept: f64) ->
     }
 }
 
-/// Whether all values are whole numbers, of which each counts.
+/// Whether all values are whole numbers, each of which counts.
 pub(crate) fn is_whole(scalar: ScalarType, slope: f64, intercept: f64) -> bool {
     !matches!(scalar, ScalarType::F32 | ScalarType::F64) && slope == 1.0 && intercept.fract() == 0.0
 }
@@ -47,7 +47,7 @@ pub(crate) fn is_missing(value: f64, missing: Option<f64>) -> bool {
     missing.is_some_and(|m| value == m || value == f64::from(m as f32))
 }
 
-/// What a pass over samples tells of their values less an offset.
+/// What a pass over samples finds about their values less an offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Surveyed {
     /// Least and largest finite value; the first is larger than the second where there is none.
@@ -240,10 +240,10 @@ mod tests {
         assert_eq!(surveyed(&[101_324_997.3, 101_325_002.9]).offset(false), 101_325_000.0);
         assert_eq!(surveyed(&[2e9, 2e9 + 1000.0, 2e9 + 7.0]).offset(true), 2_000_000_500.0);
         assert_eq!(surveyed(&[101_325_000.31, 101_325_000.9]).offset(false), 101_325_000.6);
-        // Of a constant all is the offset.
+        // A constant is all offset.
         assert_eq!(surveyed(&[101_325_000.3]).offset(false), 101_325_000.3);
-        // A hundred million whole numbers from 0 on are too many, whatever the offset; thirty
-        // million are not.
+        // A hundred million whole numbers from 0 on are too many for any offset; thirty million are
+        // not.
         assert_eq!(surveyed(&[0.0, 99_999_999.0]).offset(true), 0.0);
         let s = surveyed(&[1.0, 29_999_999.0]);
         assert_eq!((s.offset(true), s.offset(false)), (15_000_000.0, 0.0));

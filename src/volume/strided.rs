@@ -27,7 +27,7 @@ pub struct StridedVolume {
     /// One file for each `slices_per_part` slices.
     parts: Vec<Arc<ByteSource>>,
     slices_per_part: u64,
-    /// Of each part: the byte of its first sample.
+    /// The byte of the first sample in each part.
     offsets: Vec<u64>,
     big_endian: bool,
     strides: [i64; 3],
@@ -192,8 +192,8 @@ impl StridedVolume {
         corner.wrapping_add_signed(self.strides[axis].wrapping_mul(row as i64))
     }
 
-    /// The axes, that of the least step first; of equal ones, as where a dimension is 1, x before y
-    /// before z.
+    /// The axes, that of the least step first. Equal steps, as where a dimension is 1, are in the
+    /// order x, y, z.
     fn axes_by_step(&self) -> [usize; 3] {
         let mut axes = [0, 1, 2];
         axes.sort_by_key(|&a| self.strides[a].unsigned_abs());
@@ -234,8 +234,8 @@ const BETWEEN: u64 = 256 << 10;
 /// Bytes of a plane that is read at once.
 const LARGEST_PIECE: u64 = 4 << 20;
 
-/// Bytes of a plane that the processor is told of while the one before is read: half of its nearest
-/// cache. Of longer rows it finds out by itself.
+/// Bytes of a plane that are prefetched while the one before is read: half of the processor's
+/// nearest cache. It detects longer rows by itself.
 const MOST_AHEAD: u64 = 16 << 10;
 
 /// `count` samples from byte `at` of a piece on, `stride` apart.

@@ -41,7 +41,7 @@ impl Figure for OverTime<'_> {
             let cells = (0..ROWS).map(|row| {
                 let y = lo + height * row as f64;
                 let area = area_at(step, y + height / 2.0);
-                // By the square root: small areas beside a large one are seen too.
+                // By the square root, so that small areas next to a large one are visible too.
                 let colour = colour(if most > 0.0 { (area / most).sqrt() } else { 0.0 });
                 Rectangle::new([(x[0], y), (x[1], y + height)], colour.filled())
             });
@@ -68,7 +68,7 @@ impl Figure for OverTime<'_> {
 }
 
 impl OverTime<'_> {
-    /// Of the values of all steps.
+    /// The range of the values of all steps.
     fn range(&self) -> [f64; 2] {
         let ranges = self.steps.iter().filter_map(|s| s.spectrum.range);
         let all = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);

@@ -44,12 +44,12 @@ pub(super) const SHARE: u64 = 4;
 const PIECES: usize = 4;
 /// A connection on which nothing comes or goes for so long is closed.
 const QUIET: Duration = Duration::from_secs(60);
-/// How often the token of the signals is looked at.
+/// How often the token of the signals is checked.
 const LOOK: Duration = Duration::from_millis(100);
 
 struct Server {
     archives: Archives,
-    /// Of one slot.
+    /// The resources of one slot.
     means: Resources,
     /// `127.0.0.1:PORT` and `localhost:PORT`.
     hosts: [String; 2],

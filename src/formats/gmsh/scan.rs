@@ -1,4 +1,4 @@
-//! The first look at a `.msh` file: where its sections are, which tags it has, which data.
+//! The first pass over a `.msh` file finds its sections, its tags and its data.
 
 use super::MOST_RUNS;
 use super::elements::skip_elements;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// Data lists that a file may have.
 const MOST_LISTS: usize = 1 << 16;
-/// The most lines of text of a section of data, of which the first is its name.
+/// The most lines of text of a section of data; the first is its name.
 const MOST_STRINGS: u64 = 1000;
 
 /// Components of a datum.

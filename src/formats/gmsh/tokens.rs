@@ -1,4 +1,4 @@
-//! Integers and reals of a `.msh` file one after another, from text or bytes.
+//! Reads integers and reals of a `.msh` file one after another, from text or bytes.
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Place, Result};

@@ -1,5 +1,5 @@
-//! Conventions that programs put on HDF5: which of them a file follows, and where its samples are
-//! by it.
+//! Conventions of programs that use HDF5: finds which one a file follows, and where it places the
+//! samples.
 //!
 //! | convention | known by | |
 //! |---|---|---|
@@ -8,8 +8,8 @@
 //! | ITK | `/ITKImage` | read |
 //! | Imaris, BigDataViewer, Dream.3D, Chimera, EMAN2, openPMD, CGNS, MED | groups and attributes | refused |
 //!
-//! What is refused keeps its voxel size, or its axes, where a plain reader does not look: the
-//! answer would be wrong.
+//! The refused ones keep their voxel size, or their axes, where a plain reader does not look, so
+//! the result would be wrong.
 
 use super::{Field, Tree, attribute_numbers, attribute_text, damaged};
 use crate::cells::Center;
@@ -94,7 +94,7 @@ fn refused(path: &Path, at: &str, got: impl Into<String>, help: &str) -> Error {
     Error::bad_input(path, at, expected, got).with_help(help)
 }
 
-/// A field of a convention, placed as it tells.
+/// A field of a convention, placed as the convention says.
 pub(super) struct Placed {
     /// Which of the tree's fields.
     pub(super) number: usize,
@@ -363,7 +363,7 @@ fn slices(
 /// Groups that NeXus marks: the names of the axes of the datasets in an `NXdata`.
 ///
 /// # Errors
-/// [`Error::BadInput`] where they are told in a form that is not read.
+/// [`Error::BadInput`] where they have a form that is not read.
 pub(super) fn nexus_axes(
     path: &Path,
     group: &Group,

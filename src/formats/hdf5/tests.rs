@@ -262,8 +262,7 @@ fn levels_are_a_grid_and_steps_have_their_times() {
     assert_eq!((found[1], found[59]), (50.5, 79.5));
 }
 
-/// Opens and reads each field of a damaged file, or what of it comes first; panics are the test's
-/// failures.
+/// Opens and reads each field of a damaged file, or its beginning; panics are the test's failures.
 fn survives(path: &Path, fields: &[&str]) {
     for &field in fields {
         let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };

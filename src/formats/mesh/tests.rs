@@ -1,4 +1,4 @@
-//! What tests of all mesh readers use, and tests on real files.
+//! Helpers for the tests of all mesh readers, and tests on real files.
 
 use super::*;
 use crate::cells::scan::{FieldScan, MeshScan, scan, scan_field};
@@ -41,7 +41,7 @@ pub(in crate::formats) fn torture(name: &str, bytes: &[u8]) {
     torture_with(name, bytes, &[]);
 }
 
-/// The same, with other files beside the damaged one.
+/// The same, with other files next to the damaged one.
 pub(in crate::formats) fn torture_with(name: &str, bytes: &[u8], beside: &[(&str, &[u8])]) {
     let dir = tempfile::tempdir().unwrap();
     for (name, bytes) in beside {

@@ -1,4 +1,4 @@
-//! The directories of a TIFF file: where its pages are, and what each of them says.
+//! Reads the directories of a TIFF file: where its pages are, and what each of them says.
 //!
 //! ```text
 //!  II 2a 00 | first IFD u32        little-endian; MM 00 2a big-endian
@@ -160,7 +160,8 @@ impl Ifd<'_> {
         self.entries.iter().find(|e| e.tag == tag)
     }
 
-    /// The stored bytes of an entry. They lie in the file, whatever the entry's count says.
+    /// The stored bytes of an entry. They are sure to lie in the file, even if the entry's count is
+    /// wrong.
     fn bytes(&self, entry: &Entry) -> Result<&[u8]> {
         let size = size_of_kind(entry.kind).and_then(|s| s.checked_mul(entry.count));
         let end = size.and_then(|s| entry.at.checked_add(s));
@@ -207,7 +208,7 @@ impl Ifd<'_> {
     /// The text of a tag, empty where it is missing. A description that does not lie in the file is
     /// no reason to refuse the samples.
     pub(super) fn text(&self, tag: u16) -> String {
-        /// Longest text looked at: OME-XML of large data sets has some megabytes.
+        /// The longest text that is read: OME-XML of large data sets has some megabytes.
         const MOST: usize = 64 << 20;
         let bytes = self.entry(tag).filter(|e| e.kind == 2 || e.kind == 1).and_then(|e| self.bytes(e).ok());
         let bytes = bytes.filter(|b| b.len() <= MOST).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! One page of a TIFF file: what it holds, and the decoding of its strips or tiles.
+//! One page of a TIFF file: its contents, and the decoding of its strips or tiles.
 
 use super::ifd::{Tiff, tag};
 use crate::error::{Error, Result};

@@ -1,8 +1,8 @@
-//! A stack of uncompressed slices in files of their own, read where they lie.
+//! A stack of uncompressed slices in separate files, read in place.
 //!
 //! A stack may have more files than a process may have open (often 1024). So files are opened when
-//! a slice is first needed, and the ones used last stay open. Chunks come in layers along z:
-//! neighbours need the same slices.
+//! a slice is first needed, and the most recently used ones stay open. Chunks come in layers along
+//! z: neighbours need the same slices.
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
@@ -21,7 +21,7 @@ const MOST_OPEN: usize = 400;
 pub(super) struct SliceFiles {
     info: VolumeInfo,
     files: Vec<PathBuf>,
-    /// Of each file: the byte of its first sample.
+    /// The byte of the first sample in each file.
     offsets: Vec<u64>,
     big_endian: bool,
     io: IoMode,
@@ -122,7 +122,8 @@ impl VolumeReader for SliceFiles {
     }
 
     fn will_need(&self, voxels: IndexBox) {
-        // A hint must not close files that are in use: of a tall box only the first slices.
+        // A hint must not close files that are in use, so it covers only the first slices of a tall
+        // box.
         let mut voxels = voxels;
         voxels.hi[2] = voxels.hi[2].min(voxels.lo[2] + MOST_OPEN as u64 / 2);
         // A file that cannot be opened is an error when it is read.

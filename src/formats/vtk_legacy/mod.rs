@@ -20,13 +20,13 @@
 //! …
 //! ```
 //!
-//! A file has no table of contents: to find an array, all before it are gone over, by their lengths
-//! in a binary file, word by word in a text. Binary samples are then mapped where they lie; text is
-//! a stream of slabs. Keywords may be in any case, names are percent-encoded.
+//! A file has no table of contents. To find an array, the reader skips all arrays before it: by
+//! their lengths in a binary file, word by word in a text. Binary samples are then mapped where
+//! they lie; text is a stream of slabs. Keywords may be in any case, names are percent-encoded.
 //!
-//! **Rectilinear and structured grids** are read alike, in index space; [`coordinates`] tells where
-//! their samples are: `X_COORDINATES 76 float` (Y, Z), or `POINTS 167580 float` with three numbers
-//! a sample.
+//! **Rectilinear and structured grids** are read alike, in index space; [`coordinates`] gives the
+//! positions of their samples: `X_COORDINATES 76 float` (Y, Z), or `POINTS 167580 float` with three
+//! numbers a sample.
 //!
 //! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is
 //! read where there is exactly one with one component (VTK's writer puts the active scalars there
@@ -36,8 +36,8 @@
 //! those of grids are refused.
 //!
 //! A `long` is taken to have 8 bytes, as on every 64-bit Unix; `char` is signed; a binary
-//! `vtkIdType` is stored in 4 bytes, whatever it has in memory. Arrays of bits and strings are
-//! passed over.
+//! `vtkIdType` is stored in 4 bytes, even if it has more in memory. Arrays of bits and strings are
+//! skipped.
 
 mod cells;
 mod scan;
@@ -228,7 +228,7 @@ fn arrays_of(file: &Scanned, center: Center) -> &[Array] {
     }
 }
 
-/// The field to read, and all that can be told of.
+/// The field to read, and all that can be listed.
 fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
     let refuse = |got: String, help: &str| {
         let expected = match wanted {

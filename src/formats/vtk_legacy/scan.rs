@@ -1,4 +1,4 @@
-//! From front to back through a legacy VTK file: where everything lies.
+//! Scans a legacy VTK file from front to back, and finds where everything lies.
 
 use crate::cells::Center;
 use crate::error::{Error, Fault, Place, Result};
@@ -53,7 +53,7 @@ pub(super) struct Array {
 }
 
 impl Array {
-    /// What a volume can tell of it.
+    /// Its description as a field of a volume; `None` where it has none.
     pub(super) fn field(&self) -> Option<FieldInfo> {
         match self.kind {
             Type::Number(scalar) => {
@@ -73,9 +73,9 @@ pub(super) struct Scanned {
     pub(super) dims: [u64; 3],
     pub(super) origin: [f64; 3],
     pub(super) spacing: [f64; 3],
-    /// Of an unstructured or a curvilinear grid.
+    /// The points of an unstructured or a curvilinear grid.
     pub(super) points: Option<Array>,
-    /// Of a rectilinear grid, each with its number of samples.
+    /// The axes of a rectilinear grid, each with its number of samples.
     pub(super) axes: [Option<(u64, Array)>; 3],
     /// Number of those.
     pub(super) point_count: u64,
@@ -458,7 +458,7 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    /// Goes over numbers that begin here, and tells where they lie.
+    /// Skips the numbers that begin here, and returns where they lie.
     fn data(&mut self, name: &str, kind: Type, components: u64, tuples: u64) -> Result<Range<u64>> {
         let start = self.words.at() as u64;
         let count = components.checked_mul(tuples);
@@ -480,7 +480,7 @@ impl<'a> Scanner<'a> {
         Ok(start..self.words.at() as u64)
     }
 
-    /// A binary string: the two highest bits of its first byte tell how wide its length is.
+    /// Skips a binary string: the two highest bits of its first byte give the width of its length.
     fn skip_string(&mut self) -> Option<()> {
         let first = *self.words.rest().first()?;
         let width = [8, 4, 2, 1][usize::from(first >> 6)];

@@ -8,14 +8,14 @@
 //! ```
 //!
 //! The numbers of the headers are 32 or 64 bits wide (`header_type`) in the byte order of the file.
-//! `format="binary"` is base64 text in the element; `format="appended"` lies behind the head, raw
+//! `format="binary"` is base64 text in the element; `format="appended"` lies after the header, raw
 //! or base64.
 //!
-//! The lengths of the blocks are not kept: a second cursor walks over their table while the first
-//! walks over the blocks; a [`BlockArray`] keeps their places instead. A zlib block is inflated
-//! piece by piece; an LZ4 block must be decoded whole, so that its length is the one length of a
-//! header that memory is reserved for: at most 255 times its compressed length (what LZ4 can reach)
-//! and [`MOST_LZ4_BLOCK`].
+//! The lengths of the blocks are not kept: a second cursor moves over their table while the first
+//! moves over the blocks. A [`BlockArray`] keeps their places instead. A zlib block is inflated
+//! piece by piece; an LZ4 block must be decoded whole. So its length is the only length in a header
+//! for which memory is reserved: at most 255 times its compressed length (what LZ4 can reach) and
+//! [`MOST_LZ4_BLOCK`].
 
 use super::head::{Compressor, Document, Element};
 use super::stored::Stored;
@@ -116,8 +116,8 @@ impl ArrayStream {
         Ok(Self { scalar, big_endian: doc.big_endian, data })
     }
 
-    /// The array of an element, of as many values as it tells itself: of a text that is known only
-    /// at its end.
+    /// The array of an element, with as many values as its own data say. In a text this number is
+    /// known only at the end.
     ///
     /// # Errors
     /// [`Error::BadInput`] when the array is malformed, or longer than the file has room for.
@@ -351,8 +351,8 @@ fn check_length(doc: &Document, element: &Element, found: u64, expected: u64) ->
     })
 }
 
-/// Refuses a header that tells of more than the file can hold, before memory is reserved for a part
-/// of it.
+/// Refuses a header that announces more than the file can hold, before memory is reserved for a
+/// part of it.
 fn check_room(doc: &Document, element: &Element, most: u64, expected: u64) -> Result<()> {
     if expected <= most {
         return Ok(());

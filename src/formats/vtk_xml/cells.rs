@@ -198,8 +198,8 @@ impl CellFile for Grid {
         Ok(self.numbers(What::Field(field)))
     }
 
-    /// Of arrays that lie in their elements, in one file. Where cells are marked as ghosts, that is
-    /// a part of the mesh which is told elsewhere.
+    /// The hash of arrays that lie in their elements, in one file. There is none where cells are
+    /// marked as ghosts: these marks are a part of the mesh that is stored elsewhere.
     fn stored_hash(&self) -> Result<Option<u128>> {
         if self.0.info.fields.iter().any(|f| f.name == GHOSTS) {
             return Ok(None);

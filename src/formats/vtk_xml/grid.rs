@@ -1,4 +1,4 @@
-//! Where the samples of rectilinear (`.vtr`) and curvilinear (`.vts`) grids are.
+//! Reads the positions of the samples of rectilinear (`.vtr`) and curvilinear (`.vts`) grids.
 //!
 //! ```text
 //! <Piece Extent="0 3 0 2 0 1">

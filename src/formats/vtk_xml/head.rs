@@ -1,7 +1,7 @@
-//! The XML of a VTK file: a small tree of elements, and where the data of each array lie.
+//! Reads the XML of a VTK file: a small tree of elements, and where the data of each array lie.
 //!
 //! Data are not copied: an element knows the byte range of its text. Reading stops at
-//! `<AppendedData`, because what follows need not be XML. A head is refused when it has more than
+//! `<AppendedData`, because what follows need not be XML. A header is refused when it has more than
 //! [`MOST_ELEMENTS`] elements, nests deeper than [`MOST_DEPTH`], or has a tag of more than
 //! [`MOST_TAG`] bytes: no real file does, and time and memory stay bounded.
 
@@ -163,7 +163,7 @@ impl Document {
         )
     }
 
-    /// What tells how the bytes of arrays are to be read.
+    /// All that decides how the bytes of arrays are read.
     pub(super) fn stored_as(&self) -> String {
         format!("{} {} {:?}", self.big_endian, self.wide, self.compressor)
     }

@@ -1,4 +1,4 @@
-//! Images: extents, pieces, the choice of a field, and pieces as one stream of slabs.
+//! Reads images: extents, pieces, the choice of a field, and pieces as one stream of slabs.
 
 use super::array::{ArrayStream, BlockArray, in_place, scalar_type};
 use super::head::{Document, Element};
@@ -238,7 +238,7 @@ fn data_of(piece: &Element, center: Center) -> Option<&Element> {
     })
 }
 
-/// The field to read, and all that can be told of.
+/// The field to read, and all that can be listed.
 fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<Picked> {
     let of = |center| fields(doc, data_of(piece, center));
     let (points, mut cells) = (of(Center::Point)?, of(Center::Cell)?);

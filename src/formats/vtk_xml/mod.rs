@@ -13,10 +13,10 @@
 //! </VTKFile>
 //! ```
 //!
-//! Read are ascii, base64 and raw data, inline and appended, uncompressed, zlib and LZ4, in both
-//! byte orders and with both widths of header numbers. Uncompressed raw data of one piece are
-//! mapped where they lie; everything else is a stream of slabs in constant memory. (LZMA is refused
-//! by its name.)
+//! The reader takes ascii, base64 and raw data, inline and appended, uncompressed, zlib and LZ4, in
+//! both byte orders and with both widths of header numbers. Uncompressed raw data of one piece are
+//! mapped where they lie; everything else is a stream of slabs in constant memory. LZMA is refused
+//! by name.
 //!
 //! **Extents.** They are inclusive, and need not begin at 0: sample (x0, y0, z0) of the whole
 //! extent is our (0, 0, 0), and its world position includes x0 steps of the spacing. Pieces are
@@ -30,7 +30,7 @@
 //! their name. Those of rectilinear and curvilinear grids are refused.
 //!
 //! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space;
-//! [`coordinates`] tells where their samples are.
+//! [`coordinates`] gives the positions of their samples.
 //!
 //! **Unstructured grids** (`.vtu`, `.pvtu`) are opened as meshes, by [`open_mesh`].
 //!

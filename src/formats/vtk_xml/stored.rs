@@ -1,4 +1,4 @@
-//! Stored bytes, plain or as base64 text, front to back.
+//! Reads stored bytes, plain or as base64 text, front to back.
 //!
 //! VTK encodes a compressed array as two base64 texts in a row, the table of block lengths and the
 //! blocks, each with its own padding; other programs write three. So padding ends a group of four

@@ -1,4 +1,4 @@
-//! Fixtures in every encoding, made here, and tests of images.
+//! Makes fixtures in every encoding, and tests images.
 
 use super::*;
 use crate::formats::surface::tests::survive;

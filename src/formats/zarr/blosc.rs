@@ -1,4 +1,4 @@
-//! Blosc 1: blocks, each shuffled and compressed by itself. Decoding only.
+//! Decodes Blosc 1: blocks that are shuffled and compressed separately.
 //!
 //! ```text
 //!  0  version of the format (1, 2)       4  u32 bytes decoded        16  u32 place of each block
@@ -8,9 +8,9 @@
 //! ```
 //!
 //! Flags: 1 bytes shuffled, 2 stored as they are, 4 bits shuffled, 16 blocks not split; the upper
-//! three bits are the compressor: BloscLZ, LZ4, Snappy, zlib, zstd. A block of elements of n bytes
-//! that is split has n streams, so that after shuffling each holds one byte of all elements. A
-//! stream is its length (u32) and bytes; of full length, they are stored.
+//! three bits are the compressor: BloscLZ, LZ4, Snappy, zlib, zstd. A split block of elements of n
+//! bytes has n streams, so that after shuffling each holds one byte of all elements. A stream is
+//! its length (u32) and its bytes; bytes of full length are stored uncompressed.
 //!
 //! The format: <https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>. Snappy is
 //! refused by name.
@@ -133,7 +133,7 @@ fn blosclz(stored: &[u8], out: &mut [u8]) -> std::result::Result<usize, String> 
     let cut = || "BloscLZ data that are cut short".to_string();
     let mut input = stored.iter().map(|&b| usize::from(b));
     let mut next = || input.next();
-    // The first code is of literals, whatever its upper bits.
+    // The first code is of literals, for any upper bits.
     let (mut code, mut at) = (next().ok_or_else(cut)? & 31, 0);
     loop {
         if code < 32 {

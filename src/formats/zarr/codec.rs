@@ -1,4 +1,4 @@
-//! What turns the stored bytes of a chunk into samples.
+//! Decodes the stored bytes of a chunk into samples.
 
 use super::blosc;
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};

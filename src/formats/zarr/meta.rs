@@ -1,4 +1,5 @@
-//! The metadata of a Zarr array, versions 2 (`.zarray`) and 3 (`zarr.json`), as one structure.
+//! Reads the metadata of a Zarr array, versions 2 (`.zarray`) and 3 (`zarr.json`), into one
+//! structure.
 
 use super::codec::Codec;
 use crate::bytes::read_whole;
@@ -7,7 +8,7 @@ use crate::volume::ScalarType;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// What an array's metadata tell.
+/// What an array's metadata say.
 #[derive(Clone, Debug)]
 pub(super) struct Array {
     /// The array's folder.
@@ -28,9 +29,9 @@ pub(super) struct Array {
     pub(super) codecs: Vec<Codec>,
     /// One sample of what is not stored, little-endian.
     pub(super) fill: Vec<u8>,
-    /// Names of the axes, where the metadata tell them.
+    /// Names of the axes, where the metadata have them.
     pub(super) names: Option<Vec<String>>,
-    /// What users and conventions tell of it.
+    /// What users and conventions say about it.
     pub(super) attributes: Value,
     key: Key,
 }

@@ -1,14 +1,14 @@
-//! The errors of a chunk: its field against every sample of the source, while tetrahedra and values
-//! are at hand.
+//! Measures the errors of a chunk: its field is compared with every sample of the source while its
+//! tetrahedra and values are in memory.
 //!
 //! ```text
 //!  some blocks ─▶ the box of their tetrahedra ─▶ read its samples, of each step ─▶ scan conversion ─▶ sample and field
 //! ```
 //!
-//! The tetrahedra of a block lie together, so the box around a few that follow each other is small:
-//! it is read from the source, and the scan conversion ([`crate::raster`]) visits each sample of
-//! the domain in exactly one tetrahedron. Which samples lie in a tetrahedron, and with which
-//! weights, is found out once for all steps that are measured together.
+//! The tetrahedra of a block lie together, so the box around a few consecutive blocks is small. Its
+//! samples are read from the source. The scan conversion ([`crate::raster`]) visits each sample of
+//! the domain in exactly one tetrahedron. The samples in a tetrahedron and their weights are found
+//! once for all steps that are measured together.
 
 use super::step_errors::{Measured, Room};
 use super::step_lanes::StepLanes;
@@ -228,7 +228,7 @@ pub(in crate::pipeline) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3
     );
 }
 
-/// What is told of the errors of all samples of a volume, each once.
+/// The reported error of all samples of a volume, each counted once.
 pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) -> Result<FieldError> {
     let source = &archive.step().plan.source;
     let dims = source.dims;

@@ -1,12 +1,12 @@
-//! Values of a chunk's vertices that are fitted to samples ([`crate::fit`]), at several steps
-//! together: those in all tetrahedra at them.
+//! Fits the values of a chunk's vertices to samples ([`crate::fit`]), at several steps together: a
+//! vertex to the samples in all tetrahedra around it.
 //!
 //! ```text
 //!  tetrahedra ─▶ windows (of a mesh: bricks) ─▶ read the samples of each step ─▶ one scan ─▶ sums, steps side by side ─▶ values
 //! ```
 //!
-//! The samples of a mesh are its vertices: each lies in one tetrahedron of the reduction, and tells
-//! its corners where that is of the same body.
+//! The samples of a mesh are its vertices. Each lies in one tetrahedron of the reduction, and
+//! counts for its corners if the tetrahedron is of the same body.
 
 use super::field::Field;
 use super::mesh_field::CellField;
@@ -116,7 +116,7 @@ fn add_vertices<'a>(
             }
             let places = batch.iter().map(|v| v.pos).zip(0..);
             let points = PointLocator::new(bricks.brick(brick), bricks.lattice.max(), places);
-            // A body tells nothing of another one that it touches or overlaps.
+            // The samples of a body do not count for another one that it touches or overlaps.
             let counts_for = |tet: u32, v: u32| body_of(mesh.tets[tet as usize]) == batch[v as usize].body;
             fit.add_points(&points, &samples, touching, counts_for);
         })?;

@@ -1,5 +1,5 @@
-//! Which vertices of a chunk are sampled together, from the samples of one box: the same at all
-//! steps.
+//! Groups the vertices of a chunk that are sampled together, from the samples of one box. The
+//! groups are the same at all steps.
 //!
 //! ```text
 //!        ┌──────┬──────┬──────┐        bricks of a chunk that lie side by side along x: a row of them,
@@ -23,7 +23,7 @@ const MOST_SAMPLES: u64 = 1 << 16;
 /// The vertices of a chunk, those around last, in groups.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Groups {
-    /// Of each, the vertices of the core, and the end of its others among those.
+    /// For each group, the vertices of the core, and the end of its part of `others`.
     groups: Vec<(Range<usize>, usize)>,
     others: Vec<u32>,
 }
@@ -61,7 +61,7 @@ impl Groups {
         Self { groups, others: sorted.into_iter().map(|(_, v)| v).collect() }
     }
 
-    /// Of each group, the vertices listed by bricks and the others.
+    /// For each group, the vertices listed by bricks, and the others.
     pub(super) fn iter(&self) -> impl Iterator<Item = (Range<usize>, &[u32])> {
         let mut start = 0;
         self.groups
@@ -105,7 +105,7 @@ struct Near<'a> {
     /// The bricks of all rows.
     lo: [u64; 3],
     hi: [u64; 3],
-    /// Of each of them: the row.
+    /// The row of each of these bricks.
     of: Vec<Option<u32>>,
 }
 
@@ -134,8 +134,8 @@ impl<'a> Near<'a> {
         (z * dy + y) * dx + x
     }
 
-    /// The row that a position is sampled with; of one farther away than half a brick, a number of
-    /// its brick, which is larger.
+    /// The row that a position is sampled with. A position farther away than half a brick gets a
+    /// number of its brick, which is larger.
     fn group(&self, pos: LatticePos) -> u64 {
         let brick = self.bricks.brick_at(pos);
         let alone = self.rows.len() as u64 + self.bricks.id(brick).0;
@@ -164,7 +164,7 @@ mod tests {
     #[test]
     fn each_vertex_is_in_one_group() {
         let bricks = BrickGrid::new(Lattice { dims: [101; 3], log2_steps: [4; 3] }, [10; 3]);
-        // Three bricks along x, of which the middle one is empty, and one above the first.
+        // Three bricks along x, the middle one empty, and one above the first.
         let core: Vec<LatticePos> =
             [[20, 20, 20], [25, 29, 23], [40, 20, 20], [21, 35, 22]].map(scaled).into();
         // Near the first row, near the brick above, within half a brick of a corner, and farther.

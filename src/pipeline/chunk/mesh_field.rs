@@ -65,7 +65,7 @@ impl CellField<'_> {
         for (found, &pos) in found.iter().zip(positions) {
             let sample = self.boundary.at(pos);
             let place = match sample {
-                // Rounding puts a sample beside the boundary; where bodies overlap it belongs to
+                // Rounding puts a sample next to the boundary. Where bodies overlap, it belongs to
                 // the first of them.
                 Some(Sample::On(sample)) if sample.body < self.body(found)? => Some(*sample),
                 _ => None,
@@ -143,9 +143,9 @@ impl CellField<'_> {
         Ok(outside)
     }
 
-    /// The places that a body has if a tetrahedron is in it: the centroid; of a flat one on the rim
-    /// a place on either side, as it may be a part of a wall. `None` if one lies outside of the
-    /// box.
+    /// The places that a body has if a tetrahedron is in it: its centroid. For a flat one on the
+    /// rim, they are a place on either side, because it may be a part of a wall. `None` if one lies
+    /// outside of the box.
     fn places_in(&self, corners: [LatticePos; 4], on_rim: bool) -> Option<Vec<FinePos>> {
         // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
         let centroid: FinePos =
@@ -162,12 +162,12 @@ impl CellField<'_> {
     }
 }
 
-/// Rounding gives a flat wall no more thickness, in lattice steps.
+/// The most thickness that rounding gives a flat wall, in lattice steps.
 const ROUNDED: f64 = 4.0;
-/// A place beside a flat wall is so far from it, in lattice steps: more than rounding moves it.
+/// The distance of a place next to a flat wall, in lattice steps: more than rounding moves it.
 const BESIDE: f64 = 16.0;
 
-/// The unit normal of a tetrahedron that has no thickness but what rounding gave it.
+/// The unit normal of a tetrahedron whose only thickness comes from rounding.
 fn flat_normal(corners: [LatticePos; 4]) -> Option<[f64; 3]> {
     let [a, b, c, d] = corners;
     let edge = |p: LatticePos, q: LatticePos| -> [f64; 3] {
@@ -184,7 +184,7 @@ fn flat_normal(corners: [LatticePos; 4]) -> Option<[f64; 3]> {
     is_flat.then(|| largest.map(|c| c / length(largest)))
 }
 
-/// What values are made from, at hand.
+/// The data that values are made from, in memory.
 struct AtHand<'a> {
     interpolation: Interpolation,
     tets: &'a [[u64; 4]],

@@ -18,7 +18,7 @@ use crate::pipeline::read::MeshedChunk;
 use crate::points::PointSet;
 use std::collections::HashMap;
 
-/// What came of meshing a chunk.
+/// The result of meshing a chunk.
 pub(in crate::pipeline) enum Meshing {
     Done(MeshedChunk),
     /// A halo that is wide enough needs more memory than there is room for.
@@ -31,7 +31,7 @@ pub(in crate::pipeline) enum Meshing {
 #[derive(Default)]
 pub(in crate::pipeline) struct ChunkMesher {
     mesher: Mesher,
-    /// Those of the core, brick after brick, then those of the halo.
+    /// The sites of the core, brick after brick, then those of the halo.
     sites: Vec<Site>,
     one_box: Vec<Site>,
     late: Vec<Site>,
@@ -188,7 +188,7 @@ impl ChunkMesher {
         self.mesher.reuse(tets);
     }
 
-    /// Lists the sites of the core, and tells how many each brick has.
+    /// Lists the sites of the core, and returns how many each brick has.
     fn list_core(&mut self, recipe: &Recipe<'_>, chunk: &Chunk) -> Result<Vec<u32>> {
         self.sites.clear();
         let mut counts = vec![];
@@ -216,8 +216,8 @@ impl ChunkMesher {
     }
 }
 
-/// Lists the sites of a box by their ids: of equal positions the mesh keeps the first, which must
-/// be the one of the lowest id.
+/// Lists the sites of a box by their ids. If positions are equal, the mesh keeps the first, which
+/// must be the one with the lowest id.
 fn list_box(points: &PointSet, b: &LatticeBox, sites: &mut Vec<Site>) {
     points.candidates_in(b, sites);
     sites.sort_unstable_by_key(|s| s.id);

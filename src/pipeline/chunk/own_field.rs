@@ -17,7 +17,8 @@ use crate::pipeline::plan::estimate;
 use crate::pipeline::read::MeshedChunk;
 use std::collections::HashMap;
 
-/// Tetrahedra for a point of a meshed chunk: so many more need memory as more points do.
+/// Tetrahedra for a point of a meshed chunk: this many tetrahedra need as much memory as a further
+/// point.
 const TETS_A_POINT: u64 = 6;
 
 impl OwnMesh<'_> {

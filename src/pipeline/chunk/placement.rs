@@ -11,14 +11,14 @@ use crate::pipeline::read::MeshedChunk;
 /// Where the vertices of a chunk lie in the data: the same for all steps of a series.
 #[derive(Clone, Debug, Default)]
 pub(in crate::pipeline) struct Placement {
-    /// Of a tetrahedral mesh: where each vertex lies, those around the chunk last.
+    /// For a tetrahedral mesh: where each vertex lies, those around the chunk last.
     pub(in crate::pipeline) spots: Vec<Spot>,
     /// For each tetrahedron, those around the chunk last, whether it lies outside of the data;
     /// empty where none does.
     pub(in crate::pipeline) outside: Vec<bool>,
-    /// Of a volume: which vertices are sampled together.
+    /// For a volume: which vertices are sampled together.
     pub(super) groups: Groups,
-    /// Of a mesh that is kept as it is: which of its vertices each is.
+    /// For a mesh that is stored unchanged: which of its vertices each one is.
     pub(super) vertices: Vec<u64>,
 }
 

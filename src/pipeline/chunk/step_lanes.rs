@@ -101,8 +101,8 @@ fn push<const N: usize>(out: &mut [Vec<BlockRange>], ranges: [BlockRange; N]) {
 /// Values that are put side by side at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
-/// Puts columns side by side, of which there are no more than lanes. Lanes without a column have
-/// any number.
+/// Interleaves columns; there are at most as many as lanes. Lanes without a column hold arbitrary
+/// numbers.
 pub(super) fn put_side_by_side<const N: usize>(columns: &[&[f32]], rows: &mut [[f32; N]]) {
     let mut done = 0;
     #[cfg(target_arch = "x86_64")]

@@ -19,7 +19,7 @@ pub(super) enum Rows {
 /// The samples of a window at all steps. Lanes without a step have any number.
 pub(super) struct WindowSamples {
     sides: Vec<(Range<usize>, Rows)>,
-    /// Those of some slices, step after step.
+    /// The samples of some slices, step after step.
     slices: Vec<f32>,
 }
 

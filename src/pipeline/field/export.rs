@@ -32,7 +32,7 @@ pub struct ExportSettings {
     pub corners: Corners,
     /// Only tetrahedra whose bounding box touches this box.
     pub roi: Option<Roi>,
-    /// Of those, in the order of the file, only each n-th; 1 is all.
+    /// Only each n-th of these, in the order of the file; 1 is all.
     pub every: u64,
     /// Compresses the file's arrays (zlib).
     pub compress: bool,

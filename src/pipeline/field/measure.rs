@@ -1,9 +1,9 @@
-//! `measure`: the reduced field against every sample of its source.
+//! `measure`: compares the reduced field with every sample of its source.
 //!
 //! Chunk after chunk is decoded and measured as `reduce` does it while it makes one
-//! ([`errors`](crate::pipeline::chunk::errors)). All sums are integers ([`crate::measure`]), so
-//! neither threads nor chunks show, and the figures are those that `reduce` has stored. The
-//! vertices of a mesh are located as `probe` locates points, in batches.
+//! ([`errors`](crate::pipeline::chunk::errors)). All sums are integers ([`crate::measure`]), so the
+//! results do not depend on threads or chunks, and are those that `reduce` has stored. The vertices
+//! of a mesh are located as `probe` locates points, in batches.
 //!
 //! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some
 //! chunks; with a map of bricks, a record for each brick of a chunk, sorted on disk where memory
@@ -37,7 +37,7 @@ use std::time::Instant;
 /// How a field is measured.
 #[derive(Clone, Debug, Default)]
 pub struct MeasureSettings {
-    /// Of a series: the number of the step; the first one if not given.
+    /// The number of the step in a series; the first one if not given.
     pub step: Option<u64>,
     /// A VTI file for the errors of each brick.
     pub map: Option<PathBuf>,
@@ -46,8 +46,8 @@ pub struct MeasureSettings {
 }
 
 impl MeasureSettings {
-    /// Those of a reduction's run, with as many threads as chunks were at work: for so many the
-    /// memory suffices.
+    /// The settings of a reduction's run, with as many threads as chunks were at work, because the
+    /// memory suffices for these.
     pub(in crate::pipeline) fn of_run(run: &RunSettings, workers: usize) -> Self {
         Self { resources: run.resources.clone().with_threads(workers), step: None, map: None }
     }
@@ -66,7 +66,7 @@ pub struct MeasureReport {
     pub error: FieldError,
     /// Least and largest value of the archive.
     pub range: Option<[f64; 2]>,
-    /// Whether the input is the one that the archive was made from, as its fingerprint tells.
+    /// Whether the input has the fingerprint of the one that the archive was made from.
     pub same_source: bool,
     /// Bricks of the map along each axis, if one was written.
     pub map_bricks: Option<[u64; 3]>,
@@ -185,7 +185,7 @@ fn against(
     }
 }
 
-/// Opens the input; where nobody names a field of a file, the archive does.
+/// Opens the input. Where no field of a file is named, the one that the archive names is read.
 fn open_field(archive: &StepView, source: &StepSource) -> Result<Input> {
     let (input, options) = (&source.path, &source.options);
     if source.is_given() || options.field.is_some() {
@@ -375,14 +375,14 @@ struct AgainstSamples<'a> {
     mapped: bool,
 }
 
-/// What a chunk tells.
+/// What a chunk contributes.
 #[derive(Default)]
 struct Part {
     sums: ErrorSums,
     bricks: BTreeMap<u64, BrickErrors>,
 }
 
-/// Bytes of a job, beside its chunk: samples, sums, bricks.
+/// Bytes of a job in addition to its chunk: samples, sums, bricks.
 const EXTRA: u64 = estimate::error_bytes(1) + (1 << 19);
 
 impl AgainstSamples<'_> {
@@ -446,8 +446,8 @@ impl AgainstSamples<'_> {
     }
 }
 
-/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, its
-/// value, and the nearest place.
+/// Bytes for a vertex of a batch: its place, three times while it is sorted and located, its value,
+/// and the nearest place.
 pub(in crate::pipeline) const VERTEX: u64 = 300;
 /// Bytes for the value of each further step.
 const FURTHER: u64 = 16;

@@ -1,5 +1,5 @@
-//! Questions about the field itself: at the samples of a grid, at points, as a mesh, against its
-//! source.
+//! Questions about the field itself: its values on a grid or at points, its mesh, its error against
+//! the source.
 
 mod error_map;
 mod export;

@@ -1,10 +1,10 @@
-//! Points that lie in no tetrahedron: the place of the reduced domain that is nearest to each.
+//! Finds the nearest place of the reduced domain for points that lie in no tetrahedron.
 //!
-//! Such a place lies on a face that only one tetrahedron has. The faces that only one tetrahedron
-//! of a chunk has are those, and faces between chunks, which are never nearer. So each chunk looks
-//! at its own ones, and the nearest of all chunks counts; of equally near ones the first by the
-//! positions of its corners. Corners are taken in the order of their positions: the answer depends
-//! on neither chunks nor threads.
+//! Such a place lies on a face that only one tetrahedron has. In a chunk, the faces of only one
+//! tetrahedron are these and the faces between chunks, which are never nearer. So each chunk
+//! searches its own faces, and the nearest place of all chunks counts. If several are equally near,
+//! the first by the positions of its corners counts. Corners are taken in the order of their
+//! positions, so the answer depends on neither chunks nor threads.
 
 use crate::domain::nearest::nearest;
 use crate::geom::{Lattice, LatticePos};
@@ -28,7 +28,7 @@ impl NearPlace {
         (self.distance2, self.corners) < (other.distance2, other.corners)
     }
 
-    /// Whether the place is within so many lattice steps of its point.
+    /// Whether the place is within `steps` lattice steps of its point.
     pub(super) fn is_within(&self, steps: u32) -> bool {
         let most = f64::from(steps) * f64::from(1u32 << FINE_BITS);
         self.distance2 <= most * most

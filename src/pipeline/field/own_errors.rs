@@ -1,9 +1,9 @@
-//! The errors of an archive that has a mesh's own vertices: each vertex against the point that it
-//! is.
+//! The errors of an archive that has a mesh's own vertices: each vertex is compared with its point
+//! of the archive.
 //!
-//! No vertex is looked for in space: which point it is follows from the mesh as it did when the
-//! archive was made. So the error is what values lost when they were rounded, and nothing else.
-//! Vertices without a tetrahedron are no points, and are counted as missing.
+//! Vertices need not be located: their points follow from the mesh, as they did when the archive
+//! was made. So the error is the rounding of values, and nothing else. Vertices without a
+//! tetrahedron have no point, and are counted as missing.
 //!
 //! Cost: reading the values of all steps once. Memory: the list of points, twice, and a value for
 //! each point and step.
@@ -21,7 +21,7 @@ use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{ChunkReader, ReaderMemory, StepView};
 use std::collections::BTreeMap;
 
-/// Vertices of which the errors of bricks are handed on together.
+/// Vertices whose errors in bricks are handed on together.
 const BATCH: usize = 1 << 16;
 
 /// The errors of steps, by their positions in the manifest, whose values at the vertices are given;

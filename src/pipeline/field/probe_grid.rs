@@ -6,12 +6,12 @@
 //! ```
 //!
 //! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once,
-//! by whichever chunk has that tetrahedron, and chunks need not wait for each other. Memory: some
+//! by the chunk with that tetrahedron, and chunks need not wait for each other. Memory: some
 //! chunks, and a window for each.
 //!
-//! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. A bit a sample
-//! tells which are taken; where two chunks have one, all is done again on one thread, chunk by
-//! chunk.
+//! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. One bit for
+//! each sample says whether it is taken. Where two chunks have the same sample, all is done again
+//! on one thread, chunk by chunk.
 
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, Silent};
@@ -39,9 +39,9 @@ pub struct ProbeSettings {
 pub struct ProbeReport {
     /// Samples or points asked for.
     pub samples: u64,
-    /// Of those, without value because a corner of their tetrahedron has none: NaN.
+    /// Those without a value, because a corner of their tetrahedron has none: NaN.
     pub void: u64,
-    /// Of those, outside the domain: NaN.
+    /// Those outside the domain: NaN.
     pub outside: u64,
     /// Chunks read, each as often as it was.
     pub chunks_read: u64,
@@ -141,7 +141,7 @@ struct TakenSamples {
     counted: Mutex<Counted>,
 }
 
-/// Bytes for bits of so many samples.
+/// Bytes for the bits of `samples` samples.
 fn taken_bytes(samples: u64) -> u64 {
     8 * samples.div_ceil(64)
 }
@@ -152,7 +152,7 @@ impl TakenSamples {
         Self { bits, twice: AtomicBool::new(false), counted: Mutex::default() }
     }
 
-    /// Takes the samples of a run that nobody has, and hands them on.
+    /// Takes the samples of a run that are still free, and hands them on.
     fn take(&self, first: u64, run: &[f32], write: impl Fn(u64, &[f32]) -> Result<()>) -> Result<()> {
         let is_free = |n: usize| {
             let (word, bit) = ((first + n as u64) / 64, 1 << ((first + n as u64) % 64));
@@ -188,7 +188,8 @@ impl<'a> GridScan<'a> {
         let visit = Visit::new(archive, Blocks::All, &settings.resources, share)?;
         visit.check_memory(4 * WINDOW)?;
         let plan = &archive.manifest.plan;
-        // The tetrahedra of a mesh may overlap: their volume tells nothing.
+        // The tetrahedra of a mesh may overlap, so their volume does not show whether there are
+        // gaps.
         let has_gaps = may_overlap || visit.volume6()? != plan.lattice.volume6();
         Ok(Self { visit, grid, has_gaps, may_overlap })
     }
@@ -235,7 +236,8 @@ impl<'a> GridScan<'a> {
         Ok(total)
     }
 
-    /// As [`GridScan::scan`], but each sample once. Tells also whether two chunks had one.
+    /// As [`GridScan::scan`], but each sample once. Also returns whether two chunks had the same
+    /// one.
     fn scan_taking(
         &self,
         samples: u64,

@@ -1,15 +1,15 @@
-//! `probe` at points: each is located exactly, in the chunk that has its tetrahedron.
+//! `probe` at points: each point is located exactly, in the chunk that has its tetrahedron.
 //!
 //! The points of a batch are sorted by brick. A chunk's tetrahedra lie in its region, core and
-//! halo, so the points that it may hold are a few runs of that list; the chunk's tetrahedra then
-//! look up the points in their boxes ([`PointLocator`]), which is scan conversion with points for
+//! halo, so the points that it may hold are a few runs of that list. Each tetrahedron then looks up
+//! the points in its box ([`PointLocator`]), as in scan conversion, with points in place of
 //! samples. Chunks without a point near them are not read. A list that does not fit in memory is
-//! taken in batches, each of which reads the archive again where it has points.
+//! processed in batches. Each batch reads the archive again where it has points.
 //!
-//! Surfaces are written in `f32`, so a vertex on the boundary lies a rounding outside as often as
-//! inside. So a point in no tetrahedron takes the value of the nearest place of one
-//! ([`super::nearest`]) when that is as near as such a rounding: chunks around it are read once
-//! more.
+//! Surfaces are written in `f32`, and rounding moves a vertex on the boundary outside as often as
+//! inside. So a point outside of all tetrahedra takes the value at the nearest place of one
+//! ([`super::nearest`]), if that is within such a rounding. For this, the chunks around the point
+//! are read once more.
 
 use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
@@ -82,7 +82,7 @@ fn lattice_position(
     Some(pos)
 }
 
-/// Distances from an edge's middle, in voxels, at which data are looked for: an edge may be as
+/// Distances from an edge's middle, in voxels, at which data are searched for: an edge may be as
 /// short as the least of them, or lie in a thin tetrahedron.
 const AROUND: [f64; 4] = [0.2, 0.05, 0.01, 0.002];
 
@@ -271,7 +271,7 @@ pub(in crate::pipeline) fn values_at(
     Ok(Probed { values, outside: points.len() as u64 - found, chunks_read })
 }
 
-/// How points are looked for.
+/// How points are located.
 pub(in crate::pipeline) struct Find<'a> {
     pub(in crate::pipeline) resources: &'a Resources,
     /// The part of the memory that is for chunks.
@@ -283,14 +283,15 @@ pub(in crate::pipeline) struct Find<'a> {
 /// Points that lie in no tetrahedron.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::pipeline) enum Outside {
-    /// Those within so many lattice steps of one have a value.
+    /// Those within this many lattice steps of one have a value.
     Within(u32),
     /// All have one.
     All,
 }
 
 /// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside
-/// of all as [`Find`] tells, NaN in one with a void corner. Returns the number of chunks read.
+/// of all as [`Find`] says. The value is NaN in a tetrahedron with a void corner. Returns the
+/// number of chunks read.
 pub(in crate::pipeline) fn each_value(
     archive: &StepView,
     points: impl Iterator<Item = (LatticePos, u32)>,
@@ -303,8 +304,8 @@ pub(in crate::pipeline) fn each_value(
     find_each(archive, points, find, progress, stage, 0, values, |n, values, _| each(n, values[0]))
 }
 
-/// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for
-/// once. `each` is also told whether the point is in a tetrahedron.
+/// As [`each_value`], at steps given by ascending positions in the manifest: each point is located
+/// once. `each` also gets whether the point is in a tetrahedron.
 pub(super) fn each_value_of(
     archive: &StepView,
     steps: &[usize],
@@ -320,7 +321,7 @@ pub(super) fn each_value_of(
 }
 
 /// Calls `each` with the values at every point that lies in a tetrahedron: one for each list of
-/// values at a chunk's vertices. There are `further` lists beside the first.
+/// values at a chunk's vertices. There are `further` lists after the first.
 #[expect(clippy::too_many_arguments, reason = "two questions, and nothing else, are asked in this way")]
 fn find_each(
     archive: &StepView,
@@ -383,7 +384,7 @@ fn find_each(
             Ok(())
         })?;
         chunks_read += visit.chunks.len() as u64;
-        // What is farther than the reach along some axis was not looked at.
+        // Places farther than the reach along some axis were not searched.
         places.retain(|_, place| place.is_within(reach));
         places.iter().for_each(|(&n, place)| each(n, &place.values, false));
         if find.outside != Outside::All || reach >= whole.saturating_mul(2) {

@@ -8,8 +8,8 @@ use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{ErrorSums, FieldError, LevelError, Worst};
 use crate::pipeline::read::StepView;
 
-/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each
-/// level, where its points have levels.
+/// The errors of a step: that of the field and, for a mesh whose points have levels, those at the
+/// vertices in the cells of each level.
 pub(in crate::pipeline) type StepErrors = (FieldError, Vec<LevelError>);
 
 /// The error of a mesh of the archive's size whose vertices are others.
@@ -25,8 +25,8 @@ pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
     p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }
 
-/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their
-/// values, and vertices outside.
+/// The errors at the vertices, as they are reported. Steps are given by positions in the manifest;
+/// `columns` has their values, `beyond` their numbers of vertices outside.
 pub(super) fn reported_errors(
     archive: &StepView,
     store: &CellStore,

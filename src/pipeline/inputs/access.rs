@@ -1,15 +1,16 @@
-//! Access in any order to the samples of a source: where they lie, through a cache of decoded
-//! chunks, or from a copy in bricks.
+//! Access in any order to the samples of a source: in place, through a cache of decoded chunks, or
+//! from a copy in bricks.
 //!
-//! Whether a cache will do follows from sizes alone. Boxes of samples are read in rows along x,
-//! rows in layers along z: the chunks of an archive, or blocks. So a chunk of the source is decoded
-//! once where all that meet a layer are cached, and about twice where those that meet a row are:
+//! Sizes alone decide whether a cache suffices. Boxes of samples, those of the archive's chunks or
+//! of blocks, are read in rows along x, and rows in layers along z. So a chunk of the source is
+//! decoded once if all chunks that meet a layer are cached, and about twice if those that meet a
+//! row are. The cache holds:
 //!
-//! * those of two layers, where they take at most a quarter of the memory: some threads are at work
-//!   on the next layer already;
-//! * else those of a layer, or of two rows, or of a row; of rows where these decode a chunk 2.5
-//!   times at most;
-//! * without any, the source is copied into bricks, as a stream is.
+//! * the chunks of two layers, if they take at most a quarter of the memory, because some threads
+//!   work on the next layer already;
+//! * else those of a layer, or of two rows, or of a row; rows only if they decode a chunk 2.5 times
+//!   at most;
+//! * if none of these fit, the source is copied into bricks, as a stream is.
 
 use super::bricked_copy::{Scratch, copied};
 use crate::error::Result;
@@ -64,8 +65,8 @@ pub(in crate::pipeline) fn boxes_of_chunks<'a>(
     })
 }
 
-/// Useful sizes of a cache, from the largest to the least: of the chunks that meet two layers of
-/// boxes, a layer, two rows, a row. None of rows that would decode chunks too often.
+/// Useful sizes of a cache, from the largest to the least: for the chunks that meet two layers of
+/// boxes, a layer, two rows, a row. Rows have no size where they would decode chunks too often.
 pub(in crate::pipeline) fn cache_sizes(
     shape: &ChunkShape,
     boxes: impl Iterator<Item = ReadBox>,
@@ -175,7 +176,7 @@ mod tests {
         VolumeSource::Chunked(Arc::new(Made(info_of("made", [512; 3], ScalarType::U16))))
     }
 
-    /// Boxes of so many samples along each axis, and 4 more on each side.
+    /// Boxes of `edge` samples along each axis, and 4 more on each side.
     fn boxes(edge: u64) -> impl Iterator<Item = ReadBox> {
         let places = move || (0..512).step_by(edge as usize);
         let all = places().flat_map(move |z| places().flat_map(move |y| places().map(move |x| [x, y, z])));

@@ -1,9 +1,9 @@
-//! How a volume bends along its axes, found in blocks of samples while it is read once, in whatever
-//! pieces.
+//! How a volume bends along its axes, found in blocks of samples while it is read once, in pieces
+//! of any kind.
 //!
-//! Blocks lie evenly in the volume, at most 216 of 33³ samples, so that time and memory have a
-//! bound. Their sums are added in their order: the same for any pieces. Memory: blocks that are
-//! begun and not complete, 5 MiB where slices come one after the other.
+//! Blocks are spread evenly over the volume, at most 216 of 33³ samples, so that time and memory
+//! have a bound. Their sums are added in their order, so the result is the same for any pieces.
+//! Memory: the blocks that are not complete yet, 5 MiB where slices come one after the other.
 
 use crate::density::Bend;
 use crate::grid::IndexBox;
@@ -19,7 +19,7 @@ pub(super) struct BendBlocks {
     blocks: Vec<Block>,
     /// Positions among the blocks, by the first slice that they need.
     waiting: BTreeMap<u64, Vec<usize>>,
-    /// Of those that are begun.
+    /// Positions of the blocks that are begun.
     open: Vec<usize>,
     missing: Option<f32>,
 }
@@ -32,7 +32,7 @@ struct Block {
 }
 
 impl BendBlocks {
-    /// Of a volume in which a value means "no data".
+    /// The blocks of a volume; the value `missing` means "no data".
     pub(super) fn new(dims: [u64; 3], missing: Option<f32>) -> Self {
         let starts = dims.map(|n| {
             let edge = EDGE.min(n);

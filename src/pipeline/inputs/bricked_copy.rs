@@ -1,4 +1,4 @@
-//! Copies of volumes in bricks: made on request, and of inputs that have no random access.
+//! Copies volumes into bricks: on request, and where an input has no random access.
 
 use crate::archive::publish;
 use crate::error::Result;
@@ -69,7 +69,7 @@ fn brick_with(
     })
 }
 
-/// A stream that ends with [`Error::Cancelled`] when somebody asks to stop.
+/// A stream that ends with [`Error::Cancelled`] when the run is cancelled.
 struct Stoppable {
     stream: Box<dyn SlabStream>,
     cancel: CancelToken,
@@ -128,7 +128,7 @@ pub(super) fn copied(
     let scratch = Scratch::new(&folder);
     brick_with(BrickedVolume::build_scratch, source, &scratch.0, rest / 2, &run.resources.cancel, progress)?;
     let reader = BrickedVolume::open(&scratch.0)?;
-    // An open file without a name is gone with the process, however that ends.
+    // An open file without a name is gone when the process ends in any way.
     #[cfg(unix)]
     scratch.remove();
     Ok((Box::new(reader), Some(scratch)))

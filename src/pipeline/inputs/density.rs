@@ -31,7 +31,7 @@ pub(in crate::pipeline) struct Errors<'a> {
 struct Found {
     errors: BlockErrors,
     bend: Bend,
-    /// Of its samples.
+    /// The range of its samples.
     range: Option<[f32; 2]>,
 }
 
@@ -40,7 +40,7 @@ fn needed(lattice: Lattice) -> u64 {
     estimate::BASE + ErrorCurves::bytes_for(lattice) + BLOCKS_AT_ONCE * BLOCK_BYTES
 }
 
-/// Most blocks that are looked at for how many chunks of a source meet one.
+/// The most blocks that are checked to find how many chunks of a source meet one.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
 /// The samples of all blocks, or of some that stand for all.
@@ -119,14 +119,14 @@ impl<'a> Errors<'a> {
         Ok(pool(self.run.resources.worker_threads())?.install(|| Choice::count_of_rms(&self.curves, rms)))
     }
 
-    /// Levels at which errors are about this everywhere, with at most so many points.
+    /// Levels at which errors are about `bound` everywhere, with at most `most` points.
     pub(in crate::pipeline) fn choice_of_bound(&self, bound: f64, most: u64) -> Result<Choice> {
         let choice = pool(self.run.resources.worker_threads())?
             .install(|| Choice::of_bound(&self.curves, bound, most))?;
         Ok(choice.stretched(&self.bend))
     }
 
-    /// The levels of so many points.
+    /// The levels of `count` points.
     pub(in crate::pipeline) fn choice(&self, count: u64) -> Result<Choice> {
         let choice =
             pool(self.run.resources.worker_threads())?.install(|| Choice::of_count(&self.curves, count))?;

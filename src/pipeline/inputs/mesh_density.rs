@@ -4,14 +4,14 @@
 //! samples of its lattice, which lie about as far apart as vertices do. Two things differ from a
 //! volume:
 //!
-//! * **What counts.** The error of a mesh is measured at its vertices, and who made it has put
-//!   those where something happens. So half of what a cell counts is its part of the vertices; the
-//!   other half is its part of the volume, for surfaces pass between vertices too.
-//! * **Where it ends.** Cells with samples inside and outside have the mean density at least. Those
-//!   outside cost nothing and want nothing: they have no more points than grading gives them. The
-//!   number of points is that of points inside.
+//! * **Weights.** The error of a mesh is measured at its vertices, and its author has placed them
+//!   where something happens. So half of a cell's weight is its share of the vertices. The other
+//!   half is its share of the volume, because surfaces pass between vertices too.
+//! * **Boundary.** Cells with samples inside and outside have at least the mean density. Cells
+//!   outside have no weight: they have no more points than grading gives them. The number of points
+//!   is that of points inside.
 //!
-//! Of a series, the values of the first step decide.
+//! In a series, the values of the first step decide.
 
 use crate::density::{BlockErrors, Choice, ErrorCurves};
 use crate::domain::boundary::rounded;
@@ -41,7 +41,7 @@ pub(in crate::pipeline) struct MeshChoice {
 /// The errors of simple reductions of a mesh, from which levels are chosen.
 pub(in crate::pipeline) struct MeshCurves {
     curves: ErrorCurves,
-    /// Of the values at vertices.
+    /// The range of the values at vertices.
     range: [f32; 2],
     vertices: u64,
     threads: usize,

@@ -1,8 +1,7 @@
-//! What is found out about inputs before a plan is made: their range, their offset, where they
-//! bend.
+//! Examines inputs before a plan is made: their range, their offset, where they bend.
 //!
 //! Each pass reads a source from front to back, or a bounded part of it. Where samples are needed
-//! in any order, [`access`] says how they are had.
+//! in any order, [`access`] says how they are read.
 
 mod access;
 mod bend;

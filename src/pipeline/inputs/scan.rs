@@ -10,7 +10,7 @@ use crate::volume::strided::convert_row;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
 
-/// What one pass over the samples tells. Values have slope and intercept applied.
+/// What one pass over the samples finds. Values have slope and intercept applied.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Scan {
@@ -192,7 +192,7 @@ pub(in crate::pipeline) struct Spread {
     bends: BendBlocks,
 }
 
-/// One of so many samples may lie below the range of nearly all, and one above.
+/// One of this many samples may lie below the range of nearly all, and one above.
 const OUTLIERS: u64 = 1000;
 
 impl Spread {
@@ -241,7 +241,7 @@ impl Spread {
     }
 }
 
-/// The first key with more than so many samples up to it.
+/// The first key with more than `outside` samples up to it.
 fn first_within<'a>(mut counts: impl Iterator<Item = (u32, &'a u64)>, outside: u64) -> Option<u32> {
     let mut passed = 0;
     let found = counts.find(|(_, n)| {
@@ -323,7 +323,7 @@ mod tests {
         };
         assert_eq!(nearly_all(&[f32::NAN, -9.0, f32::INFINITY]), (None, None));
         assert_eq!(nearly_all(&[-0.0]).1.map(|r| r.map(f32::to_bits)), Some([0, 0]));
-        // Of fewer than a thousand samples each one counts.
+        // Among fewer than a thousand samples each one counts.
         let mut values = vec![1.0; 998];
         values.push(1e30);
         assert_eq!(nearly_all(&values), (Some([1.0, 1e30]), Some([1.0, 1e30])));

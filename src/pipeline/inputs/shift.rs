@@ -1,8 +1,8 @@
-//! What is subtracted from the values of a source before they become `f32`, and what they lose
-//! then: see [`crate::volume::shifted`].
+//! The offset that is subtracted from the values of a source before they become `f32`, and their
+//! rounding then: see [`crate::volume::shifted`].
 //!
 //! The first step of an archive decides the offset; all steps have it. Sources whose type is exact
-//! in `f32` are not looked at; others are read once for it, or twice where values are lost.
+//! in `f32` are not read for this; others are read once, or twice where values lose digits.
 
 use crate::archive::manifest::StepPlan;
 use crate::cells::CellMesh;
@@ -28,7 +28,7 @@ impl Shift {
         Self { offset: step.source.offset, rounding: step.source.rounding }
     }
 
-    /// That of a volume; `offset` is the one that the archive has already.
+    /// The shift of a volume; `offset` is the one that the archive has already.
     ///
     /// # Errors
     /// Those of reading it; [`Error::BadInput`] for values that `f32` does not hold.
@@ -56,7 +56,7 @@ impl Shift {
         Self::chosen(&path, is_whole(field.scalar, slope, intercept), offset, look)
     }
 
-    /// That of a field of a mesh.
+    /// The shift of a field of a mesh.
     ///
     /// # Errors
     /// As [`Shift::of_volume`].

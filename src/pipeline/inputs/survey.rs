@@ -1,10 +1,10 @@
 //! A bounded look at the samples before work begins: fill values, a constant field, outliers that
 //! stretch the range, labels.
 //!
-//! At most [`BUDGET`] samples are read. Of a volume with random access they are pieces of rows
-//! spread evenly over it (all of a small volume); of a stream, which has no random access, they
-//! come from its beginning, unless it is read to the end anyway. Which samples these are depends on
-//! the volume's size alone, so the same input always gives the same findings.
+//! At most [`BUDGET`] samples are read. In a volume with random access they are pieces of rows
+//! spread evenly over it (all of a small volume). In a stream they come from its beginning, unless
+//! it is read to the end anyway. The choice depends on the volume's size alone, so the same input
+//! always gives the same findings.
 
 use crate::cells::{CellField, CellMesh, Center};
 use crate::error::Result;
@@ -20,8 +20,8 @@ const PIECES: u64 = 64;
 const STREAM_SAMPLES: u64 = 1 << 23;
 /// The least part of the samples that a fill value has.
 const FILL_SHARE: f64 = 0.001;
-/// The most values of labels, and the number up to which a field of whole numbers is one of labels
-/// whatever its neighbours are.
+/// The most values of a field of labels; and the number of values up to which a field of whole
+/// numbers is one of labels for any neighbours.
 const MOST_LABELS: usize = 256;
 const FEW: usize = 5;
 
@@ -70,7 +70,7 @@ pub(in crate::pipeline) enum Seen {
     All,
     /// Some, spread over the volume.
     Spread,
-    /// The first so many.
+    /// This many samples from the beginning.
     First(u64),
 }
 
@@ -97,7 +97,7 @@ pub(in crate::pipeline) struct Stretch {
     pub(in crate::pipeline) others: [f64; 2],
 }
 
-/// What the samples tell.
+/// What the samples show.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::pipeline) struct Found {
     pub(in crate::pipeline) fills: Vec<Fill>,
@@ -145,11 +145,11 @@ impl Survey {
                 self.pairs[if jump == 0.0 { 0 } else { 2 - usize::from(jump > 1.0) }] += 1;
             }
         }
-        // Of two zeros of different sign only one is kept.
+        // Only one of two zeros of different sign is kept.
         self.values.extend(row.iter().filter(|v| v.is_finite()).map(|v| v + 0.0));
     }
 
-    /// What the samples tell, where `missing` has no data.
+    /// What the samples show, where the value `missing` means no data.
     pub(in crate::pipeline) fn found(self, missing: Option<f64>) -> Found {
         let is_single = self.is_single;
         // The shortest numbers that mean the same samples, as they are typed.
@@ -182,7 +182,7 @@ impl Survey {
             rest = others;
         }
         found.fills.iter_mut().for_each(|fill| fill.others = ends(rest));
-        // The first samples of a stream tell nothing about those that follow.
+        // The first samples of a stream say nothing about those that follow.
         if rest.is_empty() || matches!(self.seen, Seen::First(_)) {
             return found;
         }
@@ -283,7 +283,7 @@ fn stretch(runs: &[Run]) -> Option<Stretch> {
     })
 }
 
-/// The boxes that are looked at, of a volume of these dimensions: each is a piece of a row, of a
+/// The boxes that are read in a volume of these dimensions: each is a piece of a row, a piece of a
 /// slice, or whole slices.
 fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     let [x, y, z] = dims;
@@ -316,8 +316,8 @@ fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     out
 }
 
-/// How values are made of stored samples. They are `f64` here: `f32` does not tell all samples of
-/// wide types apart.
+/// How values are made from stored samples. They are `f64` here, because `f32` cannot distinguish
+/// all samples of wide types.
 #[derive(Clone, Copy, Debug)]
 struct Stored {
     scalar: ScalarType,
@@ -367,8 +367,8 @@ fn seen(dims: [u64; 3], budget: u64) -> Seen {
     if total <= budget { Seen::All } else { Seen::Spread }
 }
 
-/// Looks at at most so many samples of a volume, at most [`BUDGET`]; a stream is decoded as far as
-/// that takes.
+/// Surveys at most `budget` samples of a volume, and at most [`BUDGET`]; a stream is decoded only
+/// as far as needed.
 ///
 /// # Errors
 /// Those of reading them.
@@ -507,8 +507,8 @@ impl SlabStream for Seeing {
     }
 }
 
-/// Looks at the first values of a mesh's field, as they are stored: averages of cell data would
-/// blur what is looked for.
+/// Surveys the first values of a mesh's field, as they are stored: averages of cell data would hide
+/// what is searched for.
 ///
 /// # Errors
 /// Those of [`CellMesh::field`]; when the file cannot be read.
@@ -523,7 +523,7 @@ pub(in crate::pipeline) fn survey_mesh(mesh: &CellMesh) -> Result<Survey> {
                 survey.add(&block);
             }
         }
-        // A component or a magnitude of cell data is not stored by itself, and averaging needs all
+        // A component or a magnitude of cell data is not stored separately, and averaging needs all
         // cells.
         None if field.center == Center::Cell => {}
         None => {
@@ -611,7 +611,7 @@ mod tests {
         let both = with(with(waves(0.0, 1.0), 2, 1e20), 3, -9999.0);
         assert_eq!(found(&both).fills.iter().map(|f| f.value).collect::<Vec<_>>(), [1e20, -9999.0]);
         assert!(found(&both).fills.iter().all(|f| f.others[1] <= 1.0));
-        // Samples that f32 does not tell apart are no constant.
+        // Samples that are equal only as f32 are no constant.
         assert_eq!(found(&waves(101_325_000.0, 101_325_003.0)), Found::default());
         // A value that is declared to be missing already.
         let mut survey = Survey::new(Seen::All, true, false);
@@ -658,8 +658,8 @@ mod tests {
         assert_eq!(found(&[source]), Found::default());
     }
 
-    /// A stream that is read to its end shows the samples that random access has; of one that is
-    /// not, the first ones are known.
+    /// A stream that is read to its end shows the samples that random access has. Of any other
+    /// stream, only the first samples are known.
     #[test]
     fn streams_show_the_same_samples() {
         let dir = tempfile::tempdir().unwrap();

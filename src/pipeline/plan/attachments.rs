@@ -19,12 +19,12 @@ use std::sync::Arc;
 pub(in crate::pipeline) struct Attachments {
     pub(in crate::pipeline) explicit: Option<Arc<ExplicitPoints>>,
     pub(in crate::pipeline) levels: Option<Arc<Levels>>,
-    /// Of a mesh that is being reduced; not read with the others.
+    /// The duplicate vertices of a mesh that is being reduced; not read with the others.
     pub(in crate::pipeline) repeated: Option<Arc<Firsts>>,
 }
 
 impl Attachments {
-    /// Those of an archive, if it has some.
+    /// The attachments of an archive, if it has some.
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] when they are damaged or others; [`crate::Error::Io`] when they
@@ -42,7 +42,7 @@ impl Attachments {
         Ok(Self { explicit, levels, repeated: None })
     }
 
-    /// Which of so many vertices of its source an archive takes for one.
+    /// The vertices of its source that an archive merges.
     ///
     /// # Errors
     /// As [`Attachments::read`]; when the scratch folder cannot be written.
@@ -79,7 +79,7 @@ impl Attachments {
         explicit.into_iter().chain(levels).chain(repeated).collect()
     }
 
-    /// Those of them that are not there.
+    /// The files that are missing.
     pub(in crate::pipeline) fn missing(archive: &Path, plan: &MeshPlan) -> Vec<PathBuf> {
         Self::files(archive, plan).into_iter().filter(|p| !p.exists()).collect()
     }

@@ -1,5 +1,5 @@
-//! What a run needs, known before it starts: memory, disk, time. And how the memory that it gets is
-//! shared out.
+//! Estimates what a run needs before it starts: memory, disk, time. Also says how the memory that
+//! it gets is shared out.
 //!
 //! Only these grow with the input, and each has its part of the budget:
 //!
@@ -15,10 +15,10 @@
 //! ```
 //!
 //! The room of a chunk follows from the number of points of its region (core and halo), which the
-//! point set tells without listing them. If the budget does not hold as many chunks as there are
+//! point set counts without listing them. If the budget does not hold as many chunks as there are
 //! threads, fewer run. A chunk whose halo must be widened beyond its room waits until it is alone
-//! and has all of them (`reduce::encode`). The index is built in what memory there is; what does
-//! not fit is sorted in the scratch folder.
+//! and has all of them (`reduce::encode`). The index is built in the memory that there is; what
+//! does not fit is sorted in the scratch folder.
 
 use super::finding::Notice;
 use super::{BLOCK_TETS, MeshParts, Plan};
@@ -34,8 +34,7 @@ use crate::raster::BatchScan;
 use serde::Serialize;
 use std::path::Path;
 
-/// What the process needs whatever it works on: code and tables, stacks, buffers of readers and
-/// writers.
+/// What the process needs for any work: code and tables, stacks, buffers of readers and writers.
 pub(in crate::pipeline) const BASE: u64 = 16 << 20;
 /// Working memory of a chunk for a point of its region, measured (all point sets, chunks of 30 000
 /// to 500 000 points, one and two workers took at most 550 in all, what waits to be written
@@ -52,7 +51,7 @@ const SIDE_PER_POINT: u64 = 104;
 const FITTED_PER_POINT: u64 = 4;
 const SUMS_PER_POINT: u64 = 168;
 const WEIGHTS_PER_POINT: u64 = 64;
-/// And whatever the number of points: the samples around a brick, the encoder's tables.
+/// And for any number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6
 /// tetrahedra.
@@ -80,7 +79,7 @@ const FURTHER_PASS: f64 = 0.35;
 const FURTHER_FITTED_PASS: f64 = 0.8;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;
-/// Chunks looked at to find the largest.
+/// The most chunks that are checked to find the largest.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
 /// Halo width in quarters of the mean point spacing. All points within the first are inserted at
@@ -100,7 +99,7 @@ pub(in crate::pipeline) const MOST_STEPS_AT_ONCE: u64 = 32;
 pub(in crate::pipeline) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
 const FEW_POINTS: u64 = 1 << 16;
 
-/// Samples of a step that are read at a time: those around a block are fewer, but for coarse
+/// Samples of a step that are read at a time: those around a block are fewer, except in coarse
 /// meshes.
 pub(in crate::pipeline) const ERROR_WINDOW: u64 = 1 << 16;
 
@@ -127,7 +126,7 @@ impl Halo {
     }
 }
 
-/// The core of a chunk with its halo, widened so many times.
+/// The core of a chunk with its halo, widened `retries` times.
 pub(in crate::pipeline) fn region(
     points: &PointSet,
     core: &LatticeBox,
@@ -155,7 +154,8 @@ fn widths(points: &PointSet, core: &LatticeBox, quarters: u64, retries: u32) -> 
     points.spacing_around(core).map(|side| side.map(width))
 }
 
-/// Bytes in which a chunk whose region holds so many points is meshed, sampled and encoded.
+/// Bytes in which a chunk with `points_in_region` points in its region is meshed, sampled and
+/// encoded.
 pub(in crate::pipeline) fn room_for(points_in_region: u64, halo: Halo) -> u64 {
     let fixed = match halo {
         Halo::Owned => PER_CHUNK,
@@ -164,7 +164,7 @@ pub(in crate::pipeline) fn room_for(points_in_region: u64, halo: Halo) -> u64 {
     points_in_region.saturating_mul(PER_POINT).saturating_add(fixed)
 }
 
-/// Bytes of an encoded chunk of so many points, with the values of so many steps, at most.
+/// The most bytes of an encoded chunk of `core_points` points, with the values of `steps` steps.
 pub(in crate::pipeline) fn product_bytes(core_points: u64, steps: u64) -> u64 {
     let further = steps.saturating_sub(1);
     let per_point = PRODUCT_PER_POINT.saturating_add(STEP_PER_POINT.saturating_mul(further));
@@ -174,7 +174,7 @@ pub(in crate::pipeline) fn product_bytes(core_points: u64, steps: u64) -> u64 {
 /// The memory of a run, as it is shared out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::pipeline) struct Shares {
-    /// Of the process itself, and what is there all the time.
+    /// For the process itself, and what is in memory all the time.
     base: u64,
     /// Chunks at work at one time.
     pub(in crate::pipeline) workers: usize,
@@ -182,7 +182,7 @@ pub(in crate::pipeline) struct Shares {
     pub(in crate::pipeline) room: u64,
     /// For all encoded chunks that wait.
     pub(in crate::pipeline) queue: u64,
-    /// Beside each room: the values of further steps, and what measures errors.
+    /// In addition to each room: the values of further steps, and what measures errors.
     pub(super) beside: u64,
 }
 
@@ -208,13 +208,13 @@ pub(in crate::pipeline) struct Need {
     room: u64,
     /// Points of the largest region.
     region_points: u64,
-    /// Points of the largest chunk, encoded with the values of so many steps.
+    /// Points of the largest chunk, encoded with the values of `steps` steps.
     core_points: u64,
     steps: u64,
     held: Held,
     /// Samples of a window, where values are fitted to those.
     window: u64,
-    /// Of the index.
+    /// Entries of the index.
     entries: u64,
 }
 
@@ -279,7 +279,7 @@ impl Need {
         choices.reduce(|a, b| if b.0 < a.0 { b } else { a }).map_or(of(1), |(_, need)| need)
     }
 
-    /// The work of so many steps, in that of the first one.
+    /// The work of `steps` steps, in units of that of the first one.
     fn work(&self, steps: u64) -> f64 {
         let pass = if self.window == 0 { FURTHER_PASS } else { FURTHER_FITTED_PASS };
         let passes = steps.div_ceil(self.steps).max(1);
@@ -301,8 +301,8 @@ impl Need {
         product_bytes(self.core_points, self.steps)
     }
 
-    /// Bytes beside a chunk's room: the values of the steps after the first, what measures the
-    /// errors of all, and what decodes samples.
+    /// Bytes in addition to a chunk's room: the values of the steps after the first, what measures
+    /// the errors of all, and what decodes samples.
     fn beside(&self) -> u64 {
         let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
         let (per_point, window) = match self.window {
@@ -335,12 +335,12 @@ impl Need {
         self.of_workers(1)
     }
 
-    /// Memory with which so many threads work, as far as there are chunks for them.
+    /// Memory with which `threads` threads work, as far as there are chunks for them.
     pub(in crate::pipeline) fn comfortable(&self, threads: usize) -> u64 {
         self.of_workers((threads as u64).min(self.chunks))
     }
 
-    /// Seconds of so many workers for so many steps, roughly.
+    /// Roughly the seconds of `workers` workers for `steps` steps.
     pub(in crate::pipeline) fn seconds(&self, workers: usize, steps: usize) -> f64 {
         self.points as f64 * self.work(steps as u64) / (POINTS_PER_SECOND * workers.max(1) as f64)
     }
@@ -377,8 +377,8 @@ pub(in crate::pipeline) fn need_of(
     need.with_steps(steps as u64, most, memory, run.resources.worker_threads())
 }
 
-/// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once
-/// more while they are put side by side, sums.
+/// Bytes that measuring a chunk at `steps` steps takes: samples, those of up to eight steps once
+/// more while they are interleaved, sums.
 pub(in crate::pipeline) const fn error_bytes(steps: u64) -> u64 {
     // As they lie side by side.
     let lanes = match steps % 8 {
@@ -418,10 +418,10 @@ pub struct Estimate {
     pub memory_comfortable: u64,
     /// Chunks at work at one time with the memory given; 0 when it does not suffice.
     pub workers: usize,
-    /// Bytes of the archive, at most: rather less are usual.
+    /// Bytes of the archive, at most; usually it has fewer.
     pub archive_bytes: u64,
-    /// Bytes that are free for it, what is there of it already included; `None` where the system
-    /// does not tell.
+    /// Bytes that are free for it, including what is there of it already; `None` where the system
+    /// does not say.
     pub archive_free: Option<u64>,
     /// Bytes of the temporary copy of an input that has no random access, or of the index while it
     /// is built.
@@ -506,8 +506,8 @@ impl Estimate {
 /// takes.
 const OPEN_EDGE: u64 = 170;
 /// Bytes for a tetrahedron of an active block of a chunk that is being extracted (its part of the
-/// surface, if it is active), for a vertex of the chunk and each isovalue, and whatever their
-/// number.
+/// surface, if it is active), for a vertex of the chunk and each isovalue, and for a chunk of any
+/// size.
 const ACTIVE_TET: u64 = 120;
 pub(in crate::pipeline) const SURFACE_PER_VERTEX: u64 = 8;
 const DECODED_CHUNK: u64 = 1 << 20;
@@ -550,8 +550,8 @@ impl SurfaceShares {
     }
 }
 
-/// Bytes in which a chunk of so many vertices, of so many bytes each, is extracted; a tetrahedron
-/// counts for each isovalue for which its block is active.
+/// Bytes in which a chunk of `vertices` vertices, of `per_vertex` bytes each, is extracted; a
+/// tetrahedron counts for each isovalue for which its block is active.
 pub(in crate::pipeline) fn extraction_bytes(vertices: u64, per_vertex: u64, tets: u64) -> u64 {
     DECODED_CHUNK
         .saturating_add(vertices.saturating_mul(per_vertex))

@@ -1,4 +1,4 @@
-//! What a user should know before or after a run: what was found, and the same in words.
+//! What a user should know before or after a run: the findings, and their messages.
 
 use serde::Serialize;
 use std::fmt;
@@ -37,7 +37,7 @@ pub enum Finding {
     },
     /// A few samples make the range a hundred times wider, or more.
     Stretched {
-        /// How many do, of those that were looked at.
+        /// How many of the samples read do so.
         count: u64,
         /// The one that is farthest from the others.
         value: f64,
@@ -46,7 +46,7 @@ pub enum Finding {
     },
     /// The samples are names of parts, as of a segmentation: values between them mean nothing.
     Labels {
-        /// Different values, among the samples that were looked at.
+        /// Different values among the samples read.
         values: u64,
         /// Least and largest.
         range: [f64; 2],

@@ -3,8 +3,8 @@
 //!
 //! An archive is made from one state of its input. Before a file is hashed its [`Stamp`] is taken
 //! (length, times of change, inode); the watch compares it again before each chunk and each segment
-//! is stored, and before a manifest is published. What was read before a comparison that finds no
-//! change is then of the bytes that were hashed.
+//! is stored, and before a manifest is published. If a comparison finds no change, all that was
+//! read before it is from the bytes that were hashed.
 
 use crate::bytes::open_regular;
 use crate::error::{Error, Result};
@@ -24,9 +24,9 @@ const PIECE: usize = 1 << 20;
 /// fill values.
 const NO_FILE: u64 = u64::MAX;
 
-/// XXH3 (128 bits), in hexadecimal, of the files that make up an input: of each, in order, its
-/// length as a little-endian u64, then all its bytes. A file that does not exist counts as the
-/// length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB.
+/// XXH3 (128 bits), in hexadecimal, of the files that make up an input. It hashes, for each file in
+/// order, its length as a little-endian u64, then all its bytes. A file that does not exist counts
+/// as the length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read; [`Error::BadInput`] for what is no regular file.
@@ -57,7 +57,7 @@ fn hash_of(files: &[PathBuf], cancel: &CancelToken) -> Result<String> {
     Ok(format!("{:032x}", hash.digest128()))
 }
 
-/// What the file system tells of a file, by which a change of its bytes is noticed.
+/// What the file system says about a file: it shows whether its bytes have changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Stamp {
     len: u64,
@@ -70,7 +70,7 @@ struct Stamp {
 }
 
 impl Stamp {
-    /// That of a file; `None` of a folder, and where there is nothing.
+    /// The stamp of a file; `None` for a folder, and where there is nothing.
     fn of(path: &Path) -> Option<Self> {
         let about = std::fs::metadata(path).ok().filter(|about| !about.is_dir())?;
         let modified = about.modified().ok().map_or(0, |time| match time.duration_since(UNIX_EPOCH) {
@@ -101,7 +101,7 @@ pub(in crate::pipeline) struct RecordedFile {
     modified: String,
 }
 
-/// More files than these are not all looked at before each chunk, but at the end of each segment.
+/// More files than these are not all checked before each chunk, but at the end of each segment.
 const FEW: usize = 64;
 
 /// The files of a run's input, as they were when it began to read them.
@@ -132,7 +132,7 @@ impl Watch {
         if self.0.len() <= FEW { self.check() } else { Ok(()) }
     }
 
-    /// What a plan tells its workers, by ascending paths.
+    /// What a plan records for its workers, by ascending paths.
     pub(in crate::pipeline) fn records(&self) -> Vec<RecordedFile> {
         let record = |(path, stamp): (&PathBuf, &Option<Stamp>)| recorded(path, *stamp);
         let mut records: Vec<RecordedFile> = self.0.iter().map(record).collect();
@@ -209,7 +209,7 @@ impl<'a> Inputs<'a> {
         Ok(found)
     }
 
-    /// As [`Inputs::fingerprint`]; of a volume that a program gives, a hash of its samples.
+    /// As [`Inputs::fingerprint`]; for a volume that a program gives, a hash of its samples.
     ///
     /// # Errors
     /// Those of [`Inputs::fingerprint`], and of reading the samples.

@@ -107,7 +107,7 @@ impl Layout {
     }
 }
 
-/// Bytes of all files below a folder, but for unpacked blocks, which are no part of an archive.
+/// Bytes of all files below a folder, except unpacked blocks, which are no part of an archive.
 pub(in crate::pipeline) fn folder_bytes(folder: &Path) -> Result<u64> {
     let mut bytes = 0;
     for entry in fs::read_dir(folder).map_err(|e| Error::io("list", folder, e))? {

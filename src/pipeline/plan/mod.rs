@@ -3,7 +3,7 @@
 //! Threads, memory, folders and restarts are not in it. It has two parts
 //! ([`crate::archive::manifest`]): what decides the mesh, the same for all fields and steps, and
 //! what decides the values of a step. Segments carry the hash of what they depend on, so a segment
-//! of another plan is never taken for one of this.
+//! of another plan is never used for this one.
 
 mod attachments;
 pub(super) mod estimate;
@@ -115,7 +115,7 @@ impl Plan {
         Self::on_lattice(lattice, (kind, count), source_of(info, fingerprint), settings)
     }
 
-    /// A plan of so many points of a set on a lattice.
+    /// A plan for a number of points of a set on a lattice.
     pub(crate) fn on_lattice(
         lattice: Lattice,
         (kind, count): (SetKind, u64),
@@ -348,7 +348,7 @@ const MOST_BRICK_POINTS: u128 = 1 << 22;
 /// Whether the points of a brick can be enumerated: a set may crowd some bricks far above the mean.
 ///
 /// # Errors
-/// [`Error::Usage`] that tells the number of points.
+/// [`Error::Usage`] that states the number of points.
 pub(crate) fn check_brick(points: &PointSet, brick: &LatticeBox) -> Result<()> {
     let n = points.count_in(brick);
     if u128::from(n) > MOST_BRICK_POINTS {
@@ -373,7 +373,7 @@ pub(crate) struct MeshParts {
     pub(crate) times: u64,
 }
 
-/// Makes the parts of a plan, which may come from a file, and of what is stored beside it.
+/// Makes the parts of a plan, which may come from a file, and of what is stored with it.
 ///
 /// # Errors
 /// [`Error::Usage`] when a parameter is out of range.

@@ -31,7 +31,7 @@ impl Shard {
         at(self.index)..at(self.index + 1)
     }
 
-    /// The number of the shard, of `count`, that has a segment: the first one that ends behind it.
+    /// The number of the shard, of `count`, that has a segment: the first one that ends after it.
     pub(in crate::pipeline) fn with_segment(segment: u64, segments: u64, count: u64) -> u64 {
         let end = (u128::from(segment + 1) * u128::from(count)).div_ceil(u128::from(segments));
         end as u64 - 1

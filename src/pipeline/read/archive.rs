@@ -1,7 +1,7 @@
-//! An archive opened for reading: manifest, point set, grids; segments are opened when first
+//! An archive opened for reading: manifest, point set, grids. Segments are opened when first
 //! needed.
 //!
-//! All of it is common to the steps. What depends on the step is in `step_view`.
+//! All of this is common to the steps. What depends on the step is in `step_view`.
 
 use super::pools::Pools;
 use crate::archive::chunked::ChunkSegment;
@@ -146,8 +146,8 @@ impl OpenArchive {
         }
     }
 
-    /// Bytes of all files of the archive but for unpacked blocks. Where files cannot be listed,
-    /// those that the manifest names.
+    /// Bytes of all files of the archive except unpacked blocks. Where files cannot be listed,
+    /// these are the files that the manifest names.
     pub(in crate::pipeline) fn file_bytes(&self) -> Result<u64> {
         if let Some(&bytes) = self.bytes.get() {
             return Ok(bytes);
@@ -156,7 +156,7 @@ impl OpenArchive {
         Ok(*self.bytes.get_or_init(|| bytes))
     }
 
-    /// Bytes of the files that the manifest tells of, and its own.
+    /// Bytes of the files that the manifest lists, and of the manifest.
     fn listed_bytes(&self) -> u64 {
         let m = &self.manifest;
         let of_steps = m.steps.iter().flat_map(|s| {

@@ -118,7 +118,7 @@ impl PackedBlock {
         will_read(&self.words);
     }
 
-    /// The block as it was, but for its bytes in the archive.
+    /// The block as it was, except for its bytes in the archive.
     pub(super) fn unpack(&self, Block { corners, tets, bytes }: &mut Block) {
         self.unpack_corners(corners);
         tets.clear();

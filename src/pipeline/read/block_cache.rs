@@ -10,8 +10,8 @@
 //! others. The precomputed form is three times as large; a block stays packed where there is no
 //! room for it.
 //!
-//! Eviction follows the clock algorithm (Corbató 1968): the hand passes over a block, once, if it
-//! was used since the hand came by last.
+//! Eviction follows the clock algorithm (Corbató 1968): the hand skips a block once if it was used
+//! since the hand last passed.
 
 use super::block::{Block, BlockCorners, PackedBlock};
 use crate::exec::will_read;
@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub(in crate::pipeline) enum CachedBlock {
     /// As it was read.
     Packed(PackedBlock),
-    /// Known, for the surface of any isovalue; of a chunk of so many corners.
+    /// Precomputed for the surface of any isovalue, and the number of corners of its chunk.
     Known(KnownBlock, usize),
 }
 
@@ -47,7 +47,7 @@ impl CachedBlock {
         unpack_known(block.view(), of_corners, out);
     }
 
-    /// Asks the processor for what is looked at in any case.
+    /// Prefetches what is read in any case.
     pub(in crate::pipeline) fn will_be_read(&self) {
         match self {
             Self::Packed(block) => block.will_be_read(),
@@ -55,7 +55,7 @@ impl CachedBlock {
         }
     }
 
-    /// Asks for the rest.
+    /// Prefetches the rest.
     pub(in crate::pipeline) fn rest_will_be_read(&self, isovalues: &[f32]) {
         if let Self::Known(block, _) = self {
             block.view().tets_will_be_read(isovalues);
@@ -63,7 +63,8 @@ impl CachedBlock {
     }
 }
 
-/// A known block as it was read, its corners maybe in another order; of a chunk of so many corners.
+/// A known block as it was read, its corners maybe in another order; its chunk has `of_corners`
+/// corners.
 pub(in crate::pipeline) fn unpack_known(block: Known<'_>, of_corners: usize, out: &mut Block) {
     let Block { corners, tets, bytes } = out;
     let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;
@@ -96,7 +97,7 @@ struct KeptBlocks {
     /// Where in `slots` each is.
     by_place: FxHashMap<Place, usize>,
     slots: Vec<Slot>,
-    /// The slot at which room is looked for next.
+    /// The slot at which the next search for room begins.
     hand: usize,
     bytes: usize,
 }
@@ -112,7 +113,7 @@ struct Slot {
 }
 
 impl BlockCache {
-    /// Keeps up to about so many bytes.
+    /// Keeps up to about `most` bytes.
     pub(super) fn new(most: usize) -> Self {
         Self { most, blocks: Mutex::default() }
     }

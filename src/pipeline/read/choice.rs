@@ -80,7 +80,7 @@ pub(in crate::pipeline) struct Moment {
 
 impl Moment {
     /// # Errors
-    /// [`Error::Usage`] that tells which steps there are.
+    /// [`Error::Usage`] that says which steps there are.
     pub(in crate::pipeline) fn of(manifest: &Manifest, choice: StepChoice, shown: &Path) -> Result<Self> {
         let steps = &manifest.steps;
         let time = |n: usize| steps[n].plan.time_or_number();

@@ -1,4 +1,4 @@
-//! The mesh of a chunk, however it was made: from points, by formula, or read from an archive.
+//! The mesh of a chunk: made from points, made by formula, or read from an archive.
 
 use crate::archive::values::ValueBlocks;
 use crate::geom::{LatticePos, PointId};
@@ -97,8 +97,8 @@ impl MeshedChunk {
         (self.tets, self.around) = (again.tets, again.around);
     }
 
-    /// Removes the halo points that no tetrahedron of the chunk's uses; those that tetrahedra
-    /// around use become vertices around. Tells the number that each vertex had, those around last.
+    /// Removes the halo points that no tetrahedron of the chunk uses; those that tetrahedra around
+    /// use become vertices around. Returns the number that each vertex had, those around last.
     pub(in crate::pipeline) fn drop_unused_halo(&mut self) -> Vec<u32> {
         let (core, vertices) = (self.core_len(), self.vertices());
         let mut kept = vec![false; vertices];

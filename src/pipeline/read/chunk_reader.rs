@@ -1,5 +1,5 @@
-//! A chunk of an archive while a question reads it: block by block, and only the corners that
-//! blocks use.
+//! Reads a chunk of an archive for a question: block by block, and only the corners that blocks
+//! use.
 //!
 //! ```text
 //!  header (once) ─▶ block(n): its corners, their positions ─▶ its tetrahedra ─▶ the corners' values
@@ -48,7 +48,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     value_blocks: ValueBlocks,
     /// What is known of the values that have not been read, once that was needed.
     value_ranges: Option<Vec<ValueRange>>,
-    /// Of each block of values, whether a corner of an active tetrahedron is in it.
+    /// For each block of values, whether a corner of an active tetrahedron is in it.
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
     active_bytes: u64,
@@ -57,9 +57,9 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
 
 /// The pages of a chunk's corners.
 struct Pages {
-    /// Pages of flags; behind them are those of ids.
+    /// Pages of flags; those of ids follow.
     of_flags: usize,
-    /// Of each page whether it has been read.
+    /// For each page, whether it has been read.
     read: Vec<bool>,
 }
 
@@ -289,7 +289,7 @@ impl<'a> ChunkReader<'a> {
         Ok(true)
     }
 
-    /// As [`ChunkReader::block`], but for the values of the corners: they mean nothing.
+    /// As [`ChunkReader::block`], but the values of the corners mean nothing.
     pub(in crate::pipeline) fn shape(
         &mut self,
         number: u32,
@@ -326,7 +326,7 @@ impl<'a> ChunkReader<'a> {
         self.decoded(number, |reader, bytes| reader.decode(bytes, out))
     }
 
-    /// Reads the bytes of a block; tells how many.
+    /// Reads the bytes of a block, and returns their number.
     fn read(&mut self, number: u32) -> Result<u64> {
         let (mesh, id) = (&self.segment.mesh, self.chunk.id);
         let blocks = mesh.block_count(id);
@@ -486,7 +486,7 @@ impl<'a> ChunkReader<'a> {
         Ok(())
     }
 
-    /// Notes that a block of so many bytes holds active tetrahedra, with these corners.
+    /// Notes that a block of `block_bytes` bytes holds active tetrahedra, with these corners.
     pub(in crate::pipeline) fn count_active(&mut self, block_bytes: u64, corners: impl Iterator<Item = u32>) {
         self.active_bytes += block_bytes;
         corners.for_each(|v| self.active_values[self.value_blocks.of(v as usize)] = true);
@@ -528,7 +528,7 @@ impl<'a> ChunkReader<'a> {
         self.archive.points.position(id).ok_or_else(wrong)
     }
 
-    /// Reads the flags of corners, of which the numbers of core ones come first.
+    /// Reads the flags of corners; the numbers of core corners come first.
     fn load_flags(&mut self, corners: &[u32]) -> Result<()> {
         let mut last = usize::MAX;
         for &v in corners {
@@ -629,7 +629,7 @@ impl<'a> ChunkReader<'a> {
         (0..self.pages.of_flags).try_for_each(|page| self.load_page(page))
     }
 
-    /// The mesh of the chunk, of which all corners have been placed.
+    /// The mesh of the chunk, all of whose corners have been placed.
     pub(super) fn into_mesh(self, tets: Vec<Tet>) -> MeshedChunk {
         let core = self.core();
         MeshedChunk {
@@ -660,7 +660,7 @@ impl<'a> ChunkReader<'a> {
 /// Which values of a block's corners are needed.
 pub(in crate::pipeline) enum Needed<'a> {
     All,
-    /// Those of tetrahedra that some isovalue crosses.
+    /// The values at corners of tetrahedra that some isovalue crosses.
     ForActive(&'a [f32]),
 }
 
@@ -674,7 +674,7 @@ pub(in crate::pipeline) enum Wanted<'a> {
 }
 
 impl Wanted<'_> {
-    /// Whether a block is wanted, as far as a box that holds its corners tells.
+    /// Whether a block may be wanted, judged by a box that holds its corners.
     fn may_be(&self, hull: impl FnOnce() -> Result<LatticeBox>) -> Result<bool> {
         Ok(match self {
             Self::All => true,

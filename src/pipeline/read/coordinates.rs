@@ -97,9 +97,9 @@ pub(in crate::pipeline) fn world_map(archive: &StepView) -> WorldMap {
 
 /// The way from index space to the world.
 pub(in crate::pipeline) enum Place {
-    /// Of a volume with a spacing.
+    /// The map of a volume with a spacing.
     Geometry(Geometry),
-    /// Of a grid with coordinates of its own.
+    /// The map of a grid with coordinates of its own.
     Grid {
         /// The coordinates.
         map: CoordinateMap,

@@ -25,8 +25,8 @@ pub(in crate::pipeline) struct DecodedChunk {
 }
 
 impl StepView {
-    /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what
-    /// they use. For a question that needs but some of that, or a block at a time, there is
+    /// Decodes `blocks` (numbers within the chunk) of a chunk, and the values and positions that
+    /// they use. For a question that needs only some of that, or a block at a time, there is
     /// [`ChunkReader`].
     pub(in crate::pipeline) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;

@@ -33,8 +33,8 @@ struct Row {
 }
 
 impl Frontier {
-    /// Of chunks in ascending order. Reads the summary of each: a halo that was widened is wider
-    /// here too.
+    /// The frontier of chunks in ascending order. Reads the summary of each, because a halo that
+    /// was widened is wider here too.
     pub(in crate::pipeline) fn new(
         archive: &StepView,
         chunks: impl Iterator<Item = ChunkId>,
@@ -52,7 +52,7 @@ impl Frontier {
         Ok(Self::of_regions(&regions))
     }
 
-    /// Of regions with the place of their row.
+    /// The frontier of regions, given with the place of their row.
     fn of_regions(regions: &[([u64; 2], LatticeBox)]) -> Self {
         let mut rows: Vec<Row> = vec![];
         let mut end = 0;

@@ -6,7 +6,7 @@
 //!                 └─▶ visit: all chunks that meet a region, side by side, within memory
 //! ```
 //!
-//! Nothing here knows how an archive is made, nor what is asked of it.
+//! Nothing here knows how an archive is made, or which questions are asked.
 
 mod archive;
 mod block;

@@ -85,7 +85,7 @@ impl<T: Default> List<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).extend(items);
     }
 
-    /// Keeps the first ones, up to so many bytes.
+    /// Keeps the first ones, up to `most` bytes.
     fn trim(&self, most: usize, bytes: impl Fn(&T) -> usize) {
         let mut sum = 0;
         self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|item| {
@@ -112,7 +112,7 @@ impl BufferPool {
         self.buffers.give([buffers]);
     }
 
-    /// Drops what exceeds so many bytes.
+    /// Drops what exceeds `most` bytes.
     pub(in crate::pipeline) fn trim(&self, most: usize) {
         self.surfaces.trim(most / 2, ChunkSurface::bytes);
         self.buffers.trim(most / 2, |b| b.reader.bytes());

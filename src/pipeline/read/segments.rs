@@ -1,5 +1,5 @@
-//! Is a segment done? Not because a file of its name exists: its header, plan, length and checksums
-//! say so.
+//! Checks whether a segment is done. A file of its name is not enough: its header, plan, length and
+//! checksums must be right.
 
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::segment::{PlanHash, SegmentKind};
@@ -82,7 +82,7 @@ pub(in crate::pipeline) fn inspect(
     }
 }
 
-/// An error without the file's name, which stands beside it.
+/// An error without the file's name, which is shown next to it.
 fn reason(error: &Error) -> String {
     match error {
         Error::BadInput(bad) => format!("{}: expected {}, got {}", bad.at, bad.expected, bad.got),

@@ -1,5 +1,5 @@
-//! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the
-//! archive is, and read back.
+//! The contour spectrum of a step: summed chunk by chunk while chunks are made, merged when the
+//! archive is completed, and read back.
 
 use super::archive::expect_recorded;
 use super::step_view::StepView;
@@ -26,7 +26,7 @@ pub(in crate::pipeline) struct Bench {
     room: Room,
 }
 
-/// Measures chunks of a step: what that needs besides the chunk.
+/// Measures chunks of a step: has what is needed besides the chunk.
 pub(in crate::pipeline) struct Meter {
     limits: Limits,
     lattice: Lattice,
@@ -38,7 +38,7 @@ pub(in crate::pipeline) struct Meter {
 }
 
 impl Meter {
-    /// For a mesh of so many points, and the source of a step; `coordinates` is the file and hash
+    /// For a mesh of `points` points, and the source of a step; `coordinates` is the file and hash
     /// of those that the grid has of its own.
     pub(in crate::pipeline) fn new(
         mesh: &MeshPlan,
@@ -79,7 +79,7 @@ impl Meter {
         match &self.coordinates {
             None => places.extend(positions.iter().map(|&p| four(self.place(p)))),
             Some((path, hash, dims)) => {
-                // Each its own, for what it has read it keeps behind a lock.
+                // Each call opens its own map, because a map keeps what it has read behind a lock.
                 let map = CoordinateMap::open(path, *hash, *dims)?;
                 let index = |p| self.lattice.to_index_space(p);
                 for &p in positions {
@@ -105,7 +105,7 @@ fn four([x, y, z]: [f64; 3]) -> [f64; 4] {
     [x, y, z, 0.0]
 }
 
-/// How finely the chunks of a mesh of so many points are measured.
+/// How finely the chunks of a mesh of `points` points are measured.
 pub(in crate::pipeline) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
     Limits::of_chunks(points.min(mesh.chunk_target))
 }
@@ -184,7 +184,7 @@ impl StepSpectrum {
 }
 
 impl StepView {
-    /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the
+    /// The contour spectrum; none where every tetrahedron is void. In a small archive it is the
     /// part of its only chunk.
     pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
         if self.step().index.is_none() {

@@ -1,4 +1,4 @@
-//! An archive at one of its steps, or at a moment between two: what questions are asked of.
+//! An archive at one of its steps, or at a moment between two. Questions are asked of such a view.
 //!
 //! ```text
 //!  OpenArchive: manifest, mesh, all value segments ◀── StepView: a step, its index, its cached blocks
@@ -46,7 +46,7 @@ pub(in crate::pipeline) struct StepView {
     pub(in crate::pipeline) cache: BlockCache,
     /// Buffers for it, while blocks are cached.
     pub(in crate::pipeline) spare: BufferPool,
-    /// The unpacked blocks of the step, once they were looked for.
+    /// The unpacked blocks of the step, once they were searched for.
     pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
 }
 
@@ -85,7 +85,7 @@ impl StepView {
         }
     }
 
-    /// The same, with a cache of about so many bytes of decoded blocks.
+    /// The same, with a cache of about `bytes` bytes of decoded blocks.
     pub(in crate::pipeline) fn keeping(self, bytes: usize) -> Self {
         Self { cache: BlockCache::new(bytes), ..self }
     }
@@ -105,7 +105,7 @@ impl StepView {
         self.moment.step
     }
 
-    /// Whether this is a moment between two steps, of which nothing is stored.
+    /// Whether this is a moment between two steps, for which nothing is stored.
     pub(in crate::pipeline) fn is_between(&self) -> bool {
         self.moment.beyond.is_some()
     }

@@ -1,4 +1,4 @@
-//! The steps of a series in an archive: how the values of one are had, or those between two.
+//! The steps of a series in an archive: how the values of one are read, or those between two.
 //!
 //! All steps have one mesh. A step has its own values, index and spectrum; a block of values may
 //! hold differences to the same block of the step before, back to a keyframe:
@@ -8,10 +8,10 @@
 //!  block n  values ◀─ diff. ◀─ diff.    values ◀─ diff.     a block of step 2: three blocks are read
 //! ```
 //!
-//! Between two steps the field is linear in time. Then no index tells which blocks have an answer
-//! (a block where one step lies below an isovalue and the other above is active between them, and
-//! in neither), so the ranges of all blocks of both are looked at: the range of a mean is the mean
-//! of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
+//! Between two steps the field is linear in time. Then no index says which blocks have an answer: a
+//! block where one step lies below an isovalue and the other above is active between them, and in
+//! neither. So the ranges of all blocks of both are read. The range of a mean is the mean of the
+//! ranges, or within it. This is true in rounded arithmetic too, because rounding keeps the order.
 
 use super::archive::OpenArchive;
 use super::choice::Moment;
@@ -51,7 +51,7 @@ fn mean(a: f32, b: f32, share: f64) -> f32 {
 }
 
 impl OpenArchive {
-    /// How the values of a chunk with so many vertices are cut into blocks.
+    /// How the values of a chunk with `vertices` vertices are cut into blocks.
     pub(in crate::pipeline) fn value_blocks(&self, id: ChunkId, vertices: usize) -> ValueBlocks {
         self.bcc_chunk(id).map_or_else(|| ValueBlocks::even(vertices), |chunk| value_blocks(&chunk))
     }
@@ -61,7 +61,7 @@ impl OpenArchive {
         self.bcc.map_or(self.manifest.counts.blocks, |mesh| mesh.block_total())
     }
 
-    /// The blocks that an entry of the index stands for: of a lattice, those of a brick.
+    /// The blocks that an entry of the index stands for; on a lattice, those of a brick.
     pub(in crate::pipeline) fn blocks_of(&self, id: ChunkId) -> EntryBlocks {
         EntryBlocks(self.bcc_chunk(id))
     }
@@ -89,7 +89,7 @@ impl OpenArchive {
 }
 
 impl StepView {
-    /// Appends the values of a block of a chunk, of what is looked at; tells the bytes read.
+    /// Appends the values of a block of a chunk at this moment, and returns the bytes read.
     pub(super) fn values_block(
         &self,
         id: ChunkId,
@@ -235,7 +235,7 @@ impl StepView {
         }
     }
 
-    /// What tells the blocks that can hold an answer.
+    /// The ranges by which blocks that can hold an answer are found.
     pub(in crate::pipeline) fn ranges(&self) -> Result<Ranges<'_>> {
         Ok(match self.moment.beyond {
             None => Ranges::Index(self, self.index()?),
@@ -271,7 +271,7 @@ impl StepView {
 pub(in crate::pipeline) struct EntryBlocks(Option<BccChunk>);
 
 impl EntryBlocks {
-    /// The blocks of an entry; of one that is not there, a block that is not there.
+    /// The blocks of an entry; for a missing entry, a block that does not exist.
     pub(in crate::pipeline) fn of(&self, entry: u32) -> Range<u32> {
         match &self.0 {
             Some(chunk) if (entry as usize) < chunk.brick_count() => chunk.blocks_of(entry as usize),
@@ -289,7 +289,7 @@ impl EntryBlocks {
         }
     }
 
-    /// All blocks of a chunk with so many entries.
+    /// All blocks of a chunk with `entries` entries.
     pub(in crate::pipeline) fn all(&self, entries: u32) -> Range<u32> {
         self.0.as_ref().map_or(0..entries, |chunk| 0..chunk.block_count() as u32)
     }
@@ -298,8 +298,8 @@ impl EntryBlocks {
 /// The values of a chunk's vertices at one step after another, a block at a time, when it is asked
 /// for.
 ///
-/// A block that holds differences is told by its values at the last step at which it was asked for,
-/// where there is no keyframe since.
+/// A block of differences is decoded from its values at the last step at which it was asked for, if
+/// there is no keyframe since.
 pub(in crate::pipeline) struct ValuesOverTime<'a> {
     archive: &'a StepView,
     chunk: ChunkId,

@@ -89,9 +89,9 @@ pub struct ArchiveSummary {
     pub field: String,
     /// Index space to world.
     pub geometry: Geometry,
-    /// Of a rectilinear or curvilinear grid, whose coordinates are in the archive: its bad cells.
+    /// The bad cells of a rectilinear or curvilinear grid, whose coordinates are in the archive.
     pub grid_cells: Option<CellCount>,
-    /// Of a tetrahedral mesh: what it had.
+    /// What the source had, if it is a tetrahedral mesh.
     pub mesh: Option<MeshSource>,
     /// Whether points and tetrahedra are those of that mesh.
     pub own: bool,
@@ -132,7 +132,7 @@ pub struct ArchiveSummary {
     pub suggestions: Vec<Suggestion>,
     /// How far the reduced field is from the samples of its source, where that was measured.
     pub error: Option<FieldError>,
-    /// Bytes of all files, but for unpacked blocks.
+    /// Bytes of all files, except unpacked blocks.
     pub bytes: u64,
 }
 
@@ -142,7 +142,7 @@ pub struct ArchiveSummary {
 pub struct StepSummary {
     /// Its number.
     pub number: u64,
-    /// Its time, where the input told one.
+    /// Its time, where the input states one.
     pub time: Option<f64>,
     /// Name of the source's file.
     pub source: String,
@@ -165,7 +165,7 @@ pub struct StepSummary {
     pub value_bytes: u64,
     /// Bytes of its index and spectrum.
     pub index_bytes: u64,
-    /// Where its blocks are unpacked: of the file.
+    /// Bytes of the file of its unpacked blocks, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unpacked_bytes: Option<u64>,
 }

@@ -1,12 +1,12 @@
-//! Chunk after chunk of an archive, decoded and worked on in parallel, the results handed on in
-//! chunk order.
+//! Visits the chunks of an archive: they are decoded and processed in parallel, and the results are
+//! handed on in chunk order.
 //!
 //! ```text
 //!  chunks of a question ──▶ as many as fit the memory: decode ▶ job, on all threads ──▶ take, in order
 //! ```
 //!
-//! What [`crate::pipeline::surface`] does for surfaces, for the questions that want whole
-//! tetrahedra.
+//! This serves the questions that want whole tetrahedra, as [`crate::pipeline::surface`] serves
+//! those about surfaces.
 
 use super::decoded::DecodedChunk;
 use super::step_view::StepView;
@@ -18,7 +18,7 @@ use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 
 /// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included,
-/// and whatever their number.
+/// and for a chunk of any size.
 const VERTEX: u64 = 72;
 const TET: u64 = 64;
 const CHUNK: u64 = 1 << 20;
@@ -29,7 +29,7 @@ const TETS_A_POINT: u64 = 8;
 pub(in crate::pipeline) enum Blocks {
     /// All of the archive.
     All,
-    /// Those of an index's answer, in order.
+    /// The blocks of an index's answer, in order.
     Some(Vec<Entry>),
 }
 
@@ -56,7 +56,7 @@ pub(in crate::pipeline) struct Visit<'a> {
 }
 
 impl<'a> Visit<'a> {
-    /// All chunks of some blocks. Of the memory of `resources` chunks at work have a `share`.
+    /// All chunks of some blocks. Chunks at work have a `share` of the memory of `resources`.
     pub(in crate::pipeline) fn new(
         archive: &'a StepView,
         blocks: Blocks,
@@ -104,7 +104,7 @@ impl<'a> Visit<'a> {
         }
     }
 
-    /// Six times the volume of all tetrahedra of the chunks, as their summaries tell.
+    /// Six times the volume of all tetrahedra of the chunks, from their summaries.
     pub(in crate::pipeline) fn volume6(&self) -> Result<i128> {
         let mut sum = 0i128;
         for &id in &self.chunks {
@@ -178,7 +178,7 @@ impl<'a> Visit<'a> {
     }
 }
 
-/// The least budget of which the share, which grows with it, is `wanted` bytes.
+/// The least budget whose share, which grows with it, is `wanted` bytes.
 fn least_with(wanted: u64, share: impl Fn(u64) -> u64) -> u64 {
     let (mut too_little, mut enough) = (0, wanted.max(1));
     while share(enough) < wanted {

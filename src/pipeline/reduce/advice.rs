@@ -20,10 +20,10 @@ use crate::sample::Interpolation;
 use crate::volume::{VolumeInfo, VolumeSource};
 use std::path::{Path, PathBuf};
 
-/// Steps of a series that are looked at, evenly spread; all of them share the samples that are
-/// read.
+/// The most steps of a series that are surveyed, evenly spread; all of them share the samples that
+/// are read.
 const MOST_STEPS: usize = 8;
-/// The samples that are read of all these together.
+/// The samples that are read in all these steps together.
 const SAMPLES: u64 = 1 << 20;
 /// Bytes of a point in an archive, as measured: 5 to 7, with values as they are; less what rounding
 /// them saves; and of a further step.
@@ -96,7 +96,7 @@ impl Notice {
         Self::new(path, Finding::OwnIsBetter { points, vertices, own }, &text)
     }
 
-    /// That an archive of so many bytes was made of a source, if it is the larger one.
+    /// The notice that an archive of `archive` bytes is larger than its source, if it is.
     pub(super) fn of_size(path: &Path, archive: u64, size: &SourceSize, target: bool) -> Option<Self> {
         let help = if target { "a larger error" } else { "fewer points (--fraction)" };
         let text = format!(
@@ -137,14 +137,14 @@ pub(in crate::pipeline) struct Looked {
 }
 
 impl Looked {
-    /// The report of a whole archive with what was found before, and what its size tells.
+    /// The report of a whole archive with what was found before, and what its size shows.
     pub(super) fn complete(self, path: &Path, report: ReduceReport, job: &Job<'_>) -> ReduceReport {
         let Self { mut notices, size } = self;
         let target = job.settings.target.is_some();
         let larger = size.and_then(|size| Notice::of_size(path, report.archive_bytes, &size, target));
         let before = notices.len();
         notices.retain(|n| !matches!(n.finding, Finding::LargerThanSource { .. }));
-        // What was said before is said once; the report has the bytes that came of it.
+        // A notice that was given before is not repeated; the report has the resulting bytes.
         if let Some(larger) = larger {
             if notices.len() == before {
                 job.progress.notice(&larger.text);
@@ -190,7 +190,7 @@ fn could_keep_own(settings: &ReduceSettings) -> bool {
 /// are added to an archive, points and interpolation are chosen already.
 ///
 /// # Errors
-/// [`Cancelled`](crate::Error::Cancelled) alone: a source that cannot be read is passed over here.
+/// [`Cancelled`](crate::Error::Cancelled) alone: a source that cannot be read is skipped here.
 pub(in crate::pipeline) fn look(job: &Job<'_>) -> Result<Looked> {
     let looked = look_at(job)?;
     looked.notices.iter().for_each(|notice| job.progress.notice(&notice.text));
@@ -217,7 +217,7 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
             }
         }
         let found = match input {
-            // Much is decoded for a few samples: of a stream all before them.
+            // Much is decoded for a few samples: in a stream, all before them.
             Input::Volume(VolumeSource::Stream(_) | VolumeSource::Chunked(_)) if n > 0 => continue,
             Input::Volume(volume) => survey_volume(volume, SAMPLES / looked_at),
             Input::Mesh(mesh) => survey_mesh(&mesh),
@@ -248,7 +248,7 @@ fn is_same(a: &Finding, b: &Finding) -> bool {
     }
 }
 
-/// What the samples of a field tell.
+/// What the samples of a field show.
 fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) -> Vec<Notice> {
     let seen = survey.seen;
     let found = survey.found(missing);
@@ -275,7 +275,7 @@ fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) 
     out
 }
 
-/// What the numbers of points and samples tell: more points than samples, an archive larger than
+/// What the numbers of points and samples show: more points than samples, an archive larger than
 /// its source.
 fn of_numbers(
     input: &Input,
@@ -284,7 +284,7 @@ fn of_numbers(
     settings: &ReduceSettings,
     size: &SourceSize,
 ) -> Vec<Notice> {
-    // A target tells neither before it is met.
+    // With a target, neither is known before it is met.
     if settings.target.is_some() {
         return vec![];
     }
@@ -361,7 +361,8 @@ fn of_numbers(
     out
 }
 
-/// Flags with which an archive is smaller than its source, as far as a number of points does that.
+/// Flags with which an archive is smaller than its source, as far as the number of points can
+/// achieve that.
 fn smaller(archive: u64, source: u64, settings: &ReduceSettings, rounded: bool) -> String {
     let bits = if rounded { "" } else { " or --value-bits" };
     let times = archive as f64 / source.max(1) as f64;
@@ -386,7 +387,7 @@ fn points_of(dims: [u64; 3], asked: u64, settings: &ReduceSettings) -> u64 {
     points.map_or(asked, |points| points.len())
 }
 
-/// How large all steps are, of which one was opened. `None` where the system does not tell.
+/// The size of all steps; `input` is the one that was opened. `None` where the system does not say.
 fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
     let steps = sources.len() as u64;
     let mut paths: Vec<&PathBuf> = sources.iter().map(|(_, s)| &s.path).collect();
@@ -415,7 +416,7 @@ fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
     Some(SourceSize { bytes: on_disk.min(stored), samples, is_mesh: matches!(input, Input::Mesh(_)) })
 }
 
-/// Reads a volume once, as [`scan`] does, and tells what a reduction of it should heed.
+/// Reads a volume once, as [`scan`] does, and returns what a reduction of it should heed.
 ///
 /// # Errors
 /// Those of reading it.

@@ -1,13 +1,13 @@
-//! Further steps for an archive that is there.
+//! Adds further steps to an existing archive.
 //!
-//! New files come beside the old ones, and the manifest that names them is renamed over the old one
-//! in the end: until then the archive is the old one. A run that was killed is continued by the
-//! same call; what it left is in the folders of the new steps, which no manifest names.
+//! New files are written next to the old ones. In the end the manifest that names them is renamed
+//! over the old one: until then the archive is the old one. The same call continues a run that was
+//! killed; what that run left is in the folders of the new steps, which no manifest names.
 //!
-//! A tetrahedral mesh is laid out on disk again, from the first of the new files that tells it, for
-//! the points are located in that. The archive has hashes of its points and cells, by which others
-//! are refused, and the vertices that were one at the first step: so samples of its boundary are
-//! the same ones.
+//! A tetrahedral mesh is laid out on disk again, from the first of the new files that has it,
+//! because the points are located in it. The archive has hashes of its points and cells, by which
+//! other meshes are refused. It also has the vertices that were merged at the first step, so the
+//! samples of its boundary are the same.
 
 use super::advice::look;
 use super::existing::{lock_for_writing, sweep};
@@ -55,7 +55,7 @@ impl Default for AppendSettings {
 /// # Errors
 /// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where
 /// dimensions or geometry, or points or cells, are not the archive's; [`Error::Io`] when another
-/// run has changed the archive meanwhile: the same call adds the steps behind.
+/// run has changed the archive meanwhile: the same call then adds the steps at the end.
 pub fn append(
     sources: &[StepSource],
     settings: &AppendSettings,
@@ -92,7 +92,7 @@ fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<ReduceReport> {
     Ok(report)
 }
 
-/// A further step; where nobody names a field, that of the archive, if the file has it.
+/// A further step. Where no field is named, it has the field of the archive, if the file has that.
 fn with_field(source: &StepSource, field: &str) -> StepSource {
     let options = OpenOptions { field: Some(field.to_owned()), ..source.options.clone() };
     // In a format without names the reader chooses. Another name is refused when the step is

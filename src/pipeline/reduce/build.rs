@@ -1,4 +1,4 @@
-//! Making the segments of an archive, some steps of a series at a time.
+//! Makes the segments of an archive, some steps of a series at a time.
 //!
 //! ```text
 //!  steps   0 1 2 … 15 │ 16 … 31 │ …           as many at a time as memory and open files allow
@@ -6,12 +6,12 @@
 //! ```
 //!
 //! Chunks of sources are read through caches ([`super::cached`]). Other sources without random
-//! access are copied into bricks, small ones together. The copies that are on the disk at a time
-//! take no more than 256 MiB, or there is one.
+//! access are copied into bricks, small ones together. The copies on disk at a time take no more
+//! than 256 MiB, unless a single one is larger.
 //!
-//! How steps are taken together decides no byte: a step refers to the one before, whichever pass
-//! made that. A step that turns out to be bad in its pass is left out where that is wanted. The
-//! steps that refer to it have another hash then, and are made again; all else is found there.
+//! The grouping of steps into passes does not affect any byte: a step refers to the one before,
+//! from any pass. A step that turns out to be bad in its pass is left out where that is wanted. The
+//! steps that refer to it then have another hash and are made again; all others are kept.
 
 use super::encode::{BadSteps, ChunkMaker, StepInput, StoredMesh, Workspaces};
 use super::fields::Fields;
@@ -38,8 +38,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in
-/// the world by itself.
+/// Copies the coordinates that a grid has of its own into the archive; a mesh has its world
+/// positions anyway.
 pub(in crate::pipeline) fn grid_coordinates(
     series: &SeriesPlan,
     layout: &Layout,
@@ -71,7 +71,7 @@ impl Segments {
     }
 }
 
-/// An archive that is being made: where, of which parts, with which share of the machine.
+/// An archive that is being made: its place, its parts, its share of the machine.
 pub(super) struct Build<'a> {
     pub(super) parts: &'a MeshParts,
     pub(super) layout: &'a Layout,
@@ -258,8 +258,8 @@ impl<'a> Build<'a> {
         Meter::new(&plan.mesh, self.parts.points.len(), &first.source, coordinates)
     }
 
-    /// Measures steps of a mesh that were just made, whose data are still open. Those of a volume
-    /// were, chunk by chunk.
+    /// Measures steps of a mesh that were just made, while their data are still open. Steps of a
+    /// volume have been measured chunk by chunk.
     fn measure_steps(
         &self,
         plan: &Plan,
@@ -316,7 +316,7 @@ impl<'a> Build<'a> {
             });
         }
         if self.old.is_none() {
-            // Which are looked for with the first step.
+            // They are expected with the first step.
             steps[0].coordinates = coordinates;
         }
         let counts = Counts { chunks: self.parts.chunks.len(), ..Counts::default() };
@@ -324,7 +324,8 @@ impl<'a> Build<'a> {
         OpenArchive::of(self.layout.root(), manifest).map(Some)
     }
 
-    /// Records of the segments that are made; of others their place alone: they are not looked at.
+    /// Records of the segments that are made. Other segments have their place alone, because they
+    /// are not read.
     fn records(
         &self,
         source: &SegmentSource<'_>,

@@ -1,9 +1,9 @@
-//! Whether the chunks of sources are read through caches, one for each step made at a time: the
-//! rule of `inputs::access`, for the chunks of an archive.
+//! Decides whether the chunks of sources are read through caches, one for each step made at a time.
+//! This applies the rule of `inputs::access` to the chunks of an archive.
 //!
-//! All steps of a series are read in the same way. Of several cache sizes that one is taken with
-//! which the work needs the least time, by the threads and steps for which there is memory then. Of
-//! equal ones it is the largest.
+//! All steps of a series are read in the same way. Of several cache sizes, the one with the least
+//! time of work is chosen; this depends on the threads and steps for which memory is left then. Of
+//! equal ones, the largest is chosen.
 
 use super::series::PlannedSource;
 use crate::pipeline::inputs::{boxes_of_chunks, cache_sizes, most_cached};

@@ -1,7 +1,7 @@
-//! The end of a reduction: what all chunks have said of themselves is put together.
+//! The end of a reduction: merges what all chunks have reported.
 //!
-//! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its
-//! index and its spectrum.
+//! For the mesh, once, these are counts, and the proof that the tetrahedra fill the box. For each
+//! step, they are its index and its spectrum.
 
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
@@ -58,9 +58,9 @@ impl ArchiveContents {
         Ok(contents)
     }
 
-    /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have
-    /// measured, but for small archives. `coordinates`: of a grid that has some, with the first
-    /// step of the archive.
+    /// Adds the `n`-th step of the plan: builds its index, and its spectrum from what chunks have
+    /// measured, except in small archives. `coordinates` are those of a grid that has some, given
+    /// with the first step of the archive.
     pub(super) fn add_step(
         &mut self,
         plan: &Plan,
@@ -74,7 +74,7 @@ impl ArchiveContents {
         let layout = layout.at(step.number);
         let (mut values, mut void_points) = (vec![], 0);
         let is_indexed = self.counts.is_indexed();
-        // Of all points, and of the tetrahedra that are not void.
+        // The ranges of all points, and of the tetrahedra that are not void.
         let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
         let mut range = value_range;
         let mut index = IndexBuilder::new(&BuildSettings {

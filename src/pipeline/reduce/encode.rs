@@ -1,7 +1,8 @@
-//! The contents of one chunk: meshed, sampled, measured, encoded.
+//! Makes the contents of one chunk: it is meshed, sampled, measured, encoded.
 //!
 //! Each chunk at work has scratch memory of its own. A chunk that outgrows it (its halo had to be
-//! widened) drops all it has, and starts again with all scratch memory when no other is at work.
+//! widened) drops all its data, and starts again with all scratch memory when no other chunk is at
+//! work.
 //!
 //! For a series, the values of several steps are made while the mesh of a chunk is there: sampled,
 //! encoded against the step before, ranges measured. If an earlier pass made the mesh, it is
@@ -230,7 +231,7 @@ impl ChunkMaker<'_> {
         let mut lap = Lap(Instant::now());
         let place = |mesh: &MeshedChunk| self.note(0, self.steps[0].field.place(mesh));
         let placement = match again {
-            // Of a mesh in which nothing lies outside any more.
+            // The mesh has nothing outside any more.
             None => place(&mesh)?,
             Some(mut whole) => {
                 let mut placement = place(&whole)?;

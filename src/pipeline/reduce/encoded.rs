@@ -7,7 +7,7 @@ pub(super) struct EncodedChunk {
     pub(super) points: u64,
     /// Empty where the mesh is there already.
     pub(super) mesh_blocks: Vec<Vec<u8>>,
-    /// Of each step.
+    /// The value blocks of each step.
     pub(super) value_blocks: Vec<Vec<Vec<u8>>>,
     pub(super) times: StageTimes,
 }

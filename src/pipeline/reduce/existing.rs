@@ -1,4 +1,5 @@
-//! What is in the place of an archive before it is made: [`Existing`], found once, at the door.
+//! What is at the path of an archive before it is made: [`Existing`], found once, at the door: when
+//! a command starts.
 //!
 //! ```text
 //!                at the door                     with the plan
@@ -48,8 +49,8 @@ fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, u64)> {
     mesh.chain(manifest.steps.iter().flat_map(of_step)).collect()
 }
 
-/// Whether a file that the manifest of an archive names is not there, or not as long as it was.
-/// What a file holds is not looked at.
+/// Whether a file that the manifest of an archive names is not there, or not as long as it was. The
+/// contents of files are not checked.
 pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
     let gone = |(path, bytes): &(PathBuf, u64)| fs::metadata(path).map_or(true, |f| f.len() != *bytes);
     segments(archive, manifest).iter().any(gone) || !Attachments::missing(archive, &manifest.plan).is_empty()
@@ -92,7 +93,7 @@ pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
 }
 
 /// A segment in the folder of an unfinished archive, or the beginning of one, that is not of this
-/// plan: somebody else's work. `None` where there is none, and where the archive is finished.
+/// plan: the work of another run. `None` where there is none, and where the archive is finished.
 fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> {
     let mesh = plan.mesh_hash();
     let steps: HashSet<PlanHash> = (0..plan.steps.len()).map(|n| plan.step_hash(n)).collect();
@@ -275,7 +276,8 @@ fn refuse_name(out: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether a finished archive may be that of a job, or one that has lost files: its plan will tell.
+/// Whether a finished archive, or one that has lost files, may be that of a job. Its plan decides
+/// later.
 ///
 /// Planning may read all samples, or a mesh. So an archive with other settings, or from a file of
 /// another name, is recognized without it. What meets a target is found anew each time.
@@ -298,7 +300,7 @@ fn may_be_of(job: &Job<'_>, manifest: &Manifest) -> bool {
     }
 }
 
-/// There is unfinished work of something else, of which this is a file.
+/// There is unfinished work of something else; `file` is a file of it.
 fn is_unfinished(out: &Path, file: &Path) -> Error {
     let file = file.strip_prefix(out).unwrap_or(file).display();
     Error::usage(format!(

@@ -1,5 +1,5 @@
-//! What is asked of a reduction: the same for volumes and meshes, for a whole archive, a shard, and
-//! further steps.
+//! The job of a reduction. It has the same form for volumes and meshes, for a whole archive, a
+//! shard, and further steps.
 
 use super::plan_file::PlanFile;
 use super::reuse::Round;

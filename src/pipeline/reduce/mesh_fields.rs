@@ -56,7 +56,7 @@ impl Listed {
     }
 }
 
-/// The file of a mesh that was opened last: its other fields are had without reading its head
+/// The file of a mesh that was opened last: its other fields can be read without reading its header
 /// again.
 pub(super) struct LastMesh {
     source: StepSource,

@@ -23,7 +23,7 @@ const FITTED_VERTEX: u64 = 8 + 3 * 24;
 pub(super) fn store_settings(job: &Job<'_>, offset: f64) -> StoreSettings {
     let (settings, resources) = (job.settings, &job.run.resources);
     StoreSettings {
-        // Two sorters are there at a time, of which one merges into the other, and the bodies.
+        // Memory has two sorters at a time, one merging into the other, and the bodies.
         memory: resources.memory / 4,
         scratch: resources.scratch_folder(),
         bad_value: match settings.nan {
@@ -37,7 +37,7 @@ pub(super) fn store_settings(job: &Job<'_>, offset: f64) -> StoreSettings {
     }
 }
 
-/// Of a mesh of so many points and cells.
+/// Bytes on disk for a mesh of `points` points and `cells` cells.
 pub(super) fn scratch_bytes([points, cells]: [u64; 2], job: &Job<'_>) -> u64 {
     let quadratic = u64::from(job.settings.interpolation == Interpolation::Quadratic);
     let fitted = u64::from(job.settings.values == Values::Fit);

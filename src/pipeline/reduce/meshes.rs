@@ -9,8 +9,8 @@
 //! A file that stores points and cells by the very bytes of the one before
 //! ([`CellMesh::stored_hash`]) has the same of both, and they are not decoded.
 //!
-//! Which vertices are one is decided by the values of the first step, and known of an archive that
-//! steps are added to.
+//! The values of the first step decide which vertices are merged. An archive to which steps are
+//! added has them recorded.
 
 use super::job::Job;
 use super::mesh_fields::{LastMesh, Listed, MeshInput};
@@ -43,7 +43,7 @@ use std::sync::Arc;
 struct Common {
     identity: Identity,
     vertices: u64,
-    /// The file that has told it.
+    /// The file from which it is known.
     name: String,
 }
 
@@ -53,7 +53,7 @@ impl Common {
         Self { identity, vertices, name: mesh.info().path.display().to_string() }
     }
 
-    /// That of an archive of a mesh.
+    /// The mesh of an archive.
     fn of_archive(archive: &OpenArchive) -> Self {
         let first = &archive.manifest.steps[0].plan;
         let source = &first.source;
@@ -63,7 +63,7 @@ impl Common {
         Self { identity, vertices: mesh.vertices, name }
     }
 
-    /// The number of points tells many other meshes without reading them.
+    /// Refuses many other meshes by their number of points, without reading them.
     fn check_number(&self, mesh: &CellMesh) -> Result<()> {
         match mesh.info().points {
             n if n == self.vertices => Ok(()),
@@ -202,8 +202,8 @@ pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInp
     Ok((MeshInput { store, listed, settings }, series, dense.wanted))
 }
 
-/// Whether a mesh of so many vertices is kept as it is: as the archive or the plan has it, else as
-/// the settings ask.
+/// Whether a mesh of `vertices` vertices is kept as it is: as the archive or the plan has it, else
+/// as the settings ask.
 fn is_own(job: &Job<'_>, vertices: u64) -> bool {
     let known = job.basis.archive().map(|archive| &archive.manifest.plan);
     match known.or_else(|| job.basis.plan().map(|plan| &plan.mesh)) {
@@ -236,7 +236,7 @@ struct Dense {
 }
 
 /// Gives a plan as many points as are wanted, boundary included, denser in some places where that
-/// is asked for; or those of an archive, or of the plan of a shard. Tells the samples of the
+/// is asked for; or the points of an archive, or of the plan of a shard. Returns the samples of the
 /// boundary that belong to them.
 fn dense_enough(
     plan: &mut Plan,
@@ -325,8 +325,8 @@ const TRIES: usize = 12;
 const MET: f64 = 0.005;
 
 impl Search<'_> {
-    /// Looks among the sets that `make` gives for a count; of `count` points so many as `filled` of
-    /// them lie inside, about. Sets too large to be counted are judged by smaller ones.
+    /// Searches the sets that `make` gives for a count. About the share `filled` of `count` points
+    /// lies inside. Sets too large to be counted are judged by smaller ones.
     fn find<T>(
         &self,
         filled: f64,
@@ -382,7 +382,7 @@ impl Search<'_> {
     }
 }
 
-/// Points that the settings ask for, of a mesh of so many vertices.
+/// Points that the settings ask for, in a mesh of `vertices` vertices.
 fn wanted_of(settings: &ReduceSettings, vertices: u64) -> f64 {
     match settings.amount {
         Amount::Count(n) => n as f64,
@@ -511,8 +511,8 @@ fn plan_steps(
 struct ReadMesh {
     path: PathBuf,
     identity: Identity,
-    /// The hash of them as they are stored: of another file that stores the same ones they need not
-    /// be read.
+    /// The hash of them as they are stored: another file that stores the same ones need not be read
+    /// for them.
     stored: Option<u128>,
 }
 
@@ -593,7 +593,7 @@ fn quantiser(values: &Column<f32>, bits: u8) -> Result<Quantiser> {
     Ok(Quantiser::new(bits, range))
 }
 
-/// What the file tells; lattice and geometry follow when it has been read.
+/// What the file says; lattice and geometry follow when it has been read.
 fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
     let (info, field) = (mesh.info(), mesh.field()?);
     Ok(Source {

@@ -11,10 +11,10 @@
 //! It holds the paths of the steps, the settings, and the [`Plan`] that follows from both, whose
 //! hashes every segment carries. A worker makes the plan again from the input that it finds and
 //! refuses to work when the two differ: then the input has changed, or is another. It also refuses
-//! a plan of another version of the program, for versions may differ in bytes.
+//! a plan of another version of the program, because versions may write different bytes.
 //!
-//! Of the files of the input it has lengths and times of change: a worker that finds the same ones
-//! does not read them all to hash them.
+//! The file also records the lengths and times of change of the input files. A worker that finds
+//! the same ones need not read the whole input to hash it.
 //!
 //! The file is written once and never changed: JSON, its last member a checksum of all bytes before
 //! it, as in a manifest.
@@ -37,7 +37,7 @@ const FORMAT_VERSION: u16 = 2;
 const LARGEST_PLAN: u64 = 1 << 28;
 const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
 
-/// Folder of a plan, its job scripts and logs: beside the archive.
+/// The folder of a plan, its job scripts and logs, next to the archive.
 pub fn work_folder(archive: &Path) -> PathBuf {
     let mut name = archive.as_os_str().to_owned();
     name.push(".work");
@@ -59,7 +59,7 @@ pub fn plan_path(archive: &Path) -> PathBuf {
     work_folder(archive).join("plan.json")
 }
 
-/// What workers are told.
+/// The plan as workers read it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::pipeline) struct PlanFile {
     format: String,
@@ -120,8 +120,8 @@ impl PlanFile {
         })
     }
 
-    /// The folder in which the archive `out` is made: its own, or one beside it while that has a
-    /// finished archive.
+    /// The folder in which the archive `out` is made: its own folder, or one next to it while its
+    /// own has a finished archive.
     pub(in crate::pipeline) fn root(&self, out: &Path) -> PathBuf {
         let is_committed = || {
             let manifest = Manifest::read(out);

@@ -1,4 +1,4 @@
-//! The end of a reduction: what all chunks say is put together, and the manifest makes it an
+//! The end of a reduction: merges what all chunks report, and writes the manifest that makes it an
 //! archive.
 
 use super::build::{Build, Segments};

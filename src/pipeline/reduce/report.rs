@@ -1,4 +1,4 @@
-//! What is reported of a reduction.
+//! What is reported about a reduction.
 
 use super::series::{SeriesPlan, SkippedStep};
 use crate::archive::coordinates::CellCount;
@@ -23,17 +23,17 @@ use std::time::Instant;
 pub struct ReduceReport {
     /// Samples of the volume; vertices of a mesh.
     pub samples: u64,
-    /// Of a mesh: what was found in it.
+    /// What was found in the mesh, if the source is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mesh: Option<MeshCensus>,
-    /// Of a mesh: whether the archive has its own vertices and tetrahedra.
+    /// Whether the archive has a mesh's own vertices and tetrahedra.
     pub own: bool,
     /// Points of the archive.
     pub points: u64,
-    /// Of a volume: points that are no samples of the boundary, about. Of a mesh: points with a
-    /// value that were asked for, boundary included.
+    /// For a volume: about the number of points that are no samples of the boundary. For a mesh:
+    /// points with a value that were asked for, boundary included.
     pub inner_points: u64,
-    /// What came of looking for a wanted error.
+    /// The result of the search for a wanted error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
     /// The error that is wanted, in units of the field.
@@ -42,7 +42,7 @@ pub struct ReduceReport {
     /// Chunks that were copied from an earlier try.
     #[serde(skip)]
     pub(in crate::pipeline) reused_chunks: u64,
-    /// Of all points, those without a value.
+    /// Points without a value.
     pub void_points: u64,
     /// Tetrahedra.
     pub tetrahedra: u64,
@@ -52,14 +52,14 @@ pub struct ReduceReport {
     pub blocks: u64,
     /// How often a chunk's halo had to be widened.
     pub halo_retries: u64,
-    /// Of a rectilinear or curvilinear grid: its bad cells.
+    /// The bad cells of a rectilinear or curvilinear grid.
     pub grid_cells: Option<CellCount>,
     /// Least and largest value.
     pub range: Option<[f64; 2]>,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
-    /// How far the reduced field is from the samples, if that was measured: of the first of the
-    /// steps.
+    /// The error of the reduced field against the samples at the first of the steps, if it was
+    /// measured.
     pub error: Option<FieldError>,
     /// The steps that were made.
     pub steps: Vec<StepSummary>,
@@ -69,10 +69,10 @@ pub struct ReduceReport {
     pub made_before: bool,
     /// Bytes of all files of the archive.
     pub archive_bytes: u64,
-    /// Bytes of the source: of its files, or of its samples as they are stored, whichever is less.
-    /// Where an archive was made as a whole.
+    /// Bytes of the source, where an archive was made as a whole: of its files, or of its samples
+    /// as they are stored, whichever is less.
     pub source_bytes: Option<u64>,
-    /// Of sources that are read by chunks: how often these were decoded.
+    /// How often chunks were decoded, for sources that are read by chunks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_chunks: Option<SourceChunks>,
     /// What the user should know: see [`Notice`].
@@ -83,24 +83,24 @@ pub struct ReduceReport {
     pub seconds: StageSeconds,
 }
 
-/// What came of looking for a target.
+/// The result of the search for a target.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct TargetReport {
     /// What was wanted.
     pub target: Target,
-    /// What was not to be exceeded, in units of the field or in bytes.
+    /// The bound, in units of the field or in bytes.
     pub bound: f64,
-    /// What the archive has of it.
+    /// The error or the size of the archive.
     pub reached: f64,
     /// Whether that is within the bound.
     pub met: bool,
     /// Reductions that were made.
     pub tries: u32,
     /// Chunks that were meshed in all these together, and chunks that these had together: those in
-    /// which nothing changed are taken over.
+    /// which nothing changed are reused.
     pub meshed_chunks: [u64; 2],
-    /// Of points that adapt: cells that have a point a sample or more, and all cells.
+    /// For adapted points: cells that have a point a sample or more, and all cells.
     pub full_cells: Option<[u64; 2]>,
 }
 
@@ -114,7 +114,8 @@ pub struct SourceChunks {
 }
 
 impl SourceChunks {
-    /// Those of some steps, as far as they were opened; `None` where none is read by chunks.
+    /// The decodings of some steps, as far as they were opened; `None` where none is read by
+    /// chunks.
     pub(in crate::pipeline) fn of(sources: &[(u64, StepSource)]) -> Option<Self> {
         let sum = |of: fn(&DecodeCount) -> u64| sources.iter().map(|(_, s)| of(s.decodes())).sum();
         let (chunks, decodes) = (sum(DecodeCount::chunks), sum(DecodeCount::decodes));
@@ -123,7 +124,8 @@ impl SourceChunks {
 }
 
 impl ReduceReport {
-    /// Of the archive at `root`: all that its manifest says, of the steps from position `first` on.
+    /// The report of the archive at `root`: all that its manifest says about the steps from
+    /// position `first` on.
     pub(super) fn of_archive(self, root: &Path, manifest: &Manifest, first: usize) -> Result<Self> {
         let steps = &manifest.steps[first..];
         let counts = manifest.counts;
@@ -145,7 +147,7 @@ impl ReduceReport {
         })
     }
 
-    /// Of an archive to which these very steps were added before.
+    /// The report of an archive to which these very steps were added before.
     pub(super) fn of_added(archive: &OpenArchive, series: &SeriesPlan) -> Result<Self> {
         let samples = archive.manifest.steps[0].plan.source.samples();
         let report = Self { samples, skipped: series.skipped.clone(), made_before: true, ..Self::default() };

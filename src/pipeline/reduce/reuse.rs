@@ -1,4 +1,4 @@
-//! From one try of a search to the next: unchanged chunks are reused.
+//! Reuses unchanged chunks from one try of a search to the next.
 //!
 //! A round of a search makes some cells denser, and the rest stays as it is. The contents of a
 //! chunk follow from the points in its region and from the samples there. Nothing else of the plan
@@ -50,7 +50,7 @@ impl Round {
 }
 
 impl Frame {
-    /// That of an archive, for other levels of its points; `None` where their bricks or chunks
+    /// The frame of an archive, for other levels of its points; `None` where their bricks or chunks
     /// would be too large.
     fn of(before: &StepView, choice: &Choice) -> Result<Option<Self>> {
         let (plan, levels) = (&before.manifest.plan, Arc::new(choice.levels.clone()));
@@ -135,7 +135,7 @@ impl<'a> ReusedChunks<'a> {
         Ok(Some(EncodedChunk { points, mesh_blocks, value_blocks, times: StageTimes::default() }))
     }
 
-    /// Tells that no chunk before this one will be asked for again.
+    /// Notes that no chunk before this one will be asked for again.
     pub(super) fn pass(&self, chunk: ChunkId) {
         if let Some(id) = self.from[chunk.0 as usize] {
             self.before.close_before(id);
@@ -157,7 +157,7 @@ fn is_alike(a: &MeshPlan, b: &MeshPlan) -> bool {
     a.levels.is_some() && b.levels.is_some() && bare(a) == bare(b)
 }
 
-/// Whether the values of steps are the same on the same mesh; the hash of a base tells the mesh
+/// Whether the values of steps are the same on the same mesh. The hash of a base covers the mesh
 /// too, and the base is compared by itself.
 fn is_alike_step(a: &StepPlan, b: &StepPlan) -> bool {
     let bare = |plan: &StepPlan| StepPlan { base: None, ..plan.clone() };

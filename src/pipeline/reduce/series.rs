@@ -33,7 +33,7 @@ pub(super) struct Copies {
 #[derive(Clone)]
 pub(in crate::pipeline) struct PlannedSource {
     pub(super) source: StepSource,
-    /// Of one that is read by chunks.
+    /// The chunks of a source that is read by chunks.
     pub(super) chunks: Option<ChunkShape>,
     /// Bytes of decoded chunks in its cache, where it is read through one.
     pub(super) cached: Option<u64>,
@@ -90,13 +90,13 @@ impl PlannedSource {
 /// The plan of a series, and where its steps come from.
 pub(in crate::pipeline) struct SeriesPlan {
     pub(in crate::pipeline) plan: Plan,
-    /// Of each step of the plan.
+    /// The source of each step of the plan.
     pub(in crate::pipeline) sources: Vec<PlannedSource>,
     pub(in crate::pipeline) skipped: Vec<SkippedStep>,
     /// The last step that the archive has already.
     pub(in crate::pipeline) before: Option<StepPlan>,
     pub(in crate::pipeline) keyframes: u64,
-    /// What is stored beside the plan.
+    /// What is stored with the plan.
     pub(in crate::pipeline) attachments: Attachments,
     /// The error that is wanted, in units of the field.
     pub(in crate::pipeline) bound: Option<f64>,
@@ -121,7 +121,7 @@ impl SeriesPlan {
         Ok(())
     }
 
-    /// Whether errors tell the step.
+    /// Whether errors name the step.
     pub(super) fn is_several(&self) -> bool {
         self.plan.steps.len() + self.skipped.len() > 1 || self.before.is_some()
     }

@@ -25,7 +25,7 @@ pub(super) struct SegmentFiles<'a> {
 }
 
 impl<'a> SegmentFiles<'a> {
-    /// Those of some steps of a plan.
+    /// The files of some steps of a plan.
     pub(super) fn new(plan: &Plan, steps: &Range<usize>, with_mesh: bool, layout: &'a Layout) -> Self {
         let steps = steps.clone().map(|n| (plan.steps[n].number, plan.step_hash(n))).collect();
         Self { layout, mesh: with_mesh.then(|| plan.mesh_hash()), steps }
@@ -146,8 +146,8 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many
-    /// these are. `left`: what they have left.
+    /// Continues after the chunks that an earlier run has left in all files, and returns their
+    /// number too. `left`: what they have left.
     pub(super) fn resume(
         files: &SegmentFiles<'_>,
         segment: u64,
@@ -161,8 +161,8 @@ impl Sink {
         };
         let mut opened: Vec<(Part, Option<ChunkSegmentWriter>)> =
             files.parts().map(open).collect::<Result<_>>()?;
-        // Of a file that is whole nothing is written again; the others need all chunks behind their
-        // last common one.
+        // Nothing is written again to a complete file; the others need all chunks after their last
+        // common one.
         let done = opened.iter().map(|(_, w)| count(w)).min().unwrap_or(all);
         for (part, writer) in &mut opened {
             if writer.is_some() && count(writer) > done {

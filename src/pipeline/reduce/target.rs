@@ -33,8 +33,8 @@
 //! at the limit is published and the report says so. The largest error is a matter of a few places:
 //! [`target_max`](super::target_max) makes those denser.
 //!
-//! The numbers of points follow from measured errors, which depend on nothing but the input: the
-//! same archive for any threads.
+//! The numbers of points follow from measured errors, which depend on nothing but the input. So the
+//! archive is the same for any number of threads.
 
 use super::existing::{Existing, exists, lacks_files};
 use super::job::Job;
@@ -68,7 +68,7 @@ impl Target {
         }
     }
 
-    /// What an archive has of that which is bounded; of several steps the worst one has.
+    /// The error or the size that an archive has; with several steps, that of the worst one.
     fn reached(self, report: &ReduceReport) -> f64 {
         match self {
             Self::Rms(_) | Self::Max(_) => error_of(self, report),
@@ -77,7 +77,7 @@ impl Target {
     }
 }
 
-/// Bytes of the manifest that tell the target, at most.
+/// Bytes of the manifest that state the target, at most.
 const RECORD: u64 = 64;
 
 /// The range of the samples, of all steps as far as it is known.
@@ -164,8 +164,8 @@ impl Search {
     }
 }
 
-/// Of errors and numbers of points; of sizes and samples a point, whose archives have a manifest
-/// besides.
+/// The powers between errors and numbers of points, and between sizes and samples a point: archives
+/// have a manifest besides.
 const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 
 /// A lattice's values are rounded to a step of so many times the RMS error.
@@ -181,7 +181,7 @@ struct Rounding {
     /// Whether they are chosen here.
     is_chosen: bool,
     bits: ValueBits,
-    /// Tries that have told the error, of a size.
+    /// Tries whose results have been used to choose the bits.
     told: u32,
 }
 
@@ -208,8 +208,8 @@ impl Rounding {
         }
     }
 
-    /// Chooses the bits by what a try tells, the first and the second. Whether they are others now:
-    /// tries before cannot be compared with those to come.
+    /// Chooses the bits by the results of the first and the second try. Returns whether they have
+    /// changed: then earlier tries cannot be compared with later ones.
     fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
         let before = self.bits;
         let range = source_range(report).filter(|_| self.is_chosen && self.told < 2);

@@ -1,11 +1,12 @@
-//! A largest error that is wanted: denser points where it is exceeded, until it is nowhere.
+//! Meets a wanted largest error: points are made denser where it is exceeded, until it is exceeded
+//! nowhere.
 //!
-//! The largest error of a field is that of a few samples, at a peak, say: as many points as samples
-//! all over the volume need not meet it, where some more at the peak do. So this is no search for a
-//! number of points. The first try has levels at which the predicted error of each cell is the
-//! bound; then errors are measured at all samples (of a mesh: at all vertices), and the cells that
-//! have one above the bound are raised, with those around them as far as points lie apart; and so
-//! on:
+//! The largest error of a field is that of a few samples, at a peak, for example. As many points as
+//! samples all over the volume need not meet it, where some more points at the peak do. So this is
+//! no search for a number of points. The first try has levels at which the predicted error of each
+//! cell is the bound. Then errors are measured at all samples (in a mesh: at all vertices). The
+//! cells with an error above the bound are raised, with the cells around them up to the distance
+//! between points; and so on:
 //!
 //! ```text
 //!  levels of equal errors ─▶ reduce ─▶ measure, cell by cell ─▶ all within the bound: publish
@@ -13,17 +14,17 @@
 //!            └────────── raise the cells that are not
 //! ```
 //!
-//! A round raises few cells, but the first ones: chunks in whose region none is raised are taken
-//! over from the try before ([`super::reuse`]), and only those that have an error above the bound
-//! are looked at for where it is.
+//! All rounds but the first ones raise few cells. Chunks without a raised cell in their region are
+//! reused from the try before ([`super::reuse`]). The places of errors are searched only in chunks
+//! that have one above the bound.
 //!
-//! Levels only rise, and begin low, so few points are too many. The cap is as many points as
-//! samples in all (about; of a mesh that fills a part of its box, as many inside as vertices);
-//! where the next levels would have more, only the largest errors raise theirs. When nothing can be
-//! raised any more the last try is published, and the report says so.
+//! Levels begin low and only rise, so few points are superfluous. The limit is about as many points
+//! as samples in all; in a mesh that fills a part of its box, as many inside as vertices. Where the
+//! next levels would exceed it, only the cells with the largest errors are raised. When nothing can
+//! be raised any more, the last try is published, and the report says so.
 //!
-//! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on
-//! their order: the same archive for any threads.
+//! Memory: 4 bytes a cell in addition to what measuring takes. The largest of errors does not
+//! depend on their order, so the archive is the same for any number of threads.
 
 use super::existing::Existing;
 use super::job::{Basis, Job};
@@ -113,7 +114,7 @@ fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Opt
         filled = Measuring { archive: &view, cells: &cells, bound, worst: &worst }.add(job, source)?;
     }
     let worst: Vec<f32> = worst.into_iter().map(|e| f32::from_bits(e.into_inner())).collect();
-    // Points are those of the box, of which a mesh may fill a part.
+    // Points are those of the box; a mesh may fill only a part of it.
     let most = (samples as f64 / filled) as u64;
     Choice { n, levels: (*levels).clone() }.raised(&worst, bound, most)
 }
@@ -123,8 +124,8 @@ struct Measuring<'a> {
     archive: &'a StepView,
     cells: &'a BrickGrid,
     bound: f64,
-    /// The bits of the largest error of each cell: of numbers that are not negative they are in the
-    /// same order.
+    /// The bits of the largest error of each cell: the bits of numbers that are not negative are in
+    /// the same order.
     worst: &'a [AtomicU32],
 }
 

@@ -36,7 +36,7 @@ pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
     manifest.target = Some(job.settings.hash());
     manifest.write(best)?;
     replace_folder(best, job.out, &old_archive(job.out))?;
-    // There may be a plan, or logs, of somebody else.
+    // The folder may have a plan, or logs, of other runs.
     let _ = fs::remove_dir(work);
     Ok(())
 }

@@ -26,7 +26,7 @@ struct Common {
     field: FieldOfSeries,
     dims: [u64; 3],
     geometry: Geometry,
-    /// Of the coordinates of a grid that has its own.
+    /// The hash of the coordinates of a grid that has its own.
     coordinates: Option<u128>,
 }
 
@@ -62,7 +62,7 @@ struct Planner<'a> {
     job: &'a Job<'a>,
     common: Option<Common>,
     plan: Option<Plan>,
-    /// Where points are needed, as far as steps were looked at for that.
+    /// Where points are needed, from the steps examined so far.
     errors: Option<Errors<'a>>,
     attachments: Attachments,
     bound: Option<f64>,
@@ -71,7 +71,7 @@ struct Planner<'a> {
     offset: Option<f64>,
     /// The packed file that was read last to find what is lost.
     looked_into: Option<PathBuf>,
-    /// The bits of values by default, once the samples of the first step were looked at.
+    /// The bits of values by default, once the samples of the first step were examined.
     usual_bits: Option<Option<u8>>,
     /// Whether memory and disk were checked.
     is_checked: bool,
@@ -177,7 +177,7 @@ fn choose(
     Ok(())
 }
 
-/// How the samples of a step can be had.
+/// How the samples of a step can be read.
 fn planned(source: &StepSource, volume: &VolumeSource) -> PlannedSource {
     let chunks = match volume {
         VolumeSource::Chunked(chunks) => Some(ChunkShape::of(&**chunks)),
@@ -334,8 +334,8 @@ impl Planner<'_> {
         if let Some(plan) = self.job.basis.plan() {
             return Ok(plan.steps.iter().find(|s| s.number == number).map_or_else(Shift::default, Shift::of));
         }
-        // Of steps in one packed file the first one stands for all: each of them costs a decoding,
-        // of a stream with all before it.
+        // The first of several steps in one packed file stands for all: each costs a decoding, in a
+        // stream with all before it.
         let is_packed = !matches!(volume, VolumeSource::Random(_));
         if let (Some(offset), true) =
             (self.offset, is_packed && self.looked_into.as_ref() == Some(&source.path))

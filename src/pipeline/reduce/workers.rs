@@ -1,5 +1,4 @@
-//! Making the segments of an archive: reader, compute and writer, joined by queues bounded in
-//! bytes.
+//! Makes the segments of an archive: reader, compute and writer, joined by queues bounded in bytes.
 //!
 //! ```text
 //!  feeder thread ──▶ compute pool ─────────────▶ writer (this thread)
@@ -10,10 +9,10 @@
 //!
 //! Memory ([`crate::pipeline::plan::estimate`]): the pool has as many threads as the budget has
 //! rooms for chunks at work. The feeder takes a permit for the *encoded* chunk before it hands a
-//! chunk on, so what waits for its turn is bounded too. A chunk at work waits for nothing but the
-//! rooms of others ([`super::encode`]), so this ends. The writer ([`super::sink`]) releases chunks
-//! in order: the bytes written do not depend on threads, on memory, or on which chunk is ready
-//! first.
+//! chunk on, so the encoded chunks that wait are bounded too. A chunk at work waits for nothing but
+//! the rooms of others ([`super::encode`]), so this ends. The writer ([`super::sink`]) releases
+//! chunks in order: the bytes written do not depend on threads, on memory, or on which chunk is
+//! ready first.
 
 use super::encode::ChunkMaker;
 use super::encoded::EncodedChunk;

@@ -10,15 +10,15 @@
 //!
 //! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the
 //! archive's bytes, are the same for any N, and workers of different N may run together. A shard
-//! does all steps of its chunks. Workers lock nothing and ask nobody. A worker skips segments that
-//! are done; two that make the same one write the same bytes to temporaries of different names, and
-//! the later rename replaces a file by its copy. So a task may be started twice, or go on after its
-//! machine was given up for dead.
+//! does all steps of its chunks. Workers lock nothing and do not communicate. A worker skips
+//! segments that are done. Two workers that make the same one write the same bytes to temporary
+//! files of different names, and the later rename replaces a file by its copy. So a task may be
+//! started twice, or go on after its machine was thought to be dead.
 //!
-//! The input is read by every worker. One without random access (compressed) is copied into bricks
-//! by each of them, and the structures of a tetrahedral mesh are made by each of them, in its own
-//! `scratch`: nothing is shared between machines but the archive. Of a source of chunks each
-//! decodes those that it needs, where its memory holds them: see `inputs::access`.
+//! Every worker reads the input. Each copies a compressed input, which has no random access, into
+//! bricks, and makes the structures of a tetrahedral mesh, in its own `scratch`: nothing is shared
+//! between machines but the archive. Where a source has chunks, each worker decodes those that it
+//! needs, if its memory holds them: see `inputs::access`.
 
 mod status;
 
@@ -48,7 +48,7 @@ use std::time::Instant;
 pub struct PlanReport {
     /// The plan's file.
     pub plan: PathBuf,
-    /// Hash of the plan: of the mesh, and of the values.
+    /// The hashes of the plan: that of the mesh, and that of the values.
     pub hash: [String; 2],
     /// Shards.
     pub shards: u64,
@@ -65,8 +65,8 @@ pub struct PlanReport {
 }
 
 /// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and
-/// writes the plan beside it. With [`RunSettings::replace`] an archive and a plan that are there
-/// are replaced.
+/// writes the plan next to it. With [`RunSettings::replace`] an existing archive and plan are
+/// replaced.
 ///
 /// # Errors
 /// As [`Reduction::write`](crate::Reduction::write); [`Error::Usage`] when there is another plan
@@ -166,7 +166,7 @@ pub struct WorkReport {
     pub segments: u64,
     /// Points of its chunks; 0 when all was done before.
     pub points: u64,
-    /// Of sources that are read by chunks: how often this worker decoded these.
+    /// How often this worker decoded chunks, for sources that are read by chunks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_chunks: Option<SourceChunks>,
     /// Seconds of each stage.
@@ -251,7 +251,7 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     };
     let seconds = vec![(Stage::Verify, verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
-    // Of a mesh its vertices are read once more, to measure; of a volume workers have done that.
+    // The vertices of a mesh are read once more, to measure; for a volume, workers have done that.
     let is_read = file.settings.measure && file.plan.first().source.mesh.is_some();
     let watch = if is_read { file.expect_same_inputs(run)? } else { Watch::default() };
     let series = file.series(watch);

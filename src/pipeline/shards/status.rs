@@ -1,4 +1,4 @@
-//! How far is a planned reduction? Every segment is looked at, on several threads; nothing is
+//! The progress of a planned reduction. Every segment is checked, on several threads; nothing is
 //! written.
 
 use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
@@ -96,7 +96,7 @@ impl<'a> Inventory<'a> {
         for path in Attachments::missing(self.layout.root(), &self.file.plan.mesh) {
             faults.push(Fault { segment: 0, state: SegmentState::Missing, path });
         }
-        // In a word each, so that many have room in a line; `status` tells more.
+        // One word for each, so that many fit into a line; `status` says more.
         let missing: Vec<String> =
             faults.iter().map(|f| format!("{} ({})", self.name(&f.path), f.state.name())).collect();
         if missing.is_empty() {
@@ -116,7 +116,7 @@ pub struct StatusReport {
     pub committed: bool,
     /// Segments of the plan.
     pub segments: u64,
-    /// Of these, segments that are whole.
+    /// Those of them that are complete.
     pub done: u64,
     /// Shards that were asked about.
     pub shards: u64,
@@ -178,9 +178,9 @@ pub struct GcReport {
     pub bytes: u64,
 }
 
-/// Removes temporary files of an archive and of its plan that nobody has written to for some time,
-/// and that no process of this machine holds. Only files are removed whose names a writer gives, in
-/// folders that an archive has. With `dry_run` it only tells which.
+/// Removes temporary files of an archive and of its plan that have not been written to for some
+/// time, and that no process of this machine holds. Only files with names that a writer gives are
+/// removed, in folders that an archive has. With `dry_run` they are only listed.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a folder that is neither an archive, finished or not, nor has a plan;
@@ -208,7 +208,7 @@ pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Resul
     Ok(report)
 }
 
-/// Whether a writer on this machine (or, where the file system tells, on another) has the file
+/// Whether a writer on this machine (or on another, where the file system shows that) has the file
 /// locked.
 fn is_held(path: &Path) -> bool {
     open_own(path).is_some_and(|f| matches!(f.try_lock(), Err(fs::TryLockError::WouldBlock)))

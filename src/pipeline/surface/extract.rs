@@ -1,11 +1,11 @@
-//! Several isosurfaces out of an archive in one pass: each block is decoded once, whatever the
+//! Extracts several isosurfaces from an archive in one pass: each block is decoded once, for any
 //! number of isovalues.
 //!
 //! Chunks are extracted in parallel, and welded in chunk order while others are extracted
-//! ([`in_order`]). Every isovalue has its own weld, which sees what it would see alone: a surface
-//! does not depend on what else was asked for. Blocks of a chunk are decoded one after another into
-//! the same small buffer, so the memory of a chunk is that of its corners and of its surfaces, not
-//! of its tetrahedra.
+//! ([`in_order`]). Every isovalue has its own weld, which gets the same input as it would get
+//! alone: a surface does not depend on what else was asked for. Blocks of a chunk are decoded one
+//! after another into the same small buffer, so the memory of a chunk is that of its corners and of
+//! its surfaces, not of its tetrahedra.
 
 use super::settings::SurfaceSettings;
 use super::unpacked::UnpackedChunk;
@@ -33,8 +33,8 @@ pub(super) struct Extracted {
 pub(super) struct Room {
     /// For what memory does not hold.
     pub(super) scratch: PathBuf,
-    /// Surfaces that are no longer needed, of which the memory is used again: the first one for the
-    /// first isovalue, and so on.
+    /// Surfaces that are no longer needed, whose memory is reused: the first one for the first
+    /// isovalue, and so on.
     pub(super) reused: Vec<TriMesh>,
 }
 
@@ -146,13 +146,13 @@ impl Question<'_> {
         Ok(chunk.finish())
     }
 
-    /// Whether all tetrahedra of a block are wanted, and but their surfaces.
+    /// Whether all tetrahedra of a block are wanted, and nothing but their surfaces.
     pub(super) fn is_whole(&self) -> bool {
         self.cut.is_none() && self.caps.is_none()
     }
 
-    /// Asks the processor for the next kept blocks: of the one after the next what tells which
-    /// tetrahedra of it may be active.
+    /// Prefetches the next kept block, and from the one after it what shows which tetrahedra may be
+    /// active.
     fn prefetch(&self, next: Option<&Found>, after: Option<&Found>) {
         if let Some(next) = next {
             next.block.rest_will_be_read(self.isovalues);

@@ -1,5 +1,5 @@
-//! Isosurfaces of several steps out of an archive in one pass: what the steps share, tetrahedra and
-//! positions, is decoded once.
+//! Extracts isosurfaces of several steps from an archive in one pass. The tetrahedra and positions,
+//! which the steps share, are decoded once.
 //!
 //! ```text
 //!  a chunk:  blocks that can hold an answer at any step ──▶ numbered, without values
@@ -7,13 +7,13 @@
 //! ```
 //!
 //! Values are put into the numbered blocks ([`crate::surface::numbered`]) in place; differences are
-//! added to those of the step before, which were just there. Each step has a weld of its own, so a
-//! surface is the one that would come out alone, byte by byte.
+//! added to the values of the step before, which are still there. Each step has a weld of its own,
+//! so each surface is, byte by byte, the one that a single extraction gives.
 //!
-//! A chunk at work takes its blocks and its surfaces at all steps. So as many steps are taken
-//! together as memory has room for ([`Pass::next`]), and finished surfaces that exceed their share
-//! of it wait in the scratch folder; where there is a choice, a pass ends before a keyframe, so
-//! that no values are decoded for the differences to them.
+//! A chunk at work needs memory for its blocks, and for its surfaces at all steps. So a pass takes
+//! as many steps as fit into memory ([`Pass::next`]). Finished surfaces that exceed their share of
+//! it wait in the scratch folder. Where there is a choice, a pass ends before a keyframe, so that
+//! no values are decoded only for the differences to them.
 
 use super::extract::{Extracted, Room, Weld};
 use super::query::{Effort, Made, Prepared, make};
@@ -244,7 +244,7 @@ impl<'a> Work<'a> {
         surfaces
     }
 
-    /// The blocks of a chunk; none in place of one that nobody wants.
+    /// The blocks of a chunk, with `None` in place of one that is not wanted.
     fn shapes(
         &self,
         part: &ChunkPart,
@@ -299,7 +299,7 @@ enum ShapeCorners {
     Plain(Box<Block>),
 }
 
-/// A chunk of which the blocks have been read.
+/// A chunk whose blocks have been read.
 struct ShapedChunk<'a> {
     part: &'a ChunkPart,
     shapes: Vec<Option<Shape>>,

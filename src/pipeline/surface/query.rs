@@ -1,5 +1,5 @@
-//! Questions to an archive: the index names the blocks that can hold an answer; those are read, and
-//! no others.
+//! Questions to an archive: the index names the blocks that can hold an answer, and only those are
+//! read.
 
 use super::extract::{Extracted, Room, extract_surfaces};
 use super::refine::{Means, RefineReport};
@@ -57,7 +57,7 @@ pub(in crate::pipeline) fn count(archive: &StepView, told: f64, cancel: &CancelT
     })
 }
 
-/// Decodes the active blocks; also tells the bytes read.
+/// Decodes the active blocks, and counts their active tetrahedra; also returns the bytes read.
 fn decoded_count(archive: &StepView, isovalue: f32, cancel: &CancelToken) -> Result<(u64, u64)> {
     let (index, read_before) = (archive.ranges()?, archive.bytes_read());
     let refs = index.query_any(&[isovalue])?;
@@ -197,7 +197,7 @@ impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Instant::now();
         let cut = cut_of(archive, settings)?;
-        // What the range of all values tells needs no index.
+        // Where the range of all values gives the answer, no index is needed.
         let index = settings.can_answer(archive).then(|| archive.ranges()).transpose()?;
         let work = match &index {
             Some(index) => work_of(archive, index, settings, cut.as_ref())?,
@@ -364,7 +364,7 @@ fn refine_all(
     surfaces.into_iter().map(refine).collect()
 }
 
-/// The chunks of which a tetrahedron may touch the cut.
+/// The chunks with a tetrahedron that may touch the cut.
 fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);

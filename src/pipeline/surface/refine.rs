@@ -1,4 +1,5 @@
-//! What is done to a welded surface before it is written: components chosen, triangles saved.
+//! Refines a welded surface before it is written: components are chosen, and triangles are
+//! decimated.
 
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, pool};

@@ -1,10 +1,9 @@
-//! Isosurfaces of many steps: a file each, and a list of the files with their times.
+//! Isosurfaces of many steps: one file for each, and a list of the files with their times.
 //!
-//! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; of other formats the list
-//! is ParaView's JSON, `out.ply.series`. Both are read by ParaView, and by
-//! [`crate::formats::steps_of`]. Several steps are extracted in one pass (`extract_steps.rs`). A
-//! step whose values all lie on one side of the isovalues is not read: its file is an empty
-//! surface, so that the list has all steps.
+//! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; for other formats the list
+//! is ParaView's JSON, `out.ply.series`. ParaView and [`crate::formats::steps_of`] read both.
+//! Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one
+//! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
 
 use super::extract_steps::{MOST_STEPS, Pass};
 use super::query::{Made, write_made};
@@ -29,10 +28,10 @@ pub struct StepSurfaces {
     pub step: u64,
     /// Its time, or its number where it has none.
     pub time: f64,
-    /// Whether nothing was read, as the range of its values tells that the surfaces are empty.
+    /// Whether nothing was read, because the range of its values shows that the surfaces are empty.
     pub skipped: bool,
-    /// What was extracted. Several steps are extracted together: what was read for all of them, and
-    /// the time that it took, is told with the first.
+    /// What was extracted. Several steps are extracted together: the first one reports what was
+    /// read for all of them, and the time that it took.
     #[serde(flatten)]
     pub report: SurfaceReport,
 }
@@ -98,11 +97,11 @@ pub(in crate::pipeline) fn write_series(
     Ok(SeriesReport { skipped: made.iter().filter(|s| s.skipped).count() as u64, steps: made, lists })
 }
 
-/// What is done with the surfaces of a step, told its number and time.
+/// What is done with the surfaces of a step, given its number and time.
 pub(super) type EachStep<'a> = dyn FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()> + 'a;
 
-/// Hands out the isosurfaces of many steps, in memory: number and time of each, and the surfaces,
-/// of which the memory serves those of later steps if it is left.
+/// Hands out the isosurfaces of many steps, in memory: the number and the time of each, and its
+/// surfaces. Memory of surfaces that is not taken is reused for later steps.
 pub(in crate::pipeline) fn surfaces_of_steps(
     archive: &Arc<OpenArchive>,
     steps: StepRange,
@@ -197,7 +196,7 @@ impl Place {
     }
 }
 
-/// Writes a list of files that lie beside it.
+/// Writes a list of files that lie next to it.
 fn write_list(list: &Path, files: &[(f64, &Path)]) -> Result<()> {
     let name = |p: &Path| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let text = if list.extension().is_some_and(|e| e == "pvd") {

@@ -1,4 +1,4 @@
-//! What is asked of a surface, and what is reported of it.
+//! What is asked of a surface, and what is reported about it.
 
 use super::refine::{Refine, RefineReport};
 use crate::archive::publish::folder_of;
@@ -125,7 +125,7 @@ pub struct SurfaceReport {
     pub active_bytes: u64,
     /// Bytes of the archive.
     pub archive_bytes: u64,
-    /// Of an archive on a server: what was fetched from there meanwhile.
+    /// What was fetched from the server meanwhile, if the archive is on one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remote: Option<Traffic>,
     /// Seconds of wall time of each stage.

@@ -77,7 +77,7 @@ pub struct UnpackedFile {
     pub blocks: u64,
     /// See `blocks`.
     pub tetrahedra: u64,
-    /// Blocks that are to be had packed only: out of the range, without a value, or too large.
+    /// Blocks that are available only packed: out of the range, without a value, or too large.
     pub packed_blocks: u64,
 }
 
@@ -85,7 +85,7 @@ pub struct UnpackedFile {
 /// the file.
 const BYTES_PER_TET: u64 = 192;
 const BYTES_ON_DISK: u64 = 64;
-/// What a chunk takes whatever its size.
+/// What a chunk of any size takes.
 const PER_CHUNK: u64 = 4 << 20;
 
 /// What [`unpack`] will write.
@@ -97,7 +97,7 @@ pub struct UnpackNeed {
     /// Tetrahedra in them.
     pub tetrahedra: u64,
     /// Bytes that are free where they go (a file is replaced when the new one is complete); `None`
-    /// where the system does not tell.
+    /// where the system does not say.
     pub free: Option<u64>,
 }
 
@@ -192,7 +192,7 @@ pub fn remove_unpacked(path: &Path, settings: &UnpackSettings, chosen_only: bool
         let mut files = vec![];
         for entry in fs::read_dir(&folder).map_err(list)? {
             let name = entry.map_err(list)?.file_name().to_string_lossy().into_owned();
-            // Those of steps that are no more too.
+            // The files of steps that no longer exist, too.
             if unpacked_step(&name).is_some() {
                 files.push(folder.join(name));
             }
@@ -331,7 +331,7 @@ struct MadeChunk {
     corners: u32,
     /// Edges of several blocks that have numbers.
     edges: u32,
-    /// The words of each block; none of those that are to be had packed only.
+    /// The words of each block; none for blocks that are available only packed.
     blocks: Vec<Vec<u32>>,
 }
 

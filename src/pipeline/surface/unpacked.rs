@@ -6,8 +6,9 @@
 //! ```
 //!
 //! They are used where they exist and were made for this archive, for a stored step on this
-//! machine. Between two steps blocks are decoded. So they are on a server, where sixty bytes per
-//! tetrahedron would cross the network. A damaged file, or one of other segments, is an error.
+//! machine. Blocks are decoded instead between two steps, and in an archive on a server, where
+//! sixty bytes per tetrahedron would cross the network. A damaged file, or one of other segments,
+//! is an error.
 
 use super::worker::{ChunkWork, ChunkWorker};
 use crate::archive::Malformed;
@@ -22,7 +23,7 @@ use crate::surface::known::{Flaw, Known};
 use std::sync::atomic::Ordering;
 
 impl StepView {
-    /// The unpacked blocks of the step, if there are any. They are looked for once.
+    /// The unpacked blocks of the step, if there are any. They are searched for once.
     pub(in crate::pipeline) fn unpacked(&self) -> Result<Option<&Unpacked>> {
         if self.is_between() || is_remote(self.path()) {
             return Ok(None);
@@ -85,8 +86,8 @@ impl<'a> UnpackedChunk<'a> {
         Ok(Some(Self { file, places, corners, edges, words: vec![] }))
     }
 
-    /// Adds the `n`-th of the blocks to the surfaces of the chunk. False if it is to be had packed
-    /// only.
+    /// Adds the `n`-th of the blocks to the surfaces of the chunk. False if it is available only
+    /// packed.
     pub(super) fn add(
         &mut self,
         n: usize,
@@ -129,11 +130,11 @@ impl<'a> UnpackedChunk<'a> {
     /// Asks the system and the processor for the blocks that follow.
     fn prefetch(&self, n: usize, isovalues: &[f32]) {
         let ahead = |blocks: usize| self.places.get(n + blocks)?.at_hand();
-        // What its groups tell was asked for before.
+        // Its groups were prefetched before.
         if let Some(Ok(next)) = ahead(1).map(Known::open) {
             next.block.tets_will_be_read(isovalues);
         }
-        // About what is looked at of any block: its lists but for the edges of tetrahedra and
+        // About the part of any block that is read: its lists except the edges of tetrahedra and
         // slots.
         if let Some(words) = ahead(2) {
             will_read(&words[..words.len() * 2 / 5]);
@@ -153,8 +154,8 @@ impl<'a> UnpackedChunk<'a> {
     }
 }
 
-/// The block at a place, in a chunk of so many corners. What a question about these isovalues
-/// (none: about all) reads of it is looked at when it is first read.
+/// The block at a place, in a chunk of so many corners. The part of it that a question about these
+/// isovalues (none: about all) reads is checked when it is first read.
 fn block_of<'a>(
     file: &Unpacked,
     place: &UnpackedPlace<'a>,

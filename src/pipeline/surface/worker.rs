@@ -155,7 +155,7 @@ impl<'a> ChunkWorker<'a> {
         is_sound
     }
 
-    /// Adds the block that is in the buffers to the surfaces. `reader` is told if it is active.
+    /// Adds the block in the buffers to the surfaces, and notifies `reader` if it is active.
     pub(super) fn add(
         &mut self,
         entry: &Entry,
@@ -164,7 +164,7 @@ impl<'a> ChunkWorker<'a> {
     ) {
         let Buffers { block, sides, active, bench, .. } = buffers;
         let (question, corners) = (self.question, &block.corners);
-        // The bytes of a block count once, whatever the number of isovalues.
+        // The bytes of a block count once, for any number of isovalues.
         let mut bytes = block.bytes;
         self.start(corners.of_chunk);
         for (surface, &isovalue) in self.surfaces.iter_mut().zip(question.isovalues) {

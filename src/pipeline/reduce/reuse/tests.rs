@@ -1,4 +1,4 @@
-//! Searches that take chunks over make the archive that their last plan makes by itself.
+//! Searches that reuse chunks make the archive that their last plan makes by itself.
 
 use super::super::existing::Existing;
 use super::super::job::{Basis, Job};
