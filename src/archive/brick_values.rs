@@ -46,7 +46,7 @@ const KINDS: usize = 3;
 const TABLES: usize = KINDS + 1;
 /// Neighbours of a value of a smooth brick, at most.
 const SMOOTH_NEAR: usize = 32;
-/// Those of them whose own differences tell the odds.
+/// Those of them whose own differences decide the odds.
 const NEAREST: usize = 8;
 /// Classes of spread.
 const SPREADS: usize = 20;
@@ -186,9 +186,9 @@ fn variance(d: Halves) -> f64 {
     if d > 0.0 { d / d.sqrt().sqrt().sqrt() } else { 0.0 }
 }
 
-/// The weights of neighbours at such offsets, the nearest one first: those of the least expected
-/// square of the error. All differences are told from the nearest one. Their covariances are a
-/// linear system, solved by Gauss-Jordan elimination. It is positive definite: it needs no
+/// The weights of neighbours at such offsets, the nearest one first: those with the least expected
+/// square of the error. All differences are taken to the nearest one. Their covariances form a
+/// linear system, solved by Gauss-Jordan elimination. It is positive definite, so it needs no
 /// pivoting.
 fn weights(near: &[Halves]) -> Vec<i16> {
     let Some((&first, rest)) = near.split_first() else { return vec![] };

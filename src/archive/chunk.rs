@@ -6,7 +6,7 @@
 //! runs are cut where that makes them so (`runs.rs`), a block is compact in space, its (min, max)
 //! are near each other, and few of its vertices are shared with other blocks.
 //!
-//! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices
+//! A block decodes on its own, in two steps: [`TetBlock::open`] gives its vertices
 //! ([`ChunkVertices`] gives their number, against which every id is checked); [`TetBlock::decode`]
 //! takes their positions, which predict most of the tetrahedra.
 
@@ -188,7 +188,7 @@ impl<'a> TetBlock<'a> {
         Ok(())
     }
 
-    /// As [`TetBlock::decode`], with corners told by their places in [`TetBlock::vertices`].
+    /// As [`TetBlock::decode`], with corners given by their places in [`TetBlock::vertices`].
     ///
     /// # Errors
     /// As [`TetBlock::decode`].

@@ -1,9 +1,8 @@
-//! What is whole in a segment that is not finished: a list of its chunks, kept beside its temporary
-//! file.
+//! A list of the chunks that are whole in an unfinished segment, kept next to its temporary file.
 //!
-//! A segment has its directory at its end, so the temporary of a killed writer does not tell where
-//! its blocks are. The journal does: after each chunk the writer hands its blocks to the system,
-//! then appends a record here.
+//! A segment has its directory at its end, so the temporary file of a killed writer does not say
+//! where its blocks are. The journal does: after each chunk the writer hands its blocks to the
+//! system, then appends a record here.
 //!
 //! ```text
 //!  .000007.seg.tmp-node12-4711-…            the blocks

@@ -32,8 +32,8 @@ use std::path::{Path, PathBuf};
 pub const MANIFEST_NAME: &str = "manifest.json";
 /// Value of the manifest's first member.
 pub const MANIFEST_FORMAT: &str = "isospan archive";
-/// An archive of one chunk with at most so many blocks has neither index nor spectrum of its steps:
-/// they follow from what the chunk tells of itself.
+/// An archive of one chunk with at most this many blocks has neither index nor spectrum of its
+/// steps: both follow from the chunk's summary.
 pub const MOST_UNINDEXED: u64 = 512;
 /// The most bytes of a manifest.
 pub const LARGEST_MANIFEST: u64 = 1 << 30;
@@ -126,7 +126,7 @@ pub struct Plan {
     /// Where the density of the points differs from place to place: how.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub levels: Option<LevelsRecord>,
-    /// Of a tetrahedral mesh that tells some vertices more than once: which.
+    /// The duplicate vertices, of a tetrahedral mesh that has some.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeated: Option<RepeatedRecord>,
     /// Whether chunks prove all tetrahedra at the vertices of their own, which fitted values need,
@@ -290,7 +290,7 @@ pub struct MeshSource {
 pub struct StepPlan {
     /// Number of the step in the archive.
     pub number: u64,
-    /// Its time, where the input told one.
+    /// Its time, if the input gives one.
     pub time: Option<f64>,
     /// What was sampled.
     pub source: Source,
@@ -315,7 +315,7 @@ pub struct StepPlan {
     /// Steps from one keyframe to the next, by number; further steps go on with it.
     #[serde(default = "usual_keyframes", skip_serializing_if = "is_usual_keyframes")]
     pub keyframes: u64,
-    /// Whether the errors at the samples of a volume are stored chunk by chunk, beside the values.
+    /// Whether the errors at the samples of a volume are stored chunk by chunk, next to the values.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub measured: bool,
     /// The step before, against which values may be coded; none of a keyframe.
@@ -323,7 +323,7 @@ pub struct StepPlan {
     pub base: Option<BaseStep>,
 }
 
-/// Steps from one keyframe to the next, where nobody chooses.
+/// Steps from one keyframe to the next, unless the user chooses.
 pub const KEYFRAMES: u64 = 16;
 
 fn usual_keyframes() -> u64 {
@@ -356,7 +356,7 @@ impl StepPlan {
         3 + u64::from(self.measured)
     }
 
-    /// The time of the step: what the input told, else its number.
+    /// The time of the step as the input gives it, else its number.
     pub fn time_or_number(&self) -> f64 {
         self.time.unwrap_or(self.number as f64)
     }
@@ -396,7 +396,7 @@ pub struct Step {
     pub void_points: u64,
     /// Value segments, in chunk order; the n-th is `values-n.seg`.
     pub values: Vec<SegmentRecord>,
-    /// The index; none of a small archive, of which the summary of its only chunk tells as much.
+    /// The index. A small archive has none: the summary of its only chunk says as much.
     pub index: Option<SegmentInfo>,
     /// The contour spectrum; none where every tetrahedron is void, nor without an index: it is that
     /// of the only chunk.

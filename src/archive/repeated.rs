@@ -25,7 +25,7 @@ const LEVEL: i32 = 9;
 /// A vertex, and the first that it equals.
 pub(crate) type Pair = [u64; 2];
 
-/// What a plan says of the vertices that are told more than once.
+/// What a plan says about the duplicate vertices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RepeatedRecord {
     /// Number of pairs.

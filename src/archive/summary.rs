@@ -1,12 +1,12 @@
-//! What the last block of a chunk tells about the chunk, so that the archive can be put together
+//! What the last block of a chunk says about the chunk, so that the archive can be put together
 //! without decoding it.
 //!
 //! In a mesh segment: how many tetrahedra the chunk owns, their volume, how often its halo was
 //! widened. In a value segment: the range of its values, and of every tetrahedron block, from which
 //! the index of the step is built. Fixed fields, little-endian; see `FORMAT.md`.
 //!
-//! Also the ranges of the chunk's value blocks, by themselves: where a surface does not pass, a
-//! reader that knows on which side of it all values of a block are need not read them.
+//! It also holds the ranges of the chunk's value blocks, by themselves. Where a surface does not
+//! pass, a reader that knows on which side of it all values of a block are need not read them.
 
 use super::values::ValueBlocks;
 use super::wire::{Cursor, Malformed, to_zstd, unzstd};
@@ -199,7 +199,7 @@ pub fn value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<ValueRange> {
     )
 }
 
-/// The range of some values. Of two zeros the first one, whatever the machine.
+/// The range of some values. Of two zeros it takes the first one, on every machine.
 #[inline(always)]
 fn value_range(values: &[f32]) -> ValueRange {
     const LANES: usize = 32;

@@ -2,21 +2,21 @@
 //! used, in a segment that is mapped.
 //!
 //! The packed blocks of an archive take a few bits a tetrahedron and must be decoded; these take
-//! some sixty bytes and are used where they lie. They are made on request, beside the segments, and
-//! may be removed at any time: they hold nothing that the segments do not tell.
+//! some sixty bytes and are used where they lie. They are made on request, next to the segments,
+//! and may be removed at any time: they hold nothing that is not in the segments.
 //!
 //! ```text
 //!  zeros │ chunk 0: block 0, block 1, … │ chunk 1: … │ table: version, range, corners, blocks and numbered edges of each chunk
 //! ```
 //!
 //! A block begins at a multiple of [`UNPACKED_ALIGNED`] bytes of the file and is as many
-//! little-endian words as it tells; one without bytes is to be had packed only, for it is out of
-//! the range, or one of the few that are too large. The hash in the segment's header is that of the
+//! little-endian words as it says. A block without bytes exists only packed: it is out of the
+//! range, or one of the few that are too large. The hash in the segment's header is that of the
 //! segments that it was made of ([`unpacked_hash`]): it is never used with others.
 //!
-//! Of a block often but a part is read. So its words have checksums of their own, which are looked
-//! at, with what they hold, by whoever knows what is read, once: [`Unpacked::noted`] is where that
-//! is noted. [`Unpacked::verify`] looks at all.
+//! Often only a part of a block is read. So its words have checksums of their own. The code that
+//! knows what is read checks these, and what the words hold, once, and notes that in
+//! [`Unpacked::noted`]. [`Unpacked::verify`] checks all.
 
 use super::segment::{BlockPlace, HEADER_BYTES, PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed};

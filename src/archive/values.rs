@@ -226,7 +226,7 @@ pub fn encode_values(
     (0..blocks.count()).map(encode).collect()
 }
 
-/// What pcodec is told of the numbers of a block.
+/// How pcodec is to treat the numbers of a block.
 #[derive(Clone, Copy)]
 struct Coder {
     /// To look for what they may be multiples of.
@@ -374,7 +374,7 @@ fn pack<T: pco::data_types::Number>(numbers: &[T], coder: Coder, level: usize, o
     out.extend(packed.expect("the settings are right, and memory takes all bytes"));
 }
 
-/// Whether a block of values is told by that of the step before.
+/// Whether a block of values is coded against that of the step before.
 pub fn needs_before(bytes: &[u8]) -> bool {
     matches!(bytes.first(), Some(&(VALUES_AFTER | VALUES_AFTER_QUANTISED | VALUES_BRICK_AFTER)))
 }
@@ -673,7 +673,7 @@ mod tests {
         assert!(decode_even(&[99, 0], 1, &[], &mut vec![]).unwrap_err().got.contains("99"));
     }
 
-    /// Encodes values after others, decodes them, and tells the codec of the first block.
+    /// Encodes values after others, decodes them, and gives the codec of the first block.
     fn after(values: &[f32], before: &[f32], q: Option<&Quantiser>) -> u8 {
         let blocks = encode_even(values, Some(before), q);
         let mut back = vec![];

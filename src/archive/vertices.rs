@@ -9,8 +9,8 @@
 //!
 //! Vertices have ids local to the chunk: first the core points, brick after brick, each brick's in
 //! the order in which the point set enumerates them (along the Hilbert curve), then the halo
-//! points. Ids and positions of core points cost nothing: the point set tells them from the counts.
-//! Of a halo point the id is stored, as the difference to the one before.
+//! points. Ids and positions of core points cost nothing: they follow from the point set and the
+//! counts. The id of a halo point is stored, as the difference to the one before.
 //!
 //! A surface that is small touches a few blocks of a chunk, and these lie together. So do the halo
 //! points of a page, and the values that come with them: [`order_halo`] sorts them along the curve
@@ -138,7 +138,7 @@ impl ChunkHeader {
         if self.halo == 0 { 0 } else { self.len().div_ceil(PAGE_IDS) - self.core_len() / PAGE_IDS }
     }
 
-    /// Blocks of a chunk that tell its vertices: this and the pages.
+    /// Blocks of a chunk that hold its vertices: this and the pages.
     pub fn blocks(&self) -> usize {
         1 + self.flag_pages() + self.id_pages()
     }

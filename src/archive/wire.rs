@@ -143,7 +143,7 @@ fn unpack(bytes: &[u8], bound: usize) -> std::io::Result<Vec<u8>> {
     })
 }
 
-/// Compresses with zstd at `level`; a frame that tells its size and has no checksum of its own.
+/// Compresses with zstd at `level`, to a frame that states its size and has no checksum of its own.
 pub(crate) fn to_zstd(bytes: &[u8], level: i32) -> Vec<u8> {
     zstd::bulk::compress(bytes, level).expect("compressing memory to memory cannot fail")
 }

@@ -51,7 +51,7 @@ impl BitWriter {
     }
 }
 
-/// Reads what [`BitWriter`] wrote. Behind the last byte it finds zeros; [`BitReader::at_end`] tells
+/// Reads what [`BitWriter`] wrote. Behind the last byte it finds zeros; [`BitReader::at_end`] says
 /// whether it found any.
 #[derive(Debug)]
 pub(super) struct BitReader<'a> {

@@ -24,7 +24,7 @@ pub(super) const NOBODY: usize = MOST - 1;
 pub(super) const MOST_NEAR: usize = 48;
 /// Gates that are looked at together.
 pub(super) const LANES: usize = 4;
-/// Bits of a key that tell the place.
+/// Bits of a key that hold the place.
 pub(super) const PLACE: u32 = MOST as u32 - 1;
 /// Entries of a ring of gates, of which at most half wait.
 const RING: usize = 2048;
@@ -86,7 +86,7 @@ impl Default for Cloud {
 }
 
 impl Cloud {
-    /// Sets the points. `size` tells the radius: its square is `1 + size % 4 / 4` times 2 to the
+    /// Sets the points. `size` gives the radius: its square is `1 + size % 4 / 4` times 2 to the
     /// power of `size / 4`, in lattice steps.
     pub(super) fn set(&mut self, positions: &[LatticePos], size: u8) {
         let power = i32::from(size >> 2);
@@ -155,7 +155,7 @@ impl Default for Gates {
 }
 
 impl Gates {
-    /// The place of the apex that is predicted of a gate; [`NOBODY`] if nothing is in front.
+    /// The place of the apex that is predicted for a gate; [`NOBODY`] if nothing is in front.
     #[inline(always)]
     pub(super) fn apex(&self, lane: usize) -> usize {
         let key = self.told[lane % LANES];
@@ -346,7 +346,7 @@ impl Link {
         self.open[usize::from(gate) % GATES] != 0
     }
 
-    /// Opens a gate from c to d, whatever is beyond.
+    /// Opens a gate from c to d, regardless of what is beyond.
     #[inline(always)]
     pub(super) fn open(&mut self, c: usize, d: usize) {
         self.open[usize::from(gate(c, d)) % GATES] = 1;

@@ -72,7 +72,7 @@ pub(crate) const LARGEST_LINK: usize = 124;
 type Local = u16;
 const NONE: u16 = u16::MAX;
 
-/// Ranks that are told as such; this one says that a number follows.
+/// Lower ranks are coded as such; this one says that a number follows.
 const FAR_RANK: usize = 8;
 
 // Where the odds of each decision are.
@@ -97,23 +97,25 @@ trait End {
     /// The star of a vertex begins, with what is known of its link. `None` if a directed edge has
     /// two triangles.
     fn star(&mut self, v: Local, link: &Link) -> Option<()>;
-    /// Of some gates that were looked at those behind which is what was predicted, a bit each, which
-    /// is told now; and whether there is a triangle behind any other that is open then.
+    /// Which of the gates that were looked at have the predicted triangle behind them, a bit each;
+    /// these triangles are now coded. Also, whether there is a triangle behind any other gate that
+    /// is then open.
     fn hits(&mut self, link: &Link, gates: &Gates) -> (u32, bool);
-    /// The apex of the uncoded triangle behind a gate, which is told now; [`NONE`] if there is none.
+    /// The apex of the uncoded triangle behind a gate, which is now coded; [`NONE`] if there is
+    /// none.
     fn apex(&mut self, link: &Link, gate: Gate) -> Local;
     /// Whether the star has anything but predicted triangles behind gates that are known.
     fn is_odd(&mut self) -> bool;
-    /// Whether triangles of the star are not told yet.
+    /// Whether triangles of the star are not coded yet.
     fn has_uncoded(&self) -> bool;
-    /// The star is told.
+    /// All of the star is coded.
     fn end_star(&mut self);
-    /// Their vertices, three each.
+    /// The vertices of the uncoded triangles, three each.
     fn uncoded(&self, link: &Link, to: &mut Vec<[Local; 3]>);
-    /// A tetrahedron that is told now.
+    /// A tetrahedron that is now coded.
     fn tell(&mut self, tet: [Local; 4]);
-    /// Tells the star that begins, if this end knows that all of it is as predicted: the number of
-    /// its triangles.
+    /// Codes the star that begins, if this end knows that all of it is as predicted, and gives the
+    /// number of its triangles.
     #[inline(always)]
     fn even(&mut self, _: impl Path, _: &mut Stars) -> Option<usize> {
         None
@@ -209,8 +211,8 @@ impl Stars {
         Some(())
     }
 
-    /// Tells what is behind some gates, and gives the number of triangles. `None` if what is read
-    /// cannot be.
+    /// Codes what is behind some gates, and gives the number of triangles. `None` if what is read
+    /// is impossible.
     #[inline(always)]
     fn pass<E: End>(&mut self, path: impl Path, end: &mut E) -> Option<usize> {
         let (mut hits, is_wrong) = end.hits(&self.link, &self.gates);
@@ -233,7 +235,7 @@ impl Stars {
         Some(told)
     }
 
-    /// Tells the triangles that were not predicted, and gives their number.
+    /// Codes the triangles that were not predicted, and gives their number.
     #[inline(always)]
     fn correct<E: End>(&mut self, end: &mut E) -> Option<usize> {
         let mut told = 0;
@@ -255,8 +257,8 @@ impl Stars {
         Some(told)
     }
 
-    /// Tells a vertex by its rank, at least `least`, or else by its number. `None` if what is read
-    /// is none.
+    /// Codes a vertex by its rank, at least `least`, or else by its number. `None` if what is read
+    /// is no vertex.
     #[inline(always)]
     fn ranked<E: End>(
         &mut self,
@@ -309,7 +311,7 @@ impl Stars {
         Some(())
     }
 
-    /// Tells whether there is another piece, and an edge of it.
+    /// Codes whether there is another piece, and an edge of it.
     #[inline(always)]
     fn piece<E: End>(&mut self, path: impl Path, end: &mut E, before: bool) -> Option<bool> {
         if !end.is_odd() || !end.bit(&mut self.odds, MORE + usize::from(before), end.has_uncoded()) {
@@ -346,7 +348,7 @@ impl Stars {
         vertices.min_by(|a, b| score(a).partial_cmp(&score(b)).expect("scores are no NaN")).unwrap_or(0)
     }
 
-    /// Tells all stars of a block of `tets` tetrahedra. `None` if what is read cannot be one, or a
+    /// Codes all stars of a block of `tets` tetrahedra. `None` if what is read cannot be one, or a
     /// link is too large.
     fn tell<E: End>(&mut self, end: &mut E, tets: usize) -> Option<()> {
         let told = self.tell_as_may_be(end, tets);

@@ -108,7 +108,7 @@ fn all_paths_agree_where_vertices_share_positions() {
     assert!(paths_agree(&twice, &both) > 10);
 }
 
-/// Tells how many blocks the coder has taken.
+/// Gives the number of blocks that the coder has taken.
 fn paths_agree(positions: &[LatticePos], tets: &[Tet]) -> usize {
     let mut taken = 0;
     for run in runs(tets, 300) {

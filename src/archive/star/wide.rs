@@ -1,6 +1,6 @@
-//! The search of [`simd`](super::simd) with AVX-512: four points at a time for four gates. The same
-//! operations, so the same bits; the least of all keys is one number, whatever the order in which
-//! they are looked at.
+//! The search of [`simd`](super::simd) with AVX-512: four points at a time for four gates. The
+//! operations are the same, so the bits are the same. The least of all keys is one number, in any
+//! order in which they are looked at.
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
@@ -198,7 +198,7 @@ impl Hinges {
         }
     }
 
-    /// The lesser of what is known and the keys of four points, of which `place` tells the places.
+    /// The lesser of what is known and the keys of four points, whose places `place` gives.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
     fn least(&self, best: __m512, four: &[Point; 4], place: __m512i) -> __m512 {
