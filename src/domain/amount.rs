@@ -3,7 +3,7 @@
 //!
 //! Of `n` points in the box, those inside are `a·n`, `a` the part of the box that the mesh fills.
 //! Samples of the boundary, less the points that they clear away, are about `b·n^(2/3)`. So a count
-//! at one `n` tells `b`, and with it the next `n`.
+//! at one `n` gives `b`, and with it the next `n`.
 
 use super::boundary::BoundarySamples;
 use super::buckets::BATCH;

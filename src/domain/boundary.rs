@@ -21,7 +21,7 @@
 //!      q                a face of the Delaunay tetrahedralization: a flat wall is made of faces.
 //! ```
 //!
-//! Then each tetrahedron lies on one side, and its centroid tells which. Four samples of a flat
+//! Then each tetrahedron lies on one side, and its centroid shows which. Four samples of a flat
 //! wall are a tetrahedron without thickness but what rounding gives it; it is left out.
 //!
 //! # Bodies that touch
@@ -56,7 +56,7 @@ pub(crate) struct OnBoundary {
 pub(crate) enum Sample {
     /// Of the boundary.
     On(OnBoundary),
-    /// Inside of a body, beside the boundary of an earlier one.
+    /// Inside of a body, next to the boundary of an earlier one.
     Beside,
 }
 

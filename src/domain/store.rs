@@ -49,7 +49,7 @@ pub struct MeshCensus {
     pub cells: u64,
     /// Tetrahedra that they were split into, those without a volume left out.
     pub tetrahedra: u64,
-    /// Of these, tetrahedra whose corners were told in the other order.
+    /// Of these, tetrahedra whose corners the file lists in the opposite order.
     pub inverted: u64,
     /// Tetrahedra that were left out: flat, or with a vertex twice.
     pub degenerate: u64,

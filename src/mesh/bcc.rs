@@ -14,9 +14,9 @@
 //!      n───────n              chapter 21; A. Entezari, R. Dyer, T. Möller, IEEE Visualization 2004
 //! ```
 //!
-//! So the mesh is a function of the numbers of cells. Positions are told in *halves*: a node has
+//! So the mesh is a function of the numbers of cells. Positions are given in *halves*: a node has
 //! even numbers, a centre odd ones. A tetrahedron belongs to the lower of its cells. Faces of
-//! tetrahedra agree whatever is made apart.
+//! tetrahedra agree, whichever parts are made separately.
 //!
 //! A chunk is a box of cells. Its points are those of its cells, in blocks of 4³ cells, in bricks
 //! of 8³ (fewer if asked for; of a block the nodes, x fastest, then the centres); then those at the

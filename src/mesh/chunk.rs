@@ -152,7 +152,7 @@ pub fn mesh_widening(
     while mesher.is_empty() && boxes.near != boxes.domain {
         // The inner points span no volume: nothing to add the others to.
         if boxes.near == boxes.region {
-            // No tetrahedron to tell what the core's points are joined to.
+            // No tetrahedron shows what the core's points are joined to.
             let uncertified = positions.iter().filter(|p| boxes.core.contains(**p)).count() as u64;
             if uncertified == 0 {
                 break;
@@ -207,7 +207,7 @@ fn outer(positions: &[LatticePos], first: usize) -> impl Iterator<Item = Outer> 
 }
 
 impl ChunkRegion {
-    /// Widens the region, and tells whether that was possible.
+    /// Widens the region, and returns whether that was possible.
     fn widen(&mut self, positions: &mut Vec<LatticePos>, widen: &mut Widen<'_>) -> Result<bool> {
         let (before, known) = (self.region, positions.len());
         let Some(wider) = widen(positions)? else { return Ok(false) };
@@ -262,14 +262,14 @@ struct Sorter<'a> {
     /// Records to be looked at again, and whether each record is among them.
     doubtful: Vec<u32>,
     waits: Vec<bool>,
-    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty where nobody asks for
-    /// those around.
+    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty if those around are not
+    /// asked for.
     used: Vec<bool>,
     /// Whether those around are looked for: the owned ones are known.
     looks_around: bool,
     /// Positions from here on are not inserted with the rest.
     first: usize,
-    /// Those, as soon as somebody asks for them.
+    /// Those positions, as soon as they are needed.
     late: Option<Late>,
     widen: &'a mut Widen<'a>,
 }

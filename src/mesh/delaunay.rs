@@ -42,7 +42,7 @@
 //! length over what a batch found. For no difference that could be seen, or less than 3 %: asking
 //! ahead for the records of the next batch, for those that the round before made near the next
 //! points, and for new ones; testing eight tetrahedra before the first four are sorted; inserting
-//! two points far apart together, their cavities growing by turns (marks of their own tell whether
+//! two points far apart together, their cavities growing by turns (marks of their own show whether
 //! they touch). Records at hand would gain a seventh at most: by so much 2 000 points, which fit
 //! the second cache, go in faster than 250 000 (on a busy machine).
 //!
@@ -236,9 +236,9 @@ impl Mesher {
         }
     }
 
-    /// Packs the vertices of some records, ascending, where the records were, four rows each: input
-    /// indices, turned by `turn`, which is told what is noted of each. The memory of the records,
-    /// and how many rows are packed; the mesher has no mesh then.
+    /// Packs the vertices of some records, ascending, where the records were, four rows each. They
+    /// are input indices, turned by `turn`, which also gets what is noted of each record. Returns
+    /// the memory of the records, and the number of packed rows; the mesher has no mesh then.
     pub(super) fn pack<T>(
         &mut self,
         kept: impl Iterator<Item = (u32, T)>,

@@ -90,7 +90,7 @@ impl TetList {
         &mut self.whole_mut()[own..]
     }
 
-    /// As [`TetList::whole`], with the memory behind that nobody needs.
+    /// As [`TetList::whole`], with the unused memory behind it.
     pub fn with_room(&mut self) -> (&[Tet], &mut [u64]) {
         match &mut self.memory {
             Memory::Listed(tets) => (tets, &mut []),

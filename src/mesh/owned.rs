@@ -1,8 +1,8 @@
 //! The tetrahedra that a chunk keeps, put in the order of their first vertices by counting.
 //!
-//! Which records they are is a bit each, and another for those around them. In the end their
-//! vertices are packed where the first quarter of the records was, which nobody needs any more, and
-//! from there go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
+//! A bit marks each of their records, and another each of those around them. In the end their
+//! vertices are packed into the first quarter of the records, which is no longer needed. From there
+//! they go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
 
 use super::delaunay::Mesher;
 use super::list::TetList;
@@ -121,8 +121,9 @@ pub(super) fn each_bit(mut word: u64) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Puts tetrahedra into another place, ascending by their first vertices, of which `counts` tells
-/// how many have each; those marked as around apart, as they come, where there are `SOME` such.
+/// Moves tetrahedra to another place, ascending by their first vertices; `counts` says how many
+/// have each. Those marked as around are kept separate, in the order in which they come, if there
+/// are any (`SOME`).
 fn sort<const SOME: bool>(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], around: &mut [Tet]) {
     let mut sum = 0;
     for n in &mut *counts {

@@ -124,12 +124,12 @@ enum Star {
     Whole,
     /// A larger D may do.
     TooNear,
-    /// Only integers can tell.
+    /// Only integers can decide.
     Doubtful,
 }
 
 impl Stars {
-    /// Takes the memory of a list that nobody needs any more.
+    /// Takes the memory of a list that is no longer needed.
     pub(super) fn reuse(&mut self, tets: Vec<Tet>) {
         if tets.capacity() > self.tets.capacity() {
             self.tets = tets;

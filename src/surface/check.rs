@@ -26,8 +26,8 @@
 //!   then for its rims);
 //! * the link of one vertex, about 80 bytes a triangle at the vertex of the most triangles.
 //!
-//! The report is the same whatever the memory: the same steps are taken, and sums run over the
-//! triangles in their order.
+//! The report is the same for any memory: the same steps are taken, and sums run over the triangles
+//! in their order.
 //!
 //! Cost: O(t log t) time for t triangles. Disk, if memory does not hold them: 36 bytes a triangle,
 //! 12 a vertex, 8 a boundary edge.
@@ -163,8 +163,8 @@ pub fn check(mesh: &TriMesh) -> SurfaceReport {
         .0
 }
 
-/// Checks a surface within a given memory; also tells the boundary edges that are not on a face of
-/// the domain, if one is given.
+/// Checks a surface within a given memory. If a domain is given, it also counts the boundary edges
+/// that are not on a face of the domain.
 ///
 /// # Errors
 /// [`Error::Budget`] when the memory does not suffice, naming what does; [`Error::Usage`] for
@@ -265,7 +265,7 @@ pub fn boundary_outside(mesh: &TriMesh, geometry: &Geometry, dims: [u64; 3], tol
     checked.expect("nothing of a mesh in memory is read or written").1.expect("a domain was given")
 }
 
-/// What the process needs beside: code and tables, stacks, buffers.
+/// What the process needs besides: code and tables, stacks, buffers.
 const FIXED: u64 = 16 << 20;
 /// Below this the rest of the memory is not worth sorting in.
 const LEAST_REST: u64 = 4 << 20;
@@ -316,7 +316,7 @@ impl<'a> Shares<'a> {
     }
 }
 
-/// The memory that leaves `rest` beside what the source has, and the pieces need.
+/// The memory that leaves `rest` besides what the source has and the pieces need.
 fn least(vertices: u64, rest: u64) -> u64 {
     (FIXED + 4 * vertices).saturating_add(rest).div_ceil(7).saturating_mul(8)
 }

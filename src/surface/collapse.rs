@@ -22,8 +22,8 @@
 //! **Fixed vertices** stay where they are and are never removed: those that triangles outside the
 //! patch use, those on a boundary, those that are no manifold. An edge with one fixed end collapses
 //! into it, an edge with two does not. The patch does not know the edges and triangles between
-//! fixed vertices that lie outside. So u is not collapsed into a fixed v when another fixed vertex
-//! besides a and b is beside u: no new edge between fixed vertices ever arises, and patches that
+//! fixed vertices that lie outside. So u is not collapsed into a fixed v if u has another fixed
+//! neighbour besides a and b: no new edge between fixed vertices ever arises, and patches that
 //! share vertices can be worked on side by side.
 //!
 //! **The error** of a vertex is an estimate of how far the surface around it is from the original:
@@ -31,8 +31,8 @@
 //! planes of the triangles that it replaces.
 //!
 //! # Determinism and cost
-//! Costs that are equal are told apart by vertex numbers; only `+ - * /` and `sqrt` decide. O(n log
-//! n); up to [`BYTES_PER_TRIANGLE`] for each triangle of the patch.
+//! Equal costs are ordered by vertex numbers; only `+ - * /` and `sqrt` decide. O(n log n); up to
+//! [`BYTES_PER_TRIANGLE`] for each triangle of the patch.
 //!
 //! # References
 //! Garland, Heckbert 1997, "Surface simplification using quadric error metrics". Dey, Edelsbrunner,
@@ -47,7 +47,7 @@ use std::collections::BinaryHeap;
 pub(super) const BYTES_PER_TRIANGLE: u64 = 512;
 /// No vertex gets more triangles: what a collapse costs grows with them.
 const MOST_TRIANGLES: usize = 32;
-/// Weight of the squared distance to the vertices, beside that to the planes.
+/// Weight of the squared distance to the vertices, relative to that to the planes.
 const NEAR: f64 = 1e-3;
 /// Least cosine between the normals of a triangle before and after.
 const LEAST_COSINE: f64 = 0.2;

@@ -46,7 +46,7 @@ pub struct ComponentFilter {
     pub largest: Option<u64>,
     /// At least so many triangles.
     pub min_triangles: u64,
-    /// At least this volume, in world units, whatever its sign (see [`Component::volume`]).
+    /// At least this volume, in world units, regardless of its sign (see [`Component::volume`]).
     pub min_volume: f64,
 }
 
@@ -247,7 +247,7 @@ fn root(parents: &mut Paged<u32>, mut v: u32) -> Result<u32> {
     }
 }
 
-/// Turns parents into component numbers, and tells how many there are.
+/// Turns parents into component numbers, and returns how many there are.
 fn number_components(parents: &mut Paged<u32>) -> Result<u64> {
     let mut count = 0;
     for v in 0..parents.len() {
@@ -316,7 +316,7 @@ impl Largest {
     }
 }
 
-/// Marks what is kept; also tells whether that is all there is, vertices without a triangle
+/// Marks what is kept; also returns whether that is all there is, vertices without a triangle
 /// included.
 fn choose(
     records: &mut Paged<Record>,

@@ -519,7 +519,7 @@ impl ChunkSurface {
 }
 
 /// The number of an edge among the open vertices, and whether it is new: `next` is its vertex then.
-/// Its ends are told by their numbers in the chunk.
+/// Its ends are given by their numbers in the chunk.
 #[inline(always)]
 fn find_or_open(
     edges: &mut EdgeTable,

@@ -75,7 +75,7 @@ static CODES: [u64; CORNERS] = {
     codes
 };
 
-/// Tetrahedra at an edge of which the codes are sure to tell whether they close a ring.
+/// The most tetrahedra at an edge for which the codes surely show whether they close a ring.
 const SURE: u32 = 8;
 
 /// Of two elements of the field of 256 elements: polynomials over {0, 1}, modulo x⁸ + x⁴ + x³ +
@@ -128,8 +128,8 @@ fn empty_slots(slots: &mut Vec<u16>) -> &mut [u16; SLOTS] {
 }
 
 impl Numbering {
-    /// Lists the first ones of some active tetrahedra, while there is room for their corners; tells
-    /// how many.
+    /// Lists the first ones of some active tetrahedra, while there is room for their corners;
+    /// returns how many these are.
     #[inline(always)]
     pub(super) fn list(
         &mut self,

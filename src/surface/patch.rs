@@ -81,7 +81,7 @@ impl Patch {
         Listing { patch: self, slots, edges: 0, uses: 0, triangles: 0 }
     }
 
-    /// Tells which edges have all their tetrahedra in the patch, by their numbers and ends.
+    /// Records which edges have all their tetrahedra in the patch, by their numbers and ends.
     #[inline(always)]
     pub(super) fn tell_alone(&mut self, is_alone: impl Fn(usize, [u8; 2]) -> bool) {
         let Edges { alone, ends, .. } = &mut self.edges;
@@ -235,10 +235,10 @@ pub(super) struct Listing<'a, const SLOTS: usize> {
 }
 
 impl<const SLOTS: usize> Listing<'_, SLOTS> {
-    /// Lists the next tetrahedron, and the triangles in it. `slot_of` tells the slot of the edge at
+    /// Lists the next tetrahedron, and the triangles in it. `slot_of` gives the slot of the edge at
     /// a place of its case.
     ///
-    /// A second triangle, a fourth edge are written where there is none too, and ignored.
+    /// A second triangle and a fourth edge are written even where there is none, and then ignored.
     #[inline(always)]
     pub(super) fn add(&mut self, member: Member, slot_of: impl Fn(&Case, usize) -> u16) {
         let Patch { tets, edges, uses, triangles, .. } = &mut *self.patch;

@@ -273,7 +273,7 @@ impl StoredSurface {
         self.triangles.push(triangle)
     }
 
-    /// Lets `rewrite` change each triangle, told with its number.
+    /// Lets `rewrite` change each triangle, given with its number.
     pub(super) fn rewrite_triangles(
         &mut self,
         settings: &BuilderSettings,

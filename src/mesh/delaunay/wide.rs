@@ -5,10 +5,10 @@
 //! cycle) and some 35 jumps that cannot be foreseen; misses of the nearest cache come after that.
 //! So:
 //!
-//! * The cavity grows by **batches** of four tetrahedra, sixteen neighbours, whatever their level:
+//! * The cavity grows by **batches** of four tetrahedra, sixteen neighbours, of any level:
 //!   one loop, few iterations. Their codes are sorted into "in conflict" and "boundary" by one
 //!   compression each.
-//! * A boundary with V vertices has 2V - 4 facets: the number of facets tells how many vertices
+//! * A boundary with V vertices has 2V - 4 facets: the number of facets shows how many vertices
 //!   there will be. For up to 32 the vertices' coordinates relative to the new point lie in four
 //!   registers an axis, and a facet's corners are looked up by permutation.
 //! * Eight new spheres are made, and tested against the next point, at once.

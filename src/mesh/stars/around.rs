@@ -15,8 +15,8 @@ use crate::mesh::owned::sort_around;
 use crate::mesh::tet::Tet;
 
 impl Stars {
-    /// The tetrahedra around those that a chunk owns, in canonical order; `None` where insertion is
-    /// to tell them.
+    /// The tetrahedra around those that a chunk owns, in canonical order; `None` if insertion has
+    /// to find them.
     ///
     /// # Errors
     /// As [`Mesher::delaunay`].

@@ -25,7 +25,7 @@ pub(super) enum Vectors {
     /// AVX2.
     #[cfg(target_arch = "x86_64")]
     Narrow(Narrow),
-    /// Whatever there is.
+    /// What every machine has.
     Plain(Plain),
 }
 
@@ -109,7 +109,7 @@ pub(super) trait Batch: Copy {
     fn find(proof: Self::Proof, list: &[u32], place: usize, number: u32) -> u32;
     /// How to pack the lanes of these bits.
     fn packing(proof: Self::Proof, bits: u32) -> Self::Packing;
-    /// Those lanes come first; whatever follows.
+    /// Those lanes come first; what follows is arbitrary.
     fn packed(self, packing: Self::Packing) -> Self;
     fn doubles(proof: Self::Proof, x: f64) -> Self::Doubles;
     /// Those of a list from a place on.

@@ -187,9 +187,9 @@ impl Neighbourhood {
         true
     }
 
-    /// Closes the star among the points that are listed, in so many batches. `is_outer` tells of
-    /// three points a, b, c whether nothing of the domain can lie beyond them, where (a, b, c, x)
-    /// is negatively oriented.
+    /// Closes the star among the points that are listed, in so many batches. For three points a, b,
+    /// c, `is_outer` says whether nothing of the domain can lie beyond them, where (a, b, c, x) is
+    /// negatively oriented.
     #[inline(always)]
     pub(super) fn close<const N: usize, B: Batch>(
         &mut self,

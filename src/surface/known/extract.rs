@@ -116,7 +116,7 @@ impl Crossed {
     }
 
     /// Numbers the vertices that no other block has made, from the next one on, in the order of
-    /// their edges; tells how many.
+    /// their edges; returns how many there are.
     #[inline(always)]
     fn number_new(&mut self, next: u32) -> usize {
         let mut count = 0;

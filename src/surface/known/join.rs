@@ -1,11 +1,11 @@
-//! Joins the edges that several blocks of a chunk have: where all of them are at hand, the sums
-//! around their edges are added up once for all isovalues.
+//! Joins the edges that several blocks of a chunk have: where all of these blocks are at hand, the
+//! sums around their edges are added up once for all isovalues.
 //!
-//! Such an edge gets a number in the chunk. The first block that has it, in the order in which they
-//! are extracted, has its normal; others but its number: whatever crosses it is in all of these
-//! blocks, so the first has made the vertex when they are at it. An edge whose ends are both shared
-//! with other chunks keeps the sum of each block, as does one that a block has which is not at
-//! hand.
+//! Such an edge gets a number in the chunk. The first block that has it, in the order in which
+//! blocks are extracted, has its normal; the others have only its number. An isovalue that crosses
+//! the edge crosses it in all of these blocks, so the first block has made the vertex when the
+//! others need it. An edge keeps the sum of each block if both its ends are shared with other
+//! chunks, or if one of its blocks is not at hand.
 
 use super::super::WorldMap;
 use super::super::fours;

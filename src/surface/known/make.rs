@@ -78,7 +78,7 @@ impl<'a> EdgeList<'a> {
         })
     }
 
-    /// Forgets the numbers; tells how many there were.
+    /// Forgets the numbers; returns how many there were.
     fn end(self) -> usize {
         for &edge in &self.edges[..self.count] {
             self.numbers[slot_of(edge)] = NO_EDGE;
@@ -244,11 +244,11 @@ impl Maker {
     }
 }
 
-/// Tells groups where the slots of their edges end, those of all in so many words.
+/// Sets where the slots of each group's edges end; the slots of all edges take so many words.
 pub(super) fn close_groups(groups: &mut [Group], slots_of_edges: &[u16], words: usize) {
     for group in groups {
         let next = slots_of_edges.get(usize::from(group.edges_end));
-        // The word that tells what a slot is belongs to it.
+        // The word that says what a slot is belongs to it.
         group.slots_end = next.map_or(words as u16, |slot| (slot & !OPEN) - (slot >> 15));
     }
 }

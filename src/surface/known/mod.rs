@@ -62,7 +62,7 @@ const SUM: u32 = 1 << 31;
 const FIRST: u32 = 1 << 30;
 /// The most words of slots, so that the place of each has 15 bits.
 const SLOTS_MOST: usize = (1 << 15) - 8;
-/// Words behind the last slot: so each can be read as a normal, whatever it is.
+/// Words behind the last slot, so that each can be read as a normal, whether it is one or not.
 const SLOTS_BEHIND: usize = 3;
 
 /// Some tetrahedra: least and greatest value, and where what belongs to the edges ends that they
@@ -173,7 +173,7 @@ impl<'a> Known<'a> {
         &bytemuck::cast_slice(&self.words[corners..edges])[..self.shape.edges]
     }
 
-    /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that tells what
+    /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that says what
     /// it is.
     #[inline(always)]
     fn slots_of_edges(&self) -> &'a [u16] {

@@ -5,14 +5,14 @@
 //!   │ a checksum for each group │ the lists of the block │ zeros up to a cache line
 //! ```
 //!
-//! The lists are used where they lie, in a mapped file too. So [`Known::open`] looks whether they
-//! are as long as the words, and [`Stored::check`] whether they have their checksums, and whatever
-//! they name is there: then no words, whoever wrote them, lead outside of a list. A question reads
-//! of the later lists (edges of tetrahedra, slots) the part of groups that it may cross. So these
-//! have checksums of their own, and only what is read of a block is looked at, once. What the slots
-//! of open edges name, and whether the triangles of a block have the vertices of their edges, is
-//! looked at when they are used ([`super::extract`]). That words mean what the archive means is
-//! another question, answered by making them again.
+//! The lists are used where they lie, in a mapped file too. So [`Known::open`] checks that they are
+//! as long as the words. [`Stored::check`] checks that they have their checksums, and that
+//! everything they name is there. Then no words, whoever wrote them, lead outside of a list. Of the
+//! later lists (edges of tetrahedra, slots) a question reads the part of the groups that it may
+//! cross. So these have checksums of their own, and only what is read of a block is checked, once.
+//! What the slots of open edges name, and whether the triangles of a block have the vertices of
+//! their edges, is checked when they are used ([`super::extract`]). Whether the words mean what the
+//! archive means is another question, answered by making them again.
 
 use super::super::ordered::SHARED;
 use super::super::patch::CORNERS;
@@ -89,7 +89,7 @@ impl<'a> Known<'a> {
     /// looked at: see [`Stored::check`].
     ///
     /// # Errors
-    /// When they are not as long as they tell.
+    /// When they are not as long as they say.
     #[inline]
     pub(crate) fn open(words: &'a [u32]) -> Result<Stored<'a>, Flaw> {
         let Some((head, rest)) = words.split_first_chunk::<HEAD>() else {
@@ -124,9 +124,9 @@ pub(crate) struct Stored<'a> {
 }
 
 impl Stored<'_> {
-    /// Looks whether what a question about these isovalues (none: about all) reads of the block is
-    /// right, in a chunk of so many corners. `known` tells what was found to be right before; with
-    /// what was found now it comes back.
+    /// Checks what a question about these isovalues (none: about all) reads of the block, in a
+    /// chunk of so many corners. `known` says what was found to be right before; it comes back with
+    /// what was found now.
     ///
     /// # Errors
     /// The first list with something that is not.
@@ -152,8 +152,8 @@ impl Stored<'_> {
         Ok(right)
     }
 
-    /// Where in the slots each group's are. Ends that do not ascend are taken for where they may be
-    /// at most: the checksum tells.
+    /// Where in the slots each group's are. Ends that do not ascend are moved to where they may be;
+    /// the checksum shows that they are wrong.
     fn ranges(&self) -> impl Iterator<Item = Range<usize>> {
         let (groups, most) = (self.block.groups(), self.block.shape.slots);
         groups.iter().scan(0, move |begin, group| {
@@ -314,8 +314,8 @@ mod tests {
         (words[OF_LISTS], words[OF_IDS]) = (of_lists, of_ids);
     }
 
-    /// Whatever a word is changed to, it is told, or its checksum is not looked at; and with a
-    /// checksum that fits, what the lists name is there, or it is told that it is not.
+    /// Any change of a word is reported, or its checksum is not looked at. With a checksum that
+    /// fits, what the lists name is there, or is reported as missing.
     #[test]
     fn nothing_that_is_named_is_missing() {
         let (all, of_chunk) = stored();
@@ -328,7 +328,7 @@ mod tests {
                 let [_, .., slots_at, slots_end] = Known::open(&all[0]).unwrap().block.ends();
                 let first = HEAD + Known::open(&all[0]).unwrap().of_groups.len();
                 // Neither the word and the zeros at the ends, nor those behind the slots, nor ids
-                // that nobody asks for.
+                // that are not asked for.
                 if n != HEAD - 1 && n != OF_IDS && n < first + slots_end - SLOTS_BEHIND {
                     assert!(check(&words).is_err(), "word {n}, slots from {slots_at}");
                 }
