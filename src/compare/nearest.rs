@@ -106,7 +106,7 @@ pub struct Walk {
     stack: Vec<(f64, u32)>,
 }
 
-/// A surface that tells what is nearest to a point.
+/// A surface, prepared for finding what is nearest to a point.
 pub struct Nearest<'a> {
     surface: &'a Triangles,
     hierarchy: Bvh2,
@@ -115,7 +115,7 @@ pub struct Nearest<'a> {
 }
 
 impl<'a> Nearest<'a> {
-    /// Builds the hierarchy of a surface; distances up to `zero` are told as 0.
+    /// Builds the hierarchy of a surface; distances up to `zero` are reported as 0.
     pub fn new(surface: &'a Triangles, zero: f64) -> Self {
         let boxed = |t: &[u32; 3]| Boxed(t.map(|v| surface.positions[v as usize]));
         let boxes: Vec<Boxed> = surface.triangles.iter().map(boxed).collect();

@@ -94,7 +94,7 @@ fn picked(from: FloatPair, numbers: __m256i) -> __m256 {
     unsafe {
         let (low, high) =
             (_mm256_permutevar8x32_ps(from.0, numbers), _mm256_permutevar8x32_ps(from.1, numbers));
-        // Bit 3 tells which half.
+        // Bit 3 selects the half.
         _mm256_blendv_ps(low, high, _mm256_castsi256_ps(_mm256_slli_epi32::<28>(numbers)))
     }
 }
