@@ -1,5 +1,5 @@
-//! The quantised values of a brick of a body-centred cubic lattice: predicted from those before,
-//! the rest coded in context.
+//! The quantised values of a brick of a body-centred cubic lattice. Each is predicted from those
+//! before it; the difference is coded in context.
 //!
 //! ```text
 //!  values, coarse to fine ─▶ mean of the neighbours, or smooth field ─▶ difference ─▶ range coder
@@ -8,9 +8,10 @@
 //!
 //! A brick has up to 8³ nodes and as many centres ([`crate::mesh::bcc`]). Nodes come first, on
 //! grids of 8, 4, 2 and 1 cells. On each finer grid those with three odd coordinates come first,
-//! then those with two, then with one: so each lies between some that are known. Centres come last.
+//! then those with two, then those with one. So each lies between some that are known. Centres come
+//! last.
 //!
-//! There are two predictions, and a brick has that which takes fewer bytes:
+//! There are two predictions, and a brick uses the one that takes fewer bytes:
 //!
 //! - The mean of all known values within a grid step, weighted by the inverse square of the
 //!   distance (Shepard 1968). The odds depend on how far the neighbours are from their mean. This
@@ -20,11 +21,11 @@
 //!   Van Ness 1968, kriging: Matheron 1963). Its weights may be negative: it follows curvature, and
 //!   no scale enters. The odds depend on the differences that were coded for the nearest eight.
 //!
-//! A difference is coded as the number of its bits, its sign, and its bits. The odds of the former
-//! learn within the brick.
+//! A difference is coded as the number of its bits, its sign, and its bits. The odds of the number
+//! of bits learn within the brick.
 //!
 //! A brick decodes alone. Weights are made from sums, products, quotients and square roots of f64,
-//! which are exact everywhere, then all arithmetic is of integers: so the bytes are the same on
+//! which are exact everywhere. All further arithmetic is on integers, so the bytes are the same on
 //! every machine.
 
 mod odds;

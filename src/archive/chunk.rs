@@ -2,9 +2,9 @@
 //! hundred a block.
 //!
 //! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices
-//! with all their tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, and
-//! runs are cut where that makes them so (`runs.rs`), a block is compact in space, its (min, max)
-//! are near each other, and few of its vertices are shared with other blocks.
+//! with all their tetrahedra. Ids follow the bricks and, inside a brick, the Hilbert curve, and
+//! runs are cut with the same aim (`runs.rs`). So a block is compact in space, its min and max are
+//! near each other, and it shares few vertices with other blocks.
 //!
 //! A block decodes on its own, in two steps: [`TetBlock::open`] gives its vertices
 //! ([`ChunkVertices`] gives their number, against which every id is checked); [`TetBlock::decode`]

@@ -4,8 +4,8 @@
 //! value segment its value blocks ([`super::values`]). The last block of the segment is the chunk
 //! table: how many blocks each chunk has.
 //!
-//! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`] goes on
-//! behind the last whole one.
+//! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`]
+//! continues after the last whole one.
 
 use super::journal::{Journal, Record};
 use super::manifest::SegmentRecord;

@@ -1,17 +1,17 @@
-//! The coordinates of a rectilinear or curvilinear grid, so that an archive of one stands alone.
+//! The coordinates of a rectilinear or curvilinear grid, so that its archive needs no other file.
 //!
-//! Such a grid is sampled and meshed in index space. A position in the world is that of the grid's
-//! samples around it, trilinear: of a rectilinear grid three tables, of a curvilinear one the eight
-//! corners of a cell. A segment holds them: a head, then either the three tables or runs of [`RUN`]
-//! samples in file order (x fastest).
+//! Such a grid is sampled and meshed in index space. A position in the world is interpolated
+//! trilinearly from the grid's samples around it. A rectilinear grid needs three tables for that, a
+//! curvilinear one the eight corners of a cell. A segment holds a head, then either the three
+//! tables or runs of [`RUN`] samples in file order (x fastest).
 //!
 //! [`CoordinateMap`] reads what is asked for and keeps some runs: neighbours on a surface use the
 //! same ones.
 //!
-//! **Folded cells.** Where the eight determinants of a cell's map (at its corners) have different
-//! signs, or another one than most cells', the grid folds over itself; where they are all 0 the
-//! cell has no volume (the axis of a cylinder, say, has some that vanish at four corners only:
-//! those are good). [`CoordinateMap::count_cells`] counts them.
+//! **Folded cells.** The map of a cell has eight determinants, one at each corner. Where they have
+//! different signs, or another sign than in most cells, the grid folds over itself. Where all of
+//! them are 0, the cell has no volume. (At the axis of a cylinder, say, they vanish at four corners
+//! only: such cells are good.) [`CoordinateMap::count_cells`] counts them.
 
 use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::Malformed;

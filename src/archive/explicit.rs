@@ -1,10 +1,10 @@
 //! The listed points of an archive: positions for which there is no formula, in a segment of their
 //! own.
 //!
-//! Blocks of up to [`BLOCK_POINTS`] positions in canonical order, the last of the rest; each block
-//! is zstd of three columns x, y, z, each the differences to the point before (the first: to 0),
-//! sign moved to the lowest bit, as varints. The plan has their number and the hash of all
-//! positions, so that a mesh is never decoded with other points.
+//! Blocks hold up to [`BLOCK_POINTS`] positions in canonical order; the last block holds the rest.
+//! Each block is zstd of three columns x, y, z. Each number is the difference to the point before
+//! (the first: to 0), its sign moved to the lowest bit, as a varint. The plan has the number of
+//! points and the hash of all positions, so that a mesh is never decoded with other points.
 
 use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};

@@ -13,10 +13,10 @@
 //!      4  CRC32C of the record so far
 //! ```
 //!
-//! The next writer believes nothing of it: a record counts when its checksum is right, its chunk is
-//! the next one, and the blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So
+//! The next writer trusts none of it: a record counts if its checksum is right, its chunk is the
+//! next one, and the blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So
 //! neither a torn record nor a machine that lost power can do more than lose chunks. The journal is
-//! no part of the archive and is gone when the segment is done.
+//! no part of the archive and is removed when the segment is done.
 
 use super::publish::{Dead, TEMPORARY_MARK, open_own};
 use super::wire::Cursor;

@@ -10,8 +10,8 @@
 //! folder as a whole. A file system without locks is not protected: there, the user must keep two
 //! writers apart.
 //!
-//! The file is removed with the lock. So whoever has locked it looks whether it is still the file
-//! of that name: the one before may have removed it in between.
+//! The file is removed with the lock. So a process that has locked it checks that it is still the
+//! file of that name: the previous owner may have removed it in between.
 //!
 //! Workers of a planned reduction take no lock: those of one segment write the same bytes.
 

@@ -1,10 +1,10 @@
 //! A file that appears whole or not at all.
 //!
-//! It is written under a temporary name in its final folder, synced, renamed, and the folder synced
-//! (of the parts of an archive once for all, before the manifest names them: [`sync_folders`]). The
-//! temporary name is unique per host, process and file, so two writers of the same file do not
-//! disturb each other: they write the same bytes and the later rename wins. A writer that is
-//! dropped unfinished removes its temporary.
+//! It is written under a temporary name in its final folder, synced and renamed; then the folder is
+//! synced. (The folders of an archive's parts are synced once for all parts, before the manifest
+//! names them: [`sync_folders`].) The temporary name is unique per host, process and file, so two
+//! writers of the same file do not disturb each other: they write the same bytes and the later
+//! rename wins. A writer that is dropped unfinished removes its temporary.
 //!
 //! ```text
 //!  .000007.seg.tmp-node12-4711-9f3c21d50ab7e644x3

@@ -2,8 +2,8 @@
 //!
 //! The coder is the carry-propagating one of LZMA (Martin 1979, "Range encoding"; Pavlov's LZMA
 //! specification): the interval [low, low + range) shrinks with each bit in proportion to the bit's
-//! probability, and whole bytes leave at its top. A probability moves towards each bit that was
-//! seen by 1/32 of the distance: so it is never certain, and needs no clamp.
+//! probability, and whole bytes leave at its top. A probability moves towards each bit seen, by
+//! 1/32 of the distance. So it is never certain, and needs no clamp.
 
 /// Part of the distance that a probability moves, as a shift.
 const RATE: u32 = 5;

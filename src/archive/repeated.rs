@@ -3,11 +3,11 @@
 //!
 //! The values of the first step decide which vertices are one ([`crate::pipeline`] does that). The
 //! samples of the boundary depend on it, and the first step's file may be gone when another is
-//! added. The segment has pairs of a vertex and the first that equals it, by ascending vertices, in
-//! blocks of [`BLOCK_PAIRS`] (the last has the rest). A block is zstd of two columns of varints:
-//! the vertices as differences to the one before (the first: to 0), and how far before each its
-//! first is. The plan has the number of pairs and the hash of all. Neither writing nor reading
-//! holds more than a block.
+//! added. The segment has pairs of a vertex and the first vertex that equals it. Pairs are sorted
+//! by the former, in blocks of [`BLOCK_PAIRS`] (the last block has the rest). A block is zstd of
+//! two columns of varints: the vertices as differences to the one before (the first: to 0), and how
+//! far before each vertex its first one is. The plan has the number of pairs and the hash of all.
+//! Neither writing nor reading holds more than a block.
 
 use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};

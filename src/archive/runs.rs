@@ -1,4 +1,4 @@
-//! Where the tetrahedra of a chunk, in the order of their first vertices, are cut into blocks.
+//! How the tetrahedra of a chunk, in the order of their first vertices, are cut into blocks.
 //!
 //! A question about an isovalue decodes the blocks that the surface may cross. A flat surface at
 //! any place crosses a box in proportion to its mean width (Crofton's formula), which is half the
@@ -8,9 +8,9 @@
 //!  sum over blocks of   (sum of the edges of the box around it)  ·  (its tetrahedra + what a block costs by itself, in tetrahedra)
 //! ```
 //!
-//! found by dynamic programming, in steps of a few vertices. Such blocks are eighths and quarters
-//! of cubes rather than pieces of equal length of the curve along which vertices are sorted: fewer
-//! are read, less of them in vain, and they have fewer vertices of others.
+//! They are found by dynamic programming, in steps of a few vertices. Such blocks are eighths and
+//! quarters of cubes rather than equal lengths of the curve along which vertices are sorted. So
+//! fewer blocks are read, less of them in vain, and they have fewer vertices of others.
 
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;

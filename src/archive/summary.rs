@@ -1,9 +1,9 @@
 //! What the last block of a chunk says about the chunk, so that the archive can be put together
 //! without decoding it.
 //!
-//! In a mesh segment: how many tetrahedra the chunk owns, their volume, how often its halo was
-//! widened. In a value segment: the range of its values, and of every tetrahedron block, from which
-//! the index of the step is built. Fixed fields, little-endian; see `FORMAT.md`.
+//! In a mesh segment, it says how many tetrahedra the chunk owns, their volume, and how often its
+//! halo was widened. In a value segment, it has the range of the values, and of every tetrahedron
+//! block; the index of the step is built from these. Fixed fields, little-endian; see `FORMAT.md`.
 //!
 //! It also holds the ranges of the chunk's value blocks, by themselves. Where a surface does not
 //! pass, a reader that knows on which side of it all values of a block are need not read them.

@@ -4,14 +4,14 @@
 //! blocks that hold them (vertex `v` is in block `v / BLOCK_VALUES`). Local ids follow the bricks
 //! and the Hilbert curve, so those are few.
 //!
-//! A block is one chunk of [pcodec](https://docs.rs/pco), which finds out whether numbers are
-//! multiples of something or lie on few values, and codes each in a bin of its own with bits of its
-//! own; or the values as they are, where that is shorter. On values that were interpolated from ten
-//! real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value;
-//! zstd of shuffled bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 %
-//! more on each of them, and was dropped. Whether differences of neighbours are worth trying (they
-//! are in smooth simulations, for 5 %), and whether the numbers are multiples of something, is
-//! found out with some blocks of a chunk.
+//! A block is one chunk of [pcodec](https://docs.rs/pco), or the values as they are, where that is
+//! shorter. pcodec finds out whether numbers are multiples of something or lie on few values, and
+//! codes each in a bin of its own with bits of its own. On values that were interpolated from ten
+//! real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value.
+//! zstd of shuffled bytes, of the values or of differences, whichever is shorter, takes 1 to 26 %
+//! more on each of them, and was dropped. Some blocks of a chunk are tried to find out two things:
+//! whether differences of neighbours are worth trying (they are in smooth simulations, for 5 %),
+//! and whether the numbers are multiples of something.
 //!
 //! Bits come back as they were, except that every NaN (void) becomes the one NaN `0x7fc00000`: two
 //! programs that make a void value differently write the same bytes.
@@ -20,11 +20,11 @@
 //! vertices that two chunks share keep equal values. The integers are what is stored.
 //!
 //! **Steps of a series** lie on the same vertices, and the value of a vertex is often near that of
-//! the step before. A block may hold the differences to it: of the integers of a quantised value,
-//! else of the floats' bits as integers in the order of the floats (as in Lindstrom and Isenburg
-//! 2006, "Fast and efficient compression of floating-point data", where the prediction is one of
-//! space). Some blocks of a chunk are coded both ways, and the shorter way is taken for all of the
-//! chunk.
+//! the step before. A block may hold the differences to it. For quantised values these are
+//! differences of the integers. For others they are differences of the floats' bits as integers, in
+//! the order of the floats (as in Lindstrom and Isenburg 2006, "Fast and efficient compression of
+//! floating-point data", where the prediction is one of space). Some blocks of a chunk are coded
+//! both ways, and the shorter way is taken for all of the chunk.
 
 use super::brick_values::{self, Template};
 use super::wire::{Cursor, Malformed};

@@ -1,5 +1,5 @@
-//! The vertices of a chunk: a small header that every question reads, and pages that are read where
-//! a block has a vertex in them.
+//! The vertices of a chunk: a small header that every question reads, and pages that are read only
+//! if a block has a vertex in them.
 //!
 //! ```text
 //!  header                points of each brick, number of halo points
@@ -12,9 +12,9 @@
 //! points. Ids and positions of core points cost nothing: they follow from the point set and the
 //! counts. The id of a halo point is stored, as the difference to the one before.
 //!
-//! A surface that is small touches a few blocks of a chunk, and these lie together. So do the halo
-//! points of a page, and the values that come with them: [`order_halo`] sorts them along the curve
-//! first, and only within a page by id, which keeps differences small.
+//! A small surface touches a few blocks of a chunk, and these lie together. So do the halo points
+//! of a page, and the values that come with them: [`order_halo`] sorts them along the curve first,
+//! and only within a page by id, which keeps differences small.
 
 use super::values::BLOCK_VALUES;
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};

@@ -1,5 +1,5 @@
 //! The cases of marching tetrahedra, derived at compile time: which edges are crossed, which
-//! triangles they make; and the order of four corners from the comparisons of their ids. The
+//! triangles they make, and the order of four corners from the comparisons of their ids. The
 //! picture is in [`super::marching_tets`].
 
 /// The six edges of a tetrahedron with sorted corners, in the order of their keys.

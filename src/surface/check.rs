@@ -2,7 +2,7 @@
 //!
 //! # How does it work?
 //!
-//! The triangles are listed by vertex (a counting sort). Then each vertex `v` is looked at alone,
+//! The triangles are listed by vertex (a counting sort). Then each vertex `v` is examined alone,
 //! through its *link*: every triangle (v, n, p) contributes the directed edge n → p.
 //!
 //! ```text
@@ -18,9 +18,9 @@
 //! their smallest.
 //!
 //! # Surfaces larger than memory
-//! Arcs (v, n, p) of all triangles are sorted by v, beyond memory on disk, and the links come out
-//! one after the other. Positions lie in a store that is read through a cache. What must be in
-//! memory, and is asked for in [`CheckSettings::memory`]:
+//! Arcs (v, n, p) of all triangles are sorted by v, on disk if they exceed memory, and the links
+//! come out one after the other. Positions lie in a store that is read through a cache. The
+//! following must be in memory, and is asked for in [`CheckSettings::memory`]:
 //!
 //! * 4 bytes a vertex for the connected pieces (union-find; one array, used for the surface and
 //!   then for its rims);

@@ -417,8 +417,8 @@ fn a_damaged_step_does_not_hurt_others() {
     assert_eq!(answer(2).unwrap(), expected[2]);
 }
 
-/// The same reduction once more finds nothing to make, and makes again whatever file of the archive
-/// is lost; another one does not touch what is there.
+/// The same reduction once more finds nothing to make. If any file of the archive is lost, it makes
+/// that file again. Another reduction does not touch what is there.
 #[test]
 fn the_same_reduction_makes_what_is_missing() {
     let dir = tempfile::tempdir().unwrap();

@@ -7,12 +7,13 @@
 //! m0·w') / (n·w'), and the Delaunay triangle behind the gate is the one met first. All is scaled
 //! by 2 |n|², so that only the last step divides.
 //!
-//! The least of several s, and whose it is, is one number, the *key*: s with the place of the point
-//! in its lowest bits. So the first of points that are met at about the same s is predicted.
+//! The *key* is one number that holds the least of several s and the point it belongs to: s with
+//! the place of the point in its lowest bits. So the first of points that are met at about the same
+//! s is predicted.
 //!
 //! Everything is `f32` arithmetic in a fixed order, with fused multiplications and additions where
-//! the code says so, which IEEE 754 makes the same everywhere; what it gets wrong costs bits, not
-//! truth.
+//! the code says so. IEEE 754 makes that the same everywhere; its errors cost bits, not
+//! correctness.
 
 use crate::geom::LatticePos;
 

@@ -1,5 +1,5 @@
-//! The connectivity coder of a tetrahedron block: vertex after vertex, the tetrahedra of which it
-//! is the smallest vertex (the *star*).
+//! The connectivity coder of a tetrahedron block. It goes from vertex to vertex and codes the
+//! tetrahedra of which each is the smallest vertex (the *star*).
 //!
 //! The tetrahedra around a vertex v, seen from v, are the triangles of a sphere, the *link* of v.
 //! Those with a vertex smaller than v were coded before. The coder adds the others, growing the
@@ -15,15 +15,15 @@
 //! This is no new triangulation: no conflict is searched for, nothing is exact. Where the bit is
 //! not set, the gate is mostly a *border*: the tetrahedron behind it is in another block (of
 //! smaller vertices), or there is none. A prediction can be wrong, where more than four points lie
-//! on a sphere or where rounding decides. Then the star is *odd*, which a bit before it says, and
-//! the correction follows:
+//! on a sphere or where rounding decides. Then the star is *odd*, as a bit before the star says,
+//! and the correction follows:
 //!
 //! * the rank of the apex among the points in front, in the order in which the growing sphere meets
 //!   them;
 //! * its number among the vertices of the block, if it is too far away to have a rank.
 //!
-//! A star is odd too where its link has several pieces. Each begins at an edge (c, d) that is coded
-//! by ranks: of c by distance, of d by the size of the circle.
+//! A star is also odd if its link has several pieces. Each piece begins at an edge (c, d) that is
+//! coded by ranks: c by distance, d by the size of the circle.
 //!
 //! So a block has two streams. Bits of stars and gates, and the differences of the other vertices'
 //! numbers, are stored as they are ([`bits`]): reading some costs a shift. The corrections of odd

@@ -1,4 +1,4 @@
-//! The odds at the beginning of a block: part of the format.
+//! The odds at the beginning of a block. They are part of the format.
 
 use super::DECISIONS;
 use crate::archive::range::Odds;

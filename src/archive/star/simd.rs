@@ -1,5 +1,5 @@
-//! What [`link`](super::link) does most, with AVX2 and FMA: the same operations in the same order,
-//! eight at a time, so the same bits.
+//! The most frequent operations of [`link`](super::link), with AVX2 and FMA. They are the same
+//! operations in the same order, eight at a time, so the bits are the same.
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
