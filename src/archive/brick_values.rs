@@ -43,17 +43,17 @@ const VALUES: usize = 2 * EDGE * EDGE * EDGE;
 const UNIT: i64 = 1 << 14;
 /// Kinds of values: nodes on coarse grids, nodes on the finest, centres.
 const KINDS: usize = 3;
-/// Tables of odds: one of each kind, and that of smooth bricks.
+/// Tables of odds: one for each kind, and one for smooth bricks.
 const TABLES: usize = KINDS + 1;
 /// Neighbours of a value of a smooth brick, at most.
 const SMOOTH_NEAR: usize = 32;
-/// Those of them whose own differences decide the odds.
+/// Neighbours whose own differences decide the odds.
 const NEAREST: usize = 8;
 /// Classes of spread.
 const SPREADS: usize = 20;
 /// Bits that a difference may have.
 const MOST_BITS: usize = 32;
-/// Those that have odds of their own.
+/// Numbers of bits that have odds of their own.
 const LENGTHS: usize = 20;
 
 /// A value in the order of coding: which one, its table of odds, and the end of its neighbours.
@@ -87,8 +87,8 @@ pub(crate) struct Template {
 type Halves = [i32; 3];
 
 impl Template {
-    /// That of a brick of so many cells, 1 to 8 along each axis. Values are numbered in blocks of
-    /// 4³ cells: of each its nodes, x fastest, then its centres.
+    /// The template of a brick of so many cells, 1 to 8 along each axis. Values are numbered in
+    /// blocks of 4³ cells: in each block first its nodes, x fastest, then its centres.
     pub(crate) fn of(cells: [u32; 3]) -> &'static Self {
         static ALL: [OnceLock<Template>; EDGE * EDGE * EDGE] =
             [const { OnceLock::new() }; EDGE * EDGE * EDGE];
@@ -112,7 +112,7 @@ impl Template {
 }
 
 impl Prediction {
-    /// By the mean of the neighbours within a grid step.
+    /// Predicts by the mean of the neighbours within a grid step.
     fn mean(cells: [i32; 3]) -> Self {
         let order = in_order(cells);
         let mut rank = vec![usize::MAX; order.len()];
@@ -146,7 +146,7 @@ impl Prediction {
         all
     }
 
-    /// By the most likely field through the nearest values.
+    /// Predicts by the most likely field through the nearest values.
     fn smooth(cells: [i32; 3]) -> Self {
         let places: Vec<Halves> = in_order(cells).into_iter().map(|(at, _)| at).collect();
         let (mut all, mut known) = (Self::default(), HashMap::new());
@@ -485,7 +485,7 @@ mod tests {
         }
         let mut bytes = vec![];
         encode(template, &values, &mut bytes);
-        // Of the 8 that each would take for itself.
+        // Less than half of the 8 bits that each value would take by itself.
         assert!(bytes.len() < 1024 * 4 / 8, "{}", bytes.len());
         // A smooth field does better than a mean.
         let mut by_mean = vec![];

@@ -271,7 +271,7 @@ pub(crate) mod tests {
         tets
     }
 
-    /// Of a chunk and the tetrahedra that its encoder left.
+    /// Decodes a chunk, and compares it with the tetrahedra that its encoder left.
     fn decode((encoded, told): &(EncodedChunk, Vec<Tet>), positions: &[LatticePos]) -> Vec<Tet> {
         let (mut all, mut scratch) = (vec![], TetScratch::default());
         let open = |bytes| TetBlock::open(bytes, positions.len() as u32).unwrap();

@@ -52,8 +52,8 @@ pub enum Coordinates<'a> {
 /// How many cells a grid has of each sort.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CellCount {
-    /// Cells that fold: their map turns inside out within them, or the other way than that of most
-    /// cells.
+    /// Cells that fold: their map turns inside out within them, or is oriented the other way than
+    /// that of most cells.
     pub folded: u64,
     /// Cells without a volume.
     pub degenerate: u64,
@@ -64,7 +64,8 @@ pub struct CellCount {
 /// Writes the coordinates of a grid of `dims` samples.
 ///
 /// # Errors
-/// Those of the coordinates and of writing; [`Error::BadInput`] for one that is not finite.
+/// Errors of the coordinates and of writing; [`Error::BadInput`] for a coordinate that is not
+/// finite.
 pub fn write(
     path: &Path,
     plan: PlanHash,
@@ -198,7 +199,7 @@ impl CoordinateMap {
     /// # Errors
     /// When the segment cannot be read, or is damaged.
     pub fn place(&self, ijk: [f64; 3]) -> Result<Placed> {
-        // Of a position on the far face, the last cell.
+        // A position on the far face lies in the last cell.
         let cell: [u64; 3] =
             std::array::from_fn(|a| (ijk[a].max(0.0) as u64).min(self.dims[a].saturating_sub(2)));
         let t = DVec3::from_array(std::array::from_fn(|a| ijk[a] - cell[a] as f64));

@@ -38,7 +38,7 @@ fn is_none(clear: &u32) -> bool {
 }
 
 impl ExplicitRecord {
-    /// Of a list.
+    /// The record of a list.
     pub fn of(points: &ExplicitPoints) -> Self {
         let bytes: Vec<u8> = points.positions().iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
         Self { count: points.len(), hash: PlanHash::of(&bytes), clear: points.clear() }

@@ -29,7 +29,7 @@ pub struct LevelsRecord {
 }
 
 impl LevelsRecord {
-    /// Of a map of levels.
+    /// The record of a map of levels.
     pub fn of(levels: &Levels) -> Self {
         let hash = PlanHash::of(levels.as_slice());
         Self { edge: levels.cells().edge[0], top: levels.top(), hash }

@@ -148,7 +148,7 @@ pub struct OwnRecord {
 }
 
 impl OwnRecord {
-    /// Of so many tetrahedra of a volume.
+    /// The record of so many tetrahedra of this volume.
     pub(crate) fn new(tetrahedra: u64, volume6: u128) -> Self {
         Self { tetrahedra, volume6: [volume6 as u64, (volume6 >> 64) as u64] }
     }
@@ -236,10 +236,10 @@ pub struct Source {
     #[serde(default, skip_serializing_if = "is_zero")]
     pub offset: f64,
     /// The largest difference of a sample from the `f32` that stands for it, where that matters:
-    /// more than 2^-20 of the range, or of whole numbers any. Errors include it.
+    /// more than 2^-20 of the range, or any difference for whole numbers. Errors include it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub rounding: f64,
-    /// Of a tetrahedral mesh: its vertices and tetrahedra.
+    /// The vertices and tetrahedra of a tetrahedral mesh.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<MeshSource>,
 }
@@ -471,8 +471,8 @@ pub struct Manifest {
     pub mesh: Vec<SegmentRecord>,
     /// Steps, in order of their numbers.
     pub steps: Vec<Step>,
-    /// Of an archive that was made for a wanted error, by several tries: XXH3 (128 bits) of the
-    /// settings. By it the same call knows that it is done.
+    /// XXH3 (128 bits) of the settings, if the archive was made for a wanted error, by several
+    /// tries. By this hash the same call knows that it is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<PlanHash>,
 }

@@ -35,7 +35,7 @@ pub struct RepeatedRecord {
 }
 
 impl RepeatedRecord {
-    /// Of all pairs; none where there is no pair.
+    /// The record of all pairs; none if there is no pair.
     pub(crate) fn of(pairs: impl Iterator<Item = Pair>) -> Option<Self> {
         let mut sum = Sum::default();
         pairs.for_each(|pair| sum.add(pair));

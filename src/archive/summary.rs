@@ -33,7 +33,7 @@ pub struct MeshSummary {
     pub tets: u64,
     /// Their six-fold volume in lattice steps, exact.
     pub volume6: i128,
-    /// That of tetrahedra that would be the chunk's, but lie outside of the data and are not
+    /// The same for tetrahedra that would be the chunk's, but lie outside of the data and are not
     /// stored.
     pub outside6: i128,
 }
@@ -140,7 +140,7 @@ pub struct ValueSummary {
 }
 
 impl ValueSummary {
-    /// Of the values of a chunk's own points and the ranges of its blocks.
+    /// The summary of the values of a chunk's own points and the ranges of its blocks.
     pub fn of(own: &[f32], ranges: Vec<BlockRange>) -> Self {
         Self {
             void: own.iter().filter(|v| v.is_nan()).count() as u32,

@@ -184,7 +184,7 @@ pub struct Unpacked {
     table: UnpackedTable,
     /// The first block of each chunk, and behind the last.
     starts: Vec<u64>,
-    /// Of each chunk that was used a number for each block.
+    /// For each chunk that was used, a number for each block.
     noted: Vec<OnceLock<Box<[AtomicU64]>>>,
 }
 

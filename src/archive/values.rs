@@ -345,7 +345,7 @@ fn ordered(v: f32) -> i32 {
     turned(v.to_bits() as i32)
 }
 
-/// Of negative numbers, all bits but the sign turned over.
+/// Turns over all bits but the sign of a negative number.
 fn turned(bits: i32) -> i32 {
     bits ^ ((bits >> 31) as u32 >> 1) as i32
 }
@@ -361,7 +361,7 @@ fn as_steps(values: &[f32], q: &Quantiser, out: &mut Vec<i32>) -> bool {
 /// archive's bytes, the default, 8, more than twice the time for 0.4 % (medians of eight volumes at
 /// 1/8 of the samples).
 const LEVEL: usize = 4;
-/// That of blocks with a void value: it lies far from all others and takes bins from them.
+/// The level for blocks with a void value: it lies far from all others and takes bins from them.
 const LEVEL_WITH_VOID: usize = 5;
 
 /// Appends one chunk of pcodec.

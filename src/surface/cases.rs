@@ -25,7 +25,7 @@ pub(super) struct Case {
 /// tetrahedron.
 pub(super) const ODD: u8 = 16;
 
-/// By the mask of corners inside, and [`ODD`].
+/// The cases by the mask of corners inside, and [`ODD`].
 pub(super) static CASES: [Case; 32] = {
     let none =
         Case { edges: [[0, 1]; 4], numbers: [0; 4], corners: [[0; 3]; 2], sides: [[0; 3]; 2], triangles: 0 };
@@ -162,8 +162,8 @@ pub(super) struct OrderOf {
     pub(super) odd: u8,
 }
 
-/// By the six comparisons of the ids of corners i < j, in the order of [`EDGES`]: whether that of j
-/// is less.
+/// The orders by the six comparisons of the ids of corners i < j, in the order of [`EDGES`]:
+/// whether that of j is less.
 pub(super) static ORDERS: [OrderOf; 64] = {
     let mut orders = [OrderOf { corners: [0; 4], odd: 0 }; 64];
     let mut swapped = 0;

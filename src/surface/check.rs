@@ -182,9 +182,9 @@ pub fn check_source(
 /// Boundary edges that lie on no face of the domain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct OpenEdges {
-    /// Those that nothing explains: holes.
+    /// Edges that nothing explains: holes.
     pub outside: u64,
-    /// Those at samples without data.
+    /// Edges at samples without data.
     pub at_missing: u64,
 }
 
@@ -192,8 +192,8 @@ pub struct OpenEdges {
 /// no data.
 pub type Explain<'a> = dyn FnMut(&[[[f32; 3]; 2]]) -> Result<u64> + 'a;
 
-/// As [`check_source`], where boundary edges may also lie at what has no data: `at_missing` is
-/// asked about those on no face, so many at a time as [`EDGES_ASKED`] at most.
+/// As [`check_source`], but boundary edges may also lie where there is no data. `at_missing` is
+/// asked about those on no face, at most [`EDGES_ASKED`] at a time.
 ///
 /// # Errors
 /// As [`check_source`], and those of `at_missing`.
@@ -612,7 +612,7 @@ fn root(parents: &mut [u32], mut i: u32) -> u32 {
 
 /// Connected pieces of a graph on the vertices; vertices without an edge are none.
 struct Pieces {
-    /// Of each vertex; [`ALONE`] as long as it has no edge.
+    /// The parent of each vertex; [`ALONE`] as long as it has no edge.
     parents: Vec<u32>,
 }
 

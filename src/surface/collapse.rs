@@ -367,7 +367,7 @@ impl<'a> Work<'a> {
         if has(goes, [a, b]) && (outside || has(stays, [a, b])) {
             return None;
         }
-        // Of a vertex that moves, all triangles are here.
+        // All triangles of a vertex that moves are here.
         (self.fans[stays as usize].len() + self.fans[goes as usize].len() <= MOST_TRIANGLES + 4)
             .then_some([a, b])
     }

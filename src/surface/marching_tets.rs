@@ -186,7 +186,7 @@ impl Workbench {
     }
 }
 
-/// A vertex of which the gradient is not yet summed up.
+/// A vertex whose gradient is not yet summed up.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OpenVertex {
     pub(super) gradient: [i64; 3],
@@ -198,9 +198,9 @@ pub(super) struct OpenVertex {
 struct Joined {
     /// The vertex of each.
     vertices: Vec<u32>,
-    /// Those whose vertices are new.
+    /// The edges whose vertices are new.
     new: Vec<u16>,
-    /// Those that the patch has alone; those that it is the first to have.
+    /// The edges that the patch has alone; those that it is the first to have.
     alone: Vec<u16>,
     first: Vec<u16>,
 }

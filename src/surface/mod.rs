@@ -88,7 +88,7 @@ impl TriMesh {
     /// Reads a whole surface into memory: 24 bytes a vertex and 12 a triangle.
     ///
     /// # Errors
-    /// Those of reading the source.
+    /// Errors of reading the source.
     pub fn from_source(source: &dyn SurfaceSource) -> Result<Self> {
         let mut mesh = Self::default();
         source.vertices(&mut |batch| {

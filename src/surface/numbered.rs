@@ -42,11 +42,11 @@ pub(crate) struct NumberedBlock {
     words: Box<[u32]>,
     tets: usize,
     corners: usize,
-    /// The edges below have all their tetrahedra here.
+    /// Edges with numbers below this have all their tetrahedra here.
     alone: u16,
 }
 
-/// What blocks are numbered and worked on in: buffers.
+/// Buffers in which blocks are numbered and worked on.
 #[derive(Debug, Default)]
 pub(super) struct BlockBuffers {
     slots: Vec<u16>,
@@ -126,8 +126,8 @@ impl BlockBuffers {
 }
 
 impl NumberedBlock {
-    /// Numbers a block. `None` of one with too many corners or tetrahedra, which is rare, or of
-    /// corners without numbers in a chunk.
+    /// Numbers a block. `None` if it has too many corners or tetrahedra, which is rare, or corners
+    /// without numbers in a chunk.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.

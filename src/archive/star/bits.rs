@@ -8,7 +8,7 @@ use crate::archive::wire::put_varint;
 #[derive(Default)]
 pub(super) struct BitWriter {
     bytes: Vec<u8>,
-    /// Those that do not fill a byte yet, from the lowest, and their number.
+    /// Bits that do not fill a byte yet, from the lowest, and their number.
     rest: u64,
     bits: u32,
 }

@@ -21,7 +21,7 @@ use crate::geom::LatticePos;
 pub(super) const MOST: usize = super::LARGEST_LINK + 4;
 /// No vertex of a link.
 pub(super) const NOBODY: usize = MOST - 1;
-/// Those nearby that are taken at the beginning: the rest is for vertices that must be named.
+/// Vertices nearby that are taken at the beginning: the rest is for vertices that must be named.
 pub(super) const MOST_NEAR: usize = 48;
 /// Gates that are looked at together.
 pub(super) const LANES: usize = 4;
@@ -61,9 +61,9 @@ pub(super) trait Path: Copy {
     fn near(self, cloud: &Cloud, v: usize, link: &mut Link);
     /// Inverts the first `len` points of a link, and may put anything into those behind them.
     fn invert(self, cloud: &Cloud, link: &mut Link);
-    /// Foretells what is behind each of the gates, garbage beyond their number.
+    /// Predicts what is behind each of the gates; there is garbage beyond their number.
     fn search(self, link: &Link, gates: &mut Gates);
-    /// Runs what is rare, out of the way of what is not.
+    /// Runs rare code, out of the way of frequent code.
     fn apart<T>(self, f: impl FnOnce() -> T) -> T;
 }
 
@@ -129,7 +129,7 @@ pub(super) struct Link {
     /// For each vertex of the block where it was in `id` when it, or another of its number, was
     /// there last, and 256 times the link's stamp then.
     slot: Box<[u32; VERTICES]>,
-    /// Of this link, shifted: no other's since the slots were cleared.
+    /// The stamp of this link, shifted; no other link has had it since the slots were cleared.
     stamp: u32,
     /// For each gate whether it is open: 1 or 0.
     open: Box<[u8; GATES]>,
@@ -143,7 +143,7 @@ pub(super) struct Link {
 /// Some gates, and what is predicted behind each.
 pub(super) struct Gates {
     pub(super) len: usize,
-    /// And one that is not in use.
+    /// The gates, and one that is not in use.
     pub(super) gates: [Gate; LANES + 1],
     /// The key of the apex, infinity where nothing is in front.
     pub(super) told: [f32; LANES],

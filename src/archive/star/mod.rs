@@ -125,12 +125,12 @@ trait End {
 /// A face that waits for its smallest vertex to come: the other two.
 #[derive(Clone, Copy, Default)]
 struct Waiting {
-    /// The second one 2^16 times.
+    /// The second one times 2^16.
     others: u32,
     next: u16,
 }
 
-/// Of the vertices of a face the least, and the two that follow it, the second one 2^16 times.
+/// The least vertex of a face, and the two that follow it, the second one times 2^16.
 #[inline(always)]
 fn least_first([c, d, w]: [Local; 3]) -> (Local, u32) {
     // By shifting (c, d, w, c): no branch, for none could be predicted.
@@ -339,8 +339,8 @@ impl Stars {
         Some(())
     }
 
-    /// Of the uncoded triangles (those with a vertex) the vertex of least score; the decoder, which
-    /// has none, gets any.
+    /// The vertex of least score among the uncoded triangles (those with a vertex). The decoder has
+    /// no such triangles, and gets any vertex.
     fn least_of(&self, scores: &[f32; MOST], with: Option<Local>) -> Local {
         let score = |&w: &Local| (self.link.find(w).map_or(f32::INFINITY, |i| scores[i]), w);
         let triangles = self.uncoded.iter().filter(|t| with.is_none_or(|w| t.contains(&w)));

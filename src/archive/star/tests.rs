@@ -304,8 +304,8 @@ fn mesh_of(kind: SetKind, count: u64) -> (Vec<LatticePos>, Vec<Tet>) {
     (positions, sorted(&tets))
 }
 
-/// Of the odds that a block begins with: Hammersley and Halton points count most, for they are what
-/// is mostly used.
+/// The odds that a block begins with: Hammersley and Halton points count most, since they are used
+/// most.
 #[test]
 #[ignore = "makes the table of odds.rs: run it with --ignored after a change of the coder"]
 fn the_first_odds_are_those_of_the_point_sets() {

@@ -67,7 +67,7 @@ fn near_avx512(cloud: &Cloud, v: usize, link: &mut Link) {
     let at = cloud.point(v);
     let radius2 = _mm512_set1_ps(cloud.radius2);
     let axis = |k: usize| &cloud.axes[k].as_chunks::<16>().0[v / 16..];
-    // Those that are larger than v.
+    // The vertices that are larger than v.
     let (mut n, mut larger) = (0, (0xffff_u32 << (v % 16) << 1) as u16);
     let mut places = _mm512_add_epi32(
         _mm512_set1_epi32((v / 16 * 16) as i32),
@@ -213,7 +213,7 @@ impl Hinges {
         // The bits of the place, or else those of the quotient: `place & PLACE | s & !PLACE`.
         let key = _mm512_ternarylogic_epi32::<0xca>(_mm512_set1_epi32(PLACE as i32), place, s);
         let in_front = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(h, self.least);
-        // Of no number and the best, the best.
+        // If the key is no number, the best stays.
         _mm512_mask_min_ps(best, in_front, _mm512_castsi512_ps(key), best)
     }
 }

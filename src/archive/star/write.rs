@@ -28,8 +28,8 @@ pub(crate) struct Writer {
 pub(super) struct Truth {
     coder: Encoder,
     pub(super) bits: BitWriter,
-    /// Of the star: numbers of gates that were looked at together, with their hits; and whether
-    /// there is more to it.
+    /// For each look at gates of the star: their number, and their hits. Then, whether there is
+    /// more to the star.
     hits: Vec<(u8, u8)>,
     is_odd: bool,
     pub(super) tets: Vec<[Local; 4]>,
@@ -48,7 +48,7 @@ pub(super) struct Truth {
     pub(super) told: Vec<Tet>,
     /// How many are coded.
     pub(super) at: usize,
-    /// Of the star that was tried last.
+    /// What was found about the star that was tried last.
     pub(super) found: Found,
     pub(super) luck: Luck,
     /// For the test that makes `odds.rs`: of each decision how often, and how often so.

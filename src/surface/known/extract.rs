@@ -29,7 +29,7 @@ const NEW: u32 = u32::MAX;
 #[derive(Debug, Default)]
 pub(in super::super) struct Crossed {
     edges: Vec<u16>,
-    /// Those of the edges that other blocks may have too.
+    /// The crossed edges that other blocks may have too.
     open: Vec<u16>,
     /// Active tetrahedra, and the corners inside of each.
     tets: Vec<[u16; 2]>,
@@ -80,7 +80,7 @@ impl Crossed {
         self.counts = [crossed, open, tables.tets(&table, block.tets(), &mut self.tets)];
     }
 
-    /// Looks what is crossed.
+    /// Finds what is crossed.
     #[inline(always)]
     fn find(&mut self, block: Known<'_>, isovalue: f32) {
         self.make_room(block);
@@ -90,7 +90,7 @@ impl Crossed {
         let (list, open_list, active_list) = (&mut list[..], &mut open_list[..], &mut active_list[..]);
         let ([mut crossed, mut open, mut active], mut first) = ([0; 3], 0);
         for (group, n) in block.groups().iter().zip((0..tets.len()).step_by(GROUP)) {
-            // Those of a block in a file that is cut short meanwhile may be 0.
+            // The ends in a block of a file that is cut short meanwhile may be 0.
             let (begin, end) = (first, first.max(group.edges_end.into()).min(edges.len()));
             first = end;
             if !is_active(group.least, group.most, isovalue) {

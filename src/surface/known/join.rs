@@ -23,9 +23,9 @@ const NONE: u32 = u32::MAX;
 /// The edges of the blocks of a chunk that several of them may have.
 #[derive(Debug, Default)]
 pub(crate) struct Joiner {
-    /// By the numbers of their ends in the chunk; looked up, never iterated.
+    /// Edges by the numbers of their ends in the chunk; looked up, never iterated.
     edges: FxHashMap<[u32; 2], Edge>,
-    /// Those that blocks have which are not at hand.
+    /// Edges of blocks that are not at hand.
     apart: FxHashSet<[u32; 2]>,
     count: u32,
 }

@@ -17,7 +17,7 @@ use crate::exec::lanes::{Four, Plain};
 use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::range;
 
-/// What blocks are numbered in: buffers, some hundred kilobytes.
+/// Buffers in which blocks are numbered, some hundred kilobytes.
 #[derive(Debug, Default)]
 pub(in super::super) struct Maker {
     /// For each pair of corners the number of its edge, while edges are listed.
@@ -37,7 +37,7 @@ pub(in super::super) struct Maker {
 
 /// Edges while they are numbered, in the order in which they are met, without a branch for each.
 struct EdgeList<'a> {
-    /// The number of each that was met.
+    /// The number of each edge that was met.
     numbers: &'a mut [u16; EDGE_SLOTS],
     edges: &'a mut [[u8; 2]],
     rings: &'a mut [Ring],

@@ -28,8 +28,8 @@ const COUNTS: usize = 5;
 /// Where in the head the checksums are.
 const OF_LISTS: usize = 5;
 const OF_IDS: usize = 6;
-/// In what is noted of a block: all but what is looked at group by group was found to be right. A
-/// bit for each group, lowest first, are those of the groups.
+/// A bit of what is noted of a block: all but what is checked group by group was found to be right.
+/// The groups have a bit each, from the lowest on.
 const LISTS_ARE_RIGHT: u64 = 1 << 63;
 /// Words of a cache line.
 const LINE: usize = 16;
@@ -38,7 +38,7 @@ const LATTICE_MOST: f32 = 16_777_216.0;
 /// The most tetrahedra of a block.
 const TETS_MOST: usize = u16::MAX as usize - 1;
 
-/// What words have that are no block.
+/// What is wrong with words that are no block.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Flaw {
     pub(crate) at: &'static str,
@@ -163,7 +163,7 @@ impl Stored<'_> {
         })
     }
 
-    /// Of the edges and slots of a group.
+    /// The checksum of the edges and slots of a group.
     fn crc_of(&self, n: usize, slots: Range<usize>) -> u32 {
         crc_behind(crc32c::crc32c(bytemuck::cast_slice(self.edges_of(n))), &self.block.slots()[slots])
     }
@@ -173,7 +173,8 @@ impl Stored<'_> {
         &tets[n * GROUP..tets.len().min((n + 1) * GROUP)]
     }
 
-    /// Of the counts, of the checksums of groups, and of all lists before the edges of tetrahedra.
+    /// The checksum of the counts, the checksums of groups, and all lists before the edges of
+    /// tetrahedra.
     fn crc_of_lists(&self) -> u32 {
         let crc = crc_behind(crc32c::crc32c(bytemuck::cast_slice(&self.head[..COUNTS])), self.of_groups);
         crc_behind(crc, &self.block.words[..self.block.ends()[4]])
