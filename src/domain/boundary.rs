@@ -54,7 +54,7 @@ pub(crate) struct OnBoundary {
 /// A sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Sample {
-    /// Of the boundary.
+    /// On the boundary.
     On(OnBoundary),
     /// Inside of a body, next to the boundary of an earlier one.
     Beside,
@@ -77,13 +77,14 @@ pub(super) struct Near {
 /// Mean distance of the points inside, in lattice steps.
 #[derive(Clone, Debug)]
 pub(crate) struct Spacing {
-    /// Of each level; of one, where there are no levels.
+    /// For each level; for one, if there are no levels.
     pub(super) by_level: Vec<u32>,
     levels: Option<Arc<Levels>>,
 }
 
 impl Spacing {
-    /// That of a set of points: where its density differs from place to place, that of each level.
+    /// The spacing of a set of points, or of each level where its density differs from place to
+    /// place.
     ///
     /// # Errors
     /// As [`PointSet::new`].

@@ -31,7 +31,7 @@ pub(crate) struct Creases {
 }
 
 impl Creases {
-    /// Those of the triangles of a boundary (three vertices, body).
+    /// The creases of the triangles of a boundary (three vertices, body).
     pub(super) fn new(
         boundary: &Column<[u64; 4]>,
         positions: &[FinePos],

@@ -22,7 +22,7 @@ impl Identity {
     /// Reads the points and the cells of a mesh.
     ///
     /// # Errors
-    /// Those of reading them.
+    /// Errors of reading them.
     pub(crate) fn of(mesh: &CellMesh, cancel: &CancelToken) -> Result<Self> {
         let mut hashes = IdentityHash::default();
         let (mut points, mut block) = (mesh.points()?, vec![]);

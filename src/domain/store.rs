@@ -219,7 +219,7 @@ fn read_points(
 fn read_values(mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>> {
     let mut out = ColumnWriter::new(&settings.scratch)?;
     let (wanted, has_offset) = (settings.missing, settings.offset != 0.0);
-    // As a text says it, "-1e20" is no f32 that a file may have.
+    // "-1e20", as a text says it, is no f32 that a file may have.
     let missing = move |v: f64| {
         let alike = |m: f64| m == v || f64::from(m as f32) == v || !has_offset && m as f32 == v as f32;
         wanted.is_some_and(alike)

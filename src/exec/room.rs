@@ -22,7 +22,7 @@ pub enum Lent<'a, T> {
 }
 
 impl<'a> Room<'a> {
-    /// Of memory whose contents are not needed.
+    /// Lends memory whose contents are not needed.
     pub fn new(empty: &'a mut [u64]) -> Self {
         Self(vec![empty])
     }

@@ -129,8 +129,8 @@ pub struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    /// Of the interpolated values at each step, one for each vertex; NaN of a void one. Works in
-    /// `room`, as far as that goes.
+    /// Begins with the interpolated values at each step, one for each vertex; NaN for a void one.
+    /// Works in `room`, as far as that goes.
     pub fn new(mesh: FitMesh<'a>, steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let is_void = |v: usize| steps.iter().all(|values| values[v].is_nan());
         let vertices = 0..mesh.positions.len();
@@ -162,11 +162,11 @@ impl<'a> Fit<'a> {
     /// sample. The windows of a volume come in ascending order, and may leave out samples at their
     /// borders that no tetrahedron has.
     ///
-    /// Of up to eight steps after another all slices are read and added, a few at a time: so what
+    /// For up to eight consecutive steps, all slices are read and added, a few at a time. So what
     /// is read lies in a near cache when it is asked for, and so do the sums.
     ///
     /// # Errors
-    /// Those of `read`.
+    /// Errors of `read`.
     pub fn add<E>(
         &mut self,
         grid: &SampleGrid,

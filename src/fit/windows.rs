@@ -25,7 +25,7 @@ pub fn window_edge(brick: [f64; 3]) -> [u64; 3] {
 /// Three coordinates for each vertex, such as those of its window, and a 0: four are a vector.
 type Places = [[u32; 4]];
 
-/// Of a tetrahedron in several windows.
+/// Stands for the window of a tetrahedron that lies in several.
 const SEVERAL: u32 = u32::MAX;
 
 /// Tetrahedra, window by window: a counting sort.

@@ -23,10 +23,10 @@
 //! between the planes of a hyperbolic cross, cost a few insertions; of 10.5 M such points in chunks
 //! of 250 000, two chunks of three need a wider region.
 //!
-//! Of 2.2 M points in 11 chunks a tenth more are inserted than owned (8 to 13 % by chunk; 16 to 25
-//! % with the tetrahedra around), and hardly any late. An inner halo a quarter of a spacing
-//! narrower takes Hammersley points 2 % less time, but Halton points, the cross and the regular
-//! grid 2 to 3 % more; half a spacing narrower gains nothing, three quarters lose 8 %.
+//! For 2.2 M points in 11 chunks, a tenth more points are inserted than owned (8 to 13 % by chunk;
+//! 16 to 25 % with the tetrahedra around), and hardly any late. An inner halo a quarter of a
+//! spacing narrower takes Hammersley points 2 % less time, but Halton points, the cross and the
+//! regular grid 2 to 3 % more; half a spacing narrower gains nothing, three quarters lose 8 %.
 //!
 //! Evenly spread points need no halo meshed: `stars.rs` makes the same mesh of them in less time.
 //!
@@ -101,7 +101,7 @@ pub struct Manner {
 pub struct Border<'a> {
     /// Its tetrahedra with three such points or more; there may be others.
     pub tets: &'a [Tet],
-    /// Of each position, whether one of its tetrahedra has it and one of others may.
+    /// For each position, whether one of its tetrahedra has it and one of others may.
     pub points: &'a [bool],
 }
 
@@ -255,15 +255,15 @@ struct Sorter<'a> {
     positions: &'a mut Vec<LatticePos>,
     /// What lies outside the points inserted at once.
     close: Unseen,
-    /// By vertex of the mesher: whether it lies in the core; infinity does not.
+    /// For each vertex of the mesher, whether it lies in the core; infinity does not.
     in_core: Vec<bool>,
     owned: Owned,
     shared: Vec<bool>,
     /// Records to be looked at again, and whether each record is among them.
     doubtful: Vec<u32>,
     waits: Vec<bool>,
-    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty if those around are not
-    /// asked for.
+    /// For each vertex of the mesher, whether an owned tetrahedron has it. Empty if those around
+    /// are not asked for.
     used: Vec<bool>,
     /// Whether those around are looked for: the owned ones are known.
     looks_around: bool,
@@ -481,7 +481,7 @@ impl<'a> Sorter<'a> {
             self.owned.insert(id);
             self.use_corners(v);
         } else {
-            // Those outside the core are shared already.
+            // Points outside the core are shared already.
             v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);
         }
         Finding::Certified

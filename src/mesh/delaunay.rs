@@ -83,7 +83,7 @@ enum Path {
 }
 
 impl Path {
-    /// Those that this machine can run, slowest first.
+    /// The paths that this machine can run, slowest first.
     fn available() -> Vec<Self> {
         let mut all = vec![Self::Plain];
         #[cfg(target_arch = "x86_64")]

@@ -14,7 +14,7 @@ pub(super) struct Owned {
     bits: Vec<u64>,
     /// Records that are not owned, but have a vertex of one that is.
     around: Vec<u64>,
-    /// By the number of a vertex: how many tetrahedra have it first. One more at the end, for none.
+    /// For each vertex, how many tetrahedra have it first. One more at the end, for none.
     counts: Vec<u32>,
 }
 
@@ -49,7 +49,7 @@ impl Owned {
         self.bits[(id / u64::BITS) as usize] >> (id % u64::BITS) & 1 == 1
     }
 
-    /// Of 64 records, the first of which is a multiple of that, those that are not owned.
+    /// Which of 64 records are not owned; the number of the first is a multiple of 64.
     #[inline]
     pub(super) fn others(&self, first: u32) -> u64 {
         !self.bits[(first / u64::BITS) as usize]
@@ -61,12 +61,12 @@ impl Owned {
         self.around[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
     }
 
-    /// Those owned, ascending.
+    /// The records that are owned, ascending.
     fn iter(&self) -> impl Iterator<Item = u32> {
         (0..).zip(&self.bits).flat_map(|(n, &own)| each_bit(own).map(move |bit| n * u64::BITS + bit))
     }
 
-    /// Those owned and those around, ascending, and whether each is around.
+    /// The records that are owned and those around, ascending, and whether each is around.
     fn iter_all(&self) -> impl Iterator<Item = (u32, bool)> {
         let of_word = |(n, (&own, &around)): (u32, (&u64, &u64))| {
             each_bit(own | around).map(move |bit| (n * u64::BITS + bit, around >> bit & 1 == 1))
@@ -74,8 +74,8 @@ impl Owned {
         (0..).zip(self.bits.iter().zip(&self.around)).flat_map(of_word)
     }
 
-    /// Those owned, as indices into so many positions, the least first in each, ascending by that;
-    /// then those around; in the memory of the mesher, which has no mesh then.
+    /// The owned tetrahedra, as indices into so many positions, the least first in each, ascending
+    /// by that; then those around. They are in the memory of the mesher, which has no mesh then.
     pub(super) fn take(&mut self, mesher: &mut Mesher, positions: usize) -> TetList {
         let mut counts = std::mem::take(&mut self.counts);
         counts.clear();

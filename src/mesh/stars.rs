@@ -87,7 +87,7 @@ struct Waiting {
 pub(super) struct Stars {
     grid: Grid,
     near: Box<Neighbourhood>,
-    /// By point: the first face that waits for it.
+    /// For each point, the first face that waits for it.
     first: Vec<u32>,
     waiting: Vec<Waiting>,
     free: Vec<u32>,
@@ -218,8 +218,8 @@ struct Chunk<'a> {
     rows: Vec<[u32; 2]>,
     /// The cell around which the rows are, with the first reach.
     cell: [usize; 3],
-    /// By position: whether an owned tetrahedron has it, and others may. Empty until all those are
-    /// known.
+    /// For each position, whether an owned tetrahedron has it, and others may. Empty until all
+    /// those are known.
     used: Vec<bool>,
     /// So many of the first positions have their turn, used or not.
     turned: usize,

@@ -247,7 +247,7 @@ pub(super) struct Arena {
     pub(super) cavity: Vec<u32>,
     /// The cavity's boundary as codes of what lies across it: `4·record + face there`.
     pub(super) boundary: Vec<u32>,
-    /// Of each tetrahedron of a level of the search: which neighbours are in conflict.
+    /// For each tetrahedron of a level of the search, which neighbours are in conflict.
     pub(super) masks: Vec<u8>,
     /// The next free tag.
     pub(super) tag: u32,
