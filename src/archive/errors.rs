@@ -15,8 +15,8 @@ const MOST_SAMPLES: u64 = 1 << 40;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ChunkErrors {
     pub(crate) sums: ErrorSums,
-    /// Where the density of points differs from place to place: those in the cells of each level,
-    /// up to the last that has a sample of the chunk.
+    /// Where the density of points differs from place to place, the errors in the cells of each
+    /// level, up to the last level that has a sample of the chunk.
     pub(crate) levels: Vec<BrickErrors>,
 }
 

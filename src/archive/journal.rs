@@ -80,7 +80,7 @@ impl Journal {
         let path = name(temporary);
         let file = File::options().read(true).write(true).create(true).truncate(true).open(&path);
         let file = file.map_err(|e| Error::io("create", &path, e))?;
-        // As for the temporary itself: who holds the lock is alive.
+        // As for the temporary itself: a writer that holds the lock is alive.
         let _ = file.try_lock();
         Ok(Self { file, path, keep: false })
     }

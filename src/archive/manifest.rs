@@ -56,7 +56,7 @@ pub fn steps_folder(archive: &Path) -> PathBuf {
     archive.join("steps")
 }
 
-/// What the names of a step's files begin with.
+/// The beginning of the names of a step's files.
 pub fn step_prefix(step: u64) -> String {
     format!("{step:06}-")
 }
@@ -120,10 +120,10 @@ pub struct Plan {
     /// The points of the set that are listed and follow no formula.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub explicit: Option<ExplicitRecord>,
-    /// Where points and tetrahedra are those of a mesh: what is known of these.
+    /// If points and tetrahedra are those of a mesh, what is known of these.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own: Option<OwnRecord>,
-    /// Where the density of the points differs from place to place: how.
+    /// The levels of the points, where their density differs from place to place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub levels: Option<LevelsRecord>,
     /// The duplicate vertices, of a tetrahedral mesh that has some.
@@ -133,7 +133,7 @@ pub struct Plan {
     /// and not their own alone: their halos reach further.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stars: bool,
-    /// Where chunks and the order of points are not those that the points ask for: what they are.
+    /// The chunks and the order of points, if they are not those that the points ask for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<FrameRecord>,
 }
@@ -159,8 +159,8 @@ impl OwnRecord {
     }
 }
 
-/// What a plan has from an earlier one, so that chunks whose points did not change have the same
-/// bytes.
+/// The parts that a plan takes from an earlier one, so that chunks whose points did not change have
+/// the same bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameRecord {
     /// Bits an axis of the key that orders points: see
@@ -260,7 +260,7 @@ impl Source {
         Some(self.rounding).filter(|lost| *lost > 0.0)
     }
 
-    /// What the archive has of a value of the file.
+    /// The archive's value for a value of the file.
     pub fn kept(&self, v: f64) -> f32 {
         (v - self.offset) as f32
     }
@@ -387,7 +387,7 @@ pub struct SegmentRecord {
 /// A finished step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Step {
-    /// What it is of.
+    /// What it was made from, and how.
     #[serde(flatten)]
     pub plan: StepPlan,
     /// Smallest and largest value, less the offset of the source; none when every point is void.
@@ -407,7 +407,7 @@ pub struct Step {
     /// How far the reduced field is from the samples of its source, where that was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<FieldError>,
-    /// Where the density of points differs from place to place: the errors of each level.
+    /// The errors of each level, where the density of points differs from place to place.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub level_errors: Vec<LevelError>,
 }

@@ -32,7 +32,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A file being written; see the module.
 pub(crate) struct Unpublished {
     file: Option<File>,
-    /// What is not written yet: less than `piece` bytes.
+    /// Bytes that are not written yet: less than `piece`.
     rest: Vec<u8>,
     piece: usize,
     temporary: PathBuf,
@@ -149,8 +149,8 @@ impl Unpublished {
         &self.temporary
     }
 
-    /// From now on the temporary stays when the writer is dropped unfinished, for the next one to
-    /// go on with.
+    /// Keeps the temporary from now on when the writer is dropped unfinished, so that the next one
+    /// can continue it.
     pub(crate) fn keep(&mut self) {
         self.keep = true;
     }

@@ -18,7 +18,7 @@ use glam::{UVec3, Vec4};
 
 /// Steps in a block of the size asked for.
 const STEPS: u32 = 16;
-/// What a block costs by itself, as a part of the tetrahedra asked for: its head, its entry in the
+/// The cost of a block by itself, as a part of the tetrahedra asked for: its head, its entry in the
 /// index, a vertex of others for each second tetrahedron.
 const BLOCK_COST: u64 = 2;
 

@@ -39,7 +39,7 @@ pub struct MeshSummary {
 }
 
 impl MeshSummary {
-    /// As the bytes of a block: 56 of them.
+    /// Encodes the summary as the bytes of a block: 56 of them.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
         [self.core, self.halo, self.tet_blocks, self.retries]
@@ -150,7 +150,8 @@ impl ValueSummary {
         }
     }
 
-    /// As the bytes of a block: 12, then the ranges, compressed column by column.
+    /// Encodes the summary as the bytes of a block: 12, then the ranges, compressed column by
+    /// column.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
         out.extend(self.void.to_le_bytes());

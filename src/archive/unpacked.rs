@@ -42,7 +42,7 @@ const EDGE_BYTES: u64 = 16;
 /// What to do about a file that cannot be used.
 const HELP: &str = "make it again with isospan unpack, or remove it with isospan unpack --remove";
 
-/// What a segment of unpacked blocks is of.
+/// The contents of a segment of unpacked blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnpackedTable {
     /// Blocks that can answer isovalues in this range are there.
@@ -244,7 +244,7 @@ impl Unpacked {
         Ok(Some(Self { segment, table, starts, noted }))
     }
 
-    /// What it is of.
+    /// The contents of the segment.
     pub fn table(&self) -> &UnpackedTable {
         &self.table
     }
@@ -310,7 +310,7 @@ impl Unpacked {
         Ok(buffer)
     }
 
-    /// What was found to be right of a block; 0 in the beginning.
+    /// The parts of a block that were found to be right; 0 in the beginning.
     pub fn noted(&self, place: &UnpackedPlace<'_>) -> &AtomicU64 {
         let blocks = self.table.chunks[place.chunk].blocks;
         let of_chunk =

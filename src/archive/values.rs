@@ -66,7 +66,7 @@ const MOST_STEPS: f64 = (1 << 30) as f64;
 pub struct Quantiser {
     /// Bits that were asked for: 2^bits values fill the range of the source.
     pub bits: u8,
-    /// What is no step away.
+    /// The value at step 0.
     pub origin: f64,
     /// The distance of two values.
     pub step: f64,
@@ -229,16 +229,16 @@ pub fn encode_values(
 /// How pcodec is to treat the numbers of a block.
 #[derive(Clone, Copy)]
 struct Coder {
-    /// To look for what they may be multiples of.
+    /// Whether to look for a number that all of them are multiples of.
     searched: bool,
-    /// To code differences of neighbours, where they are worth it.
+    /// Whether to code differences of neighbours, where they are worth it.
     differences: bool,
 }
 
 /// How the blocks of a chunk are coded.
 #[derive(Clone, Copy)]
 struct How {
-    /// As differences to those of the step before.
+    /// Whether values are coded as differences to those of the step before.
     after: bool,
     coder: Coder,
 }
@@ -251,7 +251,7 @@ struct Encoder<'a> {
     block: Vec<u8>,
     /// Its values, all void ones the same.
     numbers: Vec<f32>,
-    /// What is coded in their place.
+    /// The integers that are coded in their place.
     steps: Vec<i32>,
 }
 

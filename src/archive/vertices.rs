@@ -103,7 +103,7 @@ pub fn order_halo<T>(
     }
 }
 
-/// What every question to a chunk needs of its vertices.
+/// The part of a chunk's vertices that every question to the chunk needs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ChunkHeader {
     /// Points of each brick of the chunk, in brick order.

@@ -57,7 +57,7 @@ impl<'a> Cursor<'a> {
         Self { bytes }
     }
 
-    /// What has not been read.
+    /// The bytes that have not been read.
     pub(crate) fn rest(&self) -> &'a [u8] {
         self.bytes
     }

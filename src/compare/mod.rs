@@ -75,7 +75,7 @@ impl Default for CompareSettings {
 pub struct OneWay {
     /// Largest distance of a sample or a vertex.
     pub max: f64,
-    /// Where it is, on the surface that is measured from.
+    /// The place of that sample or vertex, on the surface that is measured from.
     pub max_at: [f64; 3],
     /// Mean over the area.
     pub mean: f64,

@@ -164,7 +164,7 @@ impl<'a> Nearest<'a> {
         Found { distance: if best <= self.zero { 0.0 } else { best.sqrt() }, triangle: found }
     }
 
-    /// What is as near as the best, but for rounding.
+    /// The largest squared distance that counts as equal to the best, but for rounding.
     #[inline]
     fn nearly(&self, squared: f64) -> f64 {
         squared * (1.0 + 1e-12) + self.zero
@@ -222,7 +222,7 @@ fn closest(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     a + ab * (vb / sum) + ac * (vc / sum)
 }
 
-/// Of a triangle without area: the nearest point of its edges.
+/// The point nearest to `p` on the edges of a triangle without area.
 fn closest_of_edges(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     let on = |u: DVec3, v: DVec3| {
         let along = v - u;

@@ -223,7 +223,7 @@ fn add_normals(surface: &dyn SurfaceSource, vertices: &mut Store<Placed>, memory
 #[derive(Clone, Copy)]
 enum Normals {
     Given,
-    /// Those given, the other way round.
+    /// The given normals, the other way round.
     Turned,
     OfTriangles,
 }

@@ -68,7 +68,7 @@ impl Default for Found {
     }
 }
 
-/// Where the table has an edge.
+/// The place of an edge in the table.
 #[inline(always)]
 fn edge(from: usize, to: usize) -> usize {
     (from * PLACES + to) % (PLACES * PLACES)

@@ -115,8 +115,8 @@ impl Cloud {
     }
 }
 
-/// What is known of the link of one vertex. Its points begin a cache line, so that four of them are
-/// one.
+/// What is known of the link of one vertex. Its points begin at a cache line, so that four of them
+/// fill one.
 #[repr(C, align(64))]
 pub(super) struct Link {
     /// Its vertices, inverted, behind which is a point that is in front of no gate.
@@ -170,7 +170,7 @@ struct Hinge {
     n: [f32; 3],
     u: [f32; 3],
     nn: f32,
-    /// What is less in front is noise: rounding errors of n·w' are below.
+    /// A point that is less in front counts as noise: rounding errors of n·w' are below.
     least: f32,
 }
 
@@ -191,8 +191,8 @@ impl Hinge {
         Self { n, u, nn: dot(n, n), least: sc * sd * (sc + sd) * (1.0 / (1 << 21) as f32) }
     }
 
-    /// Where the sphere meets the point at a place, which is in the lowest bits; no number if it is
-    /// not in front.
+    /// The key of the point: where the sphere meets it, with its place in the lowest bits. It is no
+    /// number if the point is not in front.
     #[inline(always)]
     fn key(&self, [x, y, z, _]: Point, place: usize) -> f32 {
         let h = dot(self.n, [x, y, z]);
@@ -390,7 +390,7 @@ impl Link {
         let mut n = 0;
         gates.gates = [NO_GATE; LANES + 1];
         for (gate, is_open) in four {
-            // What is not counted is overwritten.
+            // Gates that are not counted are overwritten.
             gates.gates[n] = gate;
             n += usize::from(is_open);
         }
@@ -409,7 +409,7 @@ impl Link {
         let (first, waiting) = (self.head, self.tail - self.head);
         self.head += waiting.min(LANES);
         let gate = |k: usize| {
-            // What does not wait is an old gate, which may be open again.
+            // A gate that does not wait is an old one, which may be open again.
             let gate = if k < waiting { self.ring[(first + k) % RING] } else { NO_GATE };
             (gate, self.open[usize::from(gate) % GATES])
         };
@@ -455,7 +455,7 @@ impl Link {
     /// equal ones the first.
     #[inline(always)]
     pub(super) fn nth(&self, scores: &[f32; MOST], rank: usize) -> Option<usize> {
-        // Behind the last one they are infinite, too; so many can be looked at in vectors.
+        // Behind the last one the scores are infinite, too; so full vectors can be looked at.
         let scores = &scores[..self.len.next_multiple_of(8).min(MOST)];
         let (mut last, mut before) = (f32::NEG_INFINITY, 0);
         loop {

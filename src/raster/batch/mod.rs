@@ -59,7 +59,7 @@ const SIZES: usize = (EDGE * EDGE) as usize;
 /// The longest edge of a box, in lattice steps: see above.
 const LONGEST: u32 = 1 << 20;
 const _: () = assert!(LONGEST <= LONGEST_64);
-/// What an end of a row may be wrong by, in samples: far more than it is (2^-17).
+/// The most that an end of a row may be wrong by, in samples: far more than it is (2^-17).
 const SLACK: f32 = 1.0 / 4096.0;
 /// The lanes.
 const NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
@@ -125,7 +125,7 @@ pub struct BatchScan {
     found: Box<[u32; FOUND]>,
     candidates: Box<Candidates>,
     members: Box<Members>,
-    /// Those of tetrahedra that are scanned by themselves, until they are many.
+    /// Members of tetrahedra that are scanned by themselves, until they are many.
     alone: Box<Members>,
 }
 

@@ -87,7 +87,7 @@ impl Floats for FloatPair {
     }
 }
 
-/// Of the sixteen lanes those of eight numbers. Of use as [`FloatPair`] is.
+/// Those of the sixteen lanes that eight numbers name. Of use as [`FloatPair`] is.
 #[inline(always)]
 fn picked(from: FloatPair, numbers: __m256i) -> __m256 {
     // SAFETY: there is a pair, so AVX2 was found.
