@@ -27,8 +27,8 @@ pub struct ExplicitRecord {
     pub count: u64,
     /// XXH3 (128 bits) of the positions, x y z as u32, in order.
     pub hash: PlanHash,
-    /// No other point lies within so many lattice steps of one of these, but the corners of the
-    /// domain.
+    /// Within this many lattice steps of one of these there is no other point, except the corners
+    /// of the domain.
     #[serde(default, skip_serializing_if = "is_none")]
     pub clear: u32,
 }

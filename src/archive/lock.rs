@@ -56,7 +56,7 @@ impl WriterLock {
         }
     }
 
-    /// Says whose the lock is; for messages alone, so a failure is none.
+    /// Says whose the lock is. This is for messages only, so a failure is ignored.
     fn sign(&self) {
         let mut file = &self.file;
         let _ = file.set_len(0);

@@ -318,7 +318,7 @@ pub struct StepPlan {
     /// Whether the errors at the samples of a volume are stored chunk by chunk, next to the values.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub measured: bool,
-    /// The step before, against which values may be coded; none of a keyframe.
+    /// The step before, against which values may be coded; a keyframe has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<BaseStep>,
 }

@@ -347,19 +347,19 @@ pub(crate) fn dead_of(path: &Path) -> Vec<Dead> {
     dead_in(folder_of(path), |name| name.starts_with(&prefix))
 }
 
-/// Temporaries in some folders, of writers that run or are dead, looked up once: a folder may have
-/// many files, of which each has its own writer.
+/// Temporaries in some folders, of writers that run or are dead, looked up once. A folder may have
+/// many files, each with its own writer.
 pub(crate) struct Left(Vec<String>);
 
 impl Left {
-    /// In these folders; one that cannot be listed has none.
+    /// The temporaries in these folders; a folder that cannot be listed has none.
     pub(crate) fn in_folders(folders: &[PathBuf]) -> Self {
         let entries = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten();
         let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
         Self(names.filter(|name| name.starts_with('.') && name.contains(TEMPORARY_MARK)).collect())
     }
 
-    /// Whether there was one of this file.
+    /// Whether there was a temporary of this file.
     pub(crate) fn has(&self, path: &Path) -> bool {
         let prefix = path.file_name().map(|name| format!(".{}{TEMPORARY_MARK}", name.to_string_lossy()));
         prefix.is_some_and(|prefix| self.0.iter().any(|name| name.starts_with(&prefix)))

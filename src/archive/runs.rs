@@ -90,9 +90,10 @@ pub(super) fn block_starts(tets: &[Tet], positions: &[LatticePos], block_tets: u
     starts
 }
 
-/// The tetrahedra of some vertices each, of at least so many tetrahedra together but for the last.
+/// Steps with the tetrahedra of some vertices each, at least `least` tetrahedra a step, except in
+/// the last one.
 fn steps(tets: &[Tet], positions: &[LatticePos], least: u32) -> Vec<Step> {
-    // Exact: of 24 bits. Of such vectors the least and the greatest are one instruction each.
+    // Exact: 24 bits. The least and the greatest of such vectors take one instruction each.
     let rows: Vec<Vec4> = positions.iter().map(|&p| UVec3::from(p).as_vec3().extend(0.0)).collect();
     let mut steps = Vec::with_capacity(tets.len() / least as usize + 1);
     let (mut lo, mut hi) = (Vec4::INFINITY, Vec4::ZERO);

@@ -233,10 +233,10 @@ fn f32s(bytes: &[u8]) -> impl Iterator<Item = f32> {
     u32s(bytes).map(f32::from_bits)
 }
 
-/// The ranges of so many value blocks.
+/// The ranges of this number of value blocks.
 ///
 /// # Errors
-/// When the length is another, or one is no range.
+/// When the length is wrong, or one of them is no range.
 pub fn decode_value_ranges(bytes: &[u8], blocks: usize) -> Result<Vec<ValueRange>, Malformed> {
     let columns = unzstd(bytes, blocks.saturating_mul(8), "value ranges")?;
     if columns.len() as u64 != 8 * blocks as u64 {

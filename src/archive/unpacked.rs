@@ -29,7 +29,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 /// The version of what the blocks hold.
 pub const UNPACKED_VERSION: u32 = 1;
-/// Blocks begin at multiples of so many bytes.
+/// Blocks begin at multiples of this many bytes.
 pub const UNPACKED_ALIGNED: usize = 64;
 /// The most corners of a chunk for each of its blocks: what is allocated for them follows from a
 /// file.
@@ -45,7 +45,7 @@ const HELP: &str = "make it again with isospan unpack, or remove it with isospan
 /// The contents of a segment of unpacked blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnpackedTable {
-    /// Blocks that can answer isovalues in this range are there.
+    /// The file has the blocks that isovalues in this range need.
     pub range: [f32; 2],
     /// All chunks, in order.
     pub chunks: Vec<UnpackedChunk>,
@@ -79,7 +79,7 @@ impl UnpackedTable {
         out
     }
 
-    /// The table of a file of so many bytes.
+    /// The table of a file of `of_file` bytes.
     fn decode(bytes: &[u8], of_file: u64) -> std::result::Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         let version = c.u32("version")?;
@@ -128,8 +128,8 @@ pub struct UnpackedWriter {
 }
 
 impl UnpackedWriter {
-    /// Begins the file that will be `path`, whose folder exists, with blocks that can answer
-    /// isovalues in a range.
+    /// Begins the file that will be `path`, whose folder exists, with the blocks that isovalues in
+    /// a range need.
     ///
     /// # Errors
     /// When the temporary file cannot be made; [`Error::Usage`] on a machine whose integers begin
@@ -143,8 +143,8 @@ impl UnpackedWriter {
         Ok(Self { segment, table: UnpackedTable { range, chunks: vec![] } })
     }
 
-    /// Appends the words of the blocks of the next chunk; none of those that are to be had packed
-    /// only.
+    /// Appends the words of the blocks of the next chunk; no words for a block that exists only
+    /// packed.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -202,7 +202,7 @@ impl<'a> UnpackedPlace<'a> {
         self.at.len.into()
     }
 
-    /// The words of a mapped file, of which nothing is known yet.
+    /// The words of a mapped file, not checked yet.
     pub(crate) fn at_hand(&self) -> Option<&'a [u32]> {
         self.at.bytes.and_then(|bytes| bytemuck::try_cast_slice(bytes).ok())
     }
@@ -289,7 +289,7 @@ impl Unpacked {
         Ok(())
     }
 
-    /// The words of a block, where they lie, of which nothing is known, or in `buffer`.
+    /// The words of a block, where they lie and not checked yet, or in `buffer`.
     ///
     /// # Errors
     /// When they cannot be read.

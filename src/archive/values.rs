@@ -388,8 +388,8 @@ pub struct KnownOfBlock<'a> {
     pub cells: Option<[u32; 3]>,
     /// The plan's.
     pub quantiser: Option<&'a Quantiser>,
-    /// The values of the step before, of a block that [`needs_before`]; of others they are not
-    /// looked at.
+    /// The values of the step before, for a block that [`needs_before`]; for others they are not
+    /// used.
     pub before: &'a [f32],
 }
 

@@ -6,8 +6,8 @@ use std::cell::RefCell;
 use std::path::Path;
 use zstd::bulk::Decompressor;
 
-/// Bytes of a block that do not mean what they should. The decoder of a block knows no file:
-/// whoever read the block turns this into an [`Error`] with [`Malformed::in_block`].
+/// Bytes of a block that do not mean what they should. The decoder of a block knows no file: the
+/// reader of the block turns this into an [`Error`] with [`Malformed::in_block`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Malformed {
     /// What is wrong with it.

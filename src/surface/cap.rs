@@ -30,8 +30,8 @@ use crate::mesh::tet::Tet;
 
 /// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
-/// What a cap's triangle adds to the gradient at its corners: far more than tetrahedra do at a
-/// crossing (about 2^30), far from overflow.
+/// The amount that a cap's triangle adds to the gradient at its corners: far more than tetrahedra
+/// do at a crossing (about 2^30), far from overflow.
 const PULL: i64 = 1 << 45;
 
 /// The side of the box `0 ..= top` that three points lie on: its axis, and whether it is the upper

@@ -5,11 +5,11 @@
 /// The six edges of a tetrahedron with sorted corners, in the order of their keys.
 pub(super) const EDGES: [[u8; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 
-/// What to do with a tetrahedron of sorted corners.
+/// The triangles in a tetrahedron of sorted corners.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Case {
-    /// The corners of its crossed edges, ascending; the last is the first again where there are but
-    /// three.
+    /// The corners of its crossed edges, ascending; the last is the first again where there are
+    /// only three.
     pub(super) edges: [[u8; 2]; 4],
     /// Their places in [`EDGES`].
     pub(super) numbers: [u8; 4],

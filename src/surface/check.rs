@@ -188,8 +188,8 @@ pub struct OpenEdges {
     pub at_missing: u64,
 }
 
-/// Edges as the positions of their ends, in the world; answers how many of them lie where there is
-/// no data.
+/// Takes edges as the positions of their ends, in the world; returns how many of them lie where
+/// there is no data.
 pub type Explain<'a> = dyn FnMut(&[[[f32; 3]; 2]]) -> Result<u64> + 'a;
 
 /// As [`check_source`], but boundary edges may also lie where there is no data. `at_missing` is
@@ -518,7 +518,7 @@ impl Arcs {
     }
 }
 
-/// An edge from the vertex looked at.
+/// An edge from the vertex that is examined.
 struct LinkEdge {
     to: u32,
     /// Triangles that run along it away from the vertex, and towards it.

@@ -33,7 +33,7 @@ use rustc_hash::FxHashMap;
 pub struct HalfSpace {
     normal: [f64; 3],
     offset: f64,
-    /// What `normal · p` of a position in `f32` may be off by.
+    /// The error that `normal · p` of a position in `f32` may have.
     tolerance: f64,
 }
 

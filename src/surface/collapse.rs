@@ -151,7 +151,7 @@ impl Quadric {
         (dot(ap, p) + 2.0 * dot(self.b, p) + self.c).max(0.0)
     }
 
-    /// Where it is least; `None` without such a place.
+    /// The place where it is least; `None` without such a place.
     fn least(&self) -> Option<Vec3> {
         let [xx, xy, xz, yy, yz, zz] = self.a;
         let (r0, r1, r2) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
@@ -175,7 +175,7 @@ struct Queued {
     age: u32,
 }
 
-/// What would come of a collapse.
+/// The result of a collapse.
 struct Joined {
     /// The vertex that stays; the other goes.
     stays: u32,
@@ -293,8 +293,8 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Where an edge would collapse to; `None` when both ends are fixed, or the cost is not a
-    /// number.
+    /// The place to which an edge would collapse; `None` when both ends are fixed, or the cost is
+    /// not a number.
     fn joined(&self, u: u32, v: u32) -> Option<Joined> {
         let (u, v) = (u.min(v), u.max(v));
         let sum = self.quadrics[u as usize].plus(&self.quadrics[v as usize]);
@@ -312,7 +312,8 @@ impl<'a> Work<'a> {
         cost.is_finite().then_some(Joined { stays, goes, position, cost })
     }
 
-    /// Where a quadric is least, unless that is far away; else the best of ends and middle.
+    /// The place where a quadric is least, unless that is far away; else the best of ends and
+    /// middle.
     fn best_place(&self, quadric: &Quadric, u: Vec3, v: Vec3) -> [f32; 3] {
         let rounded = |p: Vec3| [0, 1, 2].map(|k| (p[k] + self.origin[k]) as f32);
         let middle = [0, 1, 2].map(|k| 0.5 * (u[k] + v[k]));

@@ -42,9 +42,9 @@ use std::collections::BinaryHeap;
 /// Which components are kept. All conditions hold for a kept one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ComponentFilter {
-    /// At most so many: those of most triangles, of equal ones those that begin first.
+    /// At most this many: those with most triangles, and among equals those that begin first.
     pub largest: Option<u64>,
-    /// At least so many triangles.
+    /// At least this many triangles.
     pub min_triangles: u64,
     /// At least this volume, in world units, regardless of its sign (see [`Component::volume`]).
     pub min_volume: f64,

@@ -1,5 +1,5 @@
-//! The surface in some tetrahedra that lie together, by itself, before it becomes part of its
-//! chunk's.
+//! The surface in some tetrahedra that lie together, made by itself before it becomes part of its
+//! chunk's surface.
 //!
 //! Corners and edges have small numbers, so that all that is looked at stays in the nearest cache:
 //!
@@ -55,7 +55,7 @@ struct Edges {
 
 /// What is known of the corners of a patch.
 pub(super) trait Corners {
-    /// Where they are, and their values.
+    /// Their positions and values.
     fn at(&self) -> &[Corner];
     /// The number that a corner has in its chunk.
     fn number(&self, corner: u8) -> u32;
@@ -64,7 +64,7 @@ pub(super) trait Corners {
 }
 
 impl Patch {
-    /// Empties the patch for up to so many tetrahedra. Each of their edges has a slot for its
+    /// Empties the patch for up to `tets` tetrahedra. Each of their edges has a slot for its
     /// number, [`NO_EDGE`] before and after.
     #[inline(always)]
     pub(super) fn list<'a, const SLOTS: usize>(

@@ -8,7 +8,7 @@
 
 use super::{LENGTHS, SPREADS, TABLES};
 
-/// In 256ths, that a difference has more bits than so many, by table and class.
+/// The odds, in 256ths, that a difference has more bits than this number, by table and class.
 #[rustfmt::skip]
 pub(super) const MORE: [[[u8; LENGTHS]; SPREADS]; TABLES] = [
     // Nodes on coarse grids.

@@ -25,11 +25,11 @@ use super::{Stars, Waiting, least_first};
 const PLACES: usize = 64;
 /// The most of them that known triangles add.
 const MORE_PLACES: usize = 8;
-/// The most triangles of a star that is tried, known ones of which it has edges, and bits.
+/// The most triangles, known triangles with edges of it, and bits of a star that is tried.
 const MOST_HITS: usize = 60;
 const MOST_KNOWN: usize = 60;
 const MOST_BITS: u32 = 60;
-/// Room for so many triangles, a multiple of [`LANES`], and numbers for two that are none.
+/// Triangles for which there is space, a multiple of [`LANES`], and numbers for two that are none.
 const ROOM: usize = 64;
 /// More than all gates of a star.
 const RING: usize = 256;
@@ -162,7 +162,7 @@ impl Found {
 /// Whether stars are worth a try.
 #[derive(Default)]
 pub(super) struct Luck {
-    /// Stars to pass over, and how many they will be after the next that was in vain.
+    /// Stars to pass over, and how many they will be after the next try that fails.
     pass: u32,
     then: u32,
 }

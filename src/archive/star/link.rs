@@ -27,7 +27,7 @@ pub(super) const MOST_NEAR: usize = 48;
 pub(super) const LANES: usize = 4;
 /// Bits of a key that hold the place.
 pub(super) const PLACE: u32 = MOST as u32 - 1;
-/// Entries of a ring of gates, of which at most half wait.
+/// Entries of a ring of gates; at most half of them wait.
 const RING: usize = 2048;
 /// More than the vertices of a block.
 pub(super) const VERTICES: usize = 2 * super::LARGEST_LIST as usize;
@@ -119,7 +119,7 @@ impl Cloud {
 /// fill one.
 #[repr(C, align(64))]
 pub(super) struct Link {
-    /// Its vertices, inverted, behind which is a point that is in front of no gate.
+    /// Its vertices, inverted; behind them is a point that is in front of no gate.
     pub(super) points: [Point; MOST],
     /// The vertex.
     pub(super) from: Point,
@@ -284,7 +284,8 @@ impl Link {
         }
     }
 
-    /// Points in front of no gate behind the last one, so that they can be looked at in fours.
+    /// Puts points that are in front of no gate behind the last one, so that points can be looked
+    /// at in fours.
     #[inline(always)]
     fn end_list(&mut self) {
         let n = self.len.min(MOST - 4);
@@ -402,8 +403,8 @@ impl Link {
         true
     }
 
-    /// The gates that are to be looked at together, and of each whether it is still open: 1 or 0.
-    /// `None` if no gate waits.
+    /// The gates that are to be looked at together, and whether each is still open: 1 or 0. `None`
+    /// if no gate waits.
     #[inline(always)]
     pub(super) fn next_four(&mut self) -> Option<[(Gate, u8); LANES]> {
         let (first, waiting) = (self.head, self.tail - self.head);

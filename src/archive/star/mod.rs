@@ -283,8 +283,8 @@ impl Stars {
         if w >= self.vertices { None } else { self.link.place(&self.cloud, w as Local) }
     }
 
-    /// A triangle on a gate, which it closes. `None` if that is not open, or the vertex is none or
-    /// of the gate.
+    /// Adds a triangle on a gate, which it closes. `None` if the gate is not open, or the vertex is
+    /// none or belongs to the gate.
     #[inline(always)]
     fn attach<E: End>(&mut self, end: &mut E, on: Gate, w: usize) -> Option<()> {
         let [c, d] = ends(on);

@@ -138,7 +138,7 @@ fn paths_agree(positions: &[LatticePos], tets: &[Tet]) -> usize {
 #[test]
 fn an_even_star_is_told_as_an_odd_one_would_be() {
     let (positions, mut tets) = delaunay(3000);
-    // Also where many are tried in vain.
+    // Also where many tries fail.
     let grid: Vec<LatticePos> = (0..1000).map(|i| [i % 10 * 50, i / 10 % 10 * 50, i / 100 * 50]).collect();
     let offset = positions.len() as u32;
     let both = [&*positions, &grid].concat();

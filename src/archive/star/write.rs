@@ -83,7 +83,7 @@ impl Default for Truth {
     }
 }
 
-/// Of so many edges in a hundred the longer end is within the radius of a neighbourhood.
+/// So many edges in a hundred have their far end within the radius of a neighbourhood.
 const WITHIN: usize = 99;
 
 impl Writer {
@@ -175,8 +175,8 @@ impl Writer {
     }
 
     /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from the edges of all tetrahedra
-    /// to their largest vertices. (Of some, it would depend on the order in which the mesher gives
-    /// them.)
+    /// to their largest vertices. (From some edges only, it would depend on the order in which the
+    /// mesher gives them.)
     fn size(&self) -> u8 {
         let mut counts = [0usize; 256];
         for &[a, b, c, d] in &self.truth.tets {

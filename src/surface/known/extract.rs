@@ -25,7 +25,7 @@ use crate::mesh::tet::is_active;
 /// No vertex yet.
 const NEW: u32 = u32::MAX;
 
-/// What an isovalue crosses: buffers.
+/// Buffers for what an isovalue crosses.
 #[derive(Debug, Default)]
 pub(in super::super) struct Crossed {
     edges: Vec<u16>,
@@ -140,7 +140,7 @@ impl Crossed {
             let edges = tets[usize::from(n)];
             let case = &CASES[usize::from(inside | (edges[0] & TURNED) >> 11) % CASES.len()];
             let at = |place: u8| vertices[usize::from(edges[usize::from(place) % 6]) % EDGES_MOST];
-            // The second one is written where there is none too, and ignored.
+            // The second one is written even where there is none, and then ignored.
             for (triangle, corners) in self.triangles[end..end + 2].iter_mut().zip(case.sides) {
                 *triangle = corners.map(at);
             }

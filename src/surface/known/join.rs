@@ -48,7 +48,7 @@ impl Joiner {
         }
     }
 
-    /// Keeps the edges of a block apart, whose part of their sums will not be at hand.
+    /// Keeps apart the edges of a block whose part of the sums will not be at hand.
     pub(crate) fn keep_apart(&mut self, cells: &CellSource<'_>) {
         let numbers = cells.numbers.unwrap_or_default();
         for tet in cells.tets {

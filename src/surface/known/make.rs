@@ -45,7 +45,7 @@ struct EdgeList<'a> {
 }
 
 impl<'a> EdgeList<'a> {
-    /// Room for the edges of so many tetrahedra.
+    /// An empty list with room for the edges of `tets` tetrahedra.
     fn new(
         tets: usize,
         numbers: &'a mut Vec<u16>,

@@ -68,7 +68,7 @@ impl ByteTables {
     }
 }
 
-/// So many numbers are written behind the last one.
+/// This many numbers are written behind the last one.
 pub(super) const SPARE: usize = 32;
 
 #[cfg(target_arch = "x86_64")]

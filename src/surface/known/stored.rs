@@ -116,7 +116,7 @@ impl<'a> Known<'a> {
 /// A known block of a file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stored<'a> {
-    /// To be used when it was checked.
+    /// The block, to be used once it has been checked.
     pub(crate) block: Known<'a>,
     head: &'a [u32; HEAD],
     /// The checksum of each group.
@@ -140,7 +140,7 @@ impl Stored<'_> {
             self.check_ids()?;
         }
         for (n, (group, slots)) in self.block.groups().iter().zip(self.ranges()).enumerate() {
-            // What has no bit is looked at each time: blocks of so many groups are rare.
+            // A group without a bit is checked each time: blocks of so many groups are rare.
             let bit = if n < 63 { 1 << n } else { 0 };
             let is_read =
                 || isovalues.is_none_or(|all| all.iter().any(|&v| is_active(group.least, group.most, v)));
@@ -264,8 +264,8 @@ mod tests {
     use crate::surface::WorldMap;
     use crate::surface::numbered::tests::Blocks;
 
-    /// The words of the blocks of a small grid, of which some have void tetrahedra, and the corners
-    /// of its chunk.
+    /// The words of the blocks of a small grid, some of which have void tetrahedra, and the number
+    /// of corners of its chunk.
     fn stored() -> (Vec<Vec<u32>>, usize) {
         let blocks = Blocks::new(5, 60);
         let values: Vec<f32> = (0..125).map(|i| if i == 62 { f32::NAN } else { i as f32 }).collect();
