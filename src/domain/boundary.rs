@@ -8,10 +8,10 @@
 //! # The boundary becomes faces
 //!
 //! Samples alone do not make the boundary a part of the tetrahedralization. A point outside that is
-//! nearer to the wall than samples are to each other takes tetrahedra that reach deep inside; to
-//! keep those lets the wall stick out, to leave them out gnaws at it. So no point of the set lies
-//! near a sample, on either side: within [`CLEAR`] mean distances, √2 times the radius of the
-//! circles between samples and more, as spheres reach further out where a body is thin.
+//! nearer to the wall than samples are to each other has tetrahedra that reach deep inside. If
+//! these are kept, the wall sticks out; if they are left out, it has dents. So no point of the set
+//! lies near a sample, on either side: within [`CLEAR`] mean distances. That is √2 times the radius
+//! of the circles between samples and more, as spheres reach further out where a body is thin.
 //!
 //! ```text
 //!      p                A sphere through three samples whose circle has the radius r reaches a
@@ -22,12 +22,12 @@
 //! ```
 //!
 //! Then each tetrahedron lies on one side, and its centroid shows which. Four samples of a flat
-//! wall are a tetrahedron without thickness but what rounding gives it; it is left out.
+//! wall form a tetrahedron whose only thickness comes from rounding; it is left out.
 //!
 //! # Bodies that touch
 //!
-//! A point has one value. So where two bodies touch, each sample is two, one a little inside of
-//! either: see [`contact`](super::contact).
+//! A point has one value. So where two bodies touch, each sample becomes two, one a little inside
+//! of each body: see [`contact`](super::contact).
 
 use super::contact::Contacts;
 use super::nearest::nearest;

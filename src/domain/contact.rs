@@ -18,15 +18,15 @@
 //! Bodies need not share faces, and surfaces that are meant to be one differ by roundings, or as a
 //! fine and a coarse approximation do. So for each sample the nearest place is looked for on
 //! triangles of other bodies that **face** it (with normals on opposite sides), within half a mean
-//! distance. If its body is a later one, the sample becomes a pair: it stays, a little inside of
-//! its body, and the place found, a little inside of the other one, is its partner; where the
-//! bodies overlap the first of them keeps its boundary, and the partner lies just beyond. If the
-//! body is an earlier one, the sample is dropped: those of that body bring partners.
+//! distance. If its body is a later one, the sample becomes a pair. The sample stays, a little
+//! inside of its body. The place found, a little inside of the other body, is its partner. Where
+//! the bodies overlap, the first of them keeps its boundary, and the partner lies just beyond. If
+//! the body is an earlier one, the sample is dropped: the samples of that body bring partners.
 //!
-//! Where bodies overlap deeper, the first one ends at its boundary within the later one. So of
-//! samples without such a place it is asked which body has the point just beyond (all cells stream
-//! past once, [`PointGrid`]): a later one gets a partner there, and in an earlier one the sample is
-//! dropped.
+//! Where bodies overlap deeper, the first one ends at its boundary within the later one. For
+//! samples without such a place, the question is which body has the point just beyond (all cells
+//! stream past once, [`PointGrid`]). If it is a later one, it gets a partner there; if it is an
+//! earlier one, the sample is dropped.
 
 use super::boundary::{Near, OnBoundary, Sample, Spacing, cross, difference, dot, mean, rounded};
 use super::buckets::BATCH;

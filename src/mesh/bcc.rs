@@ -18,10 +18,10 @@
 //! even numbers, a centre odd ones. A tetrahedron belongs to the lower of its cells. Faces of
 //! tetrahedra agree, whichever parts are made separately.
 //!
-//! A chunk is a box of cells. Its points are those of its cells, in blocks of 4³ cells, in bricks
-//! of 8³ (fewer if asked for; of a block the nodes, x fastest, then the centres); then those at the
-//! far end of the domain and on its faces, which it has too; then those of other chunks that its
-//! tetrahedra use. A number is arithmetic, so nothing of a chunk is stored.
+//! A chunk is a box of cells. First come the points of its cells, in blocks of 4³ cells, in bricks
+//! of 8³ (fewer if asked for; in a block first the nodes, x fastest, then the centres). Then come
+//! the points at the far end of the domain and on its faces, which it has too, and then those of
+//! other chunks that its tetrahedra use. A number is arithmetic, so nothing of a chunk is stored.
 
 use super::tet::Tet;
 use crate::geom::{Lattice, LatticePos, PointClass, PointId, half_plane};

@@ -1,10 +1,10 @@
 //! The tetrahedra of a chunk, in the memory in which they were meshed.
 //!
-//! A record of the mesher has 64 bytes, its vertices are 16 of them. When nothing else of the
+//! A record of the mesher has 64 bytes, and its vertices are 16 of them. When nothing else of the
 //! records is needed any more, there is room among them for the vertices twice: as they are found,
 //! and in their final order. So a chunk takes 64 bytes a tetrahedron and no more, from its first
-//! point to its last block; then the memory goes back to the mesher
-//! ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), its pages warm.
+//! point to its last block. Then the memory goes back to the mesher
+//! ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), whose pages need not be asked for again.
 //!
 //! Tetrahedra made star by star are in that order already: a plain list, 16 bytes each. Where the
 //! tetrahedra around the chunk's own are wanted too, they lie behind those:

@@ -13,10 +13,10 @@
 //!                         opens gates cw and wd, or closes them.
 //! ```
 //!
-//! When no gate is open the star is whole. The face across from p of each new tetrahedron waits for
-//! the first of its points to have its turn. Points have their turns in the order of their numbers,
-//! so tetrahedra come out in the order of their least numbers, and a chunk needs no tetrahedron but
-//! those at its own points: no halo is meshed, only looked at.
+//! When no gate is open, the star is complete. The face across from p of each new tetrahedron waits
+//! for the first of its points to have its turn. Points have their turns in the order of their
+//! numbers, so tetrahedra come out in the order of their least numbers. A chunk needs no
+//! tetrahedron but those at its own points: no halo is meshed, only looked at.
 //!
 //! # Why the tetrahedra are those of the whole mesh
 //! Floating point only guesses. A star of p is taken when for each of its new tetrahedra it is

@@ -1,6 +1,6 @@
-//! Bits that are written as they are, a few at a time, lowest first; and small numbers as [Elias
-//! gamma](https://en.wikipedia.org/wiki/Elias_gamma_coding) codes: the bits of n + 1 below the
-//! highest, and before them as many zeros and a one.
+//! Bits that are written as they are, a few at a time, lowest first. Small numbers are
+//! [Elias gamma](https://en.wikipedia.org/wiki/Elias_gamma_coding) codes: the bits of n + 1 below
+//! the highest, and before them as many zeros and a one.
 
 use crate::archive::wire::put_varint;
 

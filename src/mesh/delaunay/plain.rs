@@ -1,5 +1,5 @@
-//! An insertion in plain code: the reference for the vector path, and what runs where there is
-//! none.
+//! An insertion in plain code: the reference for the vector path, and the path of machines without
+//! vectors.
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG};
 

@@ -1,9 +1,9 @@
 //! An insertion with AVX-512, for cavities of up to 32 vertices (all but one in a hundred);
 //! `simd.rs` does the others.
 //!
-//! What bounds an insertion in `simd.rs` is the number of instructions (9 500, at more than four a
-//! cycle) and some 35 jumps that cannot be foreseen; misses of the nearest cache come after that.
-//! So:
+//! An insertion in `simd.rs` is bound by the number of instructions (9 500, at more than four a
+//! cycle) and by some 35 jumps that cannot be predicted; misses of the nearest cache come after
+//! that. So:
 //!
 //! * The cavity grows by **batches** of four tetrahedra, sixteen neighbours, of any level:
 //!   one loop, few iterations. Their codes are sorted into "in conflict" and "boundary" by one

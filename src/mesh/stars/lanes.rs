@@ -1,5 +1,5 @@
-//! Batches of `f32`: vectors of AVX2 and AVX-512, of which a proof that the machine has the
-//! instructions comes before each; and those that all machines of a kind have.
+//! Batches of `f32`: vectors of AVX2 and AVX-512, each of which needs a proof that the machine has
+//! the instructions; and vectors that all machines of a kind have.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
