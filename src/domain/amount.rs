@@ -40,8 +40,8 @@ pub(crate) fn valued(store: &CellStore, points: &PointSet, boundary: &BoundarySa
     Ok(boundary.points.len() + inside as u64)
 }
 
-/// The number of points in the box of which `wanted` have a value, when of `n` points `made` have;
-/// `filled` is the part of the box inside.
+/// The number of points in the box for which `wanted` of them have a value, given that `made` of
+/// `n` points have one; `filled` is the part of the box inside.
 pub(crate) fn next_amount(wanted: f64, n: f64, made: f64, filled: f64) -> f64 {
     let b = (made - filled * n) / libm::cbrt(n * n);
     let of = |n: f64| filled * n + b * libm::cbrt(n * n);

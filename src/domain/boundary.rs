@@ -122,10 +122,10 @@ impl Spacing {
 
 /// Samples per square of the mean distance by which places of the boundary are found.
 const NEAR_DENSITY: f64 = 2.0;
-/// The triangle nearest to a point has a sample within so many mean distances of its nearest place,
-/// mostly.
+/// The triangle nearest to a point has a sample within this many mean distances of its nearest
+/// place, mostly.
 const AROUND: f64 = 0.75;
-/// No point that follows a formula lies within so many mean distances of a sample.
+/// No point that follows a formula lies within this many mean distances of a sample.
 const CLEAR: f64 = 1.2;
 
 impl BoundarySamples {
@@ -231,9 +231,9 @@ impl Near {
         Self { points, samples, lattice, spacing }
     }
 
-    /// The place of some triangles (three positions) of bodies that is nearest to a position,
-    /// within so many mean distances. Only triangles with a sample in the neighbourhood are looked
-    /// at.
+    /// The place on some triangles (three positions) of bodies that is nearest to a position,
+    /// within the given number of mean distances. Only triangles with a sample in the neighbourhood
+    /// are examined.
     pub(super) fn nearest_of(
         &self,
         store: &CellStore,

@@ -35,9 +35,9 @@ use crate::error::Result;
 use crate::geom::{Lattice, LatticePos};
 use crate::locate::{CellBatch, FINE_BITS, FinePos, Found, PointGrid, fine};
 
-/// Boundaries touch within so many mean distances.
+/// Boundaries touch within this many mean distances.
 const TOUCH: f64 = 0.5;
-/// How far a sample is moved into its body: this part of the mean distance, and at least so many
+/// How far a sample is moved into its body: this part of the mean distance, and at least this many
 /// lattice steps, more than rounding moves it.
 const INTO: (f64, f64) = (1.0 / 128.0, 4.0);
 
@@ -110,7 +110,7 @@ impl Contacts<'_> {
         [(self.moved(first, -1.0), Sample::On(first.sample)), (partner, Sample::On(second.sample))]
     }
 
-    /// A place moved by so many times [`INTO`] out of its body, within the box.
+    /// A place moved by `times` times [`INTO`] out of its body, within the box.
     fn moved(&self, from: &Placed, times: f64) -> LatticePos {
         let steps = (INTO.0 * f64::from(self.spacing.at(rounded(from.at)))).max(INTO.1);
         let n = from.normal;

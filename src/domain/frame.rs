@@ -37,8 +37,8 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// The lattice around a mesh of so many vertices: its voxels are about as large as the vertices
-    /// lie apart.
+    /// The lattice around a mesh of `vertices` vertices: its voxels are about as large as the
+    /// vertices lie apart.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a mesh without extent, or with one that `f64` cannot represent.

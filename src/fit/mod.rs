@@ -152,7 +152,7 @@ impl<'a> Fit<'a> {
         Side::words(vertices).saturating_mul(Side::count(steps).saturating_sub(1))
     }
 
-    /// What was given.
+    /// The mesh that was given.
     pub fn mesh(&self) -> FitMesh<'a> {
         self.mesh
     }
@@ -256,7 +256,7 @@ impl<'a> Fit<'a> {
         self.add_located(samples);
     }
 
-    /// Prepares for so many samples, none of which has a tetrahedron yet.
+    /// Prepares for this many samples; none of them has a tetrahedron yet.
     #[inline(always)]
     fn start(&mut self, samples: usize) {
         self.located.clear();

@@ -98,8 +98,8 @@ impl CellBox {
 }
 
 impl BccMesh {
-    /// The lattice with so many cells along each axis, as a point set has checked them; `None` for
-    /// bricks that are not cubes of 1, 2, 4 or 8 cells.
+    /// The lattice with these numbers of cells along each axis, as a point set has checked them;
+    /// `None` for bricks that are not cubes of 1, 2, 4 or 8 cells.
     pub(crate) fn new(cells: [u32; 3], lattice: &Lattice, brick: [u64; 3]) -> Option<Self> {
         let is_cube = brick == [brick[0]; 3] && [1, 2, 4, BRICK_CELLS.into()].contains(&brick[0]);
         is_cube.then(|| Self { cells, brick: brick[0] as u32, max: lattice.max() })

@@ -54,7 +54,7 @@ pub(super) struct Unseen {
     /// The region in the kernel's coordinates, infinite where it reaches the domain's face.
     lo: [f64; 3],
     hi: [f64; 3],
-    /// What to add to a squared radius, and then to the radius, to cover the sphere's error.
+    /// The amounts to add to a squared radius, and then to the radius, to cover the sphere's error.
     grow_r2: f64,
     grow_r: f64,
 }

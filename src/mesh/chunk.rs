@@ -46,7 +46,7 @@ use crate::geom::{Lattice, LatticeBox, LatticePos};
 /// The boxes of a chunk; all half-open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ChunkRegion {
-    /// What the chunk owns.
+    /// The part of the domain that the chunk owns.
     pub core: LatticeBox,
     /// Core and inner halo, clipped to the domain: the points that are inserted at once. Those
     /// further out are inserted where a tetrahedron needs them.
@@ -70,7 +70,7 @@ pub struct ChunkMesh {
     pub shared: Vec<bool>,
 }
 
-/// What came of meshing a chunk.
+/// The result of meshing a chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChunkOutcome {
     /// The chunk's part of the mesh, proven.
@@ -96,7 +96,8 @@ pub struct Manner {
     pub even: bool,
 }
 
-/// Where what a chunk owns borders on the tetrahedra of others, in numbers of its positions.
+/// The border between the tetrahedra that a chunk owns and those of others, in numbers of its
+/// positions.
 #[derive(Clone, Copy, Debug)]
 pub struct Border<'a> {
     /// Its tetrahedra with three such points or more; there may be others.
@@ -126,8 +127,8 @@ pub fn mesh_chunk(
     mesh_widening(mesher, boxes, &mut positions.to_vec(), order, Manner::default(), &mut |_| Ok(None))
 }
 
-/// As [`mesh_chunk`]; where a sphere leaves the region, `widen` is asked for a wider one, and of
-/// its points those go in that a tetrahedron needs.
+/// As [`mesh_chunk`], but where a sphere leaves the region, `widen` is asked for a wider one. Only
+/// those of its points are inserted that a tetrahedron needs.
 ///
 /// # Errors
 /// As [`mesh_chunk`], and those of `widen`.
@@ -180,11 +181,10 @@ pub fn mesh_widening(
     outcome
 }
 
-/// The tetrahedra around those that a chunk owns, of which the border is known: as
-/// [`mesh_widening`] finds them of evenly spread points, in canonical order, but in the time that
-/// they take and not the chunk. `positions` are as there. `None` where that can not be done: then
-/// the chunk has to be meshed.
-///
+/// The tetrahedra around those that a chunk owns, if the border of the latter is known. They are
+/// those that [`mesh_widening`] finds for evenly spread points, in canonical order, but only they
+/// take time, not the chunk. `positions` are as there. `None` where that cannot be done: then the
+/// chunk has to be meshed.
 /// # Errors
 /// As [`mesh_chunk`].
 pub fn mesh_around(
@@ -325,8 +325,8 @@ impl<'a> Sorter<'a> {
         self.settle(mesher)
     }
 
-    /// Looks at the tetrahedra around those owned, all of which are certified: nothing that is
-    /// inserted for their neighbours touches them.
+    /// Looks at the tetrahedra around those owned. All of the owned ones are certified, so nothing
+    /// that is inserted for their neighbours touches them.
     fn run_around(&mut self, mesher: &mut Mesher) -> Result<u64> {
         self.looks_around = true;
         for first in (0..mesher.records()).step_by(u64::BITS as usize) {
@@ -487,8 +487,8 @@ impl<'a> Sorter<'a> {
         Finding::Certified
     }
 
-    /// What a tetrahedron's sphere holds that is not inserted; without `late`, what is not certain
-    /// counts as uncovered.
+    /// Looks for a point in a tetrahedron's sphere that is not inserted; without `late`, an
+    /// uncertain case counts as uncovered.
     #[inline]
     fn look_in(&self, mesher: &Mesher, v: [u32; 4], sphere: &[f64; 4], late: Option<&Late>) -> Finding {
         if self.close.quickly(sphere) {

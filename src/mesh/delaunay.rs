@@ -249,8 +249,8 @@ impl Mesher {
         let rows: &mut [Tet] = bytemuck::cast_slice_mut(&mut records);
         let mut packed = 0;
         for (id, note) in kept {
-            // A record is four rows, of which the third has the vertices: nothing that was packed
-            // lies behind it.
+            // A record is four rows, and the third has the vertices: nothing that was packed lies
+            // behind it.
             let v = rows[4 * id as usize + 2];
             rows[packed] = turn(note, v.map(|v| self.source[v as usize - 1]));
             packed += 1;

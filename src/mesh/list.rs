@@ -31,12 +31,12 @@ pub struct TetList {
 #[derive(Clone)]
 pub(super) enum Memory {
     Listed(Vec<Tet>),
-    /// Records, as rows of four numbers, of which some are the list.
+    /// Records, as rows of four numbers; some of these rows are the list.
     Among(Vec<Tetra>, Range<usize>),
 }
 
 impl TetList {
-    /// Some of the rows that the memory of the records has, the first of which are its `own`.
+    /// Some of the rows in the memory of the records; the first `own` of them are the chunk's own.
     pub(super) fn among(records: Vec<Tetra>, rows: Range<usize>, own: usize) -> Self {
         Self { memory: Memory::Among(records, rows), own }
     }
@@ -78,8 +78,8 @@ impl TetList {
         }
     }
 
-    /// The tetrahedra not in the list that have a vertex of one in it, where they were asked for;
-    /// in no particular order.
+    /// The tetrahedra outside the list that have a vertex of one in it, if they were asked for; in
+    /// no particular order.
     pub fn around(&self) -> &[Tet] {
         &self.whole()[self.own..]
     }
@@ -101,7 +101,7 @@ impl TetList {
         }
     }
 
-    /// Keeps those of which `stays` is true, in their order; it is asked of those around last.
+    /// Keeps those for which `stays` is true, in their order; it is called last for those around.
     pub fn retain(&mut self, mut stays: impl FnMut(&Tet) -> bool) {
         let before = self.own;
         let (mut own, mut kept) = (0, 0);

@@ -19,7 +19,7 @@ pub(super) struct Owned {
 }
 
 impl Owned {
-    /// Prepares for so many records.
+    /// Prepares for this many records.
     pub(super) fn clear(&mut self, records: u32) {
         self.bits.clear();
         self.around.clear();
@@ -38,7 +38,7 @@ impl Owned {
         self.bits[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
     }
 
-    /// Notes 64 records, the first of which is a multiple of that.
+    /// Notes which of 64 records are owned; the number of the first is a multiple of 64.
     #[inline]
     pub(super) fn insert_word(&mut self, first: u32, word: u64) {
         self.bits[(first / u64::BITS) as usize] |= word;

@@ -97,7 +97,7 @@ pub(super) struct Stars {
     slow: Slow,
 }
 
-/// What a star by insertion needs.
+/// Buffers for a star by insertion.
 #[derive(Debug, Default)]
 struct Slow {
     numbers: Vec<u32>,
@@ -116,7 +116,7 @@ impl Default for Patience {
     }
 }
 
-/// The most points that are looked at together; there is room for so many more behind lists.
+/// The most points that are looked at together; there is room for this many more behind lists.
 const LANES: usize = 16;
 
 /// How a star ended.
@@ -221,7 +221,7 @@ struct Chunk<'a> {
     /// For each position, whether an owned tetrahedron has it, and others may. Empty until all
     /// those are known.
     used: Vec<bool>,
-    /// So many of the first positions have their turn, used or not.
+    /// The number of first positions that have their turn, used or not.
     turned: usize,
 }
 

@@ -255,7 +255,7 @@ pub(super) struct Arena {
     /// number.
     pub(super) local: Vec<[f64; 4]>,
     pub(super) star: Star,
-    /// What the wide path uses in place of `local` and `star`.
+    /// Buffers that the wide path uses in place of `local` and `star`.
     #[cfg(target_arch = "x86_64")]
     pub(super) wide: Box<super::wide::Scratch>,
 }

@@ -33,7 +33,7 @@ const FEW: usize = 16;
 /// Facets are worked on eight at a time.
 const PADDED: usize = FACETS + 8;
 
-/// What lies between the steps of an insertion.
+/// Data passed between the steps of an insertion.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub(super) struct Scratch {

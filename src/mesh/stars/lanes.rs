@@ -76,7 +76,7 @@ pub(super) trait Batch: Copy {
     type Packing: Copy;
     /// Half as many `f64`.
     type Doubles: lanes::Wide;
-    /// So many lanes.
+    /// The number of lanes.
     const LANES: usize;
     /// Whether there are registers for the points nearby.
     const HOLDS: bool;
