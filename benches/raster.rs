@@ -2,8 +2,8 @@
 //! `raster/SAMPLES A POINT`, `scan/…` and `fit/…`.
 //!
 //! Every sample of a volume of 128³ is visited once, with its weights: the tetrahedra of a chunk
-//! one by one (`raster`), or many together (`scan`); and so to fit values to the samples,
-//! tetrahedra sorted into windows and what the samples tell added up (`fit`).
+//! one by one (`raster`), or many together (`scan`). Values are also fitted to the samples:
+//! tetrahedra are sorted into windows, and the contributions of the samples are added up (`fit`).
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use isospan::exec::Room;

@@ -44,7 +44,7 @@ fn write_step(folder: &Path, t: u32, noise: f32) -> PathBuf {
     path
 }
 
-/// Reduces steps with some threads; tells the points of the mesh.
+/// Reduces steps with some threads; returns the points of the mesh.
 fn reduce_all(steps: &[StepSource], folder: &Path, threads: usize) -> u64 {
     let settings = ReduceSettings { amount: Amount::Fraction(0.125), ..ReduceSettings::default() };
     let run = RunSettings {

@@ -150,7 +150,7 @@ fn archive(folder: &Path, turns: f32, points: u64) -> PathBuf {
     out
 }
 
-/// Somebody drags an isovalue: questions to blocks of which all is known.
+/// A user drags an isovalue: questions to blocks of which all is known.
 fn kept(c: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a folder for temporary files");
     let mut group = c.benchmark_group("kept");

@@ -9,7 +9,7 @@
 //!   the domain in layers along z, each layer in rows along y, each row in chunks along x; the cuts
 //!   balance the number of points, so a set that crowds the middle (a hyperbolic cross) still gets
 //!   chunks of equal work. Chunk ids run x fastest: a volume stored slice by slice is read front to
-//!   back. Cuts can also be told ([`ChunkCuts`]).
+//!   back. Cuts can also be given ([`ChunkCuts`]).
 
 mod cuts;
 
@@ -323,7 +323,7 @@ impl Chunk {
     }
 }
 
-/// Tells (exactly or nearly, but always the same) how many points a box holds.
+/// Counts the points of a box, exactly or nearly, but always the same.
 type Counter = Box<dyn Fn(&LatticeBox) -> u64 + Send + Sync>;
 
 /// Where the cuts along x come from.
@@ -335,12 +335,12 @@ enum XCuts {
         /// million bricks.
         last: Mutex<Option<(usize, Arc<Vec<u64>>)>>,
     },
-    /// Those of each row are told.
+    /// The cuts of each row are given.
     Given(Vec<Arc<Vec<u64>>>),
 }
 
-/// The domain cut into chunks. Memory: a few bytes for each row of chunks; where cuts are told, for
-/// each chunk.
+/// The domain cut into chunks. Memory: a few bytes for each row of chunks; where cuts are given,
+/// for each chunk.
 pub struct ChunkGrid {
     bricks: BrickGrid,
     /// Cuts along z, in bricks.

@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// CPU seconds of this thread so far, as Linux tells them.
+/// CPU seconds of this thread so far, as Linux reports them.
 fn cpu_seconds() -> Result<f64, Box<dyn Error>> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat")?;
     let nanoseconds: u64 = text.split_whitespace().next().ok_or("an empty schedstat")?.parse()?;

@@ -1,11 +1,11 @@
 //! Our part of the comparison with VTK's filters: asks an open archive for one isosurface after
-//! another, as a program does in which somebody drags an isovalue. For each question a line: the
+//! another, as a program does while its user drags an isovalue. For each question a line: the
 //! round, the isovalue, seconds, CPU seconds, triangles.
 //!
 //!     ask_archive ARCHIVE THREADS ROUNDS KEPT_MIB ISOVALUE..
 //!
 //! Each round opens the archive anew and asks for all isovalues. CPU seconds are 0 where the system
-//! does not tell them so finely.
+//! does not report them so finely.
 
 #![allow(unsafe_code)]
 #![allow(clippy::print_stdout)]

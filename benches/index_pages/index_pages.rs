@@ -1,9 +1,9 @@
-//! Builds indexes of synthetic blocks in 256 MiB, asks them, and tells how many pages were touched
+//! Builds indexes of synthetic blocks in 256 MiB, asks them, and prints how many pages were touched
 //! against √(n/L) + k/L, where n is the number of entries, k of answers, and L = 128 the least
 //! entries of a full page.
 //!
 //! `cargo run --release --example index_pages -- 1000000 10000000 100000000` (the last takes 5 GB
-//! of disk in the system's temporary folder, and as much memory as it is told)
+//! of disk in the system's temporary folder, and as much memory as it is given)
 //!
 //! On 2 cores of an AMD EPYC (virtual machine, shared, 2026-11-21), one run; 10^8 entries took
 //! about 30 seconds of CPU time:
@@ -36,14 +36,14 @@ fn entry(i: u64) -> Entry {
     Entry { min: middle - width, max: middle + width, chunk, block, tets: 1000 }
 }
 
-/// Anonymous memory of this process, in KiB; 0 where the system does not tell.
+/// Anonymous memory of this process, in KiB; 0 where the system does not report it.
 fn anonymous_kib() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("RssAnon:"));
     line.and_then(|l| l.split_whitespace().next()?.parse().ok()).unwrap_or(0)
 }
 
-/// Runs `work` and tells the most anonymous memory seen meanwhile.
+/// Runs `work` and returns the most anonymous memory seen meanwhile.
 fn watched<T>(work: impl FnOnce() -> T) -> (T, u64) {
     let (peak, done) = (AtomicU64::new(0), AtomicBool::new(false));
     std::thread::scope(|threads| {

@@ -67,7 +67,7 @@ fn cubes(name: &str, volume: &Volume) -> Result<()> {
     Ok(())
 }
 
-/// Prints the table of some cells; tells the isovalue with the most active ones.
+/// Prints the table of some cells; returns the isovalue with the most active ones.
 fn print(name: &str, cells: &Cells<'_>) -> Result<f32> {
     let isovalues = few_and_many(cells);
     let [few, many] = isovalues.map(|(_, count)| count);

@@ -1,5 +1,5 @@
-//! The quantised values of a brick of a body-centred cubic lattice: predicted from those before,
-//! the rest coded in context.
+//! The quantised values of a brick of a body-centred cubic lattice. Each is predicted from those
+//! before it; the difference is coded in context.
 //!
 //! ```text
 //!  values, coarse to fine ─▶ mean of the neighbours, or smooth field ─▶ difference ─▶ range coder
@@ -8,9 +8,10 @@
 //!
 //! A brick has up to 8³ nodes and as many centres ([`crate::mesh::bcc`]). Nodes come first, on
 //! grids of 8, 4, 2 and 1 cells. On each finer grid those with three odd coordinates come first,
-//! then those with two, then with one: so each lies between some that are known. Centres come last.
+//! then those with two, then those with one. So each lies between some that are known. Centres come
+//! last.
 //!
-//! There are two predictions, and a brick has that which takes fewer bytes:
+//! There are two predictions, and a brick uses the one that takes fewer bytes:
 //!
 //! - The mean of all known values within a grid step, weighted by the inverse square of the
 //!   distance (Shepard 1968). The odds depend on how far the neighbours are from their mean. This
@@ -20,11 +21,11 @@
 //!   Van Ness 1968, kriging: Matheron 1963). Its weights may be negative: it follows curvature, and
 //!   no scale enters. The odds depend on the differences that were coded for the nearest eight.
 //!
-//! A difference is coded as the number of its bits, its sign, and its bits. The odds of the former
-//! learn within the brick.
+//! A difference is coded as the number of its bits, its sign, and its bits. The odds of the number
+//! of bits learn within the brick.
 //!
 //! A brick decodes alone. Weights are made from sums, products, quotients and square roots of f64,
-//! which are exact everywhere, then all arithmetic is of integers: so the bytes are the same on
+//! which are exact everywhere. All further arithmetic is on integers, so the bytes are the same on
 //! every machine.
 
 mod odds;
@@ -42,17 +43,17 @@ const VALUES: usize = 2 * EDGE * EDGE * EDGE;
 const UNIT: i64 = 1 << 14;
 /// Kinds of values: nodes on coarse grids, nodes on the finest, centres.
 const KINDS: usize = 3;
-/// Tables of odds: one of each kind, and that of smooth bricks.
+/// Tables of odds: one for each kind, and one for smooth bricks.
 const TABLES: usize = KINDS + 1;
 /// Neighbours of a value of a smooth brick, at most.
 const SMOOTH_NEAR: usize = 32;
-/// Those of them whose own differences tell the odds.
+/// Neighbours whose own differences decide the odds.
 const NEAREST: usize = 8;
 /// Classes of spread.
 const SPREADS: usize = 20;
 /// Bits that a difference may have.
 const MOST_BITS: usize = 32;
-/// Those that have odds of their own.
+/// Numbers of bits that have odds of their own.
 const LENGTHS: usize = 20;
 
 /// A value in the order of coding: which one, its table of odds, and the end of its neighbours.
@@ -86,8 +87,8 @@ pub(crate) struct Template {
 type Halves = [i32; 3];
 
 impl Template {
-    /// That of a brick of so many cells, 1 to 8 along each axis. Values are numbered in blocks of
-    /// 4³ cells: of each its nodes, x fastest, then its centres.
+    /// The template of a brick of so many cells, 1 to 8 along each axis. Values are numbered in
+    /// blocks of 4³ cells: in each block first its nodes, x fastest, then its centres.
     pub(crate) fn of(cells: [u32; 3]) -> &'static Self {
         static ALL: [OnceLock<Template>; EDGE * EDGE * EDGE] =
             [const { OnceLock::new() }; EDGE * EDGE * EDGE];
@@ -111,7 +112,7 @@ impl Template {
 }
 
 impl Prediction {
-    /// By the mean of the neighbours within a grid step.
+    /// Predicts by the mean of the neighbours within a grid step.
     fn mean(cells: [i32; 3]) -> Self {
         let order = in_order(cells);
         let mut rank = vec![usize::MAX; order.len()];
@@ -145,7 +146,7 @@ impl Prediction {
         all
     }
 
-    /// By the most likely field through the nearest values.
+    /// Predicts by the most likely field through the nearest values.
     fn smooth(cells: [i32; 3]) -> Self {
         let places: Vec<Halves> = in_order(cells).into_iter().map(|(at, _)| at).collect();
         let (mut all, mut known) = (Self::default(), HashMap::new());
@@ -186,9 +187,9 @@ fn variance(d: Halves) -> f64 {
     if d > 0.0 { d / d.sqrt().sqrt().sqrt() } else { 0.0 }
 }
 
-/// The weights of neighbours at such offsets, the nearest one first: those of the least expected
-/// square of the error. All differences are told from the nearest one. Their covariances are a
-/// linear system, solved by Gauss-Jordan elimination. It is positive definite: it needs no
+/// The weights of neighbours at such offsets, the nearest one first: those with the least expected
+/// square of the error. All differences are taken to the nearest one. Their covariances form a
+/// linear system, solved by Gauss-Jordan elimination. It is positive definite, so it needs no
 /// pivoting.
 fn weights(near: &[Halves]) -> Vec<i16> {
     let Some((&first, rest)) = near.split_first() else { return vec![] };
@@ -484,7 +485,7 @@ mod tests {
         }
         let mut bytes = vec![];
         encode(template, &values, &mut bytes);
-        // Of the 8 that each would take for itself.
+        // Less than half of the 8 bits that each value would take by itself.
         assert!(bytes.len() < 1024 * 4 / 8, "{}", bytes.len());
         // A smooth field does better than a mean.
         let mut by_mean = vec![];

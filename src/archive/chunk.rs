@@ -2,11 +2,11 @@
 //! hundred a block.
 //!
 //! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices
-//! with all their tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, and
-//! runs are cut where that makes them so (`runs.rs`), a block is compact in space, its (min, max)
-//! are near each other, and few of its vertices are shared with other blocks.
+//! with all their tetrahedra. Ids follow the bricks and, inside a brick, the Hilbert curve, and
+//! runs are cut with the same aim (`runs.rs`). So a block is compact in space, its min and max are
+//! near each other, and it shares few vertices with other blocks.
 //!
-//! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices
+//! A block decodes on its own, in two steps: [`TetBlock::open`] gives its vertices
 //! ([`ChunkVertices`] gives their number, against which every id is checked); [`TetBlock::decode`]
 //! takes their positions, which predict most of the tetrahedra.
 
@@ -188,7 +188,7 @@ impl<'a> TetBlock<'a> {
         Ok(())
     }
 
-    /// As [`TetBlock::decode`], with corners told by their places in [`TetBlock::vertices`].
+    /// As [`TetBlock::decode`], with corners given by their places in [`TetBlock::vertices`].
     ///
     /// # Errors
     /// As [`TetBlock::decode`].
@@ -271,7 +271,7 @@ pub(crate) mod tests {
         tets
     }
 
-    /// Of a chunk and the tetrahedra that its encoder left.
+    /// Decodes a chunk, and compares it with the tetrahedra that its encoder left.
     fn decode((encoded, told): &(EncodedChunk, Vec<Tet>), positions: &[LatticePos]) -> Vec<Tet> {
         let (mut all, mut scratch) = (vec![], TetScratch::default());
         let open = |bytes| TetBlock::open(bytes, positions.len() as u32).unwrap();

@@ -4,8 +4,8 @@
 //! value segment its value blocks ([`super::values`]). The last block of the segment is the chunk
 //! table: how many blocks each chunk has.
 //!
-//! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`] goes on
-//! behind the last whole one.
+//! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`]
+//! continues after the last whole one.
 
 use super::journal::{Journal, Record};
 use super::manifest::SegmentRecord;
@@ -53,8 +53,8 @@ impl ChunkSegmentWriter {
         Ok(Self { segment, first, block_counts: vec![], journal })
     }
 
-    /// Begins a segment, or goes on with what a writer left that was killed or stopped: with its
-    /// chunks up to `most` that are whole ([`ChunkSegmentWriter::chunk_count`] tells how many).
+    /// Begins a segment, or continues what a killed or stopped writer left, with those of its
+    /// chunks up to `most` that are whole ([`ChunkSegmentWriter::chunk_count`] gives their number).
     /// What this writer has written is there for the next one, chunk by chunk; other leftovers of
     /// the same segment are removed. The finished file is the same in any case.
     ///
@@ -115,7 +115,7 @@ impl ChunkSegmentWriter {
         let temporary = self.segment.temporary().to_path_buf();
         self.journal.into_iter().for_each(Journal::remove);
         drop(self.segment);
-        // Somebody else may have been faster.
+        // Another process may have removed it already.
         let _ = std::fs::remove_file(temporary);
     }
 

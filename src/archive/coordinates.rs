@@ -1,17 +1,17 @@
-//! The coordinates of a rectilinear or curvilinear grid, so that an archive of one stands alone.
+//! The coordinates of a rectilinear or curvilinear grid, so that its archive needs no other file.
 //!
-//! Such a grid is sampled and meshed in index space. A position in the world is that of the grid's
-//! samples around it, trilinear: of a rectilinear grid three tables, of a curvilinear one the eight
-//! corners of a cell. A segment holds them: a head, then either the three tables or runs of [`RUN`]
-//! samples in file order (x fastest).
+//! Such a grid is sampled and meshed in index space. A position in the world is interpolated
+//! trilinearly from the grid's samples around it. A rectilinear grid needs three tables for that, a
+//! curvilinear one the eight corners of a cell. A segment holds a head, then either the three
+//! tables or runs of [`RUN`] samples in file order (x fastest).
 //!
 //! [`CoordinateMap`] reads what is asked for and keeps some runs: neighbours on a surface use the
 //! same ones.
 //!
-//! **Folded cells.** Where the eight determinants of a cell's map (at its corners) have different
-//! signs, or another one than most cells', the grid folds over itself; where they are all 0 the
-//! cell has no volume (the axis of a cylinder, say, has some that vanish at four corners only:
-//! those are good). [`CoordinateMap::count_cells`] counts them.
+//! **Folded cells.** The map of a cell has eight determinants, one at each corner. Where they have
+//! different signs, or another sign than in most cells, the grid folds over itself. Where all of
+//! them are 0, the cell has no volume. (At the axis of a cylinder, say, they vanish at four corners
+//! only: such cells are good.) [`CoordinateMap::count_cells`] counts them.
 
 use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::Malformed;
@@ -52,8 +52,8 @@ pub enum Coordinates<'a> {
 /// How many cells a grid has of each sort.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CellCount {
-    /// Cells that fold: their map turns inside out within them, or the other way than that of most
-    /// cells.
+    /// Cells that fold: their map turns inside out within them, or is oriented the other way than
+    /// that of most cells.
     pub folded: u64,
     /// Cells without a volume.
     pub degenerate: u64,
@@ -64,7 +64,8 @@ pub struct CellCount {
 /// Writes the coordinates of a grid of `dims` samples.
 ///
 /// # Errors
-/// Those of the coordinates and of writing; [`Error::BadInput`] for one that is not finite.
+/// Errors of the coordinates and of writing; [`Error::BadInput`] for a coordinate that is not
+/// finite.
 pub fn write(
     path: &Path,
     plan: PlanHash,
@@ -198,7 +199,7 @@ impl CoordinateMap {
     /// # Errors
     /// When the segment cannot be read, or is damaged.
     pub fn place(&self, ijk: [f64; 3]) -> Result<Placed> {
-        // Of a position on the far face, the last cell.
+        // A position on the far face lies in the last cell.
         let cell: [u64; 3] =
             std::array::from_fn(|a| (ijk[a].max(0.0) as u64).min(self.dims[a].saturating_sub(2)));
         let t = DVec3::from_array(std::array::from_fn(|a| ijk[a] - cell[a] as f64));

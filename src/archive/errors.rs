@@ -7,16 +7,16 @@ use crate::points::Levels;
 const LEVEL: i32 = 9;
 /// More than the numbers of all bins and exponents can take.
 const LARGEST: usize = 1 << 18;
-/// The most samples of a chunk that a reader takes: sums of so many, of any number of chunks, do
-/// not overflow.
+/// The most samples of a chunk that a reader takes: sums of this many, over any number of chunks,
+/// do not overflow.
 const MOST_SAMPLES: u64 = 1 << 40;
 
 /// The errors of a chunk.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ChunkErrors {
     pub(crate) sums: ErrorSums,
-    /// Where the density of points differs from place to place: those in the cells of each level,
-    /// up to the last that has a sample of the chunk.
+    /// Where the density of points differs from place to place, the errors in the cells of each
+    /// level, up to the last level that has a sample of the chunk.
     pub(crate) levels: Vec<BrickErrors>,
 }
 

@@ -1,10 +1,10 @@
 //! The listed points of an archive: positions for which there is no formula, in a segment of their
 //! own.
 //!
-//! Blocks of up to [`BLOCK_POINTS`] positions in canonical order, the last of the rest; each block
-//! is zstd of three columns x, y, z, each the differences to the point before (the first: to 0),
-//! sign moved to the lowest bit, as varints. The plan has their number and the hash of all
-//! positions, so that a mesh is never decoded with other points.
+//! Blocks hold up to [`BLOCK_POINTS`] positions in canonical order; the last block holds the rest.
+//! Each block is zstd of three columns x, y, z. Each number is the difference to the point before
+//! (the first: to 0), its sign moved to the lowest bit, as a varint. The plan has the number of
+//! points and the hash of all positions, so that a mesh is never decoded with other points.
 
 use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
@@ -27,8 +27,8 @@ pub struct ExplicitRecord {
     pub count: u64,
     /// XXH3 (128 bits) of the positions, x y z as u32, in order.
     pub hash: PlanHash,
-    /// No other point lies within so many lattice steps of one of these, but the corners of the
-    /// domain.
+    /// Within this many lattice steps of one of these there is no other point, except the corners
+    /// of the domain.
     #[serde(default, skip_serializing_if = "is_none")]
     pub clear: u32,
 }
@@ -38,7 +38,7 @@ fn is_none(clear: &u32) -> bool {
 }
 
 impl ExplicitRecord {
-    /// Of a list.
+    /// The record of a list.
     pub fn of(points: &ExplicitPoints) -> Self {
         let bytes: Vec<u8> = points.positions().iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
         Self { count: points.len(), hash: PlanHash::of(&bytes), clear: points.clear() }

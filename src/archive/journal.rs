@@ -1,9 +1,8 @@
-//! What is whole in a segment that is not finished: a list of its chunks, kept beside its temporary
-//! file.
+//! A list of the chunks that are whole in an unfinished segment, kept next to its temporary file.
 //!
-//! A segment has its directory at its end, so the temporary of a killed writer does not tell where
-//! its blocks are. The journal does: after each chunk the writer hands its blocks to the system,
-//! then appends a record here.
+//! A segment has its directory at its end, so the temporary file of a killed writer does not say
+//! where its blocks are. The journal does: after each chunk the writer hands its blocks to the
+//! system, then appends a record here.
 //!
 //! ```text
 //!  .000007.seg.tmp-node12-4711-…            the blocks
@@ -14,10 +13,10 @@
 //!      4  CRC32C of the record so far
 //! ```
 //!
-//! The next writer believes nothing of it: a record counts when its checksum is right, its chunk is
-//! the next one, and the blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So
+//! The next writer trusts none of it: a record counts if its checksum is right, its chunk is the
+//! next one, and the blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So
 //! neither a torn record nor a machine that lost power can do more than lose chunks. The journal is
-//! no part of the archive and is gone when the segment is done.
+//! no part of the archive and is removed when the segment is done.
 
 use super::publish::{Dead, TEMPORARY_MARK, open_own};
 use super::wire::Cursor;
@@ -81,7 +80,7 @@ impl Journal {
         let path = name(temporary);
         let file = File::options().read(true).write(true).create(true).truncate(true).open(&path);
         let file = file.map_err(|e| Error::io("create", &path, e))?;
-        // As for the temporary itself: who holds the lock is alive.
+        // As for the temporary itself: a writer that holds the lock is alive.
         let _ = file.try_lock();
         Ok(Self { file, path, keep: false })
     }

@@ -1,8 +1,8 @@
 //! How dense the points of an archive are, cell by cell, in a segment of its own.
 //!
-//! Blocks of up to [`BLOCK_CELLS`] levels, a byte each, x fastest, the last of the rest; each block
-//! is zstd. The plan has the cells' edge and the hash of all levels, so that a mesh is never
-//! decoded with others.
+//! Blocks hold up to [`BLOCK_CELLS`] levels, a byte each, x fastest; the last block holds the rest.
+//! Each block is zstd. The plan has the cells' edge and the hash of all levels, so that a mesh is
+//! never decoded with others.
 
 use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use super::wire::{Malformed, to_zstd, unzstd};
@@ -29,7 +29,7 @@ pub struct LevelsRecord {
 }
 
 impl LevelsRecord {
-    /// Of a map of levels.
+    /// The record of a map of levels.
     pub fn of(levels: &Levels) -> Self {
         let hash = PlanHash::of(levels.as_slice());
         Self { edge: levels.cells().edge[0], top: levels.top(), hash }

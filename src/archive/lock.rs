@@ -6,12 +6,12 @@
 //! ```
 //!
 //! The lock is the system's (`flock`), so it ends with its process, however that ends. Linux passes
-//! it on to NFS servers. The file lies beside the archive, since the archive's folder is replaced
-//! as a whole by `--force`. A file system without locks is not protected: there, two writers must
-//! be kept apart by the user.
+//! it on to NFS servers. The file lies next to the archive, since `--force` replaces the archive's
+//! folder as a whole. A file system without locks is not protected: there, the user must keep two
+//! writers apart.
 //!
-//! The file is removed with the lock. So whoever has locked it looks whether it is still the file
-//! of that name: the one before may have removed it in between.
+//! The file is removed with the lock. So a process that has locked it checks that it is still the
+//! file of that name: the previous owner may have removed it in between.
 //!
 //! Workers of a planned reduction take no lock: those of one segment write the same bytes.
 
@@ -56,7 +56,7 @@ impl WriterLock {
         }
     }
 
-    /// Says whose the lock is; for messages alone, so a failure is none.
+    /// Says whose the lock is. This is for messages only, so a failure is ignored.
     fn sign(&self) {
         let mut file = &self.file;
         let _ = file.set_len(0);
@@ -66,7 +66,7 @@ impl WriterLock {
 
 impl Drop for WriterLock {
     fn drop(&mut self) {
-        // Removed while it is locked: nobody else can have taken it.
+        // Removed while it is locked: no other process can have taken it.
         let _ = std::fs::remove_file(&self.path);
     }
 }

@@ -32,8 +32,8 @@ use std::path::{Path, PathBuf};
 pub const MANIFEST_NAME: &str = "manifest.json";
 /// Value of the manifest's first member.
 pub const MANIFEST_FORMAT: &str = "isospan archive";
-/// An archive of one chunk with at most so many blocks has neither index nor spectrum of its steps:
-/// they follow from what the chunk tells of itself.
+/// An archive of one chunk with at most this many blocks has neither index nor spectrum of its
+/// steps: both follow from the chunk's summary.
 pub const MOST_UNINDEXED: u64 = 512;
 /// The most bytes of a manifest.
 pub const LARGEST_MANIFEST: u64 = 1 << 30;
@@ -56,7 +56,7 @@ pub fn steps_folder(archive: &Path) -> PathBuf {
     archive.join("steps")
 }
 
-/// What the names of a step's files begin with.
+/// The beginning of the names of a step's files.
 pub fn step_prefix(step: u64) -> String {
     format!("{step:06}-")
 }
@@ -120,20 +120,20 @@ pub struct Plan {
     /// The points of the set that are listed and follow no formula.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub explicit: Option<ExplicitRecord>,
-    /// Where points and tetrahedra are those of a mesh: what is known of these.
+    /// If points and tetrahedra are those of a mesh, what is known of these.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own: Option<OwnRecord>,
-    /// Where the density of the points differs from place to place: how.
+    /// The levels of the points, where their density differs from place to place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub levels: Option<LevelsRecord>,
-    /// Of a tetrahedral mesh that tells some vertices more than once: which.
+    /// The duplicate vertices, of a tetrahedral mesh that has some.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeated: Option<RepeatedRecord>,
     /// Whether chunks prove all tetrahedra at the vertices of their own, which fitted values need,
     /// and not their own alone: their halos reach further.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stars: bool,
-    /// Where chunks and the order of points are not those that the points ask for: what they are.
+    /// The chunks and the order of points, if they are not those that the points ask for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<FrameRecord>,
 }
@@ -148,7 +148,7 @@ pub struct OwnRecord {
 }
 
 impl OwnRecord {
-    /// Of so many tetrahedra of a volume.
+    /// The record of so many tetrahedra of this volume.
     pub(crate) fn new(tetrahedra: u64, volume6: u128) -> Self {
         Self { tetrahedra, volume6: [volume6 as u64, (volume6 >> 64) as u64] }
     }
@@ -159,8 +159,8 @@ impl OwnRecord {
     }
 }
 
-/// What a plan has from an earlier one, so that chunks whose points did not change have the same
-/// bytes.
+/// The parts that a plan takes from an earlier one, so that chunks whose points did not change have
+/// the same bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameRecord {
     /// Bits an axis of the key that orders points: see
@@ -236,10 +236,10 @@ pub struct Source {
     #[serde(default, skip_serializing_if = "is_zero")]
     pub offset: f64,
     /// The largest difference of a sample from the `f32` that stands for it, where that matters:
-    /// more than 2^-20 of the range, or of whole numbers any. Errors include it.
+    /// more than 2^-20 of the range, or any difference for whole numbers. Errors include it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub rounding: f64,
-    /// Of a tetrahedral mesh: its vertices and tetrahedra.
+    /// The vertices and tetrahedra of a tetrahedral mesh.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<MeshSource>,
 }
@@ -260,7 +260,7 @@ impl Source {
         Some(self.rounding).filter(|lost| *lost > 0.0)
     }
 
-    /// What the archive has of a value of the file.
+    /// The archive's value for a value of the file.
     pub fn kept(&self, v: f64) -> f32 {
         (v - self.offset) as f32
     }
@@ -290,7 +290,7 @@ pub struct MeshSource {
 pub struct StepPlan {
     /// Number of the step in the archive.
     pub number: u64,
-    /// Its time, where the input told one.
+    /// Its time, if the input gives one.
     pub time: Option<f64>,
     /// What was sampled.
     pub source: Source,
@@ -315,15 +315,15 @@ pub struct StepPlan {
     /// Steps from one keyframe to the next, by number; further steps go on with it.
     #[serde(default = "usual_keyframes", skip_serializing_if = "is_usual_keyframes")]
     pub keyframes: u64,
-    /// Whether the errors at the samples of a volume are stored chunk by chunk, beside the values.
+    /// Whether the errors at the samples of a volume are stored chunk by chunk, next to the values.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub measured: bool,
-    /// The step before, against which values may be coded; none of a keyframe.
+    /// The step before, against which values may be coded; a keyframe has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<BaseStep>,
 }
 
-/// Steps from one keyframe to the next, where nobody chooses.
+/// Steps from one keyframe to the next, unless the user chooses.
 pub const KEYFRAMES: u64 = 16;
 
 fn usual_keyframes() -> u64 {
@@ -356,7 +356,7 @@ impl StepPlan {
         3 + u64::from(self.measured)
     }
 
-    /// The time of the step: what the input told, else its number.
+    /// The time of the step as the input gives it, else its number.
     pub fn time_or_number(&self) -> f64 {
         self.time.unwrap_or(self.number as f64)
     }
@@ -387,7 +387,7 @@ pub struct SegmentRecord {
 /// A finished step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Step {
-    /// What it is of.
+    /// What it was made from, and how.
     #[serde(flatten)]
     pub plan: StepPlan,
     /// Smallest and largest value, less the offset of the source; none when every point is void.
@@ -396,7 +396,7 @@ pub struct Step {
     pub void_points: u64,
     /// Value segments, in chunk order; the n-th is `values-n.seg`.
     pub values: Vec<SegmentRecord>,
-    /// The index; none of a small archive, of which the summary of its only chunk tells as much.
+    /// The index. A small archive has none: the summary of its only chunk says as much.
     pub index: Option<SegmentInfo>,
     /// The contour spectrum; none where every tetrahedron is void, nor without an index: it is that
     /// of the only chunk.
@@ -407,7 +407,7 @@ pub struct Step {
     /// How far the reduced field is from the samples of its source, where that was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<FieldError>,
-    /// Where the density of points differs from place to place: the errors of each level.
+    /// The errors of each level, where the density of points differs from place to place.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub level_errors: Vec<LevelError>,
 }
@@ -471,8 +471,8 @@ pub struct Manifest {
     pub mesh: Vec<SegmentRecord>,
     /// Steps, in order of their numbers.
     pub steps: Vec<Step>,
-    /// Of an archive that was made for a wanted error, by several tries: XXH3 (128 bits) of the
-    /// settings. By it the same call knows that it is done.
+    /// XXH3 (128 bits) of the settings, if the archive was made for a wanted error, by several
+    /// tries. By this hash the same call knows that it is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<PlanHash>,
 }

@@ -10,10 +10,10 @@
 //! * [`values`]: the values of a chunk's vertices.
 //! * [`vertices`]: which vertices a chunk has.
 //!
-//! What is promised: a file under its name is complete, and was synced before it got the name. A
-//! damaged byte is an error when it is read, never a wrong answer and never a panic. The bytes of a
-//! file depend on its contents alone. Not promised: that the meaning of a block was checked because
-//! its checksum was; for that see the checks of [`crate::pipeline`].
+//! The archive promises the following. A file under its name is complete, and was synced before it
+//! got the name. A damaged byte is an error when it is read, never a wrong answer and never a
+//! panic. The bytes of a file depend on its contents alone. It does not promise that the meaning of
+//! a block was checked because its checksum was; for that see the checks of [`crate::pipeline`].
 #![doc = include_str!("FORMAT.md")]
 
 pub(crate) mod brick_values;

@@ -1,10 +1,10 @@
 //! A file that appears whole or not at all.
 //!
-//! It is written under a temporary name in its final folder, synced, renamed, and the folder synced
-//! (of the parts of an archive once for all, before the manifest names them: [`sync_folders`]). The
-//! temporary name is unique per host, process and file, so two writers of the same file do not
-//! disturb each other: they write the same bytes and the later rename wins. A writer that is
-//! dropped unfinished removes its temporary.
+//! It is written under a temporary name in its final folder, synced and renamed; then the folder is
+//! synced. (The folders of an archive's parts are synced once for all parts, before the manifest
+//! names them: [`sync_folders`].) The temporary name is unique per host, process and file, so two
+//! writers of the same file do not disturb each other: they write the same bytes and the later
+//! rename wins. A writer that is dropped unfinished removes its temporary.
 //!
 //! ```text
 //!  .000007.seg.tmp-node12-4711-9f3c21d50ab7e644x3
@@ -12,14 +12,14 @@
 //! ```
 //!
 //! The host's name is followed by the number of the process's name space where that is not the
-//! machine's first: containers share host names, and then process numbers too. The random number is
-//! for everything that this does not tell apart.
+//! machine's first: containers share host names, and then process numbers too. The random number
+//! distinguishes everything that these do not.
 //!
 //! **What a killed writer leaves** starts with a dot, and no reader looks at it. The next writer of
-//! the same file removes it, or goes on with it ([`Unpublished::adopt`]), if it is dead for sure:
+//! the same file removes it, or continues it ([`Unpublished::adopt`]), if it is certainly dead:
 //! made on this host, by a process that is no more, and not locked. A living writer holds a lock on
-//! its temporary, where the file system has locks; that protects against what a process number does
-//! not tell (containers that share a host's name, numbers used again).
+//! its temporary, where the file system has locks. That covers what a process number cannot show
+//! (containers that share a host's name, numbers used again).
 
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
@@ -32,7 +32,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A file being written; see the module.
 pub(crate) struct Unpublished {
     file: Option<File>,
-    /// What is not written yet: less than `piece` bytes.
+    /// Bytes that are not written yet: less than `piece`.
     rest: Vec<u8>,
     piece: usize,
     temporary: PathBuf,
@@ -87,7 +87,7 @@ fn random() -> u64 {
     *TOKEN
 }
 
-/// A name for a temporary of `path`, beside it.
+/// A name for a temporary of `path`, in the same folder.
 pub(crate) fn temporary_name(path: &Path) -> Result<PathBuf> {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let name = path
@@ -106,8 +106,8 @@ impl Unpublished {
         Self::begin(path)
     }
 
-    /// As [`Unpublished::create`], of a file that this user alone may read, whatever the umask: a
-    /// copy in a folder of all users.
+    /// As [`Unpublished::create`], of a file that this user alone may read, regardless of the
+    /// umask: a copy in a folder of all users.
     pub(crate) fn create_private(path: &Path) -> Result<Self> {
         remove_dead(path);
         let mut options = File::options();
@@ -125,7 +125,7 @@ impl Unpublished {
         let temporary = temporary_name(path)?;
         let file = options.read(true).write(true).create_new(true).open(&temporary);
         let file = file.map_err(|e| Error::io("create", &temporary, e))?;
-        // Where there are no locks, the process number alone tells that the writer is alive.
+        // Where there are no locks, the process number alone shows that the writer is alive.
         let _ = file.try_lock();
         Ok(Self::of(file, temporary, path))
     }
@@ -149,13 +149,13 @@ impl Unpublished {
         &self.temporary
     }
 
-    /// From now on the temporary stays when the writer is dropped unfinished, for the next one to
-    /// go on with.
+    /// Keeps the temporary from now on when the writer is dropped unfinished, so that the next one
+    /// can continue it.
     pub(crate) fn keep(&mut self) {
         self.keep = true;
     }
 
-    /// Tells, before anything is flushed, that the file will be mapped.
+    /// Announces, before anything is flushed, that the file will be mapped.
     pub(crate) fn will_be_mapped(&mut self) {
         self.piece = LARGE_PIECE;
     }
@@ -197,16 +197,16 @@ impl Unpublished {
         sync_folder(&path)
     }
 
-    /// Makes the file durable, and visible under its name; its name is durable when
-    /// [`sync_folders`] has been called. Of one that nobody takes for there until another file
-    /// names it, whose writer calls that first: so a folder is synced once for all that is new in
-    /// it.
+    /// Makes the file durable, and visible under its name. The name is durable once
+    /// [`sync_folders`] has been called. This is for a file that does not count before another file
+    /// names it. The writer of that other file calls [`sync_folders`] first, so a folder is synced
+    /// once for all that is new in it.
     pub(crate) fn publish_part(self) -> Result<()> {
         self.rename(true)
     }
 
-    /// Makes the file visible under its name. Of one that this process alone will read, and then
-    /// remove: what a crash of the machine would leave of it is of no use to anybody.
+    /// Makes the file visible under its name. This is for a file that only this process reads, and
+    /// then removes: what a crash of the machine leaves of it is of no use.
     pub(crate) fn publish_for_now(self) -> Result<()> {
         self.rename(false)
     }
@@ -333,33 +333,33 @@ impl Dead {
         }
     }
 
-    /// Deletes it. Somebody else may have been faster.
+    /// Deletes it. Another process may have done so already.
     pub(crate) fn remove(self) {
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-/// What dead writers of `path` left. A folder that cannot be listed has nothing to offer: writing
-/// to it will tell why.
+/// What dead writers of `path` left. A folder that cannot be listed gives nothing: writing to it
+/// will say why.
 pub(crate) fn dead_of(path: &Path) -> Vec<Dead> {
     let Some(name) = path.file_name() else { return vec![] };
     let prefix = format!(".{}{TEMPORARY_MARK}", name.to_string_lossy());
     dead_in(folder_of(path), |name| name.starts_with(&prefix))
 }
 
-/// Temporaries in some folders, of writers that run or are dead, looked up once: a folder may have
-/// many files, of which each has its own writer.
+/// Temporaries in some folders, of writers that run or are dead, looked up once. A folder may have
+/// many files, each with its own writer.
 pub(crate) struct Left(Vec<String>);
 
 impl Left {
-    /// In these folders; one that cannot be listed has none.
+    /// The temporaries in these folders; a folder that cannot be listed has none.
     pub(crate) fn in_folders(folders: &[PathBuf]) -> Self {
         let entries = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten();
         let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
         Self(names.filter(|name| name.starts_with('.') && name.contains(TEMPORARY_MARK)).collect())
     }
 
-    /// Whether there was one of this file.
+    /// Whether there was a temporary of this file.
     pub(crate) fn has(&self, path: &Path) -> bool {
         let prefix = path.file_name().map(|name| format!(".{}{TEMPORARY_MARK}", name.to_string_lossy()));
         prefix.is_some_and(|prefix| self.0.iter().any(|name| name.starts_with(&prefix)))
@@ -423,8 +423,8 @@ fn dead_file(path: PathBuf, process: u32) -> Option<Dead> {
     let file = open_own(&path)?;
     match file.try_lock() {
         Ok(()) => {}
-        // No locks here: of our own process number, only the lock tells whether a thread of ours
-        // writes it.
+        // There are no locks here. For our own process number, only a lock could show whether one
+        // of our threads writes it.
         Err(TryLockError::Error(_)) if !ours => {}
         Err(_) => return None,
     }

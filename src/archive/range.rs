@@ -2,8 +2,8 @@
 //!
 //! The coder is the carry-propagating one of LZMA (Martin 1979, "Range encoding"; Pavlov's LZMA
 //! specification): the interval [low, low + range) shrinks with each bit in proportion to the bit's
-//! probability, and whole bytes leave at its top. A probability moves towards each bit that was
-//! seen by 1/32 of the distance: so it is never certain, and needs no clamp.
+//! probability, and whole bytes leave at its top. A probability moves towards each bit seen, by
+//! 1/32 of the distance. So it is never certain, and needs no clamp.
 
 /// Part of the distance that a probability moves, as a shift.
 const RATE: u32 = 5;
@@ -110,8 +110,9 @@ impl Encoder {
         self.bytes.clear();
     }
 
-    /// Appends the bytes, and forgets everything. The interval is at least 2^24 wide, so one byte
-    /// more tells a number in it; the three bytes behind it are zeros that need not be written.
+    /// Appends the bytes, and forgets everything. The interval is at least 2^24 wide, so one more
+    /// byte identifies a number in it; the three bytes behind it are zeros that need not be
+    /// written.
     pub(crate) fn finish(&mut self, out: &mut Vec<u8>) {
         self.low += u64::from(TOP - 1);
         self.push();
@@ -120,7 +121,7 @@ impl Encoder {
     }
 }
 
-/// Reads what [`Encoder`] wrote. Behind the last byte it finds zeros; [`Decoder::at_end`] tells
+/// Reads what [`Encoder`] wrote. Behind the last byte it finds zeros; [`Decoder::at_end`] says
 /// whether it found too many.
 #[derive(Debug)]
 pub(crate) struct Decoder<'a> {

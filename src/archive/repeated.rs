@@ -3,11 +3,11 @@
 //!
 //! The values of the first step decide which vertices are one ([`crate::pipeline`] does that). The
 //! samples of the boundary depend on it, and the first step's file may be gone when another is
-//! added. The segment has pairs of a vertex and the first that equals it, by ascending vertices, in
-//! blocks of [`BLOCK_PAIRS`] (the last has the rest). A block is zstd of two columns of varints:
-//! the vertices as differences to the one before (the first: to 0), and how far before each its
-//! first is. The plan has the number of pairs and the hash of all. Neither writing nor reading
-//! holds more than a block.
+//! added. The segment has pairs of a vertex and the first vertex that equals it. Pairs are sorted
+//! by the former, in blocks of [`BLOCK_PAIRS`] (the last block has the rest). A block is zstd of
+//! two columns of varints: the vertices as differences to the one before (the first: to 0), and how
+//! far before each vertex its first one is. The plan has the number of pairs and the hash of all.
+//! Neither writing nor reading holds more than a block.
 
 use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
@@ -25,7 +25,7 @@ const LEVEL: i32 = 9;
 /// A vertex, and the first that it equals.
 pub(crate) type Pair = [u64; 2];
 
-/// What a plan says of the vertices that are told more than once.
+/// What a plan says about the duplicate vertices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RepeatedRecord {
     /// Number of pairs.
@@ -35,7 +35,7 @@ pub struct RepeatedRecord {
 }
 
 impl RepeatedRecord {
-    /// Of all pairs; none where there is no pair.
+    /// The record of all pairs; none if there is no pair.
     pub(crate) fn of(pairs: impl Iterator<Item = Pair>) -> Option<Self> {
         let mut sum = Sum::default();
         pairs.for_each(|pair| sum.add(pair));

@@ -1,4 +1,4 @@
-//! Where the tetrahedra of a chunk, in the order of their first vertices, are cut into blocks.
+//! How the tetrahedra of a chunk, in the order of their first vertices, are cut into blocks.
 //!
 //! A question about an isovalue decodes the blocks that the surface may cross. A flat surface at
 //! any place crosses a box in proportion to its mean width (Crofton's formula), which is half the
@@ -8,9 +8,9 @@
 //!  sum over blocks of   (sum of the edges of the box around it)  ·  (its tetrahedra + what a block costs by itself, in tetrahedra)
 //! ```
 //!
-//! found by dynamic programming, in steps of a few vertices. Such blocks are eighths and quarters
-//! of cubes rather than pieces of equal length of the curve along which vertices are sorted: fewer
-//! are read, less of them in vain, and they have fewer vertices of others.
+//! They are found by dynamic programming, in steps of a few vertices. Such blocks are eighths and
+//! quarters of cubes rather than equal lengths of the curve along which vertices are sorted. So
+//! fewer blocks are read, less of them in vain, and they have fewer vertices of others.
 
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
@@ -18,7 +18,7 @@ use glam::{UVec3, Vec4};
 
 /// Steps in a block of the size asked for.
 const STEPS: u32 = 16;
-/// What a block costs by itself, as a part of the tetrahedra asked for: its head, its entry in the
+/// The cost of a block by itself, as a part of the tetrahedra asked for: its head, its entry in the
 /// index, a vertex of others for each second tetrahedron.
 const BLOCK_COST: u64 = 2;
 
@@ -90,9 +90,10 @@ pub(super) fn block_starts(tets: &[Tet], positions: &[LatticePos], block_tets: u
     starts
 }
 
-/// The tetrahedra of some vertices each, of at least so many tetrahedra together but for the last.
+/// Steps with the tetrahedra of some vertices each, at least `least` tetrahedra a step, except in
+/// the last one.
 fn steps(tets: &[Tet], positions: &[LatticePos], least: u32) -> Vec<Step> {
-    // Exact: of 24 bits. Of such vectors the least and the greatest are one instruction each.
+    // Exact: 24 bits. The least and the greatest of such vectors take one instruction each.
     let rows: Vec<Vec4> = positions.iter().map(|&p| UVec3::from(p).as_vec3().extend(0.0)).collect();
     let mut steps = Vec::with_capacity(tets.len() / least as usize + 1);
     let (mut lo, mut hi) = (Vec4::INFINITY, Vec4::ZERO);

@@ -4,8 +4,8 @@
 //! header | block 0 | block 1 | … | directory pages | footer
 //! ```
 //!
-//! Header and footer are of fixed size and are all that opening reads, whatever the number of
-//! blocks. The directory (length and CRC32C of each block) lies in pages that are read, checked and
+//! Header and footer are of fixed size. Opening a segment reads nothing else, however many blocks
+//! it has. The directory (length and CRC32C of each block) lies in pages that are read, checked and
 //! kept the first time a block of theirs is asked for. So a block costs one read, and a damaged
 //! byte is found when it is used, or by [`Segment::verify`]. A segment is *done* when header,
 //! length and footer verify: a file cut short at any byte is not a segment.
@@ -68,7 +68,7 @@ pub enum SegmentKind {
     Coordinates = 7,
     /// How dense the points are, cell by cell.
     Levels = 8,
-    /// Vertices that a source mesh tells more than once.
+    /// Duplicate vertices of a source mesh.
     Repeated = 9,
     /// Unpacked blocks of one step.
     Unpacked = 10,

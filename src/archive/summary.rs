@@ -1,12 +1,12 @@
-//! What the last block of a chunk tells about the chunk, so that the archive can be put together
+//! What the last block of a chunk says about the chunk, so that the archive can be put together
 //! without decoding it.
 //!
-//! In a mesh segment: how many tetrahedra the chunk owns, their volume, how often its halo was
-//! widened. In a value segment: the range of its values, and of every tetrahedron block, from which
-//! the index of the step is built. Fixed fields, little-endian; see `FORMAT.md`.
+//! In a mesh segment, it says how many tetrahedra the chunk owns, their volume, and how often its
+//! halo was widened. In a value segment, it has the range of the values, and of every tetrahedron
+//! block; the index of the step is built from these. Fixed fields, little-endian; see `FORMAT.md`.
 //!
-//! Also the ranges of the chunk's value blocks, by themselves: where a surface does not pass, a
-//! reader that knows on which side of it all values of a block are need not read them.
+//! It also holds the ranges of the chunk's value blocks, by themselves. Where a surface does not
+//! pass, a reader that knows on which side of it all values of a block are need not read them.
 
 use super::values::ValueBlocks;
 use super::wire::{Cursor, Malformed, to_zstd, unzstd};
@@ -33,13 +33,13 @@ pub struct MeshSummary {
     pub tets: u64,
     /// Their six-fold volume in lattice steps, exact.
     pub volume6: i128,
-    /// That of tetrahedra that would be the chunk's, but lie outside of the data and are not
+    /// The same for tetrahedra that would be the chunk's, but lie outside of the data and are not
     /// stored.
     pub outside6: i128,
 }
 
 impl MeshSummary {
-    /// As the bytes of a block: 56 of them.
+    /// Encodes the summary as the bytes of a block: 56 of them.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
         [self.core, self.halo, self.tet_blocks, self.retries]
@@ -140,7 +140,7 @@ pub struct ValueSummary {
 }
 
 impl ValueSummary {
-    /// Of the values of a chunk's own points and the ranges of its blocks.
+    /// The summary of the values of a chunk's own points and the ranges of its blocks.
     pub fn of(own: &[f32], ranges: Vec<BlockRange>) -> Self {
         Self {
             void: own.iter().filter(|v| v.is_nan()).count() as u32,
@@ -150,7 +150,8 @@ impl ValueSummary {
         }
     }
 
-    /// As the bytes of a block: 12, then the ranges, compressed column by column.
+    /// Encodes the summary as the bytes of a block: 12, then the ranges, compressed column by
+    /// column.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
         out.extend(self.void.to_le_bytes());
@@ -199,7 +200,7 @@ pub fn value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<ValueRange> {
     )
 }
 
-/// The range of some values. Of two zeros the first one, whatever the machine.
+/// The range of some values. Of two zeros it takes the first one, on every machine.
 #[inline(always)]
 fn value_range(values: &[f32]) -> ValueRange {
     const LANES: usize = 32;
@@ -232,10 +233,10 @@ fn f32s(bytes: &[u8]) -> impl Iterator<Item = f32> {
     u32s(bytes).map(f32::from_bits)
 }
 
-/// The ranges of so many value blocks.
+/// The ranges of this number of value blocks.
 ///
 /// # Errors
-/// When the length is another, or one is no range.
+/// When the length is wrong, or one of them is no range.
 pub fn decode_value_ranges(bytes: &[u8], blocks: usize) -> Result<Vec<ValueRange>, Malformed> {
     let columns = unzstd(bytes, blocks.saturating_mul(8), "value ranges")?;
     if columns.len() as u64 != 8 * blocks as u64 {

@@ -2,21 +2,21 @@
 //! used, in a segment that is mapped.
 //!
 //! The packed blocks of an archive take a few bits a tetrahedron and must be decoded; these take
-//! some sixty bytes and are used where they lie. They are made on request, beside the segments, and
-//! may be removed at any time: they hold nothing that the segments do not tell.
+//! some sixty bytes and are used where they lie. They are made on request, next to the segments,
+//! and may be removed at any time: they hold nothing that is not in the segments.
 //!
 //! ```text
 //!  zeros │ chunk 0: block 0, block 1, … │ chunk 1: … │ table: version, range, corners, blocks and numbered edges of each chunk
 //! ```
 //!
 //! A block begins at a multiple of [`UNPACKED_ALIGNED`] bytes of the file and is as many
-//! little-endian words as it tells; one without bytes is to be had packed only, for it is out of
-//! the range, or one of the few that are too large. The hash in the segment's header is that of the
+//! little-endian words as it says. A block without bytes exists only packed: it is out of the
+//! range, or one of the few that are too large. The hash in the segment's header is that of the
 //! segments that it was made of ([`unpacked_hash`]): it is never used with others.
 //!
-//! Of a block often but a part is read. So its words have checksums of their own, which are looked
-//! at, with what they hold, by whoever knows what is read, once: [`Unpacked::noted`] is where that
-//! is noted. [`Unpacked::verify`] looks at all.
+//! Often only a part of a block is read. So its words have checksums of their own. The code that
+//! knows what is read checks these, and what the words hold, once, and notes that in
+//! [`Unpacked::noted`]. [`Unpacked::verify`] checks all.
 
 use super::segment::{BlockPlace, HEADER_BYTES, PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed};
@@ -29,7 +29,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 /// The version of what the blocks hold.
 pub const UNPACKED_VERSION: u32 = 1;
-/// Blocks begin at multiples of so many bytes.
+/// Blocks begin at multiples of this many bytes.
 pub const UNPACKED_ALIGNED: usize = 64;
 /// The most corners of a chunk for each of its blocks: what is allocated for them follows from a
 /// file.
@@ -42,10 +42,10 @@ const EDGE_BYTES: u64 = 16;
 /// What to do about a file that cannot be used.
 const HELP: &str = "make it again with isospan unpack, or remove it with isospan unpack --remove";
 
-/// What a segment of unpacked blocks is of.
+/// The contents of a segment of unpacked blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnpackedTable {
-    /// Blocks that can answer isovalues in this range are there.
+    /// The file has the blocks that isovalues in this range need.
     pub range: [f32; 2],
     /// All chunks, in order.
     pub chunks: Vec<UnpackedChunk>,
@@ -79,7 +79,7 @@ impl UnpackedTable {
         out
     }
 
-    /// The table of a file of so many bytes.
+    /// The table of a file of `of_file` bytes.
     fn decode(bytes: &[u8], of_file: u64) -> std::result::Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         let version = c.u32("version")?;
@@ -128,8 +128,8 @@ pub struct UnpackedWriter {
 }
 
 impl UnpackedWriter {
-    /// Begins the file that will be `path`, whose folder exists, with blocks that can answer
-    /// isovalues in a range.
+    /// Begins the file that will be `path`, whose folder exists, with the blocks that isovalues in
+    /// a range need.
     ///
     /// # Errors
     /// When the temporary file cannot be made; [`Error::Usage`] on a machine whose integers begin
@@ -143,8 +143,8 @@ impl UnpackedWriter {
         Ok(Self { segment, table: UnpackedTable { range, chunks: vec![] } })
     }
 
-    /// Appends the words of the blocks of the next chunk; none of those that are to be had packed
-    /// only.
+    /// Appends the words of the blocks of the next chunk; no words for a block that exists only
+    /// packed.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -184,7 +184,7 @@ pub struct Unpacked {
     table: UnpackedTable,
     /// The first block of each chunk, and behind the last.
     starts: Vec<u64>,
-    /// Of each chunk that was used a number for each block.
+    /// For each chunk that was used, a number for each block.
     noted: Vec<OnceLock<Box<[AtomicU64]>>>,
 }
 
@@ -202,7 +202,7 @@ impl<'a> UnpackedPlace<'a> {
         self.at.len.into()
     }
 
-    /// The words of a mapped file, of which nothing is known yet.
+    /// The words of a mapped file, not checked yet.
     pub(crate) fn at_hand(&self) -> Option<&'a [u32]> {
         self.at.bytes.and_then(|bytes| bytemuck::try_cast_slice(bytes).ok())
     }
@@ -244,7 +244,7 @@ impl Unpacked {
         Ok(Some(Self { segment, table, starts, noted }))
     }
 
-    /// What it is of.
+    /// The contents of the segment.
     pub fn table(&self) -> &UnpackedTable {
         &self.table
     }
@@ -289,7 +289,7 @@ impl Unpacked {
         Ok(())
     }
 
-    /// The words of a block, where they lie, of which nothing is known, or in `buffer`.
+    /// The words of a block, where they lie and not checked yet, or in `buffer`.
     ///
     /// # Errors
     /// When they cannot be read.
@@ -310,7 +310,7 @@ impl Unpacked {
         Ok(buffer)
     }
 
-    /// What was found to be right of a block; 0 in the beginning.
+    /// The parts of a block that were found to be right; 0 in the beginning.
     pub fn noted(&self, place: &UnpackedPlace<'_>) -> &AtomicU64 {
         let blocks = self.table.chunks[place.chunk].blocks;
         let of_chunk =

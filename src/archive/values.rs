@@ -4,14 +4,14 @@
 //! blocks that hold them (vertex `v` is in block `v / BLOCK_VALUES`). Local ids follow the bricks
 //! and the Hilbert curve, so those are few.
 //!
-//! A block is one chunk of [pcodec](https://docs.rs/pco), which finds out whether numbers are
-//! multiples of something or lie on few values, and codes each in a bin of its own with bits of its
-//! own; or the values as they are, where that is shorter. On values that were interpolated from ten
-//! real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value;
-//! zstd of shuffled bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 %
-//! more on each of them, and was dropped. Whether differences of neighbours are worth trying (they
-//! are in smooth simulations, for 5 %), and whether the numbers are multiples of something, is
-//! found out with some blocks of a chunk.
+//! A block is one chunk of [pcodec](https://docs.rs/pco), or the values as they are, where that is
+//! shorter. pcodec finds out whether numbers are multiples of something or lie on few values, and
+//! codes each in a bin of its own with bits of its own. On values that were interpolated from ten
+//! real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value.
+//! zstd of shuffled bytes, of the values or of differences, whichever is shorter, takes 1 to 26 %
+//! more on each of them, and was dropped. Some blocks of a chunk are tried to find out two things:
+//! whether differences of neighbours are worth trying (they are in smooth simulations, for 5 %),
+//! and whether the numbers are multiples of something.
 //!
 //! Bits come back as they were, except that every NaN (void) becomes the one NaN `0x7fc00000`: two
 //! programs that make a void value differently write the same bytes.
@@ -20,11 +20,11 @@
 //! vertices that two chunks share keep equal values. The integers are what is stored.
 //!
 //! **Steps of a series** lie on the same vertices, and the value of a vertex is often near that of
-//! the step before. A block may hold the differences to it: of the integers of a quantised value,
-//! else of the floats' bits as integers in the order of the floats (as in Lindstrom and Isenburg
-//! 2006, "Fast and efficient compression of floating-point data", where the prediction is one of
-//! space). Some blocks of a chunk are coded both ways, and the shorter way is taken for all of the
-//! chunk.
+//! the step before. A block may hold the differences to it. For quantised values these are
+//! differences of the integers. For others they are differences of the floats' bits as integers, in
+//! the order of the floats (as in Lindstrom and Isenburg 2006, "Fast and efficient compression of
+//! floating-point data", where the prediction is one of space). Some blocks of a chunk are coded
+//! both ways, and the shorter way is taken for all of the chunk.
 
 use super::brick_values::{self, Template};
 use super::wire::{Cursor, Malformed};
@@ -66,7 +66,7 @@ const MOST_STEPS: f64 = (1 << 30) as f64;
 pub struct Quantiser {
     /// Bits that were asked for: 2^bits values fill the range of the source.
     pub bits: u8,
-    /// What is no step away.
+    /// The value at step 0.
     pub origin: f64,
     /// The distance of two values.
     pub step: f64,
@@ -226,19 +226,19 @@ pub fn encode_values(
     (0..blocks.count()).map(encode).collect()
 }
 
-/// What pcodec is told of the numbers of a block.
+/// How pcodec is to treat the numbers of a block.
 #[derive(Clone, Copy)]
 struct Coder {
-    /// To look for what they may be multiples of.
+    /// Whether to look for a number that all of them are multiples of.
     searched: bool,
-    /// To code differences of neighbours, where they are worth it.
+    /// Whether to code differences of neighbours, where they are worth it.
     differences: bool,
 }
 
 /// How the blocks of a chunk are coded.
 #[derive(Clone, Copy)]
 struct How {
-    /// As differences to those of the step before.
+    /// Whether values are coded as differences to those of the step before.
     after: bool,
     coder: Coder,
 }
@@ -251,7 +251,7 @@ struct Encoder<'a> {
     block: Vec<u8>,
     /// Its values, all void ones the same.
     numbers: Vec<f32>,
-    /// What is coded in their place.
+    /// The integers that are coded in their place.
     steps: Vec<i32>,
 }
 
@@ -345,7 +345,7 @@ fn ordered(v: f32) -> i32 {
     turned(v.to_bits() as i32)
 }
 
-/// Of negative numbers, all bits but the sign turned over.
+/// Turns over all bits but the sign of a negative number.
 fn turned(bits: i32) -> i32 {
     bits ^ ((bits >> 31) as u32 >> 1) as i32
 }
@@ -361,7 +361,7 @@ fn as_steps(values: &[f32], q: &Quantiser, out: &mut Vec<i32>) -> bool {
 /// archive's bytes, the default, 8, more than twice the time for 0.4 % (medians of eight volumes at
 /// 1/8 of the samples).
 const LEVEL: usize = 4;
-/// That of blocks with a void value: it lies far from all others and takes bins from them.
+/// The level for blocks with a void value: it lies far from all others and takes bins from them.
 const LEVEL_WITH_VOID: usize = 5;
 
 /// Appends one chunk of pcodec.
@@ -374,7 +374,7 @@ fn pack<T: pco::data_types::Number>(numbers: &[T], coder: Coder, level: usize, o
     out.extend(packed.expect("the settings are right, and memory takes all bytes"));
 }
 
-/// Whether a block of values is told by that of the step before.
+/// Whether a block of values is coded against that of the step before.
 pub fn needs_before(bytes: &[u8]) -> bool {
     matches!(bytes.first(), Some(&(VALUES_AFTER | VALUES_AFTER_QUANTISED | VALUES_BRICK_AFTER)))
 }
@@ -388,8 +388,8 @@ pub struct KnownOfBlock<'a> {
     pub cells: Option<[u32; 3]>,
     /// The plan's.
     pub quantiser: Option<&'a Quantiser>,
-    /// The values of the step before, of a block that [`needs_before`]; of others they are not
-    /// looked at.
+    /// The values of the step before, for a block that [`needs_before`]; for others they are not
+    /// used.
     pub before: &'a [f32],
 }
 
@@ -673,7 +673,7 @@ mod tests {
         assert!(decode_even(&[99, 0], 1, &[], &mut vec![]).unwrap_err().got.contains("99"));
     }
 
-    /// Encodes values after others, decodes them, and tells the codec of the first block.
+    /// Encodes values after others, decodes them, and gives the codec of the first block.
     fn after(values: &[f32], before: &[f32], q: Option<&Quantiser>) -> u8 {
         let blocks = encode_even(values, Some(before), q);
         let mut back = vec![];

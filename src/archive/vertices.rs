@@ -1,5 +1,5 @@
-//! The vertices of a chunk: a small header that every question reads, and pages that are read where
-//! a block has a vertex in them.
+//! The vertices of a chunk: a small header that every question reads, and pages that are read only
+//! if a block has a vertex in them.
 //!
 //! ```text
 //!  header                points of each brick, number of halo points
@@ -9,12 +9,12 @@
 //!
 //! Vertices have ids local to the chunk: first the core points, brick after brick, each brick's in
 //! the order in which the point set enumerates them (along the Hilbert curve), then the halo
-//! points. Ids and positions of core points cost nothing: the point set tells them from the counts.
-//! Of a halo point the id is stored, as the difference to the one before.
+//! points. Ids and positions of core points cost nothing: they follow from the point set and the
+//! counts. The id of a halo point is stored, as the difference to the one before.
 //!
-//! A surface that is small touches a few blocks of a chunk, and these lie together. So do the halo
-//! points of a page, and the values that come with them: [`order_halo`] sorts them along the curve
-//! first, and only within a page by id, which keeps differences small.
+//! A small surface touches a few blocks of a chunk, and these lie together. So do the halo points
+//! of a page, and the values that come with them: [`order_halo`] sorts them along the curve first,
+//! and only within a page by id, which keeps differences small.
 
 use super::values::BLOCK_VALUES;
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
@@ -103,7 +103,7 @@ pub fn order_halo<T>(
     }
 }
 
-/// What every question to a chunk needs of its vertices.
+/// The part of a chunk's vertices that every question to the chunk needs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ChunkHeader {
     /// Points of each brick of the chunk, in brick order.
@@ -138,7 +138,7 @@ impl ChunkHeader {
         if self.halo == 0 { 0 } else { self.len().div_ceil(PAGE_IDS) - self.core_len() / PAGE_IDS }
     }
 
-    /// Blocks of a chunk that tell its vertices: this and the pages.
+    /// Blocks of a chunk that hold its vertices: this and the pages.
     pub fn blocks(&self) -> usize {
         1 + self.flag_pages() + self.id_pages()
     }

@@ -6,8 +6,8 @@ use std::cell::RefCell;
 use std::path::Path;
 use zstd::bulk::Decompressor;
 
-/// Bytes of a block that do not mean what they should. The decoder of a block knows no file:
-/// whoever read the block turns this into an [`Error`] with [`Malformed::in_block`].
+/// Bytes of a block that do not mean what they should. The decoder of a block knows no file: the
+/// reader of the block turns this into an [`Error`] with [`Malformed::in_block`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Malformed {
     /// What is wrong with it.
@@ -57,7 +57,7 @@ impl<'a> Cursor<'a> {
         Self { bytes }
     }
 
-    /// What has not been read.
+    /// The bytes that have not been read.
     pub(crate) fn rest(&self) -> &'a [u8] {
         self.bytes
     }
@@ -143,7 +143,7 @@ fn unpack(bytes: &[u8], bound: usize) -> std::io::Result<Vec<u8>> {
     })
 }
 
-/// Compresses with zstd at `level`; a frame that tells its size and has no checksum of its own.
+/// Compresses with zstd at `level`, to a frame that states its size and has no checksum of its own.
 pub(crate) fn to_zstd(bytes: &[u8], level: i32) -> Vec<u8> {
     zstd::bulk::compress(bytes, level).expect("compressing memory to memory cannot fail")
 }

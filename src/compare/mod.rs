@@ -4,7 +4,7 @@
 //!
 //! * A is sampled evenly by area: sample k of n lies where the area of the triangles before it is
 //!   (k + ½)/n of the whole, at the place in its triangle that the radical inverses of k in bases 2
-//!   and 3 tell (a Hammersley set, folded into a triangle by the square root map). The same surface
+//!   and 3 give (a Hammersley set, folded into a triangle by the square root map). The same surface
 //!   gives the same samples, and n samples are worth far more than n random ones.
 //! * For each the nearest point of B is found, exactly: closest points of triangles
 //!   (Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5) in `f64`, those of far
@@ -16,7 +16,7 @@
 //!   nearest one, 0 to 90 degrees, whichever side is outside. Where several triangles are nearest
 //!   (at their common edge), the one that deviates least counts.
 //!
-//! Distances below 10^-12 of the diagonal of both are told as 0: vertices are `f32`, that is
+//! Distances below 10^-12 of the diagonal of both are reported as 0: vertices are `f32`, that is
 //! rounded 10^5 times as coarsely.
 //!
 //! Cost: for each sample and vertex a walk down the hierarchy, about a microsecond. Memory: both
@@ -75,7 +75,7 @@ impl Default for CompareSettings {
 pub struct OneWay {
     /// Largest distance of a sample or a vertex.
     pub max: f64,
-    /// Where it is, on the surface that is measured from.
+    /// The place of that sample or vertex, on the surface that is measured from.
     pub max_at: [f64; 3],
     /// Mean over the area.
     pub mean: f64,
@@ -111,7 +111,7 @@ pub struct CompareReport {
     pub samples: u64,
 }
 
-/// What the process needs beside the surfaces.
+/// What the process needs besides the surfaces.
 const FIXED: u64 = 16 << 20;
 /// Bytes of a triangle in the hierarchy while it is built: boxes and nodes, some of them several
 /// times.

@@ -106,7 +106,7 @@ pub struct Walk {
     stack: Vec<(f64, u32)>,
 }
 
-/// A surface that tells what is nearest to a point.
+/// A surface, prepared for finding what is nearest to a point.
 pub struct Nearest<'a> {
     surface: &'a Triangles,
     hierarchy: Bvh2,
@@ -115,7 +115,7 @@ pub struct Nearest<'a> {
 }
 
 impl<'a> Nearest<'a> {
-    /// Builds the hierarchy of a surface; distances up to `zero` are told as 0.
+    /// Builds the hierarchy of a surface; distances up to `zero` are reported as 0.
     pub fn new(surface: &'a Triangles, zero: f64) -> Self {
         let boxed = |t: &[u32; 3]| Boxed(t.map(|v| surface.positions[v as usize]));
         let boxes: Vec<Boxed> = surface.triangles.iter().map(boxed).collect();
@@ -164,7 +164,7 @@ impl<'a> Nearest<'a> {
         Found { distance: if best <= self.zero { 0.0 } else { best.sqrt() }, triangle: found }
     }
 
-    /// What is as near as the best, but for rounding.
+    /// The largest squared distance that counts as equal to the best, but for rounding.
     #[inline]
     fn nearly(&self, squared: f64) -> f64 {
         squared * (1.0 + 1e-12) + self.zero
@@ -222,7 +222,7 @@ fn closest(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     a + ab * (vb / sum) + ac * (vc / sum)
 }
 
-/// Of a triangle without area: the nearest point of its edges.
+/// The point nearest to `p` on the edges of a triangle without area.
 fn closest_of_edges(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     let on = |u: DVec3, v: DVec3| {
         let along = v - u;

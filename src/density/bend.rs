@@ -186,7 +186,7 @@ fn error_at(logs: &[f64; SCALES], distance: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// A field that bends as told along each axis, at all distances.
+    /// A field that bends as given along each axis, at all distances.
     fn bend(bends: [f64; 3], dims: [u64; 3]) -> Bend {
         let mut values = vec![];
         for z in 0..dims[2] {

@@ -124,7 +124,7 @@ impl BlockErrors {
 
 #[inline]
 fn mix(a: f32, b: f32, weight: f32) -> f32 {
-    // Not a + (b - a) · weight: where the weight is 0 a NaN on the other side would tell.
+    // Not a + (b - a) · weight: where the weight is 0, a NaN on the other side would make it NaN.
     if weight == 0.0 { a } else { a * (1.0 - weight) + b * weight }
 }
 

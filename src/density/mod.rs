@@ -4,7 +4,7 @@
 //! depends on the field there, and on how many points there are. So for each cell of a few voxels
 //! the error is **measured** at five densities, as that of the simplest reduction of all: keep
 //! every s-th sample along each axis, s = 2, 4 … 32, and interpolate the others from the eight
-//! around them. That needs no mesh and no more than the samples of 32³ voxels at a time, and tells
+//! around them. That needs no mesh and no more than the samples of 32³ voxels at a time, and shows
 //! by itself what kind of place it is:
 //!
 //! ```text

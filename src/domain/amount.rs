@@ -3,7 +3,7 @@
 //!
 //! Of `n` points in the box, those inside are `a·n`, `a` the part of the box that the mesh fills.
 //! Samples of the boundary, less the points that they clear away, are about `b·n^(2/3)`. So a count
-//! at one `n` tells `b`, and with it the next `n`.
+//! at one `n` gives `b`, and with it the next `n`.
 
 use super::boundary::BoundarySamples;
 use super::buckets::BATCH;
@@ -40,8 +40,8 @@ pub(crate) fn valued(store: &CellStore, points: &PointSet, boundary: &BoundarySa
     Ok(boundary.points.len() + inside as u64)
 }
 
-/// The number of points in the box of which `wanted` have a value, when of `n` points `made` have;
-/// `filled` is the part of the box inside.
+/// The number of points in the box for which `wanted` of them have a value, given that `made` of
+/// `n` points have one; `filled` is the part of the box inside.
 pub(crate) fn next_amount(wanted: f64, n: f64, made: f64, filled: f64) -> f64 {
     let b = (made - filled * n) / libm::cbrt(n * n);
     let of = |n: f64| filled * n + b * libm::cbrt(n * n);

@@ -1,4 +1,4 @@
-//! The bodies of a mesh: tetrahedra that hang together by common faces.
+//! The bodies of a mesh: tetrahedra that are connected by common faces.
 //!
 //! Parts of a mesh may touch, slide along each other or overlap without sharing vertices; between
 //! them the field is free to jump, and no surface belongs there. So the body of a tetrahedron

@@ -8,10 +8,10 @@
 //! # The boundary becomes faces
 //!
 //! Samples alone do not make the boundary a part of the tetrahedralization. A point outside that is
-//! nearer to the wall than samples are to each other takes tetrahedra that reach deep inside; to
-//! keep those lets the wall stick out, to leave them out gnaws at it. So no point of the set lies
-//! near a sample, on either side: within [`CLEAR`] mean distances, √2 times the radius of the
-//! circles between samples and more, as spheres reach further out where a body is thin.
+//! nearer to the wall than samples are to each other has tetrahedra that reach deep inside. If
+//! these are kept, the wall sticks out; if they are left out, it has dents. So no point of the set
+//! lies near a sample, on either side: within [`CLEAR`] mean distances. That is √2 times the radius
+//! of the circles between samples and more, as spheres reach further out where a body is thin.
 //!
 //! ```text
 //!      p                A sphere through three samples whose circle has the radius r reaches a
@@ -21,13 +21,13 @@
 //!      q                a face of the Delaunay tetrahedralization: a flat wall is made of faces.
 //! ```
 //!
-//! Then each tetrahedron lies on one side, and its centroid tells which. Four samples of a flat
-//! wall are a tetrahedron without thickness but what rounding gives it; it is left out.
+//! Then each tetrahedron lies on one side, and its centroid shows which. Four samples of a flat
+//! wall form a tetrahedron whose only thickness comes from rounding; it is left out.
 //!
 //! # Bodies that touch
 //!
-//! A point has one value. So where two bodies touch, each sample is two, one a little inside of
-//! either: see [`contact`](super::contact).
+//! A point has one value. So where two bodies touch, each sample becomes two, one a little inside
+//! of each body: see [`contact`](super::contact).
 
 use super::contact::Contacts;
 use super::nearest::nearest;
@@ -54,9 +54,9 @@ pub(crate) struct OnBoundary {
 /// A sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Sample {
-    /// Of the boundary.
+    /// On the boundary.
     On(OnBoundary),
-    /// Inside of a body, beside the boundary of an earlier one.
+    /// Inside of a body, next to the boundary of an earlier one.
     Beside,
 }
 
@@ -77,13 +77,14 @@ pub(super) struct Near {
 /// Mean distance of the points inside, in lattice steps.
 #[derive(Clone, Debug)]
 pub(crate) struct Spacing {
-    /// Of each level; of one, where there are no levels.
+    /// For each level; for one, if there are no levels.
     pub(super) by_level: Vec<u32>,
     levels: Option<Arc<Levels>>,
 }
 
 impl Spacing {
-    /// That of a set of points: where its density differs from place to place, that of each level.
+    /// The spacing of a set of points, or of each level where its density differs from place to
+    /// place.
     ///
     /// # Errors
     /// As [`PointSet::new`].
@@ -121,10 +122,10 @@ impl Spacing {
 
 /// Samples per square of the mean distance by which places of the boundary are found.
 const NEAR_DENSITY: f64 = 2.0;
-/// The triangle nearest to a point has a sample within so many mean distances of its nearest place,
-/// mostly.
+/// The triangle nearest to a point has a sample within this many mean distances of its nearest
+/// place, mostly.
 const AROUND: f64 = 0.75;
-/// No point that follows a formula lies within so many mean distances of a sample.
+/// No point that follows a formula lies within this many mean distances of a sample.
 const CLEAR: f64 = 1.2;
 
 impl BoundarySamples {
@@ -230,9 +231,9 @@ impl Near {
         Self { points, samples, lattice, spacing }
     }
 
-    /// The place of some triangles (three positions) of bodies that is nearest to a position,
-    /// within so many mean distances. Only triangles with a sample in the neighbourhood are looked
-    /// at.
+    /// The place on some triangles (three positions) of bodies that is nearest to a position,
+    /// within the given number of mean distances. Only triangles with a sample in the neighbourhood
+    /// are examined.
     pub(super) fn nearest_of(
         &self,
         store: &CellStore,

@@ -65,7 +65,7 @@ fn failed(scratch: &Path, e: std::io::Error) -> Error {
 /// A finished column.
 pub(crate) enum Column<T> {
     Short(Vec<T>),
-    /// Its file has no name, so nobody else can change it.
+    /// Its file has no name, so no other process can change it.
     Long(ByteSource),
 }
 

@@ -18,15 +18,15 @@
 //! Bodies need not share faces, and surfaces that are meant to be one differ by roundings, or as a
 //! fine and a coarse approximation do. So for each sample the nearest place is looked for on
 //! triangles of other bodies that **face** it (with normals on opposite sides), within half a mean
-//! distance. If its body is a later one, the sample becomes a pair: it stays, a little inside of
-//! its body, and the place found, a little inside of the other one, is its partner; where the
-//! bodies overlap the first of them keeps its boundary, and the partner lies just beyond. If the
-//! body is an earlier one, the sample is dropped: those of that body bring partners.
+//! distance. If its body is a later one, the sample becomes a pair. The sample stays, a little
+//! inside of its body. The place found, a little inside of the other body, is its partner. Where
+//! the bodies overlap, the first of them keeps its boundary, and the partner lies just beyond. If
+//! the body is an earlier one, the sample is dropped: the samples of that body bring partners.
 //!
-//! Where bodies overlap deeper, the first one ends at its boundary within the later one. So of
-//! samples without such a place it is asked which body has the point just beyond (all cells stream
-//! past once, [`PointGrid`]): a later one gets a partner there, and in an earlier one the sample is
-//! dropped.
+//! Where bodies overlap deeper, the first one ends at its boundary within the later one. For
+//! samples without such a place, the question is which body has the point just beyond (all cells
+//! stream past once, [`PointGrid`]). If it is a later one, it gets a partner there; if it is an
+//! earlier one, the sample is dropped.
 
 use super::boundary::{Near, OnBoundary, Sample, Spacing, cross, difference, dot, mean, rounded};
 use super::buckets::BATCH;
@@ -35,9 +35,9 @@ use crate::error::Result;
 use crate::geom::{Lattice, LatticePos};
 use crate::locate::{CellBatch, FINE_BITS, FinePos, Found, PointGrid, fine};
 
-/// Boundaries touch within so many mean distances.
+/// Boundaries touch within this many mean distances.
 const TOUCH: f64 = 0.5;
-/// How far a sample is moved into its body: this part of the mean distance, and at least so many
+/// How far a sample is moved into its body: this part of the mean distance, and at least this many
 /// lattice steps, more than rounding moves it.
 const INTO: (f64, f64) = (1.0 / 128.0, 4.0);
 
@@ -110,7 +110,7 @@ impl Contacts<'_> {
         [(self.moved(first, -1.0), Sample::On(first.sample)), (partner, Sample::On(second.sample))]
     }
 
-    /// A place moved by so many times [`INTO`] out of its body, within the box.
+    /// A place moved by `times` times [`INTO`] out of its body, within the box.
     fn moved(&self, from: &Placed, times: f64) -> LatticePos {
         let steps = (INTO.0 * f64::from(self.spacing.at(rounded(from.at)))).max(INTO.1);
         let n = from.normal;

@@ -1,8 +1,8 @@
 //! Where the boundary of a mesh bends: edges at which two triangles meet at an angle, and vertices
 //! at which such edges end, part or turn.
 //!
-//! Samples spread over faces leave corners out: what is spanned between them cuts a ridge off and
-//! fills a groove. So edges and corners are known, to be sampled first
+//! Samples spread over faces leave corners out: the tetrahedra between them cut a ridge off and
+//! fill a groove. So edges and corners are found, to be sampled first
 //! ([`scatter`](super::scatter)).
 //!
 //! # How does it work?
@@ -31,7 +31,7 @@ pub(crate) struct Creases {
 }
 
 impl Creases {
-    /// Those of the triangles of a boundary (three vertices, body).
+    /// The creases of the triangles of a boundary (three vertices, body).
     pub(super) fn new(
         boundary: &Column<[u64; 4]>,
         positions: &[FinePos],

@@ -37,11 +37,11 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// The lattice around a mesh of so many vertices: its voxels are about as large as the vertices
-    /// lie apart.
+    /// The lattice around a mesh of `vertices` vertices: its voxels are about as large as the
+    /// vertices lie apart.
     ///
     /// # Errors
-    /// [`Error::BadInput`] for a mesh without extent, or with one that `f64` cannot tell.
+    /// [`Error::BadInput`] for a mesh without extent, or with one that `f64` cannot represent.
     pub(crate) fn around(path: &Path, bounds: &Bounds, vertices: u64) -> Result<Self> {
         let side: [f64; 3] = std::array::from_fn(|a| bounds.hi[a] - bounds.lo[a]);
         let longest = side.into_iter().fold(0.0, f64::max);

@@ -1,7 +1,7 @@
 //! Gradients at the vertices of a mesh, for quadratic interpolation.
 //!
 //! A linear field has one gradient in a tetrahedron; that of a vertex is the mean over its
-//! tetrahedra, weighted by volume. Each tetrahedron tells its vertices volume and gradient; the
+//! tetrahedra, weighted by volume. Each tetrahedron gives volume and gradient to its vertices; the
 //! records are sorted by vertex and tetrahedron, and added in that order, so the sum does not
 //! depend on memory.
 

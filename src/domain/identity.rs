@@ -1,7 +1,7 @@
-//! Whether two files tell the same mesh: hashes of all points, and of all cells that have a volume.
+//! Whether two files hold the same mesh: hashes of all points, and of all cells that have a volume.
 //!
-//! Coordinates are hashed as `f64`, whatever type the file has; cells as kind and vertex numbers,
-//! in the order of the file. Cells without a volume, and those that a file marks as ghosts, are no
+//! Coordinates are hashed as `f64`, for any type in the file; cells as kind and vertex numbers, in
+//! the order of the file. Cells without a volume, and those that a file marks as ghosts, are no
 //! part of the mesh. Cost: one pass over both, of which hashing is little.
 
 use crate::cells::{CellBlock, CellMesh};
@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::exec::CancelToken;
 use xxhash_rust::xxh3::Xxh3;
 
-/// What tells a mesh from others.
+/// What identifies a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Identity {
     /// XXH3 (128 bits) of the points: x y z of each, -0 as 0.
@@ -22,7 +22,7 @@ impl Identity {
     /// Reads the points and the cells of a mesh.
     ///
     /// # Errors
-    /// Those of reading them.
+    /// Errors of reading them.
     pub(crate) fn of(mesh: &CellMesh, cancel: &CancelToken) -> Result<Self> {
         let mut hashes = IdentityHash::default();
         let (mut points, mut block) = (mesh.points()?, vec![]);

@@ -1,14 +1,14 @@
-//! Vertices that a file tells more than once.
+//! Vertices that a file has more than once.
 //!
 //! The pieces of a partitioned mesh repeat the points of their common border, and some programs
 //! repeat them for every cell. Vertices of one position (on the fine lattice) and one value are one
 //! vertex: the first of them stands for all, so that the cells around it have common faces. Those
-//! of one position and **different** values stay apart: there the field jumps, and the cells beside
-//! the jump belong to different bodies ([`super::bodies`]).
+//! of one position and **different** values stay apart: there the field jumps, and the cells next
+//! to the jump belong to different bodies ([`super::bodies`]).
 //!
 //! An external sort by position, value and number brings equals together; another by number puts
-//! the answers in order. All steps of a series share the answers of the first, whatever their own
-//! values; an archive keeps them for steps to come.
+//! the answers in order. All steps of a series share the answers of the first, regardless of their
+//! own values; an archive keeps them for steps to come.
 
 use super::column::{Column, ColumnWriter};
 use super::store::StoreSettings;
@@ -50,8 +50,8 @@ impl Firsts {
         Self::known(|| answers.next(), positions.len() as u64, settings)
     }
 
-    /// As they were found before: `next` tells vertices that equal an earlier one, ascending, and
-    /// that.
+    /// As they were found before: `next` gives the vertices that equal an earlier one, ascending,
+    /// each with that earlier one.
     pub(crate) fn known(
         mut next: impl FnMut() -> Result<Option<[u64; 2]>>,
         vertices: u64,

@@ -1,6 +1,6 @@
 //! A tetrahedral mesh of any size, laid out so that a brick finds its cells.
 //!
-//! A reader tells points, values and cells in the order of the file. Here they become files in the
+//! A reader gives points, values and cells in the order of the file. Here they become files in the
 //! scratch folder, each written front to back and then mapped, so that nothing of the size of the
 //! mesh is in memory:
 //!

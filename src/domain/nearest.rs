@@ -1,8 +1,8 @@
 //! The point of a triangle that is nearest to a point.
 //!
-//! By the regions of the triangle's plane beyond its corners, its edges, and inside (Ericson 2005,
-//! "Real-Time Collision Detection", section 5.1.5), in `f64` and in one order of operations: the
-//! same bits on every machine.
+//! It is found by the regions of the triangle's plane beyond its corners, beyond its edges, and
+//! inside (Ericson 2005, "Real-Time Collision Detection", section 5.1.5). All is in `f64` and in
+//! one order of operations, so the bits are the same on every machine.
 
 use super::boundary::{cross, difference, dot};
 use crate::locate::FinePos;

@@ -72,7 +72,7 @@ impl OwnVertices {
         let mut listed = Vec::with_capacity(used.iter().filter(|used| **used).count());
         listed.extend(positions.iter().zip(&used).filter(|(_, used)| **used).map(|(&p, _)| rounded(p)));
         let points = ExplicitPoints::with_repeats(&store.frame.lattice, listed);
-        // Of one position, the vertices have places by ascending numbers.
+        // The vertices of one position have places by ascending numbers.
         let mut met = vec![0u32; points.len() as usize];
         let mut places = ColumnWriter::new(&settings.scratch)?;
         for (&p, used) in positions.iter().zip(&used) {

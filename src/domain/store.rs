@@ -17,7 +17,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// What becomes of a value that is no finite number.
+/// How a value that is no finite number is treated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum BadValue {
     Refuse,
@@ -34,7 +34,7 @@ pub(crate) struct StoreSettings {
     pub(crate) scratch: PathBuf,
     pub(crate) bad_value: BadValue,
     pub(crate) missing: Option<f64>,
-    /// What is subtracted from all values before they become `f32`; [`BadValue::Use`] is meant
+    /// The offset subtracted from all values before they become `f32`; [`BadValue::Use`] is meant
     /// after that.
     pub(crate) offset: f64,
     pub(crate) cancel: CancelToken,
@@ -49,7 +49,7 @@ pub struct MeshCensus {
     pub cells: u64,
     /// Tetrahedra that they were split into, those without a volume left out.
     pub tetrahedra: u64,
-    /// Of these, tetrahedra whose corners were told in the other order.
+    /// Of these, tetrahedra whose corners the file lists in the opposite order.
     pub inverted: u64,
     /// Tetrahedra that were left out: flat, or with a vertex twice.
     pub degenerate: u64,
@@ -93,11 +93,10 @@ impl CellStore {
         Self::build_with(mesh, None, settings)
     }
 
-    /// As [`CellStore::build`], of a mesh of which is known which vertices are one, if that is
-    /// given.
+    /// As [`CellStore::build`]. If `known` is given, it says which vertices of the mesh are one.
     ///
     /// # Errors
-    /// Those of [`CellStore::build`].
+    /// Errors of [`CellStore::build`].
     pub(crate) fn build_with(
         mesh: &CellMesh,
         known: Option<Firsts>,
@@ -219,7 +218,7 @@ fn read_points(
 fn read_values(mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>> {
     let mut out = ColumnWriter::new(&settings.scratch)?;
     let (wanted, has_offset) = (settings.missing, settings.offset != 0.0);
-    // As a text says it, "-1e20" is no f32 that a file may have.
+    // "-1e20", as a text says it, is no f32 that a file may have.
     let missing = move |v: f64| {
         let alike = |m: f64| m == v || f64::from(m as f32) == v || !has_offset && m as f32 == v as f32;
         wanted.is_some_and(alike)
@@ -258,7 +257,7 @@ fn ascending([a, b, c]: [u64; 3]) -> ([u64; 3], bool) {
     (sorted, odd)
 }
 
-/// What cells become.
+/// Takes the tetrahedra that cells become.
 struct TetSink {
     tets: ColumnWriter<[u64; 4]>,
     /// Vertices of all faces, ascending; twice the number of the tetrahedron, and one more where

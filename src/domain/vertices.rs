@@ -1,7 +1,7 @@
 //! The vertices of each brick, with their bodies: the samples that values are fitted to.
 //!
 //! Only vertices of tetrahedra are samples: points that no cell uses have values that mean nothing,
-//! and of points that are one the first counts. A vertex that bodies share without sharing a face
+//! and among duplicate points the first counts. A vertex that bodies share without sharing a face
 //! is one of the first of them. The body of each is noted in a paged array while the tetrahedra
 //! pass, body after body; then the vertices are sorted by brick, on disk where memory does not hold
 //! them.

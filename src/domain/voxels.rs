@@ -1,7 +1,7 @@
 //! A mesh's field at the samples of a grid: those of the lattice's voxels, block by block.
 //!
 //! Each sample is located among the cells that a block has, as points of a reduction are
-//! ([`crate::locate`]); where there is no cell, there is no number.
+//! ([`crate::locate`]); where there is no cell, the value is no number.
 
 use super::buckets::Buckets;
 use super::store::{CellStore, StoreSettings};

@@ -1,4 +1,4 @@
-//! Tells the processor what will be read soon.
+//! Announces to the processor what will be read soon.
 #![allow(unsafe_code)]
 
 /// Asks for items to be brought into the nearest cache, and does not wait for them. Of use for what

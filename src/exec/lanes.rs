@@ -6,7 +6,7 @@
 pub(crate) trait Wide: Copy {
     /// What must be known before there are such lanes.
     type Proof: Copy;
-    /// As an array.
+    /// The lanes as an array.
     type Lanes: bytemuck::Pod;
     /// A bit for each lane, in some form.
     type Mask: Copy;
@@ -32,7 +32,7 @@ pub(crate) trait Wide: Copy {
     fn below(self, other: Self) -> Self::Mask;
     /// Where this is not NaN.
     fn is_number(self) -> Self::Mask;
-    /// Of a mask: the one number where it is set, else the other.
+    /// The one number where a mask is set, else the other.
     fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self;
     /// A mask as a number: bit k is that of lane k.
     fn bits(mask: Self::Mask) -> u32;
@@ -43,9 +43,10 @@ pub(crate) trait Floats<const N: usize>: Wide<Lanes = [f64; N]> {
     fn of_floats(proof: Self::Proof, lanes: &[f32; N]) -> Self;
     /// Each rounded.
     fn floats(self) -> [f32; N];
-    /// Of each the first where it is less, else the second: a NaN that comes first changes nothing.
+    /// In each lane the first where it is less, else the second: a NaN that comes first changes
+    /// nothing.
     fn lesser(proof: Self::Proof, a: &[f32; N], b: &[f32; N]) -> [f32; N];
-    /// Of each the first where it is greater, else the second.
+    /// In each lane the first where it is greater, else the second.
     fn greater(proof: Self::Proof, a: &[f32; N], b: &[f32; N]) -> [f32; N];
 }
 

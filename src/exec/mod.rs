@@ -1,9 +1,9 @@
 //! Running work: a byte budget, bounded queues, an ordered release, cancelling, progress, threads.
 //!
-//! Stages are joined by queues whose bound is in bytes: whoever starts a piece of work first takes
-//! a [`Permit`] for the memory that the piece will need, the permit travels with the piece through
-//! all queues, and it is given back when the last stage is done with it. So a slow stage stops the
-//! ones before it, whatever the number of pieces. A thread of the compute pool never waits for a
+//! Stages are joined by queues whose bound is in bytes. A thread that starts a piece of work first
+//! takes a [`Permit`] for the memory that the piece will need. The permit travels with the piece
+//! through all queues, and is given back when the last stage is done with it. So a slow stage stops
+//! the ones before it, for any number of pieces. A thread of the compute pool never waits for a
 //! permit or a queue: permits are taken by the thread that feeds the pool.
 
 mod ahead;

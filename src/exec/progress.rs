@@ -1,6 +1,6 @@
-//! How a run tells how far it is. The library draws nothing itself.
+//! How a run reports its progress. The library draws nothing itself.
 
-/// Hears how far a run is; called from several threads.
+/// Receives the progress of a run; called from several threads.
 pub trait Progress: Send + Sync {
     /// A stage of `total` units begins; it ends the one before.
     fn begin(&self, stage: &str, total: u64, unit: &str);

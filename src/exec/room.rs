@@ -22,12 +22,12 @@ pub enum Lent<'a, T> {
 }
 
 impl<'a> Room<'a> {
-    /// Of memory whose contents nobody needs.
+    /// Lends memory whose contents are not needed.
     pub fn new(empty: &'a mut [u64]) -> Self {
         Self(vec![empty])
     }
 
-    /// The same with more, from which is lent what does not fit in the first.
+    /// The same with more memory, used for what does not fit in the first.
     #[must_use]
     pub fn and(mut self, more: &'a mut [u64]) -> Self {
         self.0.push(more);

@@ -45,7 +45,7 @@
 //! where 0.65 was): most of that is lost as soon as values stay within the range of all samples.
 //!
 //! **The same bits for any chunk.** Sums of floating-point numbers depend on their order. So the
-//! samples are taken window by window, each in its order in the volume, whatever the order of the
+//! samples are taken window by window, each in its order in the volume, for any order of the
 //! tetrahedra: scan conversion notes for each sample the tetrahedron it is in, its weights and its
 //! difference; the sums follow. Windows are those of the whole volume, and weights come from exact
 //! integers. A vertex is right when all its tetrahedra are given.
@@ -61,8 +61,8 @@
 //! else all is the same.
 //!
 //! **What holds.** A constant stays that constant, exactly, since a difference is Σ w (f - s),
-//! added in an order that the order of the corners does not show in; a linear field stays linear
-//! but for rounding. A tetrahedron with a void corner (NaN), and a sample that is NaN, tell
+//! added in an order that does not depend on the order of the corners; a linear field stays linear
+//! but for rounding. A tetrahedron with a void corner (NaN), and a sample that is NaN, contribute
 //! nothing. A value is between the least and the largest of its interpolated value and the samples
 //! in the tetrahedra around.
 //!
@@ -93,7 +93,7 @@ const SLICES: usize = 1 << 13;
 /// A sample that is in no tetrahedron.
 const NONE: u32 = u32::MAX;
 
-/// Vertices, and the tetrahedra that tell of them.
+/// Vertices, and the tetrahedra that contribute to their values.
 #[derive(Clone, Copy, Debug)]
 pub struct FitMesh<'a> {
     /// Lattice positions of the vertices.
@@ -119,9 +119,9 @@ pub struct Fit<'a> {
     sides: Vec<Side<'a>>,
     /// Whether each vertex is void at all steps; empty where none is.
     void: Vec<bool>,
-    /// What each sample of a window tells.
+    /// The tetrahedron and the weights of each sample of a window.
     located: Vec<Located>,
-    /// The tetrahedra of a window that tell something.
+    /// The tetrahedra of a window that contribute something.
     tets: Vec<Tet>,
     /// Samples of some slices, step after step.
     samples: Vec<f32>,
@@ -129,8 +129,8 @@ pub struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    /// Of the interpolated values at each step, one for each vertex; NaN of a void one. Works in
-    /// `room`, as far as that goes.
+    /// Begins with the interpolated values at each step, one for each vertex; NaN for a void one.
+    /// Works in `room`, as far as that goes.
     pub fn new(mesh: FitMesh<'a>, steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let is_void = |v: usize| steps.iter().all(|values| values[v].is_nan());
         let vertices = 0..mesh.positions.len();
@@ -152,7 +152,7 @@ impl<'a> Fit<'a> {
         Side::words(vertices).saturating_mul(Side::count(steps).saturating_sub(1))
     }
 
-    /// What was given.
+    /// The mesh that was given.
     pub fn mesh(&self) -> FitMesh<'a> {
         self.mesh
     }
@@ -162,11 +162,11 @@ impl<'a> Fit<'a> {
     /// sample. The windows of a volume come in ascending order, and may leave out samples at their
     /// borders that no tetrahedron has.
     ///
-    /// Of up to eight steps after another all slices are read and added, a few at a time: so what
+    /// For up to eight consecutive steps, all slices are read and added, a few at a time. So what
     /// is read lies in a near cache when it is asked for, and so do the sums.
     ///
     /// # Errors
-    /// Those of `read`.
+    /// Errors of `read`.
     pub fn add<E>(
         &mut self,
         grid: &SampleGrid,
@@ -199,7 +199,7 @@ impl<'a> Fit<'a> {
         Ok(())
     }
 
-    /// Notes what the samples of a window tell.
+    /// Notes the tetrahedron and the weights of each sample of a window.
     #[inline(always)]
     fn scan(&mut self, scanner: &Scanner<'_>, samples: usize, tets: &[u32]) {
         self.start(samples);
@@ -256,14 +256,15 @@ impl<'a> Fit<'a> {
         self.add_located(samples);
     }
 
-    /// Prepares for so many samples, none of which has a tetrahedron yet.
+    /// Prepares for this many samples; none of them has a tetrahedron yet.
     #[inline(always)]
     fn start(&mut self, samples: usize) {
         self.located.clear();
         self.located.resize(samples, NOTHING);
     }
 
-    /// Adds what the samples tell to the sums at the corners of their tetrahedra, in their order.
+    /// Adds what the samples contribute to the sums at the corners of their tetrahedra, in their
+    /// order.
     fn add_located(&mut self, samples: &[f32]) {
         let mut rest = samples;
         for side in &mut self.sides {
@@ -293,7 +294,7 @@ impl<'a> Fit<'a> {
 /// The rounded value of a step, of a value that lies within the bounds, the least first.
 pub type RoundWithin<'a> = dyn Fn(usize, f32, [f32; 2]) -> f32 + 'a;
 
-/// Whether a tetrahedron has no corner that is void at all steps: else it tells nothing.
+/// Whether a tetrahedron has no corner that is void at all steps: else it contributes nothing.
 #[inline(always)]
 fn has_values(void: &[bool], tet: &Tet) -> bool {
     void.is_empty() || !tet.iter().any(|&v| void[v as usize])

@@ -1,9 +1,9 @@
 //! The sums at the vertices, of steps that lie side by side.
 //!
-//! What a sample tells goes to the four corners of its tetrahedron, at each step. So the values and
-//! sums of up to eight steps lie together, vertex by vertex; Σ w² once for all of them, until a
-//! sample counts at one step and not at another: from then on each has its own, with what all had
-//! in common so far. Steps that are left over have lanes that nobody looks at.
+//! The contribution of a sample goes to the four corners of its tetrahedron, at each step. So the
+//! values and sums of up to eight steps lie together, vertex by vertex; Σ w² once for all of them,
+//! until a sample counts at one step and not at another: from then on each has its own, with what
+//! all had in common so far. Steps that are left over have lanes that are not looked at.
 
 use super::{Located, NONE, RoundWithin};
 #[cfg(target_arch = "x86_64")]
@@ -91,7 +91,7 @@ impl<'a> Side<'a> {
         }
     }
 
-    /// Adds what samples tell, in their order; those of each step follow each other.
+    /// Adds what samples contribute, in their order; those of each step follow each other.
     pub(super) fn add(&mut self, located: &[Located], samples: &[f32], tets: &[Tet]) {
         match self {
             Self::One(sums) => with_vectors(
@@ -164,8 +164,8 @@ impl<'a, const N: usize> Sums<'a, N> {
         Self { steps: steps.len(), vertices, apart: vec![], rows: vec![[0.0; N]; SOME] }
     }
 
-    /// Adds what samples tell: nothing at a step where one, or a corner of its tetrahedron, is no
-    /// number.
+    /// Adds what samples contribute: nothing at a step where one, or a corner of its tetrahedron,
+    /// is no number.
     #[inline(always)]
     pub(super) fn add<W: Floats<N>>(
         &mut self,

@@ -13,8 +13,8 @@ use crate::raster::{SampleGrid, greater, lesser};
 /// Samples along an edge of a window, at least: few tetrahedra then touch two of them.
 const LEAST_EDGE: u64 = 32;
 
-/// Samples along the edges of a window where bricks have so many cells: bricks, or some of them
-/// together.
+/// Samples along the edges of a window, where bricks have `brick` cells: a window is a brick, or
+/// some of them together.
 pub fn window_edge(brick: [f64; 3]) -> [u64; 3] {
     brick.map(|edge| {
         let edge = (edge.ceil() as u64).max(1);
@@ -25,7 +25,7 @@ pub fn window_edge(brick: [f64; 3]) -> [u64; 3] {
 /// Three coordinates for each vertex, such as those of its window, and a 0: four are a vector.
 type Places = [[u32; 4]];
 
-/// Of a tetrahedron in several windows.
+/// Stands for the window of a tetrahedron that lies in several.
 const SEVERAL: u32 = u32::MAX;
 
 /// Tetrahedra, window by window: a counting sort.

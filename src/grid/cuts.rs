@@ -1,8 +1,8 @@
-//! Cuts between chunks that are told, and do not follow from the points.
+//! Cuts between chunks that are given, and do not follow from the points.
 //!
-//! Chunks that are cut where the points ask for it are others as soon as a few points come on top.
-//! Where most of them are to stay what they are, the cuts of an earlier grid are kept. Only a chunk
-//! that has become too large is cut again, along x, and the others do not notice:
+//! Chunks whose cuts follow from the points change as soon as a few points are added. Where most of
+//! them are to stay as they are, the cuts of an earlier grid are kept. Only a chunk that has become
+//! too large is cut again, along x, and the others are not affected:
 //!
 //! ```text
 //!  ┌───────┬──────┬────────┐      ┌───────┬───┬──┬────────┐
@@ -67,7 +67,7 @@ impl ChunkCuts {
                         let cuts = balanced_cuts(&slices, points.div_ceil(target));
                         let parts = cuts.windows(2);
                         let sum = |p: &[u64]| slices[p[0] as usize..p[1] as usize].iter().sum::<u64>();
-                        // One brick is not cut whatever the cuts.
+                        // A single brick is not cut, for any cuts.
                         let thick = y[1] - y[0] > 1 || z[1] - z[0] > 1;
                         if thick && parts.clone().any(|p| sum(p) > most) {
                             return None;
@@ -85,7 +85,7 @@ impl ChunkCuts {
 }
 
 impl ChunkGrid {
-    /// Bricks cut as told.
+    /// Bricks with the given cuts.
     ///
     /// # Errors
     /// [`Error::Usage`] for cuts that are not those of such bricks, and for too many bricks.

@@ -20,7 +20,7 @@ pub struct BuildSettings {
 }
 
 impl BuildSettings {
-    /// Buffers, and the tables of a split: what a build takes whatever its memory.
+    /// Buffers, and the tables of a split: what every build takes, with any memory.
     pub const LEAST_MEMORY: u64 = 8 << 20;
 
     /// Entries that memory holds. A million entries have some 5 000 pages, of 8 bytes in the

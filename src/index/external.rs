@@ -134,7 +134,7 @@ impl Spill {
     }
 }
 
-/// Where entries are written to, one after the other.
+/// The place to which entries are written, one after the other.
 struct Target {
     next: u64,
     buffer: Vec<u8>,

@@ -2,10 +2,10 @@
 //!
 //! A tetrahedron of values `min` to `max` is active for an isovalue v when `min < v <= max`
 //! ([`crate::mesh::tet::is_active`]). Take (min, max) as a point of the plane, the *span space*:
-//! the active ones are those left of v and not below it, a corner of the plane whatever v is
-//! (Livnat, Shen, Johnson 1996, "A near optimal isosurface extraction algorithm using the span
-//! space", NOISE). We index *blocks* of some hundred tetrahedra, by the range of all their values:
-//! an index over single cells would be larger than the data (Chiang, Silva, Schroeder 1998).
+//! the active ones are those left of v and not below it, a corner of the plane for any v (Livnat,
+//! Shen, Johnson 1996, "A near optimal isosurface extraction algorithm using the span space",
+//! NOISE). We index *blocks* of some hundred tetrahedra, by the range of all their values: an index
+//! over single cells would be larger than the data (Chiang, Silva, Schroeder 1998).
 //!
 //! ```text
 //!  max │ · active ·│ ·  ·        each · a block; v is the isovalue
@@ -18,7 +18,7 @@
 //!
 //! **The tree on disk** is a kd-tree that alternates between min and max, as NOISE's, and without
 //! pointers, as NOISE's: where the halves lie follows from the number of entries alone. Unlike
-//! NOISE's, entries are in the leaves only, and a node tells for each child the lowest min and the
+//! NOISE's, entries are in the leaves only, and a node has for each child the lowest min and the
 //! highest max below it, so that a child is read only if its own bounds say that it can hold an
 //! answer. Six levels of halving make one page of at most 64 children; a leaf page has at most 64
 //! entries. Pages are blocks of a segment in depth-first order ([`build`] writes, [`query`] reads).
@@ -37,7 +37,7 @@ pub use build::{BuildSettings, IndexBuilder};
 use byteorder::{ByteOrder, LE};
 pub use query::SpanIndex;
 
-/// Bytes of an entry on disk, and where it is told which set of them is there.
+/// Bytes of an entry on disk, and in the digest of a set of entries.
 const RECORD: usize = 24;
 
 /// One block, as a point of span space.
@@ -85,8 +85,8 @@ pub(crate) fn ordered_key(v: f32) -> u32 {
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
 }
 
-/// A set of entries, told by a number: two sets without repetitions have the same digest only if
-/// they are equal, short of chance (128 bits). Takes any number of entries, in any order.
+/// A set of entries, identified by a number: two sets without repetitions have the same digest only
+/// if they are equal, short of chance (128 bits). Takes any number of entries, in any order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EntryDigest {
     /// Entries.

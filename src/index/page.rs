@@ -22,7 +22,7 @@ pub(super) struct Bounds {
 }
 
 impl Bounds {
-    /// Those of nothing: any entry widens them.
+    /// The bounds of nothing: any entry widens them.
     pub(super) const NONE: Self = Self { lowest: f32::INFINITY, highest: f32::NEG_INFINITY };
 
     /// Takes an entry in. By the total order of bits: which of two zeros is the lowest must not
@@ -36,7 +36,7 @@ impl Bounds {
         }
     }
 
-    /// Of some entries; zeros where there is none.
+    /// The bounds of some entries; zeros if there is none.
     pub(super) fn of(entries: &[Entry]) -> Self {
         let mut all = Self::NONE;
         entries.iter().for_each(|e| all.add(e));

@@ -36,7 +36,7 @@ impl SpanIndex {
         Self { pages: Pages::Known(entries), len, bounds, pages_read: AtomicU64::new(0) }
     }
 
-    /// Opens an index; reads header, footer and one small block, whatever the number of entries.
+    /// Opens an index; reads header, footer and one small block, for any number of entries.
     ///
     /// # Errors
     /// When it is not an index of this plan (`None`: of any plan), or is damaged there.
@@ -202,7 +202,8 @@ impl SpanIndex {
     }
 
     /// Reads the whole file: checksums, shape, bounds of every inner page, order and ranges of
-    /// entries. Tells which entries there are; if it is the digest of a set, none is there twice.
+    /// entries. Returns the digest of its entries; if it is the digest of a set, none is there
+    /// twice.
     ///
     /// # Errors
     /// The first thing that is wrong.
@@ -448,8 +449,7 @@ mod tests {
         }
     }
 
-    /// Opening costs the same whatever the size; a query reads √(n/L) + k/L pages, to a small
-    /// factor.
+    /// Opening costs the same for any size; a query reads √(n/L) + k/L pages, to a small factor.
     #[test]
     fn pages_read_grow_as_the_root_of_n_plus_k() {
         let dir = tempfile::tempdir().unwrap();

@@ -1,8 +1,8 @@
 //! Errors brick by brick.
 //!
-//! A brick's samples lie in tetrahedra of several chunks. Each chunk tells what it knows of a brick
-//! as a record; the records are sorted by brick, outside of memory if need be, and those of a brick
-//! added up in chunk order.
+//! A brick's samples lie in tetrahedra of several chunks. Each chunk writes what it knows of a
+//! brick as a record; the records are sorted by brick, outside of memory if need be, and those of a
+//! brick are added up in chunk order.
 
 use super::sums::error_of;
 use crate::error::Result;

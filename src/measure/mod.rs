@@ -11,12 +11,12 @@
 //! neither on the order of the samples nor on threads or chunks.
 //!
 //! **Percentiles** come from counts: the upper 12 bits of an absolute error (8 of the exponent, 4
-//! of the mantissa) are its bin, so a bin's ends are at most 1/16 apart, relatively. What is told
-//! is the upper end of the bin in which the wanted sample lies, or the largest error if that is
-//! less: at least as many samples as said have an error of at most so much. Errors of exactly 0 are
-//! counted apart.
+//! of the mantissa) are its bin, so a bin's ends are at most 1/16 apart, relatively. The reported
+//! value is the upper end of the bin in which the wanted sample lies, or the largest error if that
+//! is less: at least as many samples as said have an error of at most so much. Errors of exactly 0
+//! are counted apart.
 //!
-//! Cost: some twenty operations a sample. Memory: 45 KB, whatever the number of samples.
+//! Cost: some twenty operations a sample. Memory: 45 KB, for any number of samples.
 //!
 //! ```
 //! use isospan::measure::ErrorSums;
@@ -40,7 +40,7 @@ pub(crate) use tally::{Compared, ComparedAt, TOGETHER, Tally};
 
 use serde::{Deserialize, Serialize};
 
-/// The percentiles that are told.
+/// The percentiles that are reported.
 pub const PERCENTILES: [f64; 6] = [50.0, 75.0, 90.0, 95.0, 99.0, 99.9];
 
 /// The errors of a reduced field at the samples of its source.

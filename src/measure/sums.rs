@@ -80,7 +80,7 @@ impl ErrorSums {
     /// Bytes that they take.
     pub(crate) const BYTES: u64 = (BINS * size_of::<u64>() + EXPONENTS * size_of::<Mantissas>()) as u64 + 128;
 
-    /// What is told of the cells of a level.
+    /// What is reported of the cells of a level.
     pub(crate) fn level_error(&self) -> LevelError {
         let rms = if self.measured == 0 { 0.0 } else { self.rms() };
         LevelError { samples: self.measured, rms, max: self.max() }

@@ -18,7 +18,7 @@ use super::sums::{ABSOLUTE, BIN_SHIFT, BINS, ErrorSums, error_of};
 const NONE: u32 = 0x7fc0_0000;
 /// Samples whose errors are computed together.
 pub(crate) const TOGETHER: usize = 128;
-/// Bits of an error that do not tell its bin.
+/// Bits of an error that do not decide its bin.
 const LOWER: u32 = (1 << BIN_SHIFT) - 1;
 /// How many errors a bin has is counted from this bit on, above the sum of their lower bits.
 const COUNT_SHIFT: u32 = 44;

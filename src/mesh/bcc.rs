@@ -14,14 +14,14 @@
 //!      n───────n              chapter 21; A. Entezari, R. Dyer, T. Möller, IEEE Visualization 2004
 //! ```
 //!
-//! So the mesh is a function of the numbers of cells. Positions are told in *halves*: a node has
+//! So the mesh is a function of the numbers of cells. Positions are given in *halves*: a node has
 //! even numbers, a centre odd ones. A tetrahedron belongs to the lower of its cells. Faces of
-//! tetrahedra agree whatever is made apart.
+//! tetrahedra agree, whichever parts are made separately.
 //!
-//! A chunk is a box of cells. Its points are those of its cells, in blocks of 4³ cells, in bricks
-//! of 8³ (fewer if asked for; of a block the nodes, x fastest, then the centres); then those at the
-//! far end of the domain and on its faces, which it has too; then those of other chunks that its
-//! tetrahedra use. A number is arithmetic, so nothing of a chunk is stored.
+//! A chunk is a box of cells. First come the points of its cells, in blocks of 4³ cells, in bricks
+//! of 8³ (fewer if asked for; in a block first the nodes, x fastest, then the centres). Then come
+//! the points at the far end of the domain and on its faces, which it has too, and then those of
+//! other chunks that its tetrahedra use. A number is arithmetic, so nothing of a chunk is stored.
 
 use super::tet::Tet;
 use crate::geom::{Lattice, LatticePos, PointClass, PointId, half_plane};
@@ -98,8 +98,8 @@ impl CellBox {
 }
 
 impl BccMesh {
-    /// The lattice with so many cells along each axis, as a point set has checked them; `None` for
-    /// bricks that are not cubes of 1, 2, 4 or 8 cells.
+    /// The lattice with these numbers of cells along each axis, as a point set has checked them;
+    /// `None` for bricks that are not cubes of 1, 2, 4 or 8 cells.
     pub(crate) fn new(cells: [u32; 3], lattice: &Lattice, brick: [u64; 3]) -> Option<Self> {
         let is_cube = brick == [brick[0]; 3] && [1, 2, 4, BRICK_CELLS.into()].contains(&brick[0]);
         is_cube.then(|| Self { cells, brick: brick[0] as u32, max: lattice.max() })

@@ -39,7 +39,7 @@
 //! the hull of G near v (every point, unseen too, is on the inner side of each facet of L's hull at
 //! v), so around v the tetrahedra of L at v fill what those of G fill; by 1 they are in G, whose
 //! tetrahedra do not overlap: T is one of them. So all tetrahedra at the core's points are known,
-//! those that are owned and those that tell which points are shared. It would not suffice to check
+//! those that are owned and those that show which points are shared. It would not suffice to check
 //! owned tetrahedra alone: a wrong one whose least vertex lies outside the core can hide T.
 
 use crate::geom::predicates::signed_volume6;
@@ -54,7 +54,7 @@ pub(super) struct Unseen {
     /// The region in the kernel's coordinates, infinite where it reaches the domain's face.
     lo: [f64; 3],
     hi: [f64; 3],
-    /// What to add to a squared radius, and then to the radius, to cover the sphere's error.
+    /// The amounts to add to a squared radius, and then to the radius, to cover the sphere's error.
     grow_r2: f64,
     grow_r: f64,
 }

@@ -1,4 +1,5 @@
-//! What must hold of a tetrahedralization, as functions; used by tests and by whoever doubts.
+//! Properties that a tetrahedralization must have, as functions; used by tests and by anyone in
+//! doubt.
 
 use crate::geom::LatticePos;
 use crate::geom::curve::Order;

@@ -23,10 +23,10 @@
 //! between the planes of a hyperbolic cross, cost a few insertions; of 10.5 M such points in chunks
 //! of 250 000, two chunks of three need a wider region.
 //!
-//! Of 2.2 M points in 11 chunks a tenth more are inserted than owned (8 to 13 % by chunk; 16 to 25
-//! % with the tetrahedra around), and hardly any late. An inner halo a quarter of a spacing
-//! narrower takes Hammersley points 2 % less time, but Halton points, the cross and the regular
-//! grid 2 to 3 % more; half a spacing narrower gains nothing, three quarters lose 8 %.
+//! For 2.2 M points in 11 chunks, a tenth more points are inserted than owned (8 to 13 % by chunk;
+//! 16 to 25 % with the tetrahedra around), and hardly any late. An inner halo a quarter of a
+//! spacing narrower takes Hammersley points 2 % less time, but Halton points, the cross and the
+//! regular grid 2 to 3 % more; half a spacing narrower gains nothing, three quarters lose 8 %.
 //!
 //! Evenly spread points need no halo meshed: `stars.rs` makes the same mesh of them in less time.
 //!
@@ -46,7 +46,7 @@ use crate::geom::{Lattice, LatticeBox, LatticePos};
 /// The boxes of a chunk; all half-open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ChunkRegion {
-    /// What the chunk owns.
+    /// The part of the domain that the chunk owns.
     pub core: LatticeBox,
     /// Core and inner halo, clipped to the domain: the points that are inserted at once. Those
     /// further out are inserted where a tetrahedron needs them.
@@ -70,7 +70,7 @@ pub struct ChunkMesh {
     pub shared: Vec<bool>,
 }
 
-/// What came of meshing a chunk.
+/// The result of meshing a chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChunkOutcome {
     /// The chunk's part of the mesh, proven.
@@ -96,12 +96,13 @@ pub struct Manner {
     pub even: bool,
 }
 
-/// Where what a chunk owns borders on the tetrahedra of others, in numbers of its positions.
+/// The border between the tetrahedra that a chunk owns and those of others, in numbers of its
+/// positions.
 #[derive(Clone, Copy, Debug)]
 pub struct Border<'a> {
     /// Its tetrahedra with three such points or more; there may be others.
     pub tets: &'a [Tet],
-    /// Of each position, whether one of its tetrahedra has it and one of others may.
+    /// For each position, whether one of its tetrahedra has it and one of others may.
     pub points: &'a [bool],
 }
 
@@ -126,8 +127,8 @@ pub fn mesh_chunk(
     mesh_widening(mesher, boxes, &mut positions.to_vec(), order, Manner::default(), &mut |_| Ok(None))
 }
 
-/// As [`mesh_chunk`]; where a sphere leaves the region, `widen` is asked for a wider one, and of
-/// its points those go in that a tetrahedron needs.
+/// As [`mesh_chunk`], but where a sphere leaves the region, `widen` is asked for a wider one. Only
+/// those of its points are inserted that a tetrahedron needs.
 ///
 /// # Errors
 /// As [`mesh_chunk`], and those of `widen`.
@@ -152,7 +153,7 @@ pub fn mesh_widening(
     while mesher.is_empty() && boxes.near != boxes.domain {
         // The inner points span no volume: nothing to add the others to.
         if boxes.near == boxes.region {
-            // No tetrahedron to tell what the core's points are joined to.
+            // No tetrahedron shows what the core's points are joined to.
             let uncertified = positions.iter().filter(|p| boxes.core.contains(**p)).count() as u64;
             if uncertified == 0 {
                 break;
@@ -180,11 +181,10 @@ pub fn mesh_widening(
     outcome
 }
 
-/// The tetrahedra around those that a chunk owns, of which the border is known: as
-/// [`mesh_widening`] finds them of evenly spread points, in canonical order, but in the time that
-/// they take and not the chunk. `positions` are as there. `None` where that can not be done: then
-/// the chunk has to be meshed.
-///
+/// The tetrahedra around those that a chunk owns, if the border of the latter is known. They are
+/// those that [`mesh_widening`] finds for evenly spread points, in canonical order, but only they
+/// take time, not the chunk. `positions` are as there. `None` where that cannot be done: then the
+/// chunk has to be meshed.
 /// # Errors
 /// As [`mesh_chunk`].
 pub fn mesh_around(
@@ -207,7 +207,7 @@ fn outer(positions: &[LatticePos], first: usize) -> impl Iterator<Item = Outer> 
 }
 
 impl ChunkRegion {
-    /// Widens the region, and tells whether that was possible.
+    /// Widens the region, and returns whether that was possible.
     fn widen(&mut self, positions: &mut Vec<LatticePos>, widen: &mut Widen<'_>) -> Result<bool> {
         let (before, known) = (self.region, positions.len());
         let Some(wider) = widen(positions)? else { return Ok(false) };
@@ -255,21 +255,21 @@ struct Sorter<'a> {
     positions: &'a mut Vec<LatticePos>,
     /// What lies outside the points inserted at once.
     close: Unseen,
-    /// By vertex of the mesher: whether it lies in the core; infinity does not.
+    /// For each vertex of the mesher, whether it lies in the core; infinity does not.
     in_core: Vec<bool>,
     owned: Owned,
     shared: Vec<bool>,
     /// Records to be looked at again, and whether each record is among them.
     doubtful: Vec<u32>,
     waits: Vec<bool>,
-    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty where nobody asks for
-    /// those around.
+    /// For each vertex of the mesher, whether an owned tetrahedron has it. Empty if those around
+    /// are not asked for.
     used: Vec<bool>,
     /// Whether those around are looked for: the owned ones are known.
     looks_around: bool,
     /// Positions from here on are not inserted with the rest.
     first: usize,
-    /// Those, as soon as somebody asks for them.
+    /// Those positions, as soon as they are needed.
     late: Option<Late>,
     widen: &'a mut Widen<'a>,
 }
@@ -325,8 +325,8 @@ impl<'a> Sorter<'a> {
         self.settle(mesher)
     }
 
-    /// Looks at the tetrahedra around those owned, all of which are certified: nothing that is
-    /// inserted for their neighbours touches them.
+    /// Looks at the tetrahedra around those owned. All of the owned ones are certified, so nothing
+    /// that is inserted for their neighbours touches them.
     fn run_around(&mut self, mesher: &mut Mesher) -> Result<u64> {
         self.looks_around = true;
         for first in (0..mesher.records()).step_by(u64::BITS as usize) {
@@ -481,14 +481,14 @@ impl<'a> Sorter<'a> {
             self.owned.insert(id);
             self.use_corners(v);
         } else {
-            // Those outside the core are shared already.
+            // Points outside the core are shared already.
             v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);
         }
         Finding::Certified
     }
 
-    /// What a tetrahedron's sphere holds that is not inserted; without `late`, what is not certain
-    /// counts as uncovered.
+    /// Looks for a point in a tetrahedron's sphere that is not inserted; without `late`, an
+    /// uncertain case counts as uncovered.
     #[inline]
     fn look_in(&self, mesher: &Mesher, v: [u32; 4], sphere: &[f64; 4], late: Option<&Late>) -> Finding {
         if self.close.quickly(sphere) {

@@ -31,25 +31,25 @@
 //!
 //! # Cost
 //! On uniform points an insertion removes 21 tetrahedra and makes 27. In AVX2 that took 9 500
-//! instructions, four a cycle, and some 35 jumps that cannot be foreseen (ends of short loops;
-//! "does this sphere hold the next point"): these bound it, not memory. `wide.rs` is what followed,
-//! a fifth faster. Now a third of the time is the search of the cavity, a chain of loads (record,
-//! neighbour, its sphere, the next record), and a fifth the numbering of its vertices.
+//! instructions, four a cycle, and some 35 jumps that cannot be predicted (ends of short loops;
+//! "does this sphere hold the next point"). These bound it, not memory. `wide.rs` followed from
+//! this, a fifth faster. Now a third of the time is the search of the cavity, a chain of loads
+//! (record, neighbour, its sphere, the next record), and a fifth the numbering of its vertices.
 //!
-//! Tried and dropped, as slower: plain Hilbert order, walks by orientation, predicates by cached
-//! minors, spheres in `f32` (ten times the exact tests), a hash in place of the table of edges, one
-//! wide load for neighbour codes just stored one by one (it waits for them), loops of a fixed
-//! length over what a batch found. For no difference that could be seen, or less than 3 %: asking
-//! ahead for the records of the next batch, for those that the round before made near the next
-//! points, and for new ones; testing eight tetrahedra before the first four are sorted; inserting
-//! two points far apart together, their cavities growing by turns (marks of their own tell whether
-//! they touch). Records at hand would gain a seventh at most: by so much 2 000 points, which fit
-//! the second cache, go in faster than 250 000 (on a busy machine).
+//! The following were tried and dropped, as slower: plain Hilbert order, walks by orientation,
+//! predicates by cached minors, spheres in `f32` (ten times the exact tests), a hash in place of
+//! the table of edges, one wide load for neighbour codes just stored one by one (it waits for
+//! them), loops of a fixed length over what a batch found. Others made no visible difference, or
+//! less than 3 %. These were: prefetching the records of the next batch, those that the round
+//! before made near the next points, and new ones; testing eight tetrahedra before the first four
+//! are sorted; inserting two points far apart together, their cavities growing by turns (marks of
+//! their own show whether they touch). Records at hand would gain a seventh at most: by that much 2
+//! 000 points, which fit the second cache, go in faster than 250 000 (on a busy machine).
 //!
 //! Expected time is O(n log n) with small constants (a cavity has about 20 tetrahedra), worst case
 //! O(n²) tetrahedra for points on curves. Memory: 64 bytes a tetrahedron, 16 bytes and a sort key
 //! (32 bytes) a point; it is kept in the [`Mesher`] and reused, which makes about 75 bytes a
-//! tetrahedron. A chunk has its sites besides: some 80 in all.
+//! tetrahedron. The sites of a chunk come on top: some 80 in all.
 
 mod arena;
 mod exact;
@@ -83,7 +83,7 @@ enum Path {
 }
 
 impl Path {
-    /// Those that this machine can run, slowest first.
+    /// The paths that this machine can run, slowest first.
     fn available() -> Vec<Self> {
         let mut all = vec![Self::Plain];
         #[cfg(target_arch = "x86_64")]
@@ -236,9 +236,9 @@ impl Mesher {
         }
     }
 
-    /// Packs the vertices of some records, ascending, where the records were, four rows each: input
-    /// indices, turned by `turn`, which is told what is noted of each. The memory of the records,
-    /// and how many rows are packed; the mesher has no mesh then.
+    /// Packs the vertices of some records, ascending, where the records were, four rows each. They
+    /// are input indices, turned by `turn`, which also gets what is noted of each record. Returns
+    /// the memory of the records, and the number of packed rows; the mesher has no mesh then.
     pub(super) fn pack<T>(
         &mut self,
         kept: impl Iterator<Item = (u32, T)>,
@@ -249,8 +249,8 @@ impl Mesher {
         let rows: &mut [Tet] = bytemuck::cast_slice_mut(&mut records);
         let mut packed = 0;
         for (id, note) in kept {
-            // A record is four rows, of which the third has the vertices: nothing that was packed
-            // lies behind it.
+            // A record is four rows, and the third has the vertices: nothing that was packed lies
+            // behind it.
             let v = rows[4 * id as usize + 2];
             rows[packed] = turn(note, v.map(|v| self.source[v as usize - 1]));
             packed += 1;

@@ -47,7 +47,7 @@ impl Late {
         Self { local, far: Unseen::new(region, domain, local), grid }
     }
 
-    /// Those that are still out.
+    /// The points that are still out.
     pub(super) fn points(&self) -> Vec<Outer> {
         self.grid.cells().flat_map(|cell| self.grid.of(cell)).copied().collect()
     }

@@ -1,10 +1,10 @@
 //! The tetrahedra of a chunk, in the memory in which they were meshed.
 //!
-//! A record of the mesher has 64 bytes, its vertices are 16 of them. When nothing else of the
+//! A record of the mesher has 64 bytes, and its vertices are 16 of them. When nothing else of the
 //! records is needed any more, there is room among them for the vertices twice: as they are found,
 //! and in their final order. So a chunk takes 64 bytes a tetrahedron and no more, from its first
-//! point to its last block; then the memory goes back to the mesher
-//! ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), its pages warm.
+//! point to its last block. Then the memory goes back to the mesher
+//! ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), whose pages need not be asked for again.
 //!
 //! Tetrahedra made star by star are in that order already: a plain list, 16 bytes each. Where the
 //! tetrahedra around the chunk's own are wanted too, they lie behind those:
@@ -31,12 +31,12 @@ pub struct TetList {
 #[derive(Clone)]
 pub(super) enum Memory {
     Listed(Vec<Tet>),
-    /// Records, as rows of four numbers, of which some are the list.
+    /// Records, as rows of four numbers; some of these rows are the list.
     Among(Vec<Tetra>, Range<usize>),
 }
 
 impl TetList {
-    /// Some of the rows that the memory of the records has, the first of which are its `own`.
+    /// Some of the rows in the memory of the records; the first `own` of them are the chunk's own.
     pub(super) fn among(records: Vec<Tetra>, rows: Range<usize>, own: usize) -> Self {
         Self { memory: Memory::Among(records, rows), own }
     }
@@ -78,8 +78,8 @@ impl TetList {
         }
     }
 
-    /// The tetrahedra not in the list that have a vertex of one in it, where they were asked for;
-    /// in no particular order.
+    /// The tetrahedra outside the list that have a vertex of one in it, if they were asked for; in
+    /// no particular order.
     pub fn around(&self) -> &[Tet] {
         &self.whole()[self.own..]
     }
@@ -90,7 +90,7 @@ impl TetList {
         &mut self.whole_mut()[own..]
     }
 
-    /// As [`TetList::whole`], with the memory behind that nobody needs.
+    /// As [`TetList::whole`], with the unused memory behind it.
     pub fn with_room(&mut self) -> (&[Tet], &mut [u64]) {
         match &mut self.memory {
             Memory::Listed(tets) => (tets, &mut []),
@@ -101,7 +101,7 @@ impl TetList {
         }
     }
 
-    /// Keeps those of which `stays` is true, in their order; it is asked of those around last.
+    /// Keeps those for which `stays` is true, in their order; it is called last for those around.
     pub fn retain(&mut self, mut stays: impl FnMut(&Tet) -> bool) {
         let before = self.own;
         let (mut own, mut kept) = (0, 0);

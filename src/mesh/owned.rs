@@ -1,8 +1,8 @@
 //! The tetrahedra that a chunk keeps, put in the order of their first vertices by counting.
 //!
-//! Which records they are is a bit each, and another for those around them. In the end their
-//! vertices are packed where the first quarter of the records was, which nobody needs any more, and
-//! from there go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
+//! A bit marks each of their records, and another each of those around them. In the end their
+//! vertices are packed into the first quarter of the records, which is no longer needed. From there
+//! they go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
 
 use super::delaunay::Mesher;
 use super::list::TetList;
@@ -14,12 +14,12 @@ pub(super) struct Owned {
     bits: Vec<u64>,
     /// Records that are not owned, but have a vertex of one that is.
     around: Vec<u64>,
-    /// By the number of a vertex: how many tetrahedra have it first. One more at the end, for none.
+    /// For each vertex, how many tetrahedra have it first. One more at the end, for none.
     counts: Vec<u32>,
 }
 
 impl Owned {
-    /// Prepares for so many records.
+    /// Prepares for this many records.
     pub(super) fn clear(&mut self, records: u32) {
         self.bits.clear();
         self.around.clear();
@@ -38,7 +38,7 @@ impl Owned {
         self.bits[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
     }
 
-    /// Notes 64 records, the first of which is a multiple of that.
+    /// Notes which of 64 records are owned; the number of the first is a multiple of 64.
     #[inline]
     pub(super) fn insert_word(&mut self, first: u32, word: u64) {
         self.bits[(first / u64::BITS) as usize] |= word;
@@ -49,7 +49,7 @@ impl Owned {
         self.bits[(id / u64::BITS) as usize] >> (id % u64::BITS) & 1 == 1
     }
 
-    /// Of 64 records, the first of which is a multiple of that, those that are not owned.
+    /// Which of 64 records are not owned; the number of the first is a multiple of 64.
     #[inline]
     pub(super) fn others(&self, first: u32) -> u64 {
         !self.bits[(first / u64::BITS) as usize]
@@ -61,12 +61,12 @@ impl Owned {
         self.around[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
     }
 
-    /// Those owned, ascending.
+    /// The records that are owned, ascending.
     fn iter(&self) -> impl Iterator<Item = u32> {
         (0..).zip(&self.bits).flat_map(|(n, &own)| each_bit(own).map(move |bit| n * u64::BITS + bit))
     }
 
-    /// Those owned and those around, ascending, and whether each is around.
+    /// The records that are owned and those around, ascending, and whether each is around.
     fn iter_all(&self) -> impl Iterator<Item = (u32, bool)> {
         let of_word = |(n, (&own, &around)): (u32, (&u64, &u64))| {
             each_bit(own | around).map(move |bit| (n * u64::BITS + bit, around >> bit & 1 == 1))
@@ -74,8 +74,8 @@ impl Owned {
         (0..).zip(self.bits.iter().zip(&self.around)).flat_map(of_word)
     }
 
-    /// Those owned, as indices into so many positions, the least first in each, ascending by that;
-    /// then those around; in the memory of the mesher, which has no mesh then.
+    /// The owned tetrahedra, as indices into so many positions, the least first in each, ascending
+    /// by that; then those around. They are in the memory of the mesher, which has no mesh then.
     pub(super) fn take(&mut self, mesher: &mut Mesher, positions: usize) -> TetList {
         let mut counts = std::mem::take(&mut self.counts);
         counts.clear();
@@ -121,8 +121,9 @@ pub(super) fn each_bit(mut word: u64) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Puts tetrahedra into another place, ascending by their first vertices, of which `counts` tells
-/// how many have each; those marked as around apart, as they come, where there are `SOME` such.
+/// Moves tetrahedra to another place, ascending by their first vertices; `counts` says how many
+/// have each. Those marked as around are kept separate, in the order in which they come, if there
+/// are any (`SOME`).
 fn sort<const SOME: bool>(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], around: &mut [Tet]) {
     let mut sum = 0;
     for n in &mut *counts {

@@ -13,10 +13,10 @@
 //!                         opens gates cw and wd, or closes them.
 //! ```
 //!
-//! When no gate is open the star is whole. The face across from p of each new tetrahedron waits for
-//! the first of its points to have its turn. Points have their turns in the order of their numbers,
-//! so tetrahedra come out in the order of their least numbers, and a chunk needs no tetrahedron but
-//! those at its own points: no halo is meshed, only looked at.
+//! When no gate is open, the star is complete. The face across from p of each new tetrahedron waits
+//! for the first of its points to have its turn. Points have their turns in the order of their
+//! numbers, so tetrahedra come out in the order of their least numbers. A chunk needs no
+//! tetrahedron but those at its own points: no halo is meshed, only looked at.
 //!
 //! # Why the tetrahedra are those of the whole mesh
 //! Floating point only guesses. A star of p is taken when for each of its new tetrahedra it is
@@ -87,7 +87,7 @@ struct Waiting {
 pub(super) struct Stars {
     grid: Grid,
     near: Box<Neighbourhood>,
-    /// By point: the first face that waits for it.
+    /// For each point, the first face that waits for it.
     first: Vec<u32>,
     waiting: Vec<Waiting>,
     free: Vec<u32>,
@@ -97,7 +97,7 @@ pub(super) struct Stars {
     slow: Slow,
 }
 
-/// What a star by insertion needs.
+/// Buffers for a star by insertion.
 #[derive(Debug, Default)]
 struct Slow {
     numbers: Vec<u32>,
@@ -116,7 +116,7 @@ impl Default for Patience {
     }
 }
 
-/// The most points that are looked at together; there is room for so many more behind lists.
+/// The most points that are looked at together; there is room for this many more behind lists.
 const LANES: usize = 16;
 
 /// How a star ended.
@@ -124,12 +124,12 @@ enum Star {
     Whole,
     /// A larger D may do.
     TooNear,
-    /// Only integers can tell.
+    /// Only integers can decide.
     Doubtful,
 }
 
 impl Stars {
-    /// Takes the memory of a list that nobody needs any more.
+    /// Takes the memory of a list that is no longer needed.
     pub(super) fn reuse(&mut self, tets: Vec<Tet>) {
         if tets.capacity() > self.tets.capacity() {
             self.tets = tets;
@@ -218,10 +218,10 @@ struct Chunk<'a> {
     rows: Vec<[u32; 2]>,
     /// The cell around which the rows are, with the first reach.
     cell: [usize; 3],
-    /// By position: whether an owned tetrahedron has it, and others may. Empty until all those are
-    /// known.
+    /// For each position, whether an owned tetrahedron has it, and others may. Empty until all
+    /// those are known.
     used: Vec<bool>,
-    /// So many of the first positions have their turn, used or not.
+    /// The number of first positions that have their turn, used or not.
     turned: usize,
 }
 

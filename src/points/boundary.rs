@@ -29,9 +29,9 @@ use crate::geom::{LatticeBox, LatticePos, PointClass, PointId, Site};
 #[derive(Clone, Debug)]
 pub(super) struct Boundary {
     max: LatticePos,
-    /// By number of the edge.
+    /// The samples of each edge, by its number.
     edges: Vec<Net>,
-    /// By number of the face.
+    /// The samples of each face, by its number.
     faces: Vec<Net>,
 }
 

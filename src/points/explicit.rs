@@ -114,8 +114,8 @@ impl ExplicitPoints {
         self.clear
     }
 
-    /// Removes the sites that lie too near to a point of the list; `level` tells the level at a
-    /// position. They lie in the box.
+    /// Removes the sites that lie too near to a point of the list; `level` gives the level at a
+    /// position. The sites lie in the box.
     pub(super) fn drop_near(
         &self,
         domain: &LatticeBox,

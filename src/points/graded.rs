@@ -25,7 +25,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub(super) struct Graded {
     levels: Arc<Levels>,
-    /// By level: the whole domain at its density.
+    /// For each level, the whole domain at its density.
     sets: Vec<PointSet>,
     len: u64,
     interior: u64,
@@ -165,7 +165,7 @@ mod tests {
         PointSet::graded(PointSpec::Halton { n }, lattice, levels).unwrap()
     }
 
-    /// By the definition: the points of each level's set that lie in its cells.
+    /// The set by its definition: the points of each level's set that lie in its cells.
     fn by_the_definition(set: &PointSet, n: u64, b: &LatticeBox) -> BTreeSet<(u64, [u32; 3])> {
         let levels = set.levels().unwrap();
         let mut all = BTreeSet::new();

@@ -11,8 +11,8 @@
 //!   1 1 1 1 1 1 0 0
 //! ```
 //!
-//! Memory: a byte a cell, of which there are at most [`Levels::MOST_CELLS`] whatever the volume:
-//! cells grow with it.
+//! Memory: a byte a cell. There are at most [`Levels::MOST_CELLS`] cells for any volume: cells grow
+//! with it.
 
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -43,7 +43,7 @@ impl Levels {
     /// The level of each cell, x fastest. They must be graded; see [`Levels::grade`].
     ///
     /// # Errors
-    /// [`Error::Usage`] that tells what is wrong: too many cells, levels for more or fewer, a level
+    /// [`Error::Usage`] that says what is wrong: too many cells, levels for more or fewer, a level
     /// out of range or two neighbours too far apart.
     pub fn new(cells: BrickGrid, levels: Vec<u8>) -> Result<Self> {
         let count = checked_len(&cells)?;

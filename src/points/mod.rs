@@ -15,10 +15,10 @@
 //! denser in some places than in others ([`Levels`], `graded`).
 //!
 //! A point is its [`PointId`]: [`PointSet::position`] is a formula, so positions need not be
-//! stored. And a box finds its own points ([`PointSet::sites_in`]) from the formula, whatever the
-//! size of the whole set: no pass over all points, nothing shared between boxes, the same answer in
-//! any order and on any machine. The union over boxes that tile the domain is the whole set, each
-//! position once; where two points round to one position, the lower id stays.
+//! stored. And a box finds its own points ([`PointSet::sites_in`]) from the formula, in a set of
+//! any size: no pass over all points, nothing shared between boxes, the same answer in any order
+//! and on any machine. The union over boxes that tile the domain is the whole set, each position
+//! once; where two points round to one position, the lower id stays.
 //!
 //! ```
 //! use isospan::geom::Lattice;

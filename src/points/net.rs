@@ -191,7 +191,7 @@ struct Batch<'a> {
     is_short: bool,
     numbers: [u64; BATCH],
     pos: [[u32; BATCH]; 3],
-    /// Of each whether it is in the box: 1 or 0.
+    /// For each point, whether it is in the box: 1 or 0.
     inside: [u8; BATCH],
     len: usize,
 }

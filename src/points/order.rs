@@ -1,9 +1,9 @@
 //! The order of sites: along a Hilbert curve through their box, then by coordinates; each position
 //! once.
 //!
-//! The curve fills the cube that the box's longest side spans, whatever the box: so a run of sites
-//! is as compact as it can be, and an eighth of them, or a sixty-fourth, is a cube. (Along one
-//! curve for all boxes it would be in several pieces, for boxes are not cells of that.)
+//! The curve always fills the cube that the box's longest side spans. So a run of sites is as
+//! compact as it can be, and an eighth of them, or a sixty-fourth, is a cube. (Along one curve for
+//! all boxes it would be in several pieces, for boxes are not cells of that.)
 
 use crate::geom::curve::{hilbert_number, radix_sort};
 use crate::geom::{LatticeBox, LatticePos, Site};

@@ -125,7 +125,7 @@ impl Base {
 }
 
 /// ⌊x·max + 1/2⌋ for an `x` with `fraction <= x·2^64 < fraction + error`; `None` where that does
-/// not tell.
+/// not decide it.
 #[inline]
 pub(super) fn round_fraction(fraction: u64, error: u64, max: u32) -> Option<u32> {
     let scaled = u128::from(fraction) * u128::from(max) + (1 << 63);

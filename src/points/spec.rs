@@ -118,7 +118,7 @@ pub struct SetSettings {
     pub k: Option<u32>,
     /// Regularities of a hyperbolic cross; default 1.
     pub r: [u32; 3],
-    /// Of a lattice: how far apart its points are along x, y and z, in voxels and relative to each
+    /// How far apart the points of a lattice are along x, y and z, in voxels and relative to each
     /// other. By default as the field asks for, and equal where that is not known.
     pub spacing: Option<[f64; 3]>,
 }
@@ -129,7 +129,7 @@ impl Default for SetSettings {
     }
 }
 
-/// Of a hyperbolic cross: 2^40 points and more for any k.
+/// The largest m of a hyperbolic cross: 2^40 points and more for any k.
 const LARGEST_M: u32 = 40;
 const KS: std::ops::RangeInclusive<u32> = 2..=5;
 const LARGEST_R: u32 = 1000;
@@ -266,7 +266,7 @@ pub(super) fn shift_q32(shift: f64) -> u32 {
     (shift * 4_294_967_296.0 + 0.5) as u32
 }
 
-/// Of the candidates, the one with its count nearest to `count`; the first of equals.
+/// The candidate whose count is nearest to `count`; the first of equals.
 fn nearest<T: Copy>(
     count: u64,
     candidates: impl IntoIterator<Item = T>,

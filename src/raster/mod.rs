@@ -69,11 +69,11 @@ pub use locate::PointLocator;
 pub(crate) use planes::{corner_box, greater, lesser};
 pub use scan::{Scanner, each_sample};
 
-/// The weighted sum of four corner values, whatever the order of the corners.
+/// The weighted sum of four corner values, the same for any order of the corners.
 #[inline(always)]
 pub fn interpolate(weights: [f64; 4], values: [f32; 4]) -> f32 {
     let [a, b, c, d] = std::array::from_fn(|k| weights[k] * f64::from(values[k]));
-    // Two selections without a branch: nobody can predict the order.
+    // Two selections without a branch: the order cannot be predicted.
     let order = |x: f64, y: f64| (if x < y { x } else { y }, if x < y { y } else { x });
     let ((a, b), (c, d)) = (order(a, b), order(c, d));
     let ((a, c), (b, d)) = (order(a, c), order(b, d));

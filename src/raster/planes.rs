@@ -110,7 +110,7 @@ fn dot<I: Int>(u: [I; 3], v: [I; 3]) -> I {
 }
 
 impl<I: Int> Planes<I> {
-    /// Of a positively oriented tetrahedron.
+    /// The planes of a positively oriented tetrahedron.
     #[inline(always)]
     pub(super) fn new([a, b, c, d]: [LatticePos; 4]) -> Self {
         let (ab, ac, ad) = (difference::<I>(b, a), difference(c, a), difference(d, a));

@@ -55,7 +55,7 @@ struct Found {
 }
 
 impl<'a> Scanner<'a> {
-    /// Of a window of a grid.
+    /// A scanner of a window of a grid.
     ///
     /// # Panics
     /// When the window is not one of the grid.
@@ -275,8 +275,8 @@ impl<'a> Scanner<'a> {
     }
 }
 
-/// What a computed end of a span may be wrong by, in lattice steps: far more than it is (2^24 ·
-/// 2^-51).
+/// The most that a computed end of a span may be wrong by, in lattice steps: far more than it is
+/// (2^24 · 2^-51).
 const SLACK: f64 = 1e-6;
 
 /// λ of the four corners in `f32`, lanes in the order b, c, d, a, at the first sample of the box,
@@ -296,8 +296,8 @@ struct Filter {
 const ERROR: f32 = 256.0 / (1u32 << 24) as f32;
 
 impl Filter {
-    /// Of the edges from a to the other corners, coordinate by coordinate, and where the first
-    /// sample is from a.
+    /// The filter from the edges from a to the other corners, coordinate by coordinate, and the
+    /// place of the first sample relative to a.
     #[inline(always)]
     fn new([x, y, z]: [Four; 3], first_from_a: Four, longest: f32) -> Self {
         let (ux, uy, uz) = (x.turned(), y.turned(), z.turned());
@@ -319,7 +319,7 @@ impl Filter {
         Self { first, x: gx, y: gy, z: gz }
     }
 
-    /// What each λ has grown by at some offsets along x.
+    /// The growth of each λ at some offsets along x.
     #[inline(always)]
     fn growth(&self, offsets: Four) -> [Four; 4] {
         let [b, c, d, a] = self.x.spread();

@@ -95,7 +95,7 @@ impl View {
         let mut view = Self {
             axes: axes(camera),
             centre: (lo + hi) / 2.0,
-            // Of a single point, any.
+            // Any radius does for a single point.
             radius: if radius > 0.0 { radius } else { 1.0 },
             perspective: camera.perspective,
             scale: 1.0,

@@ -1,7 +1,7 @@
 //! Colour maps: from a share of a range to a colour.
 //!
 //! Viridis, cividis and grey rise evenly in lightness, so equal steps of the value look equal, also
-//! to those who do not tell all colours apart. Coolwarm goes through white in the middle of the
+//! to those who do not distinguish all colours. Coolwarm goes through white in the middle of the
 //! range: K. Moreland, Diverging Color Maps for Scientific Visualization, ISVC 2009.
 
 use crate::error::Error;
@@ -14,7 +14,7 @@ pub enum ColourMap {
     /// From dark blue over green to yellow.
     #[default]
     Viridis,
-    /// From dark blue to yellow, the same for those who do not tell red from green.
+    /// From dark blue to yellow, the same for those who do not distinguish red and green.
     Cividis,
     /// From blue over white to red: for values about a middle.
     Coolwarm,

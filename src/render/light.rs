@@ -27,7 +27,7 @@ struct Light {
 /// All lights.
 pub(super) struct Sky {
     lights: Vec<Light>,
-    /// Those of a sky without maps.
+    /// The lights of a sky without maps.
     open: Vec<([f32; 3], f32)>,
 }
 

@@ -23,8 +23,8 @@
 //! side of an open surface is drawn darker.
 //!
 //! Cost: some microseconds a triangle (most of it for the maps), about a microsecond a pixel.
-//! Memory ([`needed`]): samples and maps, whatever the surface; vertices beyond what is left wait
-//! on disk.
+//! Memory ([`needed`]): samples and maps, for any surface; vertices that do not fit in the rest
+//! wait on disk.
 
 mod camera;
 mod colour;
@@ -85,7 +85,7 @@ pub struct Subject<'a> {
     pub surface: &'a dyn SurfaceSource,
     /// Its colour.
     pub paint: Paint,
-    /// A number for each vertex, where colours tell it; empty otherwise.
+    /// A number for each vertex, if colours show it; empty otherwise.
     pub values: &'a [f32],
 }
 
@@ -98,13 +98,13 @@ struct Placed {
     value: f32,
 }
 
-/// What the process needs beside samples and maps; triangles at work among it.
+/// What the process needs besides samples and maps, triangles at work included.
 const FIXED: u64 = 24 << 20;
 /// Triangles that are drawn at a time.
 const BATCH: usize = 1 << 14;
 
-/// The least memory for a picture of such a size, without vertices and whatever the surface; with
-/// the picture itself.
+/// The least memory for a picture of such a size, the picture itself included, without vertices; it
+/// is the same for any surface.
 pub fn needed(size: [u32; 2], settings: &RenderSettings) -> u64 {
     let pixels = u64::from(size[0]) * u64::from(size[1]);
     let each = samples::BYTES * u64::from(settings.samples).pow(2) + 4;
@@ -223,7 +223,7 @@ fn add_normals(surface: &dyn SurfaceSource, vertices: &mut Store<Placed>, memory
 #[derive(Clone, Copy)]
 enum Normals {
     Given,
-    /// Those given, the other way round.
+    /// The given normals, the other way round.
     Turned,
     OfTriangles,
 }

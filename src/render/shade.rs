@@ -6,7 +6,7 @@ use super::samples::{Samples, Seen};
 use super::{Paint, View};
 use rayon::prelude::*;
 
-/// What a surface sends back of a highlight; a little, and wide.
+/// The share of a highlight that a surface reflects; a little, and wide.
 const GLOSS: f32 = 0.05;
 const KEY: [f32; 3] = [-0.543, 0.642, 0.543];
 
@@ -59,7 +59,7 @@ impl Shader<'_> {
             let colour = self.colour(seen, self.place(i, j, depth), arriving);
             sum = std::array::from_fn(|k| sum[k] + colour[k]);
         }
-        // What is not covered shows the background, as much of it as is opaque.
+        // The uncovered part shows the background, as much of it as is opaque.
         let (n, free) = (covered.len() as f32, (side * side - covered.len()) as f32);
         let through = free * f32::from(opacity) / 255.0;
         let behind = linear([r, g, b]);

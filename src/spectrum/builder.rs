@@ -30,7 +30,7 @@ impl SpectrumBuilder {
         }
     }
 
-    /// That of a chunk alone; none where all its tetrahedra are void.
+    /// The spectrum of a chunk alone; none if all its tetrahedra are void.
     pub fn of_part(part: &ChunkPart) -> Option<Self> {
         let mut alone = Self::new(part.measured.as_ref()?.design);
         alone.add(part);

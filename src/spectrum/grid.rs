@@ -6,10 +6,10 @@
 //!  rung 0  0.01 · 1 2 3 4 5 6 7 8 9 10
 //! ```
 //!
-//! What a chunk was measured at, on a grid chosen for its own values, can so be added up later on
-//! the coarser grid of all values, without error and without looking at the chunk again: the range
-//! of all holds the range of each, and the finest grid with at most so many isovalues in a range is
-//! never finer than that of a part of the range.
+//! So what was measured of a chunk, on a grid chosen for its own values, can later be added up on
+//! the coarser grid of all values. That has no error and needs no second look at the chunk. The
+//! range of all holds the range of each, and the finest grid with at most so many isovalues in a
+//! range is never finer than that of a part of the range.
 //!
 //! A multiple is rounded to `f32` from the number itself, its factors of ten taken out, so it is
 //! the same `f32` on each rung.
@@ -140,8 +140,8 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Those of the finest step that gives at most `most` of them in `lo < v <= hi`, and is not
-    /// below the spacing of `f32` there.
+    /// The isovalues of the finest step that gives at most `most` of them in `lo < v <= hi`, and is
+    /// not below the spacing of `f32` there.
     pub(super) fn new(family: Family, [lo, hi]: [f32; 2], most: u32) -> Self {
         let spacing = f64::from(lo.abs().max(hi.abs())) / f64::from(1u32 << 23);
         let least = ((f64::from(hi) - f64::from(lo)) / f64::from(most.max(1))).max(spacing);
@@ -175,7 +175,7 @@ impl Grid {
         if !(self.value(0) <= isovalue && isovalue <= self.value(last)) {
             return None;
         }
-        // Of equal ones any will do.
+        // Any of several equal isovalues will do.
         let n = (self.step.above(isovalue) - 1 - self.first).clamp(0, i64::from(last)) as u32;
         (self.value(n) == isovalue).then_some(n)
     }

@@ -1,16 +1,16 @@
 //! Sums over the tetrahedra of a chunk, at some steps.
 //!
 //! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so
-//! this is most of what a step costs. What of a tetrahedron does not depend on values is found out
-//! once for all steps. Its values, their gradient, and all quotients are computed eight at a time,
-//! in vectors: of one tetrahedron at up to eight steps that are measured together, what is known of
-//! a vertex lying side by side in a cache line; or of eight tetrahedra at a step that is alone.
-//! Then, tetrahedron by tetrahedron, the knots in its range, eight by eight ([`super::tetra`],
-//! [`super::sums`]): what bounds that is how much is read, so where the knots are is told with the
-//! quotients, and the volume is read once for all steps.
+//! this is most of what a step costs. What does not depend on values is computed once for all
+//! steps. The values of a tetrahedron, their gradient, and all quotients are computed eight at a
+//! time, in vectors. A vector has one tetrahedron at up to eight steps that are measured together,
+//! with what is known of a vertex side by side in a cache line. At a step that is alone, it has
+//! eight tetrahedra. Then, tetrahedron by tetrahedron, come the knots in its range, eight by eight
+//! ([`super::tetra`], [`super::sums`]). The amount of data read bounds that part. So the places of
+//! the knots are found along with the quotients, and the volume is read once for all steps.
 //!
-//! Each number of a step is made by the same operations, whatever else is in the vector: so it does
-//! not show with which steps it was measured.
+//! Each number of a step is made by the same operations, with anything else in the vector: so it
+//! does not show with which steps it was measured.
 
 use super::design::{Design, Limits};
 use super::side::{Alone, Room as Memory, SIDE_BY_SIDE, Side, Together, ends_of};

@@ -3,7 +3,7 @@
 //! For every isovalue v (a value `>=` v is inside) there are the number of active tetrahedra N(v),
 //! the area A(v) of the isosurface, the volume V(v) that it encloses, and the gradient integrated
 //! over it, T(v) = ∫|∇f| dA: the *contour spectrum* of Bajaj, Pascucci and Schikore 1997 ("The
-//! contour spectrum"). Seen as curves they tell where something happens, and [`suggest`] reads
+//! contour spectrum"). Seen as curves they show where something happens, and [`suggest`] reads
 //! isovalues off them.
 //!
 //! **What one tetrahedron contributes.** Take its corner values f0 <= f1 <= f2 <= f3, its volume

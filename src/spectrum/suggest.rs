@@ -5,8 +5,8 @@
 //! detection of meaningful isosurfaces for volume data visualization", look for the same with
 //! histograms). By itself that finds the smallest, sharpest surfaces, and the total gradient T(v)
 //! the largest, noise included; we take the geometric mean of the two, T(v) / √A(v). It is smoothed
-//! over 4 % of the range, for noise has no width, and each local maximum is told that stands out of
-//! its surroundings by 3 % of the largest one, the most marked first.
+//! over 4 % of the range, for noise has no width. Each local maximum that stands out of its
+//! surroundings by 3 % of the largest one is reported, the most marked first.
 //!
 //! On scans with known surfaces: an engine (60, 150) gives 50 and 163; a tooth (600, 1000) 650, 940
 //! and 300; a lung (-500, 200) -7, -525 and -1040. A suggestion is a place to begin at, not an

@@ -2,10 +2,10 @@
 //!
 //! # How does it work?
 //!
-//! What the surface encloses ends at the domain's faces too. There the tetrahedra have boundary
+//! The inside of a surface also ends at the domain's faces. There the tetrahedra have boundary
 //! triangles: three corners on one face of the box, exactly, as positions are integers. The inside
-//! part of each of them is added, clipped at the crossings that the surface has on the same edges;
-//! so caps and surface share vertices, and every rim edge of the surface gets its second triangle:
+//! part of each of them is added, clipped at the crossings that the surface has on the same edges.
+//! So caps and surface share vertices, and every rim edge of the surface gets its second triangle:
 //!
 //! ```text
 //!      inside c                 1 corner inside:  (c, ca, bc)
@@ -19,9 +19,9 @@
 //! outwards. A void tetrahedron has no inside: around missing samples the surface stays open, and
 //! its boundary triangles get no cap.
 //!
-//! The normal of a cap's corner is that of the face, on an edge of the box the mean of two; so is
-//! that of a vertex of the rim, though the surface has it too: a cap is flat, and decimation leaves
-//! few of its corners besides those of the rim.
+//! The normal of a cap's corner is that of the face; on an edge of the box it is the mean of two. A
+//! vertex of the rim gets the same normal, though the surface has it too: a cap is flat, and
+//! decimation leaves few of its corners besides those of the rim.
 
 use super::WorldMap;
 use super::marching_tets::{CellSource, ChunkSurface, in_order};
@@ -30,8 +30,8 @@ use crate::mesh::tet::Tet;
 
 /// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
-/// What a cap's triangle adds to the gradient at its corners: far more than tetrahedra do at a
-/// crossing (about 2^30), far from overflow.
+/// The amount that a cap's triangle adds to the gradient at its corners: far more than tetrahedra
+/// do at a crossing (about 2^30), far from overflow.
 const PULL: i64 = 1 << 45;
 
 /// The side of the box `0 ..= top` that three points lie on: its axis, and whether it is the upper

@@ -1,15 +1,15 @@
 //! The cases of marching tetrahedra, derived at compile time: which edges are crossed, which
-//! triangles they make; and the order of four corners from the comparisons of their ids. The
+//! triangles they make, and the order of four corners from the comparisons of their ids. The
 //! picture is in [`super::marching_tets`].
 
 /// The six edges of a tetrahedron with sorted corners, in the order of their keys.
 pub(super) const EDGES: [[u8; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 
-/// What to do with a tetrahedron of sorted corners.
+/// The triangles in a tetrahedron of sorted corners.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Case {
-    /// The corners of its crossed edges, ascending; the last is the first again where there are but
-    /// three.
+    /// The corners of its crossed edges, ascending; the last is the first again where there are
+    /// only three.
     pub(super) edges: [[u8; 2]; 4],
     /// Their places in [`EDGES`].
     pub(super) numbers: [u8; 4],
@@ -25,7 +25,7 @@ pub(super) struct Case {
 /// tetrahedron.
 pub(super) const ODD: u8 = 16;
 
-/// By the mask of corners inside, and [`ODD`].
+/// The cases by the mask of corners inside, and [`ODD`].
 pub(super) static CASES: [Case; 32] = {
     let none =
         Case { edges: [[0, 1]; 4], numbers: [0; 4], corners: [[0; 3]; 2], sides: [[0; 3]; 2], triangles: 0 };
@@ -162,8 +162,8 @@ pub(super) struct OrderOf {
     pub(super) odd: u8,
 }
 
-/// By the six comparisons of the ids of corners i < j, in the order of [`EDGES`]: whether that of j
-/// is less.
+/// The orders by the six comparisons of the ids of corners i < j, in the order of [`EDGES`]:
+/// whether that of j is less.
 pub(super) static ORDERS: [OrderOf; 64] = {
     let mut orders = [OrderOf { corners: [0; 4], odd: 0 }; 64];
     let mut swapped = 0;

@@ -2,7 +2,7 @@
 //!
 //! # How does it work?
 //!
-//! The triangles are listed by vertex (a counting sort). Then each vertex `v` is looked at alone,
+//! The triangles are listed by vertex (a counting sort). Then each vertex `v` is examined alone,
 //! through its *link*: every triangle (v, n, p) contributes the directed edge n → p.
 //!
 //! ```text
@@ -18,16 +18,16 @@
 //! their smallest.
 //!
 //! # Surfaces larger than memory
-//! Arcs (v, n, p) of all triangles are sorted by v, beyond memory on disk, and the links come out
-//! one after the other. Positions lie in a store that is read through a cache. What must be in
-//! memory, and is asked for in [`CheckSettings::memory`]:
+//! Arcs (v, n, p) of all triangles are sorted by v, on disk if they exceed memory, and the links
+//! come out one after the other. Positions lie in a store that is read through a cache. The
+//! following must be in memory, and is asked for in [`CheckSettings::memory`]:
 //!
 //! * 4 bytes a vertex for the connected pieces (union-find; one array, used for the surface and
 //!   then for its rims);
 //! * the link of one vertex, about 80 bytes a triangle at the vertex of the most triangles.
 //!
-//! The report is the same whatever the memory: the same steps are taken, and sums run over the
-//! triangles in their order.
+//! The report is the same for any memory: the same steps are taken, and sums run over the triangles
+//! in their order.
 //!
 //! Cost: O(t log t) time for t triangles. Disk, if memory does not hold them: 36 bytes a triangle,
 //! 12 a vertex, 8 a boundary edge.
@@ -163,8 +163,8 @@ pub fn check(mesh: &TriMesh) -> SurfaceReport {
         .0
 }
 
-/// Checks a surface within a given memory; also tells the boundary edges that are not on a face of
-/// the domain, if one is given.
+/// Checks a surface within a given memory. If a domain is given, it also counts the boundary edges
+/// that are not on a face of the domain.
 ///
 /// # Errors
 /// [`Error::Budget`] when the memory does not suffice, naming what does; [`Error::Usage`] for
@@ -182,18 +182,18 @@ pub fn check_source(
 /// Boundary edges that lie on no face of the domain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct OpenEdges {
-    /// Those that nothing explains: holes.
+    /// Edges that nothing explains: holes.
     pub outside: u64,
-    /// Those at samples without data.
+    /// Edges at samples without data.
     pub at_missing: u64,
 }
 
-/// Edges as the positions of their ends, in the world; answers how many of them lie where there is
-/// no data.
+/// Takes edges as the positions of their ends, in the world; returns how many of them lie where
+/// there is no data.
 pub type Explain<'a> = dyn FnMut(&[[[f32; 3]; 2]]) -> Result<u64> + 'a;
 
-/// As [`check_source`], where boundary edges may also lie at what has no data: `at_missing` is
-/// asked about those on no face, so many at a time as [`EDGES_ASKED`] at most.
+/// As [`check_source`], but boundary edges may also lie where there is no data. `at_missing` is
+/// asked about those on no face, at most [`EDGES_ASKED`] at a time.
 ///
 /// # Errors
 /// As [`check_source`], and those of `at_missing`.
@@ -265,7 +265,7 @@ pub fn boundary_outside(mesh: &TriMesh, geometry: &Geometry, dims: [u64; 3], tol
     checked.expect("nothing of a mesh in memory is read or written").1.expect("a domain was given")
 }
 
-/// What the process needs beside: code and tables, stacks, buffers.
+/// What the process needs besides: code and tables, stacks, buffers.
 const FIXED: u64 = 16 << 20;
 /// Below this the rest of the memory is not worth sorting in.
 const LEAST_REST: u64 = 4 << 20;
@@ -316,7 +316,7 @@ impl<'a> Shares<'a> {
     }
 }
 
-/// The memory that leaves `rest` beside what the source has, and the pieces need.
+/// The memory that leaves `rest` besides what the source has and the pieces need.
 fn least(vertices: u64, rest: u64) -> u64 {
     (FIXED + 4 * vertices).saturating_add(rest).div_ceil(7).saturating_mul(8)
 }
@@ -518,7 +518,7 @@ impl Arcs {
     }
 }
 
-/// An edge from the vertex looked at.
+/// An edge from the vertex that is examined.
 struct LinkEdge {
     to: u32,
     /// Triangles that run along it away from the vertex, and towards it.
@@ -612,7 +612,7 @@ fn root(parents: &mut [u32], mut i: u32) -> u32 {
 
 /// Connected pieces of a graph on the vertices; vertices without an edge are none.
 struct Pieces {
-    /// Of each vertex; [`ALONE`] as long as it has no edge.
+    /// The parent of each vertex; [`ALONE`] as long as it has no edge.
     parents: Vec<u32>,
 }
 

@@ -33,7 +33,7 @@ use rustc_hash::FxHashMap;
 pub struct HalfSpace {
     normal: [f64; 3],
     offset: f64,
-    /// What `normal · p` of a position in `f32` may be off by.
+    /// The error that `normal · p` of a position in `f32` may have.
     tolerance: f64,
 }
 
@@ -51,8 +51,8 @@ impl HalfSpace {
     }
 }
 
-/// Cuts a surface; at most 7 half-spaces. `memory` bounds what is held besides the result, whose
-/// place `settings` tells.
+/// Cuts a surface; at most 7 half-spaces. `memory` bounds what is held besides the result;
+/// `settings` says where the result is stored.
 ///
 /// # Errors
 /// [`Error::Budget`] when the memory does not suffice; those of reading the source and of the
@@ -204,8 +204,7 @@ impl<'a> Cutter<'a> {
                 out.push(p);
             }
             if (dp > 0.0 && dq < 0.0) || (dp < 0.0 && dq > 0.0) {
-                // From the lower number to the higher, so that both triangles beside the edge
-                // agree.
+                // From the lower number to the higher, so that both triangles at the edge agree.
                 out.push(if p < q { self.between(p, q, dp, dq) } else { self.between(q, p, dq, dp) });
             }
         }

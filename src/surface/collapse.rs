@@ -22,8 +22,8 @@
 //! **Fixed vertices** stay where they are and are never removed: those that triangles outside the
 //! patch use, those on a boundary, those that are no manifold. An edge with one fixed end collapses
 //! into it, an edge with two does not. The patch does not know the edges and triangles between
-//! fixed vertices that lie outside. So u is not collapsed into a fixed v when another fixed vertex
-//! besides a and b is beside u: no new edge between fixed vertices ever arises, and patches that
+//! fixed vertices that lie outside. So u is not collapsed into a fixed v if u has another fixed
+//! neighbour besides a and b: no new edge between fixed vertices ever arises, and patches that
 //! share vertices can be worked on side by side.
 //!
 //! **The error** of a vertex is an estimate of how far the surface around it is from the original:
@@ -31,8 +31,8 @@
 //! planes of the triangles that it replaces.
 //!
 //! # Determinism and cost
-//! Costs that are equal are told apart by vertex numbers; only `+ - * /` and `sqrt` decide. O(n log
-//! n); up to [`BYTES_PER_TRIANGLE`] for each triangle of the patch.
+//! Equal costs are ordered by vertex numbers; only `+ - * /` and `sqrt` decide. O(n log n); up to
+//! [`BYTES_PER_TRIANGLE`] for each triangle of the patch.
 //!
 //! # References
 //! Garland, Heckbert 1997, "Surface simplification using quadric error metrics". Dey, Edelsbrunner,
@@ -47,7 +47,7 @@ use std::collections::BinaryHeap;
 pub(super) const BYTES_PER_TRIANGLE: u64 = 512;
 /// No vertex gets more triangles: what a collapse costs grows with them.
 const MOST_TRIANGLES: usize = 32;
-/// Weight of the squared distance to the vertices, beside that to the planes.
+/// Weight of the squared distance to the vertices, relative to that to the planes.
 const NEAR: f64 = 1e-3;
 /// Least cosine between the normals of a triangle before and after.
 const LEAST_COSINE: f64 = 0.2;
@@ -151,7 +151,7 @@ impl Quadric {
         (dot(ap, p) + 2.0 * dot(self.b, p) + self.c).max(0.0)
     }
 
-    /// Where it is least; `None` without such a place.
+    /// The place where it is least; `None` without such a place.
     fn least(&self) -> Option<Vec3> {
         let [xx, xy, xz, yy, yz, zz] = self.a;
         let (r0, r1, r2) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
@@ -175,7 +175,7 @@ struct Queued {
     age: u32,
 }
 
-/// What would come of a collapse.
+/// The result of a collapse.
 struct Joined {
     /// The vertex that stays; the other goes.
     stays: u32,
@@ -293,8 +293,8 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Where an edge would collapse to; `None` when both ends are fixed, or the cost is not a
-    /// number.
+    /// The place to which an edge would collapse; `None` when both ends are fixed, or the cost is
+    /// not a number.
     fn joined(&self, u: u32, v: u32) -> Option<Joined> {
         let (u, v) = (u.min(v), u.max(v));
         let sum = self.quadrics[u as usize].plus(&self.quadrics[v as usize]);
@@ -312,7 +312,8 @@ impl<'a> Work<'a> {
         cost.is_finite().then_some(Joined { stays, goes, position, cost })
     }
 
-    /// Where a quadric is least, unless that is far away; else the best of ends and middle.
+    /// The place where a quadric is least, unless that is far away; else the best of ends and
+    /// middle.
     fn best_place(&self, quadric: &Quadric, u: Vec3, v: Vec3) -> [f32; 3] {
         let rounded = |p: Vec3| [0, 1, 2].map(|k| (p[k] + self.origin[k]) as f32);
         let middle = [0, 1, 2].map(|k| 0.5 * (u[k] + v[k]));
@@ -367,7 +368,7 @@ impl<'a> Work<'a> {
         if has(goes, [a, b]) && (outside || has(stays, [a, b])) {
             return None;
         }
-        // Of a vertex that moves, all triangles are here.
+        // All triangles of a vertex that moves are here.
         (self.fans[stays as usize].len() + self.fans[goes as usize].len() <= MOST_TRIANGLES + 4)
             .then_some([a, b])
     }

@@ -42,11 +42,11 @@ use std::collections::BinaryHeap;
 /// Which components are kept. All conditions hold for a kept one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ComponentFilter {
-    /// At most so many: those of most triangles, of equal ones those that begin first.
+    /// At most this many: those with most triangles, and among equals those that begin first.
     pub largest: Option<u64>,
-    /// At least so many triangles.
+    /// At least this many triangles.
     pub min_triangles: u64,
-    /// At least this volume, in world units, whatever its sign (see [`Component::volume`]).
+    /// At least this volume, in world units, regardless of its sign (see [`Component::volume`]).
     pub min_volume: f64,
 }
 
@@ -247,7 +247,7 @@ fn root(parents: &mut Paged<u32>, mut v: u32) -> Result<u32> {
     }
 }
 
-/// Turns parents into component numbers, and tells how many there are.
+/// Turns parents into component numbers, and returns how many there are.
 fn number_components(parents: &mut Paged<u32>) -> Result<u64> {
     let mut count = 0;
     for v in 0..parents.len() {
@@ -316,7 +316,7 @@ impl Largest {
     }
 }
 
-/// Marks what is kept; also tells whether that is all there is, vertices without a triangle
+/// Marks what is kept; also returns whether that is all there is, vertices without a triangle
 /// included.
 fn choose(
     records: &mut Paged<Record>,

@@ -79,13 +79,13 @@ impl Decimation {
         Ok(())
     }
 
-    /// The least memory in which a surface of so many triangles is decimated.
+    /// The least memory in which a surface of this many triangles is decimated.
     pub fn least_memory(triangles: u64) -> u64 {
         2 * patch_bytes(triangles)
     }
 }
 
-/// Memory for a patch of a surface of so many triangles: its working data, its triangles and
+/// Memory for a patch of a surface of this many triangles: its working data, its triangles and
 /// vertices before.
 fn patch_bytes(triangles: u64) -> u64 {
     triangles.min(PATCH) * BYTES_PER_TRIANGLE

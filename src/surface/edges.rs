@@ -61,8 +61,8 @@ impl Default for EdgeTable {
 impl EdgeTable {
     const LONGEST_CHAIN: usize = 8;
 
-    /// Forgets all edges, in time proportional to their number, and makes room for those of so many
-    /// corners.
+    /// Forgets all edges, in time proportional to their number, and makes room for the edges of
+    /// this many corners.
     pub(super) fn clear(&mut self, corners: usize) {
         for low in self.lows.drain(..) {
             self.heads[low as usize] = NO_BUCKET;
@@ -80,7 +80,7 @@ impl EdgeTable {
             + self.overflow.capacity() * 16
     }
 
-    /// Asks the processor for what is looked at to find an edge.
+    /// Asks the processor to load what is needed to find an edge.
     #[inline(always)]
     pub(super) fn will_be_looked_for(&self, edge: [u32; 2]) {
         will_read(&self.buckets[self.heads[edge[0] as usize] as usize..][..1]);

@@ -19,7 +19,7 @@
 //! triangle adds at each corner a hash of the next corner and takes away one of the one before;
 //! where an edge has both its triangles, the two cancel. (A rim vertex passes for an inner one with
 //! probability 2^-64.) Then the corners at rim vertices are sorted by vertex and triangle, the fans
-//! of each vertex are told apart by union-find, and the triangles of further fans are rewritten.
+//! of each vertex are separated by union-find, and the triangles of further fans are rewritten.
 //!
 //! # Cost
 //!
@@ -39,9 +39,9 @@ type Corner = [u64; 4];
 /// A vertex that a triangle gets: the triangle, the vertex before, the new one.
 type Change = [u64; 3];
 
-/// Splits the vertices at which several fans meet. An oriented surface of which no edge has more
-/// than two triangles is a manifold then. `memory` bounds what is held besides the surface, whose
-/// place `settings` tells.
+/// Splits the vertices at which several fans meet. An oriented surface whose edges have at most two
+/// triangles is then a manifold. `memory` bounds what is held besides the surface; `settings` says
+/// where the surface is stored.
 ///
 /// # Errors
 /// [`Error::Usage`] when there would be 2^32 vertices or more; [`Error::Io`] for the scratch
@@ -110,7 +110,7 @@ fn hash(v: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// Tells the changes that further fans need, and returns the vertices for them.
+/// Adds the changes that further fans need to `changes`, and returns the vertices for them.
 fn fans(
     surface: &StoredSurface,
     mut corners: Sorted<Corner>,
@@ -148,10 +148,10 @@ fn fans(
     Ok(copies)
 }
 
-/// Numbers the fans of the corners at a vertex, by their first corner, and tells how many there
+/// Numbers the fans of the corners at a vertex, by their first corner, and returns how many there
 /// are.
 fn number_fans(around: &[Corner], fan_of: &mut Vec<u64>) -> u64 {
-    // Corners with a neighbour in common are beside each other.
+    // Corners with a neighbour in common are next to each other once sorted.
     let mut sides: Vec<(u64, usize)> =
         around.iter().enumerate().flat_map(|(i, &[_, _, next, before])| [(next, i), (before, i)]).collect();
     sides.sort_unstable();

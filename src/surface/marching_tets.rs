@@ -106,7 +106,7 @@ pub struct CellSource<'a> {
     /// in the builder.
     pub shared: &'a [bool],
     /// The number that each corner has in the chunk, where `tets` number the corners of a block for
-    /// themselves: then what is looked at lies together.
+    /// themselves. Then the data of a block lies together.
     pub numbers: Option<&'a [u32]>,
     /// Positively oriented tetrahedra.
     pub tets: &'a [Tet],
@@ -141,13 +141,13 @@ pub struct ChunkSurface {
     /// Finds the active tetrahedra of a block, which are then here: buffers.
     sides: Sides,
     active: Vec<Tet>,
-    /// What is worked on, and what becomes of its edges: buffers.
+    /// Buffers for the block that is worked on, and for its edges in the chunk.
     bench: Workbench,
     joined: Joined,
 }
 
-/// What surfaces are worked on: buffers, some hundred kilobytes. One is enough for all surfaces
-/// that a thread works on.
+/// Buffers in which surfaces are made, some hundred kilobytes. One is enough for all surfaces that
+/// a thread works on.
 #[derive(Debug, Default)]
 pub(crate) struct Workbench {
     numbering: Numbering,
@@ -186,7 +186,7 @@ impl Workbench {
     }
 }
 
-/// A vertex of which the gradient is not yet summed up.
+/// A vertex whose gradient is not yet summed up.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OpenVertex {
     pub(super) gradient: [i64; 3],
@@ -198,9 +198,9 @@ pub(super) struct OpenVertex {
 struct Joined {
     /// The vertex of each.
     vertices: Vec<u32>,
-    /// Those whose vertices are new.
+    /// The edges whose vertices are new.
     new: Vec<u16>,
-    /// Those that the patch has alone; those that it is the first to have.
+    /// The edges that the patch has alone; those that it is the first to have.
     alone: Vec<u16>,
     first: Vec<u16>,
 }
@@ -233,7 +233,7 @@ macro_rules! on_lanes {
 pub(super) use on_lanes;
 
 impl ChunkSurface {
-    /// Empties the buffers for another chunk, of so many corners, or another isovalue.
+    /// Empties the buffers for another chunk, of this many corners, or another isovalue.
     pub fn start(&mut self, isovalue: f32, corners: usize) {
         self.isovalue = isovalue;
         self.active_cells = 0;
@@ -456,7 +456,7 @@ impl ChunkSurface {
         self.active_cells
     }
 
-    /// Makes room for so many edges with numbers.
+    /// Makes room for `count` edges with numbers.
     pub(crate) fn number_edges(&mut self, count: usize) {
         // Each is set before it is read, and a system hands out cleared pages when they are
         // touched.
@@ -519,7 +519,7 @@ impl ChunkSurface {
 }
 
 /// The number of an edge among the open vertices, and whether it is new: `next` is its vertex then.
-/// Its ends are told by their numbers in the chunk.
+/// Its ends are given by their numbers in the chunk.
 #[inline(always)]
 fn find_or_open(
     edges: &mut EdgeTable,
@@ -591,10 +591,10 @@ pub struct Sides(Vec<u8>);
 impl Sides {
     /// A corner inside counts 1, one outside 16, a NaN nothing.
     const OUTSIDE: u8 = 16;
-    /// The sums of four corners of which some are inside and all others outside, as bits.
+    /// The sums of four corners, some of them inside and all others outside, as bits.
     const ACTIVE: u64 = 1 << (1 + 3 * 16) | 1 << (2 + 2 * 16) | 1 << (3 + 16);
 
-    /// Appends the active tetrahedra to `active`: those of which [`crate::mesh::tet::is_active`]
+    /// Appends the active tetrahedra to `active`: those for which [`crate::mesh::tet::is_active`]
     /// holds.
     ///
     /// # Panics

@@ -65,13 +65,13 @@ pub trait SurfaceSource {
     /// Hands all vertices, in order, in batches, to `each`.
     ///
     /// # Errors
-    /// Those of reading the store, and those of `each`.
+    /// Errors of reading the store, and those of `each`.
     fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()>;
     /// Hands all triangles (three vertex numbers, counter-clockwise seen from outside) in order, in
     /// batches, to `each`.
     ///
     /// # Errors
-    /// Those of reading the store, and those of `each`.
+    /// Errors of reading the store, and those of `each`.
     fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()>;
 }
 
@@ -88,7 +88,7 @@ impl TriMesh {
     /// Reads a whole surface into memory: 24 bytes a vertex and 12 a triangle.
     ///
     /// # Errors
-    /// Those of reading the source.
+    /// Errors of reading the source.
     pub fn from_source(source: &dyn SurfaceSource) -> Result<Self> {
         let mut mesh = Self::default();
         source.vertices(&mut |batch| {
@@ -166,9 +166,9 @@ impl SurfaceSource for Joined<'_> {
 
 /// From the lattice to the world: positions as points, gradients as covectors.
 ///
-/// All in `f64`; a surface vertex is rounded to `f32` once, at the end. Far from the world's origin
-/// (more than about a million voxels) that rounding is coarser than 1/16 of a voxel, and small
-/// triangles may lose their area; the connectivity is never touched.
+/// All of it is in `f64`; a surface vertex is rounded to `f32` once, at the end. Far from the
+/// world's origin (more than about a million voxels) that rounding is coarser than 1/16 of a voxel,
+/// and small triangles may lose their area; the connectivity is never touched.
 #[derive(Clone, Copy, Debug)]
 pub struct WorldMap {
     geometry: Geometry,

@@ -3,9 +3,9 @@
 //! [`super::known`].)
 //!
 //! Corners are in the order of their ids. A tetrahedron of 16 bytes has the numbers of its corners
-//! and of its six edges, so that nothing is looked up when a surface is extracted, and edges with
-//! all their tetrahedra in the block ([`super::numbering`] tells which) come first, so that a
-//! number tells that too. Tetrahedra that follow each other have a range of values together, so
+//! and of its six edges, so that nothing is looked up when a surface is extracted. Edges with all
+//! their tetrahedra in the block ([`super::numbering`] finds them) come first, so that the number
+//! of an edge shows that too. Groups of consecutive tetrahedra have a common range of values, so
 //! that an isovalue passes over most of them. All of it is in one piece, in the order in which it
 //! is looked at:
 //!
@@ -42,11 +42,11 @@ pub(crate) struct NumberedBlock {
     words: Box<[u32]>,
     tets: usize,
     corners: usize,
-    /// The edges below have all their tetrahedra here.
+    /// Edges with numbers below this have all their tetrahedra here.
     alone: u16,
 }
 
-/// What blocks are numbered and worked on in: buffers.
+/// Buffers in which blocks are numbered and worked on.
 #[derive(Debug, Default)]
 pub(super) struct BlockBuffers {
     slots: Vec<u16>,
@@ -74,7 +74,7 @@ impl BlockBuffers {
     }
 
     /// Replaces `tets` by some, their edges numbered, those with all tetrahedra around them first;
-    /// tells how many these are.
+    /// returns how many these are.
     fn number(&mut self, tets: impl ExactSizeIterator<Item = [u8; 4]>) -> u16 {
         let Self { ends, rings, .. } = self;
         ends.resize((6 * tets.len() + 1).max(ends.len()), [0; 2]);
@@ -98,8 +98,8 @@ impl BlockBuffers {
         alone
     }
 
-    /// Numbers edges in the order in which they are met, without a branch for each; tells how many
-    /// there are.
+    /// Numbers edges in the order in which they are met, without a branch for each; returns how
+    /// many there are.
     fn list_edges(&mut self, tets: impl Iterator<Item = [u8; 4]>) -> usize {
         let (slots, mut count) = (Self::slots(&mut self.slots), 0);
         self.tets.clear();
@@ -126,8 +126,8 @@ impl BlockBuffers {
 }
 
 impl NumberedBlock {
-    /// Numbers a block. `None` of one with too many corners or tetrahedra, which is rare, or of
-    /// corners without numbers in a chunk.
+    /// Numbers a block. `None` if it has too many corners or tetrahedra, which is rare, or corners
+    /// without numbers in a chunk.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
@@ -183,7 +183,7 @@ impl NumberedBlock {
     /// Gives the corners other values: those that `values` has at their numbers in the chunk.
     pub(crate) fn set_values(&mut self, values: &[f32]) {
         let [numbers, corners, tets, _] = self.starts();
-        // Nobody has asked for the ranges yet, and a look at all tetrahedra costs less than they
+        // The ranges have not been asked for yet, and a look at all tetrahedra costs less than they
         // would.
         bytemuck::cast_slice_mut(&mut self.words[..numbers]).fill([f32::NEG_INFINITY, f32::INFINITY]);
         let (numbers, at) = self.words[numbers..tets].split_at_mut(corners - numbers);
@@ -192,7 +192,7 @@ impl NumberedBlock {
         }
     }
 
-    /// Lists the active tetrahedra; tells how many.
+    /// Lists the active tetrahedra; returns how many there are.
     #[inline(always)]
     pub(super) fn list(&self, isovalue: f32, buffers: &mut BlockBuffers, patch: &mut Patch) -> usize {
         let sides = sides_of(self.at(), isovalue);

@@ -7,8 +7,8 @@ use crate::surface::testing::{Grid, mirrored};
 use crate::surface::{Vertex, WorldMap};
 use proptest::prelude::*;
 
-/// Blocks of neighbouring tetrahedra, with corners of their own, of which those on the faces of the
-/// grid are shared.
+/// Blocks of neighbouring tetrahedra, with corners of their own; those on the faces of the grid are
+/// shared.
 pub(in crate::surface) struct Blocks {
     pub(in crate::surface) grid: Grid,
     blocks: Vec<(Vec<u32>, Vec<Tet>)>,
@@ -81,7 +81,7 @@ pub(in crate::surface) fn bits(surface: &ChunkSurface) -> Bits {
     (surface.active_cells(), vertices, surface.triangles().to_vec(), shared)
 }
 
-/// As it was read, with vectors, without.
+/// The surface of blocks as they were read, with vectors, and without.
 pub(in crate::surface) type Three = [ChunkSurface; 3];
 
 /// Surfaces of blocks of a smooth field are the same three times, bit by bit.

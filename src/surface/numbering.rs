@@ -1,12 +1,12 @@
-//! Numbers the corners and edges of tetrahedra that nothing is known of, in the order in which they
-//! are met.
+//! Numbers the corners and edges of tetrahedra of which nothing is known yet, in the order in which
+//! they are met.
 //!
 //! An edge is found in a table of the numbers of its two ends.
 //!
 //! # Which edges has the patch alone?
 //!
-//! Those around which its tetrahedra close a ring. Around an edge (a, b) each tetrahedron has two
-//! further corners; in a ring every corner is met twice, by neighbours:
+//! It has those alone around which its tetrahedra close a ring. Around an edge (a, b) each
+//! tetrahedron has two further corners; in a ring every corner is met twice, by neighbours:
 //!
 //! ```text
 //!      d───c          ring: (c,d) (d,e) (e,c)         fan: (c,d) (d,e)
@@ -45,7 +45,7 @@ pub(super) struct Numbering {
     corners: Vec<u32>,
     at: Vec<Corner>,
     slots: Vec<u16>,
-    /// Of each tetrahedron the codes of its corners.
+    /// For each tetrahedron the codes of its corners.
     codes: Vec<u64>,
     rings: Vec<Ring>,
 }
@@ -75,11 +75,11 @@ static CODES: [u64; CORNERS] = {
     codes
 };
 
-/// Tetrahedra at an edge of which the codes are sure to tell whether they close a ring.
+/// The most tetrahedra at an edge for which the codes surely show whether they close a ring.
 const SURE: u32 = 8;
 
-/// Of two elements of the field of 256 elements: polynomials over {0, 1}, modulo x⁸ + x⁴ + x³ +
-/// x² + 1.
+/// The product of two elements of the field of 256 elements: polynomials over {0, 1}, modulo x⁸ +
+/// x⁴ + x³ + x² + 1.
 const fn product(mut a: u8, mut b: u8) -> u8 {
     let mut product = 0;
     while b != 0 {
@@ -128,8 +128,8 @@ fn empty_slots(slots: &mut Vec<u16>) -> &mut [u16; SLOTS] {
 }
 
 impl Numbering {
-    /// Lists the first ones of some active tetrahedra, while there is room for their corners; tells
-    /// how many.
+    /// Lists the first ones of some active tetrahedra, while there is room for their corners;
+    /// returns how many these are.
     #[inline(always)]
     pub(super) fn list(
         &mut self,

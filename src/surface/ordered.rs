@@ -48,7 +48,7 @@ impl Order {
         self.iter().map(move |i| numbers[i] | if cells.shared[i] { SHARED } else { 0 })
     }
 
-    /// Where they are, and their values.
+    /// The positions and values of the corners.
     pub(super) fn corners(&self, cells: &CellSource<'_>) -> impl Iterator<Item = Corner> {
         self.iter().map(|i| {
             // At most 2^24: exact.
@@ -95,7 +95,7 @@ pub(super) fn slot_of([low, high]: [u8; 2]) -> usize {
     (high * high.wrapping_sub(1) / 2 + usize::from(low)) % EDGE_SLOTS
 }
 
-/// Where a block is unpacked.
+/// The buffers into which a block is unpacked.
 pub(crate) struct Unpacked<'a> {
     pub(crate) numbers: &'a mut Vec<u32>,
     pub(crate) positions: &'a mut Vec<LatticePos>,

@@ -1,5 +1,5 @@
-//! The surface in some tetrahedra that lie together, by itself, before it becomes part of its
-//! chunk's.
+//! The surface in some tetrahedra that lie together, made by itself before it becomes part of its
+//! chunk's surface.
 //!
 //! Corners and edges have small numbers, so that all that is looked at stays in the nearest cache:
 //!
@@ -55,7 +55,7 @@ struct Edges {
 
 /// What is known of the corners of a patch.
 pub(super) trait Corners {
-    /// Where they are, and their values.
+    /// Their positions and values.
     fn at(&self) -> &[Corner];
     /// The number that a corner has in its chunk.
     fn number(&self, corner: u8) -> u32;
@@ -64,7 +64,7 @@ pub(super) trait Corners {
 }
 
 impl Patch {
-    /// Empties the patch for up to so many tetrahedra. Each of their edges has a slot for its
+    /// Empties the patch for up to `tets` tetrahedra. Each of their edges has a slot for its
     /// number, [`NO_EDGE`] before and after.
     #[inline(always)]
     pub(super) fn list<'a, const SLOTS: usize>(
@@ -81,7 +81,7 @@ impl Patch {
         Listing { patch: self, slots, edges: 0, uses: 0, triangles: 0 }
     }
 
-    /// Tells which edges have all their tetrahedra in the patch, by their numbers and ends.
+    /// Records which edges have all their tetrahedra in the patch, by their numbers and ends.
     #[inline(always)]
     pub(super) fn tell_alone(&mut self, is_alone: impl Fn(usize, [u8; 2]) -> bool) {
         let Edges { alone, ends, .. } = &mut self.edges;
@@ -235,10 +235,10 @@ pub(super) struct Listing<'a, const SLOTS: usize> {
 }
 
 impl<const SLOTS: usize> Listing<'_, SLOTS> {
-    /// Lists the next tetrahedron, and the triangles in it. `slot_of` tells the slot of the edge at
+    /// Lists the next tetrahedron, and the triangles in it. `slot_of` gives the slot of the edge at
     /// a place of its case.
     ///
-    /// A second triangle, a fourth edge are written where there is none too, and ignored.
+    /// A second triangle and a fourth edge are written even where there is none, and then ignored.
     #[inline(always)]
     pub(super) fn add(&mut self, member: Member, slot_of: impl Fn(&Case, usize) -> u16) {
         let Patch { tets, edges, uses, triangles, .. } = &mut *self.patch;

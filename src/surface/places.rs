@@ -1,5 +1,5 @@
-//! Where in eight numbers is one? With SSE2, which each x86-64 machine has, in a few instructions
-//! that no compiler finds.
+//! Where in eight numbers is one? SSE2, which each x86-64 machine has, finds it in a few
+//! instructions that no compiler finds.
 #![allow(unsafe_code)]
 
 /// Eight numbers, to be compared together.

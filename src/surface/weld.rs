@@ -174,8 +174,7 @@ impl SurfaceBuilder {
     }
 
     fn check_room(&self, more: u64) -> Result<()> {
-        // As if all were new: welding could only spare a chunk that is within one chunk of the
-        // limit.
+        // All count as new: welding could only spare a chunk that is within one chunk of the limit.
         if self.vertices.len() + more < u64::from(u32::MAX) {
             return Ok(());
         }
@@ -260,7 +259,7 @@ impl StoredSurface {
         TriMesh { vertices: self.vertices.into_memory(), triangles: self.triangles.into_memory() }
     }
 
-    /// Single vertices, through a cache of about so many bytes.
+    /// Single vertices, through a cache of about this many bytes.
     pub(super) fn random_vertices(&self, memory_bytes: usize) -> Cached<'_, Vertex> {
         Cached::new(&self.vertices, memory_bytes)
     }
@@ -273,7 +272,7 @@ impl StoredSurface {
         self.triangles.push(triangle)
     }
 
-    /// Lets `rewrite` change each triangle, told with its number.
+    /// Lets `rewrite` change each triangle, given with its number.
     pub(super) fn rewrite_triangles(
         &mut self,
         settings: &BuilderSettings,

@@ -73,7 +73,7 @@ fn all_corners_shared_is_right_too() {
         part.shared.fill(true);
         let mut out = ChunkSurface::default();
         extract(&part.source(), 1.0, &world, &mut out);
-        // All but those around which the chunk has all tetrahedra.
+        // All edges but those around which the chunk has all tetrahedra.
         assert!(out.shared_edges().len() * 10 > out.vertices().len() * 9);
         builder.push(&out).unwrap();
     }

@@ -17,7 +17,7 @@ fn ok(dir: &Path, args: &[&str]) -> String {
     stdout
 }
 
-/// Standard error without the line that tells the memory a run takes by default.
+/// Standard error without the line that reports the memory a run takes by default.
 fn without_notes(stderr: &str) -> String {
     stderr.lines().filter(|l| !l.starts_with("isospan: --memory ")).map(|l| format!("{l}\n")).collect()
 }
@@ -194,7 +194,7 @@ fn usage_errors() {
     assert!(String::from_utf8(out.stderr).unwrap().contains("Usage: isospan"));
     assert_eq!(fails(d, &["reduce", "b.npy", "-o", "c.isospan", "--memory", "1MiB"]).0, 4);
     assert!(!d.join("c.isospan").exists());
-    // An archive is replaced only when asked to; a folder of somebody else's never.
+    // An archive is replaced only when asked to; a folder that is no archive never.
     ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--force", "--points", "halton"]);
     assert!(ok(d, &["info", "b.isospan"]).contains("halton"));
     fs::create_dir(d.join("mine.isospan")).unwrap();
@@ -366,7 +366,7 @@ fn legacy(names: &[&str], head: &str, tail: &str) -> String {
     )
 }
 
-/// A VTI of 6 x 6 x 6 samples, with elements before its piece, and arrays beside the field.
+/// A VTI of 6 x 6 x 6 samples, with elements before its piece, and arrays next to the field.
 fn vti(head: &str, points: &str, cells: &str) -> String {
     let values: String = (0..216).map(|i| format!("{} ", i % 6)).collect();
     format!(
@@ -637,7 +637,7 @@ fn what_exists_is_replaced_with_force_alone() {
     let (code, text) = fails(d, &again);
     assert!(code == 2 && text.contains("unpacked.seg exists"), "{text}");
     ok(d, &[&again[..], &["--force"]].concat());
-    // What no file can replace is told before any work, too.
+    // What no file can replace is reported before any work, too.
     let (code, text) = fails(d, &["export", "a.isospan", "-o", "a.isospan/mesh", "--force", "-q"]);
     assert_eq!(code, 2, "{text}");
     fs::create_dir(d.join("here")).unwrap();
@@ -695,7 +695,7 @@ fn what_comes_next_can_be_pasted() {
         .output()
         .unwrap();
     assert!(out.status.success() && d.join("it's a.ply").exists(), "{next}");
-    // What a run took is one line, and errors are told in % of the range.
+    // What a run took is one line, and errors are in % of the range.
     for words in ["% of the source's range", " %), at most ", "\n  time        "] {
         assert!(text.contains(words), "{words}: {text}");
     }

@@ -382,8 +382,8 @@ fn manifests_that_contradict_themselves_are_refused() {
     }
 }
 
-/// Blocks that are lies behind good checksums: never a panic, a hang or a huge allocation, whatever
-/// they say.
+/// Blocks that are lies behind good checksums cause no panic, no hang and no huge allocation,
+/// however wrong they are.
 #[test]
 fn blocks_that_lie_behind_good_checksums_do_no_harm() {
     let dir = tempfile::tempdir().unwrap();

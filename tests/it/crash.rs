@@ -636,7 +636,7 @@ fn an_input_that_changes_during_a_run_is_refused() {
     }
 }
 
-/// Whatever a killed commit has left is gone after the next one.
+/// All that a killed commit has left is gone after the next one.
 #[test]
 fn a_commit_sweeps_what_killed_processes_have_left() {
     let case = Case::new();
@@ -654,7 +654,7 @@ fn a_commit_sweeps_what_killed_processes_have_left() {
             let _ = fs::remove_dir_all(d.join("w.isospan"));
             continue;
         };
-        // The same writer might have left a file that nobody will write again.
+        // The same writer might have left a file that will never be written again.
         let name = one.file_name().unwrap().to_string_lossy().into_owned();
         let (_, writer) = name.split_once(".tmp-").unwrap();
         fs::write(d.join("w.isospan/steps").join(format!(".000009-index.seg.tmp-{writer}")), "left").unwrap();

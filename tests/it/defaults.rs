@@ -1,4 +1,4 @@
-//! What a reduction makes of a volume or a mesh for somebody who chooses nothing.
+//! What a reduction makes of a volume or a mesh without any choices of the user.
 
 use crate::common::{ball, folder, reduce, reduce_in_shards, run, summarize, waves, write_mesh, write_npy};
 use isospan::archive::manifest::Manifest;
@@ -166,7 +166,7 @@ fn cells_are_short_along_the_axis_on_which_the_field_bends() {
     assert_eq!(cells("packed.isospan"), cells("a.isospan"));
     reduce_in_shards(&input, &usual, &out("shards.isospan"));
     assert!(folder(&out("shards.isospan")) == folder(&out("a.isospan")));
-    // Steps that are added have the mesh of the first one, whatever their field is.
+    // Steps that are added have the mesh of the first one, for any field.
     let other = out("w.npy");
     write_npy(&other, dims, |x, y, z| (9.0 * x).sin() + 0.3 * (3.0 * z).sin() * y);
     let steps = [&input, &other].map(|path| StepSource::new(path, &OpenOptions::default()));

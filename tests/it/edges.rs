@@ -99,8 +99,8 @@ fn tiff(x: u32, y: u32, data: &[u8]) -> Vec<u8> {
     [out, vec![0; 4], data.to_vec()].concat()
 }
 
-/// Writes a volume that claims `dims` and has the samples of `there`, and tells the arguments to
-/// name it.
+/// Writes a volume that claims `dims` and has the samples of `there`, and returns the arguments
+/// that name it.
 fn volume(dir: &Path, format: &str, dims: [u64; 3], there: [u64; 3]) -> Vec<String> {
     let path: PathBuf = dir.join(format!("v.{format}"));
     let slice = (there[0] * there[1]) as usize;

@@ -120,7 +120,7 @@ fn more_points_than_bricks_can_hold_are_refused_at_once() {
                 &Silent,
             );
             match made {
-                // A lattice is made whatever its size, if there is a disk for it.
+                // A lattice of any size is made, if there is a disk for it.
                 Err(e) => assert!(matches!(e.exit_code(), 2 | 4), "{kind} {count}: {e}"),
                 Ok(_) => panic!("{kind}: {count} points were made"),
             }

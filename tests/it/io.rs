@@ -159,7 +159,7 @@ fn progress_comes_in_the_form_asked_for() {
         "{err}"
     );
     assert!(events("note").iter().any(|n| n["text"].as_str().unwrap().contains("I/O: mapped")), "{err}");
-    // A short run has no lines of progress; -v tells of memory, I/O and stages, -q of nothing.
+    // A short run has no lines of progress; -v reports memory, I/O and stages, -q nothing.
     let (_, err) = reduce(&["--progress", "plain", "-v", "--io", "read", "--threads", "2"]);
     for word in ["memory", "2 threads", "I/O: read", "mesh:", "commit:", "halos"] {
         assert!(err.contains(word), "{word}: {err}");

@@ -1,6 +1,6 @@
 //! The same bytes on every machine: archives of small fields, and what the program makes of them,
-//! have the checksums of `tests/data/machines.tsv`, whatever processor, system and vector
-//! instructions there are.
+//! have the checksums of `tests/data/machines.tsv`, for any processor, system and vector
+//! instructions.
 //!
 //! The fields are computed by sums, products and quotients, which are exact everywhere; sines are
 //! not.

@@ -3,7 +3,7 @@
 //!
 //! They run side by side in one process. A test that changes what a process has (environment
 //! variables, limits, handlers of signals, the current folder) lets a child process do it, or is a
-//! program of its own, beside this folder. So is `tests/datasets.rs`, for another reason: the
+//! program of its own, next to this folder. So is `tests/datasets.rs`, for another reason: the
 //! published crate has neither it nor the files that it reads.
 
 mod adapt;

@@ -101,7 +101,7 @@ fn a_linear_field_has_no_error_and_none_is_stored_when_not_wanted() {
     reduce(&input, &ReduceSettings { measure: false, ..exact }, &quiet, 1);
     assert!(summarize(&quiet).unwrap().error.is_none());
     assert!(measured(&quiet, &input, 1, None).error.max < 2e-6);
-    // Another field on the same grid can be measured too, and is told from the source.
+    // Another field on the same grid can be measured too, and is distinguished from the source.
     let other = dir.path().join("other.npy");
     write_npy(&other, [20, 21, 22], |x, y, z| 3.25 + x - 2.0 * y + 0.5 * z);
     let report = measured(&quiet, &other, 1, None);
@@ -189,7 +189,7 @@ fn another_input_is_refused_in_one_line() {
 fn the_range_is_that_of_the_source() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("peak.npy"), dir.path().join("peak.isospan"));
-    // A peak that few points see, and a sample beside it that is missing.
+    // A peak that few points see, and a sample next to it that is missing.
     let is_at = |a: f64, b: f64| (a - b).abs() < 1e-9;
     write_npy(&input, [21, 19, 23], |x, y, z| {
         if is_at(x, 0.0) && is_at(y, 0.0) && is_at(z, 0.0) {

@@ -237,7 +237,8 @@ fn appended_steps_have_the_bodies_of_the_first() {
     assert!(e.exit_code() == 5 && e.to_string().contains("step 2, f, points"), "{e}");
     let manifest = Path::new("manifest.json");
     assert!(common::folder(&out("smooth-grown.isospan"))[manifest] == before[manifest]);
-    // The segment that tells it is one of the archive: damage is found, and so is its loss.
+    // The segment of the duplicate vertices is one of the archive: damage is found, and so is its
+    // loss.
     let file = out("smooth-all.isospan/mesh/repeated.seg");
     let good = std::fs::read(&file).unwrap();
     for at in [20, 60, good.len() / 2, good.len() - 60, good.len() - 20] {
@@ -249,7 +250,7 @@ fn appended_steps_have_the_bodies_of_the_first() {
     }
 }
 
-/// Points moved, points more, cells in another order: told by the file and by what differs. A
+/// Points moved, points more, cells in another order: the error names the file and what differs. A
 /// volume is no mesh.
 #[test]
 fn steps_of_other_meshes_are_refused() {

@@ -1,5 +1,5 @@
 //! `isospan nightly`: what is new in a folder is in the archive afterwards, and the exit code and a
-//! summary tell of it. As a job of Slurm: see `slurm.rs`.
+//! summary report it. As a job of Slurm: see `slurm.rs`.
 
 use crate::common::*;
 use serde_json::Value;
@@ -23,13 +23,13 @@ fn new_file(dir: &Path, name: &str, dims: [usize; 3], drift: f64) {
     write_npy(&dir.join("scope").join(name), dims, |x, y, z| waves(x + drift, y, z));
 }
 
-/// What is told of each step, file or error.
+/// What is reported of each step, file or error.
 fn names<'a>(summary: &'a Value, list: &str, of: &str) -> Vec<&'a str> {
     let all = summary[list].as_array().unwrap().iter();
     all.map(|v| if of.is_empty() { v } else { &v[of] }.as_str().unwrap()).collect()
 }
 
-/// The summaries that lie beside the archive, the files in words too.
+/// The summaries that lie next to the archive, the files in words too.
 fn kept(dir: &Path) -> Vec<Value> {
     let folder = dir.join("scope.isospan.work/nightly");
     let files: Vec<_> = fs::read_dir(folder).unwrap().map(|f| f.unwrap().path()).collect();
@@ -78,7 +78,7 @@ fn new_files_become_steps_night_by_night() {
     let (code, summary, _) = night(dir, &[]);
     assert!(code == 0 && names(&summary, "new", "").is_empty() && summary["steps_before"] == 3, "{summary}");
 
-    // A folder that is not there, which a summary tells of too.
+    // A folder that is not there, which a summary reports too.
     fs::rename(dir.join("scope"), dir.join("away")).unwrap();
     let (code, summary, errors) = night(dir, &[]);
     assert!(code == 5 && summary["error"].as_str().unwrap().starts_with("scope: "), "{code} {summary}");

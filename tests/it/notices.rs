@@ -171,7 +171,7 @@ fn an_archive_larger_than_its_source_is_told_after_a_search() {
     assert_eq!(said.as_slice(), std::slice::from_ref(&line));
     assert_eq!(report["notices"][0]["text"], line["isospan: ".len()..]);
     assert_eq!(report["notices"][0]["estimated"], false);
-    // The report for a person has both sizes, whatever they are.
+    // The report for a person always has both sizes.
     let exact = ["--points", "hammersley", "--fraction", "1/16"];
     let (text, said) = run(d, &[&["reduce", "n.nrrd", "-o", "m.isospan"][..], &exact].concat());
     assert_eq!(said, [""; 0]);

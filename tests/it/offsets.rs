@@ -1,5 +1,5 @@
-//! Values that `f32` does not hold: they are counted from an offset, which nobody sees. What is
-//! lost all the same is told.
+//! Values that `f32` does not hold: they are counted from an offset, which is not visible to the
+//! user. What is lost all the same is reported.
 
 use crate::common::*;
 use isospan::archive::manifest::Manifest;
@@ -243,7 +243,7 @@ fn whole_numbers_are_exact_where_they_can_be() {
             assert!(off * 10 < found.len(), "{off}");
         }
     }
-    // Over all of 32 bits no offset helps: what is lost is told, and the error is not 0.
+    // Over all of 32 bits no offset helps: what is lost is reported, and the error is not 0.
     write_wide(
         &out("wide.npy"),
         "u8",

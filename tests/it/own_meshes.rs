@@ -1,5 +1,5 @@
-//! Meshes that are kept as they are: their own vertices and tetrahedra, with no error, whatever is
-//! asked of them.
+//! Meshes that are kept as they are: their own vertices and tetrahedra, with no error in any
+//! answer.
 
 use crate::common::{
     self, check_archive, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed,
@@ -46,7 +46,7 @@ fn extracted(archive: &Path, isovalue: f64, threads: usize) -> TriMesh {
     Archive::open(archive).unwrap().surfaces(&settings).unwrap().remove(0)
 }
 
-/// A mesh as its file tells it.
+/// A mesh as its file gives it.
 #[derive(Default)]
 struct Mesh {
     points: Vec<[f64; 3]>,

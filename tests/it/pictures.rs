@@ -39,7 +39,7 @@ fn balls() -> tempfile::TempDir {
     dir
 }
 
-/// Width and height that a PNG file tells.
+/// Width and height that a PNG file states.
 fn png_size(path: &Path) -> [u32; 2] {
     let bytes = std::fs::read(path).unwrap();
     assert_eq!(&bytes[..8], b"\x89PNG\r\n\x1a\n");

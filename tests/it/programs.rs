@@ -52,7 +52,7 @@ fn tests_call_programs_that_every_debian_has() {
     }
 }
 
-/// A test that returns early because something is missing would be told as passed: it is to be
+/// A test that returns early because something is missing would be reported as passed: it is to be
 /// `#[ignore = "why"]`.
 #[test]
 fn no_test_passes_by_skipping() {

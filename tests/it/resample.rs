@@ -65,8 +65,8 @@ impl Vtu {
         self.tets.iter().map(volume).collect()
     }
 
-    /// Corner positions and values, sorted: the same for the same mesh, whatever its numbers and
-    /// its order.
+    /// Corner positions and values, sorted: the same for the same mesh, for any numbering and any
+    /// order.
     fn as_set(&self) -> Vec<Vec<([u64; 3], u32)>> {
         let corner = |&v: &usize| (self.points[v].map(f64::to_bits), self.values[v].to_bits());
         let sorted = |t: &[usize; 4]| {

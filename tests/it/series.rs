@@ -417,8 +417,8 @@ fn a_damaged_step_does_not_hurt_others() {
     assert_eq!(answer(2).unwrap(), expected[2]);
 }
 
-/// The same reduction once more finds nothing to make, and makes again whatever file of the archive
-/// is lost; another one does not touch what is there.
+/// The same reduction once more finds nothing to make. If any file of the archive is lost, it makes
+/// that file again. Another reduction does not touch what is there.
 #[test]
 fn the_same_reduction_makes_what_is_missing() {
     let dir = tempfile::tempdir().unwrap();
@@ -652,8 +652,8 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     let report = append(&steps[3..], &AppendSettings::default());
     assert!(report.range.is_some_and(|[lo, hi]| lo > -10.0 && hi < 10.0), "{:?}", report.range);
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
-    // Another value that is told is that of the new step, and of those behind it; it is measured
-    // without being told again.
+    // Another missing value that is given is that of the new step, and of those behind it; it is
+    // measured without being given again.
     let other = StepSource::new(&out("o.npy"), &OpenOptions::default()).at(Some(9.0));
     write_npy(&other.path, DIMS, |x, y, z| if x > 0.4 { -9999.0 } else { waves(x, y, z) });
     let how = AppendSettings { missing: Some(-9999.0), ..AppendSettings::default() };

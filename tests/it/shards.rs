@@ -373,7 +373,7 @@ fn gc_touches_no_other_folder() {
         fs::create_dir_all(d.join(folder)).unwrap();
         fs::write(d.join(folder).join(name), "mine").unwrap();
     };
-    // No archive: its mesh is somebody else's.
+    // No archive: its folder `mesh` is another program's.
     put("photos/mesh", name);
     put("photos", "holiday.jpg");
     let (code, text) = fails(d, &["gc", "photos", "--older-than", "0s"]);

@@ -1,5 +1,5 @@
-//! Reductions on a real Slurm of two nodes, started by `tools/slurm/cluster`: the bytes of
-//! `reduce`, whatever happens to the nodes.
+//! Reductions on a real Slurm of two nodes, started by `tools/slurm/cluster`: the bytes are those
+//! of `reduce`, regardless of what happens to the nodes.
 //!
 //! Takes about two minutes and wants root and Debian's slurmctld, slurmd, slurm-client and munge,
 //! so it is ignored unless asked for: `cargo test --test it slurm:: -- --ignored`, which CI does.
@@ -26,7 +26,7 @@ struct Cluster {
 impl Cluster {
     fn start() -> Self {
         let dir = tempfile::tempdir().unwrap();
-        // Beside others of this machine; the nodes use the next two.
+        // Several clusters may run on this machine; the nodes use the next two ports.
         let port = 20_000 + (std::process::id() % 10_000) as u16 * 3;
         let mut cluster = Self { dir, port, expected: BTreeMap::new() };
         cluster.control(&["start"]);
@@ -147,7 +147,7 @@ impl Cluster {
         })
     }
 
-    /// Waits for the end of a job; what Slurm tells of it.
+    /// Waits for the end of a job; returns what Slurm reports of it.
     fn ended(&self, job: &str) -> String {
         let mut about = String::new();
         wait("a job", || {
@@ -195,7 +195,7 @@ fn wait(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-/// What is told of it, and what happens.
+/// What is printed of it, and what happens.
 type Scene = (&'static str, fn(&Cluster));
 
 #[test]

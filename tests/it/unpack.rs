@@ -230,7 +230,7 @@ fn files_of_other_archives_are_never_used() {
         orderly("of another archive", &error);
         assert!(error.to_string().contains("plan hash"), "{error}");
     }
-    // The same plan and step, but other bytes of values: what the manifest tells of them is looked
+    // The same plan and step, but other bytes of values: what the manifest says of them is looked
     // at.
     let good = dir.path().join("good.seg");
     unpacked(&a, &UnpackSettings::default());
@@ -420,7 +420,7 @@ fn what_a_killed_run_has_left_is_swept() {
     assert!(code == 0 && text.contains("1 file") && !left.exists() && file.exists(), "{text}");
 }
 
-/// A file system that is too small is told before anything is written.
+/// A file system that is too small is reported before anything is written.
 #[test]
 #[cfg(target_os = "linux")]
 #[ignore = "mounts a file system, which wants root; tools/check runs it"]

@@ -265,7 +265,7 @@ fn slice_error(axes: &[Axis], slice: &[f32], [below, above]: &[Vec<f32>; 2], wei
     sum
 }
 
-/// CPU seconds of this process so far; NaN where the system does not tell.
+/// CPU seconds of this process so far; NaN where the system does not report them.
 fn cpu_seconds() -> f64 {
     // Fields 14 and 15, in hundredths of a second on all Linux systems; the second field may hold
     // blanks, and ends in a parenthesis.

@@ -35,8 +35,8 @@ pub(crate) fn all() -> Vec<Folder> {
 }
 
 impl Folder {
-    /// Damages a file or two (or leaves one out), reads the folder, and tells in `what` which bytes
-    /// were at fault.
+    /// Damages a file or two (or leaves one out), reads the folder, and writes to `what` which
+    /// bytes were at fault.
     pub(crate) fn case(&self, folder: &Path, random: &mut Random, what: &mut String) -> Result<()> {
         let mut files = self.files.clone();
         for _ in 0..=random.below(2) {

@@ -15,7 +15,7 @@
 //! * a case of more than ten seconds.
 //!
 //! Files that lead to a find are made as small as possible and kept in `--keep DIR`. Exit code 1
-//! tells of finds.
+//! means that there were finds.
 
 #![allow(clippy::print_stdout)]
 
@@ -42,7 +42,7 @@ use targets::Archive;
 #[global_allocator]
 static MEMORY: memory::Counting = memory::Counting;
 
-/// Memory that a case may claim beside its input.
+/// Memory that a case may claim besides its input.
 const MOST_MEMORY: usize = 256 << 20;
 /// Time that a case may take, on a busy machine.
 const MOST_TIME: Duration = Duration::from_secs(10);
@@ -193,7 +193,7 @@ impl Fuzzer<'_> {
                 Outcome::Answered => {}
                 Outcome::Refused => refused += 1,
                 Outcome::Find(find) => {
-                    // One fault shows in many cases: tell of each place once.
+                    // One fault shows in many cases: report each place once.
                     let times = finds.entry(find.place.clone()).or_default();
                     *times += 1;
                     if *times == 1 {

@@ -1,7 +1,7 @@
 //! Unpacked blocks that were changed, with checksums that fit: for the fuzzer, and for tests.
 
-/// Gives the words of an unpacked block the checksums that fit them, as the format has them, where
-/// it is as long as it tells.
+/// Gives the words of an unpacked block the checksums that fit them, as the format has them, if it
+/// is as long as it says.
 pub(crate) fn seal_words(bytes: &mut [u8]) {
     let mut words: Vec<u32> = bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect();
     let Some(&[c, e, t, s]) = words.first_chunk() else { return };

@@ -140,7 +140,7 @@ impl Settings {
         self.samples(|bytes| folder.slice(self, bytes))
     }
 
-    /// Writes the file under a temporary name beside it, then renames.
+    /// Writes the file under a temporary name in the same folder, then renames.
     fn write_file(&self) -> Result<()> {
         let folder = self.out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let failed = |e| Error::io("write", &self.out, e);

@@ -1,7 +1,7 @@
 //! The thesis's claims (sections 3.5 and 4.7, chapter 5, and what the text says of its figures),
 //! each with what our figures say.
 //!
-//! A claim holds, holds in part, or fails by a rule that is written beside it; the words are put
+//! A claim holds, holds in part, or fails by a rule that is written next to it; the words are put
 //! together from the figures.
 
 use crate::curves::{Curves, Size, Way};
@@ -19,7 +19,7 @@ enum Verdict {
     Holds,
     Partly,
     Fails,
-    /// No experiment of this run tells.
+    /// No experiment of this run decides it.
     Open,
 }
 

@@ -31,7 +31,7 @@ pub(crate) struct Table {
     pub(crate) note: String,
 }
 
-/// A picture that lies beside the report.
+/// A picture that lies next to the report.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Picture {
     /// The thesis's number ("3.4"), or ours.

@@ -137,7 +137,7 @@ fn beginning(lab: &Lab, shared: Option<&Path>) -> Document {
 fn chapters(lab: &mut Lab, folder: &Path, report: &mut Document, clock: &mut Clock) -> Result<()> {
     report.heading(2, "Chapter 2. Points");
     figures::points(folder)?.into_iter().for_each(|p| report.push(Block::Picture(p)));
-    // Times first: the experiments that are timed tell their errors as well.
+    // Times first: the experiments that are timed give their errors as well.
     let mut pictures = figures::times(lab, folder)?;
     let tables = [chapter_3(lab)?, chapter_4(lab)?];
     clock.lap("times");

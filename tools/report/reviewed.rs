@@ -1,4 +1,4 @@
-//! Tables of the methods that the thesis reviews, beside our index, over the same cells.
+//! Tables of the methods that the thesis reviews, next to our index, over the same cells.
 
 use crate::data::{Content, Dataset, GRID};
 use crate::document::{Cell, Table};

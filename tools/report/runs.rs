@@ -2,9 +2,9 @@
 //!
 //! Everything is asked for by a [`Key`] and done once. Errors ([`Lab::part`]) are those of one
 //! reduction, distances the library's own ([`isospan::compare`]). Times ([`Lab::times`]) are asked
-//! for apart: the same reduction again and again, on one thread and with nothing else of the report
-//! beside it, of which the medians count. Extraction is what `isospan surface` does but for writing
-//! the file: opening the archive, its index, the active blocks, marching tetrahedra, welding.
+//! for separately: the same reduction again and again, on one thread, while nothing else of the
+//! report runs; the medians count. Extraction is what `isospan surface` does but for writing the
+//! file: opening the archive, its index, the active blocks, marching tetrahedra, welding.
 //!
 //! All sets have equal numbers of points, those of the boundary among them, as far as a set allows.
 
@@ -314,7 +314,7 @@ impl Lab {
         let mut outcome = self.outcomes.get(&key).cloned();
         let (started, worked) = (Instant::now(), processor_seconds());
         for _ in 0..self.repeats {
-            // The first run tells the errors, too, if they are not known.
+            // The first run gives the errors, too, if they are not known.
             settings.measure = outcome.is_none();
             let report = self.reduce_into(key.dataset, &settings, &archive, 1)?;
             points = report.points - report.void_points;
@@ -346,7 +346,7 @@ impl Lab {
     }
 
     /// How much of one processor this process had while times were taken; `None` where the system
-    /// does not tell.
+    /// does not report it.
     pub(crate) fn share_of_a_processor(&self) -> Option<f64> {
         let [clock, process] = self.timed;
         (clock > 0.0).then(|| process / clock)

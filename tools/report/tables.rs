@@ -1,4 +1,5 @@
-//! The thesis's tables with our figures beside its own, and tables of errors that it does not have.
+//! The thesis's tables with our figures next to its own, and tables of errors that it does not
+//! have.
 
 use crate::data::Dataset;
 use crate::document::{Cell, Table};

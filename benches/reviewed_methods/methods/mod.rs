@@ -15,7 +15,7 @@
 //! A cell is active when `min < isovalue <= max`. All find the same cells, in orders of their own;
 //! nothing is triangulated. Values are finite numbers.
 //!
-//! Memory is what a method holds beside the values (and corners) themselves. A method that must
+//! Memory is what a method holds besides the values (and corners) themselves. A method that must
 //! look at a cell whose range it does not hold reads its corners.
 
 pub(crate) mod active_list;
@@ -108,7 +108,7 @@ pub(crate) fn coordinates(dims: [usize; 3], n: usize) -> [usize; 3] {
 
 /// A method that has looked at the cells.
 pub(crate) trait Method {
-    /// Bytes that it holds, beside values and corners, in memory or on disk.
+    /// Bytes that it holds, besides values and corners, in memory or on disk.
     fn bytes(&self) -> u64;
 
     /// Appends the active cells, each once. `cells` are those that it was made from.

@@ -1,14 +1,14 @@
 //! The odds that a brick begins with.
 //!
-//! Those of the three kinds were counted on six volumes (CT of a tooth, an engine and a lung, MR of
-//! a head, a protein, a hydrogen atom), at 1/8 and 1/27 of the samples, rounded to 5, 7 and 9 bits,
-//! each volume weighing the same. Those of smooth bricks were counted on these and five more (CT of
-//! a stent, MR of a brain, a hurricane's wind, a gyroid, the Marschner-Lobb field), at 1/8, 1/27
-//! and 1/64, rounded to 5, 6 and 8 bits, in the bricks that they make smaller.
+//! The odds of the three kinds were counted on six volumes (CT of a tooth, an engine and a lung, MR
+//! of a head, a protein, a hydrogen atom), at 1/8 and 1/27 of the samples, rounded to 5, 7 and 9
+//! bits, each volume weighing the same. The odds of smooth bricks were counted on these and five
+//! more (CT of a stent, MR of a brain, a hurricane's wind, a gyroid, the Marschner-Lobb field), at
+//! 1/8, 1/27 and 1/64, rounded to 5, 6 and 8 bits, in the bricks that they make smaller.
 
 use super::{LENGTHS, SPREADS, TABLES};
 
-/// In 256ths, that a difference has more bits than so many, by table and class.
+/// The odds, in 256ths, that a difference has more bits than this number, by table and class.
 #[rustfmt::skip]
 pub(super) const MORE: [[[u8; LENGTHS]; SPREADS]; TABLES] = [
     // Nodes on coarse grids.

@@ -66,7 +66,7 @@ impl PositionedFile {
         count.fetch_add(out.len() as u64, Ordering::Relaxed);
         let filled = match &self.bytes {
             Bytes::Source(source) => match source.at_hand(offset..offset.saturating_add(out.len() as u64)) {
-                // That they were the file's is looked at when they have been used.
+                // Whether they were the file's is checked after they have been used.
                 Some(bytes) => {
                     out.copy_from_slice(bytes);
                     Ok(())

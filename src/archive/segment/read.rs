@@ -19,7 +19,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 type Page = Arc<Vec<(u64, u32, u32)>>;
 
 /// Where a block is. The bytes of a mapped file lie there, not yet compared with their checksum:
-/// when they have been used, [`Segment::check_mapped`] tells whether they were the file's.
+/// after they have been used, [`Segment::check_mapped`] says whether they were the file's.
 #[derive(Clone, Copy)]
 pub(crate) struct BlockPlace<'a> {
     pub(crate) number: u64,

@@ -46,7 +46,7 @@ impl SegmentWriter {
         Ok(writer)
     }
 
-    /// Tells, before any block, that the segment will be mapped.
+    /// Announces, before any block, that the segment will be mapped.
     pub(in crate::archive) fn will_be_mapped(&mut self) {
         self.out.will_be_mapped();
     }

@@ -1,5 +1,5 @@
-//! Bits that are written as they are, a few at a time, lowest first; and small numbers as
-//! [Elias gamma](https://en.wikipedia.org/wiki/Elias_gamma_coding) codes: of n + 1 the bits below
+//! Bits that are written as they are, a few at a time, lowest first. Small numbers are
+//! [Elias gamma](https://en.wikipedia.org/wiki/Elias_gamma_coding) codes: the bits of n + 1 below
 //! the highest, and before them as many zeros and a one.
 
 use crate::archive::wire::put_varint;
@@ -8,7 +8,7 @@ use crate::archive::wire::put_varint;
 #[derive(Default)]
 pub(super) struct BitWriter {
     bytes: Vec<u8>,
-    /// Those that do not fill a byte yet, from the lowest, and their number.
+    /// Bits that do not fill a byte yet, from the lowest, and their number.
     rest: u64,
     bits: u32,
 }
@@ -51,7 +51,7 @@ impl BitWriter {
     }
 }
 
-/// Reads what [`BitWriter`] wrote. Behind the last byte it finds zeros; [`BitReader::at_end`] tells
+/// Reads what [`BitWriter`] wrote. Behind the last byte it finds zeros; [`BitReader::at_end`] says
 /// whether it found any.
 #[derive(Debug)]
 pub(super) struct BitReader<'a> {

@@ -1,20 +1,21 @@
-//! Even stars, told by the encoder with half of the geometry and none of the tables.
+//! Even stars, coded by the encoder with half of the geometry and none of the tables.
 //!
 //! The coder looks at gates four at a time, predicts what is behind each, and compares that with
 //! the truth before it looks at the next. The encoder need not: it knows the truth. If the star is
-//! even, each gate behind which is an uncoded triangle was a hit, and each other one was none; so
-//! gates, hits and bits follow from the triangles alone. What remains to be found out is whether
-//! all hits are predicted, and that is asked afterwards, of many gates at once, all lanes in use,
-//! and not at all of gates behind which is nothing (about two of five).
+//! even, each gate with an uncoded triangle behind it was a hit, and no other gate was. So gates,
+//! hits and bits follow from the triangles alone. What remains is whether all hits are predicted.
+//! That is checked afterwards, for many gates at once with all lanes in use. Gates with nothing
+//! behind them (about two of five) need no check.
 //!
-//! Those that are not told yet are bits of one word. A gate is the *side* on which the triangle
-//! behind it is entered: four times that triangle's number and which of its three; one number is of
-//! all that is not there, one of all that was known before. A table has the side of each directed
-//! edge. A triangle that is told opens the gates across its two other edges, but those to what is
-//! known; none need be closed. All without a branch, for none could be predicted.
+//! Triangles that are not coded yet are bits of one word. A gate is the *side* on which the
+//! triangle behind it is entered: four times that triangle's number and which of its three. One
+//! number stands for all that is not there, one for all that was known before. A table has the side
+//! of each directed edge. A triangle that is coded opens the gates across its two other edges,
+//! except those to what is known; no gate need be closed. All this has no branch, for none could be
+//! predicted.
 //!
-//! If the star is not even, it is told in the usual way: it is mostly odd. Where most stars are
-//! (many points on one sphere) only few are tried.
+//! A star that is not even is coded in the usual way: it is mostly odd. Where most stars are odd
+//! (many points on one sphere), only few are tried.
 
 use super::link::{Gate, Gates, LANES, Link, Path};
 use super::write::Truth;
@@ -24,11 +25,11 @@ use super::{Stars, Waiting, least_first};
 const PLACES: usize = 64;
 /// The most of them that known triangles add.
 const MORE_PLACES: usize = 8;
-/// The most triangles of a star that is tried, known ones of which it has edges, and bits.
+/// The most triangles, known triangles with edges of it, and bits of a star that is tried.
 const MOST_HITS: usize = 60;
 const MOST_KNOWN: usize = 60;
 const MOST_BITS: u32 = 60;
-/// Room for so many triangles, a multiple of [`LANES`], and numbers for two that are none.
+/// Triangles for which there is space, a multiple of [`LANES`], and numbers for two that are none.
 const ROOM: usize = 64;
 /// More than all gates of a star.
 const RING: usize = 256;
@@ -67,7 +68,7 @@ impl Default for Found {
     }
 }
 
-/// Where the table has an edge.
+/// The place of an edge in the table.
 #[inline(always)]
 fn edge(from: usize, to: usize) -> usize {
     (from * PLACES + to) % (PLACES * PLACES)
@@ -109,7 +110,7 @@ impl Found {
         // A star that is not odd begins with a zero.
         let (mut bits, mut len) = (0u64, 1u32);
         let (mut head, mut tail, mut found) = (0, known, 0);
-        // Bits of triangles; behind a gate to nothing is what is never told.
+        // A bit for each triangle; what is behind a gate to nothing is never coded.
         const NEVER: u64 = 1 << (NOTHING >> 2);
         let mut uncoded = (1u64 << n) - 1;
         while head < tail {
@@ -161,7 +162,7 @@ impl Found {
 /// Whether stars are worth a try.
 #[derive(Default)]
 pub(super) struct Luck {
-    /// Stars to pass over, and how many they will be after the next that was in vain.
+    /// Stars to pass over, and how many they will be after the next try that fails.
     pass: u32,
     then: u32,
 }
@@ -186,8 +187,8 @@ impl Luck {
 }
 
 impl Truth {
-    /// Tells the star that begins, if it is even: the number of its triangles. If not, nothing is
-    /// told and no gate open.
+    /// Codes the star that begins, if it is even, and gives the number of its triangles. If it is
+    /// not, nothing is coded and no gate is open.
     #[inline(always)]
     pub(super) fn tell_even(&mut self, path: impl Path, stars: &mut Stars) -> Option<usize> {
         if !self.luck.tries() {
@@ -196,7 +197,7 @@ impl Truth {
         let found = self.find(path, stars);
         self.luck.learn(found.is_some());
         let (n, bits, len) = found?;
-        // Of what is no mesh more may have been told than there is.
+        // If the input is no mesh, more may have been coded than there is.
         if self.at + n > self.told.len() || stars.waiters + n > stars.waiting.len() {
             return None;
         }
@@ -241,7 +242,7 @@ impl Truth {
         (n <= MOST_HITS && double == 0 && places < PLACES as u32).then_some(n)
     }
 
-    /// Tells the triangles that were found.
+    /// Codes the triangles that were found.
     #[inline(always)]
     fn tell_found(&mut self, stars: &mut Stars, n: usize) {
         let (ids, hits) = (&self.ids[..], &self.found.hits[..n]);

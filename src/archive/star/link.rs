@@ -7,12 +7,13 @@
 //! m0·w') / (n·w'), and the Delaunay triangle behind the gate is the one met first. All is scaled
 //! by 2 |n|², so that only the last step divides.
 //!
-//! The least of several s, and whose it is, is one number, the *key*: s with the place of the point
-//! in its lowest bits. So the first of points that are met at about the same s is predicted.
+//! The *key* is one number that holds the least of several s and the point it belongs to: s with
+//! the place of the point in its lowest bits. So the first of points that are met at about the same
+//! s is predicted.
 //!
 //! Everything is `f32` arithmetic in a fixed order, with fused multiplications and additions where
-//! the code says so, which IEEE 754 makes the same everywhere; what it gets wrong costs bits, not
-//! truth.
+//! the code says so. IEEE 754 makes that the same everywhere; its errors cost bits, not
+//! correctness.
 
 use crate::geom::LatticePos;
 
@@ -20,13 +21,13 @@ use crate::geom::LatticePos;
 pub(super) const MOST: usize = super::LARGEST_LINK + 4;
 /// No vertex of a link.
 pub(super) const NOBODY: usize = MOST - 1;
-/// Those nearby that are taken at the beginning: the rest is for vertices that must be named.
+/// Vertices nearby that are taken at the beginning: the rest is for vertices that must be named.
 pub(super) const MOST_NEAR: usize = 48;
 /// Gates that are looked at together.
 pub(super) const LANES: usize = 4;
-/// Bits of a key that tell the place.
+/// Bits of a key that hold the place.
 pub(super) const PLACE: u32 = MOST as u32 - 1;
-/// Entries of a ring of gates, of which at most half wait.
+/// Entries of a ring of gates; at most half of them wait.
 const RING: usize = 2048;
 /// More than the vertices of a block.
 pub(super) const VERTICES: usize = 2 * super::LARGEST_LIST as usize;
@@ -60,9 +61,9 @@ pub(super) trait Path: Copy {
     fn near(self, cloud: &Cloud, v: usize, link: &mut Link);
     /// Inverts the first `len` points of a link, and may put anything into those behind them.
     fn invert(self, cloud: &Cloud, link: &mut Link);
-    /// Foretells what is behind each of the gates, garbage beyond their number.
+    /// Predicts what is behind each of the gates; there is garbage beyond their number.
     fn search(self, link: &Link, gates: &mut Gates);
-    /// Runs what is rare, out of the way of what is not.
+    /// Runs rare code, out of the way of frequent code.
     fn apart<T>(self, f: impl FnOnce() -> T) -> T;
 }
 
@@ -86,7 +87,7 @@ impl Default for Cloud {
 }
 
 impl Cloud {
-    /// Sets the points. `size` tells the radius: its square is `1 + size % 4 / 4` times 2 to the
+    /// Sets the points. `size` gives the radius: its square is `1 + size % 4 / 4` times 2 to the
     /// power of `size / 4`, in lattice steps.
     pub(super) fn set(&mut self, positions: &[LatticePos], size: u8) {
         let power = i32::from(size >> 2);
@@ -114,11 +115,11 @@ impl Cloud {
     }
 }
 
-/// What is known of the link of one vertex. Its points begin a cache line, so that four of them are
-/// one.
+/// What is known of the link of one vertex. Its points begin at a cache line, so that four of them
+/// fill one.
 #[repr(C, align(64))]
 pub(super) struct Link {
-    /// Its vertices, inverted, behind which is a point that is in front of no gate.
+    /// Its vertices, inverted; behind them is a point that is in front of no gate.
     pub(super) points: [Point; MOST],
     /// The vertex.
     pub(super) from: Point,
@@ -128,7 +129,7 @@ pub(super) struct Link {
     /// For each vertex of the block where it was in `id` when it, or another of its number, was
     /// there last, and 256 times the link's stamp then.
     slot: Box<[u32; VERTICES]>,
-    /// Of this link, shifted: no other's since the slots were cleared.
+    /// The stamp of this link, shifted; no other link has had it since the slots were cleared.
     stamp: u32,
     /// For each gate whether it is open: 1 or 0.
     open: Box<[u8; GATES]>,
@@ -142,7 +143,7 @@ pub(super) struct Link {
 /// Some gates, and what is predicted behind each.
 pub(super) struct Gates {
     pub(super) len: usize,
-    /// And one that is not in use.
+    /// The gates, and one that is not in use.
     pub(super) gates: [Gate; LANES + 1],
     /// The key of the apex, infinity where nothing is in front.
     pub(super) told: [f32; LANES],
@@ -155,7 +156,7 @@ impl Default for Gates {
 }
 
 impl Gates {
-    /// The place of the apex that is predicted of a gate; [`NOBODY`] if nothing is in front.
+    /// The place of the apex that is predicted for a gate; [`NOBODY`] if nothing is in front.
     #[inline(always)]
     pub(super) fn apex(&self, lane: usize) -> usize {
         let key = self.told[lane % LANES];
@@ -169,7 +170,7 @@ struct Hinge {
     n: [f32; 3],
     u: [f32; 3],
     nn: f32,
-    /// What is less in front is noise: rounding errors of n·w' are below.
+    /// A point that is less in front counts as noise: rounding errors of n·w' are below.
     least: f32,
 }
 
@@ -190,8 +191,8 @@ impl Hinge {
         Self { n, u, nn: dot(n, n), least: sc * sd * (sc + sd) * (1.0 / (1 << 21) as f32) }
     }
 
-    /// Where the sphere meets the point at a place, which is in the lowest bits; no number if it is
-    /// not in front.
+    /// The key of the point: where the sphere meets it, with its place in the lowest bits. It is no
+    /// number if the point is not in front.
     #[inline(always)]
     fn key(&self, [x, y, z, _]: Point, place: usize) -> f32 {
         let h = dot(self.n, [x, y, z]);
@@ -283,7 +284,8 @@ impl Link {
         }
     }
 
-    /// Points in front of no gate behind the last one, so that they can be looked at in fours.
+    /// Puts points that are in front of no gate behind the last one, so that points can be looked
+    /// at in fours.
     #[inline(always)]
     fn end_list(&mut self) {
         let n = self.len.min(MOST - 4);
@@ -346,7 +348,7 @@ impl Link {
         self.open[usize::from(gate) % GATES] != 0
     }
 
-    /// Opens a gate from c to d, whatever is beyond.
+    /// Opens a gate from c to d, regardless of what is beyond.
     #[inline(always)]
     pub(super) fn open(&mut self, c: usize, d: usize) {
         self.open[usize::from(gate(c, d)) % GATES] = 1;
@@ -389,7 +391,7 @@ impl Link {
         let mut n = 0;
         gates.gates = [NO_GATE; LANES + 1];
         for (gate, is_open) in four {
-            // What is not counted is overwritten.
+            // Gates that are not counted are overwritten.
             gates.gates[n] = gate;
             n += usize::from(is_open);
         }
@@ -401,14 +403,14 @@ impl Link {
         true
     }
 
-    /// The gates that are to be looked at together, and of each whether it is still open: 1 or 0.
-    /// `None` if no gate waits.
+    /// The gates that are to be looked at together, and whether each is still open: 1 or 0. `None`
+    /// if no gate waits.
     #[inline(always)]
     pub(super) fn next_four(&mut self) -> Option<[(Gate, u8); LANES]> {
         let (first, waiting) = (self.head, self.tail - self.head);
         self.head += waiting.min(LANES);
         let gate = |k: usize| {
-            // What does not wait is an old gate, which may be open again.
+            // A gate that does not wait is an old one, which may be open again.
             let gate = if k < waiting { self.ring[(first + k) % RING] } else { NO_GATE };
             (gate, self.open[usize::from(gate) % GATES])
         };
@@ -454,7 +456,7 @@ impl Link {
     /// equal ones the first.
     #[inline(always)]
     pub(super) fn nth(&self, scores: &[f32; MOST], rank: usize) -> Option<usize> {
-        // Behind the last one they are infinite, too; so many can be looked at in vectors.
+        // Behind the last one the scores are infinite, too; so full vectors can be looked at.
         let scores = &scores[..self.len.next_multiple_of(8).min(MOST)];
         let (mut last, mut before) = (f32::NEG_INFINITY, 0);
         loop {

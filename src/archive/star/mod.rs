@@ -1,5 +1,5 @@
-//! The connectivity coder of a tetrahedron block: vertex after vertex, the tetrahedra of which it
-//! is the smallest vertex (the *star*).
+//! The connectivity coder of a tetrahedron block. It goes from vertex to vertex and codes the
+//! tetrahedra of which each is the smallest vertex (the *star*).
 //!
 //! The tetrahedra around a vertex v, seen from v, are the triangles of a sphere, the *link* of v.
 //! Those with a vertex smaller than v were coded before. The coder adds the others, growing the
@@ -15,15 +15,15 @@
 //! This is no new triangulation: no conflict is searched for, nothing is exact. Where the bit is
 //! not set, the gate is mostly a *border*: the tetrahedron behind it is in another block (of
 //! smaller vertices), or there is none. A prediction can be wrong, where more than four points lie
-//! on a sphere or where rounding decides. Then the star is *odd*, which a bit before it says, and
-//! the correction follows:
+//! on a sphere or where rounding decides. Then the star is *odd*, as a bit before the star says,
+//! and the correction follows:
 //!
 //! * the rank of the apex among the points in front, in the order in which the growing sphere meets
 //!   them;
 //! * its number among the vertices of the block, if it is too far away to have a rank.
 //!
-//! A star is odd too where its link has several pieces. Each begins at an edge (c, d) that is coded
-//! by ranks: of c by distance, of d by the size of the circle.
+//! A star is also odd if its link has several pieces. Each piece begins at an edge (c, d) that is
+//! coded by ranks: c by distance, d by the size of the circle.
 //!
 //! So a block has two streams. Bits of stars and gates, and the differences of the other vertices'
 //! numbers, are stored as they are ([`bits`]): reading some costs a shift. The corrections of odd
@@ -72,7 +72,7 @@ pub(crate) const LARGEST_LINK: usize = 124;
 type Local = u16;
 const NONE: u16 = u16::MAX;
 
-/// Ranks that are told as such; this one says that a number follows.
+/// Lower ranks are coded as such; this one says that a number follows.
 const FAR_RANK: usize = 8;
 
 // Where the odds of each decision are.
@@ -97,23 +97,25 @@ trait End {
     /// The star of a vertex begins, with what is known of its link. `None` if a directed edge has
     /// two triangles.
     fn star(&mut self, v: Local, link: &Link) -> Option<()>;
-    /// Of some gates that were looked at those behind which is what was predicted, a bit each, which
-    /// is told now; and whether there is a triangle behind any other that is open then.
+    /// Which of the gates that were looked at have the predicted triangle behind them, a bit each;
+    /// these triangles are now coded. Also, whether there is a triangle behind any other gate that
+    /// is then open.
     fn hits(&mut self, link: &Link, gates: &Gates) -> (u32, bool);
-    /// The apex of the uncoded triangle behind a gate, which is told now; [`NONE`] if there is none.
+    /// The apex of the uncoded triangle behind a gate, which is now coded; [`NONE`] if there is
+    /// none.
     fn apex(&mut self, link: &Link, gate: Gate) -> Local;
     /// Whether the star has anything but predicted triangles behind gates that are known.
     fn is_odd(&mut self) -> bool;
-    /// Whether triangles of the star are not told yet.
+    /// Whether triangles of the star are not coded yet.
     fn has_uncoded(&self) -> bool;
-    /// The star is told.
+    /// All of the star is coded.
     fn end_star(&mut self);
-    /// Their vertices, three each.
+    /// The vertices of the uncoded triangles, three each.
     fn uncoded(&self, link: &Link, to: &mut Vec<[Local; 3]>);
-    /// A tetrahedron that is told now.
+    /// A tetrahedron that is now coded.
     fn tell(&mut self, tet: [Local; 4]);
-    /// Tells the star that begins, if this end knows that all of it is as predicted: the number of
-    /// its triangles.
+    /// Codes the star that begins, if this end knows that all of it is as predicted, and gives the
+    /// number of its triangles.
     #[inline(always)]
     fn even(&mut self, _: impl Path, _: &mut Stars) -> Option<usize> {
         None
@@ -123,12 +125,12 @@ trait End {
 /// A face that waits for its smallest vertex to come: the other two.
 #[derive(Clone, Copy, Default)]
 struct Waiting {
-    /// The second one 2^16 times.
+    /// The second one times 2^16.
     others: u32,
     next: u16,
 }
 
-/// Of the vertices of a face the least, and the two that follow it, the second one 2^16 times.
+/// The least vertex of a face, and the two that follow it, the second one times 2^16.
 #[inline(always)]
 fn least_first([c, d, w]: [Local; 3]) -> (Local, u32) {
     // By shifting (c, d, w, c): no branch, for none could be predicted.
@@ -209,8 +211,8 @@ impl Stars {
         Some(())
     }
 
-    /// Tells what is behind some gates, and gives the number of triangles. `None` if what is read
-    /// cannot be.
+    /// Codes what is behind some gates, and gives the number of triangles. `None` if what is read
+    /// is impossible.
     #[inline(always)]
     fn pass<E: End>(&mut self, path: impl Path, end: &mut E) -> Option<usize> {
         let (mut hits, is_wrong) = end.hits(&self.link, &self.gates);
@@ -233,7 +235,7 @@ impl Stars {
         Some(told)
     }
 
-    /// Tells the triangles that were not predicted, and gives their number.
+    /// Codes the triangles that were not predicted, and gives their number.
     #[inline(always)]
     fn correct<E: End>(&mut self, end: &mut E) -> Option<usize> {
         let mut told = 0;
@@ -255,8 +257,8 @@ impl Stars {
         Some(told)
     }
 
-    /// Tells a vertex by its rank, at least `least`, or else by its number. `None` if what is read
-    /// is none.
+    /// Codes a vertex by its rank, at least `least`, or else by its number. `None` if what is read
+    /// is no vertex.
     #[inline(always)]
     fn ranked<E: End>(
         &mut self,
@@ -281,8 +283,8 @@ impl Stars {
         if w >= self.vertices { None } else { self.link.place(&self.cloud, w as Local) }
     }
 
-    /// A triangle on a gate, which it closes. `None` if that is not open, or the vertex is none or
-    /// of the gate.
+    /// Adds a triangle on a gate, which it closes. `None` if the gate is not open, or the vertex is
+    /// none or belongs to the gate.
     #[inline(always)]
     fn attach<E: End>(&mut self, end: &mut E, on: Gate, w: usize) -> Option<()> {
         let [c, d] = ends(on);
@@ -309,7 +311,7 @@ impl Stars {
         Some(())
     }
 
-    /// Tells whether there is another piece, and an edge of it.
+    /// Codes whether there is another piece, and an edge of it.
     #[inline(always)]
     fn piece<E: End>(&mut self, path: impl Path, end: &mut E, before: bool) -> Option<bool> {
         if !end.is_odd() || !end.bit(&mut self.odds, MORE + usize::from(before), end.has_uncoded()) {
@@ -337,8 +339,8 @@ impl Stars {
         Some(())
     }
 
-    /// Of the uncoded triangles (those with a vertex) the vertex of least score; the decoder, which
-    /// has none, gets any.
+    /// The vertex of least score among the uncoded triangles (those with a vertex). The decoder has
+    /// no such triangles, and gets any vertex.
     fn least_of(&self, scores: &[f32; MOST], with: Option<Local>) -> Local {
         let score = |&w: &Local| (self.link.find(w).map_or(f32::INFINITY, |i| scores[i]), w);
         let triangles = self.uncoded.iter().filter(|t| with.is_none_or(|w| t.contains(&w)));
@@ -346,7 +348,7 @@ impl Stars {
         vertices.min_by(|a, b| score(a).partial_cmp(&score(b)).expect("scores are no NaN")).unwrap_or(0)
     }
 
-    /// Tells all stars of a block of `tets` tetrahedra. `None` if what is read cannot be one, or a
+    /// Codes all stars of a block of `tets` tetrahedra. `None` if what is read cannot be one, or a
     /// link is too large.
     fn tell<E: End>(&mut self, end: &mut E, tets: usize) -> Option<()> {
         let told = self.tell_as_may_be(end, tets);

@@ -1,10 +1,10 @@
-//! The odds at the beginning of a block: part of the format.
+//! The odds at the beginning of a block. They are part of the format.
 
 use super::DECISIONS;
 use crate::archive::range::Odds;
 
-/// Of each decision the odds that its bit is set, in 1/65536: averages over meshes of all point
-/// sets, which a test of `tests.rs` makes (`cargo test first_odds -- --ignored`).
+/// For each decision the odds that its bit is set, in 1/65536. They are averages over meshes of all
+/// point sets, made by a test of `tests.rs` (`cargo test first_odds -- --ignored`).
 #[rustfmt::skip]
 pub(super) const SET: [u16; DECISIONS] = [
     59241, 4822, 32768, 32082, 31924, 29139, 0, 0, 0, 0, 65535, 6621, 58859, 43075, 34795, 32937, 27093,

@@ -16,7 +16,7 @@ struct ReadEnd<'a, 'o> {
     is_odd: bool,
     /// The vertices by local number.
     ids: &'o [u32; VERTICES],
-    /// Room for the tetrahedra, and how many of them are told.
+    /// Space for the tetrahedra, and how many of them are decoded.
     out: &'o mut [Tet],
     told: usize,
 }
@@ -70,7 +70,7 @@ impl End for ReadEnd<'_, '_> {
     fn tell(&mut self, tet: [Local; 4]) {
         let id = |v: Local| self.ids[usize::from(v) % VERTICES];
         let tet = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
-        // Stars that tell more than there is room for are refused.
+        // Stars with more tetrahedra than there is space for are refused.
         if let Some(room) = self.out.get_mut(self.told) {
             *room = tet;
         }

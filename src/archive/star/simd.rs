@@ -1,5 +1,5 @@
-//! What [`link`](super::link) does most, with AVX2 and FMA: the same operations in the same order,
-//! eight at a time, so the same bits.
+//! The most frequent operations of [`link`](super::link), with AVX2 and FMA. They are the same
+//! operations in the same order, eight at a time, so the bits are the same.
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
@@ -95,7 +95,7 @@ fn near_avx2(cloud: &Cloud, v: usize, link: &mut Link) {
     let [x, y, z] = &cloud.axes;
     let (x, y, z) = (x.as_chunks::<8>().0, y.as_chunks::<8>().0, z.as_chunks::<8>().0);
     let (x, y, z) = (&x[v / 8..], &y[v / 8..], &z[v / 8..]);
-    // Those that are larger than v.
+    // The vertices that are larger than v.
     let (mut n, mut larger) = (0, 0xff << (v % 8) << 1);
     let mut first = _mm_set1_epi16((v / 8 * 8) as i16);
     for ((x, y), z) in x.iter().zip(y).zip(z) {

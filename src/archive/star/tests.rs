@@ -108,7 +108,7 @@ fn all_paths_agree_where_vertices_share_positions() {
     assert!(paths_agree(&twice, &both) > 10);
 }
 
-/// Tells how many blocks the coder has taken.
+/// Gives the number of blocks that the coder has taken.
 fn paths_agree(positions: &[LatticePos], tets: &[Tet]) -> usize {
     let mut taken = 0;
     for run in runs(tets, 300) {
@@ -138,7 +138,7 @@ fn paths_agree(positions: &[LatticePos], tets: &[Tet]) -> usize {
 #[test]
 fn an_even_star_is_told_as_an_odd_one_would_be() {
     let (positions, mut tets) = delaunay(3000);
-    // Also where many are tried in vain.
+    // Also where many tries fail.
     let grid: Vec<LatticePos> = (0..1000).map(|i| [i % 10 * 50, i / 10 % 10 * 50, i / 100 * 50]).collect();
     let offset = positions.len() as u32;
     let both = [&*positions, &grid].concat();
@@ -304,8 +304,8 @@ fn mesh_of(kind: SetKind, count: u64) -> (Vec<LatticePos>, Vec<Tet>) {
     (positions, sorted(&tets))
 }
 
-/// Of the odds that a block begins with: Hammersley and Halton points count most, for they are what
-/// is mostly used.
+/// The odds that a block begins with: Hammersley and Halton points count most, since they are used
+/// most.
 #[test]
 #[ignore = "makes the table of odds.rs: run it with --ignored after a change of the coder"]
 fn the_first_odds_are_those_of_the_point_sets() {

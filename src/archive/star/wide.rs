@@ -1,6 +1,6 @@
-//! The search of [`simd`](super::simd) with AVX-512: four points at a time for four gates. The same
-//! operations, so the same bits; the least of all keys is one number, whatever the order in which
-//! they are looked at.
+//! The search of [`simd`](super::simd) with AVX-512: four points at a time for four gates. The
+//! operations are the same, so the bits are the same. The least of all keys is one number, in any
+//! order in which they are looked at.
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
@@ -67,7 +67,7 @@ fn near_avx512(cloud: &Cloud, v: usize, link: &mut Link) {
     let at = cloud.point(v);
     let radius2 = _mm512_set1_ps(cloud.radius2);
     let axis = |k: usize| &cloud.axes[k].as_chunks::<16>().0[v / 16..];
-    // Those that are larger than v.
+    // The vertices that are larger than v.
     let (mut n, mut larger) = (0, (0xffff_u32 << (v % 16) << 1) as u16);
     let mut places = _mm512_add_epi32(
         _mm512_set1_epi32((v / 16 * 16) as i32),
@@ -198,7 +198,7 @@ impl Hinges {
         }
     }
 
-    /// The lesser of what is known and the keys of four points, of which `place` tells the places.
+    /// The lesser of what is known and the keys of four points, whose places `place` gives.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
     fn least(&self, best: __m512, four: &[Point; 4], place: __m512i) -> __m512 {
@@ -213,7 +213,7 @@ impl Hinges {
         // The bits of the place, or else those of the quotient: `place & PLACE | s & !PLACE`.
         let key = _mm512_ternarylogic_epi32::<0xca>(_mm512_set1_epi32(PLACE as i32), place, s);
         let in_front = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(h, self.least);
-        // Of no number and the best, the best.
+        // If the key is no number, the best stays.
         _mm512_mask_min_ps(best, in_front, _mm512_castsi512_ps(key), best)
     }
 }

@@ -28,27 +28,27 @@ pub(crate) struct Writer {
 pub(super) struct Truth {
     coder: Encoder,
     pub(super) bits: BitWriter,
-    /// Of the star: numbers of gates that were looked at together, with their hits; and whether
-    /// there is more to it.
+    /// For each look at gates of the star: their number, and their hits. Then, whether there is
+    /// more to the star.
     hits: Vec<(u8, u8)>,
     is_odd: bool,
     pub(super) tets: Vec<[Local; 4]>,
     /// Where the tetrahedra of the stars to come begin.
     pub(super) rest: usize,
     star: Range<usize>,
-    /// Triangles of the star that are not told.
+    /// Triangles of the star that are not coded.
     uncoded: usize,
     /// For each directed edge between places of the link the third place of the triangle that has
-    /// it and is not told.
+    /// it and is not coded.
     thirds: Box<[u8; GATES]>,
-    /// Triangles that are not told and had a vertex without a place when the star began.
+    /// Triangles that are not coded and had a vertex without a place when the star began.
     loose: Vec<[Local; 3]>,
-    /// The vertices by local number, and the tetrahedra as they are told: as they will be decoded.
+    /// The vertices by local number, and the tetrahedra as they are coded: as they will be decoded.
     pub(super) ids: Vec<u32>,
     pub(super) told: Vec<Tet>,
-    /// How many are told.
+    /// How many are coded.
     pub(super) at: usize,
-    /// Of the star that was tried last.
+    /// What was found about the star that was tried last.
     pub(super) found: Found,
     pub(super) luck: Luck,
     /// For the test that makes `odds.rs`: of each decision how often, and how often so.
@@ -83,7 +83,7 @@ impl Default for Truth {
     }
 }
 
-/// Of so many edges in a hundred the longer end is within the radius of a neighbourhood.
+/// So many edges in a hundred have their far end within the radius of a neighbourhood.
 const WITHIN: usize = 99;
 
 impl Writer {
@@ -175,8 +175,8 @@ impl Writer {
     }
 
     /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from the edges of all tetrahedra
-    /// to their largest vertices. (Of some, it would depend on the order in which the mesher gives
-    /// them.)
+    /// to their largest vertices. (From some edges only, it would depend on the order in which the
+    /// mesher gives them.)
     fn size(&self) -> u8 {
         let mut counts = [0usize; 256];
         for &[a, b, c, d] in &self.truth.tets {
@@ -202,7 +202,7 @@ impl Truth {
         (self.rest, self.star, self.uncoded, self.at) = (0, 0..0, 0, 0);
     }
 
-    /// Forgets what a block has left that cannot be told.
+    /// Forgets what remains of a block that cannot be coded.
     fn give_up(&mut self) {
         self.coder.clear();
         self.bits.clear();
@@ -216,8 +216,8 @@ impl Truth {
         usize::from(self.thirds[usize::from(on) % GATES])
     }
 
-    /// Tells the triangle behind a gate if it has a certain apex: whether it does. Without a
-    /// branch, for none could be predicted.
+    /// Codes the triangle behind a gate if it has a certain apex, and says whether it does. There
+    /// is no branch, for none could be predicted.
     #[inline(always)]
     fn take_if(&mut self, on: Gate, apex: usize) -> bool {
         let hit = (self.third(on) == apex) & (apex != NOBODY);
@@ -231,7 +231,7 @@ impl Truth {
         hit
     }
 
-    /// The triangle is told now.
+    /// The triangle is now coded.
     #[inline(always)]
     fn take(&mut self, on: Gate, third: usize) {
         let [c, d] = ends(on);
@@ -250,7 +250,7 @@ impl Truth {
         self.loose.iter().enumerate().find_map(|(i, t)| Some((i, apex(t)?)))
     }
 
-    /// Tells those that are predicted.
+    /// Codes the loose triangles that are predicted.
     #[cold]
     fn loose_hits(&mut self, link: &Link, gates: &Gates) -> u32 {
         let mut hits = 0;
@@ -280,7 +280,7 @@ impl Truth {
         self.is_odd = false;
     }
 
-    /// Such a triangle is told now: its apex, or [`NONE`] if there is none.
+    /// Codes the loose triangle behind a gate: its apex, or [`NONE`] if there is none.
     #[cold]
     fn take_loose(&mut self, link: &Link, on: Gate) -> Local {
         let Some((i, w)) = self.find_loose(link, on) else { return NONE };
@@ -385,7 +385,8 @@ impl End for Truth {
     #[inline(always)]
     fn tell(&mut self, tet: [Local; 4]) {
         let id = |v: Local| self.ids[usize::from(v)];
-        // Of what is no mesh more may be told than there is: it is refused when the star ends.
+        // If the input is no mesh, more may be coded than there is: it is refused when the star
+        // ends.
         if let Some(told) = self.told.get_mut(self.at) {
             *told = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
         }

@@ -1,4 +1,4 @@
-//! k chunks are one chunk, as sets of four positions, whatever the cut and however degenerate the
+//! k chunks are one chunk, as sets of four positions, for any cut and however degenerate the
 //! points.
 
 use super::*;

@@ -247,7 +247,7 @@ pub(super) struct Arena {
     pub(super) cavity: Vec<u32>,
     /// The cavity's boundary as codes of what lies across it: `4·record + face there`.
     pub(super) boundary: Vec<u32>,
-    /// Of each tetrahedron of a level of the search: which neighbours are in conflict.
+    /// For each tetrahedron of a level of the search, which neighbours are in conflict.
     pub(super) masks: Vec<u8>,
     /// The next free tag.
     pub(super) tag: u32,
@@ -255,7 +255,7 @@ pub(super) struct Arena {
     /// number.
     pub(super) local: Vec<[f64; 4]>,
     pub(super) star: Star,
-    /// What the wide path uses in place of `local` and `star`.
+    /// Buffers that the wide path uses in place of `local` and `star`.
     #[cfg(target_arch = "x86_64")]
     pub(super) wide: Box<super::wide::Scratch>,
 }

@@ -1,4 +1,4 @@
-//! What the integers decide: conflicts that the spheres leave open, and the walk to a point.
+//! Decisions in exact integers: conflicts that the spheres leave open, and the walk to a point.
 
 use super::arena::{Arena, INFINITE};
 use crate::geom::predicates::{insphere, insphere_perturbed, orient3d};

@@ -5,8 +5,8 @@
 /// Makes room in an empty vector for `count` items, and asks the system to back it with large
 /// pages. Advice only: where it is not taken, or there is none, everything works as before.
 ///
-/// What is too small is given back first: to grow it would copy it, as empty as it is, and into
-/// small pages. An eighth more than asked for does for other chunks of the same plan.
+/// Memory that is too small is given back first: to grow it would copy it, although it is empty,
+/// and into small pages. An eighth more than asked for suffices for other chunks of the same plan.
 pub(in crate::mesh) fn reserve<T>(items: &mut Vec<T>, count: usize) {
     debug_assert!(items.is_empty());
     if items.capacity() >= count {

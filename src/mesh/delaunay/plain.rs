@@ -1,10 +1,10 @@
-//! An insertion in plain code: the reference for the vector path, and what runs where there is
-//! none.
+//! An insertion in plain code: the reference for the vector path, and the path of machines without
+//! vectors.
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG};
 
-/// Above so many vertices on a cavity, edges are joined by sorting: the table would not fit in
-/// cache, nor its codes in 16 bits.
+/// With more vertices than this on a cavity, edges are joined by sorting: the table would not fit
+/// in cache, nor its codes in 16 bits.
 pub(super) const MOST_TABLE_VERTICES: usize = 1024;
 
 impl Arena {

@@ -5,7 +5,7 @@
 //! on geometry. The spheres of four new tetrahedra are made at once and, still in registers, tested
 //! against the next point.
 //!
-//! The powers differ from the plain path's in their last bits. That cannot be seen in the result: a
+//! The powers differ from the plain path's in their last bits. That does not change the result: a
 //! power only decides where its error bound lets it, and the bound covers any order of summation,
 //! fused or not (see `Margin`).
 #![allow(unsafe_code)]

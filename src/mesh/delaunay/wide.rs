@@ -1,14 +1,14 @@
 //! An insertion with AVX-512, for cavities of up to 32 vertices (all but one in a hundred);
 //! `simd.rs` does the others.
 //!
-//! What bounds an insertion in `simd.rs` is the number of instructions (9 500, at more than four a
-//! cycle) and some 35 jumps that cannot be foreseen; misses of the nearest cache come after that.
-//! So:
+//! An insertion in `simd.rs` is bound by the number of instructions (9 500, at more than four a
+//! cycle) and by some 35 jumps that cannot be predicted; misses of the nearest cache come after
+//! that. So:
 //!
-//! * The cavity grows by **batches** of four tetrahedra, sixteen neighbours, whatever their level:
+//! * The cavity grows by **batches** of four tetrahedra, sixteen neighbours, of any level:
 //!   one loop, few iterations. Their codes are sorted into "in conflict" and "boundary" by one
 //!   compression each.
-//! * A boundary with V vertices has 2V - 4 facets: the number of facets tells how many vertices
+//! * A boundary with V vertices has 2V - 4 facets: the number of facets shows how many vertices
 //!   there will be. For up to 32 the vertices' coordinates relative to the new point lie in four
 //!   registers an axis, and a facet's corners are looked up by permutation.
 //! * Eight new spheres are made, and tested against the next point, at once.
@@ -33,7 +33,7 @@ const FEW: usize = 16;
 /// Facets are worked on eight at a time.
 const PADDED: usize = FACETS + 8;
 
-/// What lies between the steps of an insertion.
+/// Data passed between the steps of an insertion.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub(super) struct Scratch {

@@ -1,8 +1,8 @@
 //! The tetrahedra around those that a chunk owns.
 //!
-//! Where the owned ones are known, be it that they were just made, or that they come from an
-//! archive, the others at their points are those beyond the faces that bound them: the stars of the
-//! points of such faces are closed, one after another.
+//! The owned tetrahedra are known: they were just made, or they come from an archive. The others at
+//! their points lie beyond the faces that bound them. So the stars of the points of such faces are
+//! closed, one after another.
 
 use super::lanes::Vectors;
 use super::{Chunk, END, Stars, Waiting};
@@ -15,8 +15,8 @@ use crate::mesh::owned::sort_around;
 use crate::mesh::tet::Tet;
 
 impl Stars {
-    /// The tetrahedra around those that a chunk owns, in canonical order; `None` where insertion is
-    /// to tell them.
+    /// The tetrahedra around those that a chunk owns, in canonical order; `None` if insertion has
+    /// to find them.
     ///
     /// # Errors
     /// As [`Mesher::delaunay`].

@@ -1,4 +1,4 @@
-//! The points of a region in cells, so that those near one are some runs.
+//! The points of a region in cells, so that the points near one of them are a few runs.
 
 use super::LANES;
 use crate::geom::{LatticeBox, LatticePos};

@@ -1,5 +1,5 @@
-//! Batches of `f32`: vectors of AVX2 and AVX-512, of which a proof that the machine has the
-//! instructions comes before each; and those that all machines of a kind have.
+//! Batches of `f32`: vectors of AVX2 and AVX-512, each of which needs a proof that the machine has
+//! the instructions; and vectors that all machines of a kind have.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -25,7 +25,7 @@ pub(super) enum Vectors {
     /// AVX2.
     #[cfg(target_arch = "x86_64")]
     Narrow(Narrow),
-    /// Whatever there is.
+    /// What every machine has.
     Plain(Plain),
 }
 
@@ -76,7 +76,7 @@ pub(super) trait Batch: Copy {
     type Packing: Copy;
     /// Half as many `f64`.
     type Doubles: lanes::Wide;
-    /// So many lanes.
+    /// The number of lanes.
     const LANES: usize;
     /// Whether there are registers for the points nearby.
     const HOLDS: bool;
@@ -98,10 +98,10 @@ pub(super) trait Batch: Copy {
     fn least(self) -> (f32, Self);
     /// Where this is less; not where one is NaN.
     fn below(self, other: Self) -> Self::Mask;
-    /// Of the lanes of these bits those in which this is less.
+    /// Which of the lanes of these bits have this less.
     fn below_in(self, other: Self, lanes: u32) -> u32;
     fn equals(self, other: Self) -> Self::Mask;
-    /// Of a mask: the one number where it is set, else the other.
+    /// The one number where a mask is set, else the other.
     fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self;
     /// A mask as a number: bit k is that of lane k.
     fn bits(mask: Self::Mask) -> u32;
@@ -109,10 +109,10 @@ pub(super) trait Batch: Copy {
     fn find(proof: Self::Proof, list: &[u32], place: usize, number: u32) -> u32;
     /// How to pack the lanes of these bits.
     fn packing(proof: Self::Proof, bits: u32) -> Self::Packing;
-    /// Those lanes come first; whatever follows.
+    /// The lanes of the packing come first; what follows is arbitrary.
     fn packed(self, packing: Self::Packing) -> Self;
     fn doubles(proof: Self::Proof, x: f64) -> Self::Doubles;
-    /// Those of a list from a place on.
+    /// The numbers of a list from a place on.
     fn load_doubles(proof: Self::Proof, list: &[f32], place: usize) -> Self::Doubles;
     /// Each rounded.
     fn store_doubles(doubles: Self::Doubles, list: &mut [f32], place: usize);

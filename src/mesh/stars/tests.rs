@@ -18,7 +18,7 @@ fn positions_in(set: &PointSet, b: &LatticeBox) -> Vec<LatticePos> {
     sites.iter().map(|s| s.pos).collect()
 }
 
-/// A core, and the region so many quarters of a spacing around it.
+/// A core, and the region `quarters` quarters of a spacing around it.
 fn boxes(domain: LatticeBox, core: LatticeBox, spacing: u32, quarters: u32) -> ChunkRegion {
     let region = core.grow_within([spacing * quarters / 4; 3], &domain);
     ChunkRegion { core, near: core.grow_within([spacing * quarters / 8; 3], &domain), region, domain }
@@ -32,8 +32,8 @@ fn local(boxes: &ChunkRegion, all: &[LatticePos]) -> Vec<LatticePos> {
     local
 }
 
-/// What is around the tetrahedra of a mesh, found from those, as far as it can be, with what
-/// vectors the machine has.
+/// The tetrahedra around those of a mesh, found from the latter, as far as possible, with the
+/// vectors that the machine has.
 fn around_again(
     boxes: &ChunkRegion,
     all: &[LatticePos],

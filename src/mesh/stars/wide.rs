@@ -147,7 +147,7 @@ impl Neighbourhood {
     }
 
     /// Lists the points within `reach` of `p`, itself included; false if they are too many. `rows`
-    /// are ranges of places in `at` and `ids`, behind which those go on for [`LANES`] more.
+    /// are ranges of places in `at` and `ids`; both go on for [`LANES`] more behind each range.
     #[inline(always)]
     pub(super) fn gather<B: Batch>(
         &mut self,
@@ -187,9 +187,9 @@ impl Neighbourhood {
         true
     }
 
-    /// Closes the star among the points that are listed, in so many batches. `is_outer` tells of
-    /// three points a, b, c whether nothing of the domain can lie beyond them, where (a, b, c, x)
-    /// is negatively oriented.
+    /// Closes the star among the points that are listed, in so many batches. For three points a, b,
+    /// c, `is_outer` says whether nothing of the domain can lie beyond them, where (a, b, c, x) is
+    /// negatively oriented.
     #[inline(always)]
     pub(super) fn close<const N: usize, B: Batch>(
         &mut self,
@@ -225,7 +225,7 @@ impl Neighbourhood {
         }
     }
 
-    /// Opens the first gate of a star of which nothing is known: of the nearest point and the one
+    /// Opens the first gate of a star that is entirely unknown: of the nearest point and the one
     /// that makes the smallest circle with it.
     fn begin(&mut self) -> Option<usize> {
         let squares = &self.at[3][..self.count];
@@ -317,7 +317,7 @@ impl Neighbourhood {
             let m = [bb * cx + aa * ex, bb * cy + aa * ey, bb * cz + aa * ez];
             let [mx, my, mz] = three(|k| B::splat(proof, m[k]));
             let [nx, ny, nz, nn] = four(|k| B::splat(proof, [nx, ny, nz, nn][k]));
-            // What rounding may make of 0.
+            // The largest value that rounding may make of 0.
             let least = B::splat(proof, 5e-7 * view.reach * (aa * bb).sqrt());
             let (mut best, mut all) = (infinite, [infinite; N]);
             for (i, all) in all.iter_mut().enumerate() {

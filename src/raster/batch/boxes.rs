@@ -78,7 +78,7 @@ impl<I: Ints> Boxes<I> {
         [x.minus(self.from[0]), y.minus(self.from[1]), z.minus(self.from[2])]
     }
 
-    /// Those that have samples.
+    /// The boxes that have samples.
     #[inline(always)]
     pub(super) fn with_samples(&self) -> Bits {
         let ([x, y, z], [u, v, w]) = (&self.from, &self.to);
@@ -122,11 +122,11 @@ pub(super) struct Filter<F: Floats> {
     pub(super) first: [F; 3],
     /// λ at the first sample, raised by the error.
     pub(super) lambda: [F; 4],
-    /// What it grows by along each axis, from sample to sample.
+    /// The growth of λ along each axis, from sample to sample.
     pub(super) growth: [[F; 4]; 3],
     /// Times λ, the sample of the row at which it is 0.
     pub(super) crossing: [F; 4],
-    /// Where it grows along a row, and where not.
+    /// Where λ grows along a row, and where it does not.
     pub(super) rises: [F::Mask; 4],
     pub(super) falls: [F::Mask; 4],
 }

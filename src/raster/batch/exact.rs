@@ -4,7 +4,7 @@ use super::MEMBERS;
 use super::boxes::Scene;
 use crate::raster::planes::Planes;
 
-/// What positions are cut at.
+/// Positions are cut into a high and a low part at multiples of this.
 const CUT: f64 = 1024.0;
 /// Added to a number below 2^51 and taken away, it rounds to an integer.
 const ROUND: f64 = 1.5 * (1u64 << 52) as f64;

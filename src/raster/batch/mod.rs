@@ -1,10 +1,9 @@
 //! Scan conversion of many tetrahedra together, column by column.
 //!
 //! A tetrahedron of a mesh of about a point for eight samples has one sample or two, in a box of
-//! some ten. What a scan by itself ([`super::scan`]) costs there are branches that nobody can
-//! predict: how many rows, how many samples, which of them. So tetrahedra are sorted by the rows
+//! some ten. There, a scan by itself ([`super::scan`]) spends its time on branches that cannot be
+//! predicted: how many rows, how many samples, which of them. So tetrahedra are sorted by the rows
 //! of their box first; sixteen of like boxes are looked at side by side, a lane each:
-//!
 //! ```text
 //!  tetrahedra ─▶ boxes ─▶ sorted by rows ─▶ planes in f32 ─▶ where each row enters and leaves ─▶ candidates ─▶ exact λ ─▶ members
 //!     2048      16 each                       16 each                  16 each                              128 at a time
@@ -60,7 +59,7 @@ const SIZES: usize = (EDGE * EDGE) as usize;
 /// The longest edge of a box, in lattice steps: see above.
 const LONGEST: u32 = 1 << 20;
 const _: () = assert!(LONGEST <= LONGEST_64);
-/// What an end of a row may be wrong by, in samples: far more than it is (2^-17).
+/// The most that an end of a row may be wrong by, in samples: far more than it is (2^-17).
 const SLACK: f32 = 1.0 / 4096.0;
 /// The lanes.
 const NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
@@ -126,7 +125,7 @@ pub struct BatchScan {
     found: Box<[u32; FOUND]>,
     candidates: Box<Candidates>,
     members: Box<Members>,
-    /// Those of tetrahedra that are scanned by themselves, until they are many.
+    /// Members of tetrahedra that are scanned by themselves, until they are many.
     alone: Box<Members>,
 }
 

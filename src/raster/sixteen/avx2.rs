@@ -87,14 +87,14 @@ impl Floats for FloatPair {
     }
 }
 
-/// Of the sixteen lanes those of eight numbers. Of use as [`FloatPair`] is.
+/// Those of the sixteen lanes that eight numbers name. Of use as [`FloatPair`] is.
 #[inline(always)]
 fn picked(from: FloatPair, numbers: __m256i) -> __m256 {
     // SAFETY: there is a pair, so AVX2 was found.
     unsafe {
         let (low, high) =
             (_mm256_permutevar8x32_ps(from.0, numbers), _mm256_permutevar8x32_ps(from.1, numbers));
-        // Bit 3 tells which half.
+        // Bit 3 selects the half.
         _mm256_blendv_ps(low, high, _mm256_castsi256_ps(_mm256_slli_epi32::<28>(numbers)))
     }
 }

@@ -34,7 +34,7 @@ pub(super) trait Floats: Copy {
     /// Where this is less.
     fn below(self, other: Self) -> Self::Mask;
     fn bits(mask: Self::Mask) -> Bits;
-    /// Of a mask: the one number where it is set, else the other.
+    /// The one number where a mask is set, else the other.
     fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self;
     /// This, but where the mask is set and the other is less, the other; of numbers.
     fn lesser_where(self, mask: Self::Mask, other: Self) -> Self;

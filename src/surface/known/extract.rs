@@ -25,11 +25,11 @@ use crate::mesh::tet::is_active;
 /// No vertex yet.
 const NEW: u32 = u32::MAX;
 
-/// What an isovalue crosses: buffers.
+/// Buffers for what an isovalue crosses.
 #[derive(Debug, Default)]
 pub(in super::super) struct Crossed {
     edges: Vec<u16>,
-    /// Those of the edges that other blocks may have too.
+    /// The crossed edges that other blocks may have too.
     open: Vec<u16>,
     /// Active tetrahedra, and the corners inside of each.
     tets: Vec<[u16; 2]>,
@@ -80,7 +80,7 @@ impl Crossed {
         self.counts = [crossed, open, tables.tets(&table, block.tets(), &mut self.tets)];
     }
 
-    /// Looks what is crossed.
+    /// Finds what is crossed.
     #[inline(always)]
     fn find(&mut self, block: Known<'_>, isovalue: f32) {
         self.make_room(block);
@@ -90,7 +90,7 @@ impl Crossed {
         let (list, open_list, active_list) = (&mut list[..], &mut open_list[..], &mut active_list[..]);
         let ([mut crossed, mut open, mut active], mut first) = ([0; 3], 0);
         for (group, n) in block.groups().iter().zip((0..tets.len()).step_by(GROUP)) {
-            // Those of a block in a file that is cut short meanwhile may be 0.
+            // The ends in a block of a file that is cut short meanwhile may be 0.
             let (begin, end) = (first, first.max(group.edges_end.into()).min(edges.len()));
             first = end;
             if !is_active(group.least, group.most, isovalue) {
@@ -116,7 +116,7 @@ impl Crossed {
     }
 
     /// Numbers the vertices that no other block has made, from the next one on, in the order of
-    /// their edges; tells how many.
+    /// their edges; returns how many there are.
     #[inline(always)]
     fn number_new(&mut self, next: u32) -> usize {
         let mut count = 0;
@@ -140,7 +140,7 @@ impl Crossed {
             let edges = tets[usize::from(n)];
             let case = &CASES[usize::from(inside | (edges[0] & TURNED) >> 11) % CASES.len()];
             let at = |place: u8| vertices[usize::from(edges[usize::from(place) % 6]) % EDGES_MOST];
-            // The second one is written where there is none too, and ignored.
+            // The second one is written even where there is none, and then ignored.
             for (triangle, corners) in self.triangles[end..end + 2].iter_mut().zip(case.sides) {
                 *triangle = corners.map(at);
             }

@@ -1,11 +1,11 @@
-//! Joins the edges that several blocks of a chunk have: where all of them are at hand, the sums
-//! around their edges are added up once for all isovalues.
+//! Joins the edges that several blocks of a chunk have: where all of these blocks are at hand, the
+//! sums around their edges are added up once for all isovalues.
 //!
-//! Such an edge gets a number in the chunk. The first block that has it, in the order in which they
-//! are extracted, has its normal; others but its number: whatever crosses it is in all of these
-//! blocks, so the first has made the vertex when they are at it. An edge whose ends are both shared
-//! with other chunks keeps the sum of each block, as does one that a block has which is not at
-//! hand.
+//! Such an edge gets a number in the chunk. The first block that has it, in the order in which
+//! blocks are extracted, has its normal; the others have only its number. An isovalue that crosses
+//! the edge crosses it in all of these blocks, so the first block has made the vertex when the
+//! others need it. An edge keeps the sum of each block if both its ends are shared with other
+//! chunks, or if one of its blocks is not at hand.
 
 use super::super::WorldMap;
 use super::super::fours;
@@ -23,9 +23,9 @@ const NONE: u32 = u32::MAX;
 /// The edges of the blocks of a chunk that several of them may have.
 #[derive(Debug, Default)]
 pub(crate) struct Joiner {
-    /// By the numbers of their ends in the chunk; looked up, never iterated.
+    /// Edges by the numbers of their ends in the chunk; looked up, never iterated.
     edges: FxHashMap<[u32; 2], Edge>,
-    /// Those that blocks have which are not at hand.
+    /// Edges of blocks that are not at hand.
     apart: FxHashSet<[u32; 2]>,
     count: u32,
 }
@@ -48,7 +48,7 @@ impl Joiner {
         }
     }
 
-    /// Keeps the edges of a block apart, whose part of their sums will not be at hand.
+    /// Keeps apart the edges of a block whose part of the sums will not be at hand.
     pub(crate) fn keep_apart(&mut self, cells: &CellSource<'_>) {
         let numbers = cells.numbers.unwrap_or_default();
         for tet in cells.tets {

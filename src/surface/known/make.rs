@@ -17,7 +17,7 @@ use crate::exec::lanes::{Four, Plain};
 use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::range;
 
-/// What blocks are numbered in: buffers, some hundred kilobytes.
+/// Buffers in which blocks are numbered, some hundred kilobytes.
 #[derive(Debug, Default)]
 pub(in super::super) struct Maker {
     /// For each pair of corners the number of its edge, while edges are listed.
@@ -37,7 +37,7 @@ pub(in super::super) struct Maker {
 
 /// Edges while they are numbered, in the order in which they are met, without a branch for each.
 struct EdgeList<'a> {
-    /// The number of each that was met.
+    /// The number of each edge that was met.
     numbers: &'a mut [u16; EDGE_SLOTS],
     edges: &'a mut [[u8; 2]],
     rings: &'a mut [Ring],
@@ -45,7 +45,7 @@ struct EdgeList<'a> {
 }
 
 impl<'a> EdgeList<'a> {
-    /// Room for the edges of so many tetrahedra.
+    /// An empty list with room for the edges of `tets` tetrahedra.
     fn new(
         tets: usize,
         numbers: &'a mut Vec<u16>,
@@ -78,7 +78,7 @@ impl<'a> EdgeList<'a> {
         })
     }
 
-    /// Forgets the numbers; tells how many there were.
+    /// Forgets the numbers; returns how many there were.
     fn end(self) -> usize {
         for &edge in &self.edges[..self.count] {
             self.numbers[slot_of(edge)] = NO_EDGE;
@@ -244,11 +244,11 @@ impl Maker {
     }
 }
 
-/// Tells groups where the slots of their edges end, those of all in so many words.
+/// Sets where the slots of each group's edges end; the slots of all edges take so many words.
 pub(super) fn close_groups(groups: &mut [Group], slots_of_edges: &[u16], words: usize) {
     for group in groups {
         let next = slots_of_edges.get(usize::from(group.edges_end));
-        // The word that tells what a slot is belongs to it.
+        // The word that says what a slot is belongs to it.
         group.slots_end = next.map_or(words as u16, |slot| (slot & !OPEN) - (slot >> 15));
     }
 }

@@ -47,9 +47,9 @@ pub(super) use sides::ByteTables;
 use sides::Table;
 pub(crate) use stored::Flaw;
 
-/// Tetrahedra that have a range of values, and edges, together.
+/// Tetrahedra that have a common range of values, and a common run of edges.
 const GROUP: usize = 16;
-/// The most edges of a block; so many have less than 2^15 slots of what is known of them.
+/// The most edges of a block; this many have less than 2^15 slots of what is known of them.
 const EDGES_MOST: usize = 1 << 14;
 /// In the first edge of a tetrahedron: the order of its ids is an odd permutation of a positively
 /// oriented one.
@@ -62,7 +62,7 @@ const SUM: u32 = 1 << 31;
 const FIRST: u32 = 1 << 30;
 /// The most words of slots, so that the place of each has 15 bits.
 const SLOTS_MOST: usize = (1 << 15) - 8;
-/// Words behind the last slot: so each can be read as a normal, whatever it is.
+/// Words behind the last slot, so that each can be read as a normal, whether it is one or not.
 const SLOTS_BEHIND: usize = 3;
 
 /// Some tetrahedra: least and greatest value, and where what belongs to the edges ends that they
@@ -127,14 +127,14 @@ impl KnownBlock {
         size_of::<Self>() + size_of_val(&*self.words)
     }
 
-    /// The block, to be looked at.
+    /// A view of the block.
     #[inline]
     pub(crate) fn view(&self) -> Known<'_> {
         Known { words: &self.words, shape: self.shape }
     }
 }
 
-/// A block of which all is known, in memory or in a file that is mapped.
+/// A known block, in memory or in a file that is mapped.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Known<'a> {
     words: &'a [u32],
@@ -159,7 +159,7 @@ impl<'a> Known<'a> {
         &self.words[groups..numbers]
     }
 
-    /// Where corners are, and their values.
+    /// The positions and values of the corners.
     #[inline(always)]
     fn at(&self) -> &'a [Corner] {
         let [_, numbers, corners, ..] = self.ends();
@@ -173,7 +173,7 @@ impl<'a> Known<'a> {
         &bytemuck::cast_slice(&self.words[corners..edges])[..self.shape.edges]
     }
 
-    /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that tells what
+    /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that says what
     /// it is.
     #[inline(always)]
     fn slots_of_edges(&self) -> &'a [u16] {
@@ -211,14 +211,14 @@ impl<'a> Known<'a> {
         shared_ids(self.numbers(), self.ids(), ends)
     }
 
-    /// Asks the processor for what is looked at of any block: all but the edges of tetrahedra,
+    /// Asks the processor to load what is needed of any block: all but the edges of tetrahedra,
     /// slots and ids.
     pub(crate) fn corners_will_be_read(&self) {
         will_read(&self.words[..self.ends()[4]]);
     }
 
-    /// Asks the processor for the rest, of tetrahedra that may be active, of a block whose groups
-    /// are at hand.
+    /// Asks the processor to load the rest, for tetrahedra that may be active, of a block whose
+    /// groups are at hand.
     pub(crate) fn tets_will_be_read(&self, isovalues: &[f32]) {
         let (tets, slots) = (self.edges_of_tets(), self.slots());
         let mut slot = 0;

@@ -1,5 +1,5 @@
 //! Which edges does an isovalue cross, which tetrahedra? 64 corners at a time, with AVX-512's
-//! instructions for tables of bytes: a byte for each corner tells its side, a bit for each end or
+//! instructions for tables of bytes: a byte for each corner gives its side, a bit for each end or
 //! corner comes out, and the numbers of those that are crossed are packed without a branch.
 #![allow(unsafe_code)]
 
@@ -29,8 +29,8 @@ impl ByteTables {
         None
     }
 
-    /// The numbers of the edges between corners on different sides, and of those of them whose slot
-    /// is an [`OPEN`] one; tells how many of each.
+    /// Lists the numbers of the edges between corners on different sides, and of those of them
+    /// whose slot is an [`OPEN`] one; returns how many of each there are.
     ///
     /// # Panics
     /// When there is not a slot for each edge, or no room for [`SPARE`] more than are found.
@@ -51,8 +51,8 @@ impl ByteTables {
         unreachable!("there is no proof for {table:?}, {edges:?}, {slots:?}, {out:?}")
     }
 
-    /// Of the tetrahedra with corners on both sides the numbers, and the corners inside; tells how
-    /// many.
+    /// Lists the numbers of the tetrahedra with corners on both sides, and their corners inside;
+    /// returns how many there are.
     ///
     /// # Panics
     /// When there is no room for [`SPARE`] more than are found.
@@ -68,7 +68,7 @@ impl ByteTables {
     }
 }
 
-/// So many numbers are written behind the last one.
+/// This many numbers are written behind the last one.
 pub(super) const SPARE: usize = 32;
 
 #[cfg(target_arch = "x86_64")]

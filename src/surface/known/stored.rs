@@ -5,14 +5,14 @@
 //!   │ a checksum for each group │ the lists of the block │ zeros up to a cache line
 //! ```
 //!
-//! The lists are used where they lie, in a mapped file too. So [`Known::open`] looks whether they
-//! are as long as the words, and [`Stored::check`] whether they have their checksums, and whatever
-//! they name is there: then no words, whoever wrote them, lead outside of a list. A question reads
-//! of the later lists (edges of tetrahedra, slots) the part of groups that it may cross. So these
-//! have checksums of their own, and only what is read of a block is looked at, once. What the slots
-//! of open edges name, and whether the triangles of a block have the vertices of their edges, is
-//! looked at when they are used ([`super::extract`]). That words mean what the archive means is
-//! another question, answered by making them again.
+//! The lists are used where they lie, in a mapped file too. So [`Known::open`] checks that they are
+//! as long as the words. [`Stored::check`] checks that they have their checksums, and that
+//! everything they name is there. Then no words, whoever wrote them, lead outside of a list. Of the
+//! later lists (edges of tetrahedra, slots) a question reads the part of the groups that it may
+//! cross. So these have checksums of their own, and only what is read of a block is checked, once.
+//! What the slots of open edges name, and whether the triangles of a block have the vertices of
+//! their edges, is checked when they are used ([`super::extract`]). Whether the words mean what the
+//! archive means is another question, answered by making them again.
 
 use super::super::ordered::SHARED;
 use super::super::patch::CORNERS;
@@ -28,8 +28,8 @@ const COUNTS: usize = 5;
 /// Where in the head the checksums are.
 const OF_LISTS: usize = 5;
 const OF_IDS: usize = 6;
-/// In what is noted of a block: all but what is looked at group by group was found to be right. A
-/// bit for each group, lowest first, are those of the groups.
+/// A bit of what is noted of a block: all but what is checked group by group was found to be right.
+/// The groups have a bit each, from the lowest on.
 const LISTS_ARE_RIGHT: u64 = 1 << 63;
 /// Words of a cache line.
 const LINE: usize = 16;
@@ -38,7 +38,7 @@ const LATTICE_MOST: f32 = 16_777_216.0;
 /// The most tetrahedra of a block.
 const TETS_MOST: usize = u16::MAX as usize - 1;
 
-/// What words have that are no block.
+/// What is wrong with words that are no block.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Flaw {
     pub(crate) at: &'static str,
@@ -89,7 +89,7 @@ impl<'a> Known<'a> {
     /// looked at: see [`Stored::check`].
     ///
     /// # Errors
-    /// When they are not as long as they tell.
+    /// When they are not as long as they say.
     #[inline]
     pub(crate) fn open(words: &'a [u32]) -> Result<Stored<'a>, Flaw> {
         let Some((head, rest)) = words.split_first_chunk::<HEAD>() else {
@@ -116,7 +116,7 @@ impl<'a> Known<'a> {
 /// A known block of a file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stored<'a> {
-    /// To be used when it was checked.
+    /// The block, to be used once it has been checked.
     pub(crate) block: Known<'a>,
     head: &'a [u32; HEAD],
     /// The checksum of each group.
@@ -124,9 +124,9 @@ pub(crate) struct Stored<'a> {
 }
 
 impl Stored<'_> {
-    /// Looks whether what a question about these isovalues (none: about all) reads of the block is
-    /// right, in a chunk of so many corners. `known` tells what was found to be right before; with
-    /// what was found now it comes back.
+    /// Checks what a question about these isovalues (none: about all) reads of the block, in a
+    /// chunk of so many corners. `known` says what was found to be right before; it comes back with
+    /// what was found now.
     ///
     /// # Errors
     /// The first list with something that is not.
@@ -140,7 +140,7 @@ impl Stored<'_> {
             self.check_ids()?;
         }
         for (n, (group, slots)) in self.block.groups().iter().zip(self.ranges()).enumerate() {
-            // What has no bit is looked at each time: blocks of so many groups are rare.
+            // A group without a bit is checked each time: blocks of so many groups are rare.
             let bit = if n < 63 { 1 << n } else { 0 };
             let is_read =
                 || isovalues.is_none_or(|all| all.iter().any(|&v| is_active(group.least, group.most, v)));
@@ -152,8 +152,8 @@ impl Stored<'_> {
         Ok(right)
     }
 
-    /// Where in the slots each group's are. Ends that do not ascend are taken for where they may be
-    /// at most: the checksum tells.
+    /// Where in the slots each group's are. Ends that do not ascend are moved to where they may be;
+    /// the checksum shows that they are wrong.
     fn ranges(&self) -> impl Iterator<Item = Range<usize>> {
         let (groups, most) = (self.block.groups(), self.block.shape.slots);
         groups.iter().scan(0, move |begin, group| {
@@ -163,7 +163,7 @@ impl Stored<'_> {
         })
     }
 
-    /// Of the edges and slots of a group.
+    /// The checksum of the edges and slots of a group.
     fn crc_of(&self, n: usize, slots: Range<usize>) -> u32 {
         crc_behind(crc32c::crc32c(bytemuck::cast_slice(self.edges_of(n))), &self.block.slots()[slots])
     }
@@ -173,7 +173,8 @@ impl Stored<'_> {
         &tets[n * GROUP..tets.len().min((n + 1) * GROUP)]
     }
 
-    /// Of the counts, of the checksums of groups, and of all lists before the edges of tetrahedra.
+    /// The checksum of the counts, the checksums of groups, and all lists before the edges of
+    /// tetrahedra.
     fn crc_of_lists(&self) -> u32 {
         let crc = crc_behind(crc32c::crc32c(bytemuck::cast_slice(&self.head[..COUNTS])), self.of_groups);
         crc_behind(crc, &self.block.words[..self.block.ends()[4]])
@@ -263,8 +264,8 @@ mod tests {
     use crate::surface::WorldMap;
     use crate::surface::numbered::tests::Blocks;
 
-    /// The words of the blocks of a small grid, of which some have void tetrahedra, and the corners
-    /// of its chunk.
+    /// The words of the blocks of a small grid, some of which have void tetrahedra, and the number
+    /// of corners of its chunk.
     fn stored() -> (Vec<Vec<u32>>, usize) {
         let blocks = Blocks::new(5, 60);
         let values: Vec<f32> = (0..125).map(|i| if i == 62 { f32::NAN } else { i as f32 }).collect();
@@ -314,8 +315,8 @@ mod tests {
         (words[OF_LISTS], words[OF_IDS]) = (of_lists, of_ids);
     }
 
-    /// Whatever a word is changed to, it is told, or its checksum is not looked at; and with a
-    /// checksum that fits, what the lists name is there, or it is told that it is not.
+    /// Any change of a word is reported, or its checksum is not looked at. With a checksum that
+    /// fits, what the lists name is there, or is reported as missing.
     #[test]
     fn nothing_that_is_named_is_missing() {
         let (all, of_chunk) = stored();
@@ -328,7 +329,7 @@ mod tests {
                 let [_, .., slots_at, slots_end] = Known::open(&all[0]).unwrap().block.ends();
                 let first = HEAD + Known::open(&all[0]).unwrap().of_groups.len();
                 // Neither the word and the zeros at the ends, nor those behind the slots, nor ids
-                // that nobody asks for.
+                // that are not asked for.
                 if n != HEAD - 1 && n != OF_IDS && n < first + slots_end - SLOTS_BEHIND {
                     assert!(check(&words).is_err(), "word {n}, slots from {slots_at}");
                 }

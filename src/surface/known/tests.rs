@@ -71,8 +71,8 @@ proptest! {
     }
 }
 
-/// Blocks whose edges are joined have the surface of those whose are not; also where one of them is
-/// not at hand.
+/// Blocks whose edges are joined have the same surface as blocks whose edges are not, also where
+/// one of them is not at hand.
 #[test]
 fn joined_blocks_have_the_same_surface() {
     let blocks = Blocks::new(6, 90);

@@ -2,7 +2,7 @@
 //!
 //! Nothing here is for users: names, defaults and documentation are in `python/isospan`. Work is
 //! done without the GIL on a thread of its own, while the calling thread looks for signals and
-//! tells progress.
+//! reports progress.
 
 mod archive;
 mod arrays;

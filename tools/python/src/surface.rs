@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub(crate) struct Surface {
     mesh: TriMesh,
     isovalue: f64,
-    /// What a file tells of where the surface is from.
+    /// What a file says of where the surface is from.
     comment: String,
 }
 

@@ -40,7 +40,7 @@ struct Held {
     len: usize,
 }
 
-// SAFETY: the memory is that of an array that is held here, and nobody writes to it: as with a
+// SAFETY: the memory is that of an array that is held here, and it is not written to: as with a
 // mapped file, the caller promises that, and the documentation of `isospan.reduce` says so.
 #[allow(unsafe_code)]
 unsafe impl Send for Held {}

@@ -78,7 +78,7 @@ impl Telephone {
         *ended
     }
 
-    /// Tells the caller what is new: warnings for notices, a call for each stage that went on.
+    /// Reports to the caller what is new: warnings for notices, a call for each stage that went on.
     fn tell(
         &self,
         py: Python<'_>,
@@ -105,7 +105,7 @@ impl Telephone {
     }
 }
 
-/// Does work that can be stopped and tells how far it is.
+/// Does work that can be stopped and reports its progress.
 pub(crate) fn run<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,

@@ -154,7 +154,7 @@ mod tests {
     use super::super::tets::tests::cube;
     use super::*;
 
-    /// A linear potential has no source inside, whatever the mesh: K u is zero at inner vertices.
+    /// A linear potential has no source inside, in any mesh: K u is zero at inner vertices.
     #[test]
     fn a_uniform_field_needs_no_source() {
         let mut mesh = cube();

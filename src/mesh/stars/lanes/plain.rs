@@ -1,4 +1,4 @@
-//! Eight lanes, as two times four, in what vectors all machines of a kind have: of aarch64, NEON's.
+//! Eight lanes, as two times four, in vectors that all machines of a kind have: NEON's on aarch64.
 
 use super::{Batch, Machine};
 use crate::exec::lanes::{self, Floats as _, PLACES, Wide as _};
