@@ -4,6 +4,7 @@
 //! some ten. There, a scan by itself ([`super::scan`]) spends its time on branches that cannot be
 //! predicted: how many rows, how many samples, which of them. So tetrahedra are sorted by the rows
 //! of their box first; sixteen of like boxes are looked at side by side, a lane each:
+//!
 //! ```text
 //!  tetrahedra ─▶ boxes ─▶ sorted by rows ─▶ planes in f32 ─▶ where each row enters and leaves ─▶ candidates ─▶ exact λ ─▶ members
 //!     2048      16 each                       16 each                  16 each                              128 at a time
