@@ -401,7 +401,7 @@ impl BatchScan {
                 least > 0.0 || (least == 0.0 && wins_tie(scene, members.tets[i], candidates.place(i)));
             len += usize::from(!inside);
         }
-        // The last ones first: what takes the place of one that is none has been looked at.
+        // The last ones first: the candidate that takes the place of another has been examined.
         for &i in others[..len].iter().rev() {
             members.remove(usize::from(i) % MEMBERS);
         }
