@@ -86,7 +86,7 @@ pub struct OneWay {
     pub rms_normal_degrees: f64,
 }
 
-/// What was found.
+/// The result of a comparison.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompareReport {
     /// The first surface by itself: area, volume, Euler number, components.
@@ -117,7 +117,7 @@ const FIXED: u64 = 16 << 20;
 /// times.
 const HIERARCHY: u64 = 320;
 
-/// The least memory for two surfaces of so many vertices and triangles.
+/// The least memory for two surfaces of these numbers of vertices and triangles.
 pub fn needed(vertices: [u64; 2], triangles: [u64; 2]) -> u64 {
     let [t, u] = triangles;
     let held = vertices.iter().fold(0u64, |sum, v| sum.saturating_add(v.saturating_mul(12)));
@@ -215,7 +215,7 @@ pub fn distances(
     Ok(all)
 }
 
-/// Distances below this part of the diagonal are none.
+/// Distances below this part of the diagonal count as 0.
 pub const ZERO: f64 = 1e-12;
 
 /// Samples, or vertices, of a job: the sums of each are added in order.

@@ -29,13 +29,13 @@ use super::SCALES;
 use crate::geom::Lattice;
 use crate::grid::IndexBox;
 
-/// What is expected to be left of the error, at most, where an axis is made finer: less is not
-/// worth longer tetrahedra.
+/// The part of the error that is expected to be left, at most, where an axis is made finer: a
+/// smaller gain is not worth longer tetrahedra.
 const WORTH: f64 = 0.9;
 /// The same for the edges of a lattice's cells, which cost nothing but rounder triangles.
 const WORTH_OF_CELLS: f64 = 0.95;
-/// Edges are looked for in steps of 2^(1/4); the longest one has so many more than the shortest: it
-/// is four times as long.
+/// Edges are looked for in steps of 2^(1/4). The longest one has this many more steps than the
+/// shortest: it is four times as long.
 const MOST_QUARTERS: i32 = 8;
 /// Every so-many-th line of samples along each of the two other axes.
 const EVERY: usize = 2;
@@ -54,7 +54,7 @@ struct Along {
 }
 
 impl Bend {
-    /// Of the samples of a box, x fastest, NaN where there is none.
+    /// Measures the samples of a box, x fastest, NaN where there is none.
     ///
     /// # Panics
     /// When the samples are not as many as the box has.

@@ -19,9 +19,9 @@ pub struct Choice {
 
 /// log2 of voxels to a point at level 0, at least.
 const DEPTH: u32 = 12;
-/// And below the mean density that is wanted.
+/// The same below the mean density that is wanted.
 const BELOW_MEAN: u32 = 6;
-/// Points at level 0 in the whole domain, at least, where a volume has so many samples.
+/// Points at level 0 in the whole domain, at least, where a volume has that many samples.
 const LEAST_POINTS: u64 = 16;
 /// Steps of a factor 2 in which λ is looked for; and its logarithm is between these.
 const LAMBDA_STEPS: i32 = 64;
@@ -30,8 +30,8 @@ const LAMBDA_RANGE: i32 = 1000;
 /// the next.
 const PARTS: i32 = 3 * STEPS as i32;
 
-/// Where errors are to be equal, cells that have samples with and without a value have at least so
-/// many points a voxel.
+/// Where errors are to be equal, cells that have samples with and without a value have at least
+/// this many points a voxel.
 const MIXED_DENSITY: f64 = 0.125;
 /// Points a voxel, at most, around a sample that is off.
 const MOST_IN_VOXEL: f64 = 4096.0;
@@ -52,9 +52,9 @@ struct Search<'a> {
     mean: u8,
 }
 
-/// Two prices of a point, and the level of each cell by itself at them: at those between it is
-/// between, for the more a point costs, the lower a level is. So most cells need not be looked at
-/// again when the range is halved.
+/// Two prices of a point, and the level of each cell by itself at them. At prices between them the
+/// level is between, for the more a point costs, the lower a level is. So most cells need not be
+/// looked at again when the range is halved.
 struct Prices {
     dense: i32,
     sparse: i32,
@@ -143,7 +143,7 @@ impl Choice {
         let before = self.levels.as_slice();
         let above = worst.iter().map(|&e| f64::from(e) / bound).fold(1.0, f64::max);
         let log = libm::log2(above);
-        // Of all errors, or only of those above a part of the largest.
+        // For all errors, or only for those above a part of the largest.
         let within = (0..=PARTS_OF_LARGEST).map(|part| {
             let least = libm::exp2(log * f64::from(part) / f64::from(PARTS_OF_LARGEST));
             // A little less, for what rounding does to the largest.
@@ -168,7 +168,7 @@ impl Choice {
         (0..).zip(levels).map(of).sum()
     }
 
-    /// Levels raised around the cells whose errors are above so many times the bound.
+    /// Levels raised around the cells whose errors are above `times` times the bound.
     fn denser(&self, worst: &[f32], bound: f64, times: f64) -> Vec<u8> {
         let (cells, before) = (*self.levels.cells(), self.levels.as_slice());
         let [dims, edge] = [cells.dims(), cells.edge];
@@ -224,7 +224,7 @@ impl ErrorCurves {
         self.inside.as_ref().map_or_else(|| self.box_voxels(), inside)
     }
 
-    /// Those of a cell.
+    /// The voxels of a cell.
     fn cell_voxels(&self, cell: usize) -> f64 {
         match &self.inside {
             Some(inside) => f64::from(inside[cell]),
@@ -339,7 +339,7 @@ impl<'a> Search<'a> {
         levels.iter().enumerate().map(of).sum()
     }
 
-    /// Levels from 0 on, and how many points level 0 has for so many in all.
+    /// Levels from 0 on, and how many points level 0 has for `count` points in all.
     fn choice(&self, mut levels: Vec<u8>, count: u64) -> Result<Choice> {
         let least = levels.iter().copied().min().unwrap_or(0);
         let first = self.curves.box_voxels() * scale(1.0, i32::from(least) - self.top as i32);

@@ -64,7 +64,7 @@ pub struct ErrorCurves {
     logs: Vec<[i16; SCALES]>,
     /// Whether the cell has samples with a value, and others without.
     mixed: Vec<bool>,
-    /// Of a mesh that does not fill the box: how many voxels of each cell it has, about. Points
+    /// For a mesh that does not fill the box: how many voxels of each cell it has, about. Points
     /// elsewhere do not count.
     inside: Option<Vec<f32>>,
     /// How many samples the errors are sums over.
@@ -72,7 +72,7 @@ pub struct ErrorCurves {
 }
 
 impl ErrorCurves {
-    /// Of the cells of a lattice that are as small as may be.
+    /// Empty curves for the cells of a lattice, which are as small as possible.
     pub fn new(lattice: crate::geom::Lattice) -> Self {
         let at = |edge| BrickGrid::new(lattice, [edge; 3]);
         let count = |edge| at(edge).dims().iter().map(|&n| u128::from(n)).product::<u128>();
@@ -93,9 +93,9 @@ impl ErrorCurves {
         Self { inside, ..curves }
     }
 
-    /// Makes errors of a mesh, which were sums over samples of the grid, sums over its vertices, of
-    /// which each cell has so many: half of what a cell counts is its part of them, half its part
-    /// of the volume.
+    /// Turns errors of a mesh from sums over samples of the grid into sums over its vertices;
+    /// `vertices` has their number for each cell. Half of what a cell counts is its part of them,
+    /// half its part of the volume.
     ///
     /// # Panics
     /// For curves that are not [of a mesh](Self::of_mesh).

@@ -38,7 +38,7 @@ pub(crate) trait Wide: Copy {
     fn bits(mask: Self::Mask) -> u32;
 }
 
-/// So many lanes, from `f32` and back.
+/// `N` lanes, from `f32` and back.
 pub(crate) trait Floats<const N: usize>: Wide<Lanes = [f64; N]> {
     fn of_floats(proof: Self::Proof, lanes: &[f32; N]) -> Self;
     /// Each rounded.
@@ -320,8 +320,8 @@ fn halves(all: &[f32; 8]) -> &[[f32; 4]; 2] {
 #[cfg(target_arch = "x86_64")]
 pub(crate) use vectors::{Eight, Vector, turned};
 
-/// To be had with a proof only: so each has been made on a machine that has the instructions. Of
-/// use in code that is compiled for them.
+/// Vectors are made with a proof only, so the machine has the instructions. They are of use in code
+/// that is compiled for these.
 #[cfg(target_arch = "x86_64")]
 mod vectors {
     use super::{Floats, Four, Wide};

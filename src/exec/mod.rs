@@ -31,8 +31,9 @@ pub(crate) use vectors::{Avx2, Avx512, with_avx512, with_vectors};
 
 use crate::error::{Error, Result};
 
-/// A pool of `threads` worker threads of our own; 0 means as many as the process may use. Where the
-/// system refuses so many, half of them, and so on down to one: the results are the same.
+/// A pool of `threads` worker threads of our own; 0 means as many as the process may use. If the
+/// system refuses this number, the pool has half of it, and so on down to one. The results are the
+/// same.
 ///
 /// # Errors
 /// [`Error::Io`] when the system refuses even one thread.

@@ -170,7 +170,7 @@ mod tests {
             assert!(consumed.into_iter().eq(0..200), "{threads} threads");
             assert!(squares(&[], 0, &pool, make).unwrap().is_empty());
             assert!(most.into_inner() <= 3.min(threads as u64), "at most three pieces fit");
-            // What does not fit is made alone.
+            // An item that does not fit is made alone.
             assert_eq!(squares(&[10; 20], 9, &pool, |n| Ok(n * n)).unwrap().len(), 20);
         }
     }

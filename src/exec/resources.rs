@@ -3,8 +3,8 @@
 use super::{CancelToken, available_threads, usable_memory};
 use std::path::PathBuf;
 
-/// What a run may use of the machine. It decides how long the run takes, and no byte of what it
-/// makes.
+/// The resources of the machine that a run may use. They decide how long the run takes, and no byte
+/// of what it makes.
 ///
 /// ```
 /// use isospan::Resources;
@@ -32,13 +32,13 @@ impl Default for Resources {
 }
 
 impl Resources {
-    /// The same with so many threads; 0 means as many as the process may use.
+    /// The same with this many threads; 0 means as many as the process may use.
     #[must_use]
     pub fn with_threads(self, threads: usize) -> Self {
         Self { threads, ..self }
     }
 
-    /// The same with so many bytes for everything that grows.
+    /// The same with this many bytes for everything that grows.
     #[must_use]
     pub fn with_memory(self, memory: u64) -> Self {
         Self { memory, ..self }

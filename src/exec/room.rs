@@ -8,7 +8,7 @@
 use bytemuck::Pod;
 use std::ops::{Deref, DerefMut};
 
-/// What stands empty and is not lent yet: some pieces of memory.
+/// Memory that is empty and not lent yet: some pieces.
 #[derive(Debug, Default)]
 pub struct Room<'a>(Vec<&'a mut [u64]>);
 

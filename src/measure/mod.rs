@@ -71,7 +71,7 @@ pub struct FieldError {
     pub mean: f64,
     /// Mean error with its sign: reduced less original.
     pub bias: f64,
-    /// Errors that so many percent of the samples do not exceed; at most 1/16 too large,
+    /// Errors that given percentages of the samples do not exceed; at most 1/16 too large,
     /// relatively.
     pub percentiles: Vec<Percentile>,
     /// Where the largest error is; of several equal ones the sample of the lowest number. None if
@@ -119,9 +119,9 @@ pub struct LevelError {
 /// A percentile.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Percentile {
-    /// Of the measured samples.
+    /// A percentage of the measured samples.
     pub percent: f64,
-    /// Have an absolute error of at most so much.
+    /// These samples have an absolute error of at most this.
     pub error: f64,
 }
 

@@ -203,8 +203,8 @@ impl ErrorSums {
         self.per_sample(self.total(|m| m.squares as f64, |e| 2 * e)).sqrt()
     }
 
-    /// An error that so many percent of the measured samples do not exceed: see the module for how
-    /// near it is.
+    /// An error that `percent` percent of the measured samples do not exceed: see the module for
+    /// how near it is.
     pub fn percentile(&self, percent: f64) -> f64 {
         let wanted = (percent / 100.0 * self.measured as f64).ceil() as u64;
         let mut seen = self.zeros;

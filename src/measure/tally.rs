@@ -22,7 +22,7 @@ pub(crate) const TOGETHER: usize = 128;
 const LOWER: u32 = (1 << BIN_SHIFT) - 1;
 /// How many errors a bin has is counted from this bit on, above the sum of their lower bits.
 const COUNT_SHIFT: u32 = 44;
-/// So many have room in a bin.
+/// This many errors have room in a bin.
 const MOST_WAITING: usize = 1 << 20;
 const _: () =
     assert!(MOST_WAITING << BIN_SHIFT <= 1 << COUNT_SHIFT && MOST_WAITING <= 1 << (64 - COUNT_SHIFT));
@@ -33,12 +33,12 @@ pub(crate) struct Compared<const N: usize> {
     pub(crate) reduced: [[f32; N]; TOGETHER],
     /// Bits of errors.
     errors: [[u32; N]; TOGETHER],
-    /// Of each step: the bits of the largest absolute error, [`NONE`] where a sample has none;
+    /// For each step: the bits of the largest absolute error, [`NONE`] where a sample has none;
     /// those of the least that is not 0, less 1; how many are 0.
     most: [u32; N],
     least: [u32; N],
     zeros: [u32; N],
-    /// Of each step the least and the largest original value.
+    /// For each step the least and the largest original value.
     range: [[f32; N]; 2],
 }
 

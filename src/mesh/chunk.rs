@@ -182,9 +182,10 @@ pub fn mesh_widening(
 }
 
 /// The tetrahedra around those that a chunk owns, if the border of the latter is known. They are
-/// those that [`mesh_widening`] finds for evenly spread points, in canonical order, but only they
-/// take time, not the chunk. `positions` are as there. `None` where that cannot be done: then the
-/// chunk has to be meshed.
+/// those that [`mesh_widening`] finds for evenly spread points, in canonical order. The time is
+/// that of these tetrahedra, not of the whole chunk. `positions` are as there. `None` where that
+/// cannot be done: then the chunk has to be meshed.
+///
 /// # Errors
 /// As [`mesh_chunk`].
 pub fn mesh_around(

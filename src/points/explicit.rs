@@ -102,8 +102,8 @@ impl ExplicitPoints {
         Self { positions, grid, starts, clear: 0 }
     }
 
-    /// The same list, of a set in which no other point lies within so many lattice steps of one of
-    /// these; of a denser part, as many fewer as its points are closer.
+    /// The same list, for a set in which no other point lies within `clear` lattice steps of one of
+    /// these. In a denser part there are as many fewer steps as its points are closer.
     #[must_use]
     pub fn clearing(self, clear: u32) -> Self {
         Self { clear, ..self }

@@ -149,7 +149,7 @@ impl Grids {
         Self::new(ticks, [[0; 3]])
     }
 
-    /// The body-centred cubic lattice of so many cells along each axis.
+    /// The body-centred cubic lattice with these numbers of cells along each axis.
     pub(super) fn bcc(cells: [u32; 3], lattice: &Lattice) -> Option<Self> {
         let max = lattice.max();
         let ticks = std::array::from_fn(|a| {

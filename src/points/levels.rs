@@ -27,7 +27,7 @@ pub struct Levels {
     top: u8,
 }
 
-/// What the levels in a box are.
+/// The levels in a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Spread {
     pub(super) least: u8,
@@ -234,7 +234,7 @@ fn raise(row: &mut [u8], other: &[u8]) {
     }
 }
 
-/// The number of cells, if there may be so many.
+/// The number of cells, if that many are allowed.
 fn checked_len(cells: &BrickGrid) -> Result<u64> {
     let dims = cells.dims();
     let count = dims.iter().map(|&n| u128::from(n)).product::<u128>();

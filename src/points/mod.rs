@@ -150,7 +150,7 @@ impl PointSet {
         matches!(self.spec, PointSpec::Own { .. })
     }
 
-    /// What the set was made from.
+    /// The specification that the set was made from.
     pub fn spec(&self) -> &PointSpec {
         &self.spec
     }
@@ -304,7 +304,7 @@ impl PointSet {
         self.order_bits
     }
 
-    /// The same set, whose sites are ordered by curves of so many bits: to order them as those of
+    /// The same set, with its sites ordered by curves of `bits` bits: to order them as those of
     /// another set.
     ///
     /// # Errors

@@ -40,8 +40,8 @@ impl Cells {
 /// Sorts the sites of a box by (Hilbert key, x, y, z, id) and keeps the lowest id of each position;
 /// all, where `repeats` are points.
 ///
-/// What is sorted is the key and the number of the site, by radix. Keys are nearly distinct; sites
-/// of equal keys are put in order afterwards.
+/// Keys and numbers of sites are sorted, by radix. Keys are nearly distinct; sites of equal keys
+/// are put in order afterwards.
 pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, b: &LatticeBox, bits: u32, repeats: bool) {
     let (cells, number) =
         (Cells::new(b, bits), |i| u32::try_from(i).expect("fewer sites than 2^32 fit in memory"));
@@ -60,7 +60,7 @@ pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, b: &LatticeBox, bits: u32, r
     *sites = sorted;
 }
 
-/// Sorts by the upper halves, of so many bits, eight bits a pass.
+/// Sorts by the upper halves, of `bits` bits, eight bits a pass.
 fn sort_short(keys: &mut Vec<u64>, bits: u32) {
     let mut spare = vec![0; keys.len()];
     for pass in 0..bits.div_ceil(8) {

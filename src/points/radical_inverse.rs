@@ -134,7 +134,7 @@ pub(super) fn round_fraction(fraction: u64, error: u64, max: u32) -> Option<u32>
     Some((scaled >> 64) as u32)
 }
 
-/// Bound of the error of [`DigitTable::fraction`], in 2^-64: six groups of digits, of which the
+/// Bound of the error of [`DigitTable::fraction`], in 2^-64. There are six groups of digits; the
 /// first is off by less than 1 and each other by less than 3 (table entry, scale and product are
 /// each rounded down).
 const ERROR: u64 = 16;
@@ -229,7 +229,7 @@ impl<const N: u64> FloatTable<N> {
     /// product with up to 2^24 by 2^-53 of it: in all less than 2^-27.
     #[inline(always)]
     fn positions(&self, numbers: &[u32], max: u32, out: &mut [u32]) -> bool {
-        /// What is added rounds to the nearest integer, which is in the lowest bits then.
+        /// Adding this rounds to the nearest integer, which is then in the lowest bits.
         const TO_INTEGER: f64 = (1u64 << 52) as f64;
         const SURE: f64 = 0.5 - 1.0 / (1 << 20) as f64;
         const LANES: usize = 32;

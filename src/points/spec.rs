@@ -107,7 +107,7 @@ pub enum PointSpec {
     },
 }
 
-/// What [`PointSpec::with_count`] may not choose itself.
+/// The parameters that [`PointSpec::with_count`] may not choose itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SetSettings {
     /// Shift t of a Hammersley set; default 1/2.

@@ -194,7 +194,7 @@ impl<'a> Scanner<'a> {
         let grown = |k: usize, j: usize| along_x[k].plus(y[k].times(ys[j]));
         let row = |j: usize| [grown(0, j), grown(1, j), grown(2, j), grown(3, j)];
         let rows = [row(0), row(1), row(2), row(3)];
-        // A row has four bits, of which `width` count.
+        // A row has four bits; `width` of them count.
         let wanted = (0x1111 * ((1 << width) - 1)) & ((1u32 << (4 * height)) - 1);
         for iz in found.lo[2]..found.hi[2] {
             let dz = self.offset(found, 2, iz);
@@ -353,7 +353,7 @@ impl<I: Int, F: FnMut(usize, &[[f64; 4]])> Exact<'_, I, F> {
     }
 
     /// Hands on the samples among `start..end` of a row that are inside. They follow each other:
-    /// what the filter let through in vain lies at the ends.
+    /// samples that only the filter let through lie at the ends.
     #[inline(always)]
     fn run(&mut self, iz: usize, iy: usize, start: usize, end: usize) {
         let (axes, found) = (self.scanner.axes, self.found);

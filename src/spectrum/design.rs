@@ -18,7 +18,7 @@ pub(crate) const MOST_LEVELS: u64 = 8192;
 const FEWEST_LEVELS: u64 = 512;
 
 impl Limits {
-    /// For chunks of about so many points: what is stored for one is about a hundredth of its
+    /// For chunks of about `points` points: what is stored for a chunk is about a hundredth of its
     /// bytes.
     pub fn of_chunks(points: u64) -> Self {
         Self {

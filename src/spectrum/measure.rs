@@ -144,11 +144,11 @@ impl Cells<'_> {
     }
 }
 
-/// So many tetrahedra later the sums are made: what was just written can not be read piece by piece
-/// at once, and the processor has two things to do.
+/// The sums are made this many tetrahedra later: what was just written cannot be read piece by
+/// piece at once, and the processor has two things to do.
 const LATER: usize = 2;
 
-/// So many tetrahedra before they are looked at their vertices are asked for.
+/// The vertices of a tetrahedron are prefetched this many tetrahedra before it is looked at.
 const AHEAD: usize = 16;
 
 /// What is known of some tetrahedra; of one at some steps, or of eight at one.
@@ -226,7 +226,7 @@ impl Room {
         let Some(design) = &side.design else { return };
         let ladder = Ladder::<S>::new(proof, [Some(design); 8]);
         for (n, (tets, pieces)) in tets.chunks(8).zip(&mut self.0).enumerate() {
-            // Of less than eight, the last one again.
+            // With fewer than eight, the last one is repeated.
             let corner = |k: usize, i: usize| tets[i.min(tets.len() - 1)][k] as usize;
             let floats = [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.values[corner(k, i)]));
             let values = four(
@@ -252,7 +252,7 @@ impl Room {
     }
 }
 
-/// Tetrahedra of which a value is NaN, bit by bit.
+/// Tetrahedra with a value that is NaN, bit by bit.
 #[inline(always)]
 fn voids<S: Floats<8>>([a, b, c, d]: [S; 4]) -> u32 {
     !S::bits(a.plus(b).plus(c.plus(d)).is_number()) & 0xff

@@ -10,9 +10,9 @@ use crate::mesh::tet::Tet;
 pub(super) const SIDE_BY_SIDE: usize = 8;
 const FEWEST: usize = 3;
 
-/// What a step is measured at; `None` where all is void.
+/// The design at which a step is measured; `None` where all is void.
 fn design(limits: Limits, step: &Vertices<'_>) -> Option<Design> {
-    // Of two zeros either may be the least; only one is written.
+    // Either of two zeros may be the least; only one is written.
     (step.range[0] <= step.range[1]).then(|| Design::new(step.range.map(|v| v + 0.0), limits))
 }
 
@@ -26,7 +26,7 @@ pub(super) enum Side {
 }
 
 impl Side {
-    /// Of all steps, in their order.
+    /// The sides of all steps, in their order.
     pub(super) fn all(limits: Limits, steps: &[Vertices<'_>], room: &mut Room) -> Vec<Self> {
         let mut sides = vec![];
         with_vectors(
@@ -45,7 +45,7 @@ impl Side {
         sides
     }
 
-    /// The parts of a chunk of so many tetrahedra.
+    /// The parts of a chunk of `tets` tetrahedra.
     pub(super) fn finish(self, tets: u64, room: &mut Room) -> Vec<ChunkPart> {
         with_vectors(
             #[inline(always)]
@@ -61,8 +61,8 @@ impl Side {
     }
 }
 
-/// A step by itself: of each vertex its value, and of how many more tetrahedra it is the least
-/// corner than the largest.
+/// A step by itself: for each vertex its value, and the number of tetrahedra of which it is the
+/// least corner, less the number of which it is the largest.
 pub(super) struct Alone {
     pub(super) values: Vec<f32>,
     pub(super) ends: Vec<i32>,

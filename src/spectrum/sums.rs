@@ -25,18 +25,18 @@ const _: () = assert!(CUTS.is_power_of_two() && CUTS < VOID as usize);
 /// The sums of a step, in one piece: so those of the next one are found without a look elsewhere.
 #[repr(C, align(64))]
 pub(super) struct Sums {
-    /// At the knots from each one on, of tetrahedra whose least value has so many knots at or below
-    /// it.
+    /// The sums at the knots from each one on, of tetrahedra whose least value has this many knots
+    /// at or below it.
     cuts: [Cut; CUTS],
-    /// Isovalues, and behind the last one such as would follow.
+    /// Isovalues, and behind the last one those that would follow.
     knots: [f64; CUTS + KNOTS],
-    /// Volume of tetrahedra whose least value has so many knots at or below it; the last is that of
-    /// void ones.
+    /// Volume of tetrahedra whose least value has this many knots at or below it; the last is that
+    /// of void ones.
     whole: [f64; VOID as usize + 1],
 }
 
 impl Sums {
-    /// Of nothing, at isovalues, if there are such.
+    /// Empty sums, at isovalues, if there are any.
     pub(super) fn new(design: Option<&Design>) -> Self {
         let mut knots = [0.0; CUTS + KNOTS];
         if let Some(design) = design {
@@ -74,7 +74,8 @@ impl Sums {
         }
     }
 
-    /// What is known when all tetrahedra have been added, so many that are not void.
+    /// The part of the chunk when all tetrahedra have been added; `tetrahedra` of them are not
+    /// void.
     pub(super) fn finish(&self, tetrahedra: u64, design: Design, ends: &Ends) -> ChunkPart {
         let count = design.knots.count as usize;
         let at = |k: usize| {
@@ -97,7 +98,7 @@ impl Sums {
     }
 }
 
-/// Minima less maxima of tetrahedra that have so many knots, so many levels at or below them.
+/// Minima less maxima of tetrahedra, by the number of knots, and of levels, at or below them.
 pub(super) struct Ends {
     knots: Vec<i64>,
     levels: Vec<i64>,
@@ -119,7 +120,7 @@ impl Ends {
     /// Adds those at a vertex.
     #[inline(always)]
     pub(super) fn add(&mut self, value: f32, ends: i32) {
-        // Of no tetrahedron but void ones, a vertex may have any value.
+        // A vertex of void tetrahedra alone may have any value.
         if ends != 0 {
             self.knots[self.knot_places.of(value) as usize] += i64::from(ends);
             self.levels[self.level_places.of(value) as usize] += i64::from(ends);
@@ -134,6 +135,6 @@ fn counts(ends: &[i64]) -> Vec<u64> {
         active += n;
         u64::try_from(active).expect("a tetrahedron's minimum is not above its maximum")
     };
-    // What is above all isovalues does not count for any.
+    // A value above all isovalues does not count for any.
     ends[..ends.len() - 1].iter().map(count).collect()
 }

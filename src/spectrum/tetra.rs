@@ -25,8 +25,8 @@ use super::sums::VOID;
 use crate::exec::lanes::{Floats, Four, Wide, four, sorted, three};
 use crate::mesh::tet::Tet;
 
-/// Tetrahedra that are looked at together: so many that of the sums of some steps those near their
-/// values are fetched once for many of them.
+/// Tetrahedra that are looked at together: enough that the sums near their values, at some steps,
+/// are fetched once for many of them.
 pub(super) const BATCH: usize = 64;
 /// Knots that are looked at together.
 pub(super) const KNOTS: usize = 8;
@@ -34,7 +34,7 @@ pub(super) const KNOTS: usize = 8;
 /// Tetrahedra, column by column, four by four.
 type Column = [[f64; 4]; BATCH / 4];
 
-/// What of a tetrahedron does not depend on values.
+/// The properties of tetrahedra that do not depend on values.
 #[derive(Default)]
 pub(super) struct Shapes {
     /// The cross products of the edges from the first corner: those without the edge to the second,
@@ -45,7 +45,7 @@ pub(super) struct Shapes {
     inverse: Column,
 }
 
-/// What of that some tetrahedra need, or one in all lanes.
+/// Those properties of some tetrahedra, or of one in all lanes.
 #[derive(Clone, Copy)]
 pub(super) struct Shape<W> {
     normals: [[W; 3]; 3],
@@ -54,12 +54,12 @@ pub(super) struct Shape<W> {
 }
 
 impl Shapes {
-    /// Of at most [`BATCH`] tetrahedra.
+    /// Computes them for at most [`BATCH`] tetrahedra.
     #[inline(always)]
     pub(super) fn look<W: Four>(&mut self, proof: W::Proof, places: &[[f64; 4]], tets: &[Tet]) {
         let (zero, one) = (W::splat(proof, 0.0), W::splat(proof, 1.0));
         for (n, four) in tets.chunks(4).enumerate() {
-            // Of less than four, the last one again.
+            // With fewer than four, the last one is repeated.
             let four = [0, 1, 2, 3].map(|k| four[k.min(four.len() - 1)]);
             let a = corners::<W>(proof, places, &four, 0);
             let b = edge(proof, places, &four, 1, &a);
@@ -136,17 +136,17 @@ fn edge<W: Four>(
     [x, y, z]
 }
 
-/// What the sums at the knots are made from, of some tetrahedra, or of one at some steps: numbers
-/// that [`Pieces`] names.
+/// The numbers from which the sums at the knots are made, for some tetrahedra, or for one at some
+/// steps; [`Pieces`] names them.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct PiecesOf {
     numbers: [[f64; 8]; 11],
     /// The volumes.
     pub(super) volume: [f64; 8],
-    /// In the last byte the number of knots at or below the least value.
+    /// The number of knots at or below the least value, in the last byte.
     below: [f64; 8],
-    /// Bit by bit: those without a knot in their range; with more than [`KNOTS`].
+    /// The tetrahedra without a knot in their range, bit by bit; those with more than [`KNOTS`].
     pub(super) flat: u32,
     pub(super) steep: u32,
 }
@@ -164,7 +164,7 @@ pub(super) struct Ladder<W> {
 }
 
 impl<W: Floats<8>> Ladder<W> {
-    /// Of designs; none where there is no step.
+    /// The ladder of some designs; a lane without a step has none.
     #[inline(always)]
     pub(super) fn new(proof: W::Proof, designs: [Option<&Design>; 8]) -> Self {
         let of = |f: fn(&Design) -> f64, none| W::of(proof, &designs.map(|design| design.map_or(none, f)));
@@ -194,7 +194,7 @@ impl PiecesOf {
 }
 
 impl<W: Floats<8>> Shape<W> {
-    /// Of tetrahedra with these corner values, void ones bit by bit.
+    /// The pieces of tetrahedra with these corner values, void ones bit by bit.
     #[inline(always)]
     pub(super) fn pieces(
         &self,
@@ -280,7 +280,7 @@ pub(super) struct Cut {
     pub(super) slope: [f64; KNOTS],
 }
 
-/// What of a tetrahedron the sums are made from, in all lanes.
+/// The numbers of a tetrahedron from which the sums are made, in all lanes.
 pub(super) struct Pieces<W> {
     f0: W,
     f1: W,
@@ -297,7 +297,7 @@ pub(super) struct Pieces<W> {
 }
 
 impl<W: Wide> Pieces<W> {
-    /// Of one of them.
+    /// The pieces of one of them.
     #[inline(always)]
     pub(super) fn new(proof: W::Proof, of: &PiecesOf, lane: usize) -> Self {
         let [f0, f1, f3, d01, d02, d03, d12, d13, d23, area, slope] = &of.numbers;
@@ -316,8 +316,9 @@ impl<W: Wide> Pieces<W> {
         }
     }
 
-    /// Adds what the tetrahedron, of this volume and largest value, has at some knots, of which the
-    /// first is above its least value. What it has at others than those in its range is 0.
+    /// Adds the contribution of the tetrahedron, of this volume and largest value, at some knots;
+    /// the first of them is above its least value. At knots outside its range the contribution is
+    /// 0.
     #[inline(always)]
     pub(super) fn add(&self, proof: W::Proof, volume: f64, most: f64, knots: &[f64; KNOTS], sums: &mut Cut) {
         let wide: &[W::Lanes] = bytemuck::cast_slice(knots);

@@ -9,10 +9,10 @@ use crate::raster::sixteen::{Bits, Floats, Ints};
 
 /// The error of the filter, in M³: see the module above.
 const ERROR: f32 = 1024.0 / (1u32 << 24) as f32;
-/// A growth that is none: λ does not change from -16 to 16.
+/// Stands for no growth: λ does not change from -16 to 16.
 const NO_GROWTH: f32 = 1e-30;
 
-/// What a scan is of.
+/// The grid, the positions and the tetrahedra of a scan.
 pub(super) struct Scene<'a> {
     pub(super) scanner: &'a Scanner<'a>,
     pub(super) positions: &'a [LatticePos],

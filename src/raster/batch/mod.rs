@@ -4,6 +4,7 @@
 //! some ten. There, a scan by itself ([`super::scan`]) spends its time on branches that cannot be
 //! predicted: how many rows, how many samples, which of them. So tetrahedra are sorted by the rows
 //! of their box first; sixteen of like boxes are looked at side by side, a lane each:
+//!
 //! ```text
 //!  tetrahedra ─▶ boxes ─▶ sorted by rows ─▶ planes in f32 ─▶ where each row enters and leaves ─▶ candidates ─▶ exact λ ─▶ members
 //!     2048      16 each                       16 each                  16 each                              128 at a time
@@ -400,7 +401,7 @@ impl BatchScan {
                 least > 0.0 || (least == 0.0 && wins_tie(scene, members.tets[i], candidates.place(i)));
             len += usize::from(!inside);
         }
-        // The last ones first: what takes the place of one that is none has been looked at.
+        // The last ones first: the candidate that takes the place of another has been examined.
         for &i in others[..len].iter().rev() {
             members.remove(usize::from(i) % MEMBERS);
         }

@@ -69,7 +69,7 @@ fn close<const N: usize>(
     near.close::<N, Eight>(proof, view, is_outer)
 }
 
-/// It is made with a proof only, so the machine has the instructions.
+/// Eight lanes, made with a proof only, so the machine has the instructions.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::mesh::stars) struct Eight(__m256);
 

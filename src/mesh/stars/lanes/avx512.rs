@@ -70,7 +70,7 @@ fn close<const N: usize>(
     near.close::<N, Sixteen>(proof, view, is_outer)
 }
 
-/// It is made with a proof only, so the machine has the instructions.
+/// Sixteen lanes, made with a proof only, so the machine has the instructions.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::mesh::stars) struct Sixteen(__m512);
 
