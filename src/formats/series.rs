@@ -317,7 +317,7 @@ fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     Ok(kind_of(&Arc::new(ByteSource::open(path, options.io)?)))
 }
 
-/// The frames of a file that is a series by itself, or of the array in it that is named; and their
+/// The frames of a file that is itself a series, or of the array in it that is named; and their
 /// times.
 fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
     let wanted = options.field.as_deref();

@@ -436,7 +436,7 @@ impl Blocks {
         }
     }
 
-    /// What is decoded as a whole, and what it is decoded from.
+    /// Bytes of a block that is decoded as a whole, and of its compressed form.
     fn whole_block(&self) -> u64 {
         let block = self.full.min(MOST_LZ4_BLOCK);
         if matches!(self.codec, Codec::Lz4 { .. }) { block + longest_lz4(block) } else { 0 }

@@ -36,7 +36,7 @@ pub(super) struct Array {
     key: Key,
 }
 
-/// A file of several chunks, each encoded by itself, and an index of their places.
+/// A file of several chunks, each encoded separately, and an index of their places.
 #[derive(Clone, Debug)]
 pub(super) struct Shard {
     /// Samples of a chunk of the shard.

@@ -22,7 +22,8 @@ use std::collections::HashMap;
 const TETS_A_POINT: u64 = 6;
 
 impl OwnMesh<'_> {
-    /// As many points as a chunk of so many, with its tetrahedra, takes the memory of.
+    /// The number of points that needs as much memory as a chunk of `points` points with its
+    /// tetrahedra.
     pub(super) fn points_of(&self, recipe: &Recipe<'_>, chunk: &Chunk, points: u64) -> Result<u64> {
         Ok(points.max(self.cells.count(chunk.bricks(&recipe.bricks))? / TETS_A_POINT))
     }

@@ -33,7 +33,7 @@ impl Measured<'_> {
         [self.window.lo[0] + at % x, self.window.lo[1] + at / x % y, self.window.lo[2] + at / x / y]
     }
 
-    /// The number of one in a volume of so many samples along each axis.
+    /// The number of one in a volume of `dims` samples along the axes.
     #[inline]
     pub(super) fn number(&self, n: usize, dims: [u64; 3]) -> u64 {
         let [x, y, z] = self.place(n);

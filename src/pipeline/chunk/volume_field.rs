@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A volume, and how it is sampled.
 pub(in crate::pipeline) struct GridField {
     pub(in crate::pipeline) reader: Box<dyn VolumeReader>,
-    /// The copy that is read, removed behind the reader.
+    /// The copy that is read; it is removed after the reader.
     #[allow(dead_code, reason = "what counts is when it is dropped")]
     pub(in crate::pipeline) scratch: Option<Scratch>,
     pub(in crate::pipeline) bricks: BrickGrid,
