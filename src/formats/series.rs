@@ -309,7 +309,7 @@ fn time_of(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
     Ok(time.filter(|t| t.is_finite()))
 }
 
-/// What a single file with its own layout is.
+/// The kind of a single file with its own layout.
 fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     if options.raw.is_some() || !path.is_file() {
         return Ok(None);

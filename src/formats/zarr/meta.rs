@@ -53,7 +53,7 @@ struct Key {
     separator: char,
 }
 
-/// Metadata are small; what is larger is none.
+/// Metadata are small; a larger file is not metadata.
 const MOST: u64 = 64 << 20;
 
 /// The JSON of a metadata file, if there is one.

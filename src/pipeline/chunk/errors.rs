@@ -37,7 +37,7 @@ pub(in crate::pipeline) enum Originals<'a> {
         reader: &'a dyn VolumeReader,
         /// A sample of this value is missing, besides those that the reader knows.
         missing: Option<f64>,
-        /// What stands for samples that are no finite numbers.
+        /// The value that replaces samples that are not finite.
         stand_in: Option<f32>,
     },
     /// A mesh, and the values at its vertices.

@@ -97,7 +97,7 @@ impl OwnField<'_> {
         Ok(placement.vertices.iter().map(|&v| values[v as usize]).collect())
     }
 
-    /// Which of the vertices of the mesh those of a chunk are.
+    /// Finds which vertices of the mesh the vertices of a chunk are.
     pub(super) fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
         let core = places_of(self.mesh, &mesh.positions()[..mesh.core_len()])?;
         let places = core.into_iter().chain(mesh.halo.iter().map(|id| id.index()));

@@ -41,7 +41,7 @@ impl Measured<'_> {
     }
 }
 
-/// Some samples at the steps that lie side by side.
+/// Some samples at the steps that are interleaved.
 pub(super) struct Room {
     one: Box<Compared<1>>,
     four: Box<Compared<4>>,
