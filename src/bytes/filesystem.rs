@@ -1,5 +1,5 @@
-//! Which file systems are shared over a network, and how much memory the machine has: what the
-//! choice of the I/O mode and of dropping pages rests on.
+//! Finds which file systems are shared over a network, and how much memory the machine has. The I/O
+//! mode and the dropping of pages depend on both.
 
 use std::fs::File;
 

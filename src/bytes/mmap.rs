@@ -13,8 +13,8 @@
 //! ```
 //!
 //! The zeros are never taken for data, because [`Mapping::check`] comes after the last access and
-//! before a result is used. The length is looked at too: behind the end of a file that was cut
-//! inside a page, that page reads as zeros without a signal. Cost: one `fstat` a check, nothing an
+//! before a result is used. The length is checked too: if a file was cut inside a page, the rest of
+//! that page reads as zeros without a signal. Cost: one `fstat` for each check, nothing for an
 //! access.
 //!
 //! The handler is installed when the first file is mapped and stays. Its list of mappings only

@@ -10,8 +10,8 @@
 //!   each cost a request of 4 KiB, and no address space.
 //!
 //! [`IoMode::Auto`], the default, reads on network file systems and maps elsewhere. Every access is
-//! checked against the length, and a refusal names file, offset and lengths: a header that lies
-//! about sizes ends here as a clear error, never as a panic.
+//! checked against the length, and a refusal names file, offset and lengths. A header with wrong
+//! sizes ends here as a clear error, never as a panic.
 //!
 //! ```text
 //!  ByteSource ──▶ read_at(offset, buf)   copies; works for every kind of source
@@ -22,13 +22,13 @@
 //! ```
 //!
 //! A file that another program shortens meanwhile is an error naming it, also when it is mapped:
-//! see `mmap`. Who uses borrowed bytes calls [`ByteSource::check`] afterwards; `read_at` and
-//! readers do it themselves.
+//! see `mmap`. Users of borrowed bytes call [`ByteSource::check`] afterwards; `read_at` and readers
+//! do it themselves.
 //!
-//! **The page cache is everybody's.** A file larger than a quarter of the machine's memory would
-//! push out of it what other programs use. Of such a file, pages are dropped once they are behind
-//! ([`ByteSource::release`]); smaller files stay cached for the next run. Pages to come are asked
-//! for ahead ([`ByteSource::advise_will_need`]).
+//! **The page cache is shared by all programs.** A file larger than a quarter of the machine's
+//! memory would evict what other programs use. The pages of such a file are dropped once they have
+//! been read ([`ByteSource::release`]); smaller files stay cached for the next run. Pages that
+//! follow are requested ahead ([`ByteSource::advise_will_need`]).
 
 mod filesystem;
 mod mmap;
@@ -76,7 +76,7 @@ pub struct ByteSource {
     path: PathBuf,
     len: u64,
     bytes: Bytes,
-    /// Whether pages that are behind are dropped from the system's cache.
+    /// Whether pages that have been read are dropped from the system's cache.
     drop_behind: bool,
 }
 
@@ -104,7 +104,7 @@ impl fmt::Debug for InMemory {
     }
 }
 
-/// Readers drop what is behind them in pieces of this size.
+/// Readers drop the bytes that they have read in pieces of this size.
 const DROP_BYTES: u64 = 16 << 20;
 
 impl ByteSource {

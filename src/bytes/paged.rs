@@ -1,10 +1,10 @@
-//! Records read and written at random, within a given memory: pages of them, the least recently
-//! needed ones on disk.
+//! Records with random access within a given memory: they lie in pages, the least recently used
+//! ones on disk.
 //!
-//! Work on a surface, say, jumps between the vertices of a triangle, most of which are near each
-//! other in the order of the numbers. So pages are kept as long as there is room, and a page that
-//! was not needed for a whole round of the clock hand is written to a nameless file of the scratch
-//! folder. Where all pages fit, no file is made.
+//! For example, work on a surface jumps between the vertices of a triangle, and most of these are
+//! close in the order of numbers. So pages are kept as long as memory suffices. A page that was not
+//! needed for a whole round of the clock hand is written to a nameless file of the scratch folder.
+//! Where all pages fit, no file is made.
 //!
 //! Memory: the pages, and 5 bytes for each 4096 records.
 

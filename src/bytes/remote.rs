@@ -12,9 +12,9 @@
 //!
 //! Keys and region come from the environment, as for Amazon's own tools (`AWS_ACCESS_KEY_ID`,
 //! `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT_URL`; `AWS_SKIP_SIGNATURE=true` for public
-//! buckets). Failed requests are tried again by the client; a server that is not there, or does not
-//! answer, is given up within about half a minute. A server must answer range requests; one that
-//! sends the whole file instead is an error.
+//! buckets). Failed requests are tried again by the client; a server that does not exist, or does
+//! not answer, is given up within about half a minute. A server must answer range requests; one
+//! that sends the whole file instead is an error.
 //!
 //! Without the feature `remote` there is no such file: opening one says so.
 
@@ -51,7 +51,7 @@ pub(crate) fn read_all(path: &Path, most: u64) -> Result<Vec<u8>> {
 #[cfg(feature = "remote")]
 pub(crate) use with_client::RemoteFile;
 
-/// What this process has fetched from the server of a path; nothing of a local path.
+/// What this process has fetched from the server of a path; nothing for a local path.
 #[cfg(feature = "remote")]
 pub(crate) fn traffic(path: &Path) -> Option<Traffic> {
     is_remote(path).then(|| with_client::traffic(path))
@@ -211,8 +211,8 @@ mod with_client {
             pages.kept.get(&(self.number, n)).cloned()
         }
 
-        /// Fetches pages, and some more behind one that is there; gives the offset of the first
-        /// byte, and all bytes.
+        /// Fetches pages, and some more if the page before is there; returns the offset of the
+        /// first byte, and all bytes.
         fn fetch(&self, mut pages: Range<u64>) -> io::Result<(u64, Vec<u8>)> {
             if pages.start > 0 && self.page(pages.start - 1).is_some() {
                 pages.end = pages.end.max(pages.start + AHEAD);

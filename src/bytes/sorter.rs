@@ -1,14 +1,13 @@
-//! Sorting more records than memory holds.
+//! Sorts more records than memory holds.
 //!
 //! ```text
 //!  push ─▶ buffer ── full: sort, append to a file ─▶ run 0 │ run 1 │ … ─▶ merge ─▶ next, next, …
 //! ```
 //!
 //! External merge sort (Knuth, The Art of Computer Programming 3, section 5.4): runs of the size of
-//! the memory given are sorted and written one behind the other into a nameless file; then all are
-//! read side by side, the least record first. If they are so many that each would be read in too
-//! small pieces, groups of them are merged to longer runs before. What fits in memory is never
-//! written.
+//! the given memory are sorted and written one after another into a nameless file. Then all are
+//! read together, the least record first. If each of many runs would be read in too small pieces,
+//! groups of them are merged into longer runs before. Records that fit in memory are never written.
 //!
 //! Cost: O(n log n) comparisons; each record is written and read once for up to memory / 16 KiB
 //! runs, and once more each time the number of runs exceeds that. Records that compare equal are
@@ -39,7 +38,7 @@ pub(crate) struct Sorter<R> {
     runs: Option<Runs>,
 }
 
-/// Sorted runs of records in a file, one behind the other.
+/// Sorted runs of records in a file, one after another.
 #[derive(Debug)]
 struct Runs {
     file: File,
@@ -157,7 +156,7 @@ impl<R: Pod + Ord> Sorted<R> {
     }
 }
 
-/// Runs that are read side by side.
+/// Runs that are read together.
 #[derive(Debug)]
 pub(crate) struct Merge<R> {
     runs: Runs,
@@ -167,7 +166,7 @@ pub(crate) struct Merge<R> {
     scratch: PathBuf,
 }
 
-/// What is in memory of a run, and what is still to come.
+/// The part of a run that is in memory, and the rest of it.
 #[derive(Debug)]
 struct Piece<R> {
     records: Vec<R>,

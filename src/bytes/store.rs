@@ -1,5 +1,5 @@
-//! Fixed-size records, appended, patched, read front to back or anywhere; on disk beyond a given
-//! size.
+//! Fixed-size records that are appended, patched, and read front to back or at random; beyond a
+//! given size they are on disk.
 
 use crate::error::{Error, Result};
 use bytemuck::Pod;

@@ -1,4 +1,4 @@
-//! What a user chooses of a reduction: everything that decides the archive's bytes, besides the
+//! The choices of a user for a reduction: everything that decides the archive's bytes, besides the
 //! input.
 
 use super::grammar::{self, Range, Size};

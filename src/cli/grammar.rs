@@ -12,7 +12,7 @@
 //!  length          0.5  0.1%
 //! ```
 //!
-//! A parser says what it expected, with an example; clap says before that what it got, and for
+//! A parser says what it expected, with an example. Before that, clap says what it got, and for
 //! which flag.
 
 use super::step::Times;

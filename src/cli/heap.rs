@@ -1,10 +1,9 @@
-//! Memory that is given back goes back to the system, so that what the process holds is what it
-//! uses.
+//! Returns freed memory to the system, so that the process holds only what it uses.
 //!
 //! The C library keeps freed memory in its arenas, one for each few threads: by default a run that
-//! is allowed 1 GiB, and uses it, may hold half as much again. Large blocks from the system
-//! directly, and arenas trimmed early, keep it at what is in use; the price, pages cleared anew for
-//! each chunk, is below 1 % of a chunk's work.
+//! is allowed 1 GiB, and uses it, may hold half as much again. Taking large blocks directly from
+//! the system, and trimming arenas early, keeps it at what is in use. The cost, pages that are
+//! cleared again for each chunk, is below 1 % of a chunk's work.
 
 #![allow(unsafe_code)]
 

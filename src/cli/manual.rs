@@ -1,5 +1,5 @@
-//! What the program says of itself: the overview of commands, `isospan completions`, `isospan man`,
-//! and the version.
+//! What the program says about itself: the overview of commands, `isospan completions`,
+//! `isospan man`, and the version.
 
 use super::Cli;
 use clap::{Arg, ArgAction, Command, CommandFactory};

@@ -1,4 +1,4 @@
-//! What a command may write: no input ever, and what exists with `--force` alone.
+//! Checks what a command may write: never an input, and existing files only with `--force`.
 
 use isospan::formats::{self, Input, OpenOptions};
 use isospan::{Error, Result};

@@ -1,4 +1,4 @@
-//! `isospan surface`: isosurfaces out of an archive.
+//! `isospan surface`: isosurfaces from an archive.
 
 use super::grammar::{self, Length, Value};
 use super::machine::{Machine, OutputScratch};

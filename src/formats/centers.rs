@@ -30,7 +30,7 @@ pub(super) fn first_sample(points: [u64; 3], center: Center) -> [f64; 3] {
 pub(super) struct Picked {
     pub(super) field: FieldInfo,
     pub(super) center: Center,
-    /// Which it is of those of its kind.
+    /// Its position among the fields of its kind.
     pub(super) index: usize,
     /// All fields, those at points first.
     pub(super) fields: Vec<FieldInfo>,

@@ -63,8 +63,8 @@ pub(super) fn rectilinear(
     Ok(GridCoordinates::Axes(axes))
 }
 
-/// Start and step of numbers that are regular to a thousandth of a step, or of `single` precision,
-/// as far as their rounding goes.
+/// Start and step of numbers that are regular to a thousandth of a step or, with `single`
+/// precision, within their rounding.
 pub(super) fn regular(values: &[f64], single: bool) -> Option<(f64, f64)> {
     let (first, last) = (*values.first()?, *values.last()?);
     let step = if values.len() == 1 { 1.0 } else { (last - first) / (values.len() - 1) as f64 };

@@ -390,7 +390,7 @@ impl Tree {
         };
         let known = |name: &str| self.fields.iter().any(|f| f.info.name == name);
         let linked = file.dataset(path).ok().filter(|_| !known(wanted)).map(|d| d.address());
-        // The name of a dataset with frames is none of a frame.
+        // The name of a dataset with frames is not the name of a frame.
         let found =
             self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| match frame {
                 None => !f.is_frame(),
@@ -427,7 +427,7 @@ struct Field {
     world: [usize; 3],
 }
 
-/// What an axis of a name is.
+/// The kind of an axis with this name.
 fn kind_of_name(name: &str) -> char {
     match name.rsplit('/').next().unwrap_or(name).to_ascii_lowercase().as_str() {
         "x" | "lon" | "longitude" => 'x',
@@ -673,8 +673,8 @@ impl Field {
         attribute.read_as_f64().map(Some).map_err(|_| wrong(kind(&attribute.datatype).into()))
     }
 
-    /// What turns samples outside of the range that CF's attributes declare into missing ones;
-    /// `None` where there is no such range.
+    /// The conversion that makes samples outside of the range in CF's attributes missing; `None`
+    /// where there is no such range.
     fn valid_range(&self, path: &Path, info: &VolumeInfo) -> Result<Option<Convert>> {
         let mut valid = [f64::NEG_INFINITY, f64::INFINITY];
         let mut float = false;

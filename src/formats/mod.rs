@@ -206,7 +206,7 @@ fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
 fn unzipped_head(source: &Arc<ByteSource>) -> Vec<u8> {
     let mut head = vec![];
     if let Ok(decoded) = Codec::Gzip.reader(source, 0..source.len()) {
-        // What was decoded before an error is enough to look at.
+        // The bytes decoded before an error suffice.
         let _ = std::io::Read::read_to_end(&mut std::io::Read::take(decoded, 512), &mut head);
     }
     head

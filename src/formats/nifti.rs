@@ -162,7 +162,7 @@ impl UnpackedFrames {
             out.write_all(&buffer[..n]).map_err(failed)?;
             left -= n as u64;
         }
-        // To the end: the checksum of all is there.
+        // Read to the end, because the checksum of all is there.
         match packed.read(&mut buffer[..1]).map_err(read)? {
             0 => {}
             _ => return Err(short("more".into())),

@@ -34,8 +34,8 @@ pub(super) fn to_f64(scalar: ScalarType, bytes: &[u8], out: &mut [f64]) {
     each!(scalar, bytes, v => if let Some(slot) = slots.next() { *slot = v as f64 });
 }
 
-/// Appends little-endian integers as counts or numbers of points. What is negative, or no integer,
-/// becomes `u64::MAX`, which no mesh has room for.
+/// Appends little-endian integers as counts or numbers of points. A negative number, or one that is
+/// no integer, becomes `u64::MAX`, which no mesh can have.
 pub(super) fn push_ids(scalar: ScalarType, bytes: &[u8], out: &mut Vec<u64>) {
     each!(scalar, bytes, v => {
         // Integers below 2^63 survive i128 unchanged; a float goes through it only when it is one.

@@ -54,7 +54,7 @@ pub struct GridMeta {
     pub geometry: Geometry,
     /// Name of the field.
     pub field: String,
-    /// What is added to all values; where it is not 0 they are written as `f64`.
+    /// The offset that is added to all values; where it is not 0, they are written as `f64`.
     pub offset: f64,
 }
 

@@ -309,7 +309,7 @@ fn time_of(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
     Ok(time.filter(|t| t.is_finite()))
 }
 
-/// What a single file with its own layout is.
+/// The kind of a single file with its own layout.
 fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     if options.raw.is_some() || !path.is_file() {
         return Ok(None);
@@ -317,7 +317,7 @@ fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     Ok(kind_of(&Arc::new(ByteSource::open(path, options.io)?)))
 }
 
-/// The frames of a file that is a series by itself, or of the array in it that is named; and their
+/// The frames of a file that is itself a series, or of the array in it that is named; and their
 /// times.
 fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
     let wanted = options.field.as_deref();

@@ -43,7 +43,7 @@ fn scalar_of(name: &str) -> Option<ScalarType> {
         "double" => "float64",
         other => other,
     };
-    // The list has bits behind the letter.
+    // The list has bits after the letter.
     let bits = |t: &ScalarType| format!("{}{}", &t.name()[..1], 8 * t.bytes());
     ScalarType::ALL.into_iter().find(|t| t.name() == numpy || bits(t) == numpy)
 }

@@ -36,7 +36,7 @@ pub(super) fn in_folder(folder: &Path, suffixes: &[&str]) -> Result<Vec<PathBuf>
     Ok(in_order(folder, names)?.into_iter().map(|n| folder.join(n)).collect())
 }
 
-/// The names of the visible files of a folder. A name that is no UTF-8 is none of ours.
+/// The names of the visible files of a folder. A name that is not UTF-8 is not one of ours.
 fn names_in(folder: &Path) -> Result<Vec<String>> {
     let mut names = vec![];
     for entry in std::fs::read_dir(folder).map_err(|e| Error::io("list", folder, e))? {

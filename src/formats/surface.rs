@@ -427,7 +427,7 @@ impl Fan {
 pub(super) mod tests {
     use super::*;
 
-    /// What a reader reads, in memory.
+    /// The surface that a reader reads, in memory.
     pub(in crate::formats) fn in_memory(
         read: impl FnOnce(&mut StoredSurface) -> Result<()>,
     ) -> Result<TriMesh> {

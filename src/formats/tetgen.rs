@@ -303,7 +303,7 @@ impl Rows {
     }
 }
 
-/// Which table a field is in.
+/// The table that a field is in.
 #[derive(Clone, Copy)]
 enum Of {
     Points,

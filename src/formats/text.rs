@@ -137,7 +137,7 @@ impl TextNumbers {
         self.source.check()
     }
 
-    /// To be called after the last number.
+    /// Must be called after the last number.
     pub(super) fn finish(&self) -> Result<()> {
         match word(self.source.slice(0..self.end)?, self.at as usize) {
             None => self.source.check(),

@@ -288,7 +288,7 @@ impl<'a> Numbers<'a> {
         Ok(LE::read_uint(value, value.len()))
     }
 
-    /// To be called after the last number.
+    /// Must be called after the last number.
     fn finish(mut self) -> Result<()> {
         self.stream.finish()
     }

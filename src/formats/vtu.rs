@@ -55,7 +55,7 @@ pub struct TetMeta<'a> {
     pub mirrors: bool,
     /// Name of the field.
     pub field: String,
-    /// What is added to all values; where it is not 0 they are written as `f64`.
+    /// The offset that is added to all values; where it is not 0, they are written as `f64`.
     pub offset: f64,
     /// Free text, a line.
     pub comment: String,
@@ -190,7 +190,7 @@ fn each_part(
 const PART: usize = 4096;
 /// Bytes that are compressed together.
 const BLOCK: usize = 1 << 20;
-/// Blocks that are compressed at a time, side by side.
+/// Blocks that are compressed at a time, in parallel.
 const BLOCKS: usize = 8;
 /// Bytes of memory that compression takes: those that wait, a part of an array more, and the same
 /// compressed.

@@ -233,9 +233,9 @@ fn spaced(array: &Array, lines: &[Option<Coordinates>; 3]) -> Result<Geometry> {
     geometry(&array.file, "coordinates", std::array::from_fn(|a| along[a].0), columns)
 }
 
-/// What CF's attributes say of stored numbers. Zarr's own `fill_value` is what an absent chunk
-/// reads as; it means "no data" where numbers are packed and no attribute says what does, as xarray
-/// writes them.
+/// Applies what CF's attributes say about stored numbers. A missing chunk reads as Zarr's own
+/// `fill_value`. This value means "no data" where numbers are packed and no attribute names such a
+/// value, as xarray writes them.
 fn packing(array: &Array, info: &mut VolumeInfo) -> Result<()> {
     let file = attributes_file(array);
     let bad = |at: &str, expected: &str, got: String| Error::bad_input(&file, at, expected, got);
@@ -295,7 +295,7 @@ fn attributes_file(array: &Array) -> PathBuf {
 /// A volume that can be chosen: an array, or a frame of one.
 struct Field {
     info: FieldInfo,
-    /// Which array.
+    /// The number of the array.
     array: usize,
     axes: Axes,
     frame: Option<Frame>,

@@ -96,7 +96,7 @@ impl Archive {
         Ok(Self { open, path: path.to_path_buf(), first, kept, opening })
     }
 
-    /// The same archive, whose steps cache up to about so many bytes of decoded blocks each; 0 for
+    /// The same archive, whose steps cache up to about `bytes` bytes of decoded blocks each; 0 for
     /// none.
     #[must_use]
     pub fn keeping(self, bytes: usize) -> Self {

@@ -261,7 +261,7 @@ fn check_chunk(
     Ok(CheckedChunk { summary, ranges: index_entries(id.0, &ranges).collect(), part })
 }
 
-/// The tetrahedra of a chunk are what its summary says, and use its halo.
+/// Checks that the tetrahedra of a chunk agree with its summary, and use its halo.
 fn check_mesh(
     archive: &StepView,
     decoded: &DecodedChunk,

@@ -279,7 +279,7 @@ impl Target {
     }
 }
 
-/// What decides how a run uses the machine, and not what it makes.
+/// Settings that decide how a run uses the machine, and not what it makes.
 #[derive(Clone, Debug, Default)]
 pub struct RunSettings {
     /// Whether an archive that is already there is replaced.

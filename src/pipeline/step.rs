@@ -246,9 +246,9 @@ impl Step {
         surfaces_in_memory(&self.view, settings, vec![])
     }
 
-    /// As [`Step::surfaces`], in the memory of surfaces that were asked for before, which are
-    /// replaced: a system that has to hand out cleared pages for every answer takes about a tenth
-    /// of the time of one of which the blocks are kept. For an isovalue that is dragged.
+    /// As [`Step::surfaces`], in the memory of surfaces that were asked for before; these are
+    /// replaced. This is for an isovalue that is dragged: where blocks are kept, new cleared pages
+    /// would take the system about a tenth of the time of each answer.
     ///
     /// ```
     /// # use isospan::Archive;

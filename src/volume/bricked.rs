@@ -1,5 +1,5 @@
-//! The bricked copy of a volume: random access to what came as a stream, or faster access to what
-//! is slow.
+//! The bricked copy of a volume: random access to a volume that came as a stream, or faster access
+//! to a slow one.
 //!
 //! The volume is cut into bricks of 32³ samples, of the stored type, little-endian and
 //! uncompressed, so that the file is mapped and read in place: a box of samples of any shape

@@ -1,14 +1,15 @@
-//! Volumes of chunks, each compressed by itself: random access through a cache of decoded chunks.
+//! Volumes of separately compressed chunks: random access through a cache of decoded chunks.
 //!
-//! The question: a reduction reads boxes here and there, while a chunk is had only as a whole. A
-//! copy of the volume on disk would answer it, at the cost of a pass and of the disk. Instead the
-//! chunks that were decoded last stay in memory, and the samples of a box are gathered from them.
+//! The question: a reduction reads boxes in any order, but a chunk can be decoded only as a whole.
+//! A copy of the volume on disk would solve this, at the cost of a pass and of disk space. Instead,
+//! the chunks that were decoded last stay in memory, and the samples of a box are gathered from
+//! them.
 //!
-//! The method: chunks lie on a regular grid, the last ones are cut. [`ChunkedVolume`] holds so
-//! many bytes of them; beyond them, the chunk that was used longest ago goes. Two
-//! threads never decode one chunk at the same time: the second one waits for the first.
+//! The method: chunks lie on a regular grid, the last ones are cut. [`ChunkedVolume`] holds a given
+//! number of bytes of them; beyond that, the least recently used chunk is dropped. Two threads
+//! never decode one chunk at the same time: the second one waits for the first.
 //!
-//! The cost: so many bytes of chunks, and for each thread that reads what decoding takes
+//! The cost: that number of bytes of chunks and, for each thread that reads, what decoding takes
 //! ([`ChunkSource::decoding_bytes`]). How often a chunk is decoded depends on the order of boxes
 //! and on these bytes: once where all chunks that a later box needs are cached. It does not promise
 //! good use of too few bytes; the caller chooses enough of them. [`DecodeCount`] shows the figure.
@@ -23,7 +24,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-/// A volume in chunks on a regular grid, each decoded by itself.
+/// A volume in chunks on a regular grid, which are decoded separately.
 pub trait ChunkSource: Send + Sync {
     /// What is read.
     fn info(&self) -> &VolumeInfo;
@@ -75,7 +76,7 @@ impl ChunkShape {
         std::array::from_fn(|a| self.dims[a].div_ceil(self.chunk[a]))
     }
 
-    /// Bytes that so many chunks along x, y, z take in the cache.
+    /// Bytes that `count` chunks along x, y, z take in the cache.
     pub(crate) fn cached_bytes(&self, count: [u64; 3]) -> u64 {
         let one = self.chunk.iter().fold(self.sample_bytes, |n, &c| n.saturating_mul(c));
         count.into_iter().fold(one.saturating_add(ENTRY_BYTES), u64::saturating_mul)

@@ -51,7 +51,7 @@ pub fn volume_of<T: Sample>(
     StridedVolume::new(info_of(name, dims, T::SCALAR), Arc::new(source), 0, false, strides)
 }
 
-/// What is known of a volume in memory: one field, "data", at whole numbers.
+/// The description of a volume in memory: one field, "data", at whole numbers.
 pub fn info_of(name: &str, dims: [u64; 3], scalar: ScalarType) -> VolumeInfo {
     let field = FieldInfo { name: "data".to_owned(), scalar, components: 1 };
     VolumeInfo {

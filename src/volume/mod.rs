@@ -118,7 +118,7 @@ pub struct FieldInfo {
     pub components: u32,
 }
 
-/// What a file says of the field that is read.
+/// What a file says about the field that is read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VolumeInfo {
     /// The file that was named.

@@ -1,7 +1,7 @@
 //! Values that `f32` does not hold well: they are counted from an offset.
 //!
-//! Inside, all values are `f32`. Pressures of 101325000 Pa that differ by 3 Pa, or numbers near
-//! 2^31, would lose what matters. So a field has an *offset*, an `f64`: what is kept of a sample is
+//! Internally, all values are `f32`. Pressures of 101325000 Pa that differ by 3 Pa, or numbers near
+//! 2^31, would lose their differences. So a field has an *offset*, an `f64`: a sample is kept as
 //! its value less the offset, subtracted in `f64` (whole numbers of 64 bits: in integers) and
 //! rounded once. It is 0 wherever `f32` holds the range well, which is nearly always.
 
@@ -14,9 +14,9 @@ use std::ops::Range;
 
 /// Whole numbers up to this are all `f32`.
 const WHOLE: f64 = 16_777_216.0;
-/// What may be lost without a word, as a part of the range: 2^-20.
+/// The rounding that is not reported, as a part of the range: 2^-20.
 const LITTLE: f64 = 1.0 / 1_048_576.0;
-/// An offset is chosen where values are so many ranges away from 0.
+/// An offset is chosen where values are this many ranges away from 0.
 const FAR: f64 = 8.0;
 
 /// The `f64` that prints as the `f32` does: 0.1, not 0.10000000149011612. Cast back it is the same
@@ -101,7 +101,7 @@ impl Surveyed {
         exact.unwrap_or(if middle.abs() >= FAR * width { round } else { 0.0 })
     }
 
-    /// What is lost, where it is worth a word.
+    /// The rounding, where it is worth a report.
     pub(crate) fn rounding(&self, whole: bool) -> f64 {
         let matters = !self.is_empty() && (whole || self.lost > LITTLE * self.width());
         if matters { self.lost } else { 0.0 }
@@ -115,7 +115,7 @@ impl Surveyed {
     }
 }
 
-/// Looks at all samples of a stream; `missing` is a value that is none.
+/// Surveys all samples of a stream; `missing` is a value that means no data.
 ///
 /// # Errors
 /// Those of the stream.

@@ -15,7 +15,7 @@ const SLAB_BYTES: u64 = 1 << 20;
 /// Bytes of a slab of a decoded chunk, unless a slice of that has more.
 pub(crate) const CHUNK_SLAB_BYTES: u64 = 4 << 20;
 
-/// What is behind is given up once it has this many samples.
+/// Samples that have been read are released once there are this many.
 const RELEASE_SAMPLES: u64 = 8 << 20;
 
 /// The boxes of a volume's slabs, front to back.

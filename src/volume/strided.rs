@@ -219,7 +219,8 @@ impl StridedVolume {
     }
 }
 
-/// What a box is read through; empty while files are mapped and samples lie without gaps.
+/// The buffers through which a box is read; empty while files are mapped and samples lie without
+/// gaps.
 #[derive(Default)]
 struct Buffers {
     piece: Vec<u8>,

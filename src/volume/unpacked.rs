@@ -1,5 +1,5 @@
-//! A stream as a volume in memory: of one that is small, for that takes less than a bricked copy on
-//! the disk.
+//! Unpacks a small stream into a volume in memory, because that takes less than a bricked copy on
+//! disk.
 
 use super::strided::StridedVolume;
 use super::{SlabStream, VolumeInfo};

@@ -1,4 +1,4 @@
-//! What the page asks, answered by blocking work, as bytes that are streamed.
+//! Answers the questions of the page by blocking work, as bytes that are streamed.
 
 use super::archives::Archives;
 use axum::body::Bytes;

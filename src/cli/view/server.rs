@@ -3,7 +3,7 @@
 //! It listens on 127.0.0.1. Every address begins with a random token, so other users of the machine
 //! and pages of other sites cannot ask. The `Host` header must name this server, so no name of
 //! another site leads here. The numbers of open connections and of working requests are limited;
-//! others wait. A connection that stands still is closed.
+//! others wait. An idle connection is closed.
 
 use super::answers::{self, Sink};
 use super::archives::Archives;

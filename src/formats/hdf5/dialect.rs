@@ -32,7 +32,8 @@ pub(super) enum Dialect {
     Itk,
 }
 
-/// What is refused: a group or an attribute of the root group, whose it is, and what to do.
+/// What is refused: a group or an attribute of the root group, the program that writes it, and what
+/// to do.
 const REFUSED: [(&str, &str, &str); 9] = [
     ("DataSetInfo", "an Imaris file (.ims)", AS_TIFF),
     ("ImarisDataSet", "an Imaris file (.ims)", AS_TIFF),
@@ -68,7 +69,7 @@ impl Dialect {
         }
     }
 
-    /// What a person calls it.
+    /// Its common name.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Plain => "HDF5",

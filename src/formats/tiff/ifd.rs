@@ -61,7 +61,7 @@ struct Entry {
 #[derive(Debug)]
 pub(super) struct Ifd<'a> {
     tiff: &'a Tiff,
-    /// Its place, by which messages call it.
+    /// Its place, by which messages name it.
     at: u64,
     entries: Vec<Entry>,
     next: u64,

@@ -43,8 +43,8 @@ impl Compression {
         }
     }
 
-    /// No more than so many bytes come out of one: a claim beyond that is refused before memory is
-    /// taken.
+    /// The most bytes that one compressed byte can give: a larger claim is refused before memory is
+    /// reserved.
     fn best_ratio(self) -> u64 {
         match self {
             Self::None => 1,

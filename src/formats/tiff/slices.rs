@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
-/// So many files stay open.
+/// The most files that stay open.
 const MOST_OPEN: usize = 400;
 
 /// Slices in files of their own.

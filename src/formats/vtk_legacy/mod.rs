@@ -171,7 +171,7 @@ pub fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> 
             for (a, axis) in axes.iter_mut().enumerate() {
                 let keyword = ["X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"][a];
                 let found = file.axes[a].as_ref().map(|(n, array)| (*n, array));
-                // The scan has seen that so many numbers are there.
+                // The scan has checked that there are this many numbers.
                 let (n, mut stream) = part(found, keyword, file.dims[a])?;
                 axis.resize(n as usize, 0.0);
                 stream.fill(axis)?;

@@ -143,7 +143,7 @@ impl Connectivity {
     }
 }
 
-/// What the arrays that follow belong to.
+/// The section to which the following arrays belong.
 #[derive(Clone, Copy, PartialEq)]
 enum Section {
     /// The file, before any data.

@@ -32,7 +32,7 @@ const MOST_LZ4_BLOCK: u64 = 1 << 28;
 /// eight.
 const BEST_RATIO: u64 = 1032;
 
-/// What a decoder takes besides a block: buffers of text and input, the window and tables of zlib.
+/// Bytes of a decoder besides a block: buffers of text and input, the window and tables of zlib.
 const DECODER: u64 = 1 << 18;
 
 /// Compressed bytes read at a time.
@@ -173,8 +173,8 @@ impl ArrayStream {
         Ok(())
     }
 
-    /// To be called after the last value: text may go on, and a block's checksum follows its last
-    /// byte.
+    /// Must be called after the last value: text may continue, and a block's checksum follows its
+    /// last byte.
     ///
     /// # Errors
     /// [`Error::BadInput`] when there are more data.
@@ -436,7 +436,7 @@ impl Blocks {
         }
     }
 
-    /// What is decoded as a whole, and what it is decoded from.
+    /// Bytes of a block that is decoded as a whole, and of its compressed form.
     fn whole_block(&self) -> u64 {
         let block = self.full.min(MOST_LZ4_BLOCK);
         if matches!(self.codec, Codec::Lz4 { .. }) { block + longest_lz4(block) } else { 0 }

@@ -77,7 +77,7 @@ fn listed_files(doc: &Document) -> Result<Vec<PathBuf>> {
 /// A piece, and where it is.
 struct Piece {
     place: Place,
-    /// Which of its file's pieces it is.
+    /// Its number among the pieces of its file.
     number: usize,
     points: u64,
     cells: u64,

@@ -209,7 +209,7 @@ impl Document {
     }
 }
 
-/// What a file of another type is, for people.
+/// A description of a file of another type, for messages.
 fn what_is(kind: &str) -> String {
     let known = match kind {
         "ImageData" => "an image (.vti)",

@@ -117,7 +117,7 @@ pub(super) fn extent(doc: &Document, element: &Element, name: &str) -> Result<Ex
 
 /// A piece and the samples that it stores.
 pub(super) struct Piece<'a> {
-    /// Which of the document's pieces it is.
+    /// Its number among the pieces of the document.
     number: usize,
     pub(super) element: &'a Element,
     pub(super) voxels: IndexBox,
@@ -355,13 +355,13 @@ impl ChunkSource for BlockChunks {
 
 /// The samples of one or several pieces as slabs of the whole image, in its order. A piece is
 /// decoded front to back, and is open only while slabs pass through it: memory is that of a slab
-/// and of the decoders side by side.
+/// and of the decoders that are open together.
 struct PieceSlabs {
     doc: Document,
     info: VolumeInfo,
     center: Center,
     walk: SlabWalk,
-    /// By their first slices, so that pieces one above the other are not open together.
+    /// Ordered by their first slices, so that pieces one above the other are not open together.
     pieces: Vec<OpenPiece>,
     row: Vec<u8>,
     working_bytes: u64,

@@ -50,7 +50,7 @@ impl Stored {
         Self { source: Arc::clone(source), at, end, base64: Some(Decoded::default()) }
     }
 
-    /// The plain bytes that follow after so many.
+    /// The plain bytes after the next `bytes` ones.
     pub(super) fn from(&self, bytes: u64) -> Self {
         assert!(self.base64.is_none() && bytes <= self.end - self.at, "a place among plain bytes");
         Self { at: self.at + bytes, ..self.clone() }

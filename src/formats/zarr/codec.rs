@@ -75,7 +75,7 @@ fn read(decoded: impl Read, limit: usize, out: &mut Vec<u8>) -> std::result::Res
 
 /// Decodes what `codecs` encoded, the last one last, to exactly `needed` bytes.
 pub(super) fn decode(codecs: &[Codec], stored: &[u8], needed: usize) -> std::result::Result<Vec<u8>, String> {
-    // What lies between two compressors may be a little longer than the samples.
+    // The bytes between two compressors may be a little longer than the samples.
     let between = needed.saturating_add(needed / 8).saturating_add(1 << 16);
     let mut bytes = None::<Vec<u8>>;
     for (left, codec) in codecs.iter().enumerate().rev() {

@@ -36,7 +36,7 @@ pub(super) struct Array {
     key: Key,
 }
 
-/// A file of several chunks, each encoded by itself, and an index of their places.
+/// A file of several chunks, each encoded separately, and an index of their places.
 #[derive(Clone, Debug)]
 pub(super) struct Shard {
     /// Samples of a chunk of the shard.
@@ -53,7 +53,7 @@ struct Key {
     separator: char,
 }
 
-/// Metadata are small; what is larger is none.
+/// Metadata are small; a larger file is not metadata.
 const MOST: u64 = 64 << 20;
 
 /// The JSON of a metadata file, if there is one.

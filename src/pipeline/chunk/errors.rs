@@ -37,7 +37,7 @@ pub(in crate::pipeline) enum Originals<'a> {
         reader: &'a dyn VolumeReader,
         /// A sample of this value is missing, besides those that the reader knows.
         missing: Option<f64>,
-        /// What stands for samples that are no finite numbers.
+        /// The value that replaces samples that are not finite.
         stand_in: Option<f32>,
     },
     /// A mesh, and the values at its vertices.
@@ -252,8 +252,7 @@ pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) 
     Ok(error.of_source(source.offset, source.rounding))
 }
 
-/// The errors of a chunk that are stored with its values, where the plan of the step says so:
-/// behind them.
+/// The errors of a chunk. They are stored after its values, where the plan of the step says so.
 pub(in crate::pipeline) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ChunkErrors> {
     segment.block_from_end(chunk, 2, decode_errors)
 }

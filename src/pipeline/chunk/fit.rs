@@ -52,7 +52,7 @@ pub(in crate::pipeline) fn fitted(
     let (tets, room) = mesh.tets.with_room();
     let words = Fit::further_words(mesh.all_positions.len(), steps.len());
     if memory.len() < words {
-        // Not resized: what it had would be copied.
+        // Not resized, because that would copy the old contents.
         *memory = vec![];
         *memory = vec![0; words];
     }

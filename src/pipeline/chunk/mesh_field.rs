@@ -52,7 +52,7 @@ impl CellField<'_> {
         Ok(placement.spots.iter().map(|spot| at_hand.value(&spot.at)).collect())
     }
 
-    /// What is known of positions of a brick.
+    /// Finds what is known about positions of a brick.
     fn spots(
         &self,
         brick: BrickId,
@@ -115,8 +115,8 @@ impl CellField<'_> {
         Ok(all)
     }
 
-    /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and
-    /// of those with a corner at the rim the ones that are not in that body ([`Self::places_in`]).
+    /// The tetrahedra that lie outside of the mesh: those whose corners are not all of one body,
+    /// and those with a corner at the rim that are not in that body ([`Self::places_in`]).
     fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
         let (positions, tets) = (&mesh.all_positions, mesh.tets.whole());
         let corners = |t: usize| tets[t].map(|v| v as usize);

@@ -40,8 +40,8 @@ pub(in crate::pipeline) struct ChunkMesher {
 
 impl ChunkMesher {
     /// Enumerates the chunk's points and meshes them; the halo is widened until every owned
-    /// tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does
-    /// not depend on `room`.
+    /// tetrahedron is certified, as long as the region fits in `room` bytes. The result does not
+    /// depend on `room`.
     pub(in crate::pipeline) fn mesh(
         &mut self,
         recipe: &Recipe<'_>,

@@ -22,7 +22,8 @@ use std::collections::HashMap;
 const TETS_A_POINT: u64 = 6;
 
 impl OwnMesh<'_> {
-    /// As many points as a chunk of so many, with its tetrahedra, takes the memory of.
+    /// The number of points that needs as much memory as a chunk of `points` points with its
+    /// tetrahedra.
     pub(super) fn points_of(&self, recipe: &Recipe<'_>, chunk: &Chunk, points: u64) -> Result<u64> {
         Ok(points.max(self.cells.count(chunk.bricks(&recipe.bricks))? / TETS_A_POINT))
     }
@@ -96,7 +97,7 @@ impl OwnField<'_> {
         Ok(placement.vertices.iter().map(|&v| values[v as usize]).collect())
     }
 
-    /// Which of the vertices of the mesh those of a chunk are.
+    /// Finds which vertices of the mesh the vertices of a chunk are.
     pub(super) fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
         let core = places_of(self.mesh, &mesh.positions()[..mesh.core_len()])?;
         let places = core.into_iter().chain(mesh.halo.iter().map(|id| id.index()));

@@ -32,7 +32,7 @@ pub(in crate::pipeline) struct Spot {
     pub(super) rim: bool,
 }
 
-/// What a value in a mesh is made from.
+/// The data that a value in a mesh is made from.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Place {
     Nowhere,

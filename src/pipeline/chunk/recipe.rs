@@ -14,7 +14,7 @@ pub(in crate::pipeline) struct Recipe<'a> {
     pub(in crate::pipeline) points: &'a PointSet,
     pub(in crate::pipeline) bricks: BrickGrid,
     pub(in crate::pipeline) order: Order,
-    /// What is asked for of a chunk's surroundings.
+    /// The surroundings of a chunk that are needed.
     pub(in crate::pipeline) halo: Halo,
     /// The mesh, where it follows by formula.
     pub(in crate::pipeline) bcc: Option<BccMesh>,

@@ -33,7 +33,7 @@ impl Measured<'_> {
         [self.window.lo[0] + at % x, self.window.lo[1] + at / x % y, self.window.lo[2] + at / x / y]
     }
 
-    /// The number of one in a volume of so many samples along each axis.
+    /// The number of one in a volume of `dims` samples along the axes.
     #[inline]
     pub(super) fn number(&self, n: usize, dims: [u64; 3]) -> u64 {
         let [x, y, z] = self.place(n);
@@ -41,7 +41,7 @@ impl Measured<'_> {
     }
 }
 
-/// Some samples at the steps that lie side by side.
+/// Some samples at the steps that are interleaved.
 pub(super) struct Room {
     one: Box<Compared<1>>,
     four: Box<Compared<4>>,

@@ -11,7 +11,7 @@ use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::Tet;
 use std::ops::Range;
 
-/// The memory of values side by side, kept from chunk to chunk so that its pages are not asked for
+/// The memory of interleaved values, kept from chunk to chunk so that its pages are not requested
 /// again.
 #[derive(Default)]
 pub(in crate::pipeline) struct Room(Vec<Vec<[f32; 8]>>);
@@ -29,7 +29,7 @@ pub(in crate::pipeline) struct StepLanes<'a> {
     all: Vec<Lanes<'a>>,
 }
 
-/// Steps that lie side by side, at most.
+/// The most steps that are interleaved.
 const MOST: usize = 8;
 
 impl<'a> StepLanes<'a> {
@@ -98,7 +98,7 @@ fn push<const N: usize>(out: &mut [Vec<BlockRange>], ranges: [BlockRange; N]) {
     out.iter_mut().zip(ranges).for_each(|(out, range)| out.push(range));
 }
 
-/// Values that are put side by side at a time: they fit in the nearest cache.
+/// Values that are interleaved at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
 /// Interleaves columns; there are at most as many as lanes. Lanes without a column hold arbitrary

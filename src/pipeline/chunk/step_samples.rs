@@ -23,7 +23,7 @@ pub(super) struct WindowSamples {
     slices: Vec<f32>,
 }
 
-/// Samples of a step that are put side by side at a time, where a slice has no more: those of eight
+/// Samples of a step that are interleaved at a time, where a slice has no more: those of eight
 /// steps fit in the second cache.
 const SOME: usize = 1 << 13;
 

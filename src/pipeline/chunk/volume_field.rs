@@ -18,14 +18,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A volume, and how it is sampled.
 pub(in crate::pipeline) struct GridField {
     pub(in crate::pipeline) reader: Box<dyn VolumeReader>,
-    /// The copy that is read, removed behind the reader.
+    /// The copy that is read; it is removed after the reader.
     #[allow(dead_code, reason = "what counts is when it is dropped")]
     pub(in crate::pipeline) scratch: Option<Scratch>,
     pub(in crate::pipeline) bricks: BrickGrid,
     pub(in crate::pipeline) interpolation: Interpolation,
     pub(in crate::pipeline) values: Values,
     pub(in crate::pipeline) nan: NanPolicy,
-    /// What stands for samples that are no finite numbers.
+    /// The value that replaces samples that are not finite.
     pub(in crate::pipeline) stand_in: Option<f32>,
     pub(in crate::pipeline) missing: Option<f64>,
     /// Slices below have been given up.
@@ -93,7 +93,7 @@ impl GridField {
         }
     }
 
-    /// Reads the samples of a window that values are fitted to; NaN is none.
+    /// Reads the samples of a window that values are fitted to; NaN means no sample.
     pub(super) fn read_window(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
         self.reader.read_box(window, out)?;
         if self.nan == NanPolicy::Error && self.missing.is_none() && all_finite(out) {

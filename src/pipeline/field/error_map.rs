@@ -17,7 +17,7 @@ pub(super) struct Map {
     sorter: Sorter<BrickRecord>,
 }
 
-/// What sorting for a map takes of a budget.
+/// The part of a budget that sorting for a map takes.
 pub(super) fn map_bytes(memory: u64) -> u64 {
     (memory / 8).min(64 << 20)
 }

@@ -127,7 +127,7 @@ pub(in crate::pipeline) fn sample_grid(
 struct GridScan<'a> {
     visit: Visit<'a>,
     grid: SampleGrid,
-    /// Whether the tetrahedra do not fill the domain: where there is none, there is no value.
+    /// Whether the tetrahedra leave gaps in the domain, in which there is no value.
     has_gaps: bool,
     /// Whether tetrahedra may overlap.
     may_overlap: bool,

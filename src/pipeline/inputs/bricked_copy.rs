@@ -30,7 +30,7 @@ pub fn brick(
 /// Whether the file at `out` is the bricked copy of a volume, sample by sample.
 ///
 /// # Errors
-/// Those of reading the volume; a file that holds no bricks is none.
+/// Those of reading the volume; a file without bricks is not a copy.
 pub fn is_bricked(
     source: VolumeSource,
     out: &Path,
@@ -123,7 +123,7 @@ pub(super) fn copied(
 ) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
     let rest = run.resources.memory.saturating_sub(copying_bytes(&source));
     let folder = run.resources.scratch_folder();
-    // What runs that were killed while they copied have left.
+    // Removes what runs have left that were killed while they copied.
     publish::sweep(&folder);
     let scratch = Scratch::new(&folder);
     brick_with(BrickedVolume::build_scratch, source, &scratch.0, rest / 2, &run.resources.cancel, progress)?;

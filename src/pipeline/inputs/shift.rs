@@ -16,7 +16,7 @@ use std::path::Path;
 /// How the values of a source are kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::pipeline) struct Shift {
-    /// What is subtracted.
+    /// The offset that is subtracted.
     pub(in crate::pipeline) offset: f64,
     /// The most that a value differs from its `f32`, where that matters.
     pub(in crate::pipeline) rounding: f64,
@@ -150,7 +150,7 @@ impl Reading {
         self.missing.filter(|_| self.offset == 0.0)
     }
 
-    /// What stands for samples that are no finite numbers, if they are not refused or left out.
+    /// The value that replaces samples that are not finite, if they are not refused or left out.
     pub(in crate::pipeline) fn stand_in(&self) -> Option<f32> {
         match self.nan {
             NanPolicy::Value(v) => Some((v - self.offset) as f32),

@@ -449,7 +449,7 @@ impl Watched {
     }
 }
 
-/// What is kept of the slabs of a stream.
+/// What is kept from the slabs of a stream.
 pub(in crate::pipeline) struct Watch {
     survey: Survey,
     pieces: Vec<IndexBox>,
@@ -552,7 +552,7 @@ mod tests {
     use super::*;
     use crate::formats::{OpenOptions, raw::RawLayout};
 
-    /// What is found in rows of samples that are all there are.
+    /// What is found in rows that hold all samples.
     fn found(rows: &[Vec<f64>]) -> Found {
         let mut survey = Survey::new(Seen::All, true, false);
         rows.iter().for_each(|row| survey.add(row));

@@ -39,15 +39,16 @@ pub(in crate::pipeline) const BASE: u64 = 16 << 20;
 /// Working memory of a chunk for a point of its region, measured (all point sets, chunks of 30 000
 /// to 500 000 points, one and two workers took at most 550 in all, what waits to be written
 /// included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys
-/// and sites of 100 bytes, then what finds samples and sums up the spectrum, and what the C library
-/// holds back between workers. What fits values works in what stands empty of the first.
+/// and sites of 100 bytes, then the memory that finds samples and sums up the spectrum, and what
+/// the C library holds back between workers. Fitting values uses the part of the first that is
+/// empty then.
 const PER_POINT: u64 = 600;
-/// And for each further step its value; for each eight steps, which are measured side by side:
-/// values; values, where they lie in the spectrum, counts.
+/// In addition, for each further step, its value; and for each eight steps, which are measured
+/// together: values; values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;
 const SIDE_PER_POINT: u64 = 104;
-/// Besides, where values are fitted: fitted ones, for each eight steps but the first sums, and for
-/// each eight weights, where voids differ.
+/// In addition, where values are fitted: fitted values; for each eight steps but the first, sums;
+/// and for each eight, weights, where voids differ.
 const FITTED_PER_POINT: u64 = 4;
 const SUMS_PER_POINT: u64 = 168;
 const WEIGHTS_PER_POINT: u64 = 64;
@@ -291,7 +292,7 @@ impl Need {
         self.steps as usize
     }
 
-    /// What is there all the time while chunks are made.
+    /// Memory that is in use all the time while chunks are made.
     fn base(&self) -> u64 {
         let Held { always, by_step, .. } = self.held;
         self.base.saturating_add(always).saturating_add(by_step.saturating_mul(self.steps))

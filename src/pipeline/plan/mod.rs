@@ -43,7 +43,7 @@ pub use shard::Shard;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-/// What stays of a plan, so that its chunks do.
+/// The part of a plan that stays the same, so that its chunks do.
 pub(super) struct Frame {
     pub(super) brick_edge: [u64; 3],
     pub(super) order_bits: u32,
@@ -59,18 +59,19 @@ pub struct Plan {
     pub steps: Vec<StepPlan>,
 }
 
-/// Points of a brick, about: few enough that a query enumerates little more than it needs, many
-/// enough that the cost of starting an enumeration does not show.
+/// Points of a brick, about: few enough that a query enumerates little more than it needs, and
+/// enough that the cost of starting an enumeration is negligible.
 const BRICK_POINTS: f64 = 1024.0;
 /// Tetrahedra for a point of a Delaunay mesh, about.
 const TETS_A_POINT: u64 = 6;
-/// Bricks of own vertices have so many times as many, at most, as long as they can be halved.
+/// Bricks of own vertices have at most this many times as many points, as long as they can be
+/// halved.
 const MOST_CROWD: f64 = 4.0;
 /// A brick's samples (with a border) are held in memory while its points are interpolated.
 const LARGEST_BRICK_EDGE: u64 = 64;
 /// Tetrahedra a block, about. An isosurface of a smooth field crosses a tenth of the tetrahedra of
 /// blocks of 1024 that it meets, nearly a fifth of those of 256, for 1.2 bits more each; still
-/// smaller blocks take more bits, and no less time, for each has its list of vertices.
+/// smaller blocks take more bits, and no less time, because each has its list of vertices.
 pub(super) const BLOCK_TETS: u32 = 256;
 
 impl Plan {
@@ -248,7 +249,7 @@ impl Plan {
         (0..=levels.top()).map(|l| n / voxels * (1u64 << l) as f64).collect()
     }
 
-    /// What all steps have in common: that of the first.
+    /// The first step, for what all steps have in common.
     pub fn first(&self) -> &StepPlan {
         self.steps.first().expect("a plan has a step")
     }
@@ -368,8 +369,8 @@ pub(crate) struct MeshParts {
     pub(crate) halo: Halo,
     /// The mesh, where it follows by formula.
     pub(crate) bcc: Option<BccMesh>,
-    /// So many times as much as of a Delaunay mesh is needed of each point: there are as many times
-    /// more tetrahedra.
+    /// How many times more each point needs than in a Delaunay mesh: there are that many times more
+    /// tetrahedra.
     pub(crate) times: u64,
 }
 

@@ -123,7 +123,7 @@ impl OpenArchive {
         Ok(Some(map))
     }
 
-    /// What is recorded of the grid's coordinates: with the first step, for all.
+    /// The record of the grid's coordinates: the first step has it, for all steps.
     pub(in crate::pipeline) fn coordinate_record(&self) -> Option<CoordinateRecord> {
         self.manifest.steps[0].coordinates
     }

@@ -80,7 +80,7 @@ pub(in crate::pipeline) struct Found {
     pub(in crate::pipeline) is_due: bool,
 }
 
-/// So many uses after the first one, all is known of a block; of others after fewer.
+/// A block is precomputed at most this many uses after the first one; some are after fewer.
 const DUE: u32 = 8;
 
 /// Blocks kept in memory, up to a number of bytes; from any thread.
@@ -277,7 +277,7 @@ mod tests {
         assert!(get(1, 1).is_none());
         kept.put(ChunkId(9), 9, &block(10, 0.0));
         let bytes = kept.bytes();
-        // What is larger than all is not kept, nothing is where nothing may be.
+        // A block larger than the cache is not kept, and nothing is kept where nothing may be.
         kept.put(ChunkId(3), 0, &block(1000, 0.0));
         assert!(get(3, 0).is_none() && kept.bytes() == bytes);
         // Block 3 is due when it is used for the fourth time, and from then on.

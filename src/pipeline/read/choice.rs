@@ -101,7 +101,7 @@ impl Moment {
                     Some(n) if time(n) == t => at(n),
                     Some(n) if n > 0 => {
                         let share = (t - time(n - 1)) / (time(n) - time(n - 1));
-                        // A share of so little that it rounds to none is none.
+                        // A share so small that it rounds to none is no share.
                         let beyond = Some(share).filter(|s| *s > 0.0 && *s < 1.0);
                         Ok(Self { step: if share < 1.0 { n - 1 } else { n }, beyond })
                     }

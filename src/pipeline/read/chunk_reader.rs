@@ -46,7 +46,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     /// Bytes of each block of values that has been read; 0 of the others.
     value_bytes: Vec<u32>,
     value_blocks: ValueBlocks,
-    /// What is known of the values that have not been read, once that was needed.
+    /// What is known about the values that have not been read, once it was needed.
     value_ranges: Option<Vec<ValueRange>>,
     /// For each block of values, whether a corner of an active tetrahedron is in it.
     active_values: Vec<bool>,
@@ -344,7 +344,8 @@ impl<'a> ChunkReader<'a> {
         Ok(self.memory.bytes.len() as u64)
     }
 
-    /// Which block of the chunk a tetrahedron block is: before them are the header and its pages.
+    /// The number of a tetrahedron block among the blocks of the chunk: the header and its pages
+    /// come first.
     fn block_at(&self, number: u32) -> u64 {
         (1 + self.pages.read.len()) as u64 + u64::from(number)
     }
@@ -644,8 +645,8 @@ impl<'a> ChunkReader<'a> {
         }
     }
 
-    /// What has been read of the corners: positions, ids (any of those not placed), values (NaN
-    /// where not loaded), whether shared.
+    /// The data that have been read for the corners: positions, ids (any of those not placed),
+    /// values (NaN where not loaded), whether shared.
     pub(super) fn into_corners(self) -> (Vec<LatticePos>, Vec<PointId>, Vec<f32>, Vec<bool>) {
         let ReaderMemory { positions, ids, values, .. } = self.memory;
         (positions, ids, values, self.shared)
@@ -715,7 +716,7 @@ fn expect_values(
     Ok(())
 }
 
-/// What an array has at certain places. They begin with a run.
+/// The values of an array at certain places, which begin with a run.
 fn gather<T: Copy>(all: &[T], places: &[u32], out: &mut Vec<T>) {
     out.clear();
     let Some(&first) = places.first() else { return };

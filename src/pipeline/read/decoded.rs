@@ -43,7 +43,7 @@ impl StepView {
     }
 }
 
-/// Which corners some tetrahedron uses.
+/// For each corner, whether some tetrahedron uses it.
 pub(in crate::pipeline) fn used_corners(tets: &[Tet], local: usize) -> Vec<bool> {
     let mut used = vec![false; local];
     for &v in tets.iter().flatten() {

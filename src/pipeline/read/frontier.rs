@@ -67,7 +67,7 @@ impl Frontier {
         Self { rows }
     }
 
-    /// What may still be used when the first `done` chunks are welded.
+    /// The regions whose corners may still be used when the first `done` chunks are welded.
     pub(in crate::pipeline) fn after(&self, done: usize) -> Beyond<'_> {
         Beyond { rows: &self.rows[self.rows.partition_point(|r| r.end <= done)..] }
     }

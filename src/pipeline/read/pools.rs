@@ -19,7 +19,7 @@ pub(in crate::pipeline) struct BufferPool {
     buffers: List<Buffers>,
 }
 
-/// What a chunk is read and worked on in.
+/// The memory in which a chunk is read and processed.
 #[derive(Default)]
 pub(in crate::pipeline) struct Buffers {
     pub(in crate::pipeline) reader: ReaderMemory,
@@ -41,7 +41,7 @@ pub(in crate::pipeline) struct LentPool<'a> {
 }
 
 impl Pools {
-    /// So many threads; 0 means as many as the process may use.
+    /// Lends `threads` threads; 0 means as many as the process may use.
     pub(in crate::pipeline) fn lend(&self, threads: usize) -> Result<LentPool<'_>> {
         let count = if threads == 0 { available_threads() } else { threads };
         let mut pools = self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -11,11 +11,11 @@ use crate::surface::clip::HalfSpace;
 use serde::Serialize;
 use std::str::FromStr;
 
-/// A box, in coordinates of its choice. An infinite end is open: the box goes on to the end of the
+/// A box, in coordinates of its choice. An infinite end is open: the box reaches to the end of the
 /// domain.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Roi {
-    /// What `lo` and `hi` are in.
+    /// The coordinates of `lo` and `hi`.
     pub space: RoiSpace,
     /// Lowest corner.
     pub lo: [f64; 3],
@@ -195,7 +195,7 @@ impl Cut {
     }
 
     /// Whether the bounding box of some corners touches the region, both in the coordinates of the
-    /// region: in a volume that is turned, a box of the world is none of the lattice.
+    /// region: in a rotated volume, a box of the world is not a box of the lattice.
     pub(in crate::pipeline) fn touches(&self, corners: &[LatticePos]) -> bool {
         let place = |p: &LatticePos| {
             let ijk = std::array::from_fn(|a| f64::from(p[a]) / self.steps[a]);

@@ -30,8 +30,8 @@ pub(in crate::pipeline) struct OpenSegment {
     pub(in crate::pipeline) values: Arc<ChunkSegment>,
 }
 
-/// An archive at one of its steps, or at a moment between two. What all steps share, it has from
-/// the archive.
+/// An archive at one of its steps, or at a moment between two. It has from the archive what all
+/// steps share.
 pub(in crate::pipeline) struct StepView {
     archive: Arc<OpenArchive>,
     pub(super) moment: Moment,

@@ -190,7 +190,7 @@ impl StepSummary {
     }
 }
 
-/// What an archive holds; range, areas and suggestions are those of the step.
+/// Summarizes an archive; range, areas and suggestions are those of the step.
 pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummary> {
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;

@@ -129,7 +129,7 @@ impl SourceSize {
     }
 }
 
-/// What is known of a job's sources before work begins.
+/// What is known about a job's sources before work begins.
 #[derive(Debug, Default)]
 pub(in crate::pipeline) struct Looked {
     pub(in crate::pipeline) notices: Vec<Notice>,

@@ -25,7 +25,7 @@ use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings, ValueBit
 use std::path::Path;
 use std::time::Instant;
 
-/// What the user chooses of further steps; all else is as it was for the last one.
+/// What the user chooses for further steps; all else is as it was for the last one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AppendSettings {
     /// A value that means "no data", besides what the file declares; that of the last step if not

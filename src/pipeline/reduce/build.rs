@@ -250,7 +250,7 @@ impl<'a> Build<'a> {
         Ok(())
     }
 
-    /// What the spectrum of a step is measured with.
+    /// The meter for the spectrum of a step.
     fn meter(&self, plan: &Plan, coordinates: Option<CoordinateRecord>) -> Meter {
         let first = self.old.map_or(plan.first(), |old| &old.steps[0].plan);
         let file = (self.layout.at(first.number).coordinates(), first.hash(plan.mesh_hash()));
@@ -363,7 +363,8 @@ fn open_fields<'a>(
     steps.clone().map(open).collect()
 }
 
-/// What errors are measured with, against the samples of each step; none where they are not.
+/// The means to measure errors against the samples of each step; none where errors are not
+/// measured.
 fn sample_errors<'a>(
     plan: &Plan,
     fields: &'a [Field<'_>],

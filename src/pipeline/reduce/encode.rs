@@ -112,12 +112,12 @@ struct Workspace {
     bench: Bench,
 }
 
-/// What the values of several steps are measured in.
+/// Memory in which the values of several steps are measured.
 #[derive(Default)]
 struct Bench {
     sides: step_lanes::Room,
     spectrum: spectrum::Bench,
-    /// What values are fitted in.
+    /// Memory in which values are fitted.
     fit: Vec<u64>,
 }
 
@@ -181,8 +181,8 @@ impl ChunkMaker<'_> {
         let mut lap = Lap(Instant::now());
         if let Some(stored) = &self.stored {
             let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
-            // What values are fitted to is not stored: it is found around the mesh, or made again
-            // with it.
+            // The tetrahedra around, to whose samples values are fitted, are not stored: they are
+            // found around the mesh, or made again with it.
             let mut again = None;
             if self.recipe.halo == Halo::Stars
                 && !workspace.mesher.surround(self.recipe, chunk, &mut mesh, room, self.cancel)?

@@ -82,9 +82,9 @@ pub(in crate::pipeline) fn strays(archive: &Path, manifest: &Manifest) -> Result
     Ok(strays)
 }
 
-/// Removes those of them that have the names of segments: the archive's writer calls it, which
-/// holds its lock. What another, unfinished `append` made is among them. A failure to do so costs
-/// disk space alone.
+/// Removes the strays that have the names of segments. The archive's writer calls this while it
+/// holds the lock. Files of another, unfinished `append` are among them. A failure costs only disk
+/// space.
 pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
     let segments = |path: &PathBuf| path.extension().is_some_and(|e| e == "seg") && path.is_file();
     for path in strays(archive, manifest).unwrap_or_default().iter().filter(|path| segments(path)) {
@@ -118,7 +118,7 @@ fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> 
     in_mesh.or_else(in_steps)
 }
 
-/// What there is in the place of an archive, before it is made.
+/// What is at the path of an archive before it is made.
 pub(in crate::pipeline) enum Existing {
     /// No file, or an empty folder.
     Nothing,
@@ -280,7 +280,8 @@ fn refuse_name(out: &Path) -> Result<()> {
 /// later.
 ///
 /// Planning may read all samples, or a mesh. So an archive with other settings, or from a file of
-/// another name, is recognized without it. What meets a target is found anew each time.
+/// another name, is recognized without it. The result that meets a target is searched for again
+/// each time.
 fn may_be_of(job: &Job<'_>, manifest: &Manifest) -> bool {
     let (settings, steps) = (job.settings, job.sources);
     let first = manifest.steps.first().map(|step| &step.plan);

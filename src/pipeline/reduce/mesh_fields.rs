@@ -29,7 +29,7 @@ use std::time::Instant;
 pub(super) enum Listed {
     /// Samples of its boundary.
     Boundary(BoundarySamples),
-    /// Its own vertices: it is kept as it is.
+    /// The mesh's own vertices: it is stored unchanged.
     Own(OwnVertices),
 }
 
@@ -95,7 +95,7 @@ impl MeshInput {
     }
 }
 
-/// What the values of a mesh are found with, brick by brick.
+/// The data with which the values of a mesh are found, brick by brick.
 enum Laid {
     Sampled { buckets: Buckets, boundary: BoundarySamples, fitted_to: Option<Vertices> },
     Own(OwnCells),

@@ -531,7 +531,7 @@ struct StepPlanner<'a> {
 }
 
 impl StepPlanner<'_> {
-    /// What the values of a step lose.
+    /// The rounding of the values of a step.
     fn rounding(&self, number: u64, mesh: &CellMesh) -> Result<f64> {
         if let Some(plan) = self.job.basis.plan() {
             return Ok(plan.steps.iter().find(|s| s.number == number).map_or(0.0, |s| s.source.rounding));

@@ -22,7 +22,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 
-/// What is to be made, and all that is known of it before its first chunk.
+/// The archive to be made, and all that is known about it before its first chunk.
 pub(in crate::pipeline) struct Planned {
     pub(in crate::pipeline) series: SeriesPlan,
     pub(in crate::pipeline) parts: MeshParts,
@@ -198,7 +198,7 @@ pub(in crate::pipeline) fn run(
         PlannedInput::Mesh(input) => (Box::new(input.sorted(&series.plan, &mut report.seconds)?), all),
     };
     let mut build = Build::new(job, layout, &parts, shares);
-    // What workers have measured is added up when all is there.
+    // The measurements of workers are added up when all are there.
     build.measure &= job.basis.plan().is_none();
     let before = job.basis.round().map(|round| &round.before);
     let source = SegmentSource { fields: &*fields, at_once: need.steps(), segments, before };
@@ -238,7 +238,7 @@ pub(super) fn make(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
     planned.begin(&layout)?;
     let built = run(planned, job, &layout, 0..layout.segment_count())?;
     let report = publish(built, job, &layout)?;
-    // What earlier runs that were killed have left.
+    // Removes what earlier runs that were killed have left.
     sweep(&layout);
     Ok(report)
 }

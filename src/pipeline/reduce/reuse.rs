@@ -28,13 +28,13 @@ use crate::points::{PointSet, PointSpec};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A brick's edge that is more than so many times the one that the points ask for is too long: a
-/// brick would have four times as many as it should.
+/// A brick's edge of more than this many times the one that the points ask for is too long: a brick
+/// would have four times as many points as it should.
 const LONGEST_BRICK: f64 = 1.6;
 
 /// A round of a search, after the first.
 pub(in crate::pipeline) struct Round {
-    /// How dense points are to be.
+    /// The wanted density of points.
     pub(super) choice: Choice,
     /// What the plan has from that of the try before.
     pub(super) frame: Option<Frame>,
@@ -118,8 +118,8 @@ impl<'a> ReusedChunks<'a> {
         self.from.iter().flatten().count() as u64
     }
 
-    /// What is written of a chunk, if it is reused: with its mesh, where that is wanted, and the
-    /// values of some steps.
+    /// The blocks of a chunk to write, if it is reused: those of its mesh, where that is wanted,
+    /// and the values of some steps.
     pub(super) fn encoded(
         &self,
         chunk: ChunkId,

@@ -67,7 +67,7 @@ impl PlannedSource {
         self.copied <= SMALL_COPY
     }
 
-    /// Bytes of the small copies of so many steps at a time, at most.
+    /// The most bytes of the small copies of `at_once` steps at a time.
     pub(super) fn small_copies(sources: &[Self], at_once: usize) -> u64 {
         let largest = sources.iter().filter(|s| s.is_small()).map(|s| s.copied).max().unwrap_or(0);
         largest * at_once.min(sources.len()) as u64

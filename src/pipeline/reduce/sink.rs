@@ -104,8 +104,8 @@ impl Part {
         is_whole(&self.path(files, segment), kind, hash, chunks)
     }
 
-    /// A writer that goes on behind at most `most` chunks, where writers may have `left` some;
-    /// `None` when the file is whole already: a run was killed between two of them.
+    /// A writer that continues after at most `most` chunks, where writers may have `left` some.
+    /// `None` when the file is complete already, because a run was killed between two files.
     fn resume(
         self,
         files: &SegmentFiles<'_>,
@@ -130,7 +130,7 @@ impl Part {
         .map(Some)
     }
 
-    /// The blocks that a encoded has for the file.
+    /// The blocks of an encoded chunk for the file.
     fn blocks(self, encoded: &EncodedChunk) -> &[Vec<u8>] {
         match self {
             Self::Mesh(_) => &encoded.mesh_blocks,
@@ -139,7 +139,7 @@ impl Part {
     }
 }
 
-/// The files of a segment being written; none in place of one that is there.
+/// The files of a segment being written; `None` in place of a file that exists already.
 pub(super) struct Sink {
     files: Vec<(Part, Option<ChunkSegmentWriter>)>,
     times: StageTimes,

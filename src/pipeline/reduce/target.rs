@@ -89,10 +89,10 @@ fn source_range(report: &ReduceReport) -> Option<[f64; 2]> {
 
 /// Tries, at most.
 const MOST_TRIES: u32 = 10;
-/// What is aimed at, as a part of the bound; and what is good enough.
+/// The aim of a try, as a part of the bound; and the part that is good enough.
 const AIM: f64 = 0.985;
 const NEAR: f64 = 0.96;
-/// A number of points that is this near to one that does not do is the least.
+/// A number of points that is this close to one that does not suffice is the least.
 const LEAST_STEP: f64 = 1.03;
 
 /// A try: the number of points, or of samples a point where a size is wanted, and the error or the
@@ -109,7 +109,7 @@ struct Search {
     bound: f64,
     /// The amount is not less than the first of these, and not more than the second.
     limits: [f64; 2],
-    /// What is bounded is about this power of the amount, negative.
+    /// The bounded quantity is about the amount to the negative of this power.
     usual: f64,
     tries: Vec<Try>,
 }
@@ -168,9 +168,10 @@ impl Search {
 /// have a manifest besides.
 const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 
-/// A lattice's values are rounded to a step of so many times the RMS error.
+/// A lattice's values are rounded to a step of this many times the RMS error.
 const STEP: f64 = 1.4;
-/// To so many bits while nothing is known of the error, and to this many otherwise.
+/// They have this many bits while nothing is known about the error, and bits in this range
+/// otherwise.
 const USUAL_BITS: u8 = 6;
 const BITS: [f64; 2] = [4.0, 16.0];
 /// Points a sample where a size is wanted, at most.
@@ -253,7 +254,7 @@ pub(super) fn reduce_to_target(
     let mut found: Option<(ReduceReport, Try)> = None;
     let (mut chunks, mut tries, mut wanted) = (0, 0, None);
     let mut rounding = Rounding::new(job.settings, target);
-    // How many points an error asks for is predicted of those that adapt.
+    // For adapted points, the number of points that an error asks for is predicted.
     let predicted = job.settings.target.filter(|t| adapts && t.bound().is_some());
     let mut settings =
         ReduceSettings { target: predicted, value_bits: rounding.bits, ..job.settings.clone() };
@@ -272,7 +273,8 @@ pub(super) fn reduce_to_target(
         let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, samples] };
         let usual = USUAL_POWERS[usize::from(is_size)];
         let search = search.get_or_insert_with(|| Search { bound, limits, usual, tries: vec![] });
-        // What was asked for, as what came of it is rounded: the cap is a number to be reached.
+        // This is the number that was asked for, because the resulting number is rounded: the limit
+        // must be reached.
         let points = wanted.unwrap_or(report.inner_points).max(1) as f64;
         let amount = if is_size { samples / points } else { points };
         let made = Try { amount, reached: target.reached(&report) };

@@ -46,7 +46,7 @@ impl<'a> VolumeFields<'a> {
         Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
     }
 
-    /// Opens a source that is read by itself, with the copy that is made of it where that is
+    /// Opens a source that is read separately, with the copy that is made of it where one is
     /// needed.
     fn random_access(&self, planned: &PlannedSource) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
         match volume_of(&planned.source, "the volume it was")? {
@@ -63,7 +63,7 @@ impl<'a> VolumeFields<'a> {
         if let Some((_, frames)) = last.as_ref().filter(|(path, _)| *path == source.path) {
             return Ok(Arc::clone(frames));
         }
-        // Before another one is made, its place on the disk is given back.
+        // The disk space of the last copy is freed before another one is made.
         *last = None;
         let (path, options, folder) = (&source.path, &source.options, self.run.resources.scratch_folder());
         let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.resources.cancel)?);
@@ -78,7 +78,7 @@ impl Fields for VolumeFields<'_> {
         let source = &planned.source;
         let (reader, scratch) = match planned.shared_copy {
             0 => self.random_access(planned)?,
-            // Not opened by itself: a frame is found by decoding all before it.
+            // Not opened separately, because a frame is found by decoding all frames before it.
             _ => (self.unpacked(source)?.open(&step.source.field)?, None),
         };
         if reader.info().dims != step.source.dims {

@@ -67,9 +67,9 @@ struct Planner<'a> {
     attachments: Attachments,
     bound: Option<f64>,
     inputs: Inputs<'a>,
-    /// What is subtracted from the values of all steps, once it is known.
+    /// The offset that is subtracted from the values of all steps, once it is known.
     offset: Option<f64>,
-    /// The packed file that was read last to find what is lost.
+    /// The packed file that was read last to find the rounding.
     looked_into: Option<PathBuf>,
     /// The bits of values by default, once the samples of the first step were examined.
     usual_bits: Option<Option<u8>>,
@@ -152,7 +152,7 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
     Ok(series)
 }
 
-/// Steps that lie in one packed file are read from one copy of it: each by itself would be decoded
+/// Steps that lie in one packed file are read from one copy of it: otherwise each would be decoded
 /// from the beginning.
 fn share_copies(series: &mut SeriesPlan) -> Result<()> {
     let runs = series.sources.chunk_by_mut(|a, b| a.source.path == b.source.path);

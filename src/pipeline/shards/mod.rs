@@ -136,7 +136,7 @@ pub struct Planned {
     pub seconds: f64,
 }
 
-/// What was planned, for workers of so many threads.
+/// What was planned, for workers of `threads` threads.
 ///
 /// # Errors
 /// [`Error::BadInput`] when there is no plan.

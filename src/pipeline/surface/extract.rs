@@ -291,7 +291,7 @@ impl Closing {
         Self { most, look_at: most / 64 + 1 }
     }
 
-    /// Whether so many may stay open.
+    /// Whether `open` edges may stay open.
     fn looked(&mut self, open: u64) -> bool {
         self.look_at = (2 * open).clamp(self.most / 64 + 1, self.most + 1);
         open <= self.most

@@ -60,7 +60,7 @@ impl<'a> Pass<'a> {
         let mut steps = vec![];
         for view in &views[..count] {
             settings.resources.cancel.check()?;
-            // Nothing of an unpacked step is decoded: it is quickest by itself.
+            // Nothing of an unpacked step is decoded, so it is fastest alone.
             let is_alone = view.unpacked()?.is_some_and(|file| file.table().answers(&settings.kept(view)));
             if is_alone && !steps.is_empty() {
                 break;
@@ -79,8 +79,8 @@ impl<'a> Pass<'a> {
     /// The surfaces of each step. What was read for all of them is reported with the first. The
     /// memory of surfaces that are no longer needed is taken from `reused`.
     ///
-    /// Where edges that chunks share are too many for several steps, fewer are taken: as many as
-    /// there are surfaces.
+    /// Where chunks share too many edges for several steps, fewer steps are taken. The number of
+    /// results says how many.
     pub(super) fn extract(
         mut self,
         settings: &SurfaceSettings,

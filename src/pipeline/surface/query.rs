@@ -303,7 +303,8 @@ fn work_of(
     }
 }
 
-/// Isosurfaces in memory, in the order of the isovalues; in that of `reused`, as far as it goes.
+/// Isosurfaces in memory, in the order of the isovalues. They use the memory of `reused`, as far as
+/// it goes.
 pub(in crate::pipeline) fn surfaces_in_memory(
     archive: &StepView,
     settings: &SurfaceSettings,

@@ -19,7 +19,7 @@ pub struct Refine {
     pub decimate: Option<Decimation>,
 }
 
-/// What came of it.
+/// The result of a refinement.
 #[derive(Clone, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct RefineReport {

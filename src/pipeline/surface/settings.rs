@@ -179,7 +179,7 @@ pub(super) fn finite(isovalue: f64) -> Result<()> {
     }
 }
 
-/// What in a file's name stands for the isovalue.
+/// The part of a file's name that stands for the isovalue.
 const PLACEHOLDER: &str = "{}";
 
 /// The file of an isovalue.

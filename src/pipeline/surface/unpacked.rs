@@ -154,8 +154,8 @@ impl<'a> UnpackedChunk<'a> {
     }
 }
 
-/// The block at a place, in a chunk of so many corners. The part of it that a question about these
-/// isovalues (none: about all) reads is checked when it is first read.
+/// The block at a place, in a chunk of `of_chunk` corners. The part of it that a question about
+/// these isovalues (none: about all) reads is checked when it is first read.
 fn block_of<'a>(
     file: &Unpacked,
     place: &UnpackedPlace<'a>,

@@ -131,7 +131,7 @@ impl<'a> ChunkWorker<'a> {
         assert!(is_sound, "a block that was made here has the edges of its tetrahedra");
     }
 
-    /// Makes room for so many edges of the chunk that have numbers.
+    /// Makes room for `count` edges of the chunk that have numbers.
     pub(super) fn number_edges(&mut self, count: usize) {
         self.surfaces.iter_mut().for_each(|surface| surface.number_edges(count));
     }

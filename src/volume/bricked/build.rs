@@ -1,4 +1,4 @@
-//! Writing a bricked file from a stream.
+//! Writes a bricked file from a stream.
 
 use super::{ALIGN, EDGE, Header, Layout, MAGIC, PREFIX, VERSION, footer};
 use crate::archive::publish::Unpublished;
@@ -230,8 +230,8 @@ impl Raster {
         (self.next - self.first) * self.dims[0]
     }
 
-    /// Whether a box goes on where the last one ended, in the order of the volume. If the buffer is
-    /// empty, it starts there.
+    /// Whether a box continues where the last one ended, in the order of the volume. If the buffer
+    /// is empty, it starts there.
     fn continues(&mut self, voxels: IndexBox) -> bool {
         let ([dx, dy, _], d) = (self.dims, voxels.dims());
         let first = voxels.lo[2] * dy + voxels.lo[1];
