@@ -158,7 +158,9 @@ impl Choices {
         let is_open = matches!(self.points, None | Some(Set::Halton));
         let adapt = self.adapt || error.is_some() && is_open && adapts;
         if self.focus.is_some() && !adapt {
-            return Err(Error::usage("--focus tells --adapt where to look"));
+            return Err(Error::usage(
+                "--focus needs points that adapt: add --adapt, --target-rms or --target-max",
+            ));
         }
         let points = match (self.points, error.or(size)) {
             (None, Some(_)) if !adapt => Some(Set::Lattice),

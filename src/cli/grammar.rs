@@ -188,7 +188,7 @@ pub(crate) fn range(text: &str) -> Parsed<Range> {
         | (Some(Value::Share(low)), Some(Value::Share(high))) => low <= high,
         _ => true,
     };
-    expected(found.filter(in_order), "a range LO:HI, as in 300:900, 300: or 10%:50%")
+    expected(found.filter(in_order), "a range LO:HI with LO <= HI, as in 300:900, 300: or 10%:50%")
 }
 
 /// Steps by number: `3:8`, `3:`, `:8`, `3`.

@@ -23,7 +23,7 @@ use std::time::Duration;
 /// `brick` such a volume first.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan plan scan.nrrd -o scan.isospan --shards 16\n  isospan plan 'step_*.vti' -o run.isospan --shards 64 --target-rms 1%"
+    after_help = "Examples:\n  isospan plan scan.nrrd -o scan.isospan --shards 16\n  isospan plan 'step_*.vti' -o run.isospan --shards 64 --fraction 1/64"
 )]
 pub(crate) struct Args {
     #[command(flatten)]
