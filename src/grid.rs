@@ -109,7 +109,8 @@ impl IndexBox {
     }
 }
 
-/// The affine map from index space (voxel units) to the world: `origin + direction · (spacing ∘ ijk)`.
+/// The affine map from index space (voxel units) to the world:
+/// `origin + direction · (spacing ∘ ijk)`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
     /// World position of sample (0, 0, 0).

@@ -1,8 +1,8 @@
 //! The crossed edges of a chunk that several blocks may have, found by their corners.
 //!
 //! Each corner that is the lower one of crossed edges has a *bucket* of their higher ones, a cache
-//! line that is compared as a whole: which of them is wanted cannot be predicted, and a list that is
-//! searched one by one pays for a branch at each step. Neighbouring tetrahedra have neighbouring
+//! line that is compared as a whole: which of them is wanted cannot be predicted, and a list that
+//! is searched one by one pays for a branch at each step. Neighbouring tetrahedra have neighbouring
 //! corners, so buckets are in cache, which the slots of a hash table are not. A corner with more
 //! edges has a chain of buckets; one of enormous degree would make it slow, so what exceeds
 //! `LONGEST_CHAIN` goes to a hash table. What belongs to an edge is kept elsewhere, by its number.

@@ -97,8 +97,8 @@ impl Found {
         (n <= MOST_KNOWN && link.len <= rows && double == 0).then_some(open)
     }
 
-    /// Finds out what is behind the gates as if all were predicted, given how many open and how many
-    /// triangles there are. Gives the bits of the star and their number; `None` if not all
+    /// Finds out what is behind the gates as if all were predicted, given how many open and how
+    /// many triangles there are. Gives the bits of the star and their number; `None` if not all
     /// triangles are found.
     #[inline(always)]
     fn follow(&mut self, known: usize, n: usize) -> Option<(u64, u32)> {

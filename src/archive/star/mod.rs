@@ -76,7 +76,8 @@ const NONE: u16 = u16::MAX;
 const FAR_RANK: usize = 8;
 
 // Where the odds of each decision are.
-/// Whether there is a triangle behind a gate that is not as predicted, where one and where none was.
+/// Whether there is a triangle behind a gate that is not as predicted, where one and where none
+/// was.
 const WRONG: usize = 0;
 const GATE_RANK: usize = WRONG + 2;
 /// Whether there is another piece, without and with a gate before.
