@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 /// Programs of packages that every Debian has ("Essential: yes").
 const EVERYWHERE: [&str; 6] = ["bash", "gzip", "mkfifo", "setpriv", "timeout", "unshare"];
-/// Programs of tests that are ignored unless asked for, which CI does, and of the program itself,
-/// which goes on without them.
-const ASKED_FOR: [&str; 3] = ["fincore", "sbatch", "scontrol"];
+/// Programs of tests that do without them, or are ignored unless asked for, which CI does, and of
+/// the program itself, which goes on without them.
+const ASKED_FOR: [&str; 4] = ["fincore", "groff", "sbatch", "scontrol"];
 /// What is no literal: the program under test, and a script or a program of Slurm that the caller
 /// names.
 const NO_LITERALS: [&str; 4] = ["env!(\"CARGO_BIN_EXE_isospan\")", "program", "script", "PROGRAM"];

@@ -35,10 +35,17 @@ fn entry(line: &str) -> Option<Entry> {
     Some(Entry {
         file: (*file).to_owned(),
         dims: dims.try_into().ok()?,
-        scalar: (*c.get(5)?).to_owned(),
+        scalar: numpy_name(c.get(5)?)?,
         range: [lo.parse().ok()?, hi.parse().ok()?],
         isovalue: c.get(8)?.split(';').next()?.trim().parse().ok()?,
     })
+}
+
+/// NumPy's name of a type that the manifest calls `u8`, `i16` or `f32`.
+fn numpy_name(name: &str) -> Option<String> {
+    let (kind, bits) = name.split_at_checked(1)?;
+    let kind = [("u", "uint"), ("i", "int"), ("f", "float")].into_iter().find(|k| k.0 == kind)?.1;
+    Some(format!("{kind}{bits}"))
 }
 
 /// The file's only scalar field, or the one that its active attribute names, is what is read.
