@@ -192,7 +192,7 @@ def test_measure_and_check(tooth, program, tmp_path):
 def test_steps_and_times(series, program, tmp_path):
     assert [s["time"] for s in series.steps] == [0, 0.5, 2]
     for keywords, flags in [({"step": 2}, ["--step", 2]), ({"time": 0.2}, ["--time", 0.2])]:
-        program("surface", series.path, "-i", 0.25, "-o", tmp_path / "p.ply", *flags)
+        program("surface", series.path, "-i", 0.25, "-o", tmp_path / "p.ply", "--force", *flags)
         series.surface(0.25, **keywords).save(tmp_path / "s.ply")
         series.at(**keywords).surface(0.25).save(tmp_path / "t.ply")
         expected = (tmp_path / "p.ply").read_bytes()

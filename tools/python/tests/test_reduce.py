@@ -215,7 +215,7 @@ def test_the_program_of_the_package(program, tooth, tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_the_program_of_the_package_is_stopped_by_signals(tmp_path):
-    arguments = ["reduce", str(TOOTH), "-o", str(tmp_path / "a.isospan"), "--target-rms", "0.1%"]
+    arguments = ["reduce", str(TOOTH), "-o", str(tmp_path / "a.isospan"), "--target-rms", "0.1%", "-v"]
     process = subprocess.Popen(
         [sys.executable, "-m", "isospan", *arguments], stderr=subprocess.PIPE
     )
