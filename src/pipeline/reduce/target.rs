@@ -306,7 +306,7 @@ pub(super) fn reduce_to_target(
     let full_cells = if adapts { Some(full_cells(&best)?) } else { None };
     let met = made.reached <= search.bound;
     let (bound, meshed_chunks) = (search.bound, [chunks; 2]);
-    publish(job, &best, &work)?;
+    publish(job, &best)?;
     report.archive_bytes = folder_bytes(job.out)?;
     let reached = if target.bound().is_some() { made.reached } else { report.archive_bytes as f64 };
     report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });

@@ -89,7 +89,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
             continue;
         }
         let full_cells = Some(full_cells(&trying)?);
-        publish(job, &trying, &work)?;
+        publish(job, &trying)?;
         let reached = error;
         report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
         return Ok(report);

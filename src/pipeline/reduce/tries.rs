@@ -1,10 +1,9 @@
 //! Tries of a search for a target: their errors, and which one becomes the archive.
 
+use super::existing::replace_archive;
 use super::job::Job;
-use super::plan_file::old_archive;
 use super::report::ReduceReport;
 use crate::archive::manifest::Manifest;
-use crate::archive::publish::replace_folder;
 use crate::error::{Error, Result};
 use crate::pipeline::plan::{Attachments, Plan};
 use crate::pipeline::settings::Target;
@@ -31,14 +30,11 @@ pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
 const FULL: f64 = 0.9;
 
 /// Puts a try in the place of the archive. One that is there is whole until then.
-pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
+pub(super) fn publish(job: &Job<'_>, best: &Path) -> Result<()> {
     let mut manifest = Manifest::read(best)?;
     manifest.target = Some(job.settings.hash());
     manifest.write(best)?;
-    replace_folder(best, job.out, &old_archive(job.out))?;
-    // The folder may have a plan, or logs, of other runs.
-    let _ = fs::remove_dir(work);
-    Ok(())
+    replace_archive(best, job.out)
 }
 
 pub(super) fn rename(from: &Path, to: &Path) -> Result<()> {
