@@ -42,10 +42,10 @@ impl Vertices {
     pub(crate) fn new(store: &CellStore, bricks: &BrickGrid, settings: &StoreSettings) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         let positions = store.positions.get()?;
-        let mut bodies = bodies_of(store, positions.len() as u64, settings)?;
+        let mut bodies = vertex_bodies(store, settings)?;
         let mut sorter: Sorter<[u64; 3]> = Sorter::new(memory, &settings.scratch);
         for (number, &p) in (0..).zip(positions) {
-            if let Some(body) = bodies.get(number)?.checked_sub(1) {
+            if let Some(body) = bodies.of(number)? {
                 sorter.push([bricks.id(bricks.brick_at(rounded(p))).0, number, body])?;
             }
         }
@@ -83,8 +83,22 @@ impl Vertices {
     }
 }
 
-/// One more than the body of each vertex; 0 of those without a tetrahedron.
-fn bodies_of(store: &CellStore, vertices: u64, settings: &StoreSettings) -> Result<Paged<u64>> {
+/// The body of each vertex of a mesh: the first of those that have it.
+pub(crate) struct VertexBodies {
+    /// One more than the body; 0 of a vertex without a tetrahedron.
+    bodies: Paged<u64>,
+}
+
+impl VertexBodies {
+    /// The body of a vertex; `None` of one without a tetrahedron.
+    pub(crate) fn of(&mut self, vertex: u64) -> Result<Option<u64>> {
+        Ok(self.bodies.get(vertex)?.checked_sub(1))
+    }
+}
+
+/// Finds the body of each vertex.
+pub(crate) fn vertex_bodies(store: &CellStore, settings: &StoreSettings) -> Result<VertexBodies> {
+    let vertices = store.positions.get()?.len() as u64;
     let mut bodies = Paged::new(vertices, settings.memory, &settings.scratch);
     for (number, tet) in (0..).zip(store.tets.get()?) {
         if number % BATCH as u64 == 0 {
@@ -97,5 +111,5 @@ fn bodies_of(store: &CellStore, vertices: u64, settings: &StoreSettings) -> Resu
             }
         }
     }
-    Ok(bodies)
+    Ok(VertexBodies { bodies })
 }

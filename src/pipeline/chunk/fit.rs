@@ -100,7 +100,7 @@ fn add_vertices<'a>(
     cancel: &CancelToken,
     note: impl Fn(usize, Result<()>) -> Result<()>,
 ) -> Result<()> {
-    let (bricks, store, mesh) = (&fields[0].bricks, fields[0].store, fit.mesh());
+    let (bricks, store, mesh) = (&fields[0].cells.bricks, fields[0].store, fit.mesh());
     let mut originals = vec![];
     for (n, field) in fields.iter().enumerate() {
         note(n, field.values.get().map(|values| originals.push(values)))?;

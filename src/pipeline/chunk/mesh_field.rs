@@ -2,18 +2,18 @@
 //!
 //! Values can be fitted to those at the mesh's vertices ([`super::fit`]).
 
-use super::placement::{NO_BODY, Place, Placement, Spot, brick_order, by_brick, in_bricks};
+use super::cell_locator::{CellLocator, centroid};
+use super::placement::{NO_BODY, Place, Placement, Spot, by_brick, in_bricks};
 use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
-use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
 use crate::domain::vertices::Vertices;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
-use crate::grid::{BrickGrid, BrickId};
+use crate::grid::BrickId;
 use crate::locate::{
-    CellBatch, Corner, FINE_BITS, FinePos, Found, PointGrid, fine, linear, quadratic, quadratic_thesis,
+    CellBatch, Corner, FINE_BITS, FinePos, Found, fine, linear, quadratic, quadratic_thesis,
 };
 use crate::pipeline::read::MeshedChunk;
 use crate::sample::Interpolation;
@@ -21,9 +21,8 @@ use crate::sample::Interpolation;
 /// A mesh, and how it is sampled.
 pub(in crate::pipeline) struct CellField<'a> {
     pub(in crate::pipeline) store: &'a CellStore,
-    pub(in crate::pipeline) buckets: &'a Buckets,
+    pub(in crate::pipeline) cells: CellLocator<'a>,
     pub(in crate::pipeline) boundary: &'a BoundarySamples,
-    pub(in crate::pipeline) bricks: BrickGrid,
     pub(in crate::pipeline) interpolation: Interpolation,
     /// The values of the step at the vertices.
     pub(in crate::pipeline) values: Column<f32>,
@@ -40,8 +39,8 @@ impl CellField<'_> {
         let mut find = |brick, positions: &[LatticePos], out: &mut Vec<Spot>| {
             self.spots(brick, positions, &mut batch, out)
         };
-        let mut spots = by_brick(&self.bricks, mesh, &mut find)?;
-        spots.extend(in_bricks(&self.bricks, mesh.positions_around(), &mut find)?);
+        let mut spots = by_brick(&self.cells.bricks, mesh, &mut find)?;
+        spots.extend(in_bricks(&self.cells.bricks, mesh.positions_around(), &mut find)?);
         let outside = self.outside(mesh, &spots, &mut batch)?;
         Ok(Placement { spots, outside, ..Placement::default() })
     }
@@ -61,13 +60,13 @@ impl CellField<'_> {
         out: &mut Vec<Spot>,
     ) -> Result<()> {
         let points: Vec<FinePos> = positions.iter().map(|&p| fine(p)).collect();
-        let found = self.locate(brick, &points, batch)?;
+        let found = self.cells.locate(brick, &points, batch)?;
         for (found, &pos) in found.iter().zip(positions) {
             let sample = self.boundary.at(pos);
             let place = match sample {
                 // Rounding puts a sample next to the boundary. Where bodies overlap, it belongs to
                 // the first of them.
-                Some(Sample::On(sample)) if sample.body < self.body(found)? => Some(*sample),
+                Some(Sample::On(sample)) if sample.body < self.cells.body(found)? => Some(*sample),
                 _ => None,
             };
             out.push(match place {
@@ -82,37 +81,7 @@ impl CellField<'_> {
         if found.id == Found::NOWHERE {
             return Ok(Spot::default());
         }
-        Ok(Spot { at: Place::Cell(*found), body: self.body(found)?, rim })
-    }
-
-    /// The body of the cell found; [`NO_BODY`] of none.
-    fn body(&self, found: &Found) -> Result<u64> {
-        if found.id == Found::NOWHERE { Ok(NO_BODY) } else { self.store.bodies.of(found.id) }
-    }
-
-    /// The cells of the lowest numbers that hold points of a brick.
-    fn locate(&self, brick: BrickId, points: &[FinePos], batch: &mut CellBatch) -> Result<Vec<Found>> {
-        let mut found = vec![Found::default(); points.len()];
-        if !points.is_empty() {
-            let grid = PointGrid::new(points);
-            self.buckets.each_batch(self.store, brick, batch, |cells| grid.locate(cells, &mut found))?;
-        }
-        Ok(found)
-    }
-
-    /// The cells of the lowest numbers that hold points, which may lie in any bricks.
-    fn locate_anywhere(&self, points: &[FinePos], batch: &mut CellBatch) -> Result<Vec<Found>> {
-        let near: Vec<LatticePos> = points.iter().map(|p| p.map(|c| (c >> FINE_BITS) as u32)).collect();
-        let mut all = vec![Found::default(); points.len()];
-        let mut group = vec![];
-        for run in brick_order(&self.bricks, &near).chunk_by(|a, b| a.0 == b.0) {
-            group.clear();
-            group.extend(run.iter().map(|&(_, i)| points[i as usize]));
-            for (&(_, i), found) in run.iter().zip(self.locate(run[0].0, &group, batch)?) {
-                all[i as usize] = found;
-            }
-        }
-        Ok(all)
+        Ok(Spot { at: Place::Cell(*found), body: self.cells.body(found)?, rim })
     }
 
     /// The tetrahedra that lie outside of the mesh: those whose corners are not all of one body,
@@ -137,8 +106,8 @@ impl CellField<'_> {
             }
             doubtful.resize(places.len(), t);
         }
-        for (t, found) in doubtful.into_iter().zip(self.locate_anywhere(&places, batch)?) {
-            outside[t] |= Some(self.body(&found)?) != body_of(t);
+        for (t, found) in doubtful.into_iter().zip(self.cells.locate_anywhere(&places, batch)?) {
+            outside[t] |= Some(self.cells.body(&found)?) != body_of(t);
         }
         Ok(outside)
     }
@@ -147,9 +116,7 @@ impl CellField<'_> {
     /// rim, they are a place on either side, because it may be a part of a wall. `None` if one lies
     /// outside of the box.
     fn places_in(&self, corners: [LatticePos; 4], on_rim: bool) -> Option<Vec<FinePos>> {
-        // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
-        let centroid: FinePos =
-            std::array::from_fn(|a| corners.iter().map(|c| i64::from(c[a])).sum::<i64>() << (FINE_BITS - 2));
+        let centroid = centroid(corners);
         let Some(normal) = flat_normal(corners).filter(|_| on_rim) else { return Some(vec![centroid]) };
         let domain = fine(self.store.frame.lattice.domain().hi);
         let beside = |side: f64| -> FinePos {

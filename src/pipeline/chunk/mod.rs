@@ -7,6 +7,7 @@
 //!
 //! No chunk sees another. The steps of a series are made together, with their values interleaved.
 
+mod cell_locator;
 pub(super) mod errors;
 mod field;
 mod fit;
@@ -21,6 +22,7 @@ pub(super) mod step_lanes;
 mod step_samples;
 mod volume_field;
 
+pub(super) use cell_locator::CellLocator;
 pub(super) use errors::{
     Cells, Originals, SampleErrors, Samples, field_error_of, stored_error, stored_errors,
 };
@@ -29,7 +31,7 @@ pub(super) use fit::fitted;
 pub(super) use mesh_field::CellField;
 pub(super) use mesher::{ChunkMesher, Meshing};
 pub(super) use own_field::OwnField;
-pub(super) use placement::Placement;
+pub(super) use placement::{NO_BODY, Placement};
 pub(super) use recipe::{OwnMesh, Recipe};
 pub(super) use step_lanes::StepLanes;
 pub(super) use volume_field::GridField;

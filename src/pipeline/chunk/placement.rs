@@ -41,7 +41,7 @@ pub(super) enum Place {
 }
 
 /// The body of a point outside of the mesh.
-pub(super) const NO_BODY: u64 = u64::MAX;
+pub(in crate::pipeline) const NO_BODY: u64 = u64::MAX;
 
 impl Default for Spot {
     fn default() -> Self {

@@ -9,10 +9,10 @@
 //! chunks; with a map of bricks, a record for each brick of a chunk, sorted on disk where memory
 //! does not hold them.
 
+use super::at_vertices::AtVertices;
 use super::error_map::{Map, map_bytes};
 use super::own_errors::own_errors;
-use super::probe_points::{Find, Outside, each_value_of};
-use super::vertex_errors::{StepErrors, on_lattice, reported_errors};
+use super::vertex_errors::{StepErrors, reported_errors};
 use crate::archive::manifest::Source;
 use crate::cells::CellMesh;
 use crate::domain::column::Column;
@@ -244,7 +244,7 @@ fn against_mesh(
 }
 
 /// How a mesh is read whose field at its vertices is measured.
-fn store_settings(archive: &StepView, settings: &MeasureSettings) -> StoreSettings {
+pub(in crate::pipeline) fn store_settings(archive: &StepView, settings: &MeasureSettings) -> StoreSettings {
     let step = &archive.step().plan;
     StoreSettings {
         memory: settings.resources.memory / 4,
@@ -446,14 +446,6 @@ impl AgainstSamples<'_> {
     }
 }
 
-/// Bytes for a vertex of a batch: its place, three times while it is sorted and located, its value,
-/// and the nearest place.
-pub(in crate::pipeline) const VERTEX: u64 = 300;
-/// Bytes for the value of each further step.
-const FURTHER: u64 = 16;
-/// The most vertices of a batch.
-pub(in crate::pipeline) const MOST_VERTICES: u64 = 1 << 31;
-
 /// Positions of steps, and their values at the vertices; a map is of one step.
 fn measure_vertices(
     archive: &StepView,
@@ -469,7 +461,6 @@ fn measure_vertices(
         let rest = memory.saturating_sub(of_map);
         return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.beside(of_map));
     }
-    let positions = store.positions.get()?;
     let columns = steps.iter().map(|(_, values)| values.get()).collect::<Result<Vec<_>>>()?;
     let steps: Vec<usize> = steps.iter().map(|step| step.0).collect();
     let levels = archive.points.levels();
@@ -478,18 +469,15 @@ fn measure_vertices(
     let mapped = map.is_some();
     let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
     let rest = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory) + sums_bytes);
-    let share = |memory: u64| rest(memory) / 8 * 7;
-    let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
-    let most = (rest(settings.resources.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
-    let find = Find { resources: &settings.resources, share: &share, outside: Outside::All };
+    let how = store_settings(archive, settings);
+    let mut vertices = AtVertices::new(archive, store, &steps, &settings.resources, &rest, &how)?;
     let bricks = archive.chunks.bricks();
     let mut beyond = vec![0u64; steps.len()];
     let mut sums: Vec<_> = steps.iter().map(|_| (ErrorSums::default(), none.clone())).collect();
-    for (batch, first) in positions.chunks(most).zip((0u64..).step_by(most)) {
+    for batch in vertices.batches() {
         let mut errors = BTreeMap::<u64, BrickErrors>::new();
-        let placed = batch.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
-        each_value_of(archive, &steps, placed, &find, progress, "measure", |n, reduced, is_inside| {
-            let (number, at) = (first + u64::from(n), on_lattice(batch[n as usize]));
+        let first = batch.start;
+        vertices.each_in(batch, progress, |number, at, reduced, is_inside| {
             let level = levels.map(|levels| usize::from(levels.at(at)));
             for ((((sums, of_levels), values), &reduced), beyond) in
                 sums.iter_mut().zip(&columns).zip(reduced).zip(&mut beyond)
@@ -501,7 +489,7 @@ fn measure_vertices(
                     of_levels[level].add(values[number as usize], reduced, || number);
                 }
             }
-            if map.is_some() {
+            if mapped {
                 let brick = bricks.id(bricks.brick_at(at));
                 errors.entry(brick.0).or_default().add(columns[0][number as usize], reduced[0]);
             }

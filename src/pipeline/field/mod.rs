@@ -1,6 +1,7 @@
 //! Questions about the field itself: its values on a grid or at points, its mesh, its error against
 //! the source.
 
+mod at_vertices;
 mod error_map;
 mod export;
 mod measure;
@@ -10,11 +11,12 @@ mod probe_grid;
 mod probe_points;
 mod vertex_errors;
 
+pub(super) use at_vertices::AtVertices;
 pub(super) use export::export;
 pub use export::{Corners, ExportReport, ExportSettings};
-pub(super) use measure::{MOST_VERTICES, VERTEX, field_errors, reopened_errors, reopened_values};
 pub use measure::{MeasureReport, MeasureSettings, measure, measure_source};
+pub(super) use measure::{field_errors, reopened_errors, reopened_values, store_settings};
 pub use probe_grid::{ProbeReport, ProbeSettings};
 pub(super) use probe_grid::{probe_grid, sample_grid};
-pub(super) use probe_points::{Find, Outside, each_value, edges_at_missing, probe_table, values_at};
-pub(super) use vertex_errors::{StepErrors, on_lattice};
+pub(super) use probe_points::{edges_at_missing, probe_table, values_at};
+pub(super) use vertex_errors::StepErrors;

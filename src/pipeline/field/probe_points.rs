@@ -20,6 +20,7 @@ use crate::formats::point_list::{PointReader, PointWriter};
 use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::{BrickGrid, ChunkId, Geometry};
+use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit, full_region};
 use crate::raster::{PointLocator, interpolate};
@@ -263,7 +264,8 @@ pub(in crate::pipeline) fn values_at(
         .filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice, tolerance)?, n)))
         .collect();
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
-    let find = Find { resources: &settings.resources, share, outside: Outside::Within(tolerance) };
+    let outside = Outside::Within(tolerance);
+    let find = Find { resources: &settings.resources, share, outside, bodies: None };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
         values[n as usize] = value;
         found += 1;
@@ -272,17 +274,32 @@ pub(in crate::pipeline) fn values_at(
 }
 
 /// How points are located.
-pub(in crate::pipeline) struct Find<'a> {
-    pub(in crate::pipeline) resources: &'a Resources,
+pub(super) struct Find<'a> {
+    pub(super) resources: &'a Resources,
     /// The part of the memory that is for chunks.
-    pub(in crate::pipeline) share: &'a (dyn Fn(u64) -> u64 + Sync),
+    pub(super) share: &'a (dyn Fn(u64) -> u64 + Sync),
     /// Which points in no tetrahedron have the value of the nearest place.
-    pub(in crate::pipeline) outside: Outside,
+    pub(super) outside: Outside,
+    /// The bodies of a mesh, where a point has the value of its own.
+    pub(super) bodies: Option<PointBodies<'a>>,
 }
+
+/// The bodies that points lie in, for a mesh of several bodies. They touch or overlap, and a vertex
+/// next to such a place has the value of the body that it belongs to.
+pub(super) struct PointBodies<'a> {
+    /// That of each point, by its number; [`NO_BODY`] of one without.
+    pub(super) of_points: &'a [u64],
+    /// Tells the bodies of tetrahedra.
+    pub(super) cells: &'a CellLocator<'a>,
+}
+
+/// Bytes that finding the bodies of a chunk's tetrahedra takes, for each vertex: its place, thrice
+/// while places are sorted by brick, the cell found, and six tetrahedra of eight bytes.
+const BODY: u64 = 240;
 
 /// Points that lie in no tetrahedron.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::pipeline) enum Outside {
+pub(super) enum Outside {
     /// Those within this many lattice steps of one have a value.
     Within(u32),
     /// All have one.
@@ -292,7 +309,7 @@ pub(in crate::pipeline) enum Outside {
 /// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside
 /// of all as [`Find`] says. The value is NaN in a tetrahedron with a void corner. Returns the
 /// number of chunks read.
-pub(in crate::pipeline) fn each_value(
+fn each_value(
     archive: &StepView,
     points: impl Iterator<Item = (LatticePos, u32)>,
     find: &Find<'_>,
@@ -337,19 +354,39 @@ fn find_each(
     let mut batch = Batch::new(archive.chunks.bricks(), points);
     let mut visit = Visit::new(archive, Blocks::All, find.resources, find.share)?;
     visit.confine(|region| batch.within(*region).next().is_some())?;
-    let extra = further * visit.most_vertices() * size_of::<f32>() as u64;
+    let of_vertex = further * size_of::<f32>() as u64 + find.bodies.as_ref().map_or(0, |_| BODY);
+    let extra = of_vertex * visit.most_vertices();
     visit.check_memory(extra)?;
     progress.begin(stage, visit.chunks.len() as u64, "chunks");
+    // The body of each tetrahedron of a chunk; none where all count for all points.
+    let bodies_of = |chunk: &DecodedChunk| match &find.bodies {
+        Some(bodies) => bodies.cells.bodies_of(&chunk.positions, &chunk.tets),
+        None => Ok(vec![]),
+    };
+    let is_own = |of_tets: &[u64], tet: usize, point: u32| {
+        find.bodies.as_ref().is_none_or(|bodies| {
+            let (of_tet, of_point) = (of_tets[tet], bodies.of_points[point as usize]);
+            of_tet == of_point || of_tet == NO_BODY || of_point == NO_BODY
+        })
+    };
     let job = |id, mut chunk: DecodedChunk| {
         let region = full_region(archive, id)?;
         let values = values(id, &mut chunk)?;
-        Ok(locate(&chunk, &values, &PointLocator::new(region, far, batch.within(region))))
+        let of_tets = bodies_of(&chunk)?;
+        let points = PointLocator::new(region, far, batch.within(region));
+        Ok(locate(&chunk, &values, &points, |tet, n| is_own(&of_tets, tet, n)))
     };
     let mut is_found = vec![0u64; batch.numbers().div_ceil(64)];
+    // Values of other bodies, for points that have none of their own.
+    let mut foreign = BTreeMap::<u32, Vec<f32>>::new();
     visit.each(extra, progress, job, |_, found: Found| {
         let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
         // The own tetrahedra of a mesh may overlap: the first one's value counts.
-        for (&n, at) in found.points.iter().zip(found.values.chunks(lists.max(1))) {
+        for (&(n, is_own), at) in found.points.iter().zip(found.values.chunks(lists.max(1))) {
+            if !is_own {
+                foreign.entry(n).or_insert_with(|| at.to_vec());
+                continue;
+            }
             let (word, bit) = (&mut is_found[n as usize / 64], 1 << (n % 64));
             if *word & bit == 0 {
                 *word |= bit;
@@ -360,6 +397,7 @@ fn find_each(
     })?;
     let mut chunks_read = visit.chunks.len() as u64;
     batch.sorted.retain(|s| is_found[s.2 as usize / 64] >> (s.2 % 64) & 1 == 0);
+    foreign.retain(|&n, _| is_found[n as usize / 64] >> (n % 64) & 1 == 0);
     drop(is_found);
     let lattice = archive.manifest.plan.lattice;
     let whole = far.into_iter().max().unwrap_or(0);
@@ -375,8 +413,10 @@ fn find_each(
         let job = |id, mut chunk: DecodedChunk| {
             let region = around(&full_region(archive, id)?);
             let values = values(id, &mut chunk)?;
+            let of_tets = bodies_of(&chunk)?;
             let points = PointLocator::new(region, far, batch.within(region));
-            Ok(near_places(&chunk, &values, &points, reach, &lattice))
+            let is_own = |tet, n| is_own(&of_tets, tet, n);
+            Ok(near_places(&chunk, &values, &points, is_own, reach, &lattice))
         };
         let mut places = BTreeMap::new();
         visit.each(extra, progress, job, |_, found| {
@@ -386,30 +426,42 @@ fn find_each(
         chunks_read += visit.chunks.len() as u64;
         // Places farther than the reach along some axis were not searched.
         places.retain(|_, place| place.is_within(reach));
+        // A point in a tetrahedron of another body has that one's value if its own body is farther.
+        places.retain(|n, place| !place.is_foreign || !foreign.contains_key(n));
         places.iter().for_each(|(&n, place)| each(n, &place.values, false));
+        for (&n, values) in foreign.iter().filter(|(n, _)| !places.contains_key(n)) {
+            each(n, values, false);
+        }
         if find.outside != Outside::All || reach >= whole.saturating_mul(2) {
             break;
         }
-        batch.sorted.retain(|s| !places.contains_key(&s.2));
+        batch.sorted.retain(|s| !places.contains_key(&s.2) && !foreign.contains_key(&s.2));
+        foreign.clear();
         reach = reach.saturating_mul(2);
     }
     Ok(chunks_read)
 }
 
-/// Points of a chunk, and the values of all lists at the first, the second, ….
+/// Points of a chunk, each with whether the tetrahedron is of its own body, and the values of all
+/// lists at the first, the second, ….
 #[derive(Default)]
 struct Found {
-    points: Vec<u32>,
+    points: Vec<(u32, bool)>,
     values: Vec<f32>,
 }
 
 /// The points that lie in tetrahedra of a chunk, and the fields there: NaN in one with a void
 /// corner.
-fn locate(chunk: &DecodedChunk, lists: &[Vec<f32>], points: &PointLocator) -> Found {
+fn locate(
+    chunk: &DecodedChunk,
+    lists: &[Vec<f32>],
+    points: &PointLocator,
+    is_own: impl Fn(usize, u32) -> bool,
+) -> Found {
     let mut found = Found::default();
-    for tet in &chunk.tets {
+    for (number, tet) in chunk.tets.iter().enumerate() {
         points.each_in(tet.map(|v| chunk.positions[v as usize]), |n, weights| {
-            found.points.push(n);
+            found.points.push((n, is_own(number, n)));
             found.values.extend(lists.iter().map(|values| {
                 let corners = tet.map(|v| values[v as usize]);
                 let void = corners.iter().any(|v| v.is_nan());

@@ -20,7 +20,7 @@ pub(super) fn other_mesh(archive: &StepView) -> Error {
 }
 
 /// A position of a mesh on the lattice.
-pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
+pub(super) fn on_lattice(p: FinePos) -> LatticePos {
     // The frame's box ends at whole lattice steps, so no position is rounded out of it.
     p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }

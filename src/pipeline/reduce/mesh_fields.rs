@@ -17,7 +17,7 @@ use crate::domain::vertices::Vertices;
 use crate::error::Result;
 use crate::formats::{self, OpenOptions, StepSource};
 use crate::grid::BrickGrid;
-use crate::pipeline::chunk::{CellField, Field, OwnField, OwnMesh};
+use crate::pipeline::chunk::{CellField, CellLocator, Field, OwnField, OwnMesh};
 use crate::pipeline::plan::Plan;
 use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::points::ExplicitPoints;
@@ -157,9 +157,8 @@ impl Fields for MeshFields {
         };
         Ok(Field::Cells(CellField {
             store: &self.store,
-            buckets,
+            cells: CellLocator { store: &self.store, buckets, bricks: self.bricks },
             boundary,
-            bricks: self.bricks,
             interpolation,
             values,
             gradients,

@@ -41,9 +41,7 @@ use crate::formats::{Input, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, ChunkId};
 use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, stored_errors};
-use crate::pipeline::field::{
-    Find, MOST_VERTICES, MeasureSettings, Outside, VERTEX, each_value, on_lattice, reopened_values,
-};
+use crate::pipeline::field::{AtVertices, MeasureSettings, reopened_values, store_settings};
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Halo, estimate};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepView, Visit};
@@ -145,17 +143,15 @@ impl Measuring<'_> {
         let mut store = None;
         let values = reopened_values(archive, mesh, input, &mut store, &settings)?;
         let store = store.expect("it was laid out for the values");
-        let (positions, values) = (store.positions.get()?, values.get()?);
+        let values = values.get()?;
         let rest = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
-        let batch = (rest(run.resources.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
-        let share = |memory: u64| rest(memory) / 8 * 7;
-        let find = Find { resources: &run.resources, share: &share, outside: Outside::All };
-        for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
-            let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
-            each_value(archive, placed, &find, job.progress, "measure", |n, reduced| {
-                let error = (f64::from(values[n as usize]) - f64::from(reduced)).abs();
+        let (step, how) = ([archive.position()], store_settings(archive, &settings));
+        let mut vertices = AtVertices::new(archive, &store, &step, &run.resources, &rest, &how)?;
+        for batch in vertices.batches() {
+            vertices.each_in(batch, job.progress, |number, at, reduced, _| {
+                let error = (f64::from(values[number as usize]) - f64::from(reduced[0])).abs();
                 if error > self.bound {
-                    self.note(on_lattice(positions[n as usize]), error as f32);
+                    self.note(at, error as f32);
                 }
             })?;
         }
