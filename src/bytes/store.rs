@@ -72,6 +72,18 @@ impl<T: Pod> Store<T> {
             .map_err(|e| Error::io("read records from a temporary file in", &self.scratch, e))
     }
 
+    /// Reads records from a number on, which must be there.
+    pub(crate) fn read_from(&self, first: u64, records: &mut [T]) -> Result<()> {
+        let on_disk = (self.written.saturating_sub(first)).min(records.len() as u64) as usize;
+        let (from_file, from_tail) = records.split_at_mut(on_disk);
+        if !from_file.is_empty() {
+            self.read(first, from_file)?;
+        }
+        let at = (first + on_disk as u64).saturating_sub(self.written) as usize;
+        from_tail.copy_from_slice(&self.tail[at..at + from_tail.len()]);
+        Ok(())
+    }
+
     /// Hands out all records, in order, in batches.
     pub(crate) fn each(&self, each: &mut dyn FnMut(&[T]) -> Result<()>) -> Result<()> {
         let mut batch = Vec::new();

@@ -3,8 +3,8 @@
 use super::grammar;
 use clap::ValueEnum;
 use isospan::bytes::{ByteSource, IoMode};
-use isospan::formats::OpenOptions;
-use isospan::formats::raw::{RawLayout, SampleType};
+use isospan::formats::raw::SampleType;
+use isospan::formats::{OpenOptions, RawLayout};
 use isospan::{Error, Result};
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,7 @@
 use super::grammar;
 use super::input::InputArgs;
 use super::progress::Talk;
-use isospan::formats::{StepSource, order_in_doubt, steps_of};
+use isospan::formats::{OpenOptions, StepSource, order_in_doubt, steps_of};
 use isospan::pipeline::StepChoice;
 use isospan::{Error, Result};
 use std::path::PathBuf;
@@ -20,6 +20,16 @@ pub(crate) struct StepInputs {
     /// files, else the step numbers].
     #[arg(help_heading = "Series", long, value_name = "TIMES", value_parser = grammar::times, allow_hyphen_values = true)]
     times: Option<Times>,
+    /// Fields of the input to reduce on the same points, by their names. Each is a step of the
+    /// archive; --step NAME asks for one.
+    #[arg(
+        help_heading = "Input",
+        long,
+        value_name = "NAME[,NAME..]",
+        value_delimiter = ',',
+        conflicts_with = "field"
+    )]
+    fields: Vec<String>,
     /// Leave out steps that cannot be used, and report them.
     #[arg(help_heading = "Series", long)]
     pub(crate) keep_going: bool,
@@ -28,13 +38,42 @@ pub(crate) struct StepInputs {
 impl StepInputs {
     /// All steps, in order.
     pub(crate) fn all(&self, read: &InputArgs, talk: &Talk) -> Result<Vec<StepSource>> {
-        let mut steps = steps_of(&self.inputs, &read.options()?)?;
+        let options = read.options()?;
+        let mut steps = match &self.fields[..] {
+            [] => steps_of(&self.inputs, &options)?,
+            fields => self.of_fields(fields, &options)?,
+        };
         if let (None, Some(doubt)) = (&self.times, order_in_doubt(&self.inputs, &steps)) {
             let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, --times tells the times";
             talk.note(&format!("warning: {doubt}: {help}"));
         }
         self.set_times(&mut steps)?;
         Ok(steps)
+    }
+
+    /// A step for each field of the input.
+    fn of_fields(&self, fields: &[String], options: &OpenOptions) -> Result<Vec<StepSource>> {
+        let [input] = &self.inputs[..] else {
+            return Err(Error::usage("--fields names fields of one input: give one"));
+        };
+        if let Some(twice) = (1..fields.len()).find(|&n| fields[..n].contains(&fields[n])) {
+            return Err(Error::usage(format!("--fields names {} twice", fields[twice])));
+        }
+        let step = |name: &String| {
+            let steps = steps_of(
+                std::slice::from_ref(input),
+                &OpenOptions { field: Some(name.clone()), ..options.clone() },
+            )?;
+            let [step] = &steps[..] else {
+                let (path, count) = (input.display(), steps.len());
+                return Err(Error::usage(format!(
+                    "{path}: {name} stands for {count} steps: --field takes them"
+                )));
+            };
+            // Fields of one moment are no series in time.
+            Ok(step.clone().at(None))
+        };
+        fields.iter().map(step).collect()
     }
 
     /// Gives steps the times that the user gave.
@@ -46,9 +85,10 @@ impl StepInputs {
 /// Which step of a series is asked.
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepArgs {
-    /// Number of the time step; `isospan info` lists them [default: the first].
-    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>)]
-    step: Option<u64>,
+    /// Number of the step, or the name of its field; `isospan info` lists them [default: the
+    /// first].
+    #[arg(help_heading = "Series", long, value_name = "N|FIELD")]
+    step: Option<String>,
     /// A time; values between two steps are interpolated linearly.
     #[arg(
         help_heading = "Series",
@@ -68,8 +108,10 @@ impl StepArgs {
     }
 
     pub(crate) fn choice(&self) -> StepChoice {
-        match (self.step, self.time) {
-            (Some(number), _) => StepChoice::Number(number),
+        match (&self.step, self.time) {
+            (Some(step), _) => {
+                step.parse().map_or_else(|_| StepChoice::Field(step.clone()), StepChoice::Number)
+            }
             (None, Some(time)) => StepChoice::Time(time),
             (None, None) => StepChoice::First,
         }

@@ -9,8 +9,10 @@ use super::text;
 use clap::ValueEnum;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{
-    OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings,
+    ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepChoice, StepRange, SurfaceReport,
+    SurfaceSettings, is_archive,
 };
+use isospan::render::ColourMap;
 use isospan::surface::components::ComponentFilter;
 use isospan::surface::decimate::Decimation;
 use isospan::{Archive, Error, Result};
@@ -76,6 +78,16 @@ pub(crate) struct Args {
     /// first.
     #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length)]
     decimate_error: Option<Length>,
+    /// Give the vertices the values of another field, with colours: a field of this archive (see
+    /// reduce --fields), or another archive in the same world. In .ply, .vtp, .glb and .obj files.
+    #[arg(help_heading = "Colours", long, visible_alias = "color-by", value_name = "FIELD|ARCHIVE", conflicts_with_all = ["all_steps", "steps"])]
+    colour_by: Option<PathBuf>,
+    /// The colour map: viridis, cividis, coolwarm or grey. VTP files have values alone.
+    #[arg(help_heading = "Colours", long, visible_alias = "color-map", value_name = "MAP", default_value = "viridis", value_parser = colour_map, requires = "colour_by")]
+    colour_map: ColourMap,
+    /// The values at the ends of the colour map [default: those of the whole field].
+    #[arg(help_heading = "Colours", long, visible_alias = "color-range", value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true, requires = "colour_by")]
+    colour_range: Option<grammar::Range>,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -160,6 +172,32 @@ fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
     Ok(Refine { components, decimate })
 }
 
+fn colour_map(text: &str) -> Result<ColourMap> {
+    text.parse()
+}
+
+/// The field that colours the surface.
+fn colours(args: &Args, archive: &Archive) -> Result<Option<ColourBy>> {
+    let Some(by) = &args.colour_by else { return Ok(None) };
+    let step = if is_archive(by) {
+        let other = Archive::open(by)?;
+        let is_one = other.info()?.steps.len() <= 1;
+        other.at(if is_one { StepChoice::First } else { args.step.choice() })?
+    } else {
+        archive.at(StepChoice::Field(by.display().to_string()))?
+    };
+    let range = step.value_range();
+    let mut colours = step.into_colours(args.colour_map);
+    if let Some(asked) = args.colour_range {
+        let ends = |[lo, hi]: [f64; 2]| {
+            let [least, most] = range.unwrap_or([0.0, 1.0]);
+            [if lo.is_finite() { lo } else { least }, if hi.is_finite() { hi } else { most }]
+        };
+        colours.range = Some(ends(asked.of(range)?));
+    }
+    Ok(Some(colours))
+}
+
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = args.format()?;
     // One question is asked: no block is cached for a next one.
@@ -171,6 +209,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         roi: args.roi,
         cap: args.cap,
         refine: refine(args, &archive)?,
+        colour_by: colours(args, &archive)?,
     };
     if args.is_to_standard_output() {
         return to_standard_output(args, &settings, &archive, format, talk);

@@ -7,10 +7,10 @@
 //! unchanged, and one more; NaN is written `nan`. Memory: that of a line. A table is read twice, so
 //! it must be a file.
 
-use super::surface::resolve;
 use crate::archive::publish::Unpublished;
 use crate::bytes::open_regular;
 use crate::error::{Error, Result};
+use crate::formats::shared::sink::resolve;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 const LONGEST_LINE: u64 = 1 << 20;
 
 /// A table being read.
-pub struct PointReader {
+pub(crate) struct PointReader {
     records: csv::Reader<File>,
     record: csv::StringRecord,
     path: PathBuf,
@@ -36,7 +36,7 @@ impl PointReader {
     ///
     /// # Errors
     /// [`Error::BadInput`] for a table without coordinates; [`Error::Io`] when it cannot be read.
-    pub fn open(path: &Path) -> Result<Self> {
+    pub(crate) fn open(path: &Path) -> Result<Self> {
         let delimiter = delimiter(path)?;
         let file = open_regular(path)?;
         let records = csv::ReaderBuilder::new()
@@ -106,7 +106,7 @@ impl PointReader {
     ///
     /// # Errors
     /// [`Error::BadInput`] naming the line that has no three finite numbers.
-    pub fn next_point(&mut self) -> Result<Option<[f64; 3]>> {
+    pub(crate) fn next_point(&mut self) -> Result<Option<[f64; 3]>> {
         if !self.read()? {
             return Ok(None);
         }
@@ -137,7 +137,7 @@ fn delimiter(path: &Path) -> Result<u8> {
 }
 
 /// Writes the columns of a table, and next to them the values at its points.
-pub struct PointWriter {
+pub(crate) struct PointWriter {
     input: PointReader,
     rows: csv::Writer<Vec<u8>>,
     out: Unpublished,
@@ -152,7 +152,7 @@ impl PointWriter {
     ///
     /// # Errors
     /// Those of reading the input and of creating the file.
-    pub fn create(path: &Path, input: &Path, field: &str) -> Result<Self> {
+    pub(crate) fn create(path: &Path, input: &Path, field: &str) -> Result<Self> {
         let input = PointReader::open(input)?;
         let out = Unpublished::create(&resolve(path)?)?;
         let rows = csv::WriterBuilder::new().flexible(true).delimiter(input.delimiter).from_writer(vec![]);
@@ -188,7 +188,7 @@ impl PointWriter {
     ///
     /// # Errors
     /// [`Error::BadInput`] when the input has become shorter; those of reading and writing.
-    pub fn write(&mut self, values: &[f64]) -> Result<()> {
+    pub(crate) fn write(&mut self, values: &[f64]) -> Result<()> {
         for value in values {
             if !self.input.read()? {
                 return Err(self.input.bad("the end", "the points that were there before", "fewer"));
@@ -205,7 +205,7 @@ impl PointWriter {
     ///
     /// # Errors
     /// When the system refuses.
-    pub fn publish(mut self) -> Result<u64> {
+    pub(crate) fn publish(mut self) -> Result<u64> {
         self.hand_on()?;
         self.out.publish()?;
         Ok(self.bytes)

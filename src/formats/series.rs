@@ -12,19 +12,18 @@
 //! A pattern that matches TIFF files is one volume, whose slices they are. The time of a VTK file
 //! is in its field data: `TimeValue`, or `TIME`.
 
-use super::nifti::UnpackedFrames;
-use super::stack::{by_numbers, rise};
-use super::{
-    Input, Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_input, open_volume, tiff, vtk_legacy,
-    vtk_xml, zarr,
-};
-use crate::bytes::{ByteSource, read_whole};
+use crate::bytes::read_whole;
 use crate::error::{Error, Place, Result};
 use crate::exec::CancelToken;
+use crate::formats::kinds::{Input, format_of, is_mesh, open_input, open_mesh, open_volume};
+use crate::formats::shared::format::Format;
+use crate::formats::shared::{Frames, OpenOptions, field_matches, has_suffix, is_pattern};
+use crate::formats::volume::nifti::UnpackedFrames;
+use crate::formats::volume::stack::{by_numbers, rise};
+use crate::formats::volume::tiff;
 use crate::volume::chunked::DecodeCount;
 use crate::volume::slabs::ReaderSlabs;
 use crate::volume::{SharedVolume, SlabStream, VolumeReader, VolumeSource};
-use glob::Pattern;
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use serde::{Deserialize, Serialize};
@@ -188,9 +187,6 @@ impl fmt::Debug for Given {
     }
 }
 
-/// Fields of a file that are steps, and their times where they are known.
-pub(super) type Frames = Vec<(String, Option<f64>)>;
-
 /// The most bytes of a list of files.
 const LARGEST_LIST: u64 = 64 << 20;
 
@@ -251,10 +247,6 @@ fn by_times(mut files: Vec<(PathBuf, Option<f64>)>) -> Vec<(PathBuf, Option<f64>
     files
 }
 
-fn is_pattern(text: &str) -> bool {
-    text.contains(['*', '?', '['])
-}
-
 /// A reason to doubt the order in which files were named, as a shell sorts them without regard to
 /// numbers: their names differ in numbers alone, which do not rise, or their times fall. `None`
 /// where there is none.
@@ -297,54 +289,27 @@ fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSo
 
 /// The time that a file states itself.
 fn time_of(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-    if options.raw.is_some() || !path.is_file() {
-        return Ok(None);
-    }
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let time = match kind_of(&source) {
-        Some(Kind::VtkXml) => vtk_xml::time(&source)?,
-        Some(Kind::VtkLegacy) => vtk_legacy::time(&source)?,
-        _ => None,
+    let time = match single(path, options)? {
+        Some(format) => format.time(path, options)?,
+        None => None,
     };
     Ok(time.filter(|t| t.is_finite()))
 }
 
-/// The kind of a single file with its own layout.
-fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
-    if options.raw.is_some() || !path.is_file() {
-        return Ok(None);
-    }
-    Ok(kind_of(&Arc::new(ByteSource::open(path, options.io)?)))
+/// The format of one file or folder that has its own layout.
+fn single(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
+    if path.exists() { format_of(path, options) } else { Ok(None) }
 }
 
 /// The frames of a file that is itself a series, or of the array in it that is named; and their
 /// times.
 fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-    let wanted = options.field.as_deref();
-    if options.raw.is_none() && zarr::is_zarr(path) {
-        return zarr::frames(path, wanted).map(Some);
-    }
-    match frame_kind(path, options)? {
-        Some(Kind::Nifti) if wanted.is_none() => nifti::frames(path, options).map(Some),
-        #[cfg(feature = "hdf5")]
-        Some(Kind::Hdf5) => super::hdf5::frames(path, options, wanted).map(Some),
-        _ => Ok(None),
-    }
+    single(path, options)?.map_or(Ok(None), |format| format.frames(path, options))
 }
 
 /// The times of fields that are frames, by their names.
 fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-    let all = OpenOptions { field: None, ..options.clone() };
-    let known = |frames: Frames| frames.into_iter().filter_map(|(name, time)| Some((name, time?))).collect();
-    if options.raw.is_none() && zarr::is_zarr(path) {
-        return zarr::all_frames(path).map(known);
-    }
-    match frame_kind(path, options)? {
-        Some(Kind::Nifti) => nifti::frames(path, &all).map(known),
-        #[cfg(feature = "hdf5")]
-        Some(Kind::Hdf5) => super::hdf5::times(path, options),
-        _ => Ok(HashMap::new()),
-    }
+    single(path, options)?.map_or_else(|| Ok(HashMap::new()), |format| format.times(path, options))
 }
 
 /// Bytes of all frames of a file, unpacked, where each frame would be decoded from the beginning of
@@ -353,10 +318,7 @@ fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
 /// # Errors
 /// [`Error::BadInput`] for a malformed file.
 pub fn packed_frames(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
-    match frame_kind(path, options)? {
-        Some(Kind::Nifti) => nifti::packed_bytes(path, options),
-        _ => Ok(None),
-    }
+    single(path, options)?.map_or(Ok(None), |format| format.packed_frames(path, options))
 }
 
 /// Unpacks such a file, into a nameless file in `folder`.
@@ -375,8 +337,8 @@ pub fn unpack_frames(
 /// The fields with one number a sample whose names match a pattern.
 fn matching_fields(path: &Path, options: &OpenOptions, pattern: &str) -> Result<Frames> {
     let any = OpenOptions { field: None, ..options.clone() };
-    let mut names: Vec<String> = if mesh::is_mesh(path, &any)? {
-        let mesh = mesh::open_mesh(path, &any)?;
+    let mut names: Vec<String> = if is_mesh(path, &any)? {
+        let mesh = open_mesh(path, &any)?;
         mesh.info().fields.iter().filter(|f| f.components == 1).map(|f| f.name.clone()).collect()
     } else {
         // With a pattern, any field that matches is opened.
@@ -391,11 +353,6 @@ fn matching_fields(path: &Path, options: &OpenOptions, pattern: &str) -> Result<
     by_numbers(&mut names, Clone::clone);
     let times = times(path, options)?;
     Ok(names.into_iter().map(|n| (n.clone(), times.get(&n).copied())).collect())
-}
-
-/// Whether a field's name matches a pattern.
-pub(super) fn field_matches(pattern: &str, name: &str) -> bool {
-    is_pattern(pattern) && Pattern::new(pattern).is_ok_and(|p| p.matches(name))
 }
 
 fn list_text(path: &Path) -> Result<String> {

@@ -2,10 +2,12 @@
 //! each file holds. They are ignored unless asked for, as tools/check does where the variable is
 //! set.
 
+use super::shared::has_suffix;
 use super::tests::try_read_all;
-use super::*;
+use super::{OpenOptions, open_volume};
+use crate::error::Result;
 use crate::volume::{ScalarType, VolumeInfo};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A row of the manifest.
 struct Row {

@@ -12,10 +12,13 @@ use crate::pipeline::field::{
 };
 use crate::pipeline::read::{ArchiveSummary, Place, SpectrumReport, StepView, spectrum, summarize};
 use crate::pipeline::surface::{
-    CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, with_surfaces, write_surfaces,
+    ColourBy, CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, with_surfaces,
+    write_surfaces,
 };
+use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
 use std::path::Path;
+use std::sync::Arc;
 
 /// An archive at one of its steps, or at a moment between two: see
 /// [`Archive::step`](super::Archive::step) and [`Archive::at`](super::Archive::at).
@@ -297,6 +300,12 @@ impl Step {
         progress: &dyn Progress,
     ) -> Result<SurfaceReport> {
         write_surfaces(&self.view, settings, out, format, progress)
+    }
+
+    /// This step as a field that colours surfaces, of this archive or another one in the same world:
+    /// see [`SurfaceSettings::colour_by`].
+    pub fn into_colours(self, map: ColourMap) -> ColourBy {
+        ColourBy { view: Arc::new(self.view), range: None, map }
     }
 
     /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their

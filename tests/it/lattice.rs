@@ -90,7 +90,7 @@ fn rounded_steps_with_holes_are_the_same_however_they_are_made() {
     for step in [0.0, 1.5, 3.0] {
         let choice = pipeline::StepChoice::Time(step);
         let ask = |path: &std::path::Path| {
-            let archive = Archive::open(path).unwrap().at(choice).unwrap();
+            let archive = Archive::open(path).unwrap().at(choice.clone()).unwrap();
             [archive.surface(0.1).unwrap(), archive.surface(0.1).unwrap()]
         };
         let [packed, kept] = ask(&all);
@@ -98,7 +98,7 @@ fn rounded_steps_with_holes_are_the_same_however_they_are_made() {
         assert_eq!(packed, kept, "kept blocks");
         assert_eq!(triangle_set(&packed), triangle_set(&ask(&large)[0]), "chunks");
         if step == 3.0 {
-            let settings = UnpackSettings { step: choice, ..UnpackSettings::default() };
+            let settings = UnpackSettings { step: choice.clone(), ..UnpackSettings::default() };
             assert!(unpack(&all, &settings, &Silent).unwrap().files[0].blocks > 0);
             assert_eq!(packed, ask(&all)[0], "unpacked");
             check_archive(&all).unwrap();

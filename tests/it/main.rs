@@ -10,6 +10,7 @@ mod adapt;
 mod adapted_meshes;
 mod architecture;
 mod cli;
+mod colours;
 mod common;
 mod corruption;
 mod crash;

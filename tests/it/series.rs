@@ -86,7 +86,7 @@ fn steps_of_an_open_archive_are_asked_in_turns() {
     reduce_all(&steps, &few_points(), &out, &run(2));
     let archive = Archive::open(&out).unwrap();
     let choices = [choice(0), choice(2), StepChoice::Time(0.3), choice(1)];
-    let alone = choices.map(|c| Archive::open(&out).unwrap().at(c).unwrap().surface(0.1).unwrap());
+    let alone = choices.clone().map(|c| Archive::open(&out).unwrap().at(c).unwrap().surface(0.1).unwrap());
     assert!(alone[0] != alone[1] && alone[0] != alone[2] && alone[1] != alone[3]);
     let open = choices.map(|c| archive.at(c).unwrap());
     for _ in 0..2 {

@@ -186,7 +186,7 @@ fn steps_are_unpacked_by_themselves() {
     let (time, settings) = (StepChoice::Time(0.5), SurfaceSettings::of(0.3));
     let moment = |archive: &Path| {
         let out = dir.path().join("between.ply");
-        extract_surface_at(archive, time, &settings, &out, SurfaceFormat::Ply, &Silent).unwrap();
+        extract_surface_at(archive, time.clone(), &settings, &out, SurfaceFormat::Ply, &Silent).unwrap();
         fs::read(out).unwrap()
     };
     let with = moment(&archive);

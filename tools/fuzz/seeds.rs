@@ -300,7 +300,8 @@ fn surface(folder: &Path, format: SurfaceFormat) -> Result<Vec<u8>> {
     let vertices = position.map(|position| Vertex { position, normal: [0.0, 0.6, 0.8] }).to_vec();
     let mesh = TriMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]] };
     let out = folder.join(format!("seed.{}", format.extension()));
-    let meta = SurfaceMeta { isovalue: Some(1.5), comments: vec!["a comment".into()], parts: vec![] };
+    let meta =
+        SurfaceMeta { isovalue: Some(1.5), comments: vec!["a comment".into()], parts: vec![], values: None };
     write_surface(&mesh, &out, format, &meta)?;
     get(&out)
 }

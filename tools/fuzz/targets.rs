@@ -15,7 +15,7 @@ use isospan::archive::vertices::{ChunkHeader, decode_flags, decode_ids};
 use isospan::bytes::IoMode;
 use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;
-use isospan::formats::raw::RawLayout;
+use isospan::formats::RawLayout;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource, open_mesh, open_volume};
 use isospan::geom::PointId;

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 const STEPS: usize = 4;
 
 /// A step of an archive.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, PartialEq)]
 struct Key {
     archive: usize,
     step: StepChoice,
@@ -47,7 +47,7 @@ impl Archives {
     pub(super) fn at(&self, archive: usize, step: StepChoice) -> Result<Arc<Step>> {
         let none =
             || Error::usage(format!("there is no archive {archive}; there are {}", self.archives.len()));
-        let key = Key { archive, step };
+        let key = Key { archive, step: step.clone() };
         let mut steps = self.steps.lock().unwrap_or_else(PoisonError::into_inner);
         let at = steps.iter().position(|(k, _)| *k == key);
         let found = match at.and_then(|at| steps.remove(at)) {

@@ -1,8 +1,10 @@
 //! Helpers for the tests of all mesh readers, and tests on real files.
 
-use super::*;
+use crate::cells::CellMesh;
 use crate::cells::scan::{FieldScan, MeshScan, scan, scan_field};
 use crate::cells::{CellBlock, CellKind};
+use crate::error::Result;
+use crate::formats::{OpenOptions, is_mesh, open_mesh};
 use std::path::PathBuf;
 
 /// All points, cells and values of a mesh.

@@ -550,7 +550,7 @@ impl Survey {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::{OpenOptions, raw::RawLayout};
+    use crate::formats::{OpenOptions, RawLayout};
 
     /// What is found in rows that hold all samples.
     fn found(rows: &[Vec<f64>]) -> Found {

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 /// Which step of an archive is asked.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub enum StepChoice {
     /// The first.
     #[default]
@@ -16,6 +16,8 @@ pub enum StepChoice {
     Number(u64),
     /// A time; between two steps values are linear.
     Time(f64),
+    /// The one that has the field of this name, where the fields of a file are the steps.
+    Field(String),
 }
 
 /// A range of steps, by their numbers.
@@ -95,6 +97,7 @@ impl Moment {
                     numbers(steps)
                 ))),
             },
+            StepChoice::Field(name) => at(position_of_field(steps, &name, shown)?),
             StepChoice::Time(t) => {
                 let next = (0..steps.len()).position(|n| time(n) >= t);
                 match next {
@@ -113,6 +116,30 @@ impl Moment {
                     ))),
                 }
             }
+        }
+    }
+}
+
+/// The position of the only step with a field of this name.
+fn position_of_field(steps: &[Step], name: &str, shown: &Path) -> Result<usize> {
+    let mut found = (0..steps.len()).filter(|&n| steps[n].plan.source.field == name);
+    match (found.next(), found.count()) {
+        (Some(position), 0) => Ok(position),
+        (Some(_), more) => Err(Error::usage(format!(
+            "{}: {} steps have the field {name}: choose one by its number or time",
+            shown.display(),
+            more + 1
+        ))),
+        (None, _) => {
+            let mut fields: Vec<&str> = steps.iter().map(|s| &*s.plan.source.field).collect();
+            fields.sort_unstable();
+            fields.dedup();
+            fields.truncate(20);
+            Err(Error::usage(format!(
+                "{}: no step has the field {name}; it has {}",
+                shown.display(),
+                fields.join(", ")
+            )))
         }
     }
 }

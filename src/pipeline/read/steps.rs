@@ -415,7 +415,7 @@ mod tests {
     use super::super::choice::StepChoice;
     use super::*;
     use crate::exec::{Resources, Silent};
-    use crate::formats::raw::RawLayout;
+    use crate::formats::RawLayout;
     use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
     use crate::volume::ScalarType;

@@ -7,6 +7,7 @@
 //! [`extract_steps`] answers for many steps at once, [`unpack`] stores blocks as extraction uses
 //! them.
 
+mod colours;
 mod extract;
 mod extract_steps;
 mod query;
@@ -21,7 +22,7 @@ pub(super) use query::{count, surfaces_in_memory, with_surfaces, write_surfaces}
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};
 pub(super) use series::{series_files, surfaces_of_steps, write_series};
-pub use settings::{CountReport, OneSurface, SurfaceReport, SurfaceSettings};
+pub use settings::{ColourBy, CountReport, OneSurface, SurfaceReport, SurfaceSettings};
 pub(super) use unpack::check_unpacked;
 pub use unpack::{
     UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,

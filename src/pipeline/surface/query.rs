@@ -1,6 +1,7 @@
 //! Questions to an archive: the index names the blocks that can hold an answer, and only those are
 //! read.
 
+use super::colours::colours;
 use super::extract::{Extracted, Room, extract_surfaces};
 use super::refine::{Means, RefineReport};
 use super::settings::{
@@ -107,7 +108,7 @@ pub(super) fn write_made(
 ) -> Result<(SurfaceReport, Vec<Extracted>)> {
     let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
-    let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
+    let file_bytes = write_all(archive, &made.surfaces, settings, out, format, &comment)?;
     made.seconds.push((Stage::Write, start.elapsed()));
     let report = SurfaceReport { file_bytes, ..report_of(archive, settings, &made, out)? };
     Ok((report, made.surfaces))
@@ -401,16 +402,19 @@ fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -
 fn write_all(
     archive: &StepView,
     surfaces: &[Extracted],
-    isovalues: &[f64],
+    settings: &SurfaceSettings,
     out: &Path,
     format: SurfaceFormat,
     comment: &str,
 ) -> Result<u64> {
-    let meta =
-        |isovalue: Option<f64>| SurfaceMeta { isovalue, comments: vec![comment.to_owned()], parts: vec![] };
+    let (isovalues, scratch) = (&settings.isovalues, settings.scratch_of(out));
+    let meta = |isovalue: Option<f64>, surface: &dyn SurfaceSource| {
+        let (comments, values) = (vec![comment.to_owned()], colours(settings, surface, &scratch)?);
+        Ok(SurfaceMeta { isovalue, comments, parts: vec![], values })
+    };
     if is_each_alone(out) || surfaces.len() == 1 {
         let write = |(s, &v): (&Extracted, &f64)| {
-            in_world(archive, &s.surface, |s| write_surface(s, &file_of(out, v), format, &meta(Some(v))))
+            in_world(archive, &s.surface, |s| write_surface(s, &file_of(out, v), format, &meta(Some(v), s)?))
         };
         return surfaces.iter().zip(isovalues).map(write).sum();
     }
@@ -421,7 +425,7 @@ fn write_all(
     };
     let parts = surfaces.iter().zip(isovalues).map(part).collect();
     let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
-    in_world(archive, &joined, |s| write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None) }))
+    in_world(archive, &joined, |s| write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s)? }))
 }
 
 fn describe(

@@ -8,8 +8,11 @@ use crate::exec::Resources;
 use crate::mesh::tet::is_active;
 use crate::pipeline::read::{Roi, StepView};
 use crate::pipeline::stage::StageSeconds;
+use crate::render::ColourMap;
 use serde::Serialize;
+use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// How surfaces are extracted.
 #[derive(Clone, Debug)]
@@ -22,8 +25,27 @@ pub struct SurfaceSettings {
     pub cap: bool,
     /// What is done to each surface before it is written.
     pub refine: Refine,
+    /// A field whose values a surface file has at the vertices, with their colours.
+    pub colour_by: Option<ColourBy>,
     /// Threads, memory, scratch folder, and what stops it.
     pub resources: Resources,
+}
+
+/// A field that colours surfaces: see [`Step::into_colours`](crate::pipeline::Step::into_colours).
+#[derive(Clone)]
+pub struct ColourBy {
+    pub(in crate::pipeline) view: Arc<StepView>,
+    /// The values at the ends of the colour map; those of the whole field if not given.
+    pub range: Option<[f64; 2]>,
+    /// The colour map.
+    pub map: ColourMap,
+}
+
+impl fmt::Debug for ColourBy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let source = &self.view.step().plan.source;
+        write!(f, "{} of {} by {} in {:?}", source.field, source.path, self.map.name(), self.range)
+    }
 }
 
 impl Default for SurfaceSettings {
@@ -33,6 +55,7 @@ impl Default for SurfaceSettings {
             roi: None,
             cap: false,
             refine: Refine::default(),
+            colour_by: None,
             resources: Resources::default(),
         }
     }

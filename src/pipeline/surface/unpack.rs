@@ -236,7 +236,7 @@ fn chosen(manifest: &Manifest, settings: &UnpackSettings, path: &Path) -> Result
     if let Some(steps) = settings.steps {
         return steps.positions(manifest, path);
     }
-    let Moment { step, beyond } = Moment::of(manifest, settings.step, path)?;
+    let Moment { step, beyond } = Moment::of(manifest, settings.step.clone(), path)?;
     match beyond {
         None => Ok(step..step + 1),
         Some(_) => Err(Error::usage("steps are unpacked, and no moment between two of them")),

@@ -39,13 +39,21 @@ pub(crate) struct Archive {
     other: Mutex<Option<(StepChoice, Arc<Step>)>>,
 }
 
-/// A step by its number, or a time.
-type When = (Option<u64>, Option<f64>);
+/// A step, by its number or the name of its field.
+#[derive(FromPyObject, PartialEq)]
+pub(crate) enum StepName {
+    Number(u64),
+    Field(String),
+}
+
+/// A step, or a time.
+type When = (Option<StepName>, Option<f64>);
 
 fn choice(py: Python<'_>, when: When) -> PyResult<StepChoice> {
     match when {
         (None, None) => Ok(StepChoice::First),
-        (Some(number), None) => Ok(StepChoice::Number(number)),
+        (Some(StepName::Number(number)), None) => Ok(StepChoice::Number(number)),
+        (Some(StepName::Field(name)), None) => Ok(StepChoice::Field(name)),
         (None, Some(time)) => Ok(StepChoice::Time(time)),
         (Some(_), Some(_)) => Err(usage(py, "give a step or a time, not both")),
     }
@@ -127,6 +135,7 @@ impl Wanted {
             roi: parsed(py, self.roi.as_ref())?,
             cap: self.cap,
             refine: self.refine(),
+            ..SurfaceSettings::default()
         })
     }
 }
@@ -172,7 +181,7 @@ impl Archive {
             {
                 return Ok(Arc::clone(step));
             }
-            let step = Arc::new(self.archive.at(choice)?);
+            let step = Arc::new(self.archive.at(choice.clone())?);
             *other = Some((choice, Arc::clone(&step)));
             Ok(step)
         })

@@ -27,7 +27,7 @@ impl Surface {
 
     fn meta(&self) -> SurfaceMeta {
         let comments = vec![self.comment.clone()];
-        SurfaceMeta { isovalue: Some(self.isovalue), comments, parts: vec![] }
+        SurfaceMeta { isovalue: Some(self.isovalue), comments, parts: vec![], values: None }
     }
 }
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         min_volume: float | None
         decimate: float | None
         decimate_error: float | None
-        step: int | None
+        step: int | str | None
         time: float | None
         threads: int
         memory: Size | None
@@ -133,7 +133,7 @@ class Archive:
     report: dict[str, Any] | None
 
     def __init__(
-        self, path: PathLike, *, step: int | None = None, time: float | None = None
+        self, path: PathLike, *, step: int | str | None = None, time: float | None = None
     ) -> None:
         self._path, self._when = os.fspath(path), (step, time)
         self.report = None
@@ -172,7 +172,7 @@ class Archive:
         series = f", {steps} steps" if steps > 1 else ""
         return f"<isospan.Archive {self._path!r} of {dims} samples{series}>"
 
-    def at(self, *, step: int | None = None, time: float | None = None) -> Archive:
+    def at(self, *, step: int | str | None = None, time: float | None = None) -> Archive:
         """The same archive at a step, by its number, or at a time: between steps values are
         linear."""
         return Archive(self._path, step=step, time=time)
@@ -215,17 +215,17 @@ class Archive:
         found = self._core.value_range((None, None))
         return None if found is None else (found[0], found[1])
 
-    def spectrum(self, *, step: int | None = None, time: float | None = None) -> Spectrum:
+    def spectrum(self, *, step: int | str | None = None, time: float | None = None) -> Spectrum:
         """How large isosurfaces are, over the isovalue, and which are worth a look."""
         return _spectrum(self._core.spectrum((step, time)))
 
     @overload
     def count(
-        self, isovalue: float, *, step: int | None = ..., time: float | None = ...
+        self, isovalue: float, *, step: int | str | None = ..., time: float | None = ...
     ) -> int: ...
     @overload
     def count(
-        self, isovalue: Sequence[float], *, step: int | None = ..., time: float | None = ...
+        self, isovalue: Sequence[float], *, step: int | str | None = ..., time: float | None = ...
     ) -> npt.NDArray[np.uint64]: ...
     def count(self, isovalue, *, step=None, time=None):
         """How many tetrahedra an isosurface crosses, exactly; an array for several isovalues."""
@@ -252,7 +252,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        step: int | None = None,
+        step: int | str | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -269,7 +269,7 @@ class Archive:
             large.
         decimate: keep this part of the triangles; decimate_error: as far as the surface moves by no
             more.
-        step, time: of a series, which step, by its number, or which time.
+        step, time: of a series, which step, by its number or the name of its field, or which time.
         threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or
             "50%"; half of what the process may use if not given.
         """
@@ -307,7 +307,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        step: int | None = None,
+        step: int | str | None = None,
         time: float | None = None,
         steps: str | bool | None = None,
         threads: int = 0,
@@ -340,7 +340,7 @@ class Archive:
         self,
         points: npt.ArrayLike,
         *,
-        step: int | None = None,
+        step: int | str | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -363,7 +363,7 @@ class Archive:
         self,
         dims: Sequence[int] | None = None,
         *,
-        step: int | None = None,
+        step: int | str | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -384,7 +384,7 @@ class Archive:
         path: PathLike,
         dims: Sequence[int] | None = None,
         *,
-        step: int | None = None,
+        step: int | str | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -407,7 +407,7 @@ class Archive:
         bounds: Sequence[float | None] | None = None,
         every: int = 1,
         compress: bool = False,
-        step: int | None = None,
+        step: int | str | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -491,12 +491,13 @@ class Archive:
         return (self.at(step=step["number"]) for step in self.steps)
 
 
-def _again(path: str, step: int | None, time: float | None) -> Archive:
+def _again(path: str, step: int | str | None, time: float | None) -> Archive:
     return Archive(path, step=step, time=time)
 
 
-def open(path: PathLike, *, step: int | None = None, time: float | None = None) -> Archive:
-    """Opens an archive, at a step by its number or at a time; at its first step if none is given.
+def open(path: PathLike, *, step: int | str | None = None, time: float | None = None) -> Archive:
+    """Opens an archive, at a step, by its number or the name of its field, or at a time; at its
+    first step if none is given.
 
     path: the folder of an archive, or its address (``s3://…``, ``https://…``).
     """

@@ -17,7 +17,7 @@ def read(
     *,
     isovalue: float | Sequence[float] | None = None,
     tetrahedra: bool = False,
-    step: int | None = None,
+    step: int | str | None = None,
     time: float | None = None,
     **choices: Any,
 ) -> pyvista.DataSet | pyvista.MultiBlock:

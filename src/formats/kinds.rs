@@ -1,0 +1,149 @@
+//! The formats that are read: one line each. What a file or a folder is follows from its first
+//! bytes or, where they do not show it, from its name.
+
+use crate::cells::CellMesh;
+use crate::error::{Error, Result};
+use crate::formats::mesh::{gmsh::Gmsh, tetgen::Tetgen};
+use crate::formats::shared::coordinates::GridCoordinates;
+use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::{OpenOptions, has_suffix};
+use crate::formats::volume::{
+    bricks::Bricks, folder, hdf5::Hdf5, metaimage::MetaImage, nifti::Nifti, npy::Npy, npz::Npz, nrrd::Nrrd,
+    raw, stack, tiff::TiffFile, zarr::Zarr,
+};
+use crate::formats::vtk::{legacy::VtkLegacy, xml::VtkXml};
+use crate::volume::VolumeSource;
+use std::path::Path;
+
+/// All formats, in the order in which they are looked for.
+const FORMATS: [&dyn Format; 13] = [
+    &Nrrd, &Npy, &Npz, &Hdf5, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &MetaImage, &Gmsh, &Tetgen,
+    &Zarr,
+];
+
+/// What a file holds.
+pub enum Input {
+    /// A structured volume.
+    Volume(VolumeSource),
+    /// An unstructured mesh.
+    Mesh(CellMesh),
+}
+
+/// The format of a file or a folder; `None` of an unknown one, and where options say that a file is
+/// headerless.
+pub(super) fn format_of(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
+    if options.raw.is_some() || stack::is_pattern(path) {
+        return Ok(None);
+    }
+    Ok(found(&Head::of(path, options.io)?))
+}
+
+fn found(head: &Head<'_>) -> Option<&'static dyn Format> {
+    let by_name = |f: &&dyn Format| !head.path.is_dir() && has_suffix(head.path, f.suffixes());
+    let by_bytes = FORMATS.iter().find(|f| f.is_in(head));
+    by_bytes.or_else(|| FORMATS.iter().find(|f| by_name(f))).copied()
+}
+
+/// Opens a volume of any format that is read: a file, a folder of slices, or a pattern for the
+/// names of slices.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several
+/// fields ask for a choice, when a headerless file comes without its layout, or another with one,
+/// or a volume with a table of values.
+pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    if options.values.is_some() {
+        return Err(Error::usage(format!("{} is no mesh: leave out --value-file", path.display())));
+    }
+    if stack::is_pattern(path) {
+        return folder::open(path, options);
+    }
+    let head = Head::of(path, options.io)?;
+    match (found(&head), &options.raw) {
+        (Some(format), Some(_)) => Err(Error::usage(format!(
+            "{} is {}, which tells its own layout: leave out --dims, --type, --endian, --offset and --spacing",
+            path.display(),
+            format.name()
+        ))),
+        (Some(format), None) => format.volume(path, options),
+        (None, _) if path.is_dir() => folder::open(path, options),
+        (None, Some(_)) => raw::open(path, options),
+        (None, None) if has_suffix(path, &[".raw", ".bin", ".dat", ".raw.gz"]) => Err(raw::no_layout(path)),
+        (None, None) => Err(unknown_kind(&head)),
+    }
+}
+
+/// Opens a volume or a mesh of any format that is read.
+///
+/// # Errors
+/// Those of [`open_volume`] and [`open_mesh`].
+pub fn open_input(path: &Path, options: &OpenOptions) -> Result<Input> {
+    match mesh_format(path, options)? {
+        Some(format) => Ok(Input::Mesh(open_as(format, path, options)?)),
+        None => Ok(Input::Volume(open_volume(path, options)?)),
+    }
+}
+
+/// Whether a file is a mesh, by its first bytes and its name.
+///
+/// # Errors
+/// [`Error::Io`] when it cannot be read; [`Error::BadInput`] for an empty file.
+pub fn is_mesh(path: &Path, options: &OpenOptions) -> Result<bool> {
+    Ok(mesh_format(path, options)?.is_some())
+}
+
+/// Opens a mesh of any format that is read: VTU, PVTU, legacy VTK, Gmsh, TetGen, points and
+/// tetrahedra as text.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file or another kind; [`Error::Usage`] when there is no
+/// field of the name wanted.
+pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
+    match mesh_format(path, options)? {
+        Some(format) => open_as(format, path, options),
+        None => Err(Error::bad_input(path, "kind of file", "a mesh", "none by name or first bytes")),
+    }
+}
+
+fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
+    if options.values.is_some() && !format.has_value_file() {
+        return Err(Error::usage(format!("{} has its own fields: leave out --value-file", path.display())));
+    }
+    format.mesh(path, options)
+}
+
+/// The format of a mesh; `None` of anything else.
+fn mesh_format(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
+    // Folders and patterns for names are volumes, and so are files that are declared headerless.
+    if options.raw.is_some() || !path.is_file() {
+        return Ok(None);
+    }
+    let head = Head::of(path, options.io)?;
+    Ok(found(&head).filter(|format| format.is_mesh(&head)))
+}
+
+/// The coordinates of a file that [`open_volume`] reads; `None` where its volume has a spacing.
+///
+/// # Errors
+/// As [`open_volume`].
+pub fn open_coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+    format_of(path, options)?.map_or(Ok(None), |format| format.coordinates(path, options))
+}
+
+fn unknown_kind(head: &Head<'_>) -> Error {
+    let shown: Vec<String> = head.bytes.iter().take(8).map(|b| format!("{b:02x}")).collect();
+    let is_surface = has_suffix(head.path, &[".ply", ".stl", ".obj", ".vtp", ".glb"]);
+    let help = if is_surface {
+        "of surfaces, isospan check tells what is in them"
+    } else {
+        "a headerless file needs --dims and --type; of other compressed files, unpack them first"
+    };
+    Error::bad_input(
+        head.path,
+        "kind of file",
+        "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, HDF5, NetCDF-4, VTI, VTR, VTS, legacy VTK, .bricks, a \
+         folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, .pts and .tet)",
+        if is_surface { "a surface".into() } else { format!("none of these: it begins with {}", shown.join(" ")) },
+    )
+    .with_help(help)
+}

@@ -1,0 +1,27 @@
+//! What several readers need: options, fields, headers, streams of bytes and of text.
+
+pub(in crate::formats) mod centers;
+pub mod coordinates;
+mod fields;
+pub(in crate::formats) mod format;
+pub(in crate::formats) mod header;
+pub(in crate::formats) mod numbers;
+mod options;
+pub(in crate::formats) mod ranges;
+pub(in crate::formats) mod sink;
+pub(in crate::formats) mod stream;
+pub(in crate::formats) mod text;
+
+pub use fields::pick_field;
+pub(in crate::formats) use fields::{field_matches, is_pattern};
+pub(crate) use options::has_suffix;
+pub use options::{OpenOptions, RawLayout};
+use std::collections::HashMap;
+
+/// Fields of a file that are steps, and their times where they are known.
+pub(in crate::formats) type Frames = Vec<(String, Option<f64>)>;
+
+/// The times of steps that have one, by their names.
+pub(in crate::formats) fn known_times(frames: Frames) -> HashMap<String, f64> {
+    frames.into_iter().filter_map(|(name, time)| Some((name, time?))).collect()
+}

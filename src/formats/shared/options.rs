@@ -1,0 +1,40 @@
+//! How a file is opened.
+
+use crate::bytes::IoMode;
+use crate::volume::ScalarType;
+use std::path::{Path, PathBuf};
+
+/// How to open a volume.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct OpenOptions {
+    /// The field to read, where the file has several.
+    pub field: Option<String>,
+    /// The layout of a headerless file; required for those, refused for others.
+    pub raw: Option<RawLayout>,
+    /// Whether files are mapped or read. Does not change what is read.
+    pub io: IoMode,
+    /// A text file of one number a point, for meshes whose format keeps values apart: TetGen,
+    /// points and tetrahedra as text.
+    pub values: Option<PathBuf>,
+}
+
+/// The layout of a headerless file.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RawLayout {
+    /// Samples along x (fastest), y, z.
+    pub dims: [u64; 3],
+    /// Type of a sample.
+    pub scalar: ScalarType,
+    /// Whether samples are stored big-endian.
+    pub big_endian: bool,
+    /// Bytes before the first sample.
+    pub offset: u64,
+    /// World length of a voxel edge along each axis.
+    pub spacing: [f64; 3],
+}
+
+/// Whether the file's name ends in one of `suffixes`, in any case.
+pub(crate) fn has_suffix(path: &Path, suffixes: &[&str]) -> bool {
+    let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    suffixes.iter().any(|s| name.ends_with(s))
+}

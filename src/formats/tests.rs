@@ -1,0 +1,133 @@
+//! Helpers for the tests of all readers, and tests of the doors.
+
+use super::{OpenOptions, RawLayout, open_volume, pick_field};
+use crate::error::Result;
+use crate::grid::IndexBox;
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource, strided::convert_row};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// The folder of real data sets, for tests that are ignored unless asked for.
+pub(crate) fn shared_data() -> PathBuf {
+    PathBuf::from(
+        std::env::var_os("ISOSPAN_SHARED_DATA").expect("ISOSPAN_SHARED_DATA names a folder of real data"),
+    )
+}
+
+/// Writes a file in a temporary folder.
+pub(crate) fn write(dir: &tempfile::TempDir, name: &str, bytes: &[u8]) -> PathBuf {
+    let path = dir.path().join(name);
+    // Some file systems flush a file that is cut and written again; a new one costs nothing.
+    let _ = std::fs::remove_file(&path);
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+/// The samples 1000, 1001, … of a 4 x 3 x 2 volume of u16.
+pub(crate) fn ramp(big_endian: bool) -> Vec<u8> {
+    let sample = |i: u16| if big_endian { i.to_be_bytes() } else { i.to_le_bytes() };
+    (1000..1024).flat_map(sample).collect()
+}
+
+pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut gz = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
+    gz.write_all(bytes).unwrap();
+    gz.finish().unwrap()
+}
+
+/// All values of a source, x fastest; panics on an error.
+pub(crate) fn read_all(source: VolumeSource) -> (VolumeInfo, Vec<f32>) {
+    let info = source.info().clone();
+    (info, try_read_all(source).unwrap())
+}
+
+/// All values of a source, x fastest.
+pub(crate) fn try_read_all(source: VolumeSource) -> Result<Vec<f32>> {
+    let info = source.info().clone();
+    let whole = IndexBox::whole(info.dims);
+    if let VolumeSource::Random(reader) = &source {
+        let mut values = vec![0.0; whole.len()];
+        reader.read_box(whole, &mut values)?;
+        return Ok(values);
+    }
+    let (mut stream, mut bytes, mut values) = (source.into_stream(), vec![], vec![]);
+    while let Some(slab) = stream.next_slab(&mut bytes)? {
+        let mut part = vec![0.0; slab.len()];
+        convert_row(&bytes, info.field.scalar, false, info.slope, info.intercept, info.missing, &mut part);
+        assert_eq!(whole.offset(slab.lo), values.len());
+        values.extend(part);
+    }
+    assert_eq!(values.len(), whole.len());
+    Ok(values)
+}
+
+/// Whether a damaged file is refused, or read whole, in an orderly way; panics are the test's
+/// failures.
+pub(crate) fn survives(path: &Path) -> bool {
+    let opened = open_volume(path, &OpenOptions::default());
+    match opened.and_then(try_read_all) {
+        Ok(_) => true,
+        Err(e) => {
+            let (line, folder) = (e.to_string(), path.parent().expect("a folder").display().to_string());
+            assert!(!line.contains('\n') && line.contains(&folder), "{line}");
+            false
+        }
+    }
+}
+
+/// Cuts a small file at every length and flips bytes all over; every cut inside `needed` must
+/// be refused.
+pub(crate) fn torture(name: &str, bytes: &[u8], needed: usize) {
+    let dir = tempfile::tempdir().unwrap();
+    assert!(survives(&write(&dir, name, bytes)), "the undamaged file is read");
+    for cut in 0..bytes.len() {
+        let read = survives(&write(&dir, name, &bytes[..cut]));
+        assert!(!(read && cut < needed), "{name} cut to {cut} bytes was read");
+    }
+    for at in 0..bytes.len().min(1500) {
+        for flip in [0x01, 0x10, 0x80, 0xff] {
+            let mut damaged = bytes.to_vec();
+            damaged[at] ^= flip;
+            survives(&write(&dir, name, &damaged));
+        }
+    }
+}
+
+fn field(name: &str, components: u32) -> FieldInfo {
+    FieldInfo { name: name.into(), scalar: ScalarType::F32, components }
+}
+
+#[test]
+fn fields_are_picked_or_listed() {
+    let path = Path::new("f.vti");
+    let fields = [field("velocity", 3), field("speed", 1), field("heat", 1)];
+    assert_eq!(pick_field(path, &fields[..2], None).unwrap(), 1);
+    assert_eq!(pick_field(path, &fields, Some("heat")).unwrap(), 2);
+    for wanted in [None, Some("velocity"), Some("none")] {
+        let error = pick_field(path, &fields, wanted).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(
+            error.to_string().contains("velocity (3 x float32, not scalar), speed (float32), heat (float32)"),
+            "{error}"
+        );
+    }
+    assert_eq!(pick_field(path, &fields[..1], None).unwrap_err().exit_code(), 5);
+    assert_eq!(pick_field(path, &[], None).unwrap_err().exit_code(), 5);
+}
+
+#[test]
+fn unknown_kinds_are_told_what_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let open = |name: &str, bytes: &[u8]| {
+        open_volume(&write(&dir, name, bytes), &OpenOptions::default()).err().expect("refused")
+    };
+    assert!(open("a.png", b"\x89PNG").to_string().contains("MetaImage"));
+    assert_eq!(open("a.raw", b"1234").exit_code(), 2);
+    let layout =
+        RawLayout { dims: [2; 3], scalar: ScalarType::U8, big_endian: false, offset: 0, spacing: [1.0; 3] };
+    let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
+    let nrrd = write(&dir, "a.nrrd", b"NRRD0004\n");
+    let error = open_volume(&nrrd, &options).err().expect("refused");
+    assert_eq!(error.exit_code(), 2);
+    assert!(error.to_string().contains("an NRRD file"), "{error}");
+}

@@ -1,0 +1,994 @@
+//! HDF5 and NetCDF-4 (which is HDF5 with conventions): a file of groups and datasets.
+//!
+//! ```text
+//!  \x89HDF\r\n\x1a\n …        superblock; then object headers, indices and samples anywhere in the file
+//!  /group/name                a dataset: shape, type, layout (contiguous, compact, chunked), filters, attributes
+//! ```
+//!
+//! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
+//! a sample, named by their path. Axes before the last three must have one entry. In a dataset of
+//! four axes each entry of the first is a field of its own, `name:t0`, `name:t1`, …; `name` is all
+//! of them, as a series. Links to one dataset are one field.
+//!
+//! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
+//! are what their names say: time, x, y, z in any order, channels. If the last of four axes without
+//! names has at most four entries, it holds the components of vectors: such fields are listed, and
+//! not read.
+//!
+//! These attributes are used: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
+//! `valid_range`, `valid_min`, `valid_max`; `element_size_um` (z, y, x); coordinate variables
+//! (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a step they are
+//! spacing and origin, else the dataset is a rectilinear grid. Without any of these, the spacing is
+//! 1 and the origin is 0.
+//!
+//! Conventions of other programs: see the module `dialect`.
+//!
+//! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle,
+//! Fletcher-32, scale-offset, N-bit, szip, LZF) as they are asked for ([`crate::volume::chunked`]);
+//! small chunks are read together. Memory: one chunk, stored, decoded and once more for output;
+//! chunks of more than 256 MiB are refused. Chunks that were never written read as the fill value.
+//!
+//! # The crate behind it
+//! Two crates were tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file
+//! versions; ten types in both byte orders; each layout, chunk index and filter above):
+//!
+//! * `hdf5-reader` 0.12: pure Rust, for reading alone. It read all of them right, by boxes, in a
+//!   few megabytes of memory, through our own access to the file, with bounds on what a header can
+//!   make it allocate. We use it, without its own threads.
+//! * `hdf5-pure` 0.47: pure Rust, also writes. It refuses layout version 5 (what HDF5 2.0 writes
+//!   for filtered chunks of its newest file version) and chunks indexed by a version 2 B-tree; it
+//!   reads whole slices only.
+//!
+//! `hdf5-metno` was not tried, because the first sufficed: it binds the C library, which would have
+//! to be installed or built by CMake and allows one thread at a time.
+//!
+//! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
+
+mod dialect;
+
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
+use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::header::{geometry, plain_info};
+use crate::formats::shared::stream::sample_bytes;
+use crate::formats::shared::{Frames, OpenOptions, pick_field};
+use crate::grid::{Geometry, IndexBox};
+use crate::volume::chunked::ChunkSource;
+use crate::volume::strided::StridedVolume;
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
+use dialect::{Convert, Dialect, Placed};
+use hdf5_reader::attribute_api::Attribute;
+use hdf5_reader::group::Group;
+use hdf5_reader::io::Cursor;
+use hdf5_reader::messages::HdfMessage;
+use hdf5_reader::messages::layout::DataLayout;
+use hdf5_reader::{ByteOrder, Dataset, Datatype, Hdf5File, SliceInfo, SliceInfoElem, Storage, StorageBuffer};
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+use std::sync::Arc;
+
+/// HDF5 and NetCDF-4.
+pub(in crate::formats) struct Hdf5;
+
+impl Format for Hdf5 {
+    fn name(&self) -> &'static str {
+        "an HDF5 or NetCDF-4 file"
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        head.bytes.starts_with(b"\x89HDF\r\n\x1a\n")
+    }
+
+    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+        open(path, options)
+    }
+
+    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        coordinates(path, options)
+    }
+
+    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+        frames(path, options, options.field.as_deref()).map(Some)
+    }
+
+    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        times(path, options)
+    }
+}
+
+/// Most bytes of a decoded chunk.
+const MOST_CHUNK: u64 = 256 << 20;
+/// Small chunks are read together up to this many bytes; datasets without chunks are read in pieces
+/// of this size.
+const PIECE: u64 = 128 << 10;
+/// Most frames of a dataset with four axes.
+const MOST_FRAMES: u64 = 1 << 16;
+/// The most samples of a coordinate variable that is read.
+const MOST_COORDINATES: u64 = 1 << 24;
+
+/// Opens a dataset of an HDF5 file.
+///
+/// # Errors
+/// [`Error::BadInput`] when the file is malformed or has no dataset that can be read;
+/// [`Error::Usage`] when it has several and none is chosen.
+pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let dialect = Dialect::of(path, &file)?;
+    let mut tree = Tree::of(path, &file, dialect)?;
+    let Placed { number, fields, field: info, geometry, convert } =
+        tree.pick(path, &file, dialect, options.field.as_deref())?;
+    let field = &tree.fields[number];
+    let mut info = field.volume_info(path, dialect, info, geometry)?;
+    info.fields = fields;
+    if let Some(convert) = convert {
+        return Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, Some(convert))?)));
+    }
+    if let Some(convert) = field.valid_range(path, &info)? {
+        (info.slope, info.intercept, info.missing) = (1.0, 0.0, None);
+        return Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, Some(convert))?)));
+    }
+    if let Some((at, strides)) = field.in_place(path, &file)? {
+        let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
+        return Ok(VolumeSource::Random(Box::new(volume)));
+    }
+    Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, None)?)))
+}
+
+/// The coordinates of a dataset along its axes, where those of one of them are not regular; else
+/// `None`.
+///
+/// # Errors
+/// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
+pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let dialect = Dialect::of(path, &file)?;
+    if dialect != Dialect::Plain {
+        return Ok(None);
+    }
+    let mut tree = Tree::of(path, &file, dialect)?;
+    let number = tree.pick(path, &file, dialect, options.field.as_deref())?.number;
+    let field = &tree.fields[number];
+    let lines = field.lines(&tree);
+    if lines.iter().flatten().all(|l| l.regular.is_some()) {
+        return Ok(None);
+    }
+    if field.world != [0, 1, 2] {
+        let expected = "axes in the order z, y, x where coordinates are not evenly spaced";
+        let got = "another order";
+        return Err(Error::bad_input(path, field.at("axes"), expected, got)
+            .with_help("write the dataset again in the order z, y, x"));
+    }
+    let lines = lines.map(|l| l.map(|l| l.values));
+    rectilinear(path, &field.info.name, lines, field.dims()).map(Some)
+}
+
+/// The frames of the dataset with four axes that is `wanted`, or of the file's only one, by the
+/// names of their fields, and their times, where the first axis has a coordinate variable. None of
+/// others.
+///
+/// # Errors
+/// As [`open`].
+pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions, wanted: Option<&str>) -> Result<Frames> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
+    let number = match wanted {
+        Some(name) => tree.first_frame(&file, name),
+        None => tree.fields.first().filter(|f| f.is_frame()).map(|_| 0),
+    };
+    let Some(first) = number.map(|n| &tree.fields[n]) else { return Ok(vec![]) };
+    let frames: Vec<&Field> =
+        tree.fields.iter().filter(|f| f.dataset.address() == first.dataset.address()).collect();
+    if wanted.is_none() && (frames.len() != tree.fields.len() || tree.fields.len() == 1) {
+        return Ok(vec![]);
+    }
+    let times = first.line(0, &tree).filter(|t| t.len() == frames.len() && t.iter().all(|t| t.is_finite()));
+    let time = |n: usize| times.as_ref().map(|t| t[n]);
+    Ok(frames.iter().enumerate().map(|(n, f)| (f.info.name.clone(), time(n))).collect())
+}
+
+/// The times of frames by the names of their fields, where their datasets have them.
+///
+/// # Errors
+/// As [`open`].
+pub(in crate::formats) fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
+    let (mut out, mut last) = (HashMap::new(), (0, None));
+    for field in tree.fields.iter().filter(|f| f.is_frame()) {
+        if last.0 != field.dataset.address() {
+            last = (field.dataset.address(), field.line(0, &tree));
+        }
+        let time = last.1.as_ref().and_then(|t| t.get(field.before[0] as usize));
+        out.extend(time.filter(|t| t.is_finite()).map(|&t| (field.info.name.clone(), t)));
+    }
+    Ok(out)
+}
+
+fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
+    let limits = hdf5_reader::OpenOptions::default()
+        .with_chunk_cache_bytes(0)
+        .with_max_chunk_bytes(MOST_CHUNK as usize)
+        .with_max_read_bytes(MOST_CHUNK as usize);
+    Hdf5File::from_storage_with_options(Arc::new(Bytes(source.clone())), limits)
+        .map_err(|e| damaged(path, "superblock", &e))
+}
+
+/// Our file for the reader: checked, and followed when it shrinks.
+struct Bytes(Arc<ByteSource>);
+
+impl Storage for Bytes {
+    fn len(&self) -> u64 {
+        self.0.len()
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> hdf5_reader::error::Result<StorageBuffer> {
+        let available = self.len().saturating_sub(offset);
+        if len as u64 > available {
+            let needed = len as u64;
+            return Err(hdf5_reader::error::Error::UnexpectedEof { offset, needed, available });
+        }
+        let mut bytes = vec![0; len];
+        self.0.read_at(offset, &mut bytes).map_err(std::io::Error::other)?;
+        Ok(StorageBuffer::from_vec(bytes))
+    }
+}
+
+/// What the reader found wrong, in one line.
+fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
+    let got: String =
+        error.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(300).collect();
+    if let hdf5_reader::error::Error::UnsupportedFilter(filter) = error {
+        let number = filter.rsplit(' ').next().unwrap_or_default();
+        let name = FILTERS.iter().find(|(id, _)| *id == number).map_or("of another name", |(_, name)| name);
+        let help =
+            "write it anew with deflate: h5repack -f GZIP=1 OLD NEW, where the filter's plugin is installed";
+        return Error::bad_input(
+            path,
+            at,
+            "filters that are read: deflate, shuffle, szip, LZF",
+            format!("the filter {name} ({filter})"),
+        )
+        .with_help(help);
+    }
+    let help = "the file is damaged, cut short, or uses what is not read; try h5dump or h5repack on it";
+    Error::bad_input(path, at, "good HDF5", got).with_help(help)
+}
+
+/// Registered filters that are not read, by their numbers.
+const FILTERS: [(&str, &str); 12] = [
+    ("305", "LZO"),
+    ("307", "bzip2"),
+    ("32001", "Blosc"),
+    ("32004", "LZ4"),
+    ("32008", "bitshuffle"),
+    ("32013", "ZFP"),
+    ("32015", "Zstandard"),
+    ("32017", "SZ"),
+    ("32018", "FCIDECOMP"),
+    ("32024", "SZ3"),
+    ("32026", "Blosc2"),
+    ("32028", "SPERR"),
+];
+
+/// The datasets of a file.
+struct Tree {
+    fields: Vec<Field>,
+    /// Datasets of one axis, by their paths: coordinates, maybe.
+    lines: Vec<(String, Dataset)>,
+    /// The axes of the datasets in groups that NeXus marks, by the paths of the groups.
+    axes: HashMap<String, Vec<String>>,
+    /// Datasets of three axes or more that cannot be read, and why.
+    refused: Vec<(String, Error)>,
+}
+
+impl Tree {
+    fn of(path: &Path, file: &Hdf5File, dialect: Dialect) -> Result<Self> {
+        let mut tree = Self { fields: vec![], lines: vec![], axes: HashMap::new(), refused: vec![] };
+        let mut volumes = vec![];
+        let root = file.root_group().map_err(|e| damaged(path, "/", &e))?;
+        let (mut groups, mut seen) = (vec![(String::new(), root)], HashSet::new());
+        while let Some((name, group)) = groups.pop() {
+            if seen.insert(group.address()) {
+                let below = tree.add(path, &name, &group, &mut seen, &mut volumes)?;
+                groups.extend(below.into_iter().rev());
+            }
+        }
+        for (name, dataset) in volumes.into_iter().filter(|(n, _)| n.starts_with(dialect.within())) {
+            let kinds = tree.axis_kinds(&name, &dataset);
+            match fields_of(path, &name, &dataset, &kinds, dialect) {
+                Ok(fields) => tree.fields.extend(fields),
+                Err(e) => tree.refused.push((name, e)),
+            }
+        }
+        Ok(tree)
+    }
+
+    /// Adds a group's datasets; gives the groups in it.
+    fn add(
+        &mut self,
+        path: &Path,
+        prefix: &str,
+        group: &Group,
+        seen: &mut HashSet<u64>,
+        volumes: &mut Vec<(String, Dataset)>,
+    ) -> Result<Vec<(String, Group)>> {
+        let (mut groups, mut datasets) =
+            group.member_names().map_err(|e| damaged(path, &format!("/{prefix}"), &e))?;
+        groups.sort();
+        datasets.sort();
+        if let Some(axes) = dialect::nexus_axes(path, group, &format!("/{prefix}"), &datasets)? {
+            self.axes.insert(prefix.to_string(), axes);
+        }
+        for short in datasets {
+            let name = format!("{prefix}{short}");
+            match group.dataset(&short) {
+                Err(e) => self.refused.push((name.clone(), damaged(path, &name, &e))),
+                Ok(dataset) if seen.insert(dataset.address()) => match dataset.ndim() {
+                    0 | 2 => {}
+                    1 => self.lines.push((name, dataset)),
+                    _ => volumes.push((name, dataset)),
+                },
+                Ok(_) => {}
+            }
+        }
+        let open = |short: String| match group.group(&short) {
+            Ok(found) => Ok((format!("{prefix}{short}/"), found)),
+            Err(e) => Err(damaged(path, &format!("/{prefix}{short}"), &e)),
+        };
+        groups.into_iter().map(open).collect()
+    }
+
+    /// What each axis of a dataset is: x, y, z, t (time), c (channels, components), or '?'.
+    fn axis_kinds(&self, name: &str, dataset: &Dataset) -> Vec<char> {
+        let rank = dataset.ndim();
+        let labels = dataset.attribute("DIMENSION_LABELS").ok().and_then(|a| a.read_strings().ok());
+        let tags = dataset.attribute("axistags").ok().and_then(|a| attribute_text(&a));
+        let tags: serde_json::Value = tags.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
+        let kind = |axis: usize| {
+            let of_line = self.line_of(name, dataset, axis).map(|(path, line)| kind_of_line(path, line));
+            let label = labels.as_ref().and_then(|l| l.get(axis)).map(|l| kind_of_name(l));
+            let tag = tags["axes"][axis]["key"].as_str().map(kind_of_name);
+            [of_line, label, tag].into_iter().flatten().find(|&k| k != '?').unwrap_or('?')
+        };
+        (0..rank).map(kind).collect()
+    }
+
+    /// The dataset of the coordinates along an axis of a dataset, or of its dimension's name alone.
+    fn line_of(&self, name: &str, dataset: &Dataset, axis: usize) -> Option<(&str, &Dataset)> {
+        let found = if let Ok(list) = dataset.attribute("DIMENSION_LIST") {
+            let size = dataset.vlen_reference_size();
+            let reference = list.raw_data.get(axis * size..(axis + 1) * size)?;
+            let bytes = dataset.resolve_vlen_reference_bytes(reference, 8).ok()?;
+            let address = u64::from_le_bytes(bytes.get(..8)?.try_into().ok()?);
+            self.lines.iter().find(|(_, d)| d.address() == address)
+        } else {
+            let group = name.rfind('/').map_or("", |at| &name[..=at]);
+            let axes = self.axes.get(group).filter(|a| a.len() == dataset.ndim())?;
+            let path = format!("{group}{}", axes[axis]);
+            self.lines.iter().find(|(p, _)| *p == path)
+        };
+        found.map(|(path, line)| (path.as_str(), line))
+    }
+
+    /// Picks a field by the file's convention.
+    fn pick(
+        &mut self,
+        path: &Path,
+        file: &Hdf5File,
+        dialect: Dialect,
+        wanted: Option<&str>,
+    ) -> Result<Placed> {
+        let wanted = wanted.map(|name| self.full_name(file, name));
+        if dialect != Dialect::Vtk {
+            self.check_wanted(path, wanted.as_deref())?;
+        }
+        let wanted = wanted.as_deref();
+        match dialect {
+            Dialect::Vtk => return dialect::vtk(path, file, self, wanted),
+            Dialect::Minc => return dialect::minc(path, file, self, wanted),
+            Dialect::Itk => return dialect::itk(path, file, self, wanted),
+            Dialect::Plain => {}
+        }
+        let fields: Vec<FieldInfo> = self.fields.iter().map(|f| f.info.clone()).collect();
+        let number = pick_field(path, &fields, wanted)?;
+        let geometry = self.fields[number].placed(path, self)?;
+        Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert: None })
+    }
+
+    /// The first frame of the dataset with four axes that a user's word means.
+    fn first_frame(&self, file: &Hdf5File, wanted: &str) -> Option<usize> {
+        let first = self.full_name(file, &format!("{wanted}:t0"));
+        self.fields.iter().position(|f| f.is_frame() && f.info.name == first)
+    }
+
+    /// The field that a user's word means: the path with or without its first "/", or that of
+    /// another link to the dataset.
+    fn full_name(&self, file: &Hdf5File, wanted: &str) -> String {
+        let wanted = wanted.trim_start_matches('/');
+        let (path, frame) = match wanted.rsplit_once(":t") {
+            Some((path, frame)) => (path, Some(frame)),
+            None => (wanted, None),
+        };
+        let known = |name: &str| self.fields.iter().any(|f| f.info.name == name);
+        let linked = file.dataset(path).ok().filter(|_| !known(wanted)).map(|d| d.address());
+        // The name of a dataset with frames is not the name of a frame.
+        let found =
+            self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| match frame {
+                None => !f.is_frame(),
+                Some(frame) => f.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame),
+            });
+        found.map_or_else(|| wanted.to_string(), |f| f.info.name.clone())
+    }
+
+    /// Fails with the reason why the wanted dataset, or the only one, cannot be read.
+    fn check_wanted(&mut self, path: &Path, wanted: Option<&str>) -> Result<()> {
+        let refused = match wanted {
+            Some(wanted) => self.refused.iter().position(|(name, _)| name == wanted),
+            None if self.fields.is_empty() && !self.refused.is_empty() => Some(0),
+            None => None,
+        };
+        if let Some(number) = refused {
+            return Err(self.refused.swap_remove(number).1);
+        }
+        if self.fields.is_empty() {
+            return Err(Error::bad_input(path, "datasets", "a dataset with three axes", "none"));
+        }
+        Ok(())
+    }
+}
+
+/// A dataset of three axes, or one frame of a dataset with more.
+struct Field {
+    info: FieldInfo,
+    dataset: Dataset,
+    big_endian: bool,
+    /// The entry of each axis before the last three.
+    before: Vec<u64>,
+    /// The axis of the world along which each of the last three lies, the last one first.
+    world: [usize; 3],
+}
+
+/// The kind of an axis with this name.
+fn kind_of_name(name: &str) -> char {
+    match name.rsplit('/').next().unwrap_or(name).to_ascii_lowercase().as_str() {
+        "x" | "lon" | "longitude" => 'x',
+        "y" | "lat" | "latitude" => 'y',
+        "z" | "lev" | "level" | "depth" | "height" | "altitude" | "plev" => 'z',
+        "t" | "time" => 't',
+        "c" | "channel" | "channels" | "component" | "components" | "band" | "rgb" => 'c',
+        _ => '?',
+    }
+}
+
+/// What an axis with a coordinate variable is, by CF's attributes of the variable, else by its
+/// name.
+fn kind_of_line(path: &str, line: &Dataset) -> char {
+    let text = |name: &str| line.attribute(name).ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
+    let (axis, units) = (text("axis"), text("units"));
+    match axis.as_str() {
+        "X" => 'x',
+        "Y" => 'y',
+        "Z" => 'z',
+        "T" => 't',
+        _ if units.contains(" since ") => 't',
+        _ if ["degrees_east", "degree_east", "degrees_E"].contains(&units.as_str()) => 'x',
+        _ if ["degrees_north", "degree_north", "degrees_N"].contains(&units.as_str()) => 'y',
+        _ => kind_of_name(path),
+    }
+}
+
+/// The text of an attribute.
+fn attribute_text(attribute: &Attribute) -> Option<String> {
+    let one = attribute.read_string().ok();
+    let text = one.or_else(|| attribute.read_strings().ok()?.into_iter().next())?;
+    Some(text.trim_end_matches('\0').to_string())
+}
+
+/// The numbers of an attribute.
+fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
+    macro_rules! of {
+        ($type:ty) => {
+            attribute.read_1d::<$type>().ok()?.into_iter().map(|v| v as f64).collect()
+        };
+    }
+    Some(match &attribute.datatype {
+        Datatype::FloatingPoint { size: 4, .. } => of!(f32),
+        Datatype::FloatingPoint { size: 8, .. } => of!(f64),
+        Datatype::FixedPoint { size: 1, signed: true, .. } => of!(i8),
+        Datatype::FixedPoint { size: 1, .. } => of!(u8),
+        Datatype::FixedPoint { size: 2, signed: true, .. } => of!(i16),
+        Datatype::FixedPoint { size: 2, .. } => of!(u16),
+        Datatype::FixedPoint { size: 4, signed: true, .. } => of!(i32),
+        Datatype::FixedPoint { size: 4, .. } => of!(u32),
+        Datatype::FixedPoint { size: 8, signed: true, .. } => of!(i64),
+        Datatype::FixedPoint { size: 8, .. } => of!(u64),
+        _ => return None,
+    })
+}
+
+/// Whether a dataset has a number that is not 0; one that cannot be read may have.
+fn any_nonzero(dataset: &Dataset, scalar: ScalarType) -> bool {
+    dataset.num_elements().map_or(true, |n| n > MOST_COORDINATES)
+        || all_f64(dataset, scalar).map_or(true, |all| all.iter().any(|&v| v != 0.0))
+}
+
+/// The fields of a dataset with three axes or more.
+fn fields_of(
+    path: &Path,
+    name: &str,
+    dataset: &Dataset,
+    kinds: &[char],
+    dialect: Dialect,
+) -> Result<Vec<Field>> {
+    let (scalar, big_endian) = scalar_of(path, name, dataset)?;
+    let (shape, rank) = (dataset.shape(), dataset.ndim());
+    let before = &shape[..rank - 3];
+    let last: [char; 3] = std::array::from_fn(|a| kinds[rank - 1 - a]);
+    let place = |kind: char| ['x', 'y', 'z'].iter().position(|&k| k == kind);
+    let world = last.map(place);
+    let all = (0..3).all(|a| world.contains(&Some(a)));
+    let world: [usize; 3] = if all { world.map(|w| w.unwrap_or(0)) } else { [0, 1, 2] };
+    let field = |name: String, before: Vec<u64>, components: u32| Field {
+        info: FieldInfo { name, scalar, components },
+        dataset: dataset.clone(),
+        big_endian,
+        before,
+        world,
+    };
+    let refuse = |expected: &str, help: &str| {
+        let axis =
+            |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
+        let got: Vec<String> = shape.iter().zip(kinds).map(axis).collect();
+        Err(Error::bad_input(path, name, expected, got.join(" x ")).with_help(help))
+    };
+    let ours = "write the part that is wanted to a dataset of its own, its axes z, y, x";
+    let few = shape[rank - 1] <= 4 && rank == 4 && shape[1] > 4 && shape[2] > 4;
+    let unnamed = dialect != Dialect::Plain || kinds.iter().all(|&k| k == '?');
+    let vectors = few && unnamed || rank == 4 && matches!(dialect, Dialect::Vtk | Dialect::Itk);
+    if rank > 3 && shape[rank - 1] > 1 && (last[0] == 'c' || vectors) {
+        let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
+        return Ok(vec![field(name.into(), vec![0; before.len()], components)]);
+    }
+    if few && unnamed || kinds.iter().zip(shape).any(|(&k, &n)| k == 'c' && n > 1) {
+        return refuse("one number a sample", ours);
+    }
+    if rank > 3 && last.contains(&'t') || kinds.iter().zip(before).any(|(&k, &n)| place(k).is_some() && n > 1)
+    {
+        return refuse("time as the first axis, before z, y and x", "write the dataset again in this order");
+    }
+    match before {
+        &[frames] if frames != 1 && frames <= MOST_FRAMES && dialect == Dialect::Plain => {
+            Ok((0..frames).map(|t| field(format!("{name}:t{t}"), vec![t], 1)).collect())
+        }
+        _ if before.iter().all(|&n| n == 1) => Ok(vec![field(name.into(), vec![0; before.len()], 1)]),
+        _ => {
+            let expected = "three axes, one more of at most 65536 frames before them, others of one entry";
+            refuse(expected, "write the part that is wanted to a dataset of its own")
+        }
+    }
+}
+
+/// The type of a dataset's samples, and whether they are big-endian.
+fn scalar_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, bool)> {
+    let refuse = |got: String| {
+        Error::bad_input(path, name, "integers of 8 to 64 bits, or 32- or 64-bit IEEE floats", got)
+            .with_help("write the numbers that are wanted to a dataset of such a type")
+    };
+    let (scalar, order) = match dataset.dtype() {
+        Datatype::FixedPoint { size, signed, byte_order } => {
+            (ScalarType::from_code(&format!("{}{size}", if *signed { "i" } else { "u" })), byte_order)
+        }
+        Datatype::FloatingPoint { size, byte_order } => {
+            (ScalarType::from_code(&format!("f{size}")), byte_order)
+        }
+        other => return Err(refuse(kind(other).into())),
+    };
+    let raw = dataset.raw_datatype().map_err(|e| damaged(path, name, &e))?;
+    let usual = scalar.filter(|&s| is_usual(s, &raw));
+    let scalar =
+        usual.ok_or_else(|| refuse(format!("numbers of {} bytes in another form", size(dataset))))?;
+    if dataset.attribute("_Unsigned").is_ok_and(|a| a.read_string().is_ok_and(|s| s == "true")) {
+        return Err(refuse("signed integers that _Unsigned declares to be unsigned".into()));
+    }
+    Ok((scalar, *order == ByteOrder::BigEndian))
+}
+
+fn size(dataset: &Dataset) -> u8 {
+    match dataset.dtype() {
+        Datatype::FixedPoint { size, .. } | Datatype::FloatingPoint { size, .. } => *size,
+        _ => 0,
+    }
+}
+
+fn kind(datatype: &Datatype) -> &'static str {
+    match datatype {
+        Datatype::String { .. } => "text",
+        Datatype::Compound { .. } => "records (compound or complex numbers)",
+        Datatype::Array { .. } => "arrays (vectors)",
+        Datatype::Enum { .. } => "an enumeration (or booleans)",
+        Datatype::VarLen { .. } => "lists of variable length",
+        Datatype::Opaque { .. } => "opaque bytes",
+        Datatype::Reference { .. } => "references",
+        _ => "bit fields or another type",
+    }
+}
+
+/// Whether a datatype message describes the machine's form of a type: all bits used and, for
+/// floats, the fields of IEEE 754.
+fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
+    let bits = 8 * scalar.bytes() as u8;
+    let float: &[u8] = match scalar {
+        ScalarType::F32 => &[23, 8, 0, 23, 127, 0, 0, 0],
+        ScalarType::F64 => &[52, 11, 0, 52, 255, 3, 0, 0],
+        _ => &[],
+    };
+    // Class and version, flags, size; then the first bit and their number, and a float's fields.
+    // Bit 6 of the flags, with bit 0, is the VAX order of bytes.
+    let vax = !float.is_empty() && message.get(1).is_none_or(|flags| flags & 0x40 != 0);
+    let expected = [&[0, 0, bits, 0][..], float].concat();
+    !vax && message.get(8..8 + expected.len()) == Some(&expected[..])
+}
+
+impl Field {
+    /// Samples along x, y, z.
+    fn dims(&self) -> [u64; 3] {
+        let shape = self.dataset.shape();
+        std::array::from_fn(|a| shape[shape.len() - 1 - a])
+    }
+
+    /// Whether it is one of several frames of its dataset.
+    fn is_frame(&self) -> bool {
+        self.before.len() == 1 && self.dataset.shape()[0] > 1 && self.info.components == 1
+    }
+
+    fn volume_info(
+        &self,
+        path: &Path,
+        dialect: Dialect,
+        field: FieldInfo,
+        geometry: Geometry,
+    ) -> Result<VolumeInfo> {
+        let dims = self.dims();
+        sample_bytes(path, dims, self.info.scalar)?;
+        let mut info = plain_info(path, dialect.name(), dims, self.info.scalar, geometry);
+        if self.dataset.chunks().is_some() {
+            info.format += " (chunked)";
+        }
+        info.field = field;
+        if dialect != Dialect::Plain {
+            return Ok(info);
+        }
+        info.slope = self.number(path, "scale_factor")?.unwrap_or(1.0);
+        info.intercept = self.number(path, "add_offset")?.unwrap_or(0.0);
+        let scaled = info.slope.is_finite() && info.slope != 0.0 && info.intercept.is_finite();
+        if !scaled {
+            let got = format!("{} and {}", info.slope, info.intercept);
+            let expected = "finite numbers, the first not 0";
+            return Err(Error::bad_input(path, self.at("scale_factor, add_offset"), expected, got));
+        }
+        info.missing = match [self.number(path, "_FillValue")?, self.number(path, "missing_value")?] {
+            [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
+                let got = format!("{a} and {b}");
+                return Err(Error::bad_input(path, self.at("_FillValue, missing_value"), "one value", got)
+                    .with_help("replace the one by the other, and delete its attribute"));
+            }
+            // What is not a number is missing anyway.
+            both => both.into_iter().flatten().find(|v| !v.is_nan()),
+        };
+        Ok(info)
+    }
+
+    fn at(&self, what: &str) -> String {
+        format!("{}, {what}", self.info.name)
+    }
+
+    /// An attribute that is one number; `None` where there is none.
+    fn number(&self, path: &Path, name: &str) -> Result<Option<f64>> {
+        let Ok(attribute) = self.dataset.attribute(name) else { return Ok(None) };
+        let wrong = |got: String| Error::bad_input(path, self.at(name), "one number", got);
+        match attribute.num_elements() {
+            Ok(1) => {}
+            Ok(n) => return Err(wrong(format!("{n} values"))),
+            Err(e) => return Err(damaged(path, &self.at(name), &e)),
+        }
+        attribute.read_as_f64().map(Some).map_err(|_| wrong(kind(&attribute.datatype).into()))
+    }
+
+    /// The conversion that makes samples outside of the range in CF's attributes missing; `None`
+    /// where there is no such range.
+    fn valid_range(&self, path: &Path, info: &VolumeInfo) -> Result<Option<Convert>> {
+        let mut valid = [f64::NEG_INFINITY, f64::INFINITY];
+        let mut float = false;
+        for (name, at, count) in [("valid_range", 0, 2), ("valid_min", 0, 1), ("valid_max", 1, 1)] {
+            let Ok(attribute) = self.dataset.attribute(name) else { continue };
+            let numbers = attribute_numbers(&attribute).filter(|n| n.len() == count).ok_or_else(|| {
+                let expected = format!("{count} number(s)");
+                Error::bad_input(path, self.at(name), expected, kind(&attribute.datatype))
+            })?;
+            valid[at..at + count].copy_from_slice(&numbers);
+            float |= matches!(attribute.datatype, Datatype::FloatingPoint { .. });
+        }
+        if valid == [f64::NEG_INFINITY, f64::INFINITY] || info.field.scalar == ScalarType::I64 {
+            return Ok(None);
+        }
+        // Where packed integers have a range of floats, it is that of the values.
+        let packed = !matches!(info.field.scalar, ScalarType::F32 | ScalarType::F64);
+        if packed && float {
+            valid = valid.map(|v| (v - info.intercept) / info.slope);
+            valid.sort_by(f64::total_cmp);
+        }
+        let lines = vec![[info.slope, info.intercept]];
+        Ok(Some(Convert { valid, missing: info.missing, lines, slices: [1, 1] }))
+    }
+
+    /// The coordinates along x, y, z, where the file has them.
+    fn lines(&self, tree: &Tree) -> [Option<Line>; 3] {
+        let (rank, dims) = (self.dataset.ndim(), self.dims());
+        std::array::from_fn(|a| {
+            let (_, line) = tree.line_of(&self.info.name, &self.dataset, rank - 1 - a)?;
+            let single = matches!(line.dtype(), Datatype::FloatingPoint { size: 4, .. });
+            let values = self.line(rank - 1 - a, tree).filter(|l| l.len() as u64 == dims[a])?;
+            Some(Line { regular: regular(&values, single), values })
+        })
+    }
+
+    /// Spacing, origin and directions, from the coordinate variables, or from what other attributes
+    /// say about the voxels.
+    fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
+        let lines = self.lines(tree);
+        if lines.iter().flatten().any(|l| l.regular.is_none()) {
+            // A rectilinear grid: see `coordinates`.
+            return Ok(Geometry::default());
+        }
+        let none = lines.iter().all(Option::is_none);
+        let sizes = if none { self.voxel_sizes(path)? } else { [1.0; 3] };
+        let (mut origin, mut columns) = ([0.0; 3], [[0.0; 3]; 3]);
+        for (a, line) in lines.iter().enumerate() {
+            let along = line.as_ref().and_then(|l| l.regular);
+            let (start, step) = along.unwrap_or((0.0, sizes[a]));
+            (origin[self.world[a]], columns[a][self.world[a]]) = (start, step);
+        }
+        geometry(path, "coordinate variables", origin, columns)
+    }
+
+    /// The sizes of voxels along x, y, z: `element_size_um` of ilastik and Fiji, `axistags` of
+    /// vigra.
+    fn voxel_sizes(&self, path: &Path) -> Result<[f64; 3]> {
+        if let Ok(attribute) = self.dataset.attribute("element_size_um") {
+            let sizes = attribute_numbers(&attribute).unwrap_or_default();
+            let good = sizes.len() >= 3 && sizes.iter().all(|s| s.is_finite() && *s > 0.0);
+            if !good {
+                let expected = "three positive numbers, of z, y, x";
+                let at = self.at("element_size_um");
+                return Err(Error::bad_input(path, at, expected, format!("{sizes:?}")));
+            }
+            return Ok(std::array::from_fn(|a| sizes[sizes.len() - 1 - a]));
+        }
+        let tags = self.dataset.attribute("axistags").ok().and_then(|a| attribute_text(&a));
+        let tags: serde_json::Value = tags.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
+        let rank = self.dataset.ndim();
+        let size = |a: usize| tags["axes"][rank - 1 - a]["resolution"].as_f64();
+        Ok(std::array::from_fn(|a| size(a).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(1.0)))
+    }
+
+    /// The numbers of the coordinate variable of an axis.
+    fn line(&self, axis: usize, tree: &Tree) -> Option<Vec<f64>> {
+        let dataset_name = self.info.name.rsplit_once(":t").filter(|_| self.is_frame());
+        let name = dataset_name.map_or(self.info.name.as_str(), |(name, _)| name);
+        let (_, line) = tree.line_of(name, &self.dataset, axis)?;
+        // A dimension without coordinates has a dataset too, of zeros.
+        let name = line.attribute("NAME").ok().and_then(|a| a.read_string().ok()).unwrap_or_default();
+        if name.starts_with("This is a netCDF dimension but not a netCDF variable") {
+            return None;
+        }
+        line.num_elements().ok().filter(|&n| n <= MOST_COORDINATES)?;
+        let (scalar, _) = scalar_of(Path::new(""), "", line).ok()?;
+        all_f64(line, scalar).ok()
+    }
+
+    /// Byte of the first sample, and bytes a step, where the samples lie in the file as they are.
+    fn in_place(&self, path: &Path, file: &Hdf5File) -> Result<Option<(u64, [i64; 3])>> {
+        let header = file
+            .get_or_parse_header(self.dataset.address())
+            .map_err(|e| damaged(path, &self.info.name, &e))?;
+        let elsewhere = header.messages.iter().any(|m| matches!(m, HdfMessage::ExternalFiles(_)));
+        let layout = header.messages.iter().find_map(|m| match m {
+            HdfMessage::DataLayout(message) => Some(&message.layout),
+            _ => None,
+        });
+        let (d, bytes) = (self.dims(), self.info.scalar.bytes() as u64);
+        let frame = sample_bytes(path, d, self.info.scalar)?;
+        let frames = self.dataset.shape()[..self.before.len()].iter().product::<u64>();
+        let Some(DataLayout::Contiguous { address, size }) = layout else { return Ok(None) };
+        if elsewhere || frame.checked_mul(frames) != Some(*size) {
+            return Ok(None);
+        }
+        let number = self.before.first().copied().unwrap_or(0);
+        if Cursor::is_undefined_offset(*address, file.superblock().offset_size) {
+            return Ok(None);
+        }
+        let at = file.superblock().base_address.checked_add(*address);
+        let Some(at) = at.and_then(|at| at.checked_add(number * frame)) else { return Ok(None) };
+        if at.checked_add(frame).is_none() {
+            return Ok(None);
+        }
+        // They fit, as all samples have fewer than 2^63 bytes.
+        let strides = [bytes, bytes * d[0], bytes * d[0] * d[1]].map(|s| s as i64);
+        Ok(Some((at, strides)))
+    }
+}
+
+/// The coordinates along an axis.
+struct Line {
+    values: Vec<f64>,
+    /// Start and step, where they are regular.
+    regular: Option<(f64, f64)>,
+}
+
+/// Runs `$body` with the samples `$samples`, in their own type, of a selection of a dataset.
+macro_rules! with_samples {
+    ($dataset:expr, $selection:expr, $scalar:expr, $samples:ident, $body:expr) => {{
+        macro_rules! of {
+            ($type:ty) => {{
+                let $samples = $dataset.read_slice::<$type>($selection)?;
+                $body
+            }};
+        }
+        match $scalar {
+            ScalarType::U8 => of!(u8),
+            ScalarType::I8 => of!(i8),
+            ScalarType::U16 => of!(u16),
+            ScalarType::I16 => of!(i16),
+            ScalarType::U32 => of!(u32),
+            ScalarType::I32 => of!(i32),
+            ScalarType::U64 => of!(u64),
+            ScalarType::I64 => of!(i64),
+            ScalarType::F32 => of!(f32),
+            ScalarType::F64 => of!(f64),
+        }
+    }};
+}
+
+/// All of a dataset as `f64`.
+fn all_f64(dataset: &Dataset, scalar: ScalarType) -> hdf5_reader::error::Result<Vec<f64>> {
+    let (all, mut out) = (SliceInfo::all(dataset.ndim()), vec![]);
+    with_samples!(dataset, &all, scalar, samples, out.extend(samples.iter().map(|&v| v as f64)));
+    Ok(out)
+}
+
+/// A box of a dataset as little-endian bytes.
+fn little_endian(
+    dataset: &Dataset,
+    scalar: ScalarType,
+    selection: &SliceInfo,
+    out: &mut Vec<u8>,
+) -> hdf5_reader::error::Result<()> {
+    let size = scalar.bytes();
+    with_samples!(dataset, selection, scalar, samples, {
+        out.resize(samples.len() * size, 0);
+        let to = out.chunks_exact_mut(size);
+        to.zip(samples.iter()).for_each(|(to, v)| to.copy_from_slice(&v.to_le_bytes()));
+    });
+    Ok(())
+}
+
+/// A box of a dataset as little-endian bytes of the `f64` that its numbers become.
+fn converted(
+    dataset: &Dataset,
+    scalar: ScalarType,
+    selection: &SliceInfo,
+    out: &mut Vec<u8>,
+    mut of: impl FnMut(f64) -> f64,
+) -> hdf5_reader::error::Result<()> {
+    with_samples!(dataset, selection, scalar, samples, {
+        out.reserve(8 * samples.len());
+        samples.iter().for_each(|&v| out.extend_from_slice(&of(v as f64).to_le_bytes()));
+    });
+    Ok(())
+}
+
+/// The samples of a dataset in pieces: a chunk each, or some small ones.
+struct Pieces {
+    info: VolumeInfo,
+    dataset: Dataset,
+    before: Vec<u64>,
+    /// Size of a piece: a multiple of the chunks', or all along an axis.
+    piece: [u64; 3],
+    /// Bytes of a chunk.
+    chunk_bytes: u64,
+    /// The type in the file, and how its numbers become values, where `info` does not say that.
+    /// Values are `f64` then.
+    convert: Option<(ScalarType, Convert)>,
+}
+
+impl Pieces {
+    fn new(mut info: VolumeInfo, field: &Field, convert: Option<Convert>) -> Result<Self> {
+        let convert = convert.map(|convert| (info.field.scalar, convert));
+        if convert.is_some() {
+            info.field.scalar = ScalarType::F64;
+        }
+        let (dims, size) = (info.dims, info.field.scalar.bytes() as u64);
+        let wrong = |got: String| {
+            Error::bad_input(
+                &info.path,
+                &info.field.name,
+                "chunks of the dataset's axes and at most 256 MiB",
+                got,
+            )
+            .with_help("write the dataset again in smaller chunks (h5repack -l)")
+        };
+        let (mut piece, mut chunk_bytes) = ([1; 3], 0);
+        if let Some(chunk) = field.dataset.chunks() {
+            let shown = format!("{chunk:?} samples of {size} bytes");
+            let bytes = chunk.iter().try_fold(size, |n, &c| n.checked_mul(u64::from(c)));
+            let good = bytes.is_some_and(|b| b > 0 && b <= MOST_CHUNK) && chunk.len() == field.dataset.ndim();
+            if !good {
+                return Err(wrong(shown));
+            }
+            chunk_bytes = bytes.unwrap_or(0);
+            piece = std::array::from_fn(|a| u64::from(chunk[chunk.len() - 1 - a]).min(dims[a]));
+        }
+        for a in 0..3 {
+            // Either the whole axis, or doubled as often as there is room.
+            while piece[a] < dims[a] && 2 * size * piece.iter().product::<u64>() <= PIECE {
+                piece[a] = (2 * piece[a]).min(dims[a]);
+            }
+        }
+        let (dataset, before) = (field.dataset.clone(), field.before.clone());
+        Ok(Self { info, dataset, before, piece, chunk_bytes, convert })
+    }
+}
+
+impl ChunkSource for Pieces {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.piece
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        let size = self.info.field.scalar.bytes() as u64;
+        let piece = self.piece.iter().fold(size, |n, &d| n.saturating_mul(d));
+        self.chunk_bytes.max(piece).saturating_mul(3)
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        out.clear();
+        let d = self.info.dims;
+        let lo: [u64; 3] = std::array::from_fn(|a| at[a].saturating_mul(self.piece[a]).min(d[a]));
+        let part =
+            IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(self.piece[a]).min(d[a])) };
+        let range = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
+        let before = self.before.iter().map(|&at| range(at, at + 1));
+        let selections = before.chain([2, 1, 0].map(|a| range(part.lo[a], part.hi[a]))).collect();
+        let selection = SliceInfo { selections };
+        match &self.convert {
+            None => little_endian(&self.dataset, self.info.field.scalar, &selection, out),
+            Some((scalar, convert)) => {
+                let ([nx, ny, _], mut i) = (part.dims(), 0u64);
+                converted(&self.dataset, *scalar, &selection, out, |stored| {
+                    let at = [lo[1] + i / nx % ny, lo[2] + i / (nx * ny)];
+                    i += 1;
+                    convert.value(stored, at)
+                })
+            }
+        }
+        .map_err(|e| {
+            damaged(&self.info.path, &format!("{}, samples from {lo:?} on", self.info.field.name), &e)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

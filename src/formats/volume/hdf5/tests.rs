@@ -1,0 +1,357 @@
+use super::*;
+use crate::bytes::IoMode;
+use crate::formats::open_volume;
+use crate::formats::tests::{read_all, write};
+use std::path::PathBuf;
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+}
+
+fn open(name: &str, field: &str) -> Result<VolumeSource> {
+    let field = Some(field.to_string());
+    open_volume(&data(name), &OpenOptions { field, ..OpenOptions::default() })
+}
+
+/// What `tools/make_golden_hdf5.py` wrote: each sample its index.
+fn ramp() -> Vec<f32> {
+    (0..60u8).map(f32::from).collect()
+}
+
+/// All values, put where their slabs say.
+fn values(source: VolumeSource) -> Vec<f32> {
+    let info = source.info().clone();
+    let whole = IndexBox::whole(info.dims);
+    let mut values = vec![f32::NAN; whole.len()];
+    match source {
+        VolumeSource::Random(reader) => reader.read_box(whole, &mut values).unwrap(),
+        other => {
+            let mut stream = other.into_stream();
+            let (mut bytes, mut filled) = (vec![], 0);
+            while let Some(slab) = stream.next_slab(&mut bytes).unwrap() {
+                let mut part = vec![0.0; slab.len()];
+                let (scalar, missing) = (info.field.scalar, info.missing);
+                crate::volume::strided::convert_row(
+                    &bytes,
+                    scalar,
+                    false,
+                    info.slope,
+                    info.intercept,
+                    missing,
+                    &mut part,
+                );
+                let (lo, d) = (slab.lo, slab.dims());
+                filled += part.len();
+                for (i, v) in part.into_iter().enumerate() {
+                    let (x, y, z) = (i as u64 % d[0], i as u64 / d[0] % d[1], i as u64 / (d[0] * d[1]));
+                    let at = ((lo[2] + z) * info.dims[1] + lo[1] + y) * info.dims[0] + lo[0] + x;
+                    values[at as usize] = v;
+                }
+            }
+            assert_eq!(filled, values.len(), "each sample once");
+        }
+    }
+    values
+}
+
+#[test]
+fn every_type_is_read_in_both_orders_mapped_and_chunked() {
+    for version in ["earliest", "latest"] {
+        let name = format!("types_{version}.h5");
+        for (field, scalar) in [
+            ("u1", ScalarType::U8),
+            ("i1", ScalarType::I8),
+            ("u2", ScalarType::U16),
+            ("i2", ScalarType::I16),
+            ("big_i2", ScalarType::I16),
+            ("u4", ScalarType::U32),
+            ("big_u4", ScalarType::U32),
+            ("i4", ScalarType::I32),
+            ("u8", ScalarType::U64),
+            ("i8", ScalarType::I64),
+            ("f4", ScalarType::F32),
+            ("big_f4", ScalarType::F32),
+            ("f8", ScalarType::F64),
+            ("big_f8", ScalarType::F64),
+        ] {
+            let mapped = open(&name, &format!("group/{field}")).unwrap();
+            assert!(matches!(mapped, VolumeSource::Random(_)), "{field} lies in the file as it is");
+            let chunked = open(&name, &format!("/group/{field}_chunks")).unwrap();
+            for source in [mapped, chunked] {
+                assert_eq!((source.info().dims, source.info().field.scalar), ([5, 4, 3], scalar));
+                assert_eq!(values(source), ramp(), "{name} {field}");
+            }
+        }
+    }
+}
+
+#[test]
+fn both_ways_of_reading_give_the_same() {
+    for field in ["group/big_f8", "group/big_f8_chunks"] {
+        for io in [IoMode::Map, IoMode::Read] {
+            let options = OpenOptions { field: Some(field.into()), io, ..OpenOptions::default() };
+            assert_eq!(values(open_volume(&data("types_latest.h5"), &options).unwrap()), ramp(), "{field}");
+        }
+    }
+}
+
+#[test]
+fn fields_are_listed_once_and_found_by_any_link() {
+    let path = data("types_earliest.h5");
+    let error = open_volume(&path, &OpenOptions::default()).err().expect("many fields");
+    assert_eq!(error.exit_code(), 2);
+    let line = error.to_string();
+    assert!(line.contains("group/f4 (float32)") && line.contains("group/big_i2_chunks (int16)"), "{line}");
+    assert_eq!(open("types_earliest.h5", "again").unwrap().info().fields.len(), 28);
+    for name in ["again", "/root/group/i2"] {
+        assert_eq!(values(open("types_latest.h5", name).unwrap()), ramp(), "{name}");
+    }
+    assert_eq!(open("types_latest.h5", "group/none").err().expect("no such field").exit_code(), 2);
+}
+
+#[test]
+fn layouts_indices_and_fill_values_are_read() {
+    for version in ["earliest", "latest"] {
+        let name = format!("layouts_{version}.h5");
+        for field in ["unlimited", "unlimited2", "one", "lzf", "scaleoffset", "four", "compact"] {
+            assert_eq!(values(open(&name, field).unwrap()), ramp(), "{name} {field}");
+        }
+        for field in ["frames", "frames_chunks"] {
+            let frame = |t: u32| values(open(&name, &format!("{field}:t{t}")).unwrap());
+            assert_eq!(frame(1), ramp(), "{name} {field}");
+            assert_eq!(frame(0), ramp().iter().map(|v| v - 7.0).collect::<Vec<f32>>());
+        }
+        assert_eq!(values(open(&name, "empty").unwrap()), vec![-5.0; 60]);
+        let part = values(open(&name, "part").unwrap());
+        let expected = |i: usize| if i % 5 < 2 && i / 5 % 4 < 2 && i / 20 < 2 { 1.0 } else { -5.0 };
+        assert_eq!(part, (0..60).map(expected).collect::<Vec<f32>>());
+    }
+}
+
+#[test]
+fn what_is_not_read_is_refused_for_its_reason() {
+    for (field, reason) in [
+        ("complex", "records"),
+        ("text", "text"),
+        ("half", "2 bytes"),
+        ("boolean", "an enumeration"),
+        ("five", "3 x 1 x 4 x 5 x 1"),
+        ("two_missing", "1 and 2"),
+    ] {
+        let error = open("layouts_latest.h5", field).err().expect("refused");
+        assert_eq!(error.exit_code(), 5, "{error}");
+        assert!(error.to_string().contains(reason) && error.to_string().contains(field), "{error}");
+    }
+}
+
+#[test]
+fn netcdf_places_scales_and_marks_what_is_missing() {
+    let source = open("grid.nc", "temp").unwrap();
+    let info = source.info().clone();
+    assert_eq!((info.slope, info.intercept, info.missing), (0.5, 10.0, Some(-999.0)));
+    // Levels 100, 110, 150 are not regular; latitude falls. So it is a rectilinear grid.
+    assert_eq!(info.geometry, Geometry::default());
+    let axes = axes_of("grid.nc", "temp").unwrap().unwrap();
+    assert_eq!(axes[0], [0.0, 0.5, 1.0, 1.5, 2.0]);
+    assert_eq!(axes[1], [5.0, 2.5, 0.0, -2.5]);
+    assert_eq!(axes[2], [100.0, 110.0, 150.0]);
+    let values = values(source);
+    assert!(values[1].is_nan());
+    assert_eq!((values[0], values[2], values[59]), (10.0, 11.0, 39.5));
+    let (info, values) = read_all(open("grid.nc", "plain").unwrap());
+    assert_eq!((info.geometry.spacing, values), ([1.0; 3], ramp()));
+    let axes = axes_of("grid.nc", "plain").unwrap().unwrap();
+    assert_eq!(axes[0], [0.0, 1.0, 2.0, 3.0, 4.0], "an axis without coordinates");
+}
+
+/// The coordinates of a rectilinear grid.
+fn axes_of(name: &str, field: &str) -> Result<Option<[Vec<f64>; 3]>> {
+    let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+    Ok(crate::formats::open_coordinates(&data(name), &options)?.map(|found| match found {
+        GridCoordinates::Axes(axes) => axes,
+        GridCoordinates::Points(_) => panic!("axes"),
+    }))
+}
+
+/// World coordinates of sample (1, 2, 1), to a millionth.
+fn place(source: &VolumeSource) -> [f64; 3] {
+    source.info().geometry.to_world([1.0, 2.0, 1.0]).map(|x| (x * 1e6).round() / 1e6)
+}
+
+#[test]
+fn images_of_vtkhdf_are_placed_and_other_types_refused() {
+    let source = open("vtkhdf.hdf", "heat").unwrap();
+    assert!(source.info().format.contains("VTKHDF"), "{}", source.info().format);
+    // x is (2 + 1) steps of 0.5 along y, y is 2 steps of 0.25 against x.
+    assert_eq!(place(&source), [9.5, 21.5, 32.0]);
+    assert_eq!(values(source), ramp());
+    let cells = open("vtkhdf.hdf", "VTKHDF/CellData/mass").unwrap();
+    assert_eq!((cells.info().dims, place(&cells)), ([4, 3, 2], [9.375, 21.75, 33.0]));
+    assert_eq!(open_volume(&data("vtkhdf.hdf"), &OpenOptions::default()).unwrap().info().field.name, "heat");
+    let line = open("vtkhdf.hdf", "flow").err().expect("vectors").to_string();
+    assert!(line.contains("flow (3 x float32, not scalar)"), "{line}");
+    for (name, what) in [
+        ("vtkhdf_mesh.hdf", "VTKHDF file of type 'UnstructuredGrid'; write it as .vtu"),
+        ("imaris.ims", "an Imaris file"),
+    ] {
+        let error = open_volume(&data(name), &OpenOptions::default()).err().expect("refused");
+        assert_eq!(error.exit_code(), 5);
+        assert!(error.to_string().contains(what), "{error}");
+    }
+}
+
+#[test]
+fn minc_is_placed_and_scaled_slice_by_slice() {
+    let source = open_volume(&data("minc.mnc"), &OpenOptions::default()).unwrap();
+    // Fastest is x, along world y; then z; slowest y, whose steps of -8 go along -x.
+    assert_eq!(source.info().dims, [5, 4, 3]);
+    assert_eq!(place(&source), [-20.0 + 8.0, -10.0 + 7.0, 30.0 + 2.0 * 9.0]);
+    let found = values(source);
+    let value = |i: usize| {
+        let (lo, hi) = [(0.0, 50.0), (100.0, 200.0), (200.0, 300.0)][i / 20];
+        lo + i as f64 / 50.0 * (hi - lo)
+    };
+    for (i, v) in found.into_iter().enumerate() {
+        // 51 to 59 are out of the valid range.
+        let right = if i > 50 { v.is_nan() } else { (f64::from(v) - value(i)).abs() < 1e-4 };
+        assert!(right, "{i}: {v}");
+    }
+}
+
+#[test]
+fn images_of_itk_are_placed() {
+    let source = open_volume(&data("itk.h5"), &OpenOptions::default()).unwrap();
+    assert_eq!(place(&source), [1.0 - 0.5, 2.0 + 0.5, 3.0 + 2.0]);
+    assert_eq!(values(source), ramp());
+}
+
+#[test]
+fn axes_are_what_they_are_called() {
+    assert_eq!(open("axes.h5", "sized").unwrap().info().geometry.spacing, [0.25, 0.5, 2.0]);
+    // The first axis is x: what is read fastest lies along z.
+    assert_eq!(place(&open("axes.h5", "fortran").unwrap()), [1.0, 2.0, 1.0].map(|x: f64| x));
+    let fortran = open("axes.h5", "fortran").unwrap();
+    assert_eq!(fortran.info().geometry.to_world([4.0, 0.0, 0.0]), [0.0, 0.0, 4.0]);
+    let nexus = open("axes.h5", "entry/counts").unwrap();
+    assert_eq!(
+        (nexus.info().geometry.spacing, nexus.info().geometry.origin),
+        ([0.25, 0.5, 2.0], [0.0, 0.0, 1.0])
+    );
+    let line = open("axes.h5", "vectors").err().expect("vectors").to_string();
+    assert!(line.contains("vectors (3 x float32, not scalar)"), "{line}");
+    let line = open("axes.h5", "channels").err().expect("channels").to_string();
+    assert!(line.contains("2 (c) x 3 (z) x 4 (y) x 5 (x)"), "{line}");
+}
+
+#[test]
+fn levels_are_a_grid_and_steps_have_their_times() {
+    let axes = axes_of("levels.nc", "temp:t1").unwrap().unwrap();
+    assert_eq!((&axes[1][..], &axes[2][..]), (&[30.0, 20.0, 10.0, 0.0][..], &[1000.0, 925.0, 700.0][..]));
+    let options = |field: &str| OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+    for field in ["temp", "temp*", "/temp"] {
+        let steps = crate::formats::steps_of(&[data("levels.nc")], &options(field)).unwrap();
+        let names: Vec<_> = steps.iter().map(|s| s.options.field.clone().unwrap()).collect();
+        let times: Vec<_> = steps.iter().map(|s| s.time).collect();
+        assert_eq!(names, ["temp:t0", "temp:t1", "temp:t2"], "{field}");
+        assert_eq!(times, [Some(0.0), Some(6.0), Some(18.0)], "{field}");
+    }
+    let line = open("levels.nc", "temp").err().expect("three of them").to_string();
+    assert!(line.contains("temp:t0"), "{line}");
+    let found = values(open("levels.nc", "temp:t1").unwrap());
+    assert!(found[0].is_nan(), "out of the valid range");
+    assert_eq!((found[1], found[59]), (50.5, 79.5));
+}
+
+/// Opens and reads each field of a damaged file, or its beginning; panics are the test's failures.
+fn survives(path: &Path, fields: &[&str]) {
+    for &field in fields {
+        let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+        let read = open_volume(path, &options).and_then(|source| match source {
+            VolumeSource::Random(reader) => {
+                let d = reader.info().dims.map(|n| n.min(8));
+                let voxels = IndexBox::whole(d);
+                reader.read_box(voxels, &mut vec![0.0; voxels.len()])
+            }
+            other => {
+                let (mut stream, mut bytes) = (other.into_stream(), vec![]);
+                // A damaged shape may be a large one, of chunks that are not there.
+                for _ in 0..20 {
+                    if stream.next_slab(&mut bytes)?.is_none() {
+                        break;
+                    }
+                }
+                Ok(())
+            }
+        });
+        if let Err(e) = read {
+            let line = e.to_string();
+            assert!(!line.contains('\n') && line.len() < 2000, "{line}");
+        }
+    }
+}
+
+#[test]
+fn damage_is_an_error_or_the_answer() {
+    let dir = tempfile::tempdir().unwrap();
+    // Each ninety-seventh byte; fewer between them, and more time, when the variable says so.
+    let steps = std::env::var("ISOSPAN_HDF5_DAMAGE").ok().and_then(|s| s.parse().ok()).unwrap_or(97usize);
+    for (name, fields) in [
+        ("types_latest.h5", &["group/f4_chunks", "group/u2"][..]),
+        ("types_earliest.h5", &["group/big_f8_chunks", "group/i1"]),
+        ("layouts_latest.h5", &["unlimited2", "scaleoffset", "unlimited", "compact"]),
+        ("layouts_earliest.h5", &["unlimited2", "lzf", "part", "frames:t1"]),
+        ("grid.nc", &["temp", "plain"]),
+    ] {
+        let bytes = std::fs::read(data(name)).unwrap();
+        for cut in (0..bytes.len()).step_by(7 * steps) {
+            survives(&write(&dir, name, &bytes[..cut]), fields);
+        }
+        for at in (steps % 7..bytes.len()).step_by(steps) {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= flip;
+                survives(&write(&dir, name, &damaged), fields);
+            }
+        }
+    }
+}
+
+#[test]
+fn damaged_samples_are_found_by_their_checksum() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(data("types_latest.h5")).unwrap();
+    let mut refused = 0;
+    for at in (0..bytes.len()).step_by(11) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x10;
+        let options = OpenOptions { field: Some("group/i8_chunks".into()), ..OpenOptions::default() };
+        let path = write(&dir, "a.h5", &damaged);
+        let Ok(source) = open_volume(&path, &options) else {
+            refused += 1;
+            continue;
+        };
+        let mut stream = source.into_stream();
+        let (mut out, mut all) = (vec![], vec![]);
+        match std::iter::from_fn(|| stream.next_slab(&mut out).map(|s| s.map(|_| out.clone())).transpose())
+            .collect::<Result<Vec<_>>>()
+        {
+            Err(_) => refused += 1,
+            Ok(slabs) => all.extend(slabs.concat()),
+        }
+        let right: Vec<u8> = (0..60i64).flat_map(i64::to_le_bytes).collect();
+        assert!(all.is_empty() || all == right, "a wrong value for byte {at}");
+    }
+    assert!(refused > 20, "{refused}");
+}
+
+#[test]
+fn steps_are_regular_or_not() {
+    assert_eq!(regular(&[1.0, 3.0, 5.0], false), Some((1.0, 2.0)));
+    assert_eq!(regular(&[4.0], false), Some((4.0, 1.0)));
+    // Longitudes of single precision, a hundredth of a degree apart, are even as far as they go.
+    let fine: Vec<f64> = (0..36000).map(|i| f64::from(i as f32 * 0.01)).collect();
+    assert!(regular(&fine, false).is_none() && regular(&fine, true).is_some());
+    for bad in [&[][..], &[1.0, 1.0], &[1.0, 2.0, 4.0], &[f64::NAN, 1.0], &[0.0, f64::INFINITY]] {
+        assert_eq!(regular(bad, false), None, "{bad:?}");
+    }
+}

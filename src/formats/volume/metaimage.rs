@@ -1,0 +1,346 @@
+//! MetaImage (MetaIO; ITK, VTK, elastix): a text header, then the samples, in the same file
+//! (`.mha`) or others (`.mhd`).
+//!
+//! ```text
+//! NDims = 3                          "Key = Value" lines in any order, but ElementDataFile is the last
+//! DimSize = 115 157 129              x fastest
+//! ElementType = MET_SHORT
+//! ElementSpacing = 1.366 1.366 2.5
+//! Offset = -153.8 -150.4 -1434.5     or Position, or Origin: the first sample, in the world
+//! TransformMatrix = 1 0 0 0 1 0 0 0 1    the direction of each index axis, one after the other
+//! BinaryDataByteOrderMSB = False     or ElementByteOrderMSB
+//! CompressedData = True              zlib
+//! CompressedDataSize = 2949155
+//! HeaderSize = 0                     bytes to skip in a data file; -1: the samples are its last bytes
+//! ElementDataFile = LOCAL            the samples follow; or a file name; or slices:
+//! ElementDataFile = slice%03d.raw 1 129 1       a pattern and first, last and step of the numbers
+//! ElementDataFile = LIST             or a name on each of the lines that follow
+//! ```
+//!
+//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. The
+//! reader refuses by name: other than three axes, several channels, arrays, compressed or text data
+//! in several files. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK
+//! do.
+//!
+//! The format: <https://itk.org/Wiki/ITK/MetaIO/Documentation>.
+
+use crate::bytes::{ByteSource, IoMode};
+use crate::error::{Error, Result};
+use crate::formats::shared::format::Format;
+use crate::formats::shared::header::{Lines, geometry, numbered_files, numbers, open_files, plain_info};
+use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
+use crate::formats::shared::{OpenOptions, pick_field};
+use crate::grid::Geometry;
+use crate::volume::strided::StridedVolume;
+use crate::volume::{ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use std::path::Path;
+use std::sync::Arc;
+
+/// MetaImage.
+pub(in crate::formats) struct MetaImage;
+
+impl Format for MetaImage {
+    fn name(&self) -> &'static str {
+        "a MetaImage file"
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &[".mha", ".mhd"]
+    }
+
+    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+        open(path, options)
+    }
+}
+
+/// Opens a MetaImage file.
+///
+/// # Errors
+/// [`Error::BadInput`] when it is malformed, cut short, of a kind that is not read, or its slices
+/// are missing.
+pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let header = Header::parse(&source)?;
+    let (dims, scalar) = (header.dims()?, header.scalar()?);
+    let bytes = sample_bytes(path, dims, scalar)?;
+    let encoding = header.encoding()?;
+    let local = matches!(header.require("ElementDataFile")?, "LOCAL" | "Local" | "local");
+    let format = format!("MetaImage ({}, {})", if local { "attached" } else { "detached" }, encoding.name());
+    let info = plain_info(path, format, dims, scalar, header.geometry()?);
+    pick_field(path, &info.fields, options.field.as_deref())?;
+    let parts = if local { vec![Arc::clone(&source)] } else { header.files(dims, options.io)? };
+    let start = header.start(&parts, local, encoding, bytes / parts.len() as u64)?;
+    header.samples(info, parts, start, encoding)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Encoding {
+    Raw,
+    Zlib,
+    Text,
+}
+
+impl Encoding {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Raw => "raw",
+            Self::Zlib => "zlib",
+            Self::Text => "text",
+        }
+    }
+}
+
+struct Header<'a> {
+    path: &'a Path,
+    fields: Vec<(String, String)>,
+    /// The lines after the header, where it ends with a LIST.
+    listed: Vec<String>,
+    /// The byte after the header.
+    end: u64,
+}
+
+impl<'a> Header<'a> {
+    fn parse(source: &'a ByteSource) -> Result<Self> {
+        let path = source.path();
+        let mut lines = Lines::new(source.slice(0..source.len())?);
+        let mut header = Self { path, fields: vec![], listed: vec![], end: 0 };
+        while header.get("ElementDataFile").is_none() {
+            let at = |n: usize| format!("line {n}");
+            let Some(line) = lines.next() else {
+                let expected = "a last line \"ElementDataFile = …\"";
+                return Err(Error::bad_input(path, at(lines.number + 1), expected, "the end of the text"));
+            };
+            if line.trim().is_empty() || line.starts_with('#') {
+                continue;
+            }
+            let Some((key, value)) = line.split_once(['=', ':']) else {
+                return Err(Error::bad_input(path, at(lines.number), "\"Key = Value\"", line));
+            };
+            if header.get(key.trim()).is_some() {
+                return Err(Error::bad_input(path, at(lines.number), "each key once", line));
+            }
+            header.fields.push((key.trim().into(), value.trim().into()));
+        }
+        header.end = lines.at as u64;
+        if header.require("ElementDataFile")?.split_whitespace().next() == Some("LIST") {
+            let names = std::iter::from_fn(|| lines.next()).map(|l| l.trim().to_string());
+            header.listed = names.filter(|l| !l.is_empty()).collect();
+        }
+        Ok(header)
+    }
+
+    fn get(&self, key: &str) -> Option<&str> {
+        self.fields.iter().find(|(k, _)| k == key).map(|(_, v)| v.as_str())
+    }
+
+    /// The value of the first of several names of one thing.
+    fn any(&self, keys: &[&'static str]) -> Option<(&'static str, &str)> {
+        keys.iter().find_map(|&k| Some((k, self.get(k)?)))
+    }
+
+    fn require(&self, key: &str) -> Result<&str> {
+        self.get(key).ok_or_else(|| Error::bad_input(self.path, "header", format!("a key {key}"), "none"))
+    }
+
+    fn flag(&self, keys: &[&'static str], default: bool) -> Result<bool> {
+        let Some((key, value)) = self.any(keys) else { return Ok(default) };
+        match value.to_ascii_lowercase().as_str() {
+            "true" | "t" | "1" | "yes" => Ok(true),
+            "false" | "f" | "0" | "no" => Ok(false),
+            _ => Err(Error::bad_input(self.path, key, "True or False", value)),
+        }
+    }
+
+    fn integer<T: std::str::FromStr + Copy + Default>(&self, key: &str, default: &str) -> Result<T> {
+        Ok(numbers::<T, 1>(self.path, key, self.get(key).unwrap_or(default))?[0])
+    }
+
+    fn dims(&self) -> Result<[u64; 3]> {
+        if let Some(kind) = self.get("ObjectType").filter(|k| !k.eq_ignore_ascii_case("Image")) {
+            return Err(Error::bad_input(self.path, "ObjectType", "Image", kind));
+        }
+        let n: u32 = self.require("NDims").and_then(|v| Ok(numbers::<u32, 1>(self.path, "NDims", v)?[0]))?;
+        if n != 3 {
+            return Err(Error::bad_input(self.path, "NDims", "3", n.to_string())
+                .with_help("only volumes are read; cut out one"));
+        }
+        let channels: u32 = self.integer("ElementNumberOfChannels", "1")?;
+        if channels != 1 {
+            return Err(Error::bad_input(self.path, "ElementNumberOfChannels", "1", channels.to_string())
+                .with_help("colours and vectors are not read; write one component to a file of its own"));
+        }
+        numbers(self.path, "DimSize", self.require("DimSize")?)
+    }
+
+    fn scalar(&self) -> Result<ScalarType> {
+        Ok(match self.require("ElementType")? {
+            "MET_CHAR" | "MET_ASCII_CHAR" => ScalarType::I8,
+            "MET_UCHAR" => ScalarType::U8,
+            "MET_SHORT" => ScalarType::I16,
+            "MET_USHORT" => ScalarType::U16,
+            // MetaIO's long has 4 bytes on every system.
+            "MET_INT" | "MET_LONG" => ScalarType::I32,
+            "MET_UINT" | "MET_ULONG" => ScalarType::U32,
+            "MET_LONG_LONG" => ScalarType::I64,
+            "MET_ULONG_LONG" => ScalarType::U64,
+            "MET_FLOAT" => ScalarType::F32,
+            "MET_DOUBLE" => ScalarType::F64,
+            other => {
+                let expected = "MET_CHAR to MET_ULONG_LONG, MET_FLOAT or MET_DOUBLE";
+                return Err(Error::bad_input(self.path, "ElementType", expected, other));
+            }
+        })
+    }
+
+    fn encoding(&self) -> Result<Encoding> {
+        let binary = self.flag(&["BinaryData"], true)?;
+        let compressed = self.flag(&["CompressedData"], false)?;
+        Ok(match (binary, compressed) {
+            (true, false) => Encoding::Raw,
+            (true, true) => Encoding::Zlib,
+            (false, false) => Encoding::Text,
+            (false, true) => {
+                let expected = "binary data, or no compression";
+                return Err(Error::bad_input(self.path, "CompressedData", expected, "compressed text"));
+            }
+        })
+    }
+
+    fn geometry(&self) -> Result<Geometry> {
+        let read = |keys: &[&'static str], default: [f64; 3]| match self.any(keys) {
+            Some((key, text)) => numbers::<f64, 3>(self.path, key, text),
+            None => Ok(default),
+        };
+        let spacing = read(&["ElementSpacing", "ElementSize"], [1.0; 3])?;
+        let origin = read(&["Offset", "Position", "Origin"], [0.0; 3])?;
+        let matrix = match self.any(&["TransformMatrix", "Rotation", "Orientation"]) {
+            Some((key, text)) => numbers::<f64, 9>(self.path, key, text)?,
+            None => [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        };
+        let columns = std::array::from_fn(|a| std::array::from_fn(|b| matrix[3 * a + b] * spacing[a]));
+        geometry(self.path, "ElementSpacing and TransformMatrix", origin, columns)
+    }
+
+    /// The files next to the header that hold the samples.
+    fn files(&self, dims: [u64; 3], io: IoMode) -> Result<Vec<Arc<ByteSource>>> {
+        let value = self.require("ElementDataFile")?;
+        let words: Vec<&str> = value.split_whitespace().collect();
+        let last = dims[2].to_string();
+        let (names, dim) = match words[..] {
+            ["LIST"] => (self.listed.clone(), None),
+            ["LIST", dim] => (self.listed.clone(), Some(dim)),
+            [pattern] if pattern.contains('%') => (self.pattern(value, &[pattern, "1", &last, "1"])?, None),
+            [pattern, _, _, _] if pattern.contains('%') => (self.pattern(value, &words)?, None),
+            _ => (vec![value.to_string()], Some("3")),
+        };
+        if !matches!(dim, None | Some("2" | "3"))
+            || names.is_empty()
+            || !dims[2].is_multiple_of(names.len() as u64)
+        {
+            let got = format!("{} file(s) for {} slices: {value}", names.len(), dims[2]);
+            let expected = "the same number of whole slices in every file";
+            return Err(Error::bad_input(self.path, "ElementDataFile", expected, got));
+        }
+        open_files(self.path, "ElementDataFile", &names, io)
+    }
+
+    fn pattern(&self, value: &str, words: &[&str]) -> Result<Vec<String>> {
+        numbered_files(self.path, "ElementDataFile", value, words)
+    }
+
+    /// Where the samples start in each file; `needed` bytes of samples are in each.
+    fn start(&self, parts: &[Arc<ByteSource>], local: bool, encoding: Encoding, needed: u64) -> Result<u64> {
+        let skip: i64 = self.integer("HeaderSize", "0")?;
+        match (skip, encoding) {
+            (0, _) if local => return Ok(self.end),
+            (0.., _) => return Ok(skip.unsigned_abs()),
+            (-1, Encoding::Raw | Encoding::Zlib) => {}
+            _ => {
+                return Err(Error::bad_input(
+                    self.path,
+                    "HeaderSize",
+                    "0 or more, or -1 for binary data",
+                    skip.to_string(),
+                ));
+            }
+        }
+        let needed =
+            if encoding == Encoding::Raw { needed } else { self.integer("CompressedDataSize", "none")? };
+        let len = parts[0].len();
+        if let Some(odd) = parts.iter().find(|p| p.len() != len) {
+            let expected = format!("{len} bytes, as in the first of the data files");
+            return Err(Error::bad_input(
+                odd.path(),
+                "length of the file",
+                expected,
+                format!("{} bytes", odd.len()),
+            ));
+        }
+        len.checked_sub(needed).ok_or_else(|| {
+            Error::bad_input(
+                parts[0].path(),
+                "samples",
+                format!("{needed} bytes"),
+                format!("a file of {len} bytes"),
+            )
+            .with_help("the file is cut short, or the header's sizes or type are wrong")
+        })
+    }
+
+    fn samples(
+        &self,
+        mut info: VolumeInfo,
+        parts: Vec<Arc<ByteSource>>,
+        start: u64,
+        encoding: Encoding,
+    ) -> Result<VolumeSource> {
+        info.data_files = parts.iter().map(|p| p.path().to_path_buf()).collect();
+        let big = self.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)?;
+        let count = parts.len() as u64;
+        if encoding == Encoding::Raw {
+            let strides =
+                StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
+            let slices = info.dims[2] / count;
+            let volume = StridedVolume::stacked(info, parts, slices, start, big, strides)?;
+            return Ok(VolumeSource::Random(Box::new(volume)));
+        }
+        let [part] = &parts[..] else {
+            let got = format!("{count} files of {} data", encoding.name());
+            return Err(Error::bad_input(
+                self.path,
+                "ElementDataFile",
+                "one file, or several without compression",
+                got,
+            ));
+        };
+        let stream: Box<dyn SlabStream> = if encoding == Encoding::Text {
+            Box::new(TextSlabs::new(info, Arc::clone(part), start..part.len().max(start))?)
+        } else {
+            let range = start..self.compressed_end(part, start)?;
+            // MetaIO takes a gzip header for a zlib one, too.
+            let gzip = part.slice(range.clone())?.starts_with(&[0x1f, 0x8b]);
+            let codec = if gzip { Codec::Gzip } else { Codec::Zlib };
+            Box::new(ByteSlabs::new(info, part, range, codec, 0, big, Tail::Nothing)?)
+        };
+        Ok(VolumeSource::Stream(stream))
+    }
+
+    fn compressed_end(&self, part: &ByteSource, start: u64) -> Result<u64> {
+        // 0 is written by programs that did not know the size yet.
+        let size: u64 = self.integer("CompressedDataSize", "0")?;
+        let end = if size == 0 { Some(part.len()) } else { start.checked_add(size) };
+        end.filter(|&e| e <= part.len() && start <= e).ok_or_else(|| {
+            let expected = format!("{size} bytes from byte {start} on");
+            Error::bad_input(
+                part.path(),
+                "CompressedDataSize",
+                expected,
+                format!("a file of {} bytes", part.len()),
+            )
+            .with_help("the file is cut short")
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,498 @@
+//! NIfTI-1 and NIfTI-2 (neuroimaging): a binary header of 348 or 540 bytes, then the samples, x
+//! fastest.
+//!
+//! ```text
+//!  .nii, .nii.gz    | header | extensions | … samples from vox_offset on |
+//!  .hdr + .img      | header |             | samples from vox_offset on | in the other file; either may be .gz
+//! ```
+//!
+//! `sizeof_hdr`, the first number, is 348 or 540 in the byte order of the file. Fields used:
+//!
+//! | field | NIfTI-1 | NIfTI-2 | |
+//! |---|---|---|---|
+//! | magic | 344 "n+1", "ni1" | 4 "n+2", "ni2" | one file, or a pair |
+//! | `dim` | 40, 8 x i16 | 16, 8 x i64 | number of axes, then x, y, z, t, components … |
+//! | `datatype` | 70, i16 | 12, i16 | |
+//! | `pixdim` | 76, 8 x f32 | 104, 8 x f64 | handedness of the quaternion, then spacings; of t, in any unit |
+//! | `toffset` | 136, f32 | 216, f64 | time of the first frame |
+//! | `vox_offset` | 108, f32 | 168, i64 | |
+//! | `scl_slope`, `scl_inter` | 112, f32 | 176, f64 | value = slope · stored + inter; slope 0: none |
+//! | `qform_code`, `sform_code` | 252, i16 | 344, i32 | above 0: the map to the world is given |
+//! | `quatern_b` … `qoffset_z` | 256, 6 x f32 | 352, 6 x f64 | a rotation and an origin |
+//! | `srow_x` … `srow_z` | 280, 12 x f32 | 400, 12 x f64 | the rows of an affine map |
+//!
+//! The affine map is used where there is one, else the quaternion, else `pixdim` alone (0 means 1).
+//! The frames of a time series are fields "t0", "t1", …. The reader refuses by name: fewer than
+//! three axes, several numbers a sample (vectors, complex, colours), long double.
+//!
+//! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and
+//! `nifti1.h`, `nifti2.h`.
+
+use crate::bytes::{ByteSource, IoMode};
+use crate::error::{Error, Result};
+use crate::exec::CancelToken;
+use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::header::{geometry, scaled_axes};
+use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
+use crate::formats::shared::{Frames, OpenOptions, has_suffix, known_times, pick_field};
+use crate::grid::Geometry;
+use crate::volume::strided::StridedVolume;
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use byteorder::{BE, ByteOrder, LE};
+use std::collections::HashMap;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// NIfTI-1 and NIfTI-2.
+pub(in crate::formats) struct Nifti;
+
+impl Format for Nifti {
+    fn name(&self) -> &'static str {
+        "a NIfTI file"
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &[".nii", ".nii.gz", ".hdr", ".hdr.gz", ".img", ".img.gz"]
+    }
+
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        has_magic(&head.bytes) || has_magic(&head.unzipped())
+    }
+
+    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+        open(path, options)
+    }
+
+    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+        // A name is that of one frame.
+        if options.field.is_some() { Ok(None) } else { frames(path, options).map(Some) }
+    }
+
+    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        let all = OpenOptions { field: None, ..options.clone() };
+        frames(path, &all).map(known_times)
+    }
+
+    fn packed_frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
+        packed_bytes(path, options)
+    }
+}
+
+/// Whether a file that starts so is a NIfTI file or the header of one.
+pub(in crate::formats) fn has_magic(head: &[u8]) -> bool {
+    let is = |at: usize, magic: [&[u8]; 2]| head.get(at..at + 4).is_some_and(|m| magic.contains(&m));
+    is(344, [b"n+1\0", b"ni1\0"]) || is(4, [b"n+2\0", b"ni2\0"])
+}
+
+/// Opens a NIfTI file, or a pair by the name of either file.
+///
+/// # Errors
+/// [`Error::BadInput`] when it is malformed, cut short or of a kind that is not read;
+/// [`Error::Usage`] when it is a time series and no frame is chosen.
+pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let (header, data, offset) = parts(path, options)?;
+    let (scalar, dims, frames) = (header.scalar()?, header.dims()?, header.frames()?);
+    let frame_bytes = sample_bytes(path, dims, scalar)?;
+    let gzip = is_gzip(&data)?;
+    check_size(&data, gzip, offset, frames, frame_bytes)?;
+    let fields = fields(frames, scalar);
+    let frame = pick_field(path, &fields, options.field.as_deref())? as u64;
+    let (slope, intercept) = header.scaling()?;
+    let info = VolumeInfo {
+        path: path.to_path_buf(),
+        format: header.format(header.is_pair()?, gzip),
+        dims,
+        field: fields[frame as usize].clone(),
+        fields,
+        geometry: header.geometry()?,
+        slope,
+        intercept,
+        missing: None,
+        data_files: vec![data.path().to_path_buf()],
+    };
+    let offset = offset + frame * frame_bytes;
+    if gzip {
+        let tail = if frame + 1 == frames { Tail::Nothing } else { Tail::Ignored };
+        let range = 0..data.len();
+        let slabs = ByteSlabs::new(info, &data, range, Codec::Gzip, offset, header.big_endian, tail)?;
+        return Ok(VolumeSource::Stream(Box::new(slabs)));
+    }
+    let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
+    let volume = StridedVolume::new(info, data, offset, header.big_endian, strides)?;
+    Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+/// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]`
+/// for each. None where there is one volume.
+pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
+    let (header, _) = header_of(path, options)?;
+    let frames = header.frames()?;
+    if frames == 1 {
+        return Ok(vec![]);
+    }
+    // Refuses a header that claims more frames than there are, before they are listed.
+    let first = OpenOptions { field: Some("t0".into()), ..options.clone() };
+    open(path, &first)?;
+    let (step, start) = (header.float(76, 104, 4), header.float(136, 216, 0));
+    let known = step > 0.0 && step.is_finite() && start.is_finite();
+    let time = |t: u64| known.then_some(start + t as f64 * step);
+    Ok((0..frames).map(|t| (format!("t{t}"), time(t))).collect())
+}
+
+/// Bytes of the samples of all frames, unpacked, of a gzipped file with several; `None` of other
+/// files.
+pub(in crate::formats) fn packed_bytes(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
+    let names = frames(path, options)?;
+    let VolumeSource::Stream(stream) = open(path, &first_frame(options))? else { return Ok(None) };
+    let info = stream.info();
+    let frame = sample_bytes(path, info.dims, info.field.scalar)?;
+    Ok((names.len() > 1).then(|| frame.saturating_mul(names.len() as u64)))
+}
+
+fn first_frame(options: &OpenOptions) -> OpenOptions {
+    OpenOptions { field: Some("t0".into()), ..options.clone() }
+}
+
+/// The frames of a gzipped file, unpacked into a nameless file: otherwise each frame would be
+/// decoded from the beginning.
+pub struct UnpackedFrames {
+    source: Arc<ByteSource>,
+    /// The description of the first frame.
+    info: VolumeInfo,
+    big_endian: bool,
+}
+
+impl UnpackedFrames {
+    /// Unpacks a file into a folder.
+    ///
+    /// # Errors
+    /// Those of [`open`], and when the file ends too early or too late, or the folder cannot be
+    /// written.
+    pub(in crate::formats) fn new(
+        path: &Path,
+        options: &OpenOptions,
+        folder: &Path,
+        cancel: &CancelToken,
+    ) -> Result<Self> {
+        let info = open(path, &first_frame(options))?.info().clone();
+        let (header, data, offset) = parts(path, options)?;
+        let frames = header.frames()?;
+        let needed = sample_bytes(path, info.dims, info.field.scalar)?.saturating_mul(frames);
+        let mut packed = Codec::Gzip.reader(&data, 0..data.len())?;
+        let short = |got: String| {
+            let expected = format!("{frames} frames, {needed} bytes from byte {offset} on");
+            Error::bad_input(data.path(), "samples", expected, got)
+        };
+        let read = |e: std::io::Error| short(e.to_string());
+        let skipped = std::io::copy(&mut packed.by_ref().take(offset), &mut std::io::sink()).map_err(read)?;
+        let failed = |e| Error::io("write a temporary file in", folder, e);
+        let mut out = BufWriter::with_capacity(1 << 18, tempfile::tempfile_in(folder).map_err(failed)?);
+        let (mut left, mut buffer) = (needed, vec![0; 1 << 20]);
+        while left > 0 {
+            cancel.check()?;
+            let want = left.min(buffer.len() as u64) as usize;
+            let n = packed.read(&mut buffer[..want]).map_err(read)?;
+            if n == 0 {
+                return Err(short(format!("{} bytes", skipped + needed - left)));
+            }
+            out.write_all(&buffer[..n]).map_err(failed)?;
+            left -= n as u64;
+        }
+        // Read to the end, because the checksum of all is there.
+        match packed.read(&mut buffer[..1]).map_err(read)? {
+            0 => {}
+            _ => return Err(short("more".into())),
+        }
+        let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
+        let source = Arc::new(ByteSource::of_file(folder, file, IoMode::Map)?);
+        Ok(Self { source, info, big_endian: header.big_endian })
+    }
+
+    /// A frame by the name of its field.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when there is none of that name.
+    pub fn open(&self, name: &str) -> Result<Box<dyn VolumeReader>> {
+        let frame = pick_field(&self.info.path, &self.info.fields, Some(name))?;
+        let info = VolumeInfo { field: self.info.fields[frame].clone(), ..self.info.clone() };
+        let bytes = sample_bytes(&info.path, info.dims, info.field.scalar)?;
+        let strides =
+            StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
+        let at = frame as u64 * bytes;
+        Ok(Box::new(StridedVolume::new(info, self.source.clone(), at, self.big_endian, strides)?))
+    }
+}
+
+fn is_gzip(source: &ByteSource) -> Result<bool> {
+    Ok(source.slice(0..source.len().min(2))? == [0x1f, 0x8b])
+}
+
+/// The header of a file, or of a pair by the name of either file; and the file that it is in.
+fn header_of(path: &Path, options: &OpenOptions) -> Result<(Header, Arc<ByteSource>)> {
+    let file =
+        if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
+    let source = Arc::new(ByteSource::open(&file, options.io)?);
+    Ok((Header::parse(&source)?, source))
+}
+
+/// The header, the file of the samples, and where in it, unpacked, they begin.
+fn parts(path: &Path, options: &OpenOptions) -> Result<(Header, Arc<ByteSource>, u64)> {
+    let (header, source) = header_of(path, options)?;
+    let pair = header.is_pair()?;
+    let data = if pair { Arc::new(ByteSource::open(partner(path, "img")?, options.io)?) } else { source };
+    let offset = header.offset(pair)?;
+    Ok((header, data, offset))
+}
+
+/// The other file of a pair: `wanted` is "hdr" or "img"; compressed or not.
+fn partner(path: &Path, wanted: &str) -> Result<PathBuf> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let gz = if name.to_ascii_lowercase().ends_with(".gz") { &name[..name.len() - 3] } else { &name };
+    let stem = if has_suffix(Path::new(gz), &[".hdr", ".img"]) { &gz[..gz.len() - 4] } else { gz };
+    // The partner is most likely compressed like the file named.
+    let mut endings = ["", ".gz"];
+    if gz.len() < name.len() {
+        endings.reverse();
+    }
+    let names = endings.map(|e| format!("{stem}.{wanted}{e}"));
+    let found = names.iter().map(|n| path.with_file_name(n)).find(|p| p.exists());
+    found.ok_or_else(|| {
+        let expected = format!("the other file of the pair, {} or {}", names[0], names[1]);
+        Error::bad_input(path, "file", expected, "neither").with_help("put it into the same folder")
+    })
+}
+
+/// Refuses a header that claims more than the file can hold, before its frames are listed.
+fn check_size(data: &ByteSource, gzip: bool, offset: u64, frames: u64, frame_bytes: u64) -> Result<()> {
+    // See `stream`: deflate never decodes to more than 1032 times its size.
+    let most = if gzip { data.len().saturating_mul(1032) } else { data.len() };
+    let needed = frames.checked_mul(frame_bytes).and_then(|n| n.checked_add(offset));
+    if needed.is_some_and(|n| n <= most) {
+        return Ok(());
+    }
+    let expected = format!("{frames} frame(s) of {frame_bytes} bytes from byte {offset} on");
+    let got = format!("a file of {} bytes", data.len());
+    Err(Error::bad_input(data.path(), "samples", expected, got)
+        .with_help("the file is cut short, or its dimensions or type are wrong"))
+}
+
+fn fields(frames: u64, scalar: ScalarType) -> Vec<FieldInfo> {
+    let one = |name: String| FieldInfo { name, scalar, components: 1 };
+    if frames == 1 { vec![one("data".into())] } else { (0..frames).map(|t| one(format!("t{t}"))).collect() }
+}
+
+/// The header's bytes, and how to read them.
+struct Header {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    big_endian: bool,
+    /// 1 or 2.
+    version: u8,
+}
+
+impl Header {
+    const BYTES: [usize; 2] = [348, 540];
+
+    fn parse(source: &Arc<ByteSource>) -> Result<Self> {
+        let mut bytes = vec![];
+        let reader: Box<dyn Read> = if is_gzip(source)? {
+            Codec::Gzip.reader(source, 0..source.len())?
+        } else {
+            Box::new(source.reader(0..source.len())?)
+        };
+        let read = reader.take(Self::BYTES[1] as u64).read_to_end(&mut bytes);
+        let path = source.path().to_path_buf();
+        let both = bytes.get(..4).map_or([0; 2], |first| [LE::read_i32(first), BE::read_i32(first)]);
+        let known = [(348, 1), (540, 2)].into_iter().find_map(|(size, version)| {
+            let order = both.iter().position(|&s| s == size)?;
+            Some((version, order == 1))
+        });
+        let Some((version, big_endian)) = known else {
+            if let Err(e) = read {
+                return Err(Error::bad_input(path, "header", "good gzip data", e.to_string()));
+            }
+            let got = format!("{} (or {})", both[0], both[1]);
+            return Err(Error::bad_input(path, "sizeof_hdr, byte 0", "348 (NIfTI-1) or 540 (NIfTI-2)", got)
+                .with_help("this is no NIfTI file"));
+        };
+        let size = Self::BYTES[version as usize - 1];
+        if bytes.len() < size {
+            let got = read.err().map_or_else(|| format!("{} bytes", bytes.len()), |e| e.to_string());
+            return Err(Error::bad_input(path, "header", format!("{size} bytes"), got)
+                .with_help("the file is cut short or damaged"));
+        }
+        bytes.truncate(size);
+        Ok(Self { path, bytes, big_endian, version })
+    }
+
+    /// An integer: `at` and bytes of the field in version 1 and in version 2.
+    fn integer(&self, one: (usize, usize), two: (usize, usize)) -> i64 {
+        let (at, size) = if self.version == 1 { one } else { two };
+        let field = &self.bytes[at..at + size];
+        if self.big_endian { BE::read_int(field, size) } else { LE::read_int(field, size) }
+    }
+
+    /// The `i`-th float of a field that has `f32`s at `one` in version 1, `f64`s at `two` in
+    /// version 2.
+    fn float(&self, one: usize, two: usize, i: usize) -> f64 {
+        let field = &self.bytes[if self.version == 1 { one + 4 * i } else { two + 8 * i }..];
+        match (self.version, self.big_endian) {
+            (1, false) => LE::read_f32(field).into(),
+            (1, true) => BE::read_f32(field).into(),
+            (_, false) => LE::read_f64(field),
+            (_, true) => BE::read_f64(field),
+        }
+    }
+
+    fn bad(&self, at: &str, expected: &str, got: impl Into<String>) -> Error {
+        Error::bad_input(&self.path, at, expected, got)
+    }
+
+    fn is_pair(&self) -> Result<bool> {
+        let at = if self.version == 1 { 344 } else { 4 };
+        match (&self.bytes[at..at + 3], self.bytes[at + 3]) {
+            (b"n+1" | b"n+2", 0) => Ok(false),
+            (b"ni1" | b"ni2", 0) if has_suffix(&self.path, &[".hdr", ".hdr.gz"]) => Ok(true),
+            (b"ni1" | b"ni2", 0) => {
+                Err(self.bad("name", ".hdr, beside an .img", "a header of a pair by another name"))
+            }
+            (magic, _) => Err(self
+                .bad("magic", "n+1, ni1, n+2 or ni2", String::from_utf8_lossy(magic))
+                .with_help("an Analyze 7.5 file? write it as NIfTI: it does not tell its orientation")),
+        }
+    }
+
+    fn dim(&self, axis: usize) -> i64 {
+        self.integer((40 + 2 * axis, 2), (16 + 8 * axis, 8))
+    }
+
+    fn dims(&self) -> Result<[u64; 3]> {
+        let axes = self.dim(0);
+        if !(3..=7).contains(&axes) {
+            return Err(self
+                .bad("dim[0]", "3 axes, or 4 for a time series", format!("{axes}"))
+                .with_help("only volumes are read"));
+        }
+        let mut dims = [0; 3];
+        for (a, dim) in dims.iter_mut().enumerate() {
+            let n = self.dim(a + 1);
+            *dim = u64::try_from(n).map_err(|_| self.bad("dim", "positive numbers", n.to_string()))?;
+        }
+        Ok(dims)
+    }
+
+    /// Frames of a time series, 1 for a single volume.
+    fn frames(&self) -> Result<u64> {
+        let axes = self.dim(0) as usize;
+        if let Some(a) = (5..=axes).find(|&a| self.dim(a) != 1) {
+            return Err(self
+                .bad(&format!("dim[{a}]"), "1: one number a sample", self.dim(a).to_string())
+                .with_help("vectors and tensors are not read; write one component to a file of its own"));
+        }
+        let frames = if axes >= 4 { self.dim(4) } else { 1 };
+        u64::try_from(frames)
+            .ok()
+            .filter(|&n| n > 0)
+            .ok_or_else(|| self.bad("dim[4]", "1 frame or more", frames.to_string()))
+    }
+
+    fn scalar(&self) -> Result<ScalarType> {
+        let code = self.integer((70, 2), (12, 2));
+        let name = match code {
+            2 => return Ok(ScalarType::U8),
+            4 => return Ok(ScalarType::I16),
+            8 => return Ok(ScalarType::I32),
+            16 => return Ok(ScalarType::F32),
+            64 => return Ok(ScalarType::F64),
+            256 => return Ok(ScalarType::I8),
+            512 => return Ok(ScalarType::U16),
+            768 => return Ok(ScalarType::U32),
+            1024 => return Ok(ScalarType::I64),
+            1280 => return Ok(ScalarType::U64),
+            1 => "bits",
+            32 | 1792 | 2048 => "complex numbers",
+            128 => "RGB colours",
+            2304 => "RGBA colours",
+            1536 => "long double",
+            _ => "unknown",
+        };
+        let expected = "an integer of 8 to 64 bits, float or double";
+        Err(self.bad("datatype", expected, format!("{code} ({name})")).with_help("write one number a sample"))
+    }
+
+    fn offset(&self, pair: bool) -> Result<u64> {
+        let offset =
+            if self.version == 1 { self.float(108, 0, 0) } else { self.integer((0, 2), (168, 8)) as f64 };
+        let least = match (pair, self.version) {
+            (true, _) => 0.0,
+            (false, 1) => 352.0,
+            (false, _) => 544.0,
+        };
+        if offset >= least && offset < 1e15 && offset.fract() == 0.0 {
+            return Ok(offset as u64);
+        }
+        Err(self.bad("vox_offset", &format!("a whole number of bytes, at least {least}"), offset.to_string()))
+    }
+
+    fn scaling(&self) -> Result<(f64, f64)> {
+        let (slope, intercept) = (self.float(112, 176, 0), self.float(116, 184, 0));
+        if slope == 0.0 || !slope.is_finite() {
+            return Ok((1.0, 0.0));
+        }
+        if !intercept.is_finite() {
+            return Err(self.bad("scl_inter", "a finite number", intercept.to_string()));
+        }
+        Ok((slope, intercept))
+    }
+
+    fn geometry(&self) -> Result<Geometry> {
+        let (qform, sform) = (self.integer((252, 2), (344, 4)), self.integer((254, 2), (348, 4)));
+        let pixdim: [f64; 3] = std::array::from_fn(|a| self.float(76, 104, a + 1));
+        let spacing = pixdim.map(|p| if p == 0.0 { 1.0 } else { p.abs() });
+        if sform > 0 {
+            let row = |r: usize, c: usize| self.float(280, 400, 4 * r + c);
+            let columns = std::array::from_fn(|c| std::array::from_fn(|r| row(r, c)));
+            return geometry(&self.path, "srow_x to srow_z", std::array::from_fn(|r| row(r, 3)), columns);
+        }
+        if qform <= 0 {
+            return geometry(&self.path, "pixdim", [0.0; 3], scaled_axes(spacing));
+        }
+        let rotation = self.rotation();
+        // The sign of pixdim[0] says whether the third axis completes a right-handed triple.
+        let hand = if self.float(76, 104, 0) < 0.0 { -1.0 } else { 1.0 };
+        let scale = [spacing[0], spacing[1], hand * spacing[2]];
+        let columns = std::array::from_fn(|a| std::array::from_fn(|r| rotation[r][a] * scale[a]));
+        geometry(
+            &self.path,
+            "quatern_b to qoffset_z",
+            std::array::from_fn(|r| self.float(256, 352, 3 + r)),
+            columns,
+        )
+    }
+
+    /// The rotation of the unit quaternion (a, b, c, d); the file has b, c, d.
+    fn rotation(&self) -> [[f64; 3]; 3] {
+        let [mut b, mut c, mut d] = std::array::from_fn(|i| self.float(256, 352, i));
+        let squares = b * b + c * c + d * d;
+        let a = if squares < 1.0 { (1.0 - squares).sqrt() } else { 0.0 };
+        if squares > 1.0 {
+            // Rounding of a half turn.
+            let norm = squares.sqrt();
+            (b, c, d) = (b / norm, c / norm, d / norm);
+        }
+        [
+            [a * a + b * b - c * c - d * d, 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)],
+            [2.0 * (b * c + a * d), a * a + c * c - b * b - d * d, 2.0 * (c * d - a * b)],
+            [2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a + d * d - b * b - c * c],
+        ]
+    }
+
+    fn format(&self, pair: bool, gzip: bool) -> String {
+        let kind = if pair { "header and image" } else { "one file" };
+        format!("NIfTI-{} ({kind}{})", self.version, if gzip { ", gzip" } else { "" })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,30 @@
+//! HDF5 and NetCDF-4 in a program that does not read them.
+
+use crate::error::{Error, Result};
+use crate::formats::shared::OpenOptions;
+use crate::formats::shared::format::{Format, Head};
+use crate::volume::VolumeSource;
+use std::path::Path;
+
+/// HDF5 and NetCDF-4.
+pub(in crate::formats) struct Hdf5;
+
+impl Format for Hdf5 {
+    fn name(&self) -> &'static str {
+        "an HDF5 or NetCDF-4 file"
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        head.bytes.starts_with(b"\x89HDF\r\n\x1a\n")
+    }
+
+    fn volume(&self, path: &Path, _: &OpenOptions) -> Result<VolumeSource> {
+        let got = "an HDF5 or NetCDF-4 file, and a program built without the feature hdf5";
+        Err(Error::bad_input(path, "kind of file", "a format that this program reads", got)
+            .with_help("install it with `--features hdf5`"))
+    }
+}

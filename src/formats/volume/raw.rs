@@ -1,0 +1,165 @@
+//! Headerless files, whose layout the user gives.
+//!
+//! ```text
+//! byte 0        offset                                 end of file
+//!      | skipped | x fastest, then y, then z; no gaps  |
+//! ```
+//!
+//! The file must end with the last sample: a file of another length means that the dimensions or
+//! the type are wrong, and a wrong volume would look almost right. A gzip file (`.raw.gz`) is read
+//! as a stream, `offset` counting decoded bytes.
+
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::formats::shared::header::{geometry, plain_info, scaled_axes};
+use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
+use crate::formats::shared::{OpenOptions, RawLayout, pick_field};
+use crate::volume::strided::StridedVolume;
+use crate::volume::{ScalarType, VolumeSource};
+use std::path::Path;
+use std::sync::Arc;
+
+/// A type of samples, with the byte order where its name states one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SampleType {
+    /// The type.
+    pub scalar: ScalarType,
+    /// Whether samples are big-endian, where the name says so.
+    pub big_endian: Option<bool>,
+}
+
+impl SampleType {
+    /// The type of a name of NumPy: "uint16", or with the byte order "<u2", ">f4", "|u1".
+    ///
+    /// "u8" and "i8" without byte order are no names: NumPy means eight bytes, others eight bits.
+    pub fn from_name(name: &str) -> Option<Self> {
+        let (order, code) = name.split_at_checked(1)?;
+        let big_endian = match order {
+            "<" => Some(false),
+            ">" => Some(true),
+            "|" => None,
+            _ => return ScalarType::from_name(name).map(|scalar| Self { scalar, big_endian: None }),
+        };
+        let found = ScalarType::from_code(code).map(|scalar| Self { scalar, big_endian });
+        found.filter(|t| t.big_endian.is_some() || t.scalar.bytes() == 1)
+    }
+}
+
+/// Opens a headerless file.
+///
+/// # Errors
+/// [`Error::Usage`] without a layout, or with one that makes no sense; [`Error::BadInput`] when the
+/// file's length is not that of the layout.
+pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let layout = options.raw.as_ref().ok_or_else(|| no_layout(path))?;
+    if !layout.spacing.iter().all(|&s| s > 0.0 && s.is_finite()) {
+        let [x, y, z] = layout.spacing;
+        return Err(Error::usage(format!("--spacing {x},{y},{z}: every spacing must be a positive number")));
+    }
+    let geometry = geometry(path, "--spacing", [0.0; 3], scaled_axes(layout.spacing))?;
+    let needed = sample_bytes(path, layout.dims, layout.scalar)?;
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let gzip = source.len() > 2 && source.slice(0..2)? == [0x1f, 0x8b] && has_extension(path, "gz");
+    let format = if gzip { "raw (gzip)" } else { "raw" };
+    let info = plain_info(path, format, layout.dims, layout.scalar, geometry);
+    pick_field(path, &info.fields, options.field.as_deref())?;
+    if gzip {
+        let range = 0..source.len();
+        let slabs = ByteSlabs::new(
+            info,
+            &source,
+            range,
+            Codec::Gzip,
+            layout.offset,
+            layout.big_endian,
+            Tail::Nothing,
+        )?;
+        return Ok(VolumeSource::Stream(Box::new(slabs)));
+    }
+    if layout.offset.checked_add(needed) != Some(source.len()) {
+        return Err(wrong_length(path, layout, needed, source.len()));
+    }
+    let strides = StridedVolume::packed_strides(layout.dims, layout.scalar).expect("fewer than 2^63 bytes");
+    let volume = StridedVolume::new(info, source, layout.offset, layout.big_endian, strides)?;
+    Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+/// The error for a file whose layout must be given.
+pub(in crate::formats) fn no_layout(path: &Path) -> Error {
+    Error::usage(format!(
+        "{}: a headerless file: give its layout with --dims X,Y,Z --type TYPE, as in uint16 or float32 \
+         (and, where they differ from the defaults, --endian big, --offset BYTES, --spacing X,Y,Z)",
+        path.display()
+    ))
+}
+
+fn wrong_length(path: &Path, layout: &RawLayout, needed: u64, got: u64) -> Error {
+    let ([x, y, z], offset) = (layout.dims, layout.offset);
+    let expected = format!(
+        "{} bytes: {offset} to skip, then {needed} for {x} x {y} x {z} samples of {}",
+        u128::from(offset) + u128::from(needed),
+        layout.scalar.name()
+    );
+    Error::bad_input(path, "length of the file", expected, format!("{got} bytes"))
+        .with_help("give the right --dims, --type and --offset")
+}
+
+fn has_extension(path: &Path, wanted: &str) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(wanted))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::open_volume;
+    use crate::formats::tests::{gzip, ramp, read_all, write};
+
+    fn layout() -> RawLayout {
+        RawLayout {
+            dims: [4, 3, 2],
+            scalar: ScalarType::U16,
+            big_endian: true,
+            offset: 3,
+            spacing: [1.0, 2.0, 0.5],
+        }
+    }
+
+    fn options(raw: RawLayout) -> OpenOptions {
+        OpenOptions { raw: Some(raw), ..OpenOptions::default() }
+    }
+
+    fn bytes() -> Vec<u8> {
+        [&[7; 3][..], &ramp(true)].concat()
+    }
+
+    #[test]
+    fn axis_order_type_and_offset() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, content) in [("a.raw", bytes()), ("a.raw.gz", gzip(&bytes()))] {
+            let path = write(&dir, name, &content);
+            let (info, values) = read_all(open_volume(&path, &options(layout())).unwrap());
+            assert_eq!((info.dims, info.geometry.spacing), ([4, 3, 2], [1.0, 2.0, 0.5]));
+            assert_eq!(values, (0..24).map(|i| (1000 + i) as f32).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn wrong_layouts_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = write(&dir, "a.raw", &bytes());
+        let code = |o: &OpenOptions| match open_volume(&path, o) {
+            Ok(_) => 0,
+            Err(e) => e.exit_code(),
+        };
+        assert_eq!(code(&OpenOptions::default()), 2);
+        assert_eq!(code(&options(RawLayout { spacing: [1.0, -1.0, 1.0], ..layout() })), 2);
+        assert_eq!(code(&OpenOptions { field: Some("x".into()), ..options(layout()) }), 2);
+        assert_eq!(code(&OpenOptions { field: Some("data".into()), ..options(layout()) }), 0);
+        let big = u64::MAX;
+        for (dims, offset) in
+            [([4, 3, 2], 2), ([4, 3, 2], 4), ([4, 3, 2], big), ([3, 3, 2], 3), ([big; 3], 0), ([0, 3, 2], 3)]
+        {
+            assert_eq!(code(&options(RawLayout { dims, offset, ..layout() })), 5, "{dims:?} {offset}");
+        }
+    }
+}

@@ -1,0 +1,484 @@
+use super::*;
+use crate::formats::open_volume;
+use crate::formats::tests::{read_all, survives, torture, write};
+use crate::grid::IndexBox;
+use crate::volume::ScalarType;
+use std::io::Write;
+
+/// How a page is written.
+#[derive(Clone, Copy)]
+struct Style {
+    big_endian: bool,
+    big: bool,
+    compression: u64,
+    predictor: u64,
+    tile: Option<[usize; 2]>,
+    rows_per_strip: usize,
+}
+
+const PLAIN: Style =
+    Style { big_endian: false, big: false, compression: 1, predictor: 1, tile: None, rows_per_strip: 2 };
+
+/// A TIFF file of pages of `dims` samples; a page's samples are little-endian.
+struct Writer {
+    style: Style,
+    bytes: Vec<u8>,
+    /// Where the place of the next directory belongs.
+    link: usize,
+}
+
+impl Writer {
+    fn new(style: Style) -> Self {
+        let mut w = Self { style, bytes: if style.big_endian { b"MM" } else { b"II" }.to_vec(), link: 0 };
+        w.push(if style.big { 43 } else { 42 }, 2);
+        if style.big {
+            w.push(8, 2);
+            w.push(0, 2);
+        }
+        w.link = w.bytes.len();
+        w.push(0, w.wide());
+        w
+    }
+
+    fn wide(&self) -> usize {
+        if self.style.big { 8 } else { 4 }
+    }
+
+    fn number(&self, value: u64, size: usize) -> Vec<u8> {
+        if self.style.big_endian {
+            value.to_be_bytes()[8 - size..].to_vec()
+        } else {
+            value.to_le_bytes()[..size].to_vec()
+        }
+    }
+
+    fn push(&mut self, value: u64, size: usize) {
+        let bytes = self.number(value, size);
+        self.bytes.extend(bytes);
+    }
+
+    /// Strips or tiles of a page, encoded.
+    fn parts(&self, dims: [usize; 2], size: usize, samples: &[u8]) -> Vec<Vec<u8>> {
+        let [w, h] = self.style.tile.unwrap_or([dims[0], self.style.rows_per_strip]);
+        let mut parts = vec![];
+        for (y0, x0) in (0..dims[1]).step_by(h).flat_map(|y| (0..dims[0]).step_by(w).map(move |x| (y, x))) {
+            let rows = if self.style.tile.is_some() { h } else { h.min(dims[1] - y0) };
+            let mut part = vec![];
+            for (y, x) in (y0..y0 + rows).flat_map(|y| (x0..x0 + w).map(move |x| (y, x))) {
+                let at = (y.min(dims[1] - 1) * dims[0] + x.min(dims[0] - 1)) * size;
+                part.extend_from_slice(&samples[at..at + size]);
+            }
+            part.chunks_exact_mut(w * size).for_each(|row| self.predict(row, size));
+            parts.push(compress(self.style.compression, &part));
+        }
+        parts
+    }
+
+    fn predict(&self, row: &mut [u8], size: usize) {
+        let get = |s: &[u8]| s.iter().rev().fold(0u64, |n, &b| n << 8 | u64::from(b));
+        match self.style.predictor {
+            3 => {
+                let (old, count) = (row.to_vec(), row.len() / size);
+                for (i, byte) in row.iter_mut().enumerate() {
+                    *byte = old[i % count * size + size - 1 - i / count];
+                }
+                for i in (1..row.len()).rev() {
+                    row[i] = row[i].wrapping_sub(row[i - 1]);
+                }
+                return;
+            }
+            2 => {
+                for i in (1..row.len() / size).rev() {
+                    let diff =
+                        get(&row[i * size..][..size]).wrapping_sub(get(&row[(i - 1) * size..][..size]));
+                    row[i * size..][..size].copy_from_slice(&diff.to_le_bytes()[..size]);
+                }
+            }
+            _ => {}
+        }
+        if self.style.big_endian {
+            crate::volume::strided::swap_bytes(row, size);
+        }
+    }
+
+    fn page(&mut self, dims: [usize; 2], scalar: ScalarType, samples: &[u8], more: &[(u16, u16, Vec<u8>)]) {
+        let size = scalar.bytes();
+        let parts = self.parts(dims, size, samples);
+        let places: Vec<u64> = parts
+            .iter()
+            .map(|p| {
+                let at = self.bytes.len() as u64;
+                self.bytes.extend(p);
+                at
+            })
+            .collect();
+        let wide = self.wide();
+        let short = |v: u64| self.number(v, 2);
+        let long = |v: u64| self.number(v, 4);
+        let list = |v: Vec<u64>| v.into_iter().flat_map(|n| self.number(n, wide)).collect::<Vec<u8>>();
+        let format = match scalar.name().as_bytes()[0] {
+            b'u' => 1,
+            b'i' => 2,
+            _ => 3,
+        };
+        let wide_kind = if wide == 8 { 16 } else { 4 };
+        let lengths = parts.iter().map(|p| p.len() as u64).collect();
+        let mut tags = vec![
+            (256, 4, long(dims[0] as u64)),
+            (257, 4, long(dims[1] as u64)),
+            (258, 3, short(8 * size as u64)),
+            (259, 3, short(self.style.compression)),
+            (262, 3, short(1)),
+            (277, 3, short(1)),
+            (317, 3, short(self.style.predictor)),
+            (339, 3, short(format)),
+        ];
+        match self.style.tile {
+            Some([w, h]) => tags.extend([
+                (322, 3, short(w as u64)),
+                (323, 3, short(h as u64)),
+                (324, wide_kind, list(places)),
+                (325, wide_kind, list(lengths)),
+            ]),
+            None => tags.extend([
+                (273, wide_kind, list(places)),
+                (278, 3, short(self.style.rows_per_strip as u64)),
+                (279, wide_kind, list(lengths)),
+            ]),
+        }
+        tags.retain(|t| more.iter().all(|m| m.0 != t.0));
+        tags.extend(more.iter().cloned());
+        tags.sort_by_key(|t| t.0);
+        self.directory(&tags);
+    }
+
+    fn directory(&mut self, tags: &[(u16, u16, Vec<u8>)]) {
+        let wide = self.wide();
+        let mut entries = vec![];
+        for (tag, kind, values) in tags {
+            let size = match kind {
+                3 => 2,
+                4 => 4,
+                5 | 16 => 8,
+                _ => 1,
+            };
+            entries.extend(self.number(u64::from(*tag), 2));
+            entries.extend(self.number(u64::from(*kind), 2));
+            entries.extend(self.number((values.len() / size) as u64, wide));
+            let mut inline = values.clone();
+            if values.len() > wide {
+                inline = self.number(self.bytes.len() as u64, wide);
+                self.bytes.extend(values);
+            }
+            inline.resize(wide, 0);
+            entries.extend(inline);
+        }
+        let at = self.number(self.bytes.len() as u64, wide);
+        self.bytes[self.link..self.link + wide].copy_from_slice(&at);
+        self.push(tags.len() as u64, if wide == 8 { 8 } else { 2 });
+        self.bytes.extend(entries);
+        self.link = self.bytes.len();
+        self.push(0, wide);
+    }
+}
+
+fn compress(how: u64, bytes: &[u8]) -> Vec<u8> {
+    match how {
+        5 => weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8).encode(bytes).unwrap(),
+        8 => {
+            let mut z = flate2::write::ZlibEncoder::new(vec![], flate2::Compression::fast());
+            z.write_all(bytes).unwrap();
+            z.finish().unwrap()
+        }
+        32773 => bytes.chunks(100).flat_map(|c| [&[c.len() as u8 - 1][..], c].concat()).collect(),
+        50000 => zstd::bulk::compress(bytes, 1).unwrap(),
+        _ => bytes.to_vec(),
+    }
+}
+
+/// Sample (x, y, z) is 100 z + 10 y + x + 3, of any type.
+fn slice(dims: [usize; 2], scalar: ScalarType, z: usize) -> Vec<u8> {
+    let mut out = vec![];
+    for (y, x) in (0..dims[1]).flat_map(|y| (0..dims[0]).map(move |x| (y, x))) {
+        let text = (100 * z + 10 * y + x + 3).to_string();
+        assert!(crate::formats::shared::stream::push_number(text.as_bytes(), scalar, &mut out));
+    }
+    out
+}
+
+const DIMS: [usize; 2] = [7, 5];
+
+fn pages(style: Style, scalar: ScalarType, count: usize, more: &[(u16, u16, Vec<u8>)]) -> Vec<u8> {
+    let mut w = Writer::new(style);
+    for z in 0..count {
+        w.page(DIMS, scalar, &slice(DIMS, scalar, z), if z == 0 { more } else { &[] });
+    }
+    w.bytes
+}
+
+fn expected(count: usize) -> Vec<f32> {
+    let value = |i: usize| (100 * (i / 35) + 10 * (i / 7 % 5) + i % 7 + 3) as f32;
+    (0..35 * count).map(value).collect()
+}
+
+fn open_ok(path: &Path) -> (VolumeInfo, Vec<f32>) {
+    read_all(open_volume(path, &OpenOptions::default()).unwrap())
+}
+
+fn refusal(path: &Path) -> String {
+    let error = match open_volume(path, &OpenOptions::default()) {
+        Ok(source) => crate::formats::tests::try_read_all(source).expect_err("refused"),
+        Err(e) => e,
+    };
+    assert_eq!(error.exit_code(), 5, "{error}");
+    error.to_string()
+}
+
+#[test]
+fn every_way_of_writing_gives_the_same_samples() {
+    let dir = tempfile::tempdir().unwrap();
+    for (big_endian, big) in [(false, false), (true, false), (false, true), (true, true)] {
+        for (compression, tile, rows) in [
+            (1, None, 5),
+            (1, None, 2),
+            (1, Some([4, 3]), 0),
+            (5, None, 2),
+            (8, None, 3),
+            (8, Some([16, 16]), 0),
+            (32773, None, 5),
+            (50000, Some([2, 4]), 0),
+        ] {
+            for (scalar, predictor) in [
+                (ScalarType::U16, 1),
+                (ScalarType::I32, 2),
+                (ScalarType::F32, 3),
+                (ScalarType::F64, 3),
+                (ScalarType::U64, 2),
+            ] {
+                let predictor = if compression == 1 && tile.is_none() { 1 } else { predictor };
+                let style = Style { big_endian, big, compression, predictor, tile, rows_per_strip: rows };
+                let path = write(&dir, "a.tif", &pages(style, scalar, 3, &[]));
+                let source = open_volume(&path, &OpenOptions::default()).unwrap();
+                let mapped = matches!(source, VolumeSource::Random(_));
+                assert_eq!(mapped, compression == 1 && tile.is_none(), "mapped exactly where it can be");
+                let (info, values) = read_all(source);
+                assert_eq!((info.dims, info.field.scalar), ([7, 5, 3], scalar));
+                assert_eq!(values, expected(3), "{compression} {tile:?} {scalar:?} {big_endian} {big}");
+            }
+        }
+    }
+}
+
+#[test]
+fn rows_of_a_page_begin_anywhere() {
+    for (tile, rows_per_strip) in [(None, 2), (Some([4, 3]), 0), (Some([16, 16]), 0)] {
+        let style = Style { compression: 8, tile, rows_per_strip, ..PLAIN };
+        let bytes = pages(style, ScalarType::U16, 2, &[]);
+        let tiff = Tiff::open(Arc::new(ByteSource::from_vec("a.tif", bytes))).unwrap();
+        let page = Page::parse(&tiff, tiff.places().unwrap()[1]).unwrap();
+        let all = slice(DIMS, ScalarType::U16, 1);
+        for (y0, y1) in (0..5).flat_map(|y0| (y0 + 1..=5).map(move |y1| (y0, y1))) {
+            let mut out = vec![];
+            page.rows(&tiff, y0 as u64, y1 as u64, &mut out).unwrap();
+            assert_eq!(out, all[y0 * 14..y1 * 14], "{y0} to {y1}, {tile:?}");
+        }
+    }
+}
+
+#[test]
+fn all_types_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    for scalar in ScalarType::ALL {
+        let count = if scalar.bytes() == 1 { 1 } else { 2 };
+        let mut style = PLAIN;
+        for compression in [1, 8] {
+            style.compression = compression;
+            let one = pages(style, scalar, count, &[]);
+            for z in 0..2 {
+                write(&dir, &format!("s{z}.tif"), &one);
+            }
+            if count == 1 {
+                let (info, values) = open_ok(dir.path());
+                assert_eq!((info.dims, info.field.scalar), ([7, 5, 2], scalar));
+                assert_eq!(values, [expected(1), expected(1)].concat());
+            } else {
+                assert_eq!(open_ok(&dir.path().join("s0.tif")).1, expected(2));
+            }
+        }
+    }
+}
+
+#[test]
+fn slices_of_a_folder_or_a_pattern() {
+    let dir = tempfile::tempdir().unwrap();
+    for compression in [1, 5] {
+        for z in 0..12 {
+            let style = Style { compression, big_endian: true, ..PLAIN };
+            let mut w = Writer::new(style);
+            w.page(DIMS, ScalarType::U16, &slice(DIMS, ScalarType::U16, z), &[]);
+            write(&dir, &format!("slice_{z}.TIF"), &w.bytes);
+        }
+        for path in [dir.path().to_path_buf(), dir.path().join("sl*_*.TIF")] {
+            let (info, values) = open_ok(&path);
+            assert_eq!((info.dims, &info.path), ([7, 5, 12], &path));
+            assert_eq!(values, expected(12));
+            assert_eq!(info.files(), info.data_files);
+            assert!(info.files().len() == 12 && info.files()[10].ends_with("slice_10.TIF"));
+        }
+        assert_eq!(open_ok(&dir.path().join("slice_?.TIF")).0.dims, [7, 5, 10]);
+    }
+    std::fs::remove_file(dir.path().join("slice_5.TIF")).unwrap();
+    assert!(refusal(dir.path()).contains("1 missing: 5;"));
+    assert!(refusal(&dir.path().join("none_*")).contains("pattern"));
+    write(&dir, "slice_5.TIF", &pages(PLAIN, ScalarType::U16, 1, &[]));
+    assert_eq!(open_ok(dir.path()).0.dims, [7, 5, 12], "a slice may be stored in another way");
+    write(&dir, "slice_5.TIF", &pages(PLAIN, ScalarType::U8, 1, &[]));
+    let line = refusal(dir.path());
+    assert!(
+        line.contains("slice_5.TIF")
+            && line.contains("7 x 5 samples of uint16, as in the first one, got 7 x 5 samples of uint8"),
+        "{line}"
+    );
+    write(&dir, "slice_5.TIF", &pages(PLAIN, ScalarType::U16, 2, &[]));
+    assert!(refusal(dir.path()).contains("several"));
+}
+
+#[test]
+fn long_stacks_keep_few_files_open() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut w = Writer::new(PLAIN);
+    w.page(DIMS, ScalarType::U16, &slice(DIMS, ScalarType::U16, 0), &[]);
+    let first = write(&dir, "s_0.tif", &w.bytes);
+    for z in 1..900 {
+        std::fs::hard_link(&first, dir.path().join(format!("s_{z}.tif"))).unwrap();
+    }
+    let files = crate::formats::volume::stack::in_folder(dir.path(), &SUFFIXES).unwrap();
+    let (tiff, page) = only_page(&first, IoMode::Read).unwrap();
+    let options = OpenOptions { io: IoMode::Read, ..OpenOptions::default() };
+    let info = info(dir.path(), "TIFF (stack", &tiff, &page, 900, &options).unwrap();
+    let at = page.in_place().unwrap();
+    let volume = SliceFiles::new(info, files, vec![at; 900], false, IoMode::Read);
+    let whole = IndexBox::whole([7, 5, 900]);
+    let mut values = vec![0.0; whole.len()];
+    for _ in 0..2 {
+        crate::volume::VolumeReader::read_box(&volume, whole, &mut values).unwrap();
+        assert!(volume.open_files() <= 400);
+    }
+    assert_eq!(values, expected(1).repeat(900));
+}
+
+#[test]
+fn what_is_no_volume_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let short = |v: u16| v.to_le_bytes().to_vec();
+    for (more, message) in [
+        ((262, 3, short(2)), "RGB"),
+        ((262, 3, short(3)), "a palette"),
+        ((277, 3, short(3)), "samples a pixel"),
+        ((258, 3, short(12)), "12 bits"),
+        ((259, 3, short(7)), "JPEG"),
+        ((266, 3, short(2)), "fill order"),
+        ((317, 3, short(3)), "predictor"),
+        ((278, 3, short(1)), "5 of them, got 3 places"),
+        ((257, 4, vec![255; 4]), "2^31"),
+        ((256, 3, short(0)), "2^31"),
+        ((270, 2, b"ImageJ=1.53t\nimages=2\nchannels=2\n\0".to_vec()), "channels"),
+        ((270, 2, b"ImageJ=1.53t\nimages=5\n\0".to_vec()), "5 images, as the description says, got 2"),
+    ] {
+        let path = write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 2, &[more]));
+        let line = refusal(&path);
+        assert!(line.contains(message), "{line}");
+    }
+    assert!(
+        refusal(&write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 1, &[]))).contains("name their folder")
+    );
+    let mut w = Writer::new(PLAIN);
+    w.page(DIMS, ScalarType::U8, &slice(DIMS, ScalarType::U8, 0), &[]);
+    w.page([5, 7], ScalarType::U8, &slice(DIMS, ScalarType::U8, 1), &[]);
+    assert!(refusal(&write(&dir, "a.tif", &w.bytes)).contains("page 1"));
+    let empty = tempfile::tempdir().unwrap();
+    assert!(refusal(empty.path()).contains("none of these"));
+    std::fs::write(empty.path().join("manifest.json"), "{}").unwrap();
+    assert!(refusal(empty.path()).contains("an isospan archive"));
+}
+
+#[test]
+fn thumbnails_are_skipped() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut w = Writer::new(PLAIN);
+    for z in 0..3 {
+        w.page(DIMS, ScalarType::U16, &slice(DIMS, ScalarType::U16, z), &[]);
+        w.page([2, 2], ScalarType::U8, &[0; 4], &[(254, 4, vec![1, 0, 0, 0]), (262, 3, vec![2, 0])]);
+    }
+    let (info, values) = open_ok(&write(&dir, "a.tif", &w.bytes));
+    assert_eq!((info.dims, values), ([7, 5, 3], expected(3)));
+}
+
+#[test]
+fn imagej_stacks_of_one_page() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = b"ImageJ=1.53t\nimages=4\nslices=4\nunit=micron\nspacing=2.5\n\0".to_vec();
+    let rational = |n: u32, d: u32| [n.to_le_bytes(), d.to_le_bytes()].concat();
+    let more = [(270, 2, text), (282, 5, rational(2, 1)), (283, 5, rational(4, 1))];
+    let one = pages(Style { rows_per_strip: 5, ..PLAIN }, ScalarType::U16, 1, &more);
+    // The other images follow the first one, so the directory must not: the page is written anew
+    // after them.
+    let mut w = Writer::new(Style { rows_per_strip: 5, ..PLAIN });
+    let all: Vec<u8> = (0..4).flat_map(|z| slice(DIMS, ScalarType::U16, z)).collect();
+    w.bytes.extend(&all);
+    let at = (8u32).to_le_bytes().to_vec();
+    let more = [&more[..], &[(273, 4, at)]].concat();
+    w.page(DIMS, ScalarType::U16, &slice(DIMS, ScalarType::U16, 0), &more);
+    let (info, values) = open_ok(&write(&dir, "a.tif", &w.bytes));
+    assert_eq!((info.dims, values), ([7, 5, 4], expected(4)));
+    assert_eq!(info.geometry.spacing, [0.5, 0.25, 2.5]);
+    let line = refusal(&write(&dir, "a.tif", &one));
+    assert!(line.contains("among 4 images"), "{line}");
+}
+
+#[test]
+fn ome_spacing_needs_one_unit() {
+    let dir = tempfile::tempdir().unwrap();
+    for (unit, expected) in [("µm", [0.5, 0.5, 2.0]), ("mm", [1.0; 3])] {
+        let text = format!(
+            "<OME><Image><Pixels SizeC=\"1\" SizeT=\"1\" PhysicalSizeX=\"0.5\" PhysicalSizeY=\"0.5\" \
+             PhysicalSizeZ=\"2\" PhysicalSizeXUnit=\"µm\" PhysicalSizeYUnit=\"µm\" PhysicalSizeZUnit=\"{unit}\">\0"
+        );
+        let more = [(270, 2, text.into_bytes())];
+        let (info, _) = open_ok(&write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 2, &more)));
+        assert_eq!(info.geometry.spacing, expected);
+    }
+}
+
+#[test]
+fn damage_is_refused() {
+    for compression in [1, 8, 5] {
+        for big in [false, true] {
+            let style = Style { compression, big, ..PLAIN };
+            let file = pages(style, ScalarType::U16, 2, &[]);
+            // The directory of the last page, with the end of the chain, is the end of the file.
+            torture("a.tif", &file, file.len());
+        }
+    }
+}
+
+#[test]
+fn a_chain_without_an_end_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut w = Writer::new(PLAIN);
+    w.page(DIMS, ScalarType::U8, &slice(DIMS, ScalarType::U8, 0), &[]);
+    let (first, link) = (w.bytes[4..8].to_vec(), w.link);
+    w.bytes[link..link + 4].copy_from_slice(&first);
+    assert!(refusal(&write(&dir, "a.tif", &w.bytes)).contains("comes again"));
+    assert!(!survives(&write(&dir, "b.tif", b"II*\0\0\0\0\0")));
+}
+
+#[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
+fn real_slices() {
+    let root = crate::formats::tests::shared_data();
+    let (info, values) = open_ok(&root.join("volumes/bone_uct_u8_tiff"));
+    assert_eq!((info.dims, info.field.scalar), ([200, 200, 96], ScalarType::U8));
+    let range = values.iter().fold((f32::MAX, f32::MIN), |(lo, hi), &v| (lo.min(v), hi.max(v)));
+    assert_eq!(range, (0.0, 253.0));
+}

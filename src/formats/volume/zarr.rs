@@ -1,0 +1,794 @@
+//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a separately
+//! compressed file.
+//!
+//! ```text
+//!  image.ome.zarr/            a group; .zattrs (2) or zarr.json (3) tell the levels, axes, spacing
+//!    0/                       an array, full resolution: .zarray (2) or zarr.json (3)
+//!      0/0/0  0/0/1  …        chunks (2, by "/" or "."); c/0/0/0 … (3)
+//!    1/                       the next level, coarser
+//! ```
+//!
+//! The path is the group or an array in it (`image.ome.zarr/1`). In a group, `--field` chooses one
+//! array: by its path, the first part of that, or "scaleN" for level N. Without a choice an
+//! OME-Zarr image gives its first level, which is the full image.
+//!
+//! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`,
+//! `_ARRAY_DIMENSIONS`); without names the last axis is x, the one before y, then z. One more axis
+//! may have several entries: the frames of a series. It is named t or time, or is the first of four
+//! without names. The frames are the fields `NAME:t0`, `NAME:t1`, …; their times are those of
+//! OME-Zarr's `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and
+//! origin are those of `coordinateTransformations`; else of the arrays next to the array that are
+//! named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1
+//! and 0. `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
+//! without names are refused if the last has at most four entries: these are vectors, or colours. A
+//! chunk of several frames is decoded for each of them.
+//!
+//! The reader knows these compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or
+//! bits), gzip, zlib, zstd, LZ4; also shards with their index, CRC32C, `transpose`, order C or F.
+//! Others are refused by name. A missing chunk reads as the fill value, as Zarr specifies.
+//!
+//! Chunks are decoded in their order, each once, or as they are asked for
+//! ([`crate::volume::chunked`]). Memory: one chunk, stored and decoded (in a shard, one of its
+//! chunks), and a slab of at most 4 MiB. Chunks of more than a gibibyte are refused.
+//!
+//! The reader is our own, because chunks are files with compressors that we have anyway, and only
+//! one chunk is needed at a time. The formats: <https://zarr-specs.readthedocs.io>,
+//! <https://ngff.openmicroscopy.org>.
+
+mod blosc;
+mod codec;
+mod meta;
+
+use crate::bytes::{ByteSource, IoMode};
+use crate::error::{Error, Fault, Result};
+use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
+use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::header::{geometry, plain_info, scaled_axes};
+use crate::formats::shared::numbers::to_f64;
+use crate::formats::shared::stream::sample_bytes;
+use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
+use crate::grid::Geometry;
+use crate::volume::chunked::{ChunkSlabs, ChunkSource};
+use crate::volume::strided::swap_bytes;
+use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
+use base64::prelude::{BASE64_STANDARD, Engine};
+use byteorder::{ByteOrder, LE};
+use meta::Array;
+use serde_json::Value;
+use std::collections::HashMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// A folder with a Zarr array or a group of them.
+pub(in crate::formats) struct Zarr;
+
+impl Format for Zarr {
+    fn name(&self) -> &'static str {
+        "a Zarr array or group"
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        is_zarr(head.path)
+    }
+
+    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+        open(path, options)
+    }
+
+    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        coordinates(path, options)
+    }
+
+    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+        frames(path, options.field.as_deref()).map(Some)
+    }
+
+    fn times(&self, path: &Path, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        all_frames(path).map(known_times)
+    }
+}
+
+/// Most bytes of a decoded chunk.
+const MOST_CHUNK: u64 = 1 << 30;
+/// Shards that are open at a time, and bytes of their indices, unless one has more.
+const MOST_OPEN: u64 = 32;
+const OPEN_INDICES: u64 = 4 << 20;
+/// Most numbers of coordinates along an axis.
+const MOST_COORDINATES: u64 = 1 << 24;
+/// Most frames of an array.
+const MOST_FRAMES: u64 = 1 << 16;
+/// If an array has more chunk files than this, this many of them, evenly spread, stand for all in
+/// [`VolumeInfo::data_files`].
+const LISTED: u64 = 1 << 20;
+
+/// Whether a folder is a Zarr array or group.
+pub(in crate::formats) fn is_zarr(folder: &Path) -> bool {
+    [".zarray", ".zgroup", "zarr.json", ".zattrs"].iter().any(|f| folder.join(f).is_file())
+}
+
+/// Opens an array, or one of a group.
+///
+/// # Errors
+/// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several
+/// arrays ask for a choice.
+pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let (image, arrays) = arrays(path)?;
+    let fields = fields(image.as_ref(), &arrays)?;
+    let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
+    let first = image.is_some().then(|| fields.first()).flatten().filter(|f| f.frame.is_none());
+    let first = first.map(|f| f.info.name.clone());
+    let wanted = options.field.as_deref().map(|w| full_name(w, &names)).or(first);
+    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
+    let number = pick_field(path, &infos, wanted.as_deref())?;
+    let Field { info: field, array, axes, frame } = fields.into_iter().nth(number).expect("one of them");
+    let array = arrays.into_iter().nth(array).expect("a field's array").1;
+    let image = match image {
+        Some(image) => Some(image),
+        None => image_around(&array.folder)?,
+    };
+    let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
+    sample_bytes(&array.file, dims, array.scalar)?;
+    check_chunks(&array)?;
+    let geometry = match &image {
+        Some(_) => placed(&array, image.as_ref(), axes)?,
+        None => spaced(&array, &lines(&array, axes, options.io))?,
+    };
+    let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
+    let compressor = if compressor.is_empty() { "raw" } else { &compressor };
+    let sharded = if array.shard.is_some() { ", shards" } else { "" };
+    let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
+    let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
+    let mut info = plain_info(path, format, dims, array.scalar, geometry);
+    packing(&array, &mut info)?;
+    info.field = field;
+    info.fields = infos;
+    info.data_files = files(&array, frame);
+    let chunks = Chunks::new(info, array, axes, frame, options.io);
+    Ok(VolumeSource::Chunked(Arc::new(chunks)))
+}
+
+/// The frames of the array that is `wanted`, or that is read without a choice, by the names of
+/// their fields, and their times, where OME-Zarr states them. None where there is one volume.
+///
+/// # Errors
+/// As [`open`].
+pub(in crate::formats) fn frames(path: &Path, wanted: Option<&str>) -> Result<Frames> {
+    let (image, arrays) = arrays(path)?;
+    let number = match wanted {
+        Some(name) => {
+            let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
+            let full = full_name(name, &names);
+            names.iter().position(|n| *n == full)
+        }
+        None => (image.is_some() || arrays.len() == 1).then_some(0),
+    };
+    number.map_or(Ok(vec![]), |number| frames_of(image.as_ref(), &arrays, |n| n == number))
+}
+
+/// The frames of all arrays.
+pub(in crate::formats) fn all_frames(path: &Path) -> Result<Frames> {
+    let (image, arrays) = arrays(path)?;
+    frames_of(image.as_ref(), &arrays, |_| true)
+}
+
+fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(usize) -> bool) -> Result<Frames> {
+    let mut out = vec![];
+    for field in fields(image, arrays)?.into_iter().filter(|f| taken(f.array)) {
+        let Some(frame) = field.frame else { continue };
+        let array = &arrays[field.array].1;
+        let around = match image {
+            Some(image) => Some(image.clone()),
+            None => image_around(&array.folder)?,
+        };
+        let time = match around {
+            Some(image) => {
+                let (scale, shift) = image.scale_and_shift(array, frame.axis);
+                Some(shift + scale * frame.number as f64)
+            }
+            None => line(array, frame.axis, IoMode::Auto)
+                .and_then(|(times, _)| times.get(frame.number as usize).copied()),
+        };
+        out.push((field.info.name, time.filter(|t| t.is_finite())));
+    }
+    Ok(out)
+}
+
+/// The coordinates along the axes of the array that is read, where those of one of them are not
+/// regular; else `None`.
+///
+/// # Errors
+/// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
+pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+    let (image, arrays) = arrays(path)?;
+    if image.is_some() {
+        return Ok(None);
+    }
+    let fields = fields(None, &arrays)?;
+    let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
+    let wanted = options.field.as_deref().map(|w| full_name(w, &names));
+    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
+    let field = &fields[pick_field(path, &infos, wanted.as_deref())?];
+    let array = &arrays[field.array].1;
+    let lines = lines(array, field.axes, options.io);
+    if image_around(&array.folder)?.is_some() || lines.iter().flatten().all(|l| regular(&l.0, l.1).is_some())
+    {
+        return Ok(None);
+    }
+    let dims = field.axes.map(|a| a.map_or(1, |a| array.shape[a]));
+    rectilinear(path, &field.info.name, lines.map(|l| l.map(|l| l.0)), dims).map(Some)
+}
+
+/// Coordinates along an axis, and whether they are of single precision.
+type Coordinates = (Vec<f64>, bool);
+
+/// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
+fn lines(array: &Array, axes: Axes, io: IoMode) -> [Option<Coordinates>; 3] {
+    axes.map(|axis| line(array, axis?, io))
+}
+
+/// The numbers of the array of one axis that is named like an axis of an array, and lies next to
+/// it.
+fn line(array: &Array, axis: usize, io: IoMode) -> Option<Coordinates> {
+    let name = array.names.as_ref().filter(|n| n.len() == array.shape.len())?.get(axis)?;
+    let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+    let folder = array.folder.parent().filter(|_| inside)?.join(name);
+    let own = meta::array(&folder).ok()??;
+    if own.shape != [array.shape[axis]] || own.shape[0] > MOST_COORDINATES || check_chunks(&own).is_err() {
+        return None;
+    }
+    let single = own.scalar == crate::volume::ScalarType::F32;
+    let mut info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
+    packing(&own, &mut info).ok()?;
+    let (slope, intercept, scalar) = (info.slope, info.intercept, own.scalar);
+    let chunks = Chunks::new(info, own, [Some(0), None, None], None, io);
+    let (mut chunks, mut bytes, mut out) = (ChunkSlabs::new(Arc::new(chunks)), vec![], vec![]);
+    while chunks.next_slab(&mut bytes).ok()?.is_some() {
+        let mut part = vec![0.0; bytes.len() / scalar.bytes()];
+        to_f64(scalar, &bytes, &mut part);
+        out.extend(part.into_iter().map(|v| slope * v + intercept));
+    }
+    Some((out, single))
+}
+
+/// Spacing and origin by coordinates, where those of all axes are regular.
+fn spaced(array: &Array, lines: &[Option<Coordinates>; 3]) -> Result<Geometry> {
+    let along: Option<Vec<(f64, f64)>> =
+        lines.iter().map(|l| l.as_ref().map_or(Some((0.0, 1.0)), |l| regular(&l.0, l.1))).collect();
+    let Some(along) = along else { return Ok(Geometry::default()) };
+    let columns = scaled_axes(std::array::from_fn(|a| along[a].1));
+    geometry(&array.file, "coordinates", std::array::from_fn(|a| along[a].0), columns)
+}
+
+/// Applies what CF's attributes say about stored numbers. A missing chunk reads as Zarr's own
+/// `fill_value`. This value means "no data" where numbers are packed and no attribute names such a
+/// value, as xarray writes them.
+fn packing(array: &Array, info: &mut VolumeInfo) -> Result<()> {
+    let file = attributes_file(array);
+    let bad = |at: &str, expected: &str, got: String| Error::bad_input(&file, at, expected, got);
+    let number = |name: &str| {
+        let value = &array.attributes[name];
+        let found = match value {
+            Value::Null => return Ok(None),
+            // In version 3 xarray writes floats as base64 of a little-endian f64.
+            Value::String(text) => {
+                let bytes = BASE64_STANDARD.decode(text).ok().and_then(|b| <[u8; 8]>::try_from(b).ok());
+                bytes.map(f64::from_le_bytes).or_else(|| text.parse().ok())
+            }
+            value => value.as_f64(),
+        };
+        found.map(Some).ok_or_else(|| bad(name, "a number", value.to_string()))
+    };
+    let (slope, intercept) = (number("scale_factor")?, number("add_offset")?);
+    let is_packed = slope.is_some() || intercept.is_some();
+    (info.slope, info.intercept) = (slope.unwrap_or(1.0), intercept.unwrap_or(0.0));
+    if !(info.slope.is_finite() && info.slope != 0.0 && info.intercept.is_finite()) {
+        let got = format!("{} and {}", info.slope, info.intercept);
+        return Err(bad("scale_factor, add_offset", "finite numbers, the first not 0", got));
+    }
+    for name in ["valid_range", "valid_min", "valid_max"] {
+        if !array.attributes[name].is_null() {
+            let got = array.attributes[name].to_string();
+            return Err(bad(name, "no range of valid numbers", got)
+                .with_help("give samples outside of it the fill value, and delete the attribute"));
+        }
+    }
+    info.missing = match [number("_FillValue")?, number("missing_value")?] {
+        [None, None] => is_packed.then(|| {
+            let mut fill = [0.0];
+            to_f64(array.scalar, &array.fill, &mut fill);
+            fill[0]
+        }),
+        [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
+            let got = format!("{a} and {b}");
+            return Err(bad("_FillValue, missing_value", "one value", got)
+                .with_help("replace the one by the other, and delete its attribute"));
+        }
+        both => both.into_iter().flatten().find(|v| !v.is_nan()),
+    }
+    // What is not a number is missing anyway.
+    .filter(|v| !v.is_nan());
+    Ok(())
+}
+
+/// The file that has the attributes of an array.
+fn attributes_file(array: &Array) -> PathBuf {
+    match array.file.file_name() {
+        Some(name) if name == ".zarray" => array.file.with_file_name(".zattrs"),
+        _ => array.file.clone(),
+    }
+}
+
+/// A volume that can be chosen: an array, or a frame of one.
+struct Field {
+    info: FieldInfo,
+    /// The number of the array.
+    array: usize,
+    axes: Axes,
+    frame: Option<Frame>,
+}
+
+/// An array's axes along x, y, z.
+type Axes = [Option<usize>; 3];
+
+/// One entry of the axis of time.
+#[derive(Clone, Copy, Debug)]
+struct Frame {
+    axis: usize,
+    number: u64,
+}
+
+/// All fields. An array whose axes are not understood is left out, unless it is the only one.
+fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
+    let (mut fields, mut refused) = (vec![], None);
+    for (number, (name, array)) in arrays.iter().enumerate() {
+        let around = match image {
+            Some(_) => None,
+            None => image_around(&array.folder)?,
+        };
+        let (axes, time) = match axes(array, image.or(around.as_ref())) {
+            Ok(found) => found,
+            Err(e) => {
+                refused = refused.or(Some(e));
+                continue;
+            }
+        };
+        let field = |name: String, frame| Field {
+            info: FieldInfo { name, scalar: array.scalar, components: 1 },
+            array: number,
+            axes,
+            frame,
+        };
+        match time {
+            None => fields.push(field(name.clone(), None)),
+            Some(axis) => fields.extend(
+                (0..array.shape[axis])
+                    .map(|n| field(format!("{name}:t{n}"), Some(Frame { axis, number: n }))),
+            ),
+        }
+    }
+    match refused {
+        Some(e) if fields.is_empty() => Err(e),
+        _ => Ok(fields),
+    }
+}
+
+/// The field that a user's word means: itself, the one whose path starts with it, or "scaleN" the
+/// one at that level; with ":tN" its frame.
+fn full_name(wanted: &str, names: &[&str]) -> String {
+    let (array, frame) = match wanted.rfind(":t") {
+        Some(at) if wanted[at + 2..].parse::<u64>().is_ok() => wanted.split_at(at),
+        _ => (wanted, ""),
+    };
+    let starts = |name: &&&str| name.strip_prefix(array).is_some_and(|rest| rest.starts_with('/'));
+    let level =
+        || array.strip_prefix("scale").and_then(|n| n.parse::<usize>().ok()).and_then(|n| names.get(n));
+    let found = names.iter().find(|n| **n == array).or_else(|| names.iter().find(starts)).or_else(level);
+    format!("{}{frame}", found.unwrap_or(&array))
+}
+
+/// An image of an OME-Zarr group: its `multiscales` entry.
+#[derive(Clone, Debug)]
+struct Image {
+    group: PathBuf,
+    multiscale: Value,
+}
+
+/// The image that a group describes.
+fn image(group: &Path) -> Result<Option<Image>> {
+    let v3 = meta::json(&group.join("zarr.json"))?.unwrap_or_default();
+    let v2 = meta::json(&group.join(".zattrs"))?.unwrap_or_default();
+    let attributes = &v3["attributes"];
+    let lists = [&attributes["ome"]["multiscales"], &attributes["multiscales"], &v2["multiscales"]];
+    let multiscale = lists.into_iter().find_map(|l| l.get(0)).cloned();
+    Ok(multiscale.map(|multiscale| Image { group: group.to_path_buf(), multiscale }))
+}
+
+/// The image that an array belongs to: described by a folder above it.
+fn image_around(folder: &Path) -> Result<Option<Image>> {
+    for above in folder.ancestors().skip(1).take(3).filter(|p| is_zarr(p)) {
+        if let Some(image) = image(above)?
+            && image.levels().any(|l| above.join(path_of(l)) == folder)
+        {
+            return Ok(Some(image));
+        }
+    }
+    Ok(None)
+}
+
+fn path_of(level: &Value) -> &str {
+    level["path"].as_str().unwrap_or_default()
+}
+
+impl Image {
+    fn levels(&self) -> impl Iterator<Item = &Value> {
+        self.multiscale["datasets"].as_array().into_iter().flatten()
+    }
+
+    /// Scale and translation of an array's entries along one of its axes.
+    fn scale_and_shift(&self, array: &Array, axis: usize) -> (f64, f64) {
+        let level = self.levels().find(|l| self.group.join(path_of(l)) == array.folder);
+        let lists = [
+            level.map(|l| &l["coordinateTransformations"]),
+            Some(&self.multiscale["coordinateTransformations"]),
+        ];
+        let (mut scale, mut shift) = (1.0, 0.0);
+        for step in lists.into_iter().flatten().filter_map(Value::as_array).flatten() {
+            let value =
+                |key: &str, default: f64| step[key].get(axis).and_then(Value::as_f64).unwrap_or(default);
+            let by = value("scale", 1.0);
+            (scale, shift) = (scale * by, shift * by + value("translation", 0.0));
+        }
+        (scale, shift)
+    }
+}
+
+/// Arrays by name.
+type Named = Vec<(String, Array)>;
+
+/// The arrays that a path offers, and the image that they are levels of.
+fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
+    if let Some(array) = meta::array(path)? {
+        return Ok((None, vec![("data".into(), array)]));
+    }
+    if let Some(image) = image(path)? {
+        let mut arrays = vec![];
+        for level in image.levels() {
+            let name = path_of(level);
+            // A path out of the group would read what the user did not name.
+            let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+            let array = if inside { meta::array(&path.join(name))? } else { None };
+            let array = array.ok_or_else(|| {
+                Error::bad_input(path, "multiscales", format!("an array at {name}"), "none")
+                    .with_help("a level of the image is missing; name one that is there")
+            })?;
+            arrays.push((name.to_string(), array));
+        }
+        return Ok((Some(image), arrays));
+    }
+    let mut names: Vec<String> = vec![];
+    for entry in std::fs::read_dir(path).map_err(|e| Error::io("list", path, e))? {
+        let entry = entry.map_err(|e| Error::io("list", path, e))?;
+        if entry.path().is_dir() {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    let (mut arrays, mut refused) = (vec![], None);
+    for name in names {
+        match meta::array(&path.join(&name)) {
+            Ok(Some(array)) if array.shape.len() >= 3 => arrays.push((name, array)),
+            Ok(_) => {}
+            Err(e) => refused = refused.or(Some(e)),
+        }
+    }
+    match refused {
+        Some(e) if arrays.is_empty() => Err(e),
+        _ => Ok((None, arrays)),
+    }
+}
+
+/// The array's axes that are x, y and z, and the one of time, where it has several entries.
+fn axes(array: &Array, image: Option<&Image>) -> Result<(Axes, Option<usize>)> {
+    let rank = array.shape.len();
+    let of_image = image.and_then(|i| i.multiscale["axes"].as_array()).map(|axes| {
+        axes.iter().map(|a| a["name"].as_str().or(a.as_str()).unwrap_or_default().to_string()).collect()
+    });
+    let names: Option<Vec<String>> = of_image.or_else(|| array.names.clone()).filter(|n| n.len() == rank);
+    let find = |name: &str| names.as_ref()?.iter().position(|n| n.eq_ignore_ascii_case(name));
+    let named = ["x", "y", "z"].map(find);
+    let axes = if named.iter().all(Option::is_some) {
+        named
+    } else {
+        std::array::from_fn(|a| rank.checked_sub(a + 1))
+    };
+    let others = (0..rank).filter(|a| !axes.contains(&Some(*a)) && array.shape[*a] != 1).collect::<Vec<_>>();
+    let is_time = |axis: usize| match &names {
+        Some(names) => ["t", "time"].iter().any(|t| names[axis].eq_ignore_ascii_case(t)),
+        None => (axis, rank) == (0, 4),
+    };
+    match others[..] {
+        [] if rank >= 3 => return Ok((axes, None)),
+        // The last of four axes that is as short as this has the components of vectors, or colours.
+        [_] if names.is_none() && rank == 4 && array.shape[3] <= 4 && array.shape[2] > 4 => {}
+        [time] if rank >= 3 && is_time(time) && (1..=MOST_FRAMES).contains(&array.shape[time]) => {
+            return Ok((axes, Some(time)));
+        }
+        _ => {}
+    }
+    let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
+    let got = match &names {
+        Some(names) => format!("{} ({})", shape.join(" x "), names.join(", ")),
+        None => shape.join(" x "),
+    };
+    let expected = "three axes, one of time of at most 65536 frames, others of one entry";
+    Err(Error::bad_input(&array.file, "shape", expected, got)
+        .with_help("write one channel to an array of its own"))
+}
+
+/// Scale and translation of an array's samples along x, y, z.
+fn placed(array: &Array, image: Option<&Image>, axes: Axes) -> Result<Geometry> {
+    let Some(image) = image else { return Ok(Geometry::default()) };
+    let of_axis = axes.map(|axis| axis.map_or((1.0, 0.0), |axis| image.scale_and_shift(array, axis)));
+    geometry(
+        &image.group,
+        "coordinateTransformations",
+        of_axis.map(|(_, shift)| shift),
+        scaled_axes(of_axis.map(|(scale, _)| scale)),
+    )
+}
+
+fn check_chunks(array: &Array) -> Result<()> {
+    let size = array.scalar.bytes() as u64;
+    let bytes = array.unit().iter().try_fold(size, |n, &d| n.checked_mul(d)).filter(|&n| n <= MOST_CHUNK);
+    let places = array.shard.as_ref().map_or(Some(1), |s| {
+        s.inner.iter().zip(&array.chunk).try_fold(1u64, |n, (i, c)| n.checked_mul(c / i))
+    });
+    if bytes.is_some() && places.is_some_and(|n| n <= MOST_CHUNK / 16) {
+        return Ok(());
+    }
+    let got: Vec<String> = array.unit().iter().map(u64::to_string).collect();
+    let got = format!("{} samples of {}", got.join(" x "), array.scalar.name());
+    Err(Error::bad_input(&array.file, "chunks", "chunks of at most 1 GiB", got)
+        .with_help("write the array again in smaller chunks"))
+}
+
+/// The metadata's file and the chunks' files that exist; evenly chosen ones if there are very many.
+fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
+    let mut grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
+    frame.iter().for_each(|f| grid[f.axis] = 1);
+    let count = grid.iter().fold(1u64, |n, &g| n.saturating_mul(g));
+    let place = |mut number: u64| {
+        let mut at: Vec<u64> = vec![];
+        for &g in grid.iter().rev() {
+            at.push(number % g);
+            number /= g;
+        }
+        at.reverse();
+        frame.iter().for_each(|f| at[f.axis] = f.number / array.chunk[f.axis]);
+        array.chunk_file(&at)
+    };
+    let some = (0..count.min(LISTED))
+        .map(|i| (u128::from(i) * u128::from(count) / u128::from(count.min(LISTED))) as u64);
+    std::iter::once(array.file.clone()).chain(some.map(place)).collect()
+}
+
+/// The chunks of an array, or of one of its frames.
+struct Chunks {
+    info: VolumeInfo,
+    array: Array,
+    axes: Axes,
+    /// The entry of the time axis, if the array has one.
+    frame: Option<Frame>,
+    io: IoMode,
+    /// Shards that were opened last, by their places in the grid of files.
+    shards: Mutex<Vec<([u64; 3], Arc<OpenShard>)>>,
+}
+
+/// A shard's file and index; `None`: it is not there.
+type OpenShard = Option<(ByteSource, Vec<u8>)>;
+
+impl Chunks {
+    fn new(info: VolumeInfo, array: Array, axes: Axes, frame: Option<Frame>, io: IoMode) -> Self {
+        Self { info, array, axes, frame, io, shards: Mutex::default() }
+    }
+
+    /// Sizes along x, y, z of a list along the array's axes.
+    fn xyz(&self, sizes: &[u64]) -> [u64; 3] {
+        self.axes.map(|a| a.map_or(1, |a| sizes[a]))
+    }
+
+    /// A place along the array's axes of one along x, y, z, and of the frame's `of_frame`.
+    fn place(&self, xyz: [u64; 3], of_frame: impl Fn(Frame) -> u64) -> Vec<u64> {
+        let mut place = vec![0; self.array.shape.len()];
+        for (axis, at) in self.axes.iter().zip(xyz) {
+            if let Some(axis) = axis {
+                place[*axis] = at;
+            }
+        }
+        if let Some(frame) = self.frame {
+            place[frame.axis] = of_frame(frame);
+        }
+        place
+    }
+
+    /// A chunk as it is stored, decoded; `None` where there is none.
+    fn load(&self, file: [u64; 3], inner: [u64; 3]) -> Result<Option<Vec<u8>>> {
+        let path = self.array.chunk_file(&self.place(file, |f| f.number / self.array.chunk[f.axis]));
+        if self.array.shard.is_none() {
+            let Some(source) = self.open_file(&path)? else { return Ok(None) };
+            return self.decoded(&source, 0..source.len()).map(Some);
+        }
+        let shard = self.shard(file, &path)?;
+        let Some((source, index)) = &*shard else { return Ok(None) };
+        match self.range_in_shard(inner, source, index)? {
+            Some(range) => self.decoded(source, range).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    fn decoded(&self, source: &ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
+        let needed = self.array.unit().iter().product::<u64>() * self.array.scalar.bytes() as u64;
+        let mut buffer = vec![];
+        let at = format!("chunk at byte {}", range.start);
+        let stored = source.view(range, &mut buffer)?;
+        let decoded = codec::decode(&self.array.codecs, stored, needed as usize);
+        source.check()?;
+        decoded.map_err(|got| {
+            let names: Vec<&str> = self.array.codecs.iter().map(|c| c.name()).collect();
+            let expected = format!("{needed} bytes of good {} data", names.join(" + "));
+            Error::bad_input(source.path(), at, expected, got)
+                .with_help("the chunk is damaged or cut short; fetch it again")
+        })
+    }
+
+    /// `None` where there is no file. An empty one is damage, not a missing chunk.
+    fn open_file(&self, path: &Path) -> Result<Option<ByteSource>> {
+        match std::fs::metadata(path) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(Error::io("look at", path, e)),
+            Ok(_) => Ok(Some(ByteSource::open(path, self.io)?)),
+        }
+    }
+
+    /// The shard at a place of the grid of files, opened before or now.
+    fn shard(&self, file: [u64; 3], path: &Path) -> Result<Arc<OpenShard>> {
+        let mut open = self.shards.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = match open.iter().position(|(at, _)| *at == file) {
+            Some(n) => open.remove(n).1,
+            None => {
+                open.truncate(self.open_shards().saturating_sub(1) as usize);
+                Arc::new(self.open_shard(path)?)
+            }
+        };
+        open.insert(0, (file, Arc::clone(&found)));
+        Ok(found)
+    }
+
+    /// Shards that are kept open, at most.
+    fn open_shards(&self) -> u64 {
+        (OPEN_INDICES / self.index_bytes().max(1)).clamp(1, MOST_OPEN)
+    }
+
+    /// Bytes of the index of a shard; 0 where there are no shards.
+    fn index_bytes(&self) -> u64 {
+        let all = |sizes: &[u64]| sizes.iter().fold(1u64, |n, &d| n.saturating_mul(d));
+        let chunks = all(&self.array.chunk) / all(self.array.unit()).max(1);
+        if self.array.shard.is_some() { chunks.saturating_mul(16) } else { 0 }
+    }
+
+    fn open_shard(&self, path: &Path) -> Result<OpenShard> {
+        let Some(source) = self.open_file(path)? else { return Ok(None) };
+        let shard = self.array.shard.as_ref().expect("called for shards");
+        let count: u64 = shard.inner.iter().zip(&self.array.chunk).map(|(i, c)| c / i).product();
+        let (bytes, crc) = (16 * count, if shard.index_crc { 4 } else { 0 });
+        let at = if shard.index_at_end { source.len().saturating_sub(bytes + crc) } else { 0 };
+        let mut index = vec![];
+        index.extend_from_slice(source.view(at..at + bytes + crc, &mut vec![])?);
+        source.check()?;
+        let sum = index.split_off(bytes as usize);
+        if shard.index_crc && crc32c::crc32c(&index).to_le_bytes()[..] != sum[..] {
+            let got = "another one than that of the index";
+            return Err(Error::bad_input(path, "index of the shard", "its CRC32C", got)
+                .of_fault(Fault::Checksum)
+                .with_help("the file is damaged or cut short; fetch it again"));
+        }
+        Ok(Some((source, index)))
+    }
+
+    /// Where a chunk is in its shard; `None` where it is not.
+    fn range_in_shard(
+        &self,
+        inner: [u64; 3],
+        source: &ByteSource,
+        index: &[u8],
+    ) -> Result<Option<Range<u64>>> {
+        let (chunk, unit) = (&self.array.chunk, self.array.unit());
+        let place = self.place(inner, |f| f.number % chunk[f.axis] / unit[f.axis]);
+        let number = place.iter().zip(chunk.iter().zip(unit)).fold(0, |n, (p, (c, u))| n * (c / u) + p);
+        let entry = &index[16 * number as usize..][..16];
+        let (at, length) = (LE::read_u64(entry), LE::read_u64(&entry[8..]));
+        if (at, length) == (u64::MAX, u64::MAX) {
+            return Ok(None);
+        }
+        let end = at.checked_add(length).filter(|&end| end <= source.len() && length > 0);
+        let end = end.ok_or_else(|| {
+            let got = format!("{length} bytes from byte {at} on, in a file of {} bytes", source.len());
+            Error::bad_input(source.path(), "index of the shard", "chunks that lie in the file", got)
+                .with_help("the file is damaged or cut short; fetch it again")
+        })?;
+        Ok(Some(at..end))
+    }
+
+    /// Where the frame begins in a decoded chunk, and bytes a step along x, y, z.
+    fn strides(&self) -> (usize, [usize; 3]) {
+        let mut strides = vec![0; self.array.shape.len()];
+        let mut step = self.array.scalar.bytes();
+        for &axis in self.array.order.iter().rev() {
+            strides[axis] = step;
+            step *= self.array.unit()[axis] as usize;
+        }
+        let unit = self.array.unit();
+        let begin = self.frame.map_or(0, |f| (f.number % unit[f.axis]) as usize * strides[f.axis]);
+        (begin, self.axes.map(|a| a.map_or(0, |a| strides[a])))
+    }
+}
+
+impl ChunkSource for Chunks {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.xyz(self.array.unit())
+    }
+
+    fn together(&self) -> [u64; 3] {
+        let (file, unit) = (self.xyz(&self.array.chunk), self.chunk_dims());
+        std::array::from_fn(|a| file[a] / unit[a])
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        let all = self.array.unit().iter().fold(1u64, |n, &d| n.saturating_mul(d));
+        let decoded = all.saturating_mul(self.array.scalar.bytes() as u64);
+        // Stored, between two codecs, decoded; the first two are gone when samples are given out.
+        // And the indices of shards.
+        let indices = self.index_bytes().saturating_mul(self.open_shards() + 1);
+        decoded.saturating_mul(3).saturating_add(indices)
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        out.clear();
+        let (size, d, unit, together) =
+            (self.array.scalar.bytes(), self.info.dims, self.chunk_dims(), self.together());
+        let [w, h, depth] = std::array::from_fn(|a| unit[a].min(d[a].saturating_sub(at[a] * unit[a])));
+        let file = std::array::from_fn(|a| at[a] / together[a]);
+        let loaded = self.load(file, std::array::from_fn(|a| at[a] % together[a]))?;
+        out.reserve((w * h * depth) as usize * size);
+        let Some(bytes) = loaded else {
+            let samples = (w * h * depth) as usize;
+            out.extend(self.array.fill.iter().copied().cycle().take(samples * size));
+            return Ok(());
+        };
+        let (begin, [sx, sy, sz]) = self.strides();
+        for (z, y) in (0..depth).flat_map(|z| (0..h).map(move |y| (z, y))) {
+            let at = begin + z as usize * sz + y as usize * sy;
+            if sx == size {
+                out.extend_from_slice(&bytes[at..at + w as usize * size]);
+            } else {
+                (0..w as usize).for_each(|x| out.extend_from_slice(&bytes[at + x * sx..][..size]));
+            }
+        }
+        if self.array.big_endian {
+            swap_bytes(out, size);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

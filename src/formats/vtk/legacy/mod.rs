@@ -1,0 +1,309 @@
+//! Legacy VTK files (`.vtk`): structured points as volumes, unstructured grids as meshes (see
+//! `cells`).
+//!
+//! ```text
+//! # vtk DataFile Version 3.0
+//! a title
+//! BINARY                               or ASCII
+//! DATASET STRUCTURED_POINTS
+//! DIMENSIONS 76 49 45
+//! SPACING 1 1 1                        ASPECT_RATIO in old files
+//! ORIGIN 100 80 1
+//! POINT_DATA 167580
+//! SCALARS speed float                  name, type, number of components
+//! LOOKUP_TABLE default
+//! …                                    big-endian numbers, or text
+//! VECTORS velocity float
+//! …
+//! FIELD attributes 1
+//! pressure 1 167580 float              name, components, tuples, type
+//! …
+//! ```
+//!
+//! A file has no table of contents. To find an array, the reader skips all arrays before it: by
+//! their lengths in a binary file, word by word in a text. Binary samples are then mapped where
+//! they lie; text is a stream of slabs. Keywords may be in any case, names are percent-encoded.
+//!
+//! **Rectilinear and structured grids** are read alike, in index space; [`coordinates`] gives the
+//! positions of their samples: `X_COORDINATES 76 float` (Y, Z), or `POINTS 167580 float` with three
+//! numbers a sample.
+//!
+//! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is
+//! read where there is exactly one with one component (VTK's writer puts the active scalars there
+//! and all others under `FIELD`), else the only array with one component. Cell data of structured
+//! points are samples in the middles of the cells: one fewer along each axis, the first half a step
+//! from the origin. They are read where no array of the point data is a scalar, or by their name;
+//! those of grids are refused.
+//!
+//! A `long` is taken to have 8 bytes, as on every 64-bit Unix; `char` is signed; a binary
+//! `vtkIdType` is stored in 4 bytes, even if it has more in memory. Arrays of bits and strings are
+//! skipped.
+
+mod cells;
+mod scan;
+
+use crate::bytes::ByteSource;
+use crate::cells::{CellMesh, Center, GHOSTS, HIDDEN, NumberStream};
+use crate::error::{Error, Result};
+use crate::formats::shared::OpenOptions;
+use crate::formats::shared::centers::{Picked, first_sample, pick, samples};
+use crate::formats::shared::coordinates::GridCoordinates;
+use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::header;
+use crate::formats::shared::ranges::RangeNumbers;
+use crate::formats::shared::stream::{TextSlabs, sample_bytes};
+use crate::volume::strided::StridedVolume;
+use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
+use scan::{Array, Dataset, Scanned, Scanner, Type};
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Legacy VTK.
+pub(in crate::formats) struct VtkLegacy;
+
+impl Format for VtkLegacy {
+    fn name(&self) -> &'static str {
+        "a legacy VTK file"
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &[".vtk"]
+    }
+
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        head.bytes.starts_with(b"# vtk DataFile")
+    }
+
+    fn is_mesh(&self, head: &Head<'_>) -> bool {
+        is_mesh(&head.bytes)
+    }
+
+    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+        open(path, options)
+    }
+
+    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
+        open_mesh(path, options)
+    }
+
+    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        coordinates(&Arc::new(ByteSource::open(path, options.io)?))
+    }
+
+    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
+        time(&Arc::new(ByteSource::open(path, options.io)?))
+    }
+}
+
+/// Opens the structured points of a legacy VTK file.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file, another kind of dataset, cell data of a grid, bits;
+/// [`Error::Usage`] when several fields ask for a choice.
+pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    open_source(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
+}
+
+fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
+    let path = source.path();
+    let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
+    let Picked { field, center, index, fields } = choose(path, &file, wanted)?;
+    refuse_hidden(source, &file)?;
+    let of_center = arrays_of(&file, center).iter();
+    let mut readable = of_center.filter(|a| a.name != GHOSTS && a.field().is_some());
+    let chosen = readable.nth(index).expect("it was picked among those");
+    let first = first_sample(file.dims, center);
+    let origin = std::array::from_fn(|a| file.origin[a] + first[a] * file.spacing[a]);
+    let info = VolumeInfo {
+        path: path.to_path_buf(),
+        format: format!(
+            "legacy VTK {} ({})",
+            file.dataset.name().to_ascii_lowercase().replace('_', " "),
+            match (file.binary, center) {
+                (true, Center::Point) => "binary",
+                (false, Center::Point) => "ascii",
+                (true, Center::Cell) => "cell data, binary",
+                (false, Center::Cell) => "cell data, ascii",
+            }
+        ),
+        dims: samples(file.dims, center),
+        field,
+        fields,
+        geometry: header::geometry(path, "ORIGIN, SPACING", origin, header::scaled_axes(file.spacing))?,
+        slope: 1.0,
+        intercept: 0.0,
+        missing: None,
+        data_files: vec![],
+    };
+    let data = chosen.data.clone();
+    if !file.binary {
+        return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, Arc::clone(source), data)?)));
+    }
+    sample_bytes(path, info.dims, info.field.scalar)?;
+    let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
+    let strides = strides.expect("the size of the samples was checked");
+    let volume = StridedVolume::new(info, Arc::clone(source), data.start, true, strides)?;
+    Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+/// Refuses points and cells that are marked as hidden: what is there would be taken for data.
+fn refuse_hidden(source: &Arc<ByteSource>, file: &Scanned) -> Result<()> {
+    for (place, hidden) in HIDDEN {
+        let (center, section) = match place {
+            "CellData" => (Center::Cell, "CELL_DATA"),
+            _ => (Center::Point, "POINT_DATA"),
+        };
+        let Some(array) = arrays_of(file, center).iter().find(|a| a.name == GHOSTS) else { continue };
+        let Type::Number(scalar) = array.kind else { continue };
+        let count = samples(file.dims, center).iter().product::<u64>();
+        let (mut left, mut found, mut stream) = (count, 0u64, numbers(source, file, &array.data, scalar));
+        let mut marks = vec![];
+        while left > 0 {
+            marks.resize(left.min(1 << 16) as usize, 0.0);
+            stream.fill(&mut marks)?;
+            found += marks.iter().filter(|&&m| m as u8 & hidden != 0).count() as u64;
+            left -= marks.len() as u64;
+        }
+        if found > 0 {
+            let (at, got) = (format!("{section}, {GHOSTS}"), format!("{found} of {count}"));
+            return Err(Error::bad_input(source.path(), at, "no hidden points or cells", got).with_help(
+                "give the samples there the value NaN (then see --nan), or write what is visible as .vtu",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The datasets whose samples are a volume.
+const GRIDS: [Dataset; 3] = [Dataset::StructuredPoints, Dataset::RectilinearGrid, Dataset::StructuredGrid];
+
+/// The numbers of an array.
+fn numbers(source: &Arc<ByteSource>, file: &Scanned, data: &Range<u64>, scalar: ScalarType) -> RangeNumbers {
+    match file.binary {
+        true => RangeNumbers::binary(source, data.clone(), scalar, true),
+        // In a text, integers have the width that they need.
+        false => RangeNumbers::text(source, data.clone(), scalar),
+    }
+}
+
+/// The coordinates of a rectilinear or curvilinear grid; `None` of structured points.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file.
+pub(crate) fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> {
+    let path = source.path();
+    let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
+    let part = |array: Option<(u64, &Array)>, keyword: &str, expected: u64| {
+        let Some((n, array)) = array.filter(|(n, _)| *n == expected) else {
+            let got = array.map_or("none".into(), |(n, _)| n.to_string());
+            return Err(Error::bad_input(path, keyword, format!("{expected} for the DIMENSIONS"), got));
+        };
+        match array.kind {
+            Type::Number(scalar) => Ok((n, numbers(source, &file, &array.data, scalar))),
+            _ => Err(Error::bad_input(path, keyword, "numbers", "bits or strings")),
+        }
+    };
+    match file.dataset {
+        Dataset::RectilinearGrid => {
+            let mut axes: [Vec<f64>; 3] = Default::default();
+            for (a, axis) in axes.iter_mut().enumerate() {
+                let keyword = ["X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"][a];
+                let found = file.axes[a].as_ref().map(|(n, array)| (*n, array));
+                // The scan has checked that there are this many numbers.
+                let (n, mut stream) = part(found, keyword, file.dims[a])?;
+                axis.resize(n as usize, 0.0);
+                stream.fill(axis)?;
+            }
+            Ok(Some(GridCoordinates::Axes(axes)))
+        }
+        Dataset::StructuredGrid => {
+            let found = file.points.as_ref().map(|array| (file.point_count, array));
+            sample_bytes(path, file.dims, ScalarType::F64)?;
+            let (_, stream) = part(found, "POINTS", file.dims.iter().product())?;
+            Ok(Some(GridCoordinates::Points(Box::new(stream))))
+        }
+        _ => Ok(None),
+    }
+}
+
+/// The time that a file has in its field data, as `TIME` or `TimeValue`.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file.
+pub(in crate::formats) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> {
+    let all = [GRIDS[0], GRIDS[1], GRIDS[2], Dataset::UnstructuredGrid];
+    let file = Scanner::new(source.path(), source.slice(0..source.len())?, &all)?.scan()?;
+    let Some(Array { kind: Type::Number(scalar), data, .. }) = &file.time else { return Ok(None) };
+    let mut time = [0.0];
+    numbers(source, &file, data, *scalar).fill(&mut time)?;
+    Ok(Some(time[0]))
+}
+
+/// Opens the unstructured grid of a legacy VTK file.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file or another kind of dataset; [`Error::Usage`] when there
+/// is no field of the name wanted.
+pub(crate) fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    CellMesh::new(Arc::new(cells::open(&source)?), options.field.as_deref())
+}
+
+/// Whether the head of a legacy VTK file says that it is an unstructured grid.
+pub(in crate::formats) fn is_mesh(head: &[u8]) -> bool {
+    let mut lines = head.split(|&b| b == b'\n').skip(2).map(<[u8]>::trim_ascii).filter(|l| !l.is_empty());
+    let dataset = lines.nth(1).unwrap_or_default().to_ascii_uppercase();
+    let mut words = dataset.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
+    head.starts_with(b"# vtk DataFile")
+        && words.next() == Some(b"DATASET")
+        && words.next() == Some(b"UNSTRUCTURED_GRID")
+}
+
+fn arrays_of(file: &Scanned, center: Center) -> &[Array] {
+    match center {
+        Center::Point => &file.arrays,
+        Center::Cell => &file.cell_arrays,
+    }
+}
+
+/// The field to read, and all that can be listed.
+fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
+    let refuse = |got: String, help: &str| {
+        let expected = match wanted {
+            Some(name) => format!("an array '{name}' of numbers"),
+            None => "an array of numbers".into(),
+        };
+        Err(Error::bad_input(path, "POINT_DATA", expected, got).with_help(help))
+    };
+    let fields =
+        |center| arrays_of(file, center).iter().filter(|a| a.name != GHOSTS).filter_map(Array::field);
+    let of = |center| fields(center).collect::<Vec<_>>();
+    let (points, mut cells) = (of(Center::Point), of(Center::Cell));
+    if file.dataset != Dataset::StructuredPoints {
+        cells.clear();
+    }
+    let missing = |name: &str| !points.iter().chain(&cells).any(|f| f.name == name);
+    if let Some(name) = wanted.filter(|name| missing(name)) {
+        if file.arrays.iter().any(|a| a.name == name) {
+            return refuse("one of bits or strings".into(), "write it as unsigned_char");
+        }
+        if file.cell_arrays.iter().any(|a| a.name == name) {
+            return refuse("cell data of that name".into(), "convert cell data to point data first");
+        }
+    }
+    if points.is_empty() && cells.is_empty() && !file.cell_arrays.is_empty() {
+        let names: Vec<&str> = file.cell_arrays.iter().map(|a| &a.name[..]).collect();
+        let got = format!("cell data only: {}", names.join(", "));
+        return refuse(got, "convert cell data to point data first");
+    }
+    let active = |center| {
+        let active = |a: &&Array| a.is_scalars && a.field().is_some_and(|f| f.components == 1);
+        let mut active = arrays_of(file, center).iter().filter(active);
+        active.next().filter(|_| active.next().is_none()).map(|a| &a.name[..])
+    };
+    pick(path, points, cells, wanted, active)
+}
+
+#[cfg(test)]
+mod tests;

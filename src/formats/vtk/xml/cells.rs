@@ -1,0 +1,542 @@
+//! Unstructured grids: `.vtu`, in one or several pieces, and `.pvtu`, which lists files.
+//!
+//! ```text
+//! <UnstructuredGrid>
+//!   <Piece NumberOfPoints="8" NumberOfCells="6">
+//!     <PointData Scalars="speed"> <DataArray …/> </PointData>
+//!     <CellData> … </CellData>
+//!     <Points> <DataArray type="Float32" NumberOfComponents="3" …/> </Points>
+//!     <Cells>
+//!       <DataArray Name="connectivity" …/>     the vertices of all cells
+//!       <DataArray Name="offsets" …/>          where the vertices of each cell end
+//!       <DataArray Name="types" …/>            VTK's numbers of kinds of cells
+//!     </Cells>
+//!   </Piece>
+//! </UnstructuredGrid>
+//! ```
+//!
+//! The three arrays of the cells are decoded side by side, in constant memory. Points of later
+//! pieces are numbered after those of the pieces before; a point on the border of two pieces is
+//! stored, and counted, twice. The files of a `.pvtu` are open only while they are read. Empty
+//! pieces, which parallel programs write, may lack their arrays.
+
+use super::array::{ArrayStream, scalar_type};
+use super::head::{Document, Element};
+use super::image::{arrays, fields, how_stored, name_of};
+use crate::bytes::{ByteSource, IoMode};
+use crate::cells::{
+    BLOCK, CellBlock, CellField, CellFile, CellKind, CellStream, CellsInfo, Center, GHOSTS, NumberStream,
+};
+use crate::error::{Error, Result};
+use crate::formats::shared::header;
+use crate::formats::shared::numbers::{push_ids, to_f64};
+use crate::volume::ScalarType;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use xxhash_rust::xxh3::Xxh3;
+
+/// Files that an index may list.
+const MOST_FILES: usize = 1 << 16;
+
+/// Vertices that are held at one time; a cell without a volume may have any number.
+const MOST_VERTICES: u64 = 64 * BLOCK as u64;
+
+/// Opens a `.vtu` or `.pvtu` file.
+pub(super) fn open(path: &Path, io: IoMode) -> Result<Grid> {
+    let source = Arc::new(ByteSource::open(path, io)?);
+    let doc = Arc::new(Document::open_one_of(&source, &["UnstructuredGrid", "PUnstructuredGrid"])?);
+    let mut files = vec![];
+    let mut pieces = vec![];
+    if doc.kind == "UnstructuredGrid" {
+        list_pieces(&doc, || Place::Open(Arc::clone(&doc)), &mut pieces)?;
+    } else {
+        files = listed_files(&doc)?;
+        for file in &files {
+            let part = Document::open(&Arc::new(ByteSource::open(file, io)?), "UnstructuredGrid")?;
+            list_pieces(&part, || Place::File(file.clone(), io), &mut pieces)?;
+        }
+    }
+    let info = describe(&doc, &pieces, files)?;
+    Ok(Grid(Arc::new(Shared { info, pieces })))
+}
+
+/// The files that an index lists.
+fn listed_files(doc: &Document) -> Result<Vec<PathBuf>> {
+    let mut files = vec![];
+    for piece in doc.data.all("Piece") {
+        let name = piece.attribute("Source");
+        let name = name.ok_or_else(|| doc.wrong(piece, "an attribute 'Source'", "none"))?;
+        if files.len() == MOST_FILES {
+            return Err(doc.wrong(&doc.data, format!("at most {MOST_FILES} pieces"), "more"));
+        }
+        files.push(header::beside(doc.source.path(), name));
+    }
+    Ok(files)
+}
+
+/// A piece, and where it is.
+struct Piece {
+    place: Place,
+    /// Its number among the pieces of its file.
+    number: usize,
+    points: u64,
+    cells: u64,
+}
+
+enum Place {
+    Open(Arc<Document>),
+    File(PathBuf, IoMode),
+}
+
+impl Piece {
+    fn document(&self) -> Result<Arc<Document>> {
+        match &self.place {
+            Place::Open(doc) => Ok(Arc::clone(doc)),
+            Place::File(path, io) => {
+                let source = Arc::new(ByteSource::open(path, *io)?);
+                Ok(Arc::new(Document::open(&source, "UnstructuredGrid")?))
+            }
+        }
+    }
+
+    fn element<'a>(&self, doc: &'a Document) -> Result<&'a Element> {
+        let element = doc.data.all("Piece").nth(self.number);
+        element.ok_or_else(|| doc.wrong(&doc.data, "the pieces that it had when it was opened", "fewer"))
+    }
+}
+
+/// Appends the pieces of a file that are not empty.
+fn list_pieces(doc: &Document, place: impl Fn() -> Place, out: &mut Vec<Piece>) -> Result<()> {
+    for (number, element) in doc.data.all("Piece").enumerate() {
+        let count = |name| {
+            let found: Option<[u64; 1]> = doc.numbers(element, name)?;
+            found.map(|[n]| n).ok_or_else(|| doc.wrong(element, format!("an attribute '{name}'"), "none"))
+        };
+        let (points, cells) = (count("NumberOfPoints")?, count("NumberOfCells")?);
+        if points > 0 || cells > 0 {
+            out.push(Piece { place: place(), number, points, cells });
+        }
+    }
+    Ok(())
+}
+
+fn describe(doc: &Document, pieces: &[Piece], data_files: Vec<PathBuf>) -> Result<CellsInfo> {
+    let total = |of: fn(&Piece) -> u64| pieces.iter().try_fold(0u64, |sum, p| sum.checked_add(of(p)));
+    let (points, cells) = (total(|p| p.points), total(|p| p.cells));
+    // Far below overflow, and above any file: a position takes bytes.
+    let sane = |n: &u64| *n <= i64::MAX as u64 / 64;
+    let (Some(points), Some(cells)) = (points.filter(sane), cells.filter(sane)) else {
+        return Err(doc.wrong(&doc.data, "numbers of points and cells of 57 bits", "larger ones"));
+    };
+    let Some(first) = pieces.first() else {
+        return Err(doc.wrong(&doc.data, "a Piece with points and cells", "none"));
+    };
+    let part = first.document()?;
+    let piece = first.element(&part)?;
+    let mut all = vec![];
+    for (name, center) in [("PointData", Center::Point), ("CellData", Center::Cell)] {
+        let found = fields(&part, piece.child(name))?;
+        let field = |f: crate::volume::FieldInfo| CellField {
+            name: f.name,
+            scalar: f.scalar,
+            components: f.components,
+            center,
+        };
+        all.extend(found.into_iter().map(field));
+    }
+    let active = piece.child("PointData").and_then(|p| p.attribute("Scalars"));
+    let active = active.and_then(|name| all.iter().position(|f| f.name == name && f.center == Center::Point));
+    let stored = how_stored(&part, piece.child("Points").and_then(|p| p.child("DataArray")));
+    let files =
+        if doc.kind == "UnstructuredGrid" { String::new() } else { format!("{} files, ", data_files.len()) };
+    Ok(CellsInfo {
+        path: doc.source.path().to_path_buf(),
+        format: format!("VTK XML UnstructuredGrid ({files}{stored})"),
+        points,
+        cells,
+        fields: all,
+        active,
+        data_files,
+    })
+}
+
+struct Shared {
+    info: CellsInfo,
+    pieces: Vec<Piece>,
+}
+
+/// An opened grid.
+pub(super) struct Grid(Arc<Shared>);
+
+impl Grid {
+    fn numbers(&self, what: What) -> Box<dyn NumberStream> {
+        Box::new(Numbers { shared: Arc::clone(&self.0), what, piece: 0, open: None, bytes: vec![] })
+    }
+}
+
+impl CellFile for Grid {
+    fn info(&self) -> &CellsInfo {
+        &self.0.info
+    }
+
+    fn points(&self) -> Result<Box<dyn NumberStream>> {
+        Ok(self.numbers(What::Points))
+    }
+
+    fn cells(&self) -> Result<Box<dyn CellStream>> {
+        Ok(Box::new(Cells {
+            shared: Arc::clone(&self.0),
+            piece: 0,
+            base: 0,
+            open: None,
+            bytes: vec![],
+            ids: vec![],
+        }))
+    }
+
+    fn field(&self, field: usize) -> Result<Box<dyn NumberStream>> {
+        Ok(self.numbers(What::Field(field)))
+    }
+
+    /// The hash of arrays that lie in their elements, in one file. There is none where cells are
+    /// marked as ghosts: these marks are a part of the mesh that is stored elsewhere.
+    fn stored_hash(&self) -> Result<Option<u128>> {
+        if self.0.info.fields.iter().any(|f| f.name == GHOSTS) {
+            return Ok(None);
+        }
+        let mut hash = Xxh3::new();
+        for piece in &self.0.pieces {
+            let Place::Open(doc) = &piece.place else { return Ok(None) };
+            let element = piece.element(doc)?;
+            hash.update(format!("{} {} {}", piece.points, piece.cells, doc.stored_as()).as_bytes());
+            for parent in ["Points", "Cells"] {
+                for array in arrays(element.child(parent)) {
+                    if array.attribute("format") == Some("appended") {
+                        return Ok(None);
+                    }
+                    let length = array.text.end - array.text.start;
+                    hash.update(format!("{parent} {:?} {length} ", array.attributes()).as_bytes());
+                    doc.hash_text(array, &mut hash)?;
+                }
+            }
+        }
+        Ok(Some(hash.digest128()))
+    }
+}
+
+#[derive(Clone, Copy)]
+enum What {
+    Points,
+    Field(usize),
+}
+
+/// An array of each piece, one after another.
+struct Numbers {
+    shared: Arc<Shared>,
+    what: What,
+    piece: usize,
+    open: Option<OpenArray>,
+    bytes: Vec<u8>,
+}
+
+struct OpenArray {
+    stream: ArrayStream,
+    scalar: ScalarType,
+    /// Numbers not read yet.
+    left: u64,
+}
+
+impl Numbers {
+    fn open(&self, piece: &Piece) -> Result<OpenArray> {
+        let doc = piece.document()?;
+        let element = piece.element(&doc)?;
+        let (array, scalar, count) = match self.what {
+            What::Points => {
+                let points = element.child("Points").and_then(|p| p.child("DataArray"));
+                let array = points.ok_or_else(|| doc.wrong(element, "a DataArray in Points", "none"))?;
+                let scalar = array.attribute("type").and_then(scalar_type);
+                let scalar = scalar.ok_or_else(|| doc.wrong(array, "numbers", "another type"))?;
+                (array, scalar, piece.points.checked_mul(3))
+            }
+            What::Field(field) => {
+                let field = &self.shared.info.fields[field];
+                let (parent, tuples) = match field.center {
+                    Center::Point => ("PointData", piece.points),
+                    Center::Cell => ("CellData", piece.cells),
+                };
+                let array = find(&doc, element, parent, field)?;
+                (array, field.scalar, tuples.checked_mul(field.components.into()))
+            }
+        };
+        let bytes = count.and_then(|n| n.checked_mul(scalar.bytes() as u64)).zip(count);
+        let (bytes, left) =
+            bytes.ok_or_else(|| doc.wrong(array, "an array of 63 bits of bytes", "a longer one"))?;
+        Ok(OpenArray { stream: ArrayStream::open(&doc, array, scalar, bytes)?, scalar, left })
+    }
+}
+
+/// The array of a field in a piece.
+fn find<'a>(doc: &Document, piece: &'a Element, parent: &str, field: &CellField) -> Result<&'a Element> {
+    let same = |a: &&Element| {
+        let components = doc.count(a, "NumberOfComponents", 1);
+        let scalar = a.attribute("type").and_then(scalar_type);
+        name_of(a) == field.name
+            && scalar == Some(field.scalar)
+            && components.is_ok_and(|n| n == u64::from(field.components))
+    };
+    arrays(piece.child(parent)).find(same).ok_or_else(|| {
+        let (n, name, scalar) = (field.components, &field.name, field.scalar.name());
+        let expected = format!("{parent} '{name}' of {n} x {scalar} in every piece");
+        doc.wrong(piece, expected, "none like it")
+    })
+}
+
+impl NumberStream for Numbers {
+    fn fill(&mut self, mut out: &mut [f64]) -> Result<()> {
+        while !out.is_empty() {
+            if self.open.as_ref().is_none_or(|o| o.left == 0) {
+                self.next_piece()?;
+                continue;
+            }
+            let open = self.open.as_mut().expect("it is open, as was just seen");
+            let n = open.left.min(out.len() as u64) as usize;
+            let (now, later) = out.split_at_mut(n);
+            self.bytes.resize(n * open.scalar.bytes(), 0);
+            open.stream.fill(&mut self.bytes)?;
+            to_f64(open.scalar, &self.bytes, now);
+            open.left -= n as u64;
+            out = later;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<()> {
+        self.open.as_mut().map_or(Ok(()), |o| o.stream.finish())
+    }
+}
+
+impl Numbers {
+    fn next_piece(&mut self) -> Result<()> {
+        self.finish()?;
+        let piece =
+            self.shared.pieces.get(self.piece).expect("as many numbers are asked for as were counted");
+        self.open = Some(self.open(piece)?);
+        self.piece += 1;
+        Ok(())
+    }
+}
+
+/// The cells of each piece, one after another.
+struct Cells {
+    shared: Arc<Shared>,
+    piece: usize,
+    /// Points of the pieces before.
+    base: u64,
+    open: Option<OpenCells>,
+    bytes: Vec<u8>,
+    ids: Vec<u64>,
+}
+
+struct OpenCells {
+    path: PathBuf,
+    types: Ids,
+    offsets: Ids,
+    connectivity: Ids,
+    points: u64,
+    /// Cells not read yet.
+    left: u64,
+    /// Cells read.
+    at: u64,
+    /// Where the vertices of the last cell read end.
+    offset: u64,
+}
+
+/// An array of integers.
+struct Ids {
+    stream: ArrayStream,
+    scalar: ScalarType,
+}
+
+impl Ids {
+    /// Puts the next `n` into `out` (cleared first).
+    fn read(&mut self, n: usize, bytes: &mut Vec<u8>, out: &mut Vec<u64>) -> Result<()> {
+        out.clear();
+        bytes.resize(n * self.scalar.bytes(), 0);
+        self.stream.fill(bytes)?;
+        push_ids(self.scalar, bytes, out);
+        Ok(())
+    }
+}
+
+impl OpenCells {
+    fn open(piece: &Piece) -> Result<Self> {
+        let doc = piece.document()?;
+        let element = piece.element(&doc)?;
+        let cells = element.child("Cells").ok_or_else(|| doc.wrong(element, "an element Cells", "none"))?;
+        let array = |name: &str, count: Option<u64>| {
+            let array = arrays(Some(cells)).find(|a| name_of(a) == name);
+            let array = array.ok_or_else(|| doc.wrong(cells, format!("an array '{name}'"), "none"))?;
+            let scalar = array.attribute("type").and_then(scalar_type);
+            let scalar = scalar.filter(|s| !matches!(s, ScalarType::F32 | ScalarType::F64));
+            let scalar = scalar.ok_or_else(|| doc.wrong(array, "an integer type", "another"))?;
+            let stream = match count {
+                // Points and cells have been checked to be few enough.
+                Some(n) => ArrayStream::open(&doc, array, scalar, n * scalar.bytes() as u64)?,
+                None => ArrayStream::open_declared(&doc, array, scalar)?,
+            };
+            Ok(Ids { stream, scalar })
+        };
+        let (types, offsets) = (array("types", Some(piece.cells))?, array("offsets", Some(piece.cells))?);
+        let connectivity = array("connectivity", None)?;
+        let path = doc.source.path().to_path_buf();
+        Ok(Self {
+            path,
+            types,
+            offsets,
+            connectivity,
+            points: piece.points,
+            left: piece.cells,
+            at: 0,
+            offset: 0,
+        })
+    }
+
+    fn wrong(&self, cell: u64, expected: impl Into<String>, got: impl Into<String>) -> Error {
+        Error::bad_input(&self.path, format!("cell {cell} of a piece (counted from 0)"), expected, got)
+    }
+
+    fn finish(&mut self) -> Result<()> {
+        self.types.stream.finish()?;
+        self.offsets.stream.finish()?;
+        self.connectivity.stream.finish()
+    }
+
+    /// The next cells of this piece, at most [`BLOCK`].
+    fn read(
+        &mut self,
+        base: u64,
+        bytes: &mut Vec<u8>,
+        ids: &mut Vec<u64>,
+        out: &mut CellBlock,
+    ) -> Result<()> {
+        let n = self.left.min(BLOCK as u64) as usize;
+        let (mut types, mut ends) = (vec![], vec![]);
+        self.types.read(n, bytes, &mut types)?;
+        self.offsets.read(n, bytes, &mut ends)?;
+        let mut done = 0;
+        while done < n {
+            // As many cells as have few enough vertices together.
+            let few =
+                ends[done..].iter().take_while(|&&e| e.wrapping_sub(self.offset) <= MOST_VERTICES).count();
+            let run = done..done + few.max(1);
+            let end = ends[run.end - 1];
+            let span = end.checked_sub(self.offset).ok_or_else(|| self.disorder(run.start, &ends))?;
+            if span > MOST_VERTICES {
+                self.skip(self.kind(run.start, types[run.start])?, run.start, span, bytes, ids)?;
+                out.push(CellKind::Flat, &[]);
+                self.offset = end;
+                done = run.end;
+                continue;
+            }
+            self.connectivity.read(span as usize, bytes, ids)?;
+            let start = self.offset;
+            for i in run.clone() {
+                let kind = self.kind(i, types[i])?;
+                let span = ends[i].checked_sub(self.offset).map(|_| self.offset - start..ends[i] - start);
+                let span = span.ok_or_else(|| self.disorder(i, &ends))?;
+                let vertices = ids.get_mut(span.start as usize..span.end as usize);
+                let vertices = vertices.ok_or_else(|| self.disorder(i, &ends))?;
+                self.push(i, kind, base, vertices, out)?;
+                self.offset = ends[i];
+            }
+            done = run.end;
+        }
+        self.left -= n as u64;
+        self.at += n as u64;
+        Ok(())
+    }
+
+    fn disorder(&self, i: usize, ends: &[u64]) -> Error {
+        let expected = format!("offsets that ascend, {} or more", self.offset);
+        self.wrong(self.at + i as u64, expected, ends[i].to_string())
+    }
+
+    fn kind(&self, i: usize, number: u64) -> Result<CellKind> {
+        CellKind::from_vtk(number).map_err(|name| {
+            let expected = "a linear or quadratic cell: tetrahedron, hexahedron, voxel, wedge, pyramid";
+            self.wrong(self.at + i as u64, expected, name).with_help("convert it to tetrahedra first")
+        })
+    }
+
+    /// Appends a cell; its vertices become numbers among the points of all pieces.
+    fn push(
+        &self,
+        i: usize,
+        kind: CellKind,
+        base: u64,
+        vertices: &mut [u64],
+        out: &mut CellBlock,
+    ) -> Result<()> {
+        if kind == CellKind::Flat {
+            out.push(kind, &[]);
+            return Ok(());
+        }
+        let cell = self.at + i as u64;
+        if vertices.len() != kind.vertices() {
+            let expected = format!("{} vertices of {}", kind.vertices(), kind.plural());
+            return Err(self.wrong(cell, expected, vertices.len().to_string()));
+        }
+        for v in vertices.iter_mut() {
+            if *v >= self.points {
+                let expected = format!("vertices below {}", self.points);
+                return Err(self.wrong(cell, expected, (*v as i64).to_string()));
+            }
+            *v += base;
+        }
+        out.push(kind, vertices);
+        Ok(())
+    }
+
+    /// Goes over the vertices of a cell that has too many to be held.
+    fn skip(
+        &mut self,
+        kind: CellKind,
+        i: usize,
+        mut n: u64,
+        bytes: &mut Vec<u8>,
+        ids: &mut Vec<u64>,
+    ) -> Result<()> {
+        if kind != CellKind::Flat {
+            let expected = format!("{} vertices of {}", kind.vertices(), kind.plural());
+            return Err(self.wrong(self.at + i as u64, expected, n.to_string()));
+        }
+        while n > 0 {
+            let some = n.min(MOST_VERTICES);
+            self.connectivity.read(some as usize, bytes, ids)?;
+            n -= some;
+        }
+        Ok(())
+    }
+}
+
+impl CellStream for Cells {
+    fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
+        out.clear();
+        loop {
+            if let Some(open) = self.open.as_mut().filter(|o| o.left > 0) {
+                open.read(self.base, &mut self.bytes, &mut self.ids, out)?;
+                return Ok(true);
+            }
+            if let Some(mut done) = self.open.take() {
+                done.finish()?;
+                self.base += done.points;
+            }
+            let Some(piece) = self.shared.pieces.get(self.piece) else { return Ok(false) };
+            self.open = Some(OpenCells::open(piece)?);
+            self.piece += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

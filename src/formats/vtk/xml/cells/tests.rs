@@ -1,0 +1,144 @@
+use crate::cells::{CellKind, CellMesh, Center};
+use crate::error::Result;
+use crate::formats::mesh::tests::{read_whole, torture};
+use crate::formats::tests::write;
+use crate::formats::vtk::xml::tests::{Encoding, Fixture, every_encoding};
+use crate::formats::{OpenOptions, open_mesh};
+
+/// A tetrahedron, a triangle and a pyramid on five points; `x` moves them.
+fn piece(file: &mut Fixture, x: f32) {
+    piece_of(file, x, x);
+}
+
+fn piece_of(file: &mut Fixture, x: f32, value: f32) {
+    file.text("<Piece NumberOfPoints=\"5\" NumberOfCells=\"3\">\n<PointData Scalars=\"p\">");
+    file.array("v", 3, &(0..15).map(|i| i as i16).collect::<Vec<i16>>());
+    file.array("p", 1, &[1.5, 2.0, 3.0, 4.0, value]);
+    file.text("</PointData>\n<CellData>");
+    file.array("c", 1, &[1u8, 2, 4]);
+    file.text("</CellData>\n<Points>");
+    let points = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.5, 0.5, x];
+    file.array("Points", 3, &points);
+    file.text("</Points>\n<Cells>");
+    file.array("connectivity", 1, &[0i64, 1, 2, 4, 0, 1, 2, 0, 1, 2, 3, 4]);
+    file.array("offsets", 1, &[4i64, 7, 12]);
+    file.array("types", 1, &[10u8, 5, 14]);
+    file.text("</Cells></Piece>\n");
+}
+
+fn grid(encoding: Encoding, pieces: usize) -> Vec<u8> {
+    let mut file = encoding.file("UnstructuredGrid", "");
+    (0..pieces).for_each(|i| piece(&mut file, i as f32 + 1.0));
+    file.finish()
+}
+
+fn open(bytes: &[u8], field: Option<&str>) -> Result<CellMesh> {
+    let dir = tempfile::tempdir().unwrap();
+    let options = OpenOptions { field: field.map(str::to_string), ..OpenOptions::default() };
+    open_mesh(&write(&dir, "f.vtu", bytes), &options)
+}
+
+#[test]
+fn every_encoding_gives_the_mesh() {
+    for encoding in every_encoding() {
+        for pieces in [1, 2] {
+            let mesh = open(&grid(encoding, pieces), None).unwrap_or_else(|e| panic!("{encoding:?}: {e}"));
+            let whole = read_whole(&mesh).unwrap_or_else(|e| panic!("{encoding:?}: {e}"));
+            assert_eq!(whole.points.len(), 5 * pieces);
+            assert_eq!(whole.points[1], [1.0, 0.0, 0.0]);
+            for i in 0..pieces as u64 {
+                let cells = &whole.cells[3 * i as usize..][..3];
+                let ids = |of: &[u64]| of.iter().map(|v| v + 5 * i).collect::<Vec<u64>>();
+                assert_eq!(cells[0], (CellKind::Tetrahedron, ids(&[0, 1, 2, 4])));
+                assert_eq!(cells[1], (CellKind::Flat, vec![]));
+                assert_eq!(cells[2], (CellKind::Pyramid, ids(&[0, 1, 2, 3, 4])));
+                assert_eq!(whole.values[5 * i as usize + 4], i as f32 + 1.0, "{encoding:?}");
+            }
+            let averaged = read_whole(&mesh.with_field("c").unwrap()).unwrap().values;
+            assert_eq!(averaged[..5], [2.5, 2.5, 2.5, 4.0, 2.5]);
+            assert_eq!(read_whole(&mesh.with_field("v.z").unwrap()).unwrap().values[1], 5.0);
+        }
+    }
+    let info = open(&grid(every_encoding()[1], 1), None).unwrap().info().clone();
+    let fields: Vec<_> = info.fields.iter().map(|f| (&f.name[..], f.components, f.center)).collect();
+    assert_eq!(fields, [("v", 3, Center::Point), ("p", 1, Center::Point), ("c", 1, Center::Cell)]);
+    assert!(info.format.contains("inline base64, uncompressed, UInt32"), "{}", info.format);
+}
+
+#[test]
+fn files_that_store_the_same_mesh_have_one_hash() {
+    let hash = |encoding: Encoding, x, value| {
+        let mut file = encoding.file("UnstructuredGrid", "");
+        piece_of(&mut file, x, value);
+        open(&file.finish(), None).unwrap().stored_hash().unwrap()
+    };
+    let mut all = vec![];
+    for encoding in every_encoding() {
+        let first = hash(encoding, 1.0, 1.0);
+        assert_eq!(first, hash(encoding, 1.0, 7.0), "{encoding:?}: of other values");
+        assert!(first.is_none() || first != hash(encoding, 2.0, 1.0), "{encoding:?}: of moved points");
+        all.extend(first);
+    }
+    assert!(all.len() > 3);
+    all.sort_unstable();
+    assert!(all.windows(2).all(|pair| pair[0] != pair[1]), "as many as there are ways to store it");
+}
+
+#[test]
+fn an_index_joins_its_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let ascii = every_encoding()[0];
+    write(&dir, "a_0.vtu", &grid(ascii, 1));
+    // Processes without a part of the mesh write empty pieces.
+    write(
+        &dir,
+        "a_1.vtu",
+        b"<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>\
+        <Piece NumberOfPoints=\"0\" NumberOfCells=\"0\"/></UnstructuredGrid></VTKFile>",
+    );
+    write(&dir, "a_2.vtu", &grid(ascii, 2));
+    let index = "<VTKFile type=\"PUnstructuredGrid\"><PUnstructuredGrid GhostLevel=\"0\">\
+        <Piece Source=\"a_0.vtu\"/><Piece Source=\"a_1.vtu\"/><Piece Source=\"a_2.vtu\"/></PUnstructuredGrid></VTKFile>";
+    let path = write(&dir, "a.pvtu", index.as_bytes());
+    let mesh = open_mesh(&path, &OpenOptions::default()).unwrap();
+    let whole = read_whole(&mesh).unwrap();
+    assert_eq!((whole.points.len(), whole.cells[8].1[0], mesh.info().data_files.len()), (15, 10, 3));
+    std::fs::remove_file(dir.path().join("a_2.vtu")).unwrap();
+    let error = open_mesh(&path, &OpenOptions::default()).err().expect("a missing file");
+    assert!(error.to_string().contains("a_2.vtu"), "{error}");
+}
+
+#[test]
+fn what_is_wrong_is_told() {
+    let good = String::from_utf8(grid(every_encoding()[0], 1)).unwrap();
+    for (old, new, told) in [
+        (" 0 1 2 4 0", " 0 1 2 5 0", "cell 0 of a piece (counted from 0): expected vertices below 5, got 5"),
+        (" 0 1 2 4 0", " 0 1 2 -4 0", "got -1"),
+        (" 4 7 12", " 4 3 12", "offsets that ascend, 4 or more, got 3"),
+        (" 4 7 12", " 3 7 12", "4 vertices of tetrahedra, got 3"),
+        (" 4 7 12", " 4 7 13", "more numbers"),
+        ("0 1 2 3 4\n", "0 1 2 3 4 0\n", "the end of the array's numbers"),
+        (" 10 5 14", " 10 5 42", "cell type 42 (polyhedron)"),
+        (" 10 5 14", " 10 5 99", "cell type 99"),
+        (" 10 5 14", " 10 5", "more numbers"),
+        ("Name=\"types\"", "Name=\"kinds\"", "an array 'types'"),
+        ("NumberOfCells=\"3\"", "NumberOfCells=\"30000000000000000000\"", "numbers in NumberOfCells"),
+        ("NumberOfCells=\"3\"", "NumberOfCells=\"3000000000000\"", "a file too short"),
+        ("NumberOfPoints=\"5\"", "NumberOfPoints=\"9223372036854775807\"", "57 bits"),
+        (" 0 0 0 1 ", " 0 nan 0 1 ", "point 0: expected finite coordinates, got (0, NaN, 0)"),
+    ] {
+        assert!(good.contains(old), "{old}");
+        let outcome = open(good.replacen(old, new, 1).as_bytes(), None).and_then(|m| read_whole(&m));
+        let line = outcome.err().unwrap_or_else(|| panic!("{new} was read")).to_string();
+        assert!(line.contains(told), "{line}");
+    }
+    let error = open(good.as_bytes(), Some("q")).err().expect("no such field");
+    assert_eq!(error.exit_code(), 2);
+}
+
+#[test]
+fn damage_is_survived() {
+    for at in [0, 1, 9, 22, 30] {
+        torture("f.vtu", &grid(every_encoding()[at], 1));
+    }
+}

@@ -1,0 +1,138 @@
+//! Surfaces coloured by another field: values at the vertices, the same bytes however they are made.
+
+use crate::common::*;
+use isospan::formats::surface::SurfaceFormat;
+use isospan::pipeline::{ReduceSettings, StepChoice, SurfaceSettings, ValueBits};
+use isospan::render::ColourMap;
+use isospan::sample::Values;
+use isospan::{Archive, Resources};
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+const DIMS: [usize; 3] = [20, 18, 16];
+
+/// A file with two fields: a ball, and a linear field, 2x + y.
+fn write_two_fields(path: &Path) {
+    let [nx, ny, nz] = DIMS;
+    let mut text = format!(
+        "# vtk DataFile Version 3.0\ntwo\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS {nx} {ny} {nz}\n\
+         ORIGIN 0 0 0\nSPACING 1 1 1\nPOINT_DATA {}\n",
+        nx * ny * nz
+    );
+    for (name, is_ball) in [("ball", true), ("heat", false)] {
+        let _ = writeln!(text, "SCALARS {name} float 1\nLOOKUP_TABLE default");
+        for z in 0..nz {
+            for y in 0..ny {
+                for x in 0..nx {
+                    let [a, b, c] = [x as f64 - 9.5, y as f64 - 8.5, z as f64 - 7.5];
+                    let ball = 6.0 - (a * a + b * b + c * c).sqrt();
+                    let value = if is_ball { ball } else { 2.0 * x as f64 + y as f64 };
+                    let _ = writeln!(text, "{value:.6}");
+                }
+            }
+        }
+    }
+    fs::write(path, text).unwrap();
+}
+
+fn isospan(dir: &Path, args: &[&str]) -> String {
+    let out = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(dir).args(args).output().unwrap();
+    assert!(out.status.success(), "{args:?}: {}", String::from_utf8_lossy(&out.stderr));
+    String::from_utf8(out.stdout).unwrap()
+}
+
+/// The vertices of a binary PLY: position, value, colour.
+fn vertices(bytes: &[u8]) -> Vec<([f32; 3], f32, [u8; 3])> {
+    let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+    let header = String::from_utf8_lossy(&bytes[..end]);
+    assert!(header.contains("property float nz\nproperty float heat\nproperty uchar red\n"), "{header}");
+    let count = header.lines().find_map(|l| l.strip_prefix("element vertex ")).unwrap();
+    let record = |r: &[u8]| {
+        let float = |at: usize| f32::from_le_bytes(r[4 * at..4 * at + 4].try_into().unwrap());
+        ([0, 1, 2].map(float), float(6), [r[28], r[29], r[30]])
+    };
+    bytes[end..].chunks(31).take(count.parse().unwrap()).map(record).collect()
+}
+
+#[test]
+fn two_fields_of_one_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_two_fields(&d.join("two.vtk"));
+    let exact = ["--values", "sample", "--value-bits", "exact", "--fraction", "1/2"];
+    isospan(d, &[&["reduce", "two.vtk", "-o", "two.isospan", "--fields", "ball,heat"], &exact[..]].concat());
+    let info = isospan(d, &["info", "two.isospan"]);
+    assert!(info.contains("ball") && info.contains("heat"), "{info}");
+    let heat = isospan(d, &["count", "two.isospan", "--step", "heat", "--isovalue", "20"]);
+    assert!(heat != isospan(d, &["count", "two.isospan", "--step", "ball", "--isovalue", "1"]));
+    let make = |out: &str, more: &[&str]| {
+        let what = ["surface", "two.isospan", "--step", "ball", "-i", "1", "--colour-by", "heat", "-o", out];
+        isospan(d, &[&what[..], more].concat());
+        fs::read(d.join(out)).unwrap()
+    };
+    let bytes = make("ball.ply", &["--colour-range", "10:40", "--colour-map", "coolwarm"]);
+    let found = vertices(&bytes);
+    assert!(found.len() > 200);
+    for &(p, value, colour) in &found {
+        assert!((value - (2.0 * p[0] + p[1])).abs() < 1e-3, "{p:?}: {value}");
+        assert_eq!(colour, ColourMap::Coolwarm.colour((f64::from(value) - 10.0) / 30.0));
+    }
+    // The surface is that without colours, and threads do not show.
+    isospan(d, &["surface", "two.isospan", "--step", "ball", "-i", "1", "-o", "plain.ply"]);
+    let [plain, coloured] = ["plain.ply", "ball.ply"].map(|name| read(&d.join(name)));
+    assert_eq!(plain, coloured);
+    let one = make("one.ply", &["--colour-range", "10:40", "--colour-map", "coolwarm", "--threads", "1"]);
+    assert!(one == bytes);
+    // The other formats hold the same surface.
+    for name in ["ball.vtp", "ball.glb", "ball.obj"] {
+        let bytes = make(name, &[]);
+        assert_eq!(read(&d.join(name)).triangles.len(), plain.triangles.len(), "{name}");
+        let text = String::from_utf8_lossy(&bytes);
+        let wanted = match name {
+            "ball.vtp" => "<PointData Scalars=\"heat\" Normals=\"Normals\">",
+            "ball.glb" => "\"COLOR_0\":2",
+            _ => "# colours viridis of heat, 0 to 55",
+        };
+        assert!(text.contains(wanted), "{name}: {}", &text[..1000.min(text.len())]);
+    }
+    let stl = ["surface", "two.isospan", "-i", "1", "--colour-by", "heat", "-o", "ball.stl"];
+    let refused = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(stl).output().unwrap();
+    assert!(!refused.status.success() && !d.join("ball.stl").exists());
+    let unknown = ["surface", "two.isospan", "-i", "1", "--colour-by", "cold", "-o", "cold.ply"];
+    let refused = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(unknown).output().unwrap();
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("it has ball, heat"));
+}
+
+#[test]
+fn another_archive_in_little_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let [ball_file, slope_file] = ["ball.npy", "slope.npy"].map(|n| dir.path().join(n));
+    write_npy(&ball_file, [40, 36, 32], ball);
+    write_npy(&slope_file, [40, 36, 32], |x, y, z| x + 2.0 * y - z);
+    let exact = ReduceSettings {
+        values: Values::Sample,
+        value_bits: ValueBits::Exact,
+        ..settings(isospan::points::SetKind::Halton, isospan::pipeline::Amount::Fraction(0.5), 4_000)
+    };
+    let [ball_out, slope_out] = [&ball_file, &slope_file].map(|f| f.with_extension("isospan"));
+    reduce(&ball_file, &exact, &ball_out, 2);
+    reduce(&slope_file, &exact, &slope_out, 2);
+    let mut files = vec![];
+    for memory in [64 << 20, 4 << 30] {
+        let archive = Archive::open(&ball_out).unwrap();
+        let by = Archive::open(&slope_out).unwrap().at(StepChoice::First).unwrap();
+        let settings = SurfaceSettings {
+            isovalues: vec![0.1, -0.05],
+            colour_by: Some(by.into_colours(ColourMap::Grey)),
+            resources: Resources::default().with_memory(memory),
+            ..SurfaceSettings::default()
+        };
+        let out = dir.path().join(format!("{memory}.vtp"));
+        let step = archive.at(StepChoice::First).unwrap();
+        step.write_surface(&settings, &out, SurfaceFormat::Vtp, &isospan::exec::Silent).unwrap();
+        files.push(fs::read(out).unwrap());
+    }
+    assert!(files[0] == files[1]);
+}
