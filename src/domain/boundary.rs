@@ -34,6 +34,7 @@ use super::nearest::nearest;
 use super::scatter::scattered;
 use super::store::CellStore;
 use crate::error::{Error, Result};
+use crate::geom::vec3::{cross, dot};
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::locate::{FINE_BITS, FinePos, fine};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, radical_inverse};
@@ -272,14 +273,6 @@ impl Near {
 /// `a - b`, exactly.
 pub(super) fn difference(a: FinePos, b: FinePos) -> [f64; 3] {
     std::array::from_fn(|k| (a[k] - b[k]) as f64)
-}
-
-pub(super) fn cross(u: [f64; 3], v: [f64; 3]) -> [f64; 3] {
-    [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
-}
-
-pub(super) fn dot(u: [f64; 3], v: [f64; 3]) -> f64 {
-    u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 }
 
 fn area([a, b, c]: [FinePos; 3]) -> f64 {

@@ -28,10 +28,11 @@
 //! stream past once, [`PointGrid`]). If it is a later one, it gets a partner there; if it is an
 //! earlier one, the sample is dropped.
 
-use super::boundary::{Near, OnBoundary, Sample, Spacing, cross, difference, dot, mean, rounded};
+use super::boundary::{Near, OnBoundary, Sample, Spacing, difference, mean, rounded};
 use super::buckets::BATCH;
 use super::store::CellStore;
 use crate::error::Result;
+use crate::geom::vec3::{cross, dot};
 use crate::geom::{Lattice, LatticePos};
 use crate::locate::{CellBatch, FINE_BITS, FinePos, Found, PointGrid, fine};
 

@@ -10,13 +10,14 @@
 //! Edges of the boundary's triangles are sorted, so the two triangles of an edge follow each other;
 //! then edges along a space-filling curve, and their ends by vertex. Sorting is external.
 
-use super::boundary::{cross, difference, dot};
+use super::boundary::difference;
 use super::column::{Column, ColumnWriter};
 use super::store::StoreSettings;
 use crate::bytes::sorter::Sorter;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::geom::curve::hilbert_key;
+use crate::geom::vec3::{cross, dot};
 use crate::locate::{FINE_BITS, FinePos};
 
 /// A boundary bends where normals, or edges, are further apart than 40 degrees: the cosine.

@@ -9,6 +9,7 @@ use super::column::{Column, ColumnWriter};
 use super::store::{CellStore, StoreSettings};
 use crate::bytes::sorter::Sorter;
 use crate::error::Result;
+use crate::geom::vec3::{cross, dot};
 use crate::locate::FinePos;
 
 /// Vertex, tetrahedron, then the bits of volume and of the gradient times the volume.
@@ -54,12 +55,9 @@ pub(crate) fn gradients(
 /// gradient is (f_u v×w + f_v w×u + f_w u×v) / (u · v×w).
 fn of_tet(corners: [FinePos; 4], values: [f64; 4]) -> (f64, [f64; 3]) {
     let edge = |i: usize| -> [f64; 3] { std::array::from_fn(|k| (corners[i][k] - corners[0][k]) as f64) };
-    let cross = |p: [f64; 3], q: [f64; 3]| {
-        [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
-    };
     let (u, v, w) = (edge(1), edge(2), edge(3));
     let (vw, wu, uv) = (cross(v, w), cross(w, u), cross(u, v));
-    let volume = u[0] * vw[0] + u[1] * vw[1] + u[2] * vw[2];
+    let volume = dot(u, vw);
     let [fu, fv, fw] = [values[1] - values[0], values[2] - values[0], values[3] - values[0]];
     (volume, std::array::from_fn(|k| fu * vw[k] + fv * wu[k] + fw * uv[k]))
 }

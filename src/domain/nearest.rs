@@ -4,7 +4,8 @@
 //! inside (Ericson 2005, "Real-Time Collision Detection", section 5.1.5). All is in `f64` and in
 //! one order of operations, so the bits are the same on every machine.
 
-use super::boundary::{cross, difference, dot};
+use super::boundary::difference;
+use crate::geom::vec3::{cross, dot};
 use crate::locate::FinePos;
 
 /// Weights of the corners of a triangle at its point nearest to `p`, and the square of the distance

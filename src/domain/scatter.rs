@@ -19,10 +19,11 @@
 //! distance); Dey and Levine 2009, "Delaunay meshing of piecewise smooth complexes without
 //! expensive predicates" (features first).
 
-use super::boundary::{OnBoundary, Spacing, Surface, cross, difference, dot, mean, rounded};
+use super::boundary::{OnBoundary, Spacing, Surface, difference, mean, rounded};
 use super::store::CellStore;
 use crate::error::Result;
 use crate::geom::LatticePos;
+use crate::geom::vec3::{cross, dot};
 use crate::locate::{FINE_BITS, FinePos};
 use std::collections::HashMap;
 

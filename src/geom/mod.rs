@@ -3,6 +3,7 @@
 pub mod curve;
 pub mod lattice;
 pub mod predicates;
+pub(crate) mod vec3;
 
 pub(crate) use lattice::half_plane;
 pub use lattice::{Lattice, LatticeBox, LatticePos};

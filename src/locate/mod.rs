@@ -33,6 +33,7 @@ pub use kd_tree::KdTree;
 pub use point_grid::PointGrid;
 
 use crate::geom::LatticePos;
+use crate::geom::vec3::minus;
 
 /// A lattice step is 2^14 fine steps.
 pub const FINE_BITS: u32 = 14;
@@ -103,11 +104,6 @@ pub fn volume6([a, b, c, d]: [FinePos; 4]) -> i128 {
 /// Whether `det(b - a, c - a, d - a) > 0`.
 pub fn is_positive(corners: [FinePos; 4]) -> bool {
     volume6(corners) > 0
-}
-
-#[inline]
-fn minus(a: FinePos, b: FinePos) -> [i64; 3] {
-    std::array::from_fn(|k| a[k] - b[k])
 }
 
 /// Differences are at most 2^38: a product of three is at most 2^114, the sum of six below 2^117.

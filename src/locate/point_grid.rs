@@ -10,8 +10,9 @@
 //!   └───┴───┴───┴───┘
 //! ```
 
-use super::{CellBatch, FinePos, Found, keep, minus, weights};
+use super::{CellBatch, FinePos, Found, keep, weights};
 use crate::exec::with_vectors;
+use crate::geom::vec3::{cross, minus};
 
 /// Points to be located, sorted into a grid.
 #[derive(Clone, Debug)]
@@ -181,9 +182,6 @@ impl Planes {
     fn new([a, b, c, d]: [FinePos; 4], lo: FinePos, sides: [i64; 3], size: [f64; 3]) -> Self {
         const U: f64 = 1.0 / (1u32 << 24) as f64;
         let [u, v, w] = [b, c, d].map(|p| minus(p, a).map(|x| x as f64));
-        let cross = |p: [f64; 3], q: [f64; 3]| {
-            [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
-        };
         // The fourth is what the others lack of a closed surface.
         let (of_b, of_c, of_d) = (cross(v, w), cross(w, u), cross(u, v));
         let of_a: [f64; 3] = std::array::from_fn(|k| -(of_b[k] + of_c[k] + of_d[k]));

@@ -43,6 +43,7 @@
 //! owned tetrahedra alone: a wrong one whose least vertex lies outside the core can hide T.
 
 use crate::geom::predicates::signed_volume6;
+use crate::geom::vec3::{cross, dot};
 use crate::geom::{LatticeBox, LatticePos};
 
 /// The unseen part of the domain.
@@ -134,11 +135,8 @@ impl Unseen {
     fn spares_exactly(&self, [a, b, c, p]: [LatticePos; 4]) -> bool {
         let [u, v, w] =
             [a, b, c].map(|q| -> [i64; 3] { std::array::from_fn(|k| i64::from(q[k]) - i64::from(p[k])) });
-        let cross = |a: [i64; 3], b: [i64; 3]| {
-            [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]].map(i128::from)
-        };
-        let square = |a: [i64; 3]| i128::from(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]);
-        let (vw, wu, uv) = (cross(v, w), cross(w, u), cross(u, v));
+        let square = |a: [i64; 3]| i128::from(dot(a, a));
+        let [vw, wu, uv] = [cross(v, w), cross(w, u), cross(u, v)].map(|n| n.map(i128::from));
         let d: i128 = (0..3).map(|k| i128::from(u[k]) * vw[k]).sum();
         let n: [i128; 3] =
             std::array::from_fn(|k| (square(u) * vw[k] + square(v) * wu[k] + square(w) * uv[k]) * d.signum());

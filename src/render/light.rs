@@ -1,6 +1,7 @@
 //! A sky of lights, and what each of them sees of the surface.
 
 use super::Placed;
+use crate::geom::vec3::{cross, dot};
 use rayon::prelude::*;
 
 /// Texels along each side of a light's depth map.
@@ -29,10 +30,6 @@ pub(super) struct Sky {
     lights: Vec<Light>,
     /// The lights of a sky without maps.
     open: Vec<([f32; 3], f32)>,
-}
-
-pub(super) fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// Directions, evenly on the part of the sphere above [`LOWEST`]: a Fibonacci lattice.
@@ -86,10 +83,6 @@ impl Sky {
         out.extend_from_slice(&self.open);
         out.extend(self.lights.iter().map(|l| (l.to, l.strength * l.visibility(place, normal))));
     }
-}
-
-fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// A position across a light in texels; all is within the sphere of radius 1.

@@ -1,9 +1,10 @@
 //! From samples to pixels: light, colour, mean.
 
 use super::colour::{encode, linear, scale_linear};
-use super::light::{Sky, dot};
+use super::light::Sky;
 use super::samples::{Samples, Seen};
 use super::{Paint, View};
+use crate::geom::vec3::dot;
 use rayon::prelude::*;
 
 /// The share of a highlight that a surface reflects; a little, and wide.

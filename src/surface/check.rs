@@ -38,6 +38,7 @@ use super::{SurfaceSource, TriMesh};
 use crate::bytes::sorter::{Sorted, Sorter};
 use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
+use crate::geom::vec3::{cross, dot, minus};
 use crate::grid::Geometry;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -484,18 +485,6 @@ fn widen(bounds: Option<[[f32; 3]; 2]>, p: [f32; 3]) -> [[f32; 3]; 2] {
     let [lo, hi] = bounds.unwrap_or([p; 2]);
     // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
     [std::array::from_fn(|k| lo[k].min(p[k]) + 0.0), std::array::from_fn(|k| hi[k].max(p[k]) + 0.0)]
-}
-
-fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|k| a[k] - b[k])
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Arcs (v, n, p) in the order of v, the next one seen beforehand.

@@ -39,6 +39,7 @@
 //! Guha, Nekhayev 1999, "Topology preserving edge contraction".
 
 use super::Vertex;
+use crate::geom::vec3::{cross, dot, minus};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
@@ -98,18 +99,6 @@ pub(super) fn collapse_edges(patch: &mut Patch, goal: Goal) {
 }
 
 type Vec3 = [f64; 3];
-
-fn minus(a: Vec3, b: Vec3) -> Vec3 {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn dot(a: Vec3, b: Vec3) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
 
 /// x ↦ xᵀ A x + 2 bᵀ x + c, A symmetric: xx xy xz yy yz zz.
 #[derive(Clone, Copy, Debug, Default)]

@@ -11,6 +11,7 @@ use crate::domain::vertices::Vertices;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
+use crate::geom::vec3::{cross, dot};
 use crate::grid::BrickId;
 use crate::locate::{
     CellBatch, Corner, FINE_BITS, FinePos, Found, fine, linear, quadratic, quadratic_thesis,
@@ -140,12 +141,9 @@ fn flat_normal(corners: [LatticePos; 4]) -> Option<[f64; 3]> {
     let edge = |p: LatticePos, q: LatticePos| -> [f64; 3] {
         std::array::from_fn(|k| f64::from(q[k]) - f64::from(p[k]))
     };
-    let cross = |u: [f64; 3], v: [f64; 3]| {
-        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
-    };
     let faces = [[b, c, d], [a, c, d], [a, b, d], [a, b, c]];
     let normals = faces.map(|[p, q, r]| cross(edge(p, q), edge(p, r)));
-    let length = |n: &[f64; 3]| n.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let length = |n: &[f64; 3]| dot(*n, *n).sqrt();
     let largest = normals.iter().max_by(|m, n| length(m).total_cmp(&length(n))).expect("four faces");
     let is_flat = signed_volume6(a, b, c, d) as f64 <= ROUNDED * length(largest);
     is_flat.then(|| largest.map(|c| c / length(largest)))
