@@ -47,7 +47,7 @@ impl StepInputs {
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepArgs {
     /// Number of the time step; `isospan info` lists them [default: the first].
-    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>)]
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>, allow_negative_numbers = true)]
     step: Option<u64>,
     /// A time; values between two steps are interpolated linearly.
     #[arg(

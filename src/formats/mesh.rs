@@ -59,6 +59,7 @@ fn open_kind(kind: Kind, path: &Path, options: &OpenOptions) -> Result<CellMesh>
     if options.values.is_some() && kind != Kind::Pair {
         return Err(Error::usage(format!("{} has its own fields: leave out --value-file", path.display())));
     }
+    options.refuse_geometry(path, "a mesh")?;
     match kind {
         Kind::Gmsh => gmsh::open_mesh(path, options),
         Kind::Pair => tetgen::open_mesh(path, options),

@@ -56,6 +56,7 @@ use stream::Codec;
 pub use coordinates::open_coordinates;
 pub use mesh::{Input, is_mesh, open_input, open_mesh};
 pub use nifti::UnpackedFrames;
+pub(crate) use series::listed_files;
 pub use series::{StepSource, order_in_doubt, packed_frames, steps_of, unpack_frames};
 
 /// How to open a volume.
@@ -65,11 +66,29 @@ pub struct OpenOptions {
     pub field: Option<String>,
     /// The layout of a headerless file; required for those, refused for others.
     pub raw: Option<raw::RawLayout>,
+    /// World lengths of a voxel's edges along x, y and z, for a format without spacing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<[f64; 3]>,
+    /// World coordinates of the first sample, for a format without an origin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<[f64; 3]>,
     /// Whether files are mapped or read. Does not change what is read.
     pub io: IoMode,
     /// A text file of one number a point, for meshes whose format keeps values apart: TetGen,
     /// points and tetrahedra as text.
     pub values: Option<PathBuf>,
+}
+
+impl OpenOptions {
+    /// Refuses a spacing and an origin for a file that has its own.
+    fn refuse_geometry(&self, path: &Path, what: &str) -> Result<()> {
+        if self.spacing.is_none() && self.origin.is_none() {
+            return Ok(());
+        }
+        let path = path.display();
+        let help = "leave out --spacing and --origin";
+        Err(Error::usage(format!("{path} is {what}, which tells its own spacing and origin: {help}")))
+    }
 }
 
 /// What a file is.
@@ -88,10 +107,15 @@ pub(in crate::formats) enum Kind {
 }
 
 impl Kind {
+    /// Whether its files say where their samples lie. An HDF5 file may.
+    fn has_spacing(self) -> bool {
+        !matches!(self, Self::Hdf5 | Self::Npy | Self::Npz | Self::Tiff)
+    }
+
     fn name(self) -> &'static str {
         match self {
             Self::Bricks => "an isospan .bricks file",
-            Self::Hdf5 => "an HDF5 file",
+            Self::Hdf5 => "an HDF5 or NetCDF-4 file",
             Self::MetaImage => "a MetaImage file",
             Self::Nifti => "a NIfTI file",
             Self::Npy => "an NPY file",
@@ -122,10 +146,13 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let kind = kind_of(&source);
     if let (Some(kind), Some(_)) = (kind, &options.raw) {
         return Err(Error::usage(format!(
-            "{} is {}, which tells its own layout: leave out --dims, --type, --endian, --offset and --spacing",
+            "{} is {}, which tells its own layout: leave out --dims, --type, --endian and --offset",
             path.display(),
             kind.name()
         )));
+    }
+    if let Some(kind) = kind.filter(|kind| kind.has_spacing()) {
+        options.refuse_geometry(path, kind.name())?;
     }
     match kind {
         Some(Kind::Bricks) => {
@@ -418,13 +445,7 @@ pub(crate) mod tests {
         };
         assert!(open("a.png", b"\x89PNG").to_string().contains("MetaImage"));
         assert_eq!(open("a.raw", b"1234").exit_code(), 2);
-        let layout = raw::RawLayout {
-            dims: [2; 3],
-            scalar: ScalarType::U8,
-            big_endian: false,
-            offset: 0,
-            spacing: [1.0; 3],
-        };
+        let layout = raw::RawLayout { dims: [2; 3], scalar: ScalarType::U8, big_endian: false, offset: 0 };
         let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
         let nrrd = write(&dir, "a.nrrd", b"NRRD0004\n");
         let error = open_volume(&nrrd, &options).err().expect("refused");

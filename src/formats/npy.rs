@@ -16,7 +16,7 @@
 //!
 //! The format: NumPy Enhancement Proposal 1, and `numpy.lib.format`.
 
-use super::header::plain_info;
+use super::header::{given_geometry, plain_info};
 use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
 use crate::bytes::ByteSource;
@@ -35,7 +35,13 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let array = Array::parse(path, source.slice(0..source.len())?)?;
     let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
-    let info = plain_info(path, format, array.dims, array.scalar, Geometry::default());
+    let info = plain_info(
+        path,
+        format,
+        array.dims,
+        array.scalar,
+        given_geometry(path, options, Geometry::default())?,
+    );
     pick_field(path, &info.fields, options.field.as_deref())?;
     let (at, big) = (array.data_at as u64, array.big_endian);
     let strides = array.strides(path)?;

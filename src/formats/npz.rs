@@ -15,7 +15,7 @@
 //!
 //! The format: PKWARE's APPNOTE.TXT, sections 4.3 to 4.5.
 
-use super::header::plain_info;
+use super::header::{given_geometry, plain_info};
 use super::npy::Array;
 use super::stream::{ByteSlabs, Codec, Tail};
 use super::{OpenOptions, pick_field};
@@ -50,7 +50,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let (member, array) = arrays.swap_remove(pick_field(path, &fields, options.field.as_deref())?);
     let format = if member.deflated { "NPZ (deflated)" } else { "NPZ (stored)" };
-    let mut info = plain_info(path, format, array.dims, array.scalar, Geometry::default());
+    let geometry = given_geometry(path, options, Geometry::default())?;
+    let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
     info.field = field(&member, &array);
     info.fields = fields;
     if !member.deflated {

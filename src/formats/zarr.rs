@@ -40,7 +40,7 @@ mod codec;
 mod meta;
 
 use super::coordinates::{GridCoordinates, rectilinear, regular};
-use super::header::{geometry, plain_info, scaled_axes};
+use super::header::{geometry, given_geometry, plain_info, scaled_axes};
 use super::numbers::to_f64;
 use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
@@ -99,9 +99,13 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
     sample_bytes(&array.file, dims, array.scalar)?;
     check_chunks(&array)?;
+    let lines = lines(&array, axes, options.io);
+    if image.is_some() || lines.iter().any(Option::is_some) {
+        options.refuse_geometry(path, "a Zarr array with coordinates")?;
+    }
     let geometry = match &image {
         Some(_) => placed(&array, image.as_ref(), axes)?,
-        None => spaced(&array, &lines(&array, axes, options.io))?,
+        None => given_geometry(path, options, spaced(&array, &lines)?)?,
     };
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
     let compressor = if compressor.is_empty() { "raw" } else { &compressor };
