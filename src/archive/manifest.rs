@@ -534,8 +534,7 @@ impl Manifest {
             return Ok(manifest);
         }
         if archive.is_dir() && !path.exists() {
-            return Err(Error::bad_input(archive, MANIFEST_NAME, "a manifest", "none")
-                .with_help("the archive is not finished: run the same reduction again"));
+            return Err(without_manifest(archive));
         }
         let manifest = Self::parse(&read_whole(&path, LARGEST_MANIFEST)?, &path)?;
         manifest.check(&path)?;
@@ -659,6 +658,17 @@ fn check_tiling(path: &Path, at: &str, segments: &[SegmentRecord], chunks: u64) 
         return Err(Error::bad_input(path, at, format!("{chunks} chunks"), got));
     }
     Ok(())
+}
+
+/// The error for a folder without a manifest: an unfinished archive, or something else.
+fn without_manifest(folder: &Path) -> Error {
+    if mesh_folder(folder).is_dir() {
+        return Error::bad_input(folder, MANIFEST_NAME, "a manifest", "none")
+            .with_help("the archive is not finished: run the same reduction again");
+    }
+    let entries = std::fs::read_dir(folder).map_or(0, Iterator::count);
+    let got = if entries == 0 { "an empty folder" } else { "a folder of other files" };
+    Error::bad_input(folder, "archive", "a folder made by isospan reduce", got)
 }
 
 const TAIL_START: &str = ",\"checksum\":\"";
@@ -795,8 +805,15 @@ pub(crate) mod tests {
     #[test]
     fn future_versions_and_other_files_are_refused_clearly() {
         let dir = tempfile::tempdir().unwrap();
-        let e = Manifest::read(dir.path()).unwrap_err().to_string();
-        assert!(e.contains("not finished"), "{e}");
+        let refused = |words: &str| {
+            let e = Manifest::read(dir.path()).unwrap_err().to_string();
+            assert!(e.contains(words), "{e}");
+        };
+        refused("got an empty folder");
+        std::fs::write(dir.path().join("notes.txt"), "mine").unwrap();
+        refused("got a folder of other files");
+        std::fs::create_dir(mesh_folder(dir.path())).unwrap();
+        refused("not finished");
         let path = dir.path().join(MANIFEST_NAME);
         std::fs::write(
             &path,

@@ -95,11 +95,12 @@ impl CellMesh {
     pub fn field(&self) -> Result<&ChosenField> {
         let info = self.info();
         self.field.as_ref().ok_or_else(|| {
-            Error::usage(format!(
-                "{}: {}; choose one with --field NAME",
-                info.path.display(),
-                if info.fields.is_empty() { "no fields".into() } else { list(info) } + ", and x, y, z"
-            ))
+            let path = info.path.display();
+            Error::usage(if info.fields.is_empty() {
+                format!("{path}: no field; --field x, y or z takes a coordinate as the field")
+            } else {
+                format!("{path}: {}, and x, y, z; choose one with --field NAME", list(info))
+            })
         })
     }
 

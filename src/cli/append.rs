@@ -31,7 +31,7 @@ pub(crate) struct Args {
     missing: Option<f64>,
     /// Store every N-th step without reference to the step before [default: as for the archive's
     /// last step].
-    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::natural)]
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::natural, allow_negative_numbers = true)]
     keyframes: Option<u64>,
     /// Skip the measurement of the error at the samples of the source.
     #[arg(help_heading = "Error and size", long)]

@@ -24,7 +24,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Memory for the slices that are being copied.
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, default_value = "256MiB")]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, default_value = "256MiB", allow_hyphen_values = true)]
     memory: u64,
     #[command(flatten)]
     force: Force,

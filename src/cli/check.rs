@@ -4,8 +4,9 @@ use super::grammar;
 use super::progress::Talk;
 use super::text;
 use isospan::formats::surface::load_surface;
-use isospan::pipeline::{self, ArchiveCheck};
+use isospan::pipeline::{self, ArchiveCheck, ArchiveSummary, Roi, RoiSpace};
 use isospan::surface::check::{CheckSettings, Domain, OpenEdges, SurfaceReport, check_source, check_within};
+use isospan::surface::clip::HalfSpace;
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ use std::path::{Path, PathBuf};
 /// oriented manifold; boundary, Euler number, area and volume are told.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan"
+    after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan\n  isospan check part.ply --within scan.isospan --roi 10:90,:,:"
 )]
 pub(crate) struct Args {
     /// An archive, also by address (s3://... or https://...), or a surface file: .ply .stl .obj
@@ -26,9 +27,13 @@ pub(crate) struct Args {
     /// or where it has no data.
     #[arg(long, value_name = "ARCHIVE")]
     within: Option<PathBuf>,
+    /// With --within: the box at which the surface was cut, as `surface --roi` has it. Boundary
+    /// edges may lie on its faces, too.
+    #[arg(long, value_name = "BOX", requires = "within", allow_hyphen_values = true, value_parser = grammar::region)]
+    roi: Option<Roi>,
     /// For a surface: limit of memory, 4GiB, 500MB or 50% [default: half of what the process may
     /// use].
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory)]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, allow_hyphen_values = true)]
     memory: Option<u64>,
     /// For a surface: folder for what does not fit in memory [default: the system's temporary
     /// folder].
@@ -43,6 +48,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(&args.input) {
         let only = [
             ("--within", args.within.is_some()),
+            ("--roi", args.roi.is_some()),
             ("--memory", args.memory.is_some()),
             ("--scratch", args.scratch.is_some()),
         ];
@@ -68,9 +74,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             "--within an archive of a mesh, or of a rectilinear or curvilinear grid, is not possible: its domain is no box",
         ));
     }
+    let cuts = summary.as_ref().zip(args.roi).map_or(vec![], |(s, roi)| cuts(&roi, s));
     let domain = summary.as_ref().map(|s| Domain {
         geometry: &s.geometry,
         dims: s.dims,
+        cuts: &cuts,
         tolerance: BOUNDARY_TOLERANCE,
     });
     let surface = load_surface(&args.input, &settings)?;
@@ -97,12 +105,28 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if defects.is_empty() {
         return Ok(());
     }
-    Err(Error::bad_input(
+    let error = Error::bad_input(
         &args.input,
         "surface",
         "an oriented manifold without degenerate triangles",
         defects.join(", "),
-    ))
+    );
+    let may_be_cut = args.roi.is_none() && open.is_some_and(|open| open.outside > 0);
+    Err(if may_be_cut {
+        error.with_help("a surface that was cut at a box is checked with the same --roi BOX")
+    } else {
+        error
+    })
+}
+
+/// The planes of a box, and how far a vertex may lie from each.
+fn cuts(roi: &Roi, summary: &ArchiveSummary) -> Vec<(HalfSpace, f64)> {
+    let unit = match roi.space {
+        RoiSpace::Index => 1.0,
+        RoiSpace::World => summary.geometry.spacing.into_iter().fold(f64::INFINITY, f64::min),
+    };
+    let planes = roi.half_spaces(&summary.geometry, summary.dims);
+    planes.into_iter().map(|plane| (plane, BOUNDARY_TOLERANCE * unit)).collect()
 }
 
 /// How far from the domain's faces, in voxel edges, a boundary edge may lie: positions in a file

@@ -10,9 +10,40 @@ use isospan::points::{SetKind, SetSettings};
 use isospan::sample::{Interpolation, Values};
 use isospan::{Error, Result};
 
-/// Point set, interpolation, missing values, sizes.
+/// The choices for one reduction, or for several tries that meet a target.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Choices {
+    #[command(flatten)]
+    plan: PlanChoices,
+    #[command(flatten)]
+    targets: Targets,
+}
+
+/// An error or a size that is wanted.
+#[derive(clap::Args, Debug)]
+struct Targets {
+    /// Use the fewest points with which the RMS error at all samples is at most E, in units of the
+    /// field or as N% of its range. This takes several tries. The points are a lattice, and the
+    /// number of bits per value is chosen too, unless --points, --adapt or --value-bits is given.
+    /// Meshes and --focus imply --adapt.
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure"], allow_hyphen_values = true)]
+    target_rms: Option<Bound>,
+    /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"], allow_hyphen_values = true)]
+    target_max: Option<Bound>,
+    /// Find the least error in an archive of at most this size: 50MiB, or 5% or 1/20 of the bytes
+    /// of the source, which are those of its files or of its samples, whichever are fewer. This
+    /// takes several tries. Points and bits are chosen as for --target-rms.
+    #[arg(help_heading = "Error and size", long, value_name = "SIZE", value_parser = grammar::size, conflicts_with_all = ["fraction", "count", "cross_m", "target_rms", "target_max"], allow_hyphen_values = true)]
+    size: Option<Size>,
+    /// Find the least error in 1/N of the bytes of the source, as --size 1/N does: 20 for 5%.
+    #[arg(help_heading = "Error and size", long, value_name = "N", value_parser = grammar::positive_number, conflicts_with_all = ["fraction", "count", "cross_m", "target_rms", "target_max", "size"], allow_negative_numbers = true)]
+    ratio: Option<f64>,
+}
+
+/// Point set, interpolation, missing values, numbers of points.
+#[derive(clap::Args, Debug)]
+pub(crate) struct PlanChoices {
     /// The point set [default: lattice; hammersley for meshes; halton with --adapt].
     #[arg(help_heading = "Points", long, value_enum)]
     points: Option<Set>,
@@ -20,51 +51,34 @@ pub(crate) struct Choices {
     /// For a mesh, a fraction of its vertices, boundary included. With 1, a mesh is stored
     /// unchanged, with its own vertices and tetrahedra and no error; --points, --interp and --adapt
     /// must not be given then.
-    #[arg(help_heading = "Points", long, value_name = "FRACTION", value_parser = grammar::share, conflicts_with = "count")]
+    #[arg(help_heading = "Points", long, value_name = "FRACTION", value_parser = grammar::share, conflicts_with = "count", allow_hyphen_values = true)]
     fraction: Option<f64>,
     /// Number of points. For a volume, samples of its boundary come on top. With as many as a mesh
     /// has vertices, or more, the mesh is stored unchanged, as with --fraction 1.
-    #[arg(help_heading = "Points", long, value_name = "N", value_parser = grammar::natural)]
+    #[arg(help_heading = "Points", long, value_name = "N", value_parser = grammar::natural, allow_negative_numbers = true)]
     count: Option<u64>,
     /// Place more points where the field needs them and fewer elsewhere; the total stays the same.
     /// The input is read once more for that: up to eight steps of a series of volumes, the first
     /// step of a series of meshes. Uses --points halton.
     #[arg(help_heading = "Points", long)]
     adapt: bool,
-    /// With --adapt or a target: the range of values that matters. Errors outside LO to HI are
+    /// The range of values that matters, for points that adapt. Errors outside LO to HI are
     /// ignored. 100% is the range of the values of the first step, which is read once more for it.
     #[arg(help_heading = "Points", long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
     focus: Option<Range>,
-    /// Use the fewest points with which the RMS error at all samples is at most E, in units of the
-    /// field or as N% of its range. This takes several tries. The points are a lattice, and the
-    /// number of bits per value is chosen too, unless --points, --adapt or --value-bits is given.
-    /// Meshes and --focus imply --adapt.
-    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure"])]
-    target_rms: Option<Bound>,
-    /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
-    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
-    target_max: Option<Bound>,
-    /// Find the least error in an archive of at most this size: 50MiB, or 5% or 1/20 of the bytes
-    /// of the source, which are those of its files or of its samples, whichever are fewer. This
-    /// takes several tries. Points and bits are chosen as for --target-rms.
-    #[arg(help_heading = "Error and size", long, value_name = "SIZE", value_parser = grammar::size, conflicts_with_all = ["fraction", "count", "target_rms", "target_max"])]
-    size: Option<Size>,
-    /// Find the least error in 1/N of the bytes of the source, as --size 1/N does: 20 for 5%.
-    #[arg(help_heading = "Error and size", long, value_name = "N", value_parser = grammar::positive_number, conflicts_with_all = ["fraction", "count", "target_rms", "target_max", "size"])]
-    ratio: Option<f64>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
-    #[arg(help_heading = "Points", long, value_name = "T", value_parser = grammar::number)]
+    #[arg(help_heading = "Points", long, value_name = "T", value_parser = grammar::number, allow_negative_numbers = true)]
     shift: Option<f64>,
     /// Hyperbolic cross: the level m [default: the one whose size is nearest to the count]. Needs
     /// --cross-k.
-    #[arg(help_heading = "Points", long, value_name = "M", value_parser = grammar::whole::<u32>, conflicts_with_all = ["fraction", "count", "size", "ratio"], requires = "cross_k")]
+    #[arg(help_heading = "Points", long, value_name = "M", value_parser = grammar::whole::<u32>, conflicts_with_all = ["fraction", "count"], requires = "cross_k", allow_negative_numbers = true)]
     cross_m: Option<u32>,
     /// Hyperbolic cross: log2 of the number of cells of the coarsest grid, 2 to 5 [default: the one
     /// that brings the size nearest to the count].
-    #[arg(help_heading = "Points", long, value_name = "K", value_parser = grammar::whole_in(2..=5u32))]
+    #[arg(help_heading = "Points", long, value_name = "K", value_parser = grammar::whole_in(2..=5u32), allow_negative_numbers = true)]
     cross_k: Option<u32>,
     /// Hyperbolic cross: regularity of the field along x, y and z [default: 1,1,1].
-    #[arg(help_heading = "Points", long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u32>)]
+    #[arg(help_heading = "Points", long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u32>, allow_hyphen_values = true)]
     cross_r: Option<[u32; 3]>,
     /// How values are interpolated between samples.
     #[arg(help_heading = "Values", long, value_enum, default_value_t = Interp::Linear)]
@@ -83,15 +97,15 @@ pub(crate) struct Choices {
     #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true, value_parser = grammar::number)]
     missing: Option<f64>,
     /// Store every N-th step without reference to the step before.
-    #[arg(help_heading = "Series", long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES, value_parser = grammar::natural)]
+    #[arg(help_heading = "Series", long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES, value_parser = grammar::natural, allow_negative_numbers = true)]
     keyframes: u64,
     /// Number of points that are meshed together. Changes the layout of the archive, not its mesh.
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS, value_parser = grammar::natural)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS, value_parser = grammar::natural, allow_negative_numbers = true)]
     chunk_points: u64,
     /// Round values to N bits (4 to 24) of the range of the source, or "exact". Rounding reads the
     /// source once more; its largest error is reported and stored. [default: 8 bits of the range of
     /// 99.8 % of the samples for the lattice of a volume, unless --interp is nearest; else exact]
-    #[arg(help_heading = "Values", long, value_name = "N|exact", value_parser = grammar::bits)]
+    #[arg(help_heading = "Values", long, value_name = "N|exact", value_parser = grammar::bits, allow_hyphen_values = true)]
     value_bits: Option<ValueBits>,
     /// Skip the measurement of the error at the samples of the source.
     #[arg(help_heading = "Error and size", long)]
@@ -142,27 +156,46 @@ impl Choices {
     /// The settings that the flags say.
     ///
     /// # Errors
-    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
-    /// is of.
+    /// Those of [`PlanChoices::settings`].
     pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
-        let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
+        self.plan.settings_for(first, self.targets.target())
+    }
+}
+
+impl Targets {
+    fn target(&self) -> Option<Target> {
         let error = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));
         let size = self.size.map(|size| match size {
             Size::Bytes(bytes) => Target::Size(bytes),
             Size::OfSource(share) => Target::Ratio(1.0 / share),
         });
-        let size = size.or(self.ratio.map(Target::Ratio));
+        error.or(size).or(self.ratio.map(Target::Ratio))
+    }
+}
+
+impl PlanChoices {
+    /// The settings that the flags say.
+    ///
+    /// # Errors
+    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
+    /// is of.
+    pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
+        self.settings_for(first, None)
+    }
+
+    /// The settings, with which a target is met.
+    fn settings_for(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
+        let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
+        let is_of_error = matches!(target, Some(Target::Rms(_) | Target::Max(_)));
         // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of
         // a mesh by points that adapt.
         let adapts = of_mesh || self.focus.is_some() || self.points == Some(Set::Halton);
         let is_open = matches!(self.points, None | Some(Set::Halton));
-        let adapt = self.adapt || error.is_some() && is_open && adapts;
+        let adapt = self.adapt || is_of_error && is_open && adapts;
         if self.focus.is_some() && !adapt {
-            return Err(Error::usage(
-                "--focus needs points that adapt: add --adapt, --target-rms or --target-max",
-            ));
+            return Err(Error::usage("--focus needs points that adapt: add --adapt"));
         }
-        let points = match (self.points, error.or(size)) {
+        let points = match (self.points, target) {
             (None, Some(_)) if !adapt => Some(Set::Lattice),
             (None, _) if self.shift.is_some() && !adapt => Some(Set::Hammersley),
             (points, _) => points,
@@ -197,7 +230,7 @@ impl Choices {
             },
             amount,
             adapt: if adapt { Some(Adapt { focus: self.focus(first)? }) } else { None },
-            target: error.or(size),
+            target,
             interpolation,
             values: match self.values {
                 Some(Vertex::Sample) => Values::Sample,

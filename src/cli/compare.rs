@@ -26,7 +26,7 @@ pub(crate) struct Args {
     /// The other surface.
     b: PathBuf,
     /// Number of samples on each surface.
-    #[arg(long, value_name = "N", default_value = "200000", value_parser = grammar::natural)]
+    #[arg(long, value_name = "N", default_value = "200000", value_parser = grammar::natural, allow_negative_numbers = true)]
     samples: u64,
     #[command(flatten)]
     machine: Machine,

@@ -37,7 +37,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
     /// Of the remaining tetrahedra, keep only every K-th.
-    #[arg(long, value_name = "K", default_value = "1", value_parser = grammar::natural)]
+    #[arg(long, value_name = "K", default_value = "1", value_parser = grammar::natural, allow_negative_numbers = true)]
     every: u64,
     /// Compress the arrays of the file with zlib, which VTK and ParaView read: less than a third of
     /// the bytes.

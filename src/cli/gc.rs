@@ -19,7 +19,7 @@ pub(crate) struct Args {
     /// The archive, finished or not.
     archive: PathBuf,
     /// Remove files at least this old: 2d, 12h, 30m, 90s.
-    #[arg(long, value_name = "AGE", value_parser = grammar::span)]
+    #[arg(long, value_name = "AGE", value_parser = grammar::span, allow_hyphen_values = true)]
     older_than: Duration,
     /// Only print what would be removed.
     #[arg(long)]

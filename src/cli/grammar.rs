@@ -149,7 +149,14 @@ fn value_of(text: &str) -> Option<Value> {
 
 /// A value of the field: `600`, or `50%` of the way from the least value to the largest.
 pub(crate) fn value(text: &str) -> Parsed<Value> {
-    expected(value_of(text), "a value, as in 600, or a place in the range, as in 50%")
+    let is_inside = |value: &Value| match value {
+        Value::At(_) => true,
+        Value::Share(share) => (0.0..=1.0).contains(share),
+    };
+    expected(
+        value_of(text).filter(is_inside),
+        "a value, as in 600, or a place in the range from 0% to 100%, as in 50%",
+    )
 }
 
 /// Values from one to another; an end that is not given is open.
@@ -277,6 +284,10 @@ pub(crate) enum Size {
 /// A size: `50MiB`, or `5%` or `1/20` of the source.
 pub(crate) fn size(text: &str) -> Parsed<Size> {
     let is_share = text.contains(['%', '/']);
+    // Nobody means so few bytes.
+    if let Some(number) = finite(text).filter(|n| *n > 0.0 && *n < 1024.0) {
+        return Err(format!("expected a unit: {number}MiB, or {number}% of the source"));
+    }
     let found = match is_share {
         true => share(text).ok().filter(|share| *share <= 1.0).map(Size::OfSource),
         false => bytes_of(text).map(Size::Bytes),
@@ -396,7 +407,7 @@ mod tests {
         );
         assert!(range("250:50%").unwrap().of(Some([100.0, 300.0])).is_err());
         refused(range, &["", "3", "2:1", "50%:10%", "a:b", "nan:", "inf:", "1:2:3"]);
-        refused(value, &["", "x", "%", "1%%"]);
+        refused(value, &["", "x", "%", "1%%", "150%", "-1%"]);
     }
 
     #[test]
@@ -430,7 +441,9 @@ mod tests {
         refused(memory, &["", "GiB", "-1", "3 parsecs", "101%", "0", "0%", "1e30TB"]);
         assert_eq!((size("50MiB"), size("5%")), (Ok(Size::Bytes(50 << 20)), Ok(Size::OfSource(0.05))));
         assert_eq!(size("1/20"), Ok(Size::OfSource(0.05)));
-        refused(size, &["", "0", "200%", "0%", "x"]);
+        assert_eq!((size("1024"), size("5B")), (Ok(Size::Bytes(1024)), Ok(Size::Bytes(5))));
+        assert_eq!(size("5").unwrap_err(), "expected a unit: 5MiB, or 5% of the source");
+        refused(size, &["", "0", "200%", "0%", "x", "1023"]);
     }
 
     #[test]

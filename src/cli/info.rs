@@ -5,7 +5,7 @@ use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{self, ArchiveSummary, Scan};
+use isospan::pipeline::{self, ArchiveSummary, Scan, StepChoice};
 use isospan::points::PointSpec;
 use isospan::sample::Values;
 use isospan::volume::{ScalarType, VolumeInfo};
@@ -47,7 +47,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
             super::print(&archive_text(path, &summary))
         };
     }
-    let Opened { input, options, steps, several } = open(path, args)?;
+    let Opened { input, options, steps, shown, several } = open(path, args)?;
     let source = match input {
         formats::Input::Volume(source) => source,
         formats::Input::Mesh(mesh) => return super::info_mesh::run(&mesh, !args.no_scan, args.json, talk),
@@ -65,6 +65,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
         if steps.len() > 1 {
             let step = |s: &StepSource| serde_json::json!({ "field": s.options.field, "time": s.time });
             value["steps"] = steps.iter().map(step).collect();
+            value["step"] = shown.into();
         }
         if let Some([lo, hi]) = scan.as_ref().and_then(|s| stored_range(&info, s)) {
             value["stored_range"] = serde_json::json!([lo, hi]);
@@ -74,7 +75,8 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     let own = formats::open_coordinates(&info.path, &options)?.is_some();
     let mut out = volume_text(&info, scan.as_ref(), own);
     if let [first, .., last] = &steps[..] {
-        let _ = write!(out, "  steps      {}, of which this is the first", text::count(steps.len() as u64));
+        let which = if shown == 0 { "the first".into() } else { format!("number {shown}") };
+        let _ = write!(out, "  steps      {}, of which this is {which}", text::count(steps.len() as u64));
         let _ = match (first.time, last.time) {
             (Some(lo), Some(hi)) => writeln!(out, "; times {}", text::range([lo, hi])),
             _ => writeln!(out),
@@ -89,8 +91,10 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
 struct Opened {
     input: formats::Input,
     options: OpenOptions,
-    /// The steps in it; the first is opened.
+    /// The steps in it.
     steps: Vec<StepSource>,
+    /// The one that is opened.
+    shown: usize,
     /// Whether there are several fields, none of which was chosen: the first is opened.
     several: bool,
 }
@@ -98,18 +102,53 @@ struct Opened {
 fn open(path: &Path, args: &Args) -> Result<Opened> {
     let options = args.read.options()?;
     let steps = formats::steps_of(&[path.to_path_buf()], &options)?;
-    let first = steps.first().cloned().unwrap_or_else(|| StepSource::new(path, &options));
-    let (mut options, mut several) = (first.options, false);
-    let input = match formats::open_input(&first.path, &options) {
+    let shown = chosen(path, &steps, args.step.choice())?;
+    let step = steps.get(shown).cloned().unwrap_or_else(|| StepSource::new(path, &options));
+    let (mut options, mut several) = (step.options, false);
+    let input = match formats::open_input(&step.path, &options) {
         Err(error @ Error::Usage(_)) if options.field.is_none() => {
             // Any field: the contents of the file are listed, to choose from.
             options.field = Some("*".into());
             several = true;
-            formats::open_input(&first.path, &options).map_err(|_| error)?
+            formats::open_input(&step.path, &options).map_err(|_| error)?
         }
         opened => opened?,
     };
-    Ok(Opened { input, options, steps, several })
+    Ok(Opened { input, options, steps, shown, several })
+}
+
+/// The place of the step that is asked of an input.
+fn chosen(path: &Path, steps: &[StepSource], choice: StepChoice) -> Result<usize> {
+    let refuse = |why: String| Err(Error::usage(format!("{}: {why}", path.display())));
+    match choice {
+        StepChoice::First => Ok(0),
+        StepChoice::Number(n) => match usize::try_from(n).ok().filter(|n| *n < steps.len().max(1)) {
+            Some(n) => Ok(n),
+            None => refuse(format!("no step {n}; the steps are 0 to {}", steps.len().max(1) - 1)),
+        },
+        StepChoice::Field(name) => {
+            match steps.iter().position(|step| step.options.field.as_deref() == Some(&*name)) {
+                Some(n) => Ok(n),
+                None => refuse(format!("no step of the field {name}; --field NAME chooses a field")),
+            }
+        }
+        StepChoice::Time(time) => {
+            // As in an archive, a step without a time has its number.
+            let times = || steps.iter().enumerate().map(|(n, step)| step.time.unwrap_or(n as f64));
+            let found = times().position(|of_step| of_step == time);
+            let ends = times().reduce(f64::min).zip(times().reduce(f64::max));
+            match (found, ends) {
+                (Some(n), _) => Ok(n),
+                (None, Some((lo, hi))) => refuse(format!(
+                    "no step at time {}; the times are {} to {}, and between them only an archive has values",
+                    text::number(time),
+                    text::number(lo),
+                    text::number(hi)
+                )),
+                (None, None) => refuse("no time is known".into()),
+            }
+        }
+    }
 }
 
 /// `own`: whether a grid has coordinates of its own.

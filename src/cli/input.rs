@@ -24,21 +24,25 @@ pub(crate) struct InputArgs {
     #[arg(help_heading = "Input", long, value_name = "FILE")]
     value_file: Option<PathBuf>,
     /// Number of samples along x (fastest), y and z.
-    #[arg(long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u64>, requires = "scalar_type", help_heading = "Raw files")]
+    #[arg(long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u64>, requires = "scalar_type", help_heading = "Raw files", allow_hyphen_values = true)]
     dims: Option<[u64; 3]>,
     /// Type of a sample, as NumPy names it: uint8 int8 uint16 int16 uint32 int32 uint64 int64
     /// float32 float64, or with the byte order in quotes, '<u2' or '>f4'.
-    #[arg(long = "type", value_name = "TYPE", id = "scalar_type", value_parser = grammar::sample_type, requires = "dims", help_heading = "Raw files")]
+    #[arg(long = "type", value_name = "TYPE", id = "scalar_type", value_parser = grammar::sample_type, allow_hyphen_values = true, requires = "dims", help_heading = "Raw files")]
     scalar_type: Option<SampleType>,
     /// Byte order, where the type does not tell it [default: little].
     #[arg(long, value_enum, requires = "dims", help_heading = "Raw files")]
     endian: Option<Endian>,
     /// Bytes before the first sample.
-    #[arg(long, value_name = "BYTES", value_parser = grammar::whole::<u64>, requires = "dims", help_heading = "Raw files")]
+    #[arg(long, value_name = "BYTES", value_parser = grammar::whole::<u64>, requires = "dims", help_heading = "Raw files", allow_negative_numbers = true)]
     offset: Option<u64>,
-    /// Edge lengths of a voxel along x, y and z, in world units.
-    #[arg(long, value_name = "X,Y,Z", value_parser = grammar::triple, requires = "dims", help_heading = "Raw files")]
+    /// Edge lengths of a voxel along x, y and z, in world units, for files that do not have them:
+    /// raw, TIFF, NPY, NPZ, and HDF5 and Zarr without coordinates [default: 1,1,1].
+    #[arg(help_heading = "Input", long, value_name = "X,Y,Z", value_parser = grammar::triple, allow_hyphen_values = true)]
     spacing: Option<[f64; 3]>,
+    /// World coordinates of the first sample, for such files [default: 0,0,0].
+    #[arg(help_heading = "Input", long, value_name = "X,Y,Z", value_parser = grammar::triple, allow_hyphen_values = true)]
+    origin: Option<[f64; 3]>,
     /// How files are read. "auto" maps local files and reads files on network file systems. The
     /// result is the same.
     #[arg(help_heading = "Input", long, value_enum, default_value_t = Io::Auto)]
@@ -89,7 +93,6 @@ impl InputArgs {
                 scalar: sample.scalar,
                 big_endian: self.is_big_endian(sample)?,
                 offset: self.offset.unwrap_or(0),
-                spacing: self.spacing.unwrap_or([1.0; 3]),
             }),
             (None, None) => None,
             _ => return Err(Error::usage("--dims and --type go together")),
@@ -97,6 +100,8 @@ impl InputArgs {
         Ok(OpenOptions {
             field: self.field.clone(),
             raw,
+            spacing: self.spacing,
+            origin: self.origin,
             io: self.io.mode(),
             values: self.value_file.clone(),
         })

@@ -17,9 +17,12 @@ pub(crate) struct CompletionsArgs {
     shell: clap_complete::Shell,
 }
 
-/// Print the manual page, or write one for each command.
+/// Print a manual page, or write one for each command.
 #[derive(clap::Args, Debug)]
 pub(crate) struct ManArgs {
+    /// The command whose page is printed [default: that of the program].
+    #[arg(conflicts_with = "dir")]
+    command: Option<String>,
     /// Write isospan.1, isospan-info.1 and so on into this folder instead, over what is there.
     #[arg(long, value_name = "FOLDER")]
     dir: Option<PathBuf>,
@@ -34,13 +37,14 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Other", &["completions", "man", "help"]),
 ];
 
-const EXIT_STATUS: [(&str, &str); 7] = [
+const EXIT_STATUS: [(&str, &str); 8] = [
     ("0", "All was done."),
     ("1", "The system refused something: a file is not there, or may not be read or written."),
     ("2", "The command line is wrong, or does not fit the input. Nothing was done."),
     ("3", "Segments of a planned reduction are missing."),
     ("4", "There is not enough memory, or not enough space on a disk."),
     ("5", "An input is damaged, malformed or of a kind that cannot be used; a surface is not sound."),
+    ("6", "The archive is written, but its error or size does not meet the target."),
     (
         "75",
         "The run was stopped by a signal, or another process writes the archive. The same command can succeed later.",
@@ -139,7 +143,15 @@ pub(crate) fn completions(args: &CompletionsArgs) -> Result<()> {
 pub(crate) fn man(args: &ManArgs) -> Result<()> {
     let mut cli = Cli::command().disable_help_subcommand(true);
     cli.build();
-    let Some(dir) = &args.dir else { return super::print(&page(&cli)?) };
+    let Some(dir) = &args.dir else {
+        let command = match &args.command {
+            None => &cli,
+            Some(name) => cli.find_subcommand(name).ok_or_else(|| {
+                Error::usage(format!("there is no command {name}; isospan --help lists them"))
+            })?,
+        };
+        return super::print(&page(command)?);
+    };
     std::fs::create_dir_all(dir).map_err(|e| Error::io("create", dir, e))?;
     [&cli].into_iter().chain(cli.get_subcommands()).try_for_each(|command| {
         let file = dir.join(Man::new(command.clone()).get_filename());
@@ -262,6 +274,26 @@ mod tests {
                     .to_string();
                 // A name of sbatch's option is a text of its own kind.
                 assert!(error.contains("': expected "), "{} {given}: {error}", command.get_name());
+            }
+        }
+    }
+
+    /// A negative number is a value: its flag says what it expects. (The flags of render follow.)
+    #[test]
+    fn negative_numbers_are_values() {
+        let cli = Cli::command();
+        for command in cli.get_subcommands().filter(|c| c.get_name() != "render") {
+            for arg in command.get_arguments().filter(|a| a.get_action().takes_values()) {
+                let is_text = arg.get_value_parser().type_id() == std::any::TypeId::of::<PathBuf>()
+                    || arg.get_value_parser().type_id() == std::any::TypeId::of::<String>();
+                let Some(flag) = arg.get_long().filter(|_| !is_text && arg.get_possible_values().is_empty())
+                else {
+                    continue;
+                };
+                let words = ["isospan", command.get_name(), &format!("--{flag}"), "-5"];
+                let refused = Cli::command().try_get_matches_from(words).err();
+                let text = refused.map_or(String::new(), |error| error.to_string());
+                assert!(!text.contains("argument '-5'"), "{} --{flag}: {text}", command.get_name());
             }
         }
     }

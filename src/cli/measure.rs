@@ -33,7 +33,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Number of the time step [default: the first].
-    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>)]
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>, allow_negative_numbers = true)]
     step: Option<u64>,
     #[command(flatten)]
     machine: Machine,

@@ -1,6 +1,6 @@
 //! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output,
 //! progress and errors to standard error; an error is one line; exit codes are those of
-//! [`isospan::Error::exit_code`].
+//! [`isospan::Error::exit_code`], and [`TARGET_NOT_MET`].
 
 pub(crate) mod append;
 mod brick;
@@ -121,7 +121,7 @@ pub(crate) fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
     };
     signals::survive_file_size_limit();
     match run(&cli) {
-        Ok(()) => 0,
+        Ok(code) => code,
         Err(error) if is_broken_pipe(&error) => 0,
         Err(error @ isospan::Error::Cancelled) if !cli.command.continues() => {
             let _ = writeln!(std::io::stderr(), "isospan: error: stopped by a signal; nothing was written");
@@ -144,10 +144,15 @@ pub(crate) fn one_line(error: &clap::Error, args: &[OsString]) -> String {
     isospan::error::printable(&format!("{}; isospan{name} --help tells more", what.join(" "))).into_owned()
 }
 
-fn run(cli: &Cli) -> Result<()> {
-    match &cli.command {
+/// The exit code of a reduction whose archive is there and does not meet its target.
+pub(crate) const TARGET_NOT_MET: u8 = 6;
+
+/// Runs a command; returns the exit code of one that did its work.
+fn run(cli: &Cli) -> Result<u8> {
+    let done = match &cli.command {
+        Command::Reduce(args) => return reduce::run(args, &cli.talk),
+        Command::Nightly(args) => return nightly::run(args, &cli.talk),
         Command::Info(args) => info::run(args, &cli.talk),
-        Command::Reduce(args) => reduce::run(args, &cli.talk),
         Command::Append(args) => append::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),
         Command::Unpack(args) => unpack::run(args, &cli.talk),
@@ -168,10 +173,10 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Status(args) => status::run(args),
         Command::Gc(args) => gc::run(args),
         Command::Slurm(args) => slurm::run(args, &cli.talk),
-        Command::Nightly(args) => nightly::run(args, &cli.talk),
         Command::Completions(args) => manual::completions(args),
         Command::Man(args) => manual::man(args),
-    }
+    };
+    done.map(|()| 0)
 }
 
 /// Refuses an archive that was not planned, and says what it is.
@@ -202,6 +207,11 @@ fn memory(asked: Option<u64>, talk: &progress::Talk) -> u64 {
 /// Whoever read our output has closed it (`isospan info … | head`): no error.
 fn is_broken_pipe(error: &isospan::Error) -> bool {
     matches!(error, isospan::Error::Io { source, .. } if source.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// Writes an error, one line, to standard error; who closed that does not want it.
+fn print_error(text: &str) {
+    let _ = writeln!(std::io::stderr(), "isospan: error: {}", isospan::error::printable(text));
 }
 
 /// Writes a result to standard output. Names from files do not steer the terminal.

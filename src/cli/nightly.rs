@@ -33,7 +33,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// every time until it is gone. A run that was stopped is continued by the next.
 ///
 /// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all new files are in
-/// the archive. 1: some were left out. Otherwise that of the error; 5 if no new file could be used,
+/// the archive. 1: some were left out. 6: a first archive does not meet its target. Otherwise that
+/// of the error; 5 if no new file could be used,
 /// or the folder could not be read.
 #[derive(clap::Args, Debug)]
 #[command(
@@ -48,7 +49,7 @@ pub(crate) struct Args {
     /// The archive to make, or to add to: a folder NAME.isospan.
     archive: PathBuf,
     /// Leave files that were written to within this SPAN for the next time: 90s, 10m, 2h.
-    #[arg(long, value_name = "SPAN", default_value = "10m", value_parser = grammar::span)]
+    #[arg(long, value_name = "SPAN", default_value = "10m", value_parser = grammar::span, allow_hyphen_values = true)]
     settle: Duration,
     /// Submit this command to Slurm, to begin at TIME (as `sbatch --begin` takes it: now, 02:00),
     /// and print the number of the job.
@@ -101,9 +102,10 @@ struct LeftOut {
     reason: String,
 }
 
-pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+/// Does the work of a night, or submits it; returns the exit code.
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     if let Some(time) = &args.submit {
-        return super::print(&format!("{}\n", submit(&args.option, time)?));
+        return super::print(&format!("{}\n", submit(&args.option, time)?)).map(|()| 0);
     }
     let job = std::env::var("SLURM_JOB_ID").ok();
     if args.again && job.is_none() {
@@ -116,15 +118,21 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let done = add(args, talk, &mut summary).and(next);
     summary.archive = args.archive.display().to_string();
     summary.wall_seconds = started.elapsed().as_secs_f64();
-    summary.code = done.as_ref().map_or_else(Error::exit_code, |()| 0);
-    summary.error = done.as_ref().err().map(ToString::to_string);
+    match &done {
+        Ok(()) if summary.error.is_some() => summary.code = super::TARGET_NOT_MET,
+        Ok(()) => {}
+        Err(error) => (summary.code, summary.error) = (error.exit_code(), Some(error.to_string())),
+    }
     let kept = keep(&args.archive, job, &summary);
     if args.json {
         super::print_json("nightly", &summary)?
     } else {
-        super::print(&in_words(&summary))?
+        super::print(&in_words(&summary, false))?
     }
-    done.and(kept)
+    done.and(kept)?;
+    // All other errors are printed by the caller.
+    summary.error.iter().for_each(|unmet| super::print_error(unmet));
+    Ok(summary.code)
 }
 
 /// Does the night's work; what came of it is in the summary as far as it went.
@@ -143,11 +151,13 @@ fn add(args: &Args, talk: &Talk, summary: &mut Summary) -> Result<()> {
     let steps = usable(args, &files, &mut summary.skipped)?;
     if !steps.is_empty() {
         let report = write(args, talk, steps, there.is_empty())?;
+        let unmet = super::reduce::unmet(&report).map(|why| format!("{}: {why}", args.archive.display()));
         let left_out = report
             .skipped
             .into_iter()
             .map(|s| LeftOut { source: name_of(Path::new(&s.source)), reason: s.reason });
         summary.skipped.extend(left_out);
+        summary.error = unmet;
         (summary.added, summary.archive_bytes) = (report.steps, Some(report.archive_bytes));
     }
     let Some(first) = summary.skipped.first() else { return Ok(()) };
@@ -228,7 +238,7 @@ fn keep(archive: &Path, job: Option<String>, summary: &Summary) -> Result<()> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
     // Two short runs may end within a second.
     let name = format!("{}-{}", date(now), job.unwrap_or_else(|| std::process::id().to_string()));
-    for (form, text) in [("json", super::json_line("nightly", summary)?), ("txt", in_words(summary))] {
+    for (form, text) in [("json", super::json_line("nightly", summary)?), ("txt", in_words(summary, true))] {
         let part = folder.join(format!(".{name}.{form}.part"));
         std::fs::write(&part, text)
             .and_then(|()| std::fs::rename(&part, folder.join(format!("{name}.{form}"))))
@@ -253,7 +263,8 @@ fn date(seconds: u64) -> String {
     format!("{:04}-{month:02}-{day:02}T{hour:02}{minute:02}{second:02}Z", era * 400 + year + later)
 }
 
-fn in_words(s: &Summary) -> String {
+/// A summary in words; the error too, unless that is printed apart.
+fn in_words(s: &Summary, with_error: bool) -> String {
     let mut out = format!("{}: exit code {}\n", s.archive, s.code);
     let [before, new, added] = [s.steps_before, s.new.len(), s.added.len()].map(|n| text::count(n as u64));
     let _ = writeln!(out, "  files      {new} new");
@@ -261,7 +272,7 @@ fn in_words(s: &Summary) -> String {
     for left_out in &s.skipped {
         let _ = writeln!(out, "  left out   {}: {}", left_out.source, left_out.reason);
     }
-    if let Some(error) = &s.error {
+    if let Some(error) = s.error.as_ref().filter(|_| with_error) {
         let _ = writeln!(out, "  error      {error}");
     }
     let _ = writeln!(out, "  time       {}", text::duration(Duration::from_secs_f64(s.wall_seconds)));

@@ -87,7 +87,13 @@ pub(crate) fn expect_no_input<P: AsRef<Path>>(
 ) -> Result<()> {
     let refuse = |input: &Path, what: &str| {
         let (output, input) = (output.display(), input.display());
-        Err(Error::usage(format!("{output} {what} {input}, which this command reads: choose another name")))
+        let of = format!("{input}, which this command reads");
+        let text = if output.to_string() == input.to_string() {
+            format!("the output {of}, too")
+        } else {
+            format!("the output {output} {what} {of}")
+        };
+        Err(Error::usage(format!("{text}: choose another name")))
     };
     let place = place_of(output);
     for input in inputs {

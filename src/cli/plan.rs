@@ -1,6 +1,6 @@
 //! `isospan plan`: a reduction in parts, for several processes or machines.
 
-use super::choices::Choices;
+use super::choices::PlanChoices;
 use super::grammar;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
@@ -32,10 +32,10 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "ARCHIVE")]
     output: PathBuf,
     /// Number of shards: parts that can be made at the same time.
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "1", value_parser = grammar::natural)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "1", value_parser = grammar::natural, allow_negative_numbers = true)]
     shards: u64,
     #[command(flatten)]
-    choices: Choices,
+    choices: PlanChoices,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -74,16 +74,21 @@ fn in_words(args: &Args, r: &PlanReport) -> String {
     if let Some(lost) = e.rounding {
         row("rounded", text::rounding_words(lost));
     }
-    let fewer = if r.shards < args.shards { "; more would have nothing to do" } else { "" };
+    let most = plural(r.shard_segments, "segment");
     row(
         "shards",
-        format!(
-            "{} of at most {}, of {} in all{fewer}",
-            r.shards,
-            plural(r.shard_segments, "segment"),
-            r.segments
-        ),
+        match r.segments % r.shards {
+            0 => format!("{}, each of {most}", text::count(r.shards)),
+            more => {
+                format!("{}: {} of {most}, the others of one fewer", text::count(r.shards), text::count(more))
+            }
+        },
     );
+    if r.shards < args.shards {
+        let (asked, all) = (text::count(args.shards), plural(r.segments, "segment"));
+        let are = if r.segments == 1 { "is" } else { "are" };
+        row("", format!("not {asked}: there {are} {all}, and each is made by one worker"));
+    }
     row("archive", format!("up to {}", text::bytes(e.archive_bytes)));
     let at_work = plural(e.workers as u64, "chunk");
     let (least, all) = (text::bytes(e.memory_least), text::bytes(e.memory_comfortable));

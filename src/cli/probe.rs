@@ -24,7 +24,7 @@ pub(crate) struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// Number of samples along x, y and z, from face to face of the domain.
-    #[arg(long, value_name = "NX,NY,NZ", value_parser = grammar::whole_triple::<u64>)]
+    #[arg(long, value_name = "NX,NY,NZ", value_parser = grammar::whole_triple::<u64>, allow_hyphen_values = true)]
     grid: Option<[u64; 3]>,
     /// A table of points in world coordinates: the columns titled x, y and z, or the first three.
     #[arg(long, value_name = "CSV")]

@@ -9,7 +9,9 @@ use super::step::StepInputs;
 use super::{dry_run, signals, text};
 use isospan::exec::CancelToken;
 use isospan::formats::StepSource;
-use isospan::pipeline::{ReduceReport, ReduceSettings, RunSettings, Stage, Target, TargetReport};
+use isospan::pipeline::{
+    ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary, Target, TargetReport,
+};
 use isospan::{Archive, Reduction, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -64,7 +66,8 @@ impl Args {
     }
 }
 
-pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+/// Makes the archive; returns the exit code, which says whether a target was met.
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     let run = args.run_settings(talk, signals::cancel_token());
     let (steps, settings) = args.request(talk)?;
     let io = args.read.io_text(&steps[0].path);
@@ -75,14 +78,27 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.dry_run {
         let found = reduction.estimate(&args.output)?;
         talk.notices(&found.notices);
-        return dry_run::tell(&found, &args.output, args.json);
+        return dry_run::tell(&found, &args.output, args.json).map(|()| 0);
     }
     let threads = if threads == 0 { isospan::exec::available_threads() } else { threads };
     talk.detail(&format!("memory {}, {threads} threads, {io}", text::bytes(memory)));
     let bar = talk.progress();
     let report = reduction.progress(&*bar).write(&args.output);
     bar.end();
-    tell("reduce", &args.output, &report?, args.json, talk)
+    let report = report?;
+    tell("reduce", &args.output, &report, args.json, talk)?;
+    Ok(match unmet(&report) {
+        Some(why) => {
+            super::print_error(&format!("{}: written, but {why}", args.output.display()));
+            super::TARGET_NOT_MET
+        }
+        None => 0,
+    })
+}
+
+/// What a target lacks that was not met.
+pub(super) fn unmet(report: &ReduceReport) -> Option<String> {
+    report.target.filter(|t| !t.met).map(|t| format!("the target is not met: {}", reached_text(&t)))
 }
 
 /// Prints what was made.
@@ -103,20 +119,24 @@ pub(super) fn tell(
     if json {
         return super::print_json(schema, report);
     }
-    super::print(&in_words(archive, report))
+    super::print(&in_words(archive, report, schema == "append"))
 }
 
-fn target_line(t: &TargetReport) -> String {
+/// What was reached, of what was wanted.
+fn reached_text(t: &TargetReport) -> String {
     let four = |v: f64| text::value(text::figures(v, 4));
-    let met = if t.met { "met" } else { "NOT MET" };
-    let what = match t.target {
+    match t.target {
         Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Max(_) => format!("at most {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Size(_) | Target::Ratio(_) => {
             let [reached, bound] = [t.reached, t.bound].map(|b| text::bytes(b as u64));
             format!("{reached} of {bound} wanted")
         }
-    };
+    }
+}
+
+fn target_line(t: &TargetReport) -> String {
+    let (met, what) = (if t.met { "met" } else { "NOT MET" }, reached_text(t));
     let [meshed, chunks] = t.meshed_chunks.map(text::count);
     let full = t.full_cells.map_or(String::new(), |cells| {
         let [full, all] = cells.map(text::count);
@@ -166,7 +186,20 @@ fn size_line(report: &ReduceReport, source: u64) -> String {
     )
 }
 
-fn in_words(archive: &Path, report: &ReduceReport) -> String {
+/// A step that was added: its number, what it is of, and what it takes.
+fn added_line(step: &StepSummary) -> String {
+    let time = step.time.map_or(String::new(), |time| format!(" (time {})", text::number(time)));
+    format!(
+        "  added       step {}{time}: {}: {}, {}\n",
+        text::count(step.number),
+        text::name(&step.source),
+        text::name(&step.field),
+        text::bytes(step.value_bytes + step.index_bytes)
+    )
+}
+
+/// A report in words; `is_added`: of steps that were added to an archive.
+fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     let mut out = String::new();
     let per_point = report.archive_bytes as f64 / report.points.max(1) as f64;
     let _ = writeln!(out, "{}", archive.display());
@@ -208,11 +241,14 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     if let Some(t) = &report.target {
         let _ = writeln!(out, "{}", target_line(t));
     }
+    if is_added {
+        report.steps.iter().for_each(|step| out += &added_line(step));
+    }
     if report.steps.is_empty() {
         let _ = writeln!(out, "  steps       none added: the archive ends with these already");
     } else if report.made_before {
         let _ = writeln!(out, "  state       finished before: there was nothing left to make");
-    } else if report.steps.len() + report.skipped.len() > 1 {
+    } else if !is_added && report.steps.len() + report.skipped.len() > 1 {
         let bytes = report.steps.iter().map(|s| s.value_bytes + s.index_bytes).sum::<u64>();
         let each = bytes / report.steps.len().max(1) as u64;
         let numbers = [report.steps.first(), report.steps.last()].map(|s| s.map_or(0, |s| s.number));

@@ -32,28 +32,28 @@ pub(crate) struct Args {
     #[arg(long)]
     submit: bool,
     /// Threads per task (--cpus-per-task).
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "4", value_parser = grammar::whole_in(1..=4096u64))]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "4", value_parser = grammar::whole_in(1..=4096u64), allow_negative_numbers = true)]
     threads: u64,
     /// Limit of memory per task [default: what all its threads need]; the job requests a quarter
     /// more.
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory)]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, allow_hyphen_values = true)]
     memory: Option<u64>,
     /// Time limit of a task: 90m, 12h [default: 6 times the estimate, at least 60m]. Slurm counts
     /// whole minutes.
-    #[arg(help_heading = "Resources", long, value_name = "SPAN", value_parser = grammar::span)]
+    #[arg(help_heading = "Resources", long, value_name = "SPAN", value_parser = grammar::span, allow_hyphen_values = true)]
     time_limit: Option<Duration>,
     /// How long before that limit a task is asked to stop.
-    #[arg(help_heading = "Resources", long, value_name = "SPAN", default_value = "120s", value_parser = grammar::span)]
+    #[arg(help_heading = "Resources", long, value_name = "SPAN", default_value = "120s", value_parser = grammar::span, allow_hyphen_values = true)]
     grace: Duration,
     /// Largest number of tasks at one time [default: no limit].
-    #[arg(help_heading = "Resources", long, value_name = "N", value_parser = grammar::natural)]
+    #[arg(help_heading = "Resources", long, value_name = "N", value_parser = grammar::natural, allow_negative_numbers = true)]
     throttle: Option<u64>,
     /// How often shards are submitted, including the first time.
-    #[arg(long, value_name = "N", default_value = "3", value_parser = grammar::natural)]
+    #[arg(long, value_name = "N", default_value = "3", value_parser = grammar::natural, allow_negative_numbers = true)]
     tries: u64,
     /// Largest number of tasks in an array [default: the cluster's MaxArraySize if scontrol knows
     /// it, else 1001]. If there are more shards, the work is divided anew.
-    #[arg(long, value_name = "N", value_parser = grammar::natural)]
+    #[arg(long, value_name = "N", value_parser = grammar::natural, allow_negative_numbers = true)]
     max_array: Option<u64>,
     /// Folder on the node for temporary files [default: the system's temporary folder].
     #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
@@ -119,10 +119,14 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let jobs = if args.submit { Some(submit(&scripts[0])?) } else { None };
     let (work_job, commit_job) = jobs.unzip();
     let report = Report { scripts, shards: plan.shards, tasks, memory, minutes, work_job, commit_job };
-    if args.json { super::print_json("slurm", &report) } else { super::print(&in_words(&report)) }
+    if args.json {
+        super::print_json("slurm", &report)
+    } else {
+        super::print(&in_words(&args.archive, &report))
+    }
 }
 
-fn in_words(r: &Report) -> String {
+fn in_words(archive: &Path, r: &Report) -> String {
     let mut out: String = r.scripts.iter().map(|s| format!("{}\n", s.display())).collect();
     let asked = format!("{} and {} min each", text::bytes(r.memory), r.minutes);
     out += &format!("  tasks      {}, {asked}\n", text::count(r.tasks));
@@ -130,7 +134,10 @@ fn in_words(r: &Report) -> String {
         (Some(work), Some(commit)) => {
             out + &format!("  submitted  shards as job {work}, their commit as job {commit}\n")
         }
-        _ => out + &format!("next: {}, or isospan slurm --submit\n", text::shell(&r.scripts[0])),
+        _ => {
+            let (script, archive) = (text::shell(&r.scripts[0]), text::shell(archive));
+            out + &format!("next: {script}, or isospan slurm {archive} --submit\n")
+        }
     }
 }
 

@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
     /// As --all-steps, for the steps from one number to another; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"], allow_hyphen_values = true)]
     steps: Option<StepRange>,
     /// Also draw the curves: .svg or .png.
     #[arg(long, value_name = "FILE")]

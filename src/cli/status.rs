@@ -24,7 +24,7 @@ pub(crate) struct Args {
     #[arg(long = "as", value_enum, value_name = "FORM", requires = "missing", default_value_t = Form::Lines)]
     form: Form,
     /// Number of shards that the work is divided into [default: as planned].
-    #[arg(long, value_name = "N", value_parser = grammar::natural)]
+    #[arg(long, value_name = "N", value_parser = grammar::natural, allow_negative_numbers = true)]
     shards: Option<u64>,
     /// Check headers, lengths and footers only: finds files that are missing, cut short or of
     /// another plan, but not flipped bits.

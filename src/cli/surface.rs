@@ -13,7 +13,7 @@ use isospan::pipeline::{
     SurfaceSettings, is_archive,
 };
 use isospan::render::ColourMap;
-use isospan::surface::components::ComponentFilter;
+use isospan::surface::components::{ComponentFilter, ComponentReport};
 use isospan::surface::decimate::Decimation;
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
@@ -44,7 +44,9 @@ pub(crate) struct Args {
     isovalue: Vec<Value>,
     /// The file to write: .ply .stl .obj .vtp or .glb; "-" for standard output. Several isovalues
     /// go to one file; an array 'isovalue' of the points (.vtp, .ply) or groups (.obj) distinguish
-    /// them. With {} in the name, each isovalue gets its own file: surface_{}.ply.
+    /// them, and .stl and .glb do not. With {} in the name, each isovalue gets its own file:
+    /// surface_{}.ply. All formats have world coordinates as they are, .glb too, whose viewers
+    /// take y for up.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// The format [default: as the file's name ends; ply for standard output].
@@ -54,29 +56,29 @@ pub(crate) struct Args {
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
-    /// Close the surfaces at the faces of the domain.
+    /// Close the surfaces at the faces of the domain. Of a mesh, this needs one that fills its box.
     #[arg(long, conflicts_with = "roi")]
     cap: bool,
     /// Keep the N largest connected components (by triangles); without N, the largest.
-    #[arg(help_heading = "Components and decimation", long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = grammar::natural)]
+    #[arg(help_heading = "Components and decimation", long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = grammar::natural, allow_negative_numbers = true)]
     largest: Option<u64>,
     /// Keep connected components with at least N triangles.
-    #[arg(help_heading = "Components and decimation", long, value_name = "N", value_parser = grammar::whole::<u64>)]
+    #[arg(help_heading = "Components and decimation", long, value_name = "N", value_parser = grammar::whole::<u64>, allow_negative_numbers = true)]
     min_triangles: Option<u64>,
     /// Keep connected components of at least this volume, in world units. For an open component,
     /// the volume between it and the centre of its bounding box counts.
-    #[arg(help_heading = "Components and decimation", long, value_name = "VOLUME", value_parser = grammar::number)]
+    #[arg(help_heading = "Components and decimation", long, value_name = "VOLUME", value_parser = grammar::number, allow_negative_numbers = true)]
     min_volume: Option<f64>,
-    /// Measure the connected components; --json lists them.
+    /// Measure the connected components. The ten largest are listed; --json lists up to 1000.
     #[arg(help_heading = "Components and decimation", long)]
     components: bool,
     /// Keep this share of the triangles: 10%, 1/10 or 0.1. Topology and boundaries are preserved.
-    #[arg(help_heading = "Components and decimation", long, value_name = "SHARE", value_parser = grammar::share)]
+    #[arg(help_heading = "Components and decimation", long, value_name = "SHARE", value_parser = grammar::share, allow_hyphen_values = true)]
     decimate: Option<f64>,
     /// Decimate until the estimated distance from the original surface reaches LENGTH, in world
-    /// units or as N% of the diagonal of the domain. With --decimate, stop at whichever comes
-    /// first.
-    #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length)]
+    /// units or as N% of the diagonal of the domain. The estimate is no bound; isospan compare
+    /// measures the distance. With --decimate, stop at whichever comes first.
+    #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length, allow_hyphen_values = true)]
     decimate_error: Option<Length>,
     /// Give the vertices the values of another field, with colours: a field of this archive (see
     /// reduce --fields), or another archive in the same world. In .ply, .vtp, .glb and .obj files.
@@ -95,12 +97,13 @@ pub(crate) struct Args {
     #[command(flatten)]
     step: StepArgs,
     /// Extract all steps, one file each: out_%04d.ply, with the step number in the name. A list of
-    /// files and times is written next to them: out.ply.series, or out.pvd for .vtp. Steps whose
-    /// values do not reach the isovalue are not read.
+    /// files and times is written next to them: out.ply.series, or out.pvd for .vtp. With --force, a
+    /// list that is there goes on naming its other files. Steps whose values do not reach the
+    /// isovalue are not read.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
     /// As --all-steps, for the steps from one number to another; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"], allow_hyphen_values = true)]
     steps: Option<StepRange>,
     /// Print points, tetrahedra, active blocks, bytes read and the time of each stage.
     #[arg(long)]
@@ -219,6 +222,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         None => settings.files(&args.output),
     };
     args.force.check_all(&files, &[&args.archive])?;
+    if steps.is_none() {
+        expect_more_than_nothing(args, &settings, &archive, &files)?;
+    }
+    note_what_is_lost(&settings, &files, format, talk);
     let bar = talk.progress();
     if let Some(steps) = steps {
         let report = archive.write_series(steps, &settings, &args.output, format, &*bar);
@@ -239,6 +246,47 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         return super::print_json("surface", &report);
     }
     super::print(&in_words(&report, args.stats))
+}
+
+/// Refuses to replace a file by an empty surface.
+fn expect_more_than_nothing(
+    args: &Args,
+    settings: &SurfaceSettings,
+    archive: &Archive,
+    files: &[PathBuf],
+) -> Result<()> {
+    let there: Vec<bool> = files.iter().map(|file| file.exists()).collect();
+    if !there.contains(&true) {
+        return Ok(());
+    }
+    let range = archive.at(args.step.choice())?.value_range();
+    let cuts = |v: f64| range.is_some_and(|[lo, hi]| v <= hi && (v > lo || settings.cap));
+    let each_alone = files.len() == settings.isovalues.len();
+    for (n, (file, is_there)) in files.iter().zip(there).enumerate() {
+        let isovalues = if each_alone { &settings.isovalues[n..=n] } else { &settings.isovalues[..] };
+        if is_there && !isovalues.iter().any(|&v| cuts(v)) {
+            let range =
+                range.map_or("no point has a value".into(), |r| format!("values are {}", text::range(r)));
+            return Err(Error::usage(format!(
+                "{} stays as it is: no surface has the isovalue {}; {range}",
+                file.display(),
+                isovalues[0]
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Says what a format has no place for.
+fn note_what_is_lost(settings: &SurfaceSettings, files: &[PathBuf], format: SurfaceFormat, talk: &Talk) {
+    let count = settings.isovalues.len();
+    let joins = matches!(format, SurfaceFormat::Stl | SurfaceFormat::Glb);
+    if joins && count > 1 && files.len() == 1 {
+        talk.note(&format!(
+            "warning: {} does not keep isovalues apart: the {count} surfaces become one; -o NAME_{{}} gives each a file",
+            if format == SurfaceFormat::Stl { "STL" } else { "GLB" }
+        ));
+    }
 }
 
 /// A length in world units.
@@ -346,6 +394,10 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
     for list in &report.lists {
         let _ = writeln!(out, "{}", list.display());
     }
+    if report.listed_before > 0 {
+        let files = text::plural(report.listed_before, "file");
+        let _ = writeln!(out, "  listed too    {files} of earlier runs; remove the list to begin anew");
+    }
     if stats {
         let sum = |of: fn(&SurfaceReport) -> u64| report.steps.iter().map(|s| of(&s.report)).sum::<u64>();
         let _ = writeln!(
@@ -412,11 +464,12 @@ fn refined_text(surface: &OneSurface) -> String {
     let mut out = String::new();
     if let Some(c) = &surface.refined.components {
         let _ = writeln!(out, "  components    {} kept of {}", text::count(c.kept), text::count(c.found));
+        out += &components_text(c);
     }
     if let Some(d) = &surface.refined.decimation {
         let _ = writeln!(
             out,
-            "  decimated     {} of {} triangles ({:.1} %) in {} {}, about {} world units away at most (estimated)",
+            "  decimated     {} of {} triangles ({:.1} %) in {} {}; distance estimated at {} world units, which is no bound",
             text::count(d.triangles_after),
             text::count(d.triangles_before),
             100.0 * d.triangles_after as f64 / d.triangles_before.max(1) as f64,
@@ -424,6 +477,27 @@ fn refined_text(surface: &OneSurface) -> String {
             if d.passes == 1 { "pass" } else { "passes" },
             text::value(text::figures(d.error_estimate, 3))
         );
+    }
+    out
+}
+
+/// The components that a table lists, at most.
+const MOST_LISTED: usize = 10;
+
+/// The largest components, a line each.
+fn components_text(report: &ComponentReport) -> String {
+    if report.listed.is_empty() {
+        return String::new();
+    }
+    let mut out = format!("    {:>12} {:>14} {:>14}  boundary\n", "triangles", "area", "volume");
+    for c in report.listed.iter().take(MOST_LISTED) {
+        let [area, volume] = [c.area, c.volume].map(|v| text::value(text::figures(v, 4)));
+        let boundary = if c.closed { "closed" } else { "open" };
+        let _ = writeln!(out, "    {:>12} {area:>14} {volume:>14}  {boundary}", text::count(c.triangles));
+    }
+    let more = report.kept.saturating_sub(MOST_LISTED as u64);
+    if more > 0 {
+        let _ = writeln!(out, "    and {} more (--json lists the largest 1000)", text::count(more));
     }
     out
 }

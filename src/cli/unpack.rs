@@ -30,7 +30,7 @@ pub(crate) struct Args {
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
     /// The steps from one number to another; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"], allow_hyphen_values = true)]
     steps: Option<StepRange>,
     /// Only blocks that isovalues in this range need; 100% is the range of the values of the step
     /// that is asked, or of the first. Surfaces at other isovalues decode blocks as before.
@@ -86,7 +86,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             return if args.json {
                 super::print_json("unpack.estimate", &need)
             } else {
-                super::print(&format!("{about}\n"))
+                super::print(&format!(
+                    "{}: not unpacked, a dry run: it takes {about}\n",
+                    args.archive.display()
+                ))
             };
         }
         talk.note(&format!("writes {about}; unpack --remove removes them"));

@@ -22,7 +22,7 @@ pub(crate) struct Args {
     archive: PathBuf,
     /// Which shard, counted from 0: 3/16. Any number of shards gives the same archive [default:
     /// all].
-    #[arg(long, value_name = "I/N", value_parser = grammar::shard)]
+    #[arg(long, value_name = "I/N", value_parser = grammar::shard, allow_hyphen_values = true)]
     shard: Option<Shard>,
     #[command(flatten)]
     machine: Machine,

@@ -61,11 +61,16 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let head = Head::of(path, options.io)?;
     match (found(&head), &options.raw) {
         (Some(format), Some(_)) => Err(Error::usage(format!(
-            "{} is {}, which tells its own layout: leave out --dims, --type, --endian, --offset and --spacing",
+            "{} is {}, which tells its own layout: leave out --dims, --type, --endian and --offset",
             path.display(),
             format.name()
         ))),
-        (Some(format), None) => format.volume(path, options),
+        (Some(format), None) => {
+            if format.has_spacing() {
+                options.refuse_geometry(path, format.name())?;
+            }
+            format.volume(path, options)
+        }
         (None, _) if path.is_dir() => folder::open(path, options),
         (None, Some(_)) => raw::open(path, options),
         (None, None) if has_suffix(path, &[".raw", ".bin", ".dat", ".raw.gz"]) => Err(raw::no_layout(path)),
@@ -109,6 +114,7 @@ fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<Ce
     if options.values.is_some() && !format.has_value_file() {
         return Err(Error::usage(format!("{} has its own fields: leave out --value-file", path.display())));
     }
+    options.refuse_geometry(path, "a mesh")?;
     format.mesh(path, options)
 }
 

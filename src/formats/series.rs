@@ -208,11 +208,8 @@ pub fn steps_of(inputs: &[PathBuf], options: &OpenOptions) -> Result<Vec<StepSou
 
 /// The files that an input stands for, and their times.
 fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
-    if has_suffix(input, &[".pvd"]) {
-        return pvd(input).map(by_times);
-    }
-    if has_suffix(input, &[".series"]) {
-        return json_series(input).map(by_times);
+    if has_suffix(input, &[".pvd", ".series"]) {
+        return listed_files(input).map(by_times);
     }
     let text = input.to_string_lossy();
     if !is_pattern(&text) || input.exists() {
@@ -235,6 +232,14 @@ fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     }
     by_numbers(&mut files, |f| f.to_string_lossy().into_owned());
     Ok(files.into_iter().map(|f| (f, None)).collect())
+}
+
+/// The files that a list names, with their times: `.pvd`, or ParaView's `.series`.
+///
+/// # Errors
+/// As [`steps_of`]; those of reading the list.
+pub(crate) fn listed_files(list: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
+    if has_suffix(list, &[".pvd"]) { pvd(list) } else { json_series(list) }
 }
 
 /// A list in the order of its times, as ParaView plays it, not in the order in which files were

@@ -123,8 +123,7 @@ fn unknown_kinds_are_told_what_is_read() {
     };
     assert!(open("a.png", b"\x89PNG").to_string().contains("MetaImage"));
     assert_eq!(open("a.raw", b"1234").exit_code(), 2);
-    let layout =
-        RawLayout { dims: [2; 3], scalar: ScalarType::U8, big_endian: false, offset: 0, spacing: [1.0; 3] };
+    let layout = RawLayout { dims: [2; 3], scalar: ScalarType::U8, big_endian: false, offset: 0 };
     let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
     let nrrd = write(&dir, "a.nrrd", b"NRRD0004\n");
     let error = open_volume(&nrrd, &options).err().expect("refused");

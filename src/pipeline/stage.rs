@@ -48,15 +48,23 @@ pub enum Stage {
 /// Seconds of some stages, in the order of the work.
 pub type StageSeconds = Vec<(Stage, f64)>;
 
+/// The seconds of each stage together, in the order in which stages appear first.
+pub(in crate::pipeline) fn summed(seconds: &StageSeconds) -> StageSeconds {
+    let mut sums = StageSeconds::new();
+    for &(stage, time) in seconds {
+        match sums.iter_mut().find(|(other, _)| *other == stage) {
+            Some((_, sum)) => *sum += time,
+            None => sums.push((stage, time)),
+        }
+    }
+    sums
+}
+
 /// Writes them as a map from the stage's name to its seconds.
 pub(in crate::pipeline) fn by_name<S: Serializer>(seconds: &StageSeconds, to: S) -> Result<S::Ok, S::Error> {
     let mut map = to.serialize_map(None)?;
-    for (n, (stage, _)) in seconds.iter().enumerate() {
-        let is_first = seconds[..n].iter().all(|(other, _)| other != stage);
-        if is_first {
-            let sum: f64 = seconds.iter().filter(|(other, _)| other == stage).map(|(_, s)| s).sum();
-            map.serialize_entry(stage.key(), &sum)?;
-        }
+    for (stage, sum) in summed(seconds) {
+        map.serialize_entry(stage.key(), &sum)?;
     }
     map.end()
 }

@@ -34,6 +34,7 @@
 //!
 //! It does *not* look for triangles that intersect each other.
 
+use super::clip::HalfSpace;
 use super::{SurfaceSource, TriMesh};
 use crate::bytes::sorter::{Sorted, Sorter};
 use crate::bytes::store::{Cached, Store};
@@ -134,25 +135,32 @@ impl CheckSettings {
 }
 
 /// Where the boundary of a surface may lie: on the faces of a volume's box, that of the samples 0 …
-/// dims - 1.
+/// dims - 1, and where the surface was cut.
 #[derive(Clone, Copy, Debug)]
 pub struct Domain<'a> {
     /// Index space to the world, where the surface is.
     pub geometry: &'a Geometry,
     /// Samples along x, y, z.
     pub dims: [u64; 3],
+    /// Planes at which the surface was cut, at most six, each with the distance at which a vertex
+    /// counts as on it, in the units of [`HalfSpace::distance`].
+    pub cuts: &'a [(HalfSpace, f64)],
     /// How far, in voxels, a vertex may lie from a face. Vertices are rounded to `f32` in the
     /// world: it must allow for that.
     pub tolerance: f64,
 }
 
 impl Domain<'_> {
-    /// The faces that a position lies on, a bit each.
-    fn faces_of(&self, position: [f32; 3]) -> u8 {
-        let ijk = self.geometry.to_index(position.map(f64::from));
-        (0..3).fold(0u8, |faces, a| {
-            let near = |at: f64| u8::from((ijk[a] - at).abs() <= self.tolerance);
+    /// The faces and cuts that a position lies on, a bit each.
+    fn faces_of(&self, position: [f32; 3]) -> u16 {
+        let position = position.map(f64::from);
+        let ijk = self.geometry.to_index(position);
+        let faces = (0..3).fold(0u16, |faces, a| {
+            let near = |at: f64| u16::from((ijk[a] - at).abs() <= self.tolerance);
             faces | near(0.0) << (2 * a) | near((self.dims[a].max(1) - 1) as f64) << (2 * a + 1)
+        });
+        self.cuts.iter().enumerate().fold(faces, |faces, (n, (plane, tolerance))| {
+            faces | u16::from(plane.distance(position).abs() <= *tolerance) << (6 + n)
         })
     }
 }
@@ -261,7 +269,7 @@ pub fn boundary_edges(mesh: &TriMesh) -> Vec<[u32; 2]> {
 /// both ends must be within `tolerance` voxels of the same face. Vertices are rounded to `f32` in
 /// the world, so the tolerance must allow for that.
 pub fn boundary_outside(mesh: &TriMesh, geometry: &Geometry, dims: [u64; 3], tolerance: f64) -> u64 {
-    let domain = Domain { geometry, dims, tolerance };
+    let domain = Domain { geometry, dims, cuts: &[], tolerance };
     let checked = check_source(mesh, Some(&domain), &CheckSettings::default());
     checked.expect("nothing of a mesh in memory is read or written").1.expect("a domain was given")
 }

@@ -181,7 +181,7 @@ proptest! {
         let positions: Vec<[f32; 3]> = places.iter().map(|&(x, y, z)| [x, y, [0.0, -0.0, 1.0][z]]).collect();
         let mesh = mesh(&positions, &triangles);
         let geometry = Geometry::default();
-        let domain = Domain { geometry: &geometry, dims: [2, 2, 2], tolerance: 0.5 };
+        let domain = Domain { geometry: &geometry, dims: [2, 2, 2], cuts: &[], tolerance: 0.5 };
         let whole = check_source(&mesh, Some(&domain), &CheckSettings::default()).unwrap();
         let told = |found: &(SurfaceReport, Option<u64>)| (serde_json::to_string(&found.0).unwrap(), found.1);
         prop_assert_eq!(told(&whole), told(&tiny(&mesh, &domain)));
@@ -200,7 +200,7 @@ fn a_grid_with_holes_and_turned_triangles_is_the_same_from_disk() {
     triangles.iter_mut().step_by(101).for_each(|t| t.swap(0, 1));
     let mesh = mesh(&positions, &triangles);
     let geometry = Geometry::default();
-    let domain = Domain { geometry: &geometry, dims: [60, 60, 1], tolerance: 1e-3 };
+    let domain = Domain { geometry: &geometry, dims: [60, 60, 1], cuts: &[], tolerance: 1e-3 };
     let found = check_source(&mesh, Some(&domain), &CheckSettings::default()).unwrap();
     assert!(found.0.boundary_loops > 50 && found.0.misoriented_edges > 50, "{found:?}");
     assert!(found.1.unwrap() > 100, "holes are not on the faces: {found:?}");

@@ -51,7 +51,7 @@ pub struct Decimation {
     /// The part of the triangles to keep: 0.1 for a tenth. 0: as few as `max_error` and the
     /// topology allow.
     pub ratio: f64,
-    /// The largest estimated distance from the original surface, in world units.
+    /// The largest estimated distance from the original surface, in world units; no bound.
     pub max_error: f64,
 }
 
@@ -69,8 +69,13 @@ impl Decimation {
     pub fn check(&self) -> Result<()> {
         if !(0.0..=1.0).contains(&self.ratio) {
             return Err(Error::usage(format!(
-                "the part of the triangles to keep is from 0 to 1, not {}",
-                self.ratio
+                "the share of the triangles to keep is from 0 to 1, not {}{}",
+                self.ratio,
+                if (1.0..=100.0).contains(&self.ratio) {
+                    format!("; {} % is written {}%", self.ratio, self.ratio)
+                } else {
+                    String::new()
+                }
             )));
         }
         if self.max_error.is_nan() || self.max_error < 0.0 {
@@ -100,7 +105,8 @@ pub struct DecimationReport {
     pub triangles_after: u64,
     /// Passes over the surface.
     pub passes: u32,
-    /// Largest estimated distance from the original surface, in world units.
+    /// The largest of the vertices' estimated distances from the original surface, in world units:
+    /// sums of distances to the planes of replaced triangles. It is no bound.
     pub error_estimate: f64,
 }
 

@@ -95,8 +95,7 @@ fn raw_files_need_their_layout() {
     let d = dir.path();
     let samples: Vec<u8> = (0..5 * 4 * 3u16).flat_map(u16::to_be_bytes).collect();
     fs::write(d.join("v.raw"), [b"HEAD".as_slice(), &samples].concat()).unwrap();
-    let layout =
-        ["--dims", "5,4,3", "--type", "uint16", "--endian", "big", "--offset", "4", "--spacing", "1,2,3"];
+    let layout = ["--dims", "5,4,3", "--type", "uint16", "--endian", "big", "--offset", "4"];
     let info = json(&ok(d, &[&["info", "v.raw", "--json"], &layout[..]].concat()));
     assert_eq!((&info["scan"]["min"], &info["scan"]["max"]), (&0.0.into(), &59.0.into()));
     let (code, text) = fails(d, &["info", "v.raw"]);
@@ -676,7 +675,8 @@ fn what_is_something_else_is_told_as_that() {
     assert!(ok(d, &["info", "v*.npy"]).contains("steps      2, of which this is the first"));
     // No shard is empty.
     let plan = ok(d, &["plan", "v1.npy", "-o", "p.isospan", "--shards", "4", "-q"]);
-    assert!(plan.contains("1 of at most 1 segment, of 1 in all; more would have nothing to do"), "{plan}");
+    assert!(plan.contains("shards     1, each of 1 segment"), "{plan}");
+    assert!(plan.contains("not 4: there is 1 segment, and each is made by one worker"), "{plan}");
     assert!(plan.contains("next: isospan work p.isospan, then"), "{plan}");
 }
 
@@ -804,4 +804,179 @@ fn an_output_never_replaces_an_input() {
         assert!(code == 2 && text.contains("choose another name"), "{args:?}: {code}: {text}");
         assert!(folder(d) == before, "{args:?}");
     }
+}
+
+#[test]
+fn a_step_of_an_input_is_shown() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for n in 0..3 {
+        write_npy(&d.join(format!("v{n}.npy")), [8, 7, 6], |x, _, _| x + f64::from(n));
+    }
+    let shown = |more: &[&str]| json(&ok(d, &[&["info", "v?.npy", "--json"], more].concat()));
+    for (more, step) in [(&[][..], 0), (&["--step", "2"], 2), (&["--time", "1"], 1)] {
+        let found = shown(more);
+        assert_eq!((&found["step"], &found["scan"]["min"]), (&step.into(), &(f64::from(step) - 1.0).into()));
+    }
+    assert!(ok(d, &["info", "v?.npy", "--step", "2"]).contains("steps      3, of which this is number 2"));
+    for (more, words) in [
+        (["--step", "3"], "no step 3; the steps are 0 to 2"),
+        (["--time", "0.5"], "no step at time 0.5; the times are 0 to 2"),
+    ] {
+        let (code, text) = fails(d, &[&["info", "v?.npy"], &more[..]].concat());
+        assert!(code == 2 && text.contains(words), "{text}");
+    }
+    assert_eq!(fails(d, &["info", "v0.npy", "--step", "1"]).0, 2);
+}
+
+#[test]
+fn spacing_and_origin_are_for_files_without_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [8, 7, 6], ball);
+    write_hexahedra(&d.join("m.vtk"), waves);
+    let place = ["--spacing", "1,2,3", "--origin", "-4,0,0.5"];
+    let info = json(&ok(d, &[&["info", "v.npy", "--json"], &place[..]].concat()));
+    assert_eq!(info["info"]["geometry"]["spacing"], serde_json::json!([1.0, 2.0, 3.0]));
+    assert_eq!(info["info"]["geometry"]["origin"], serde_json::json!([-4.0, 0.0, 0.5]));
+    ok(d, &[&["reduce", "v.npy", "-o", "a.isospan", "-q"], &place[..]].concat());
+    ok(d, &["probe", "a.isospan", "--grid", "4,4,4", "-o", "p.vti", "-q"]);
+    for file in ["p.vti", "m.vtk"] {
+        let (code, text) = fails(d, &[&["info", file], &place[..]].concat());
+        assert!(code == 2 && text.contains("leave out --spacing and --origin"), "{text}");
+    }
+    let (code, text) = fails(d, &["info", "v.npy", "--spacing", "1,-1,1"]);
+    assert!(code == 2 && text.contains("must be a positive number"), "{text}");
+}
+
+#[test]
+fn a_target_that_is_not_met_has_an_exit_code() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [20, 18, 16], waves);
+    let out = isospan(d, &["reduce", "v.npy", "-o", "a.isospan", "--target-rms", "1e-9%", "-q"]);
+    let told = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(6), "{told}");
+    assert!(told.contains("a.isospan: written, but the target is not met: RMS "), "{told}");
+    let report = String::from_utf8(out.stdout).unwrap();
+    assert!(report.contains("NOT MET") && report.matches("fit ").count() == 1, "{report}");
+    ok(d, &["check", "a.isospan"]);
+    // A plan takes no target, and does not offer one.
+    let help = ok(d, &["plan", "--help"]);
+    assert!(["--target-rms", "--target-max", "--size", "--ratio"].iter().all(|flag| !help.contains(flag)));
+    let (code, text) = fails(d, &["reduce", "v.npy", "-o", "b.isospan", "--size", "5"]);
+    assert!(code == 2 && text.contains("expected a unit: 5MiB, or 5% of the source"), "{text}");
+}
+
+#[test]
+fn a_cut_surface_is_checked_with_its_box() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [26, 22, 20], ball);
+    let place = ["--spacing", "0.5,2,1", "--origin", "7,-3,100"];
+    ok(d, &[&["reduce", "v.npy", "-o", "a.isospan", "--fraction", "1/2", "-q"], &place[..]].concat());
+    for roi in ["5:14.5,:,8:", "world:10:14,:,-1e3:111"] {
+        ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "s.ply", "--roi", roi, "--force", "-q"]);
+        let check = ["check", "s.ply", "--within", "a.isospan"];
+        let out = isospan(d, &check);
+        assert_eq!(out.status.code(), Some(5), "{roi}");
+        assert!(String::from_utf8_lossy(&out.stderr).contains("same --roi BOX"), "{out:?}");
+        assert!(ok(d, &[&check[..], &["--roi", roi]].concat()).contains("s.ply: sound"), "{roi}");
+        // Another box is none that it was cut at.
+        let other = isospan(d, &[&check[..], &["--roi", "6:15,:,7:"]].concat());
+        assert_eq!(other.status.code(), Some(5), "{roi}");
+    }
+}
+
+#[test]
+fn caps_are_for_meshes_that_fill_their_box() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let value = |p: [f64; 3]| p[0] + 0.3 * p[1];
+    write_mesh(&d.join("full.vtk"), 5, |_| true, |p| p, value);
+    write_mesh(&d.join("part.vtk"), 5, |p| p[0] < 0.5 || p[1] < 0.5, |p| p, value);
+    for (name, fraction) in [("full", "1"), ("part", "1"), ("part", "1/2")] {
+        let input = format!("{name}.vtk");
+        ok(d, &["reduce", &input, "-o", "a.isospan", "--fraction", fraction, "--force", "-q"]);
+        let surface = ["surface", "a.isospan", "-i", "50%", "-o", "s.ply", "--cap", "--force", "-q"];
+        if name == "full" {
+            ok(d, &surface);
+            assert_eq!(json(&ok(d, &["check", "s.ply", "--json"]))["boundary_edges"], 0);
+        } else {
+            let (code, text) = fails(d, &surface);
+            assert!(code == 2 && text.contains("this mesh does not fill its box"), "{text}");
+        }
+    }
+}
+
+#[test]
+fn a_series_of_surfaces_is_made_in_parts() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for n in 0..4 {
+        write_npy(&d.join(format!("v{n}.npy")), [12, 11, 10], |x, y, z| ball(x, y, z) + 0.01 * f64::from(n));
+    }
+    ok(d, &["reduce", "v[0-2].npy", "-o", "a.isospan", "-q"]);
+    let added = ok(d, &["append", "a.isospan", "v3.npy", "-q"]);
+    assert!(added.contains("  added       step 3: v3.npy: data, "), "{added}");
+    for (format, list) in [("ply", "s.ply.series"), ("vtp", "s.pvd")] {
+        let out = format!("s%d.{format}");
+        let part = |steps: &str| {
+            ok(d, &["surface", "a.isospan", "-i", "0", "--steps", steps, "-o", &out, "--force"])
+        };
+        let files = || fs::read_to_string(d.join(list)).unwrap().matches(&format!(".{format}\"")).count();
+        assert!(!part("2:3").contains("listed too") && files() == 2);
+        assert!(part("0:2").contains("listed too    1 file of earlier runs"));
+        assert_eq!(files(), 4);
+        let list = fs::read_to_string(d.join(list)).unwrap();
+        assert!(list.find("s0.").unwrap() < list.find("s3.").unwrap(), "{list}");
+        fs::remove_file(d.join(format!("s3.{format}"))).unwrap();
+        part("0:1");
+        assert_eq!(files(), 3, "a file that is gone is no longer listed");
+    }
+}
+
+#[test]
+fn a_surface_never_becomes_nothing_unnoticed() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [14, 13, 12], ball);
+    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "--fraction", "1/2", "-q"]);
+    let surface = |more: &[&'static str]| [&["surface", "a.isospan", "-q", "--force"], more].concat();
+    let text = ok(d, &surface(&["-i", "0.1", "-o", "s.ply", "--components"]));
+    assert!(text.contains("volume  boundary") && text.contains("closed"), "{text}");
+    let before = fs::read(d.join("s.ply")).unwrap();
+    let (code, text) = fails(d, &surface(&["-i", "9", "-o", "s.ply"]));
+    assert!(code == 2 && text.contains("s.ply stays as it is: no surface has the isovalue 9"), "{text}");
+    assert!(fs::read(d.join("s.ply")).unwrap() == before);
+    let (code, text) = fails(d, &surface(&["-i", "150%", "-o", "t.ply"]));
+    assert!(code == 2 && text.contains("from 0% to 100%"), "{text}");
+    let (code, text) = fails(d, &surface(&["-i", "0", "-o", "t.ply", "--decimate", "25"]));
+    assert!(code == 2 && text.contains("25 % is written 25%"), "{text}");
+    // Formats that join isovalues say so.
+    for (file, warns) in [("t.stl", true), ("t.glb", true), ("t.vtp", false), ("t_{}.stl", false)] {
+        let out = isospan(d, &["surface", "a.isospan", "-i", "0,0.1", "-o", file]);
+        let told = String::from_utf8(out.stderr).unwrap();
+        assert!(out.status.success() && told.contains("does not keep isovalues apart") == warns, "{told}");
+    }
+}
+
+#[test]
+fn words_of_the_program_fit_what_is_there() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [12, 12, 12], ball);
+    fs::create_dir(d.join("empty")).unwrap();
+    let (code, text) = fails(d, &["spectrum", "empty"]);
+    assert!(code == 5 && text.contains("got an empty folder"), "{text}");
+    let (code, text) = fails(d, &["spectrum", "."]);
+    assert!(code == 5 && text.contains("got a folder of other files"), "{text}");
+    let (code, text) = fails(d, &["brick", "v.npy", "-o", "v.npy"]);
+    assert!(code == 2 && text.contains("the output v.npy, which this command reads, too"), "{text}");
+    assert!(ok(d, &["man", "surface"]).contains("isospan-surface"));
+    assert_eq!(fails(d, &["man", "frobnicate"]).0, 2);
+    let plan = ["plan", "v.npy", "-o", "p q.isospan", "-q"];
+    ok(d, &plan);
+    let next = ok(d, &["slurm", "p q.isospan", "-q"]);
+    assert!(next.contains("or isospan slurm 'p q.isospan' --submit"), "{next}");
 }

@@ -41,7 +41,9 @@ const MOST_SAMPLES: u64 = 1 << 20;
 /// Opens a volume and reads it.
 pub(crate) fn volume(path: &Path, bytes: &[u8]) -> Result<()> {
     let io = if bytes.len().is_multiple_of(2) { IoMode::Map } else { IoMode::Read };
-    let options = OpenOptions { raw: raw_layout(path, bytes), io, ..OpenOptions::default() };
+    let raw = raw_layout(path, bytes);
+    let spacing = raw.as_ref().map(|_| if bytes.get(6) == Some(&255) { [f64::NAN; 3] } else { [1.0; 3] });
+    let options = OpenOptions { raw, spacing, io, ..OpenOptions::default() };
     let source = match open_volume(path, &options) {
         Err(Error::Usage(text)) if text.contains("several fields") => {
             open_volume(path, &OpenOptions { field: Some("b".into()), ..options })?
@@ -101,7 +103,6 @@ fn raw_layout(path: &Path, bytes: &[u8]) -> Option<RawLayout> {
             scalar: ScalarType::ALL[at(3) as usize % ScalarType::ALL.len()],
             big_endian: at(4) % 2 == 1,
             offset: if at(5) == 255 { u64::MAX } else { at(5) / 8 },
-            spacing: if at(6) == 255 { [f64::NAN; 3] } else { [1.0; 3] },
         }
     })
 }
@@ -159,13 +160,7 @@ impl Archive {
         let input = folder.join("archive.raw");
         let samples: Vec<u8> = (0..30 * 6 * 5u32).map(|i| (i * 37 % 251) as u8).collect();
         put(&input, &samples)?;
-        let layout = RawLayout {
-            dims: [30, 6, 5],
-            scalar: ScalarType::U8,
-            big_endian: false,
-            offset: 0,
-            spacing: [1.0; 3],
-        };
+        let layout = RawLayout { dims: [30, 6, 5], scalar: ScalarType::U8, big_endian: false, offset: 0 };
         let settings = ReduceSettings {
             amount: Amount::Fraction(1.0),
             chunk_points: 200,

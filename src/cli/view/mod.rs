@@ -34,7 +34,7 @@ pub(crate) struct Args {
     #[arg(required = true, value_name = "ARCHIVE")]
     archives: Vec<PathBuf>,
     /// The port on 127.0.0.1; 0 takes a free one.
-    #[arg(long, value_name = "N", default_value = "0", value_parser = grammar::whole::<u16>)]
+    #[arg(long, value_name = "N", default_value = "0", value_parser = grammar::whole::<u16>, allow_negative_numbers = true)]
     port: u16,
     /// Open the page in the default browser.
     #[arg(long)]

@@ -79,6 +79,11 @@ pub(in crate::formats) trait Format: Sync {
         false
     }
 
+    /// Whether its files say where their samples lie; the user may where they do not.
+    fn has_spacing(&self) -> bool {
+        true
+    }
+
     /// Whether a mesh has its values in a file of their own.
     fn has_value_file(&self) -> bool {
         false

@@ -1,6 +1,7 @@
 //! Common parts of the headers of several formats: text lines, lists of numbers, numbered slice
 //! files, axes.
 
+use super::options::OpenOptions;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
@@ -79,6 +80,24 @@ pub(in crate::formats) fn geometry(
     let list = |v: [f64; 3]| format!("({}, {}, {})", v[0], v[1], v[2]);
     let got = format!("{} from origin {}", columns.map(list).join(" "), list(origin));
     Err(Error::bad_input(path, at, "finite axes that span space", got))
+}
+
+/// The map to the world of a file that does not say where its samples lie: the user may.
+pub(in crate::formats) fn given_geometry(
+    path: &Path,
+    options: &OpenOptions,
+    usual: Geometry,
+) -> Result<Geometry> {
+    if options.spacing.is_none() && options.origin.is_none() {
+        return Ok(usual);
+    }
+    let spacing = options.spacing.unwrap_or(usual.spacing);
+    if !spacing.iter().all(|&s| s > 0.0 && s.is_finite()) {
+        let [x, y, z] = spacing;
+        return Err(Error::usage(format!("--spacing {x},{y},{z}: every spacing must be a positive number")));
+    }
+    let origin = options.origin.unwrap_or(usual.origin);
+    geometry(path, "--spacing and --origin", origin, scaled_axes(spacing))
 }
 
 /// Columns of [`geometry`] for axes along x, y, z. A negative spacing flips its axis.

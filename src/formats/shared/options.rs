@@ -1,6 +1,7 @@
 //! How a file is opened.
 
 use crate::bytes::IoMode;
+use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use std::path::{Path, PathBuf};
 
@@ -11,11 +12,29 @@ pub struct OpenOptions {
     pub field: Option<String>,
     /// The layout of a headerless file; required for those, refused for others.
     pub raw: Option<RawLayout>,
+    /// World lengths of a voxel's edges along x, y and z, for a format without spacing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<[f64; 3]>,
+    /// World coordinates of the first sample, for a format without an origin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<[f64; 3]>,
     /// Whether files are mapped or read. Does not change what is read.
     pub io: IoMode,
     /// A text file of one number a point, for meshes whose format keeps values apart: TetGen,
     /// points and tetrahedra as text.
     pub values: Option<PathBuf>,
+}
+
+impl OpenOptions {
+    /// Refuses a spacing and an origin for a file that has its own.
+    pub(in crate::formats) fn refuse_geometry(&self, path: &Path, what: &str) -> Result<()> {
+        if self.spacing.is_none() && self.origin.is_none() {
+            return Ok(());
+        }
+        let path = path.display();
+        let help = "leave out --spacing and --origin";
+        Err(Error::usage(format!("{path} is {what}, which tells its own spacing and origin: {help}")))
+    }
 }
 
 /// The layout of a headerless file.
@@ -29,8 +48,6 @@ pub struct RawLayout {
     pub big_endian: bool,
     /// Bytes before the first sample.
     pub offset: u64,
-    /// World length of a voxel edge along each axis.
-    pub spacing: [f64; 3],
 }
 
 /// Whether the file's name ends in one of `suffixes`, in any case.

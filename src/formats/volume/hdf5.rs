@@ -50,9 +50,9 @@ use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
 use crate::formats::shared::format::{Format, Head};
-use crate::formats::shared::header::{geometry, plain_info};
+use crate::formats::shared::header::{geometry, given_geometry, plain_info};
 use crate::formats::shared::stream::sample_bytes;
-use crate::formats::shared::{Frames, OpenOptions, pick_field};
+use crate::formats::shared::{Frames, OpenOptions, has_suffix, pick_field};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
@@ -82,6 +82,10 @@ impl Format for Hdf5 {
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         head.bytes.starts_with(b"\x89HDF\r\n\x1a\n")
+    }
+
+    fn has_spacing(&self) -> bool {
+        false
     }
 
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
@@ -124,6 +128,11 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let Placed { number, fields, field: info, geometry, convert } =
         tree.pick(path, &file, dialect, options.field.as_deref())?;
     let field = &tree.fields[number];
+    let has_place = dialect != Dialect::Plain || field.lines(&tree).iter().any(Option::is_some);
+    if has_place {
+        options.refuse_geometry(path, "a file with coordinates")?;
+    }
+    let geometry = given_geometry(path, options, geometry)?;
     let mut info = field.volume_info(path, dialect, info, geometry)?;
     info.fields = fields;
     if let Some(convert) = convert {
@@ -260,7 +269,7 @@ fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
         .with_help(help);
     }
     let help = "the file is damaged, cut short, or uses what is not read; try h5dump or h5repack on it";
-    Error::bad_input(path, at, "good HDF5", got).with_help(help)
+    Error::bad_input(path, at, "good HDF5 or NetCDF-4", got).with_help(help)
 }
 
 /// Registered filters that are not read, by their numbers.
@@ -659,7 +668,9 @@ impl Field {
     ) -> Result<VolumeInfo> {
         let dims = self.dims();
         sample_bytes(path, dims, self.info.scalar)?;
-        let mut info = plain_info(path, dialect.name(), dims, self.info.scalar, geometry);
+        let is_netcdf = dialect == Dialect::Plain && has_suffix(path, &[".nc", ".nc4"]);
+        let format = if is_netcdf { "NetCDF-4" } else { dialect.name() };
+        let mut info = plain_info(path, format, dims, self.info.scalar, geometry);
         if self.dataset.chunks().is_some() {
             info.format += " (chunked)";
         }

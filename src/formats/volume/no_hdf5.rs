@@ -22,6 +22,10 @@ impl Format for Hdf5 {
         head.bytes.starts_with(b"\x89HDF\r\n\x1a\n")
     }
 
+    fn has_spacing(&self) -> bool {
+        false
+    }
+
     fn volume(&self, path: &Path, _: &OpenOptions) -> Result<VolumeSource> {
         let got = "an HDF5 or NetCDF-4 file, and a program built without the feature hdf5";
         Err(Error::bad_input(path, "kind of file", "a format that this program reads", got)

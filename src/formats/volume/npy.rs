@@ -19,7 +19,7 @@
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::format::{Format, Head};
-use crate::formats::shared::header::plain_info;
+use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
@@ -44,6 +44,10 @@ impl Format for Npy {
         head.bytes.starts_with(b"\x93NUMPY")
     }
 
+    fn has_spacing(&self) -> bool {
+        false
+    }
+
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         open(path, options)
     }
@@ -57,7 +61,13 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let array = Array::parse(path, source.slice(0..source.len())?)?;
     let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
-    let info = plain_info(path, format, array.dims, array.scalar, Geometry::default());
+    let info = plain_info(
+        path,
+        format,
+        array.dims,
+        array.scalar,
+        given_geometry(path, options, Geometry::default())?,
+    );
     pick_field(path, &info.fields, options.field.as_deref())?;
     let (at, big) = (array.data_at as u64, array.big_endian);
     let strides = array.strides(path)?;

@@ -19,7 +19,7 @@ use super::npy::Array;
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::format::{Format, Head};
-use crate::formats::shared::header::plain_info;
+use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail};
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
@@ -43,6 +43,10 @@ impl Format for Npz {
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         head.bytes.starts_with(b"PK\x03\x04")
+    }
+
+    fn has_spacing(&self) -> bool {
+        false
     }
 
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
@@ -72,7 +76,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let (member, array) = arrays.swap_remove(pick_field(path, &fields, options.field.as_deref())?);
     let format = if member.deflated { "NPZ (deflated)" } else { "NPZ (stored)" };
-    let mut info = plain_info(path, format, array.dims, array.scalar, Geometry::default());
+    let geometry = given_geometry(path, options, Geometry::default())?;
+    let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
     info.field = field(&member, &array);
     info.fields = fields;
     if !member.deflated {

@@ -11,9 +11,10 @@
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
-use crate::formats::shared::header::{geometry, plain_info, scaled_axes};
+use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
 use crate::formats::shared::{OpenOptions, RawLayout, pick_field};
+use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{ScalarType, VolumeSource};
 use std::path::Path;
@@ -52,11 +53,7 @@ impl SampleType {
 /// file's length is not that of the layout.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let layout = options.raw.as_ref().ok_or_else(|| no_layout(path))?;
-    if !layout.spacing.iter().all(|&s| s > 0.0 && s.is_finite()) {
-        let [x, y, z] = layout.spacing;
-        return Err(Error::usage(format!("--spacing {x},{y},{z}: every spacing must be a positive number")));
-    }
-    let geometry = geometry(path, "--spacing", [0.0; 3], scaled_axes(layout.spacing))?;
+    let geometry = given_geometry(path, options, Geometry::default())?;
     let needed = sample_bytes(path, layout.dims, layout.scalar)?;
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let gzip = source.len() > 2 && source.slice(0..2)? == [0x1f, 0x8b] && has_extension(path, "gz");
@@ -88,7 +85,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 pub(in crate::formats) fn no_layout(path: &Path) -> Error {
     Error::usage(format!(
         "{}: a headerless file: give its layout with --dims X,Y,Z --type TYPE, as in uint16 or float32 \
-         (and, where they differ from the defaults, --endian big, --offset BYTES, --spacing X,Y,Z)",
+         (and, where they differ from the defaults, --endian big, --offset BYTES, --spacing X,Y,Z, --origin X,Y,Z)",
         path.display()
     ))
 }
@@ -115,17 +112,12 @@ mod tests {
     use crate::formats::tests::{gzip, ramp, read_all, write};
 
     fn layout() -> RawLayout {
-        RawLayout {
-            dims: [4, 3, 2],
-            scalar: ScalarType::U16,
-            big_endian: true,
-            offset: 3,
-            spacing: [1.0, 2.0, 0.5],
-        }
+        RawLayout { dims: [4, 3, 2], scalar: ScalarType::U16, big_endian: true, offset: 3 }
     }
 
     fn options(raw: RawLayout) -> OpenOptions {
-        OpenOptions { raw: Some(raw), ..OpenOptions::default() }
+        let (spacing, origin) = (Some([1.0, 2.0, 0.5]), Some([-1.0, 0.0, 9.0]));
+        OpenOptions { raw: Some(raw), spacing, origin, ..OpenOptions::default() }
     }
 
     fn bytes() -> Vec<u8> {
@@ -139,6 +131,7 @@ mod tests {
             let path = write(&dir, name, &content);
             let (info, values) = read_all(open_volume(&path, &options(layout())).unwrap());
             assert_eq!((info.dims, info.geometry.spacing), ([4, 3, 2], [1.0, 2.0, 0.5]));
+            assert_eq!(info.geometry.origin, [-1.0, 0.0, 9.0]);
             assert_eq!(values, (0..24).map(|i| (1000 + i) as f32).collect::<Vec<_>>());
         }
     }
@@ -152,7 +145,7 @@ mod tests {
             Err(e) => e.exit_code(),
         };
         assert_eq!(code(&OpenOptions::default()), 2);
-        assert_eq!(code(&options(RawLayout { spacing: [1.0, -1.0, 1.0], ..layout() })), 2);
+        assert_eq!(code(&OpenOptions { spacing: Some([1.0, -1.0, 1.0]), ..options(layout()) }), 2);
         assert_eq!(code(&OpenOptions { field: Some("x".into()), ..options(layout()) }), 2);
         assert_eq!(code(&OpenOptions { field: Some("data".into()), ..options(layout()) }), 0);
         let big = u64::MAX;

@@ -24,8 +24,8 @@
 //!
 //! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
 //! spacing comes from ImageJ's description (`spacing=` and the resolution tags that go with it) or
-//! OME-XML's `PhysicalSizeX`, `Y`, `Z` (when their units agree); without either it is 1. Rows are
-//! in the file's order: the tag for orientation is not applied.
+//! OME-XML's `PhysicalSizeX`, `Y`, `Z` (when their units agree); without either it is 1. What the
+//! user gives replaces it. Rows are in the file's order: the tag for orientation is not applied.
 //!
 //! The parser is our own, because mapping in place needs the places of the strips, and they are
 //! most of TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
@@ -38,7 +38,7 @@ mod slices;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::shared::format::{Format, Head};
-use crate::formats::shared::header::{geometry, plain_info, scaled_axes};
+use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::volume::chunked::ChunkSource;
@@ -65,6 +65,10 @@ impl Format for TiffFile {
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         has_magic(&head.bytes)
+    }
+
+    fn has_spacing(&self) -> bool {
+        false
     }
 
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
@@ -203,6 +207,7 @@ fn info(
     let format = format!("{big}{kind}, {})", page.compression.name());
     let spacing = spacing(page).filter(|s| s.iter().all(|v| v.is_finite() && *v > 0.0)).unwrap_or([1.0; 3]);
     let geometry = geometry(path, "spacing", [0.0; 3], scaled_axes(spacing))?;
+    let geometry = given_geometry(path, options, geometry)?;
     let info = plain_info(path, format, dims, scalar, geometry);
     pick_field(path, &info.fields, options.field.as_deref())?;
     Ok(info)

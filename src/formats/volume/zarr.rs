@@ -43,7 +43,7 @@ use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Fault, Result};
 use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
 use crate::formats::shared::format::{Format, Head};
-use crate::formats::shared::header::{geometry, plain_info, scaled_axes};
+use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
@@ -74,6 +74,10 @@ impl Format for Zarr {
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         is_zarr(head.path)
+    }
+
+    fn has_spacing(&self) -> bool {
+        false
     }
 
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
@@ -134,9 +138,13 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
     sample_bytes(&array.file, dims, array.scalar)?;
     check_chunks(&array)?;
+    let lines = lines(&array, axes, options.io);
+    if image.is_some() || lines.iter().any(Option::is_some) {
+        options.refuse_geometry(path, "a Zarr array with coordinates")?;
+    }
     let geometry = match &image {
         Some(_) => placed(&array, image.as_ref(), axes)?,
-        None => spaced(&array, &lines(&array, axes, options.io))?,
+        None => given_geometry(path, options, spaced(&array, &lines)?)?,
     };
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
     let compressor = if compressor.is_empty() { "raw" } else { &compressor };

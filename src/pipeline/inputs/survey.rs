@@ -667,8 +667,7 @@ mod tests {
         for (dims, is_long) in [([90, 80, 70], false), ([200, 150, 100], false), ([200, 210, 250], true)] {
             let n = dims.iter().product::<u64>() as usize;
             std::fs::write(&path, (0..n).map(|i| (i / 777 % 251) as u8).collect::<Vec<_>>()).unwrap();
-            let layout =
-                RawLayout { dims, scalar: ScalarType::U8, big_endian: false, offset: 0, spacing: [1.0; 3] };
+            let layout = RawLayout { dims, scalar: ScalarType::U8, big_endian: false, offset: 0 };
             let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
             let open = || crate::formats::open_volume(&path, &options).unwrap();
             let sorted = |mut s: Survey| {

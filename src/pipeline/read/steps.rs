@@ -425,13 +425,7 @@ mod tests {
 
     /// Waves, and those of the next step, which lie elsewhere and higher.
     fn archive(dir: &Path) -> StepView {
-        let raw = RawLayout {
-            dims: DIMS,
-            scalar: ScalarType::F32,
-            big_endian: false,
-            offset: 0,
-            spacing: [1.0; 3],
-        };
+        let raw = RawLayout { dims: DIMS, scalar: ScalarType::F32, big_endian: false, offset: 0 };
         let options = OpenOptions { raw: Some(raw), ..OpenOptions::default() };
         let step = |t: usize| {
             let wave =

@@ -11,7 +11,7 @@ use crate::measure::FieldError;
 use crate::pipeline::plan::{Notice, folder_bytes};
 use crate::pipeline::read::{OpenArchive, StepSummary};
 use crate::pipeline::settings::Target;
-use crate::pipeline::stage::{Stage, StageSeconds, StageTimes};
+use crate::pipeline::stage::{Stage, StageSeconds, StageTimes, summed};
 use crate::volume::chunked::DecodeCount;
 use serde::Serialize;
 use std::path::Path;
@@ -78,7 +78,7 @@ pub struct ReduceReport {
     /// What the user should know: see [`Notice`].
     pub notices: Vec<Notice>,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those
-    /// that run side by side.
+    /// that run side by side. Of a target: those of all tries together.
     #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
@@ -156,6 +156,7 @@ impl ReduceReport {
 
     /// With the time of all.
     pub(in crate::pipeline) fn finished(mut self, started: Instant) -> Self {
+        self.seconds = summed(&self.seconds);
         self.seconds.push((Stage::Total, started.elapsed().as_secs_f64()));
         self
     }

@@ -253,6 +253,7 @@ pub(super) fn reduce_to_target(
     let mut search: Option<Search> = None;
     let mut found: Option<(ReduceReport, Try)> = None;
     let (mut chunks, mut tries, mut wanted) = (0, 0, None);
+    let mut seconds = vec![];
     let mut rounding = Rounding::new(job.settings, target);
     // For adapted points, the number of points that an error asks for is predicted.
     let predicted = job.settings.target.filter(|t| adapts && t.bound().is_some());
@@ -264,6 +265,7 @@ pub(super) fn reduce_to_target(
         let job = Job { settings: &settings, out: &trying, run: &run, ..*job };
         let report = make(&job, &Existing::Nothing)?;
         chunks += report.chunks;
+        seconds.extend_from_slice(&report.seconds);
         let bound = match &search {
             Some(search) => search.bound,
             None => target.limit(&report, source)?,
@@ -308,6 +310,7 @@ pub(super) fn reduce_to_target(
     let (bound, meshed_chunks) = (search.bound, [chunks; 2]);
     publish(job, &best)?;
     report.archive_bytes = folder_bytes(job.out)?;
+    report.seconds = seconds;
     let reached = if target.bound().is_some() { made.reached } else { report.archive_bytes as f64 };
     report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
     Ok(report)

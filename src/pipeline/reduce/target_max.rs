@@ -62,7 +62,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
     let [trying, last] = ["try.isospan", "last.isospan"].map(|name| work.join(name));
     let run = RunSettings { replace: false, ..job.run.clone() };
     let (mut settings, mut round, mut wanted) = (job.settings.clone(), None::<Round>, None);
-    let mut meshed_chunks = [0, 0];
+    let (mut meshed_chunks, mut seconds) = ([0, 0], vec![]);
     remove_folder(&last)?;
     for tries in 1.. {
         remove_folder(&trying)?;
@@ -72,6 +72,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         let mut report = make(&next, &Existing::Nothing)?;
         meshed_chunks[0] += report.chunks - report.reused_chunks;
         meshed_chunks[1] += report.chunks;
+        seconds.append(&mut report.seconds);
         let bound = *wanted.get_or_insert(report.bound.unwrap_or_default());
         let error = error_of(target, &report);
         let met = error <= bound;
@@ -88,6 +89,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         }
         let full_cells = Some(full_cells(&trying)?);
         publish(job, &trying)?;
+        report.seconds = seconds;
         let reached = error;
         report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
         return Ok(report);

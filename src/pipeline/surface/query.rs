@@ -9,7 +9,7 @@ use super::settings::{
 };
 use super::worker::{ChunkWork, Question, by_chunk};
 use crate::bytes::remote::{traffic, traffic_since};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
@@ -198,6 +198,9 @@ impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Instant::now();
         let cut = cut_of(archive, settings)?;
+        if settings.cap {
+            expect_full_box(archive)?;
+        }
         // Where the range of all values gives the answer, no index is needed.
         let index = settings.can_answer(archive).then(|| archive.ranges()).transpose()?;
         let work = match &index {
@@ -276,6 +279,23 @@ pub(super) fn make(
         time: start.elapsed(),
     };
     prepared.finish(settings, surfaces, effort, &scratch)
+}
+
+/// Refuses caps of a mesh that does not fill its box: they close a surface at the box's faces alone.
+fn expect_full_box(archive: &StepView) -> Result<()> {
+    let (plan, step) = (&archive.manifest.plan, archive.step());
+    let is_full = match (plan.own, step.plan.source.mesh) {
+        (Some(_), _) => plan.volume6() == plan.lattice.volume6(),
+        (None, Some(_)) => step.void_points == 0,
+        (None, None) => true,
+    };
+    if is_full {
+        return Ok(());
+    }
+    Err(Error::usage(format!(
+        "{}: caps close a surface at the faces of a box, and this mesh does not fill its box: leave caps out",
+        archive.path().display()
+    )))
 }
 
 fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<Option<Cut>> {

@@ -2,6 +2,7 @@
 //!
 //! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; for other formats the list
 //! is ParaView's JSON, `out.ply.series`. ParaView and [`crate::formats::steps_of`] read both.
+//! A list that is there already keeps its other files, so that a series can be made in parts.
 //! Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one
 //! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
 
@@ -9,9 +10,10 @@ use super::extract_steps::{MOST_STEPS, Pass};
 use super::query::{Made, write_made};
 use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
 use crate::archive::manifest::Step;
-use crate::archive::publish::Unpublished;
+use crate::archive::publish::{Unpublished, folder_of};
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
+use crate::formats::listed_files;
 use crate::formats::surface::SurfaceFormat;
 use crate::pipeline::read::{OpenArchive, StepRange, StepView, in_memory};
 use crate::surface::TriMesh;
@@ -46,6 +48,8 @@ pub struct SeriesReport {
     pub skipped: u64,
     /// The lists of the files: one, or one for each isovalue where these have files of their own.
     pub lists: Vec<PathBuf>,
+    /// Files of earlier runs that the lists go on naming, all together.
+    pub listed_before: u64,
 }
 
 /// The files that [`write_series`] writes, the lists included.
@@ -87,14 +91,31 @@ pub(in crate::pipeline) fn write_series(
     };
     for_each_step(archive, steps, settings, &scratch, progress, &mut write)?;
     let lists = if is_each_alone(out) { settings.isovalues.len() } else { 1 };
-    let list = |n: usize| {
-        let files: Vec<(f64, &Path)> = made.iter().map(|s| (s.time, &*s.report.surfaces[n].file)).collect();
+    let mut listed_before = 0;
+    let mut list = |n: usize| {
+        let mut files: Vec<(f64, PathBuf)> =
+            made.iter().map(|s| (s.time, s.report.surfaces[n].file.clone())).collect();
         let name = file_of(&place.list(format), settings.isovalues[n]);
+        let before = listed_before_in(&name, &files);
+        listed_before += before.len() as u64;
+        files.extend(before);
+        files.sort_by(|a, b| a.0.total_cmp(&b.0));
         write_list(&name, &files)?;
         Ok(name)
     };
-    let lists = (0..lists).map(list).collect::<Result<_>>()?;
-    Ok(SeriesReport { skipped: made.iter().filter(|s| s.skipped).count() as u64, steps: made, lists })
+    let lists = (0..lists).map(&mut list).collect::<Result<_>>()?;
+    let skipped = made.iter().filter(|s| s.skipped).count() as u64;
+    Ok(SeriesReport { skipped, steps: made, lists, listed_before })
+}
+
+/// The other files that a list names and that are still there, with their times. What is no list
+/// names none: it is replaced.
+fn listed_before_in(list: &Path, new: &[(f64, PathBuf)]) -> Vec<(f64, PathBuf)> {
+    let named = listed_files(list).unwrap_or_default();
+    let is_other = |file: &Path| new.iter().all(|(_, path)| path.file_name() != file.file_name());
+    let is_beside = |file: &Path| folder_of(file) == folder_of(list) && file.is_file();
+    let found = named.into_iter().filter(|(file, _)| is_beside(file) && is_other(file));
+    found.filter_map(|(file, time)| Some((time?, file))).collect()
 }
 
 /// What is done with the surfaces of a step, given its number and time.
@@ -197,7 +218,7 @@ impl Place {
 }
 
 /// Writes a list of files that lie next to it.
-fn write_list(list: &Path, files: &[(f64, &Path)]) -> Result<()> {
+fn write_list(list: &Path, files: &[(f64, PathBuf)]) -> Result<()> {
     let name = |p: &Path| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let text = if list.extension().is_some_and(|e| e == "pvd") {
         let mut text = String::from(
