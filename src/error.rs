@@ -262,7 +262,7 @@ impl Error {
         self
     }
 
-    /// The error of work that had the memory that was left beside so many bytes, told for both.
+    /// The error of work that had the memory that was left beside so many bytes, for both.
     #[must_use]
     pub fn beside(mut self, held: u64) -> Self {
         if let Self::Budget { what, needed, available } = &mut self
@@ -273,7 +273,7 @@ impl Error {
         self
     }
 
-    /// The error of work that was given `share` of a run's memory, told for the `whole` of it.
+    /// The error of work that was given `share` of a run's memory, for the `whole` of it.
     #[must_use]
     pub fn of_share(mut self, share: u64, whole: u64) -> Self {
         if let Self::Budget { what, needed, available } = &mut self
@@ -440,13 +440,13 @@ mod tests {
     #[test]
     fn what_suffices_is_told_for_the_whole_run() {
         let of = |what: &str| Error::Budget { what: what.into(), needed: 101, available: 30 };
-        let told = |e| match e {
+        let bytes = |e| match e {
             Error::Budget { needed, available, .. } => (needed, available),
             e => panic!("{e}"),
         };
         // A third of what is left beside 20 bytes, rounded up.
-        assert_eq!(told(of("memory (to draw)").beside(20).of_share(100, 300)), (363, 300));
-        assert_eq!(told(of("memory").of_share(0, 7)), (707, 7));
-        assert_eq!(told(of("disk").beside(20).of_share(100, 300)), (101, 30), "not shared out");
+        assert_eq!(bytes(of("memory (to draw)").beside(20).of_share(100, 300)), (363, 300));
+        assert_eq!(bytes(of("memory").of_share(0, 7)), (707, 7));
+        assert_eq!(bytes(of("disk").beside(20).of_share(100, 300)), (101, 30), "not shared out");
     }
 }

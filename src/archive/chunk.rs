@@ -272,7 +272,7 @@ pub(crate) mod tests {
     }
 
     /// Decodes a chunk, and compares it with the tetrahedra that its encoder left.
-    fn decode((encoded, told): &(EncodedChunk, Vec<Tet>), positions: &[LatticePos]) -> Vec<Tet> {
+    fn decode((encoded, expected): &(EncodedChunk, Vec<Tet>), positions: &[LatticePos]) -> Vec<Tet> {
         let (mut all, mut scratch) = (vec![], TetScratch::default());
         let open = |bytes| TetBlock::open(bytes, positions.len() as u32).unwrap();
         for (n, bytes) in encoded.blocks_of_tets().iter().enumerate() {
@@ -281,7 +281,7 @@ pub(crate) mod tests {
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
             let [start, end] = [n, n + 1].map(|n| encoded.starts[n] as usize);
-            assert_eq!(all[before..], told[start..end], "in the same order, turned the same way");
+            assert_eq!(all[before..], expected[start..end], "in the same order, turned the same way");
             let (block, mut places) = (open(bytes), vec![]);
             let vertices = block.vertices().to_vec();
             block.decode_places(&here, &mut scratch, &mut places).unwrap();

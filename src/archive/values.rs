@@ -625,7 +625,7 @@ mod tests {
                 }
                 let blocks = round_trip(&rounded, Some(&q));
                 // The bits asked for and some fifty bytes a block; the first has a NaN, which is
-                // told apart.
+                // distinguished.
                 for (b, own) in blocks.iter().zip([250].into_iter().chain(std::iter::repeat(50))) {
                     assert!(b.len() <= BLOCK_VALUES * usize::from(bits) / 8 + own, "{bits}: {}", b.len());
                 }

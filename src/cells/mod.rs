@@ -9,7 +9,7 @@
 //!  values()  a value for each, in the same order              one component, or the magnitude; cell data averaged
 //!  cells()   cells as kinds and vertex numbers                checked against the number of points
 //!              └─▶ split()  into tetrahedra, by a rule that neighbours agree on
-//!                    └─▶ orient()  once positions are at hand: inverted ones turned, degenerate ones told
+//!                    └─▶ orient()  once positions are at hand: inverted ones turned, degenerate ones marked
 //! ```
 //!
 //! **Numbers.** Points are numbered in the order of the stream, whatever labels a file gives them.
@@ -152,7 +152,7 @@ pub trait CellFile: Send + Sync {
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>>;
 
     /// A hash of all that points and cells are read from, as it is stored: files of the same one
-    /// have the same of both. `None` where that is not told sooner than they are read.
+    /// have the same of both. `None` where that is not known before they are read.
     ///
     /// # Errors
     /// When the file cannot be read.

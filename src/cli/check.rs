@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 /// Check an archive or a surface.
 ///
 /// Of an archive every checksum and structural invariant is verified. A surface should be an
-/// oriented manifold; boundary, Euler number, area and volume are told.
+/// oriented manifold; boundary, Euler number, area and volume are printed.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan\n  isospan check part.ply --within scan.isospan --roi 10:90,:,:"

@@ -334,8 +334,8 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         let _ = writeln!(out, "  area        {}", area_line(&s.areas));
     }
     if !s.suggestions.is_empty() {
-        let told = |v: f64| s.range.map_or_else(|| text::number(v), |range| text::in_range(v, range));
-        let values: Vec<String> = s.suggestions.iter().map(|s| told(s.isovalue)).collect();
+        let value = |v: f64| s.range.map_or_else(|| text::number(v), |range| text::in_range(v, range));
+        let values: Vec<String> = s.suggestions.iter().map(|s| value(s.isovalue)).collect();
         let _ =
             writeln!(out, "  isovalues   worth a look: {} (isospan spectrum says more)", values.join(", "));
     }

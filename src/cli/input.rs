@@ -77,12 +77,12 @@ impl InputArgs {
     }
 
     fn is_big_endian(&self, sample: SampleType) -> Result<bool> {
-        let told = self.endian.map(|endian| matches!(endian, Endian::Big));
-        match (told, sample.big_endian) {
+        let given = self.endian.map(|endian| matches!(endian, Endian::Big));
+        match (given, sample.big_endian) {
             (Some(a), Some(b)) if a != b => {
                 Err(Error::usage("--endian and --type tell different byte orders"))
             }
-            _ => Ok(told.or(sample.big_endian).unwrap_or(false)),
+            _ => Ok(given.or(sample.big_endian).unwrap_or(false)),
         }
     }
 

@@ -74,8 +74,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 
 /// The figures as a line of a report on an archive.
 pub(crate) fn line(e: &FieldError) -> String {
-    let told = |v: f64| text::value(text::figures(v, 4)) + &text::share_of(v, e.source_range);
-    let [rms, max] = [e.rms, e.max].map(told);
+    let figure = |v: f64| text::value(text::figures(v, 4)) + &text::share_of(v, e.source_range);
+    let [rms, max] = [e.rms, e.max].map(figure);
     let of_range = if e.source_range.is_some() { "; % of the source's range" } else { "" };
     let beyond = beyond(e).map_or(String::new(), |line| format!("\n  outside     {line}"));
     format!(

@@ -30,7 +30,7 @@ pub(crate) enum Form {
     None,
 }
 
-/// How much is told on standard error.
+/// How much is printed on standard error.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct Talk {
     /// Print nothing but results and errors.
@@ -163,7 +163,7 @@ struct Stage {
     total: u64,
     done: u64,
     started: Instant,
-    told: Instant,
+    shown: Instant,
 }
 
 struct Lines {
@@ -221,7 +221,7 @@ impl Progress for Lines {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         self.end();
         let now = Instant::now();
-        let stage = Stage { name: stage.into(), unit: unit.into(), total, done: 0, started: now, told: now };
+        let stage = Stage { name: stage.into(), unit: unit.into(), total, done: 0, started: now, shown: now };
         if self.json {
             tell(&stage.object("begin"));
         }
@@ -233,10 +233,10 @@ impl Progress for Lines {
         let Some(stage) = stage.as_mut() else { return };
         stage.done += units;
         let between = if self.json { BETWEEN_OBJECTS } else { BETWEEN_LINES };
-        if stage.told.elapsed() < between || stage.done == 0 {
+        if stage.shown.elapsed() < between || stage.done == 0 {
             return;
         }
-        stage.told = Instant::now();
+        stage.shown = Instant::now();
         tell(&if self.json { stage.object("progress") } else { stage.line() });
     }
 

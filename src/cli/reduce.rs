@@ -164,8 +164,8 @@ fn error_line(report: &ReduceReport) -> Option<String> {
     let range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
     let [of_rms, of_max] =
         [rms.0, max.0].map(|v| text::value(text::figures(v, 4)) + &text::share_of(v, range));
-    let told = format!("RMS at most {of_rms} in step {}, at most {of_max} in step {}", rms.1, max.1);
-    Some(format!("  error       {told}; % of the range of all steps"))
+    let error = format!("RMS at most {of_rms} in step {}, at most {of_max} in step {}", rms.1, max.1);
+    Some(format!("  error       {error}; % of the range of all steps"))
 }
 
 /// How much smaller the archive is than its source, and the bits of both.
@@ -276,13 +276,13 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
 /// The time of the run, and what its threads worked on: several at a time, so that their times add
 /// up to more.
 fn time_line(seconds: &[(Stage, f64)]) -> String {
-    let told = |s: f64| text::duration(Duration::from_secs_f64(s));
+    let text_of = |s: f64| text::duration(Duration::from_secs_f64(s));
     let total: f64 = seconds.iter().filter(|(stage, _)| *stage == Stage::Total).map(|(_, s)| s).sum();
     let parts = seconds.iter().filter(|(stage, s)| *stage != Stage::Total && *s >= 0.005);
-    let parts: Vec<String> = parts.map(|(stage, s)| format!("{stage} {}", told(*s))).collect();
+    let parts: Vec<String> = parts.map(|(stage, s)| format!("{stage} {}", text_of(*s))).collect();
     let parts =
         if parts.is_empty() { String::new() } else { format!("; threads together: {}", parts.join(", ")) };
-    format!("  time        {}{parts}\n", told(total))
+    format!("  time        {}{parts}\n", text_of(total))
 }
 
 /// What can be done with an archive: the surface that is most worth a look.

@@ -74,9 +74,11 @@ fn lines(steps: &[StepSpectrum]) -> String {
     for StepSpectrum { step, time, spectrum } in steps {
         let range = spectrum.range.map_or("none".into(), text::range);
         let largest = spectrum.knots.iter().max_by(|a, b| a.area.total_cmp(&b.area));
-        let [area, at] =
-            largest.map_or(["-".into(), "-".into()], |k| [text::number(k.area), told(spectrum, k.isovalue)]);
-        let look: Vec<String> = spectrum.suggestions.iter().map(|s| told(spectrum, s.isovalue)).collect();
+        let [area, at] = largest.map_or(["-".into(), "-".into()], |k| {
+            [text::number(k.area), isovalue_text(spectrum, k.isovalue)]
+        });
+        let look: Vec<String> =
+            spectrum.suggestions.iter().map(|s| isovalue_text(spectrum, s.isovalue)).collect();
         let _ = writeln!(
             out,
             "{step:>6} {:>12} {range:>26} {area:>14} {at:>14}  {}",
@@ -88,7 +90,7 @@ fn lines(steps: &[StepSpectrum]) -> String {
 }
 
 /// An isovalue of a spectrum.
-fn told(report: &SpectrumReport, isovalue: f64) -> String {
+fn isovalue_text(report: &SpectrumReport, isovalue: f64) -> String {
     report.range.map_or_else(|| text::number(isovalue), |range| text::in_range(isovalue, range))
 }
 
@@ -109,7 +111,8 @@ fn table(report: &SpectrumReport) -> String {
         );
     }
     if !report.suggestions.is_empty() {
-        let values: Vec<String> = report.suggestions.iter().map(|s| told(report, s.isovalue)).collect();
+        let values: Vec<String> =
+            report.suggestions.iter().map(|s| isovalue_text(report, s.isovalue)).collect();
         let _ = writeln!(out, "worth a look: {}", values.join(", "));
     }
     let _ = writeln!(
@@ -121,8 +124,11 @@ fn table(report: &SpectrumReport) -> String {
         let mean = if k.area > 0.0 { k.gradient / k.area } else { 0.0 };
         let [area, volume, mean] = [k.area, k.volume, mean].map(text::number);
         let active = text::count(k.active_tetrahedra);
-        let _ =
-            writeln!(out, "{:>12} {active:>14} {area:>14} {volume:>14} {mean:>14}", told(report, k.isovalue));
+        let _ = writeln!(
+            out,
+            "{:>12} {active:>14} {area:>14} {volume:>14} {mean:>14}",
+            isovalue_text(report, k.isovalue)
+        );
     }
     out
 }

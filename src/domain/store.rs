@@ -163,13 +163,13 @@ impl CellStore {
             let other = values[first[0] as usize];
             if *value != other && !(value.is_nan() && other.is_nan()) {
                 let at = format!("{}, points {} and {v}", mesh.field()?.name, first[0]);
-                let told = |v| settings.offset + f64::from(v);
+                let in_file = |v| settings.offset + f64::from(v);
                 let expected = "one value, as they lie in one place and had one value at the first step";
                 return Err(Error::bad_input(
                     &mesh.info().path,
                     at,
                     expected,
-                    format!("{} and {}", told(other), told(*value)),
+                    format!("{} and {}", in_file(other), in_file(*value)),
                 ));
             }
         }

@@ -143,16 +143,16 @@ mod tests {
     #[test]
     fn a_grid_that_is_told_is_the_same_and_finds_its_chunks() {
         let counted = grid(20_000);
-        let told = ChunkGrid::from_cuts(*counted.bricks(), &counted.cuts()).unwrap();
-        assert!(counted.iter().eq(told.iter()) && told.len() > 50);
-        assert_eq!(told.cuts(), counted.cuts());
+        let again = ChunkGrid::from_cuts(*counted.bricks(), &counted.cuts()).unwrap();
+        assert!(counted.iter().eq(again.iter()) && again.len() > 50);
+        assert_eq!(again.cuts(), counted.cuts());
         for chunk in counted.iter() {
-            for grid in [&counted, &told] {
+            for grid in [&counted, &again] {
                 assert_eq!(grid.find(chunk.brick_lo, chunk.brick_hi), Some(chunk.id));
             }
             let [x, y, z] = chunk.brick_hi;
-            assert_eq!(told.find(chunk.brick_lo, [x + 1, y, z]), None);
-            assert_eq!(told.find([chunk.brick_lo[0], y, chunk.brick_lo[2]], chunk.brick_hi), None);
+            assert_eq!(again.find(chunk.brick_lo, [x + 1, y, z]), None);
+            assert_eq!(again.find([chunk.brick_lo[0], y, chunk.brick_lo[2]], chunk.brick_hi), None);
         }
     }
 

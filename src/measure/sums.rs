@@ -292,8 +292,8 @@ pub(super) mod tests {
         assert_eq!(found.max(), sorted[9_999]);
         for percent in PERCENTILES {
             let exact = sorted[(percent / 100.0 * n).ceil() as usize - 1];
-            let told = found.percentile(percent);
-            assert!(told >= exact && told <= exact * (1.0 + 1.0 / 16.0), "{percent}: {told} {exact}");
+            let value = found.percentile(percent);
+            assert!(value >= exact && value <= exact * (1.0 + 1.0 / 16.0), "{percent}: {value} {exact}");
         }
     }
 

@@ -183,8 +183,8 @@ proptest! {
         let geometry = Geometry::default();
         let domain = Domain { geometry: &geometry, dims: [2, 2, 2], cuts: &[], tolerance: 0.5 };
         let whole = check_source(&mesh, Some(&domain), &CheckSettings::default()).unwrap();
-        let told = |found: &(SurfaceReport, Option<u64>)| (serde_json::to_string(&found.0).unwrap(), found.1);
-        prop_assert_eq!(told(&whole), told(&tiny(&mesh, &domain)));
+        let comparable = |found: &(SurfaceReport, Option<u64>)| (serde_json::to_string(&found.0).unwrap(), found.1);
+        prop_assert_eq!(comparable(&whole), comparable(&tiny(&mesh, &domain)));
         prop_assert_eq!(whole.0.boundary_edges, boundary_edges(&mesh).len() as u64);
     }
 }

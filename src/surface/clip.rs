@@ -8,7 +8,7 @@
 //!       / \       plane               numbers of its two ends, so both triangles beside the edge use the same.
 //!   ───x───y───────────               Planes are taken one after another: an end may be a new vertex of an earlier
 //!     / ╲ · \                         plane. A vertex within the precision of f32 of a plane counts as on it, and
-//!    b───────c                        is used as it is: no triangle is thinner than can be told.
+//!    b───────c                        is used as it is: no triangle is thinner than can be distinguished.
 //! ```
 //!
 //! # Guarantees

@@ -198,7 +198,7 @@ impl Truth {
         self.luck.learn(found.is_some());
         let (n, bits, len) = found?;
         // If the input is no mesh, more may have been coded than there is.
-        if self.at + n > self.told.len() || stars.waiters + n > stars.waiting.len() {
+        if self.at + n > self.coded.len() || stars.waiters + n > stars.waiting.len() {
             return None;
         }
         let first = len.min(32);
@@ -247,7 +247,7 @@ impl Truth {
     fn tell_found(&mut self, stars: &mut Stars, n: usize) {
         let (ids, hits) = (&self.ids[..], &self.found.hits[..n]);
         let tets = &self.tets[self.rest..self.rest + n];
-        let told = &mut self.told[self.at..self.at + n];
+        let coded = &mut self.coded[self.at..self.at + n];
         self.rest += n;
         self.at += n;
         let (heads, waiting) = (&mut stars.heads[..], &mut stars.waiting[stars.waiters..stars.waiters + n]);
@@ -258,7 +258,7 @@ impl Truth {
             let all = a | b << 16 | c << 32;
             let all = all >> turn | all << (48 - turn);
             let [c, d, w] = [0, 16, 32].map(|bit| (all >> bit) as u16);
-            told[k] = [v as u16, c, d, w].map(|i| ids[usize::from(i)]);
+            coded[k] = [v as u16, c, d, w].map(|i| ids[usize::from(i)]);
             let (least, others) = least_first([c, d, w]);
             let head = &mut heads[usize::from(least).min(stars.own)];
             let next = std::mem::replace(head, (stars.waiters + k) as u16);

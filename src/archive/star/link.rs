@@ -146,12 +146,12 @@ pub(super) struct Gates {
     /// The gates, and one that is not in use.
     pub(super) gates: [Gate; LANES + 1],
     /// The key of the apex, infinity where nothing is in front.
-    pub(super) told: [f32; LANES],
+    pub(super) keys: [f32; LANES],
 }
 
 impl Default for Gates {
     fn default() -> Self {
-        Self { len: 0, gates: [NO_GATE; LANES + 1], told: [f32::INFINITY; LANES] }
+        Self { len: 0, gates: [NO_GATE; LANES + 1], keys: [f32::INFINITY; LANES] }
     }
 }
 
@@ -159,7 +159,7 @@ impl Gates {
     /// The place of the apex that is predicted for a gate; [`NOBODY`] if nothing is in front.
     #[inline(always)]
     pub(super) fn apex(&self, lane: usize) -> usize {
-        let key = self.told[lane % LANES];
+        let key = self.keys[lane % LANES];
         if key < f32::INFINITY { (key.to_bits() & PLACE) as usize } else { NOBODY }
     }
 }
@@ -228,7 +228,7 @@ impl Path for Plain {
             let [c, d] = ends(gates.gates[lane]);
             let hinge = Hinge::new(link.point(c), link.point(d));
             let keys = (0..link.len).map(|i| hinge.key(link.point(i), i));
-            gates.told[lane] = keys.fold(f32::INFINITY, |best, key| if key < best { key } else { best });
+            gates.keys[lane] = keys.fold(f32::INFINITY, |best, key| if key < best { key } else { best });
         }
     }
 

@@ -217,14 +217,14 @@ impl Stars {
     #[inline(always)]
     fn pass<E: End>(&mut self, path: impl Path, end: &mut E) -> Option<usize> {
         let (mut hits, is_wrong) = end.hits(&self.link, &self.gates);
-        let mut told = hits.count_ones() as usize;
+        let mut found = hits.count_ones() as usize;
         while hits != 0 {
             let lane = hits.trailing_zeros() as usize;
             hits &= hits - 1;
             self.attach(end, self.gates.gates[lane % LANES], self.gates.apex(lane))?;
         }
         if is_wrong {
-            told += path.apart(
+            found += path.apart(
                 #[inline(always)]
                 || self.correct(end),
             )?;
@@ -233,13 +233,13 @@ impl Stars {
         for lane in 0..LANES {
             self.link.close(self.gates.gates[lane]);
         }
-        Some(told)
+        Some(found)
     }
 
     /// Codes the triangles that were not predicted, and gives their number.
     #[inline(always)]
     fn correct<E: End>(&mut self, end: &mut E) -> Option<usize> {
-        let mut told = 0;
+        let mut found = 0;
         for lane in 0..self.gates.len {
             let gate = self.gates.gates[lane % LANES];
             if !self.link.is_open(gate) {
@@ -252,10 +252,10 @@ impl Stars {
                 // The first is the one that was predicted.
                 let w = self.ranked(end, &scores, 1, GATE_RANK, truth)?;
                 self.attach(end, gate, w)?;
-                told += 1;
+                found += 1;
             }
         }
-        Some(told)
+        Some(found)
     }
 
     /// Codes a vertex by its rank, at least `least`, or else by its number. `None` if what is read
@@ -272,8 +272,8 @@ impl Stars {
         let place = if E::KNOWS { self.link.find(truth) } else { None };
         let known = place.and_then(|i| self.link.rank(scores, i));
         let known = known.filter(|&r| r >= least).unwrap_or(FAR_RANK);
-        let told = |k: &usize| end.bit(&mut self.odds, odds + k, *k == known);
-        if let Some(rank) = (least..FAR_RANK).find(told) {
+        let is_it = |k: &usize| end.bit(&mut self.odds, odds + k, *k == known);
+        if let Some(rank) = (least..FAR_RANK).find(is_it) {
             return if E::KNOWS { place } else { self.link.nth(scores, rank) };
         }
         // Numbers begin behind the vertex whose star this is.
@@ -352,11 +352,11 @@ impl Stars {
     /// Codes all stars of a block of `tets` tetrahedra. `None` if what is read cannot be one, or a
     /// link is too large.
     fn tell<E: End>(&mut self, end: &mut E, tets: usize) -> Option<()> {
-        let told = self.tell_as_may_be(end, tets);
-        if told.is_none() {
+        let coded = self.tell_as_may_be(end, tets);
+        if coded.is_none() {
             self.link.give_up();
         }
-        told
+        coded
     }
 
     fn tell_as_may_be<E: End>(&mut self, end: &mut E, tets: usize) -> Option<()> {

@@ -18,7 +18,7 @@ struct ReadEnd<'a, 'o> {
     ids: &'o [u32; VERTICES],
     /// Space for the tetrahedra, and how many of them are decoded.
     out: &'o mut [Tet],
-    told: usize,
+    read: usize,
 }
 
 impl End for ReadEnd<'_, '_> {
@@ -71,10 +71,10 @@ impl End for ReadEnd<'_, '_> {
         let id = |v: Local| self.ids[usize::from(v) % VERTICES];
         let tet = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
         // Stars with more tetrahedra than there is space for are refused.
-        if let Some(room) = self.out.get_mut(self.told) {
+        if let Some(room) = self.out.get_mut(self.read) {
             *room = tet;
         }
-        self.told += 1;
+        self.read += 1;
     }
 }
 
@@ -143,7 +143,7 @@ impl<'a> Reader<'a> {
         let before = out.len();
         out.resize(before + self.tets, [0; 4]);
         let (ids, room) = (&*scratch.ids, &mut out[before..]);
-        let mut end = ReadEnd { coder: self.coder, bits: self.bits, is_odd: false, ids, out: room, told: 0 };
+        let mut end = ReadEnd { coder: self.coder, bits: self.bits, is_odd: false, ids, out: room, read: 0 };
         stars.tell(&mut end, self.tets).ok_or_else(bad)?;
         if end.coder.at_end() && end.bits.at_end() { Ok(()) } else { Err(bad()) }
     }

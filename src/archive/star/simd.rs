@@ -254,7 +254,7 @@ fn search_avx2(link: &Link, gates: &mut Gates) {
         place = _mm256_add_epi32(place, two);
     }
     best = _mm256_min_ps(other, best);
-    let told = _mm_min_ps(_mm256_castps256_ps128(best), _mm256_extractf128_ps::<1>(best));
+    let keys = _mm_min_ps(_mm256_castps256_ps128(best), _mm256_extractf128_ps::<1>(best));
     // SAFETY: the array has 16 bytes; the store need not be aligned.
-    unsafe { _mm_storeu_ps(gates.told.as_mut_ptr(), told) };
+    unsafe { _mm_storeu_ps(gates.keys.as_mut_ptr(), keys) };
 }

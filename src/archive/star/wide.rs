@@ -238,7 +238,7 @@ fn search_avx512(link: &Link, gates: &mut Gates) {
     }
     best = _mm512_min_ps(other, best);
     let half = _mm256_min_ps(_mm512_castps512_ps256(best), _mm512_extractf32x8_ps::<1>(best));
-    let told = _mm_min_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps::<1>(half));
+    let keys = _mm_min_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps::<1>(half));
     // SAFETY: the array has 16 bytes; the store need not be aligned.
-    unsafe { _mm_storeu_ps(gates.told.as_mut_ptr(), told) };
+    unsafe { _mm_storeu_ps(gates.keys.as_mut_ptr(), keys) };
 }

@@ -45,7 +45,7 @@ pub(super) struct Truth {
     loose: Vec<[Local; 3]>,
     /// The vertices by local number, and the tetrahedra as they are coded: as they will be decoded.
     pub(super) ids: Vec<u32>,
-    pub(super) told: Vec<Tet>,
+    pub(super) coded: Vec<Tet>,
     /// How many are coded.
     pub(super) at: usize,
     /// What was found about the star that was tried last.
@@ -73,7 +73,7 @@ impl Default for Truth {
             thirds: Box::new([TOLD; GATES]),
             loose: vec![],
             ids: vec![],
-            told: vec![],
+            coded: vec![],
             at: 0,
             found: Found::default(),
             luck: Luck::default(),
@@ -102,7 +102,7 @@ impl Writer {
         let ids = (first..first + own).chain(self.others.iter().copied());
         self.truth.ids.clear();
         self.truth.ids.extend(ids);
-        self.truth.told.resize(tets.len(), [0; 4]);
+        self.truth.coded.resize(tets.len(), [0; 4]);
         self.positions.clear();
         self.positions.extend(self.truth.ids.iter().map(|&v| positions[v as usize]));
         let size = self.size();
@@ -131,7 +131,7 @@ impl Writer {
 
     /// The tetrahedra of the block that was just encoded, as they will be decoded.
     pub(crate) fn decoded(&self) -> &[Tet] {
-        &self.truth.told
+        &self.truth.coded
     }
 
     /// Lists the others and numbers the vertices; false if there are too many, or a tetrahedron has
@@ -223,9 +223,9 @@ impl Truth {
         let hit = (self.third(on) == apex) & (apex != NOBODY);
         let [c, d] = ends(on);
         // All bits of a place set are no place.
-        let told = TOLD * u8::from(hit);
+        let mark = TOLD * u8::from(hit);
         for edge in [on, gate(d, apex), gate(apex, c)] {
-            self.thirds[usize::from(edge) % GATES] |= told;
+            self.thirds[usize::from(edge) % GATES] |= mark;
         }
         self.uncoded -= usize::from(hit);
         hit
@@ -255,10 +255,10 @@ impl Truth {
     fn loose_hits(&mut self, link: &Link, gates: &Gates) -> u32 {
         let mut hits = 0;
         for lane in 0..gates.len {
-            let (on, told) = (gates.gates[lane % LANES], gates.apex(lane));
+            let (on, apex) = (gates.gates[lane % LANES], gates.apex(lane));
             if let Some((i, w)) = self.find_loose(link, on)
-                && told != NOBODY
-                && w == link.id[told]
+                && apex != NOBODY
+                && w == link.id[apex]
             {
                 self.loose.swap_remove(i);
                 self.uncoded -= 1;
@@ -387,8 +387,8 @@ impl End for Truth {
         let id = |v: Local| self.ids[usize::from(v)];
         // If the input is no mesh, more may be coded than there is: it is refused when the star
         // ends.
-        if let Some(told) = self.told.get_mut(self.at) {
-            *told = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
+        if let Some(place) = self.coded.get_mut(self.at) {
+            *place = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
         }
         self.at += 1;
     }

@@ -278,12 +278,12 @@ pub(in crate::pipeline) fn stored_error(archive: &StepView) -> Result<(FieldErro
             by_level.iter_mut().zip(&found.levels).for_each(|(all, part)| all.merge(part));
         }
     }
-    let told = |e: &BrickErrors| LevelError {
+    let level_error = |e: &BrickErrors| LevelError {
         samples: e.samples,
         rms: if e.samples == 0 { 0.0 } else { e.rms() },
         max: e.max,
     };
     let rounding = archive.step().plan.source.rounding;
-    let told = |e: &BrickErrors| told(e).with_rounding(rounding);
-    Ok((field_error_of(archive, &sums)?, by_level.iter().map(told).collect()))
+    let level_error = |e: &BrickErrors| level_error(e).with_rounding(rounding);
+    Ok((field_error_of(archive, &sums)?, by_level.iter().map(level_error).collect()))
 }

@@ -36,16 +36,16 @@ pub(super) fn reported_errors(
     beyond: &[u64],
 ) -> Result<Vec<StepErrors>> {
     let positions = store.positions.get()?;
-    let mut told = vec![];
+    let mut errors = vec![];
     for (n, (&position, (sums, of_levels))) in steps.iter().zip(sums).enumerate() {
         let source = &archive.manifest.steps[position].plan.source;
         let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
         let mut error = vertex_error(store, positions, sums, source);
         error.source_range = range_of(columns[n]).map(|r| r.map(|v| f64::from(v) + source.offset));
         error.beyond = beyond[n];
-        told.push((error, of_levels.iter().map(of_level).collect()));
+        errors.push((error, of_levels.iter().map(of_level).collect()));
     }
-    Ok(told)
+    Ok(errors)
 }
 
 /// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra

@@ -131,8 +131,8 @@ pub fn scan(source: VolumeSource) -> Result<(VolumeInfo, Scan)> {
         other => scan_stream(&mut *other.into_stream(), &mut counter)?,
     }
     let scan = counter.finish();
-    let told = |v: Option<f64>| v.map(|v| shortest(v as f32));
-    Ok((info, Scan { min: told(scan.min), max: told(scan.max), ..scan }))
+    let in_file = |v: Option<f64>| v.map(|v| shortest(v as f32));
+    Ok((info, Scan { min: in_file(scan.min), max: in_file(scan.max), ..scan }))
 }
 
 fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {

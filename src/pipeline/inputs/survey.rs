@@ -153,16 +153,20 @@ impl Survey {
     pub(in crate::pipeline) fn found(self, missing: Option<f64>) -> Found {
         let is_single = self.is_single;
         // The shortest numbers that mean the same samples, as they are typed.
-        let told = |v: f64| if is_single { (v as f32).to_string().parse().unwrap_or(v) } else { v };
+        let in_file = |v: f64| if is_single { (v as f32).to_string().parse().unwrap_or(v) } else { v };
         let found = self.found_exactly(missing);
         Found {
             fills: found
                 .fills
                 .into_iter()
-                .map(|f| Fill { value: told(f.value), others: f.others.map(told), ..f })
+                .map(|f| Fill { value: in_file(f.value), others: f.others.map(in_file), ..f })
                 .collect(),
-            constant: found.constant.map(told),
-            stretch: found.stretch.map(|s| Stretch { value: told(s.value), others: s.others.map(told), ..s }),
+            constant: found.constant.map(in_file),
+            stretch: found.stretch.map(|s| Stretch {
+                value: in_file(s.value),
+                others: s.others.map(in_file),
+                ..s
+            }),
             labels: found.labels,
         }
     }

@@ -127,8 +127,8 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
 fn base_of(job: &Job<'_>, how: &StoreSettings, inputs: &mut Inputs<'_>) -> Result<(CellMesh, CellStore)> {
     let mut first_error = None;
     for (number, source) in job.sources {
-        let told = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
-        match base_from(source, job, how, inputs).map_err(told) {
+        let at_step = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
+        match base_from(source, job, how, inputs).map_err(at_step) {
             Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
                 first_error.get_or_insert(e);
             }
@@ -399,7 +399,7 @@ fn new_plan(
     offset: f64,
 ) -> Result<Plan> {
     let (lattice, geometry) = (store.frame.lattice, store.frame.geometry);
-    let told = MeshSource {
+    let summary = MeshSource {
         vertices: store.census.vertices,
         tetrahedra: store.census.tetrahedra,
         point_hash: PlanHash(store.identity.points),
@@ -409,7 +409,7 @@ fn new_plan(
         dims: lattice.dims,
         geometry,
         offset,
-        mesh: Some(told),
+        mesh: Some(summary),
         // Each step has its own fingerprint.
         ..source_of(mesh, String::new())?
     };
@@ -483,8 +483,8 @@ fn plan_steps(
     };
     let mut first_error = None;
     for (number, source) in job.sources {
-        let told = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
-        match planner.step(*number, source).map_err(told) {
+        let at_step = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
+        match planner.step(*number, source).map_err(at_step) {
             Ok(step) => {
                 series.plan.steps.push(step);
                 let source = source.clone();
@@ -558,15 +558,15 @@ impl StepPlanner<'_> {
         }
         self.common.check(&mesh, self.read.identity)?;
         let fingerprint = self.inputs.fingerprint(number, &mesh.info().files(), &self.how.cancel)?;
-        let told = source_of(&mesh, fingerprint)?;
-        let field = self.field.get_or_insert_with(|| FieldOfSeries::new(number, &told.field));
-        field.check(source, &told.field)?;
+        let found = source_of(&mesh, fingerprint)?;
+        let field = self.field.get_or_insert_with(|| FieldOfSeries::new(number, &found.field));
+        field.check(source, &found.field)?;
         let source_record = Source {
-            path: told.path,
-            fingerprint: told.fingerprint,
-            format: told.format,
-            scalar: told.scalar,
-            field: told.field,
+            path: found.path,
+            fingerprint: found.fingerprint,
+            format: found.format,
+            scalar: found.scalar,
+            field: found.field,
             rounding: self.rounding(number, &mesh)?,
             ..self.template.source.clone()
         };

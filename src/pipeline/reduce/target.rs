@@ -183,13 +183,13 @@ struct Rounding {
     is_chosen: bool,
     bits: ValueBits,
     /// Tries whose results have been used to choose the bits.
-    told: u32,
+    learned: u32,
 }
 
 impl Rounding {
     fn new(settings: &ReduceSettings, target: Target) -> Self {
         let is_chosen = settings.points == Some(SetKind::Bcc) && settings.value_bits == ValueBits::Usual;
-        let mut rounding = Self { is_chosen, bits: settings.value_bits, told: 0 };
+        let mut rounding = Self { is_chosen, bits: settings.value_bits, learned: 0 };
         if is_chosen {
             rounding.bits = ValueBits::Bits(USUAL_BITS);
             if let Some(Bound::OfRange(part)) = target.bound() {
@@ -213,9 +213,9 @@ impl Rounding {
     /// changed: then earlier tries cannot be compared with later ones.
     fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
         let before = self.bits;
-        let range = source_range(report).filter(|_| self.is_chosen && self.told < 2);
+        let range = source_range(report).filter(|_| self.is_chosen && self.learned < 2);
         if let Some([lo, hi]) = range {
-            self.told += 1;
+            self.learned += 1;
             let error = match target.bound() {
                 Some(_) => bound,
                 None => error_of(Target::Rms(Bound::Value(bound)), report),

@@ -31,9 +31,13 @@ use std::time::{Duration, Instant};
 
 /// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored
 /// ([`crate::spectrum`]: at any isovalue of a few digits), else by decoding the active blocks.
-pub(in crate::pipeline) fn count(archive: &StepView, told: f64, cancel: &CancelToken) -> Result<CountReport> {
-    finite(told)?;
-    let isovalue = archive.step().plan.source.kept(told);
+pub(in crate::pipeline) fn count(
+    archive: &StepView,
+    wanted: f64,
+    cancel: &CancelToken,
+) -> Result<CountReport> {
+    finite(wanted)?;
+    let isovalue = archive.step().plan.source.kept(wanted);
     let read_before = archive.bytes_read();
     let spectrum = if !archive.is_between() { archive.spectrum()? } else { None };
     let stored = match &spectrum {
@@ -50,7 +54,7 @@ pub(in crate::pipeline) fn count(archive: &StepView, told: f64, cancel: &CancelT
         }
     };
     Ok(CountReport {
-        isovalue: told,
+        isovalue: wanted,
         active_tetrahedra,
         tetrahedra: archive.manifest.counts.tetrahedra,
         stored: stored.is_some(),

@@ -384,7 +384,7 @@ impl MadeChunk {
 pub(in crate::pipeline) fn check_unpacked(archive: &StepView, file: &Unpacked, id: ChunkId) -> Result<()> {
     let (world, mut buffers) = (world_map(archive), Buffers::default());
     let made = MadeChunk::of(archive, id, file.table().range, &world, &mut buffers)?;
-    let told = file.chunk(id);
+    let stored = file.chunk(id);
     let at = format!("chunk {}", id.0);
     let wrong = |expected: String, got: String| {
         let help = "make it again with isospan unpack, or remove it with isospan unpack --remove";
@@ -392,11 +392,11 @@ pub(in crate::pipeline) fn check_unpacked(archive: &StepView, file: &Unpacked, i
     };
     let expected =
         UnpackedChunk { corners: made.corners, blocks: made.blocks.len() as u32, edges: made.edges };
-    if told != expected {
-        return wrong(format!("{expected:?}"), format!("{told:?}"));
+    if stored != expected {
+        return wrong(format!("{expected:?}"), format!("{stored:?}"));
     }
     let (mut places, mut buffer) = (vec![], vec![]);
-    file.places(id, 0..told.blocks, &mut places)?;
+    file.places(id, 0..stored.blocks, &mut places)?;
     for (n, (place, words)) in places.iter().zip(&made.blocks).enumerate() {
         if file.words(place, &mut buffer)? != words.as_slice() {
             return wrong(format!("block {n} as the archive has it"), "another".into());

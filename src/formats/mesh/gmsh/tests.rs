@@ -84,7 +84,7 @@ fn tags_have_gaps_and_data_any_order() {
 
 #[test]
 fn what_is_wrong_is_told() {
-    for (old, new, told) in [
+    for (old, new, reason) in [
         ("2.2 0 8", "4.0 0 8", "expected version 2.2 or 4.1, got version 4.0"),
         ("3 7 3 4 100", "3 7 3 5 100", "line 18: expected the tag of a node, got 5"),
         ("\n3 1 0 0", "\n7 1 0 0", "7 twice"),
@@ -103,7 +103,7 @@ fn what_is_wrong_is_told() {
         assert!(SPARSE.contains(old), "{old}");
         let outcome = open(SPARSE.replacen(old, new, 1).as_bytes(), "x").and_then(|m| read_whole(&m));
         let line = outcome.expect_err(new).to_string();
-        assert!(line.contains(told), "{line}");
+        assert!(line.contains(reason), "{line}");
     }
 }
 

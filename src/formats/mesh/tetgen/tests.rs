@@ -92,7 +92,7 @@ fn a_file_of_values_is_a_field() {
 
 #[test]
 fn what_is_wrong_is_told_by_its_line() {
-    for (old, new, told) in [
+    for (old, new, reason) in [
         ("5 3 2 1", "5 2 2 1", "2 dimensions"),
         ("5 3 2 1", "6 3 2 1", "the end of the file after 5 rows"),
         ("5 3 2 1", "4 3 2 1", "more: 5 0 0 -1"),
@@ -106,9 +106,9 @@ fn what_is_wrong_is_told_by_its_line() {
         assert!(NODES.contains(old));
         let outcome = open(&NODES.replacen(old, new, 1), CELLS, NAMES, None).and_then(|m| read_whole(&m));
         let line = outcome.expect_err(new).to_string();
-        assert!(line.contains(told), "{line}");
+        assert!(line.contains(reason), "{line}");
     }
-    for (cells, told) in [
+    for (cells, reason) in [
         ("2 10 1\n1 1 2 3 4 10\n", "row 1 with its 11 numbers"),
         ("1 4 0\n1 1 2 3 6\n", "cell 0 (counted from 0): expected vertices among 5 points, got point 5"),
         ("1 4 0\n1 0 2 3 4\n", "cell 1: expected vertices counted from 1, as points are, got vertex 0"),
@@ -117,7 +117,7 @@ fn what_is_wrong_is_told_by_its_line() {
     ] {
         let outcome = open(NODES, cells, NAMES, None).and_then(|m| read_whole(&m));
         let line = outcome.expect_err(cells).to_string();
-        assert!(line.contains(told), "{line}");
+        assert!(line.contains(reason), "{line}");
     }
     let dir = tempfile::tempdir().unwrap();
     let alone = write(&dir, "a.ele", CELLS.as_bytes());

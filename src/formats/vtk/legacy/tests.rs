@@ -290,8 +290,8 @@ fn real_files_that_are_no_volume_are_refused_by_name() {
             let error = open(&path, &OpenOptions::default()).err().unwrap();
             let line = error.to_string();
             // Rectilinear grids are read; these have nothing but data on cells.
-            let told = line.contains("DATASET") || name.starts_with("rectilinear") && line.contains("data");
-            assert!(error.exit_code() == 5 && told, "{line}");
+            let reason = line.contains("DATASET") || name.starts_with("rectilinear") && line.contains("data");
+            assert!(error.exit_code() == 5 && reason, "{line}");
             seen += 1;
         }
     }
@@ -366,7 +366,7 @@ fn unstructured_grids_are_read() {
 #[test]
 fn wrong_unstructured_grids_are_refused() {
     let good = GRID.replace("CELLS 3 13", "CELLS 3 14");
-    for (old, new, told) in [
+    for (old, new, reason) in [
         ("CELLS 3 14", "CELLS 3 13", "expected POINTS, CELLS"),
         ("CELLS 3 14\n4 0 1 2 4", "CELLS 3 13\n3 0 1 2", "4 vertices of tetrahedra, got 3"),
         ("5 0 1 2 3 4", "5 0 1 2 3 5", "cell 2 (counted from 0): expected vertices among 5 points"),
@@ -381,7 +381,7 @@ fn wrong_unstructured_grids_are_refused() {
         assert!(good.contains(old), "{old}");
         let outcome = mesh(good.replacen(old, new, 1).as_bytes()).and_then(|m| read_whole(&m));
         let line = outcome.expect_err(new).to_string();
-        assert!(line.contains(told), "{told}: {line}");
+        assert!(line.contains(reason), "{reason}: {line}");
     }
 }
 

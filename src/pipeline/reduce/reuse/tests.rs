@@ -215,14 +215,17 @@ fn a_search_that_was_stopped_ends_alike() {
     let target = Some(Target::Max(Bound::Value(1.0)));
     let settings = ReduceSettings { target, ..settings(Values::Sample) };
     let search = |out: &Path| reduce_series(&sources, &settings, out, &run(2), &Silent).unwrap();
-    let told = search(&whole).target.unwrap();
-    assert!(told.met && told.tries > 2 && told.meshed_chunks[0] <= told.meshed_chunks[1], "{told:?}");
+    let target = search(&whole).target.unwrap();
+    assert!(
+        target.met && target.tries > 2 && target.meshed_chunks[0] <= target.meshed_chunks[1],
+        "{target:?}"
+    );
     for round in 1..=3 {
         let progress = StopsIn { round, run: run(2), seen: Mutex::default() };
         let error = reduce_series(&sources, &settings, &stopped, &progress.run, &progress).unwrap_err();
         assert!(matches!(error, crate::Error::Cancelled), "{error}");
     }
-    assert_eq!(search(&stopped).target, Some(told));
+    assert_eq!(search(&stopped).target, Some(target));
     assert!(files(&whole) == files(&stopped));
     assert!(!dir.path().join("stopped.isospan.work").exists(), "tries are gone");
 }

@@ -111,7 +111,7 @@ fn an_index_joins_its_files() {
 #[test]
 fn what_is_wrong_is_told() {
     let good = String::from_utf8(grid(every_encoding()[0], 1)).unwrap();
-    for (old, new, told) in [
+    for (old, new, reason) in [
         (" 0 1 2 4 0", " 0 1 2 5 0", "cell 0 of a piece (counted from 0): expected vertices below 5, got 5"),
         (" 0 1 2 4 0", " 0 1 2 -4 0", "got -1"),
         (" 4 7 12", " 4 3 12", "offsets that ascend, 4 or more, got 3"),
@@ -130,7 +130,7 @@ fn what_is_wrong_is_told() {
         assert!(good.contains(old), "{old}");
         let outcome = open(good.replacen(old, new, 1).as_bytes(), None).and_then(|m| read_whole(&m));
         let line = outcome.err().unwrap_or_else(|| panic!("{new} was read")).to_string();
-        assert!(line.contains(told), "{line}");
+        assert!(line.contains(reason), "{line}");
     }
     let error = open(good.as_bytes(), Some("q")).err().expect("no such field");
     assert_eq!(error.exit_code(), 2);
