@@ -9,7 +9,8 @@
 //!  box             10:20,:,5:               triple          1,1,2.5
 //!  times           0,0.5,2   0,0.5,...      time span       2d  12h  30m  90s
 //!  type            uint16  <f4              shard           3/16
-//!  length          0.5  0.1%
+//!  length          0.5  0.1%             opacity         0.3  30%
+//!  plane           z=40  x=50%          slab            z=40:  x=:50%  y=10:20
 //! ```
 //!
 //! A parser says what it expected, with an example. Before that, clap says what it got, and for
@@ -18,7 +19,7 @@
 use super::step::Times;
 use isospan::formats::raw::SampleType;
 use isospan::pipeline::{Bound, NanPolicy, Roi, Shard, StepRange, ValueBits};
-use isospan::render::{Paint, Up, parse_colour};
+use isospan::render::{ColourMap, Paint, Up, parse_colour};
 use isospan::volume::ScalarType;
 use isospan::{Error, Result};
 use std::fmt::Display;
@@ -196,6 +197,58 @@ pub(crate) fn range(text: &str) -> Parsed<Range> {
         _ => true,
     };
     expected(found.filter(in_order), "a range LO:HI with LO <= HI, as in 300:900, 300: or 10%:50%")
+}
+
+/// A plane across an axis of the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Plane {
+    pub(crate) axis: usize,
+    pub(crate) at: Value,
+}
+
+/// What lies between two planes across an axis of the world; an end may be open.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Slab {
+    pub(crate) axis: usize,
+    pub(crate) range: Range,
+}
+
+/// The names of the axes of the world.
+pub(crate) const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// An axis, and what stands behind its `=`.
+fn on_axis(text: &str) -> Option<(usize, &str)> {
+    let (name, rest) = text.split_once('=')?;
+    Some((AXES.iter().position(|a| *a == name.trim())?, rest))
+}
+
+/// A plane: `z=40` in world units, or `z=50%` of the domain.
+pub(crate) fn plane(text: &str) -> Parsed<Plane> {
+    let found = on_axis(text).and_then(|(axis, at)| Some(Plane { axis, at: value_of(at)? }));
+    expected(found, "a plane, as in z=40 in world units, or x=50% of the domain")
+}
+
+/// A slab: `z=40:`, `x=:50%`, `y=10:20`.
+pub(crate) fn slab(text: &str) -> Parsed<Slab> {
+    let found = on_axis(text).and_then(|(axis, ends)| Some(Slab { axis, range: range(ends).ok()? }));
+    expected(found, "an axis and a range, as in z=40: for all from 40 on, x=:50% or y=10:20")
+}
+
+/// An opacity: `0.3`, `30%`.
+pub(crate) fn opacity(text: &str) -> Parsed<f32> {
+    let found = percent(text).or_else(|| finite(text)).map(|v| v as f32);
+    expected(found.filter(|v| *v > 0.0 && *v <= 1.0), "an opacity above 0 and at most 1, as in 0.3 or 30%")
+}
+
+/// A name of a colour map.
+pub(crate) fn colour_map(text: &str) -> Parsed<ColourMap> {
+    let names = ColourMap::ALL.map(ColourMap::name).join(", ");
+    expected(text.parse().ok(), &format!("a colour map: {names}"))
+}
+
+/// A number of pictures in a second: `15`, `0.5`.
+pub(crate) fn frame_rate(text: &str) -> Parsed<f64> {
+    expected(finite(text).filter(|v| (0.1..=50.0).contains(v)), "a number from 0.1 to 50, as in 15")
 }
 
 /// Steps by number: `3:8`, `3:`, `:8`, `3`.
@@ -408,6 +461,20 @@ mod tests {
         assert!(range("250:50%").unwrap().of(Some([100.0, 300.0])).is_err());
         refused(range, &["", "3", "2:1", "50%:10%", "a:b", "nan:", "inf:", "1:2:3"]);
         refused(value, &["", "x", "%", "1%%", "150%", "-1%"]);
+    }
+
+    #[test]
+    fn planes_and_slabs() {
+        let of = |text: &str| plane(text).map(|p| (p.axis, p.at.of(Some([10.0, 30.0])).unwrap()));
+        assert_eq!((of("z=-4.5"), of("x=50%")), (Ok((2, -4.5)), Ok((0, 20.0))));
+        refused(plane, &["", "z", "z=", "w=1", "z=1:2", "=1", "z=nan"]);
+        let of = |text: &str| slab(text).map(|s| (s.axis, s.range.of(Some([10.0, 30.0])).unwrap()));
+        assert_eq!((of("y=10%:20"), of("z=:4")), (Ok((1, [12.0, 20.0])), Ok((2, [f64::NEG_INFINITY, 4.0]))));
+        refused(slab, &["", "z=4", "z=2:1", "w=1:", "1:2"]);
+        assert_eq!((opacity("30%"), opacity("1")), (Ok(0.3), Ok(1.0)));
+        refused(opacity, &["", "0", "1.1", "-1", "101%", "nan"]);
+        refused(colour_map, &["", "jet"]);
+        refused(frame_rate, &["", "0", "51", "x"]);
     }
 
     #[test]

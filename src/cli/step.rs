@@ -4,8 +4,8 @@ use super::grammar;
 use super::input::InputArgs;
 use super::progress::Talk;
 use isospan::formats::{OpenOptions, StepSource, order_in_doubt, steps_of};
-use isospan::pipeline::StepChoice;
-use isospan::{Error, Result};
+use isospan::pipeline::{StepChoice, StepRange};
+use isospan::{Archive, Error, Result};
 use std::path::PathBuf;
 
 /// The steps that are made.
@@ -105,6 +105,18 @@ impl StepArgs {
     /// Whether one is asked.
     pub(crate) fn is_given(&self) -> bool {
         self.step.is_some() || self.time.is_some()
+    }
+
+    /// Least and largest value of the step that is asked, or of a range of steps together; none
+    /// where no point has a value.
+    pub(crate) fn value_range(
+        &self,
+        archive: &Archive,
+        steps: Option<StepRange>,
+    ) -> Result<Option<[f64; 2]>> {
+        let Some(steps) = steps else { return Ok(archive.at(self.choice())?.value_range()) };
+        let ranges = archive.info()?.steps.into_iter().filter(|s| steps.contains(s.number));
+        Ok(ranges.filter_map(|s| s.range).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]))
     }
 
     pub(crate) fn choice(&self) -> StepChoice {

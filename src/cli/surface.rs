@@ -308,15 +308,8 @@ fn in_world(length: Length, archive: &Archive) -> Result<f64> {
 /// The isovalues; percentages refer to the step or to all steps together.
 fn isovalues(args: &Args, archive: &Archive, steps: Option<StepRange>) -> Result<Vec<f64>> {
     let is_share = |value: &Value| matches!(value, Value::Share(_));
-    let range = match steps {
-        _ if !args.isovalue.iter().any(is_share) => None,
-        None => archive.at(args.step.choice())?.value_range(),
-        Some(steps) => {
-            let ranges = archive.info()?.steps.into_iter().filter(|s| steps.contains(s.number));
-            let ranges = ranges.filter_map(|s| s.range);
-            ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
-        }
-    };
+    let range =
+        if args.isovalue.iter().any(is_share) { args.step.value_range(archive, steps)? } else { None };
     args.isovalue.iter().map(|value| value.of(range)).collect()
 }
 

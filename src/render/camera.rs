@@ -74,11 +74,23 @@ impl View {
     /// The view in which some surfaces, together, fill an image of `size` pixels.
     ///
     /// # Errors
+    /// Those of [`View::fit_all`].
+    pub fn fit(camera: &Camera, surfaces: &[&dyn SurfaceSource], size: [u32; 2]) -> Result<Self> {
+        Ok(Self::fit_all(&[*camera], surfaces, size)?[0])
+    }
+
+    /// Views from several places, of one scale and with one middle, as of a film: in none of them
+    /// do the surfaces leave the image, unless they are magnified.
+    ///
+    /// # Errors
     /// [`Error::Usage`] for a camera or a size that cannot be, or surfaces without a vertex; those
     /// of reading them.
-    pub fn fit(camera: &Camera, surfaces: &[&dyn SurfaceSource], size: [u32; 2]) -> Result<Self> {
-        let angles = camera.azimuth.is_finite() && (-90.0..=90.0).contains(&camera.elevation);
-        if !(angles && camera.zoom > 0.0 && camera.zoom <= 1e6) {
+    pub fn fit_all(cameras: &[Camera], surfaces: &[&dyn SurfaceSource], size: [u32; 2]) -> Result<Vec<Self>> {
+        let is_camera = |c: &Camera| {
+            let angles = c.azimuth.is_finite() && (-90.0..=90.0).contains(&c.elevation);
+            angles && c.zoom > 0.0 && c.zoom <= 1e6
+        };
+        if !cameras.iter().all(is_camera) {
             return Err(Error::usage(
                 "a camera has an elevation of -90 to 90 degrees and a zoom above 0, at most 1e6",
             ));
@@ -92,7 +104,7 @@ impl View {
             return Err(Error::usage("there is nothing to draw: the surface has no vertex"));
         }
         let radius = (hi - lo).length() / 2.0;
-        let mut view = Self {
+        let view = |camera: &Camera| Self {
             axes: axes(camera),
             centre: (lo + hi) / 2.0,
             // Any radius does for a single point.
@@ -102,18 +114,29 @@ impl View {
             shift: [0.0; 2],
             size,
         };
+        let mut views: Vec<Self> = cameras.iter().map(view).collect();
         let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         each_vertex(surfaces, |p| {
-            let c = view.in_camera_space(p);
-            let f = view.nearness(c.z);
-            for (k, x) in [c.x * f, c.y * f].into_iter().enumerate() {
-                (lo[k], hi[k]) = (lo[k].min(x), hi[k].max(x));
+            for view in &views {
+                let c = view.in_camera_space(p);
+                let f = view.nearness(c.z);
+                for (k, x) in [c.x * f, c.y * f].into_iter().enumerate() {
+                    (lo[k], hi[k]) = (lo[k].min(x), hi[k].max(x));
+                }
             }
         })?;
         let room = |k: usize| f64::from(size[k]) / (hi[k] - lo[k]).max(1e-9);
-        view.scale = FILLED * room(0).min(room(1)) * camera.zoom;
-        view.shift = [0, 1].map(|k| (lo[k] + hi[k]) / 2.0 * view.scale);
-        Ok(view)
+        for (view, camera) in views.iter_mut().zip(cameras) {
+            view.scale = FILLED * room(0).min(room(1)) * camera.zoom;
+            view.shift = [0, 1].map(|k| (lo[k] + hi[k]) / 2.0 * view.scale);
+        }
+        Ok(views)
+    }
+
+    /// The length in the world that a pixel shows; in perspective, at the depth of the middle of
+    /// what is drawn.
+    pub fn pixel(&self) -> f64 {
+        self.radius / self.scale
     }
 
     /// Pixels along x and y.

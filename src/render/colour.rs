@@ -1,5 +1,6 @@
 //! Colours: sRGB bytes outside, linear light inside.
 
+use super::ColourMap;
 use crate::error::{Error, Result};
 
 /// The colour of a surface.
@@ -11,6 +12,9 @@ pub enum Paint {
     Normals,
     /// The values of the vertices, on the scale [`SEQUENTIAL`] from the first number to the second.
     Values([f32; 2]),
+    /// The values of the vertices on a colour map, from the first number to the second. Light does
+    /// not change these colours: they are those of the legend.
+    Map(ColourMap, [f32; 2]),
 }
 
 /// A scale from light to dark, for numbers from 0 on: sRGB at evenly spaced places.

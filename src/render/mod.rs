@@ -18,11 +18,13 @@
 //! shadows and ambient occlusion in one, of the scene and not of the screen (compare Tarini,
 //! Cignoni and Montani, "Ambient occlusion and edge cueing for enhancing real time molecular
 //! visualization", 2006). Colours are added up linearly and encoded as sRGB in the end.
+//! Transparent surfaces, and those that show a colour map, throw no shadow.
 //!
 //! Normals are interpolated between vertices, turned to the viewer with their triangle; the far
 //! side of an open surface is drawn darker.
 //!
-//! Cost: some microseconds a triangle (most of it for the maps), about a microsecond a pixel.
+//! Cost: some microseconds a triangle (most of it for the maps), about a microsecond a pixel; of a
+//! transparent picture, a microsecond a triangle and a pixel for each layer.
 //! Memory ([`needed`]): samples and maps, for any surface; vertices that do not fit in the rest
 //! wait on disk.
 
@@ -47,6 +49,7 @@ use glam::{DVec3, Vec3};
 use light::Sky;
 use rayon::prelude::*;
 use samples::{Corner, Samples};
+use shade::Picture;
 
 /// How a picture is made.
 #[derive(Clone, Debug)]
@@ -85,6 +88,8 @@ pub struct Subject<'a> {
     pub surface: &'a dyn SurfaceSource,
     /// Its colour.
     pub paint: Paint,
+    /// The share of the light behind it that it stops: above 0, and 1 for an opaque surface.
+    pub opacity: f32,
     /// A number for each vertex, if colours show it; empty otherwise.
     pub values: &'a [f32],
 }
@@ -103,66 +108,173 @@ const FIXED: u64 = 24 << 20;
 /// Triangles that are drawn at a time.
 const BATCH: usize = 1 << 14;
 
+/// Subjects of a picture, at most.
+const MOST: usize = samples::MOST_SUBJECTS;
+
 /// The least memory for a picture of such a size, the picture itself included, without vertices; it
-/// is the same for any surface.
-pub fn needed(size: [u32; 2], settings: &RenderSettings) -> u64 {
+/// is the same for any surfaces, but more where one of them is transparent.
+pub fn needed(size: [u32; 2], settings: &RenderSettings, transparent: bool) -> u64 {
     let pixels = u64::from(size[0]) * u64::from(size[1]);
-    let each = samples::BYTES * u64::from(settings.samples).pow(2) + 4;
+    let sample = samples::BYTES + if transparent { samples::LAYER_BYTES } else { 0 };
+    let each = sample * u64::from(settings.samples).pow(2) + shade::BYTES + 4;
     FIXED + pixels.saturating_mul(each) + light::bytes(settings.lights)
 }
 
-/// Draws a surface.
+/// Draws surfaces into one picture.
 ///
 /// # Errors
-/// [`Error::Usage`] for settings that cannot be; [`Error::Budget`] when the memory does not
-/// suffice: a surface without normals takes 12 bytes a vertex for them, unless triangles are flat;
-/// those of reading the surface.
-pub fn render(subject: &Subject<'_>, view: &View, settings: &RenderSettings) -> Result<Image> {
-    let surface = subject.surface;
+/// [`Error::Usage`] for settings or opacities that cannot be; [`Error::Budget`] when the memory
+/// does not suffice: a surface without normals takes 12 bytes a vertex for them, unless triangles
+/// are flat; those of reading the surfaces.
+pub fn render(subjects: &[Subject<'_>], view: &View, settings: &RenderSettings) -> Result<Image> {
     if !(1..=8).contains(&settings.samples) || settings.lights > 1024 {
         return Err(Error::usage("a pixel has 1 to 8 samples a side, a sky at most 1024 lights"));
     }
-    if !subject.values.is_empty() && subject.values.len() as u64 != surface.vertex_count() {
-        return Err(Error::usage("a value for each vertex, or none"));
-    }
-    let given = !settings.flat && has_normals(surface)?;
-    let made = if given || settings.flat { 0 } else { 12 * surface.vertex_count() };
-    let least = needed(view.size(), settings).saturating_add(made);
-    if least > settings.resources.memory {
-        return Err(Error::Budget {
-            what: "memory".into(),
-            needed: least,
-            available: settings.resources.memory,
-        });
-    }
-    let rest = usize::try_from(settings.resources.memory - least).unwrap_or(usize::MAX);
-    let mut vertices = place(subject, view, rest / 2, settings)?;
-    let pool = pool(settings.resources.threads)?;
-    let mut turned = false;
-    if given {
-        turned = !normals_agree(surface, &vertices, rest / 2)?;
-    } else if !settings.flat {
-        add_normals(surface, &mut vertices, rest / 2)?;
-    }
-    let normals = match (settings.flat, turned) {
-        (true, _) => Normals::OfTriangles,
-        (false, true) => Normals::Turned,
-        (false, false) => Normals::Given,
+    let transparent = check(subjects)?;
+    let least = needed(view.size(), settings, transparent);
+    let Some(rest) = settings.resources.memory.checked_sub(least) else {
+        return Err(too_little(least, settings));
     };
+    let rest = usize::try_from(rest).unwrap_or(usize::MAX);
+    // Half for the vertices of all, half for the triangles at work.
+    let each = rest / 2 / subjects.len().max(1);
+    let scene: Vec<Scenery<'_>> =
+        subjects.iter().map(|s| Scenery::new(s, view, [each, rest / 2], settings)).collect::<Result<_>>()?;
+    let looks: Vec<Look> = subjects.iter().map(|s| Look { paint: s.paint, opacity: s.opacity }).collect();
+    let pool = pool(settings.resources.threads)?;
     let mut sky = Sky::new(settings.lights);
-    let mut samples = Samples::new(view, settings.samples);
-    each_batch(surface, &vertices, rest / 2, settings, |batch| {
-        pool.install(|| {
-            let corners: Vec<[Corner; 3]> =
-                batch.par_iter().map(|t| corners(t, view, &samples, normals)).collect();
-            samples.draw(&corners);
-            sky.draw(batch);
-        });
-    })?;
-    drop(vertices);
-    let (paint, background) = (&subject.paint, settings.background);
-    let pixels = pool.install(|| shade::shade(&samples, &sky, view, paint, background));
+    let mut samples = Samples::new(view, settings.samples, transparent);
+    let mut picture = Picture::new(view, settings.background);
+    for pass in 0.. {
+        let mut first = 0;
+        for (number, part) in (0u16..).zip(&scene) {
+            part.each_batch(rest / 2, settings, |batch| {
+                let (normals, throws_shadows) = (part.normals, looks[usize::from(number)].throws_shadows());
+                pool.install(|| {
+                    let corners: Vec<[Corner; 3]> =
+                        batch.par_iter().map(|t| corners(t, view, &samples, normals)).collect();
+                    samples.draw(&corners, number, first);
+                    if pass == 0 && throws_shadows {
+                        sky.draw(batch);
+                    }
+                });
+                first = u32::wrapping_add(first, batch.len() as u32);
+            })?;
+        }
+        settings.resources.cancel.check()?;
+        if !pool.install(|| picture.add(&mut samples, &sky, view, &looks)) {
+            break;
+        }
+    }
+    let pixels = pool.install(|| picture.pixels(samples.side));
     Ok(Image { size: view.size(), pixels })
+}
+
+/// Checks the subjects; returns whether one of them is transparent.
+fn check(subjects: &[Subject<'_>]) -> Result<bool> {
+    if subjects.len() > MOST {
+        return Err(Error::usage(format!("a picture has at most {MOST} surfaces")));
+    }
+    for s in subjects {
+        if !s.values.is_empty() && s.values.len() as u64 != s.surface.vertex_count() {
+            return Err(Error::usage("a value for each vertex, or none"));
+        }
+        if !(s.opacity > 0.0 && s.opacity <= 1.0) {
+            return Err(Error::usage("an opacity is above 0, and at most 1"));
+        }
+    }
+    let transparent = subjects.iter().any(|s| s.opacity < 1.0);
+    let triangles: u64 = subjects.iter().map(|s| s.surface.triangle_count()).sum();
+    if transparent && u32::try_from(triangles).is_err() {
+        return Err(Error::usage("a picture with transparent surfaces has fewer than 2^32 triangles"));
+    }
+    Ok(transparent)
+}
+
+fn too_little(needed: u64, settings: &RenderSettings) -> Error {
+    Error::Budget { what: "memory".into(), needed, available: settings.resources.memory }
+}
+
+/// How a subject looks.
+#[derive(Clone, Copy)]
+struct Look {
+    paint: Paint,
+    opacity: f32,
+}
+
+impl Look {
+    /// Whether light changes its colours.
+    fn is_lit(self) -> bool {
+        !matches!(self.paint, Paint::Map(..))
+    }
+
+    fn throws_shadows(self) -> bool {
+        self.opacity == 1.0 && self.is_lit()
+    }
+}
+
+/// A subject in camera space.
+struct Scenery<'a> {
+    surface: &'a dyn SurfaceSource,
+    vertices: Store<Placed>,
+    normals: Normals,
+}
+
+impl<'a> Scenery<'a> {
+    /// Places a subject; `memory` is for its vertices, and for reading them.
+    fn new(
+        subject: &Subject<'a>,
+        view: &View,
+        [held, read]: [usize; 2],
+        settings: &RenderSettings,
+    ) -> Result<Self> {
+        let surface = subject.surface;
+        let flat = settings.flat || matches!(subject.paint, Paint::Map(..));
+        let given = !flat && has_normals(surface)?;
+        let made = if given || flat { 0 } else { 12 * surface.vertex_count() };
+        let Some(rest) = read.checked_sub(usize::try_from(made).unwrap_or(usize::MAX)) else {
+            let missing = 2 * (made - read as u64);
+            return Err(too_little(settings.resources.memory + missing, settings));
+        };
+        let mut vertices = place(subject, view, held, settings)?;
+        let normals = if flat {
+            Normals::OfTriangles
+        } else if given && !normals_agree(surface, &vertices, read)? {
+            Normals::Turned
+        } else {
+            Normals::Given
+        };
+        if !given && !flat {
+            add_normals(surface, &mut vertices, rest)?;
+        }
+        Ok(Self { surface, vertices, normals })
+    }
+
+    /// Hands out all triangles, some at a time, with their vertices; those that name a vertex that
+    /// there is not are left out.
+    fn each_batch(
+        &self,
+        memory: usize,
+        settings: &RenderSettings,
+        mut each: impl FnMut(&[[Placed; 3]]),
+    ) -> Result<()> {
+        let (vertices, surface) = (&self.vertices, self.surface);
+        let mut cached = Cached::new(vertices, memory);
+        let mut batch: Vec<[Placed; 3]> = Vec::with_capacity(BATCH);
+        surface.triangles(&mut |triangles| {
+            for t in triangles.iter().filter(|t| t.iter().all(|&v| u64::from(v) < vertices.len())) {
+                batch.push([cached.get(t[0].into())?, cached.get(t[1].into())?, cached.get(t[2].into())?]);
+                if batch.len() == BATCH {
+                    settings.resources.cancel.check()?;
+                    each(&batch);
+                    batch.clear();
+                }
+            }
+            Ok(())
+        })?;
+        each(&batch);
+        Ok(())
+    }
 }
 
 fn has_normals(surface: &dyn SurfaceSource) -> Result<bool> {
@@ -248,32 +360,6 @@ fn normals_agree(surface: &dyn SurfaceSource, vertices: &Store<Placed>, memory: 
         Ok(())
     })?;
     Ok(sum >= 0.0)
-}
-
-/// Hands out all triangles, some at a time, with their vertices; those that name a vertex that
-/// there is not are left out.
-fn each_batch(
-    surface: &dyn SurfaceSource,
-    vertices: &Store<Placed>,
-    memory: usize,
-    settings: &RenderSettings,
-    mut each: impl FnMut(&[[Placed; 3]]),
-) -> Result<()> {
-    let mut cached = Cached::new(vertices, memory);
-    let mut batch: Vec<[Placed; 3]> = Vec::with_capacity(BATCH);
-    surface.triangles(&mut |triangles| {
-        for t in triangles.iter().filter(|t| t.iter().all(|&v| u64::from(v) < vertices.len())) {
-            batch.push([cached.get(t[0].into())?, cached.get(t[1].into())?, cached.get(t[2].into())?]);
-            if batch.len() == BATCH {
-                settings.resources.cancel.check()?;
-                each(&batch);
-                batch.clear();
-            }
-        }
-        Ok(())
-    })?;
-    each(&batch);
-    Ok(())
 }
 
 /// The corners of a triangle on the image, their normals on the viewer's side of it.

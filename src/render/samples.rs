@@ -5,6 +5,10 @@ use rayon::prelude::*;
 
 /// Bytes of a sample.
 pub(super) const BYTES: u64 = 4 + 8 + 4;
+/// Bytes of a sample besides, where surfaces are transparent.
+pub(super) const LAYER_BYTES: u64 = 4 + 12;
+/// Subjects that a sample can tell apart.
+pub(super) const MOST_SUBJECTS: usize = 1 << 14;
 
 /// Steps of a sample that corners are rounded to.
 const STEPS: i64 = 256;
@@ -27,7 +31,8 @@ pub(super) struct Corner {
 /// What is seen.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Seen {
-    /// Unit normal, times 2^14, and whether the far side of a triangle is seen.
+    /// Unit normal, times 2^14; then twice the number of the subject, and 1 more where the far side
+    /// of a triangle is seen.
     packed: [i16; 4],
     pub(super) value: f32,
 }
@@ -39,7 +44,31 @@ impl Seen {
     }
 
     pub(super) fn is_back(&self) -> bool {
-        self.packed[3] != 0
+        self.packed[3] & 1 != 0
+    }
+
+    /// Number of the subject.
+    pub(super) fn subject(&self) -> usize {
+        (self.packed[3] >> 1) as usize
+    }
+}
+
+/// What is known of the layers that a sample has had.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Past {
+    /// Depth and number of the triangle that was seen last; the next one lies behind it.
+    pub(super) depth: f32,
+    pub(super) order: u32,
+    /// The share of the light that has not been stopped.
+    pub(super) through: f32,
+}
+
+impl Past {
+    const NONE: Self = Self { depth: f32::INFINITY, order: 0, through: 1.0 };
+
+    /// Nothing more is seen.
+    pub(super) fn end(&mut self) {
+        self.depth = f32::NEG_INFINITY;
     }
 }
 
@@ -49,22 +78,29 @@ pub(super) struct Samples {
     pub(super) side: usize,
     pub(super) size: [usize; 2],
     perspective: bool,
-    depths: Vec<f32>,
-    seen: Vec<Seen>,
+    pub(super) depths: Vec<f32>,
+    pub(super) seen: Vec<Seen>,
+    /// Numbers of the triangles that are seen, and what was seen in front of them; empty where all
+    /// is opaque.
+    pub(super) orders: Vec<u32>,
+    pub(super) past: Vec<Past>,
 }
 
 /// Rows of a thread's turn.
 const BAND: usize = 32;
 
 impl Samples {
-    pub(super) fn new(view: &View, side: u32) -> Self {
+    pub(super) fn new(view: &View, side: u32, transparent: bool) -> Self {
         let size = view.size().map(|s| s as usize * side as usize);
+        let layered = if transparent { size[0] * size[1] } else { 0 };
         Self {
             side: side as usize,
             size,
             perspective: view.is_perspective(),
             depths: vec![f32::NEG_INFINITY; size[0] * size[1]],
             seen: vec![Seen::default(); size[0] * size[1]],
+            orders: vec![0; layered],
+            past: vec![Past::NONE; layered],
         }
     }
 
@@ -73,15 +109,8 @@ impl Samples {
         at.map(|x| (x * (self.side as i64 * STEPS) as f64).clamp(-FAR, FAR).round() as i64)
     }
 
-    /// Depth and what is seen at a sample; none where that is the background.
-    #[inline]
-    pub(super) fn get(&self, x: usize, y: usize) -> Option<(f32, &Seen)> {
-        let at = y * self.size[0] + x;
-        (self.depths[at] > f32::NEG_INFINITY).then(|| (self.depths[at], &self.seen[at]))
-    }
-
-    /// Draws triangles, in order.
-    pub(super) fn draw(&mut self, triangles: &[[Corner; 3]]) {
+    /// Draws triangles of a subject, in order; `first` is the number of the first.
+    pub(super) fn draw(&mut self, triangles: &[[Corner; 3]], subject: u16, first: u32) {
         let (width, perspective) = (self.size[0], self.perspective);
         let height = self.size[1] as i64;
         // The rows of samples that each may cover.
@@ -92,17 +121,27 @@ impl Samples {
                 [lo.max(0), hi.min(height - 1)]
             })
             .collect();
-        let bands = self.depths.par_chunks_mut(BAND * width).zip(self.seen.par_chunks_mut(BAND * width));
-        bands.enumerate().for_each(|(n, (depths, seen))| {
-            let first = (n * BAND) as i64;
-            let last = first + (depths.len() / width) as i64 - 1;
-            let mut band = Band { first, width, perspective, depths, seen };
-            for (t, &[lo, hi]) in triangles.iter().zip(&rows) {
-                if lo <= last && hi >= first {
-                    band.draw(t, [lo.max(first), hi.min(last)]);
+        let part = BAND * width;
+        let layered = !self.past.is_empty();
+        let (depths, seen) = (self.depths.par_chunks_mut(part), self.seen.par_chunks_mut(part));
+        let draw = |n: usize, depths: &mut [f32], seen: &mut [Seen], orders: &mut [u32], past: &[Past]| {
+            let top = (n * BAND) as i64;
+            let last = top + (depths.len() / width) as i64 - 1;
+            let mut band = Band { first: top, width, perspective, subject, depths, seen, orders, past };
+            for (k, (t, &[lo, hi])) in triangles.iter().zip(&rows).enumerate() {
+                if lo <= last && hi >= top {
+                    band.draw(t, first.wrapping_add(k as u32), [lo.max(top), hi.min(last)]);
                 }
             }
-        });
+        };
+        if layered {
+            let (orders, past) = (self.orders.par_chunks_mut(part), self.past.par_chunks(part));
+            let bands = depths.zip(seen).zip(orders.zip(past)).enumerate();
+            bands.for_each(|(n, ((depths, seen), (orders, past)))| draw(n, depths, seen, orders, past));
+        } else {
+            let bands = depths.zip(seen).enumerate();
+            bands.for_each(|(n, (depths, seen))| draw(n, depths, seen, &mut [], &[]));
+        }
     }
 }
 
@@ -117,8 +156,11 @@ struct Band<'a> {
     first: i64,
     width: usize,
     perspective: bool,
+    subject: u16,
     depths: &'a mut [f32],
     seen: &'a mut [Seen],
+    orders: &'a mut [u32],
+    past: &'a [Past],
 }
 
 /// Twice the area of (a, b, p), as a function of p.
@@ -146,7 +188,7 @@ impl Edge {
 }
 
 impl Band<'_> {
-    fn draw(&mut self, t: &[Corner; 3], [top, bottom]: [i64; 2]) {
+    fn draw(&mut self, t: &[Corner; 3], order: u32, [top, bottom]: [i64; 2]) {
         let [a, mut b, mut c] = *t;
         let area = Edge::new(a.at, b.at).value(c.at);
         if area < 0 {
@@ -170,6 +212,7 @@ impl Band<'_> {
                     self.see(
                         row + x as usize,
                         &corners,
+                        order,
                         [weights[0], weights[1], 1.0 - weights[0] - weights[1]],
                     );
                 }
@@ -179,12 +222,19 @@ impl Band<'_> {
     }
 
     #[inline]
-    fn see(&mut self, at: usize, corners: &[Corner; 3], weights: [f32; 3]) {
+    fn see(&mut self, at: usize, corners: &[Corner; 3], order: u32, weights: [f32; 3]) {
         let sum =
             |of: &dyn Fn(&Corner) -> f32, w: [f32; 3]| (0..3).map(|k| w[k] * of(&corners[k])).sum::<f32>();
         let depth = sum(&|c| c.depth, weights);
         if depth <= self.depths[at] {
             return;
+        }
+        if let Some(past) = self.past.get(at) {
+            let behind = depth < past.depth || depth == past.depth && order > past.order;
+            if !behind {
+                return;
+            }
+            self.orders[at] = order;
         }
         self.depths[at] = depth;
         // What is linear in space is not linear on a perspective image.
@@ -196,6 +246,7 @@ impl Band<'_> {
         let normal = super::unit(std::array::from_fn(|k| sum(&|c| c.normal[k], w)));
         let [x, y, z] = normal.map(|n| (n * 16384.0).round() as i16);
         let value = sum(&|c| c.value, w);
-        self.seen[at] = Seen { packed: [x, y, z, i16::from(corners[0].is_back)], value };
+        self.seen[at] =
+            Seen { packed: [x, y, z, 2 * self.subject as i16 + i16::from(corners[0].is_back)], value };
     }
 }

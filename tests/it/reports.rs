@@ -119,7 +119,7 @@ fn every_report_is_as_its_schema_says() {
     write_npy(&d.join("labels.npy"), [20, 18, 16], |x, _, _| (3.0 * x).round());
     write_hexahedra(&d.join("m.vtk"), waves);
     let surface = ["surface", "a.isospan", "-i", "0.1"];
-    let commands: [&[&str]; 45] = [
+    let commands: [&[&str]; 46] = [
         &["info", "v0.npy", "labels.npy", "holes.npy", "m.vtk"],
         &["info", "v0.npy", "m.vtk", "--no-scan"],
         &["reduce", "v0.npy", "-o", "a.isospan", "--dry-run"],
@@ -163,6 +163,7 @@ fn every_report_is_as_its_schema_says() {
         &["check", "a_-0.5.stl", "--within", "a.isospan"],
         &["render", "a.ply", "-o", "a.png", "--size", "40,40", "--lights", "0", "--distance-to", "a.ply"],
         &["render", "a.isospan", "-i", "0.1", "-o", "b.png", "--size", "40,40", "--lights", "0"],
+        &["render", "a.isospan", "--slice", "z=50%", "-o", "c.png", "--size", "200,200"],
         &["unpack", "a.isospan", "--dry-run"],
         &["unpack", "a.isospan"],
         &["info", "a.isospan"],

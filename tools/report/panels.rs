@@ -184,9 +184,9 @@ fn picture_of(lab: &Lab, panel: &Panel) -> Result<Vec<u8>> {
     if !matches!(panel.dataset, Dataset::Heart | Dataset::Torso) {
         surface.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
-    let subject = Subject { surface: &surface, paint: Paint::Plain(COLOUR), values: &[] };
+    let subject = Subject { surface: &surface, paint: Paint::Plain(COLOUR), opacity: 1.0, values: &[] };
     let settings =
         RenderSettings { flat: true, lights: LIGHTS, samples: SAMPLES, ..RenderSettings::default() };
-    let image = render(&subject, &view, &settings)?;
+    let image = render(&[subject], &view, &settings)?;
     Ok(image.pixels.iter().flat_map(|p| [p[0], p[1], p[2]]).collect())
 }

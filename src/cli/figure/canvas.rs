@@ -115,7 +115,7 @@ pub(crate) fn ticks(lo: f64, hi: f64) -> Vec<f64> {
         return vec![lo];
     }
     let rough = (hi - lo) / 5.0;
-    let power = 10f64.powi(rough.log10().floor() as i32);
+    let power = libm::pow(10.0, libm::log10(rough).floor());
     let step =
         [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= rough * 0.999).unwrap_or(power);
     let first = (lo / step).ceil() as i64;

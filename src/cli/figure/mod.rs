@@ -88,17 +88,18 @@ pub(crate) fn write_figure(figure: &impl Figure, file: &Path, format: Format) ->
         Format::Svg => svg(figure),
         Format::Png => png(figure),
     };
-    publish(file, &bytes).map_err(|e| Error::io("write", file, e))
+    publish(file, |out| out.write_all(&bytes).map_err(|e| Error::io("write", file, e)))
 }
 
-/// The file appears when it is complete.
-pub(crate) fn publish(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
+/// Writes a file, which appears when it is complete.
+pub(crate) fn publish(file: &Path, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
+    let failed = |e| Error::io("write", file, e);
     let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut temporary =
-        tempfile::Builder::new().prefix(".figure-").make_in(folder, |p| File::create_new(p))?;
-    temporary.write_all(bytes)?;
-    temporary.as_file().sync_all()?;
-    temporary.persist(file)?;
+    let made = tempfile::Builder::new().prefix(".figure-").make_in(folder, |p| File::create_new(p));
+    let mut temporary = made.map_err(failed)?;
+    write(temporary.as_file_mut())?;
+    temporary.as_file().sync_all().map_err(failed)?;
+    temporary.persist(file).map_err(|e| failed(e.error))?;
     Ok(())
 }
 
