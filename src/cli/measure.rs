@@ -28,8 +28,8 @@ pub(crate) struct Args {
     /// The source volume or mesh.
     #[arg(long, value_name = "INPUT")]
     against: PathBuf,
-    /// Also write the RMS error, the largest error and the number of samples of each brick, as
-    /// .vti.
+    /// Also write an image with a cell for each brick of samples, as .vti: the arrays rms (RMS
+    /// error), max (largest error) and samples (how many were measured).
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Number of the time step [default: the first].

@@ -15,7 +15,8 @@ use std::path::PathBuf;
 /// The figures are those of the archive's tetrahedra, exact at each isovalue of the table, in the
 /// volume's world units. For rectilinear and curvilinear grids the edges of tetrahedra count as
 /// straight; surfaces follow the bent grid, so their area and volume differ slightly. Some ten
-/// kilobytes are read.
+/// kilobytes are read. The mean gradient is the mean length of the field's gradient over the
+/// surface. Isovalues worth a look are those whose surface is steep and large.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan spectrum scan.isospan --plot scan.svg\n  isospan spectrum run.isospan --all-steps --plot run.png"

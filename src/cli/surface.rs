@@ -56,7 +56,8 @@ pub(crate) struct Args {
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
-    /// Close the surfaces at the faces of the domain. Of a mesh, this needs one that fills its box.
+    /// Close the surfaces at the faces of the domain. Of a mesh, this needs one that fills its
+    /// box.
     #[arg(long, conflicts_with = "roi")]
     cap: bool,
     /// Keep the N largest connected components (by triangles); without N, the largest.
@@ -97,8 +98,8 @@ pub(crate) struct Args {
     #[command(flatten)]
     step: StepArgs,
     /// Extract all steps, one file each: out_%04d.ply, with the step number in the name. A list of
-    /// files and times is written next to them: out.ply.series, or out.pvd for .vtp. With --force, a
-    /// list that is there goes on naming its other files. Steps whose values do not reach the
+    /// files and times is written next to them: out.ply.series, or out.pvd for .vtp. With --force,
+    /// a list that is there goes on naming its other files. Steps whose values do not reach the
     /// isovalue are not read.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,

@@ -285,7 +285,8 @@ pub(super) fn make(
     prepared.finish(settings, surfaces, effort, &scratch)
 }
 
-/// Refuses caps of a mesh that does not fill its box: they close a surface at the box's faces alone.
+/// Refuses caps of a mesh that does not fill its box: they close a surface at the faces of the box
+/// alone.
 fn expect_full_box(archive: &StepView) -> Result<()> {
     let (plan, step) = (&archive.manifest.plan, archive.step());
     let is_full = match (plan.own, step.plan.source.mesh) {

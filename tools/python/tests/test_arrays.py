@@ -178,7 +178,7 @@ def test_other_types_of_samples(tmp_path):
     with pytest.raises(isospan.UsageError, match="for files"):
         made(field(), tmp_path, "bad", field="density")
     with pytest.raises(isospan.UsageError, match="for arrays"):
-        made(tmp_path / "half.npy", tmp_path, "bad", origin=(0, 0, 0))
+        made(tmp_path / "half.npy", tmp_path, "bad", name="density")
 
 
 def test_places(tmp_path):

@@ -134,8 +134,8 @@ def reduce(
     measure: whether the error at all samples is measured in the end.
     times: of a series, the times of its steps. keep_going: leave out steps that cannot be used.
     spacing, origin: of an array, distance of its samples and place of the first one, x, y, z, in
-        world units; 1 and 0 if not given. An xarray tells them itself. spacing is also that of a
-        raw file.
+        world units; 1 and 0 if not given. An xarray tells them itself. They are also those of a
+        file without its own: raw, TIFF, NPY, NPZ.
     name: of an array, what it is called in messages and in the archive.
     force: replace an archive that is there already.
     threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or "50%";
@@ -205,15 +205,16 @@ def _asked(
     command: str, before: list[str], inputs: list[str], source: Any, choices: dict[str, Any]
 ) -> Iterator[tuple[list[str], list[_isospan.Volume] | None]]:
     """Arguments of the program for a source, and the volumes where it is no file."""
-    place = {name: choices.pop(name) for name in ("origin", "name")}
+    name = choices.pop("name")
     with plain(source, choices["field"], choices["scratch"]) as found:
         choices["field"] = found.field
         if _is_path(found.source):
-            _only_arrays(**place)
+            _only_arrays(name=name)
             yield _arguments(command, before, [*inputs, *_paths(found.source)], choices), None
             return
         _only_files(choices)
-        given = sources(found.source, spacing=choices.pop("spacing"), **place)
+        place = {key: choices.pop(key) for key in ("spacing", "origin")}
+        given = sources(found.source, name=name, **place)
         if given.times is not None and choices["times"] is None:
             choices["times"] = given.times
         yield _arguments(command, before, [*inputs, *given.names], choices), given.volumes

@@ -64,7 +64,7 @@ def reduce(
         raise UsageError("workers read a file: save the array first, or call isospan.reduce")
     known = inspect.signature(_reduce_here).parameters
     for name in choices:
-        if name not in known or name in ("source", "out", "origin", "name"):
+        if name not in known or name in ("source", "out", "name"):
             raise TypeError(f"reduce() got an unexpected keyword argument {name!r}")
     client = client or _current()
     out = os.fspath(out)
