@@ -12,8 +12,12 @@ so that it matters little what else the machine does; how much chunks differ com
 chunks are so large that progress tells the time of each. The simulation of two threads is printed
 beside what two threads take.
 
-Of the others nothing is known but the time of one and of two threads, so theirs is Amdahl's law: the
-share s of the work that runs alone is 2 T2/T1 - 1, and n threads are 1/(s + (1 - s)/n) times as fast.
+`surface` and `measure` hand chunks to n threads and take results in order, with 4 chunks a thread on
+their way (src/exec/ordered.rs). `check` does the 16 chunks of a segment in parallel, one segment after
+another (src/pipeline/check.rs). The work of all threads is the CPU time of a run with two threads.
+The part that runs alone (reading the index, checksums of segments, writing a surface) is what makes the
+simulation of two threads take as long as they did. Chunks differ as they do in `reduce`. Welding a
+surface is counted with the chunks, though one thread does it at a time.
 
 Not in it: what threads take from each other, as memory bandwidth, caches, a clock that falls when
 all cores work, and the disk. So the figures are upper bounds.
@@ -27,6 +31,7 @@ import json
 import os
 import resource
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -35,6 +40,10 @@ ROOT = Path(__file__).resolve().parents[2]
 THREADS = [1, 2, 4, 8, 12, 16]
 # WAITING in src/pipeline/plan/estimate.rs.
 PERMITS_A_THREAD = 3
+# `held` in src/exec/ordered.rs.
+HELD_A_THREAD = 4
+# SEGMENT_CHUNKS in src/pipeline/plan/layout.rs.
+CHUNKS_A_SEGMENT = 16
 
 
 def run(program, threads, *words):
@@ -83,7 +92,8 @@ def chunk_shares(stderr):
     events = [json.loads(line) for line in stderr.splitlines() if line.startswith("{")]
     # The points, of which most stages have none.
     events = [e for e in events if e.get("unit") == "points" and e["event"] != "note"]
-    steps = [(b["done"] - a["done"], b["seconds"] - a["seconds"]) for a, b in zip(events, events[1:])]
+    at = [(e["done"], e["elapsed_seconds"]) for e in events]
+    steps = [(b[0] - a[0], b[1] - a[1]) for a, b in zip(at, at[1:])]
     # Of equal size alone: where two chunks end within a second, progress tells of them together.
     usual = sorted(done for done, _ in steps)[len(steps) // 2]
     times = [t / done for done, t in steps if 0.5 * usual < done < 1.5 * usual]
@@ -91,9 +101,9 @@ def chunk_shares(stderr):
     return [t / mean for t in times]
 
 
-def simulate(threads, chunks, work, write, shares):
+def simulate(threads, chunks, work, write, shares, held=PERMITS_A_THREAD):
     """Seconds from the first chunk to the last one written."""
-    permits, idle = PERMITS_A_THREAD * threads, [0.0] * threads
+    permits, idle = held * threads, [0.0] * threads
     written = []
     for number in range(chunks):
         # The feeder waits until a permit comes back; the pool takes chunks in their order.
@@ -103,6 +113,18 @@ def simulate(threads, chunks, work, write, shares):
         heapq.heappush(idle, made)
         written.append(max(made, written[-1] if written else 0.0) + write)
     return written[-1]
+
+
+def in_order(threads, chunks, shares):
+    """Seconds for chunks of a second each, as `surface` and `measure` do them."""
+    return simulate(threads, chunks, 1.0, 0.0, shares, held=HELD_A_THREAD)
+
+
+def by_segment(threads, chunks, shares):
+    """The same, as `check` does them: no chunk begins before the last segment is done."""
+    firsts = range(0, chunks, CHUNKS_A_SEGMENT)
+    sizes = (min(CHUNKS_A_SEGMENT, chunks - first) for first in firsts)
+    return sum(simulate(threads, n, 1.0, 0.0, shares, held=n) for n in sizes)
 
 
 def reduce_table(program, volume, out, rounds):
@@ -132,10 +154,11 @@ def reduce_table(program, volume, out, rounds):
     print(f"  {write * 1e3:.1f} ms each; plan and commit {alone:.2f} s; a chunk takes {min(shares):.2f}")
     print(f"  to {max(shares):.2f} of the mean ({len(shares)} seen)")
     print(f"  {one:.2f} s of CPU time with 1 thread ({wall:.2f} s), {two:.2f} s with 2, simulated {times[2]:.2f}")
-    return {
+    table = {
         f"reduce, {more * chunks} chunks": {n: of[1] / t for n, t in of.items()}
         for more, of in ((1, times), (16, larger))
     }
+    return table, chunks, shares
 
 
 def new_name(folder):
@@ -143,11 +166,19 @@ def new_name(folder):
     return Path(folder, f"{time.monotonic_ns()}.ply")
 
 
-def amdahl(name, rounds, ask):
-    one, two = (least(rounds, lambda t=threads: ask(t))[1] for threads in (1, 2))
-    alone = min(max(2 * two / one - 1, 0.0), 1.0)
-    print(f"{name}: {one:.3f} s and {two:.3f} s with 1 and 2 threads: {alone:.0%} runs alone")
-    return {n: 1 / (alone + (1 - alone) / n) for n in THREADS}
+def queue_table(name, chunks, shares, spans, rounds, ask):
+    """`spans` gives the seconds of chunks of a second each, on so many threads."""
+    _, two, used, _ = least(rounds, lambda: ask(2))
+    if two > used:
+        sys.exit(f"{name} took {two:.2f} s, more than its CPU time ({used:.2f} s): the machine is busy")
+    total = sum(shares[n % len(shares)] for n in range(chunks))
+    share = {n: spans(n, chunks, shares) / total for n in THREADS}
+    # alone + work = used, and alone + work * share[2] = two.
+    work = min(max((used - two) / (1 - share[2]), 0.0), used)
+    alone = used - work
+    print(f"{name}: {chunks} chunks; {used:.3f} s of CPU time and {two:.3f} s with 2 threads, of which")
+    print(f"  {alone:.3f} s ({alone / used:.1%} of the CPU time) run alone")
+    return {n: used / (alone + work * share[n]) for n in THREADS}
 
 
 def main():
@@ -162,7 +193,7 @@ def main():
         volume, out = Path(folder, "v.nrrd"), Path(folder, "v.isospan")
         write_volume(volume, args.samples)
         program = args.program
-        table = reduce_table(program, volume, out, args.rounds)
+        table, chunks, shares = reduce_table(program, volume, out, args.rounds)
         asked = {
             "surface": lambda n: run(
                 program, n, "surface", out, "--isovalue", 128.5, "-o", new_name(folder)
@@ -172,7 +203,8 @@ def main():
         }
         for name, ask in asked.items():
             if name in (args.commands or asked):
-                table[name] = amdahl(name, args.rounds, ask)
+                spans = by_segment if name == "check" else in_order
+                table[name] = queue_table(name, chunks, shares, spans, args.rounds, ask)
     print("\n| threads | " + " | ".join(table) + " |\n|---|" + "---|" * len(table))
     for n in THREADS:
         row = (f"{speed[n]:.1f} ({speed[n] / n:.0%})" for speed in table.values())

@@ -13,7 +13,7 @@ use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
-use axum::response::{IntoResponse, Response};
+use axum::response::{AppendHeaders, IntoResponse, Response};
 use axum::routing::{MethodRouter, get};
 use axum::serve::Listener;
 use isospan::exec::CancelToken;
@@ -141,7 +141,10 @@ fn router(server: Arc<Server>, token: &str) -> Router {
     let mut router = Router::new();
     for (n, file) in page::FILES.iter().enumerate() {
         let name = if n == 0 { "" } else { file.name };
-        let answer = move || async move { ([(header::CONTENT_TYPE, file.kind)], file.text) };
+        let answer = move || async move {
+            let encoding = file.is_gzip.then_some([(header::CONTENT_ENCODING, "gzip")]);
+            (encoding.map(AppendHeaders), [(header::CONTENT_TYPE, file.kind)], file.content).into_response()
+        };
         router = router.route(&format!("/{token}/{name}"), get(answer));
     }
     router
