@@ -138,17 +138,24 @@ fn the_table_of_rooms_is_the_code_s() {
 }
 
 /// The files of a room, and the files of the same room that each uses. A `mod.rs` is the room's
-/// face: it may use all of them, and is left out.
+/// face: it may use all of them, and is left out. A folder in the room counts as its `mod.rs`.
 fn files_of_a_room(room: &Path) -> Imports {
     let mut files = vec![];
     sources(room, &mut files);
-    let stem = |file: &PathBuf| file.file_stem().unwrap().to_string_lossy().into_owned();
-    let names: BTreeSet<String> = files.iter().map(stem).filter(|name| name != "mod").collect();
+    let stem = |file: &Path| file.file_stem().unwrap().to_string_lossy().into_owned();
+    let is_face = |file: &Path| stem(file) == "mod";
+    let name_of = |file: &Path| match file.parent() {
+        Some(folder) if folder == room => (!is_face(file)).then(|| stem(file)),
+        Some(folder) if folder.parent() == Some(room) && is_face(file) => Some(stem(folder)),
+        _ => None,
+    };
+    let named: Vec<(String, &PathBuf)> = files.iter().filter_map(|f| Some((name_of(f)?, f))).collect();
     let mut found = Imports::new();
-    for file in files.iter().filter(|file| file.parent() == Some(room) && stem(file) != "mod") {
+    for (name, file) in &named {
         let text = code(&fs::read_to_string(file).unwrap());
         let used = text.split("use super::").skip(1).flat_map(names_of);
-        found.insert(stem(file), used.filter(|name| names.contains(name)).collect());
+        let used = used.filter(|other| other != name && named.iter().any(|n| n.0 == *other));
+        found.insert(name.clone(), used.collect());
     }
     found
 }

@@ -645,5 +645,4 @@ impl Pieces {
 }
 
 #[cfg(test)]
-#[path = "check_tests.rs"]
 mod tests;

@@ -639,5 +639,4 @@ pub(super) fn along_edge(up: [f32; 3], world: &WorldMap) -> [f32; 3] {
 }
 
 #[cfg(test)]
-#[path = "marching_tets_tests.rs"]
 mod tests;

@@ -274,5 +274,4 @@ fn range_of(tets: &[Tet], values: &[f32]) -> [u32; 2] {
 }
 
 #[cfg(test)]
-#[path = "numbered_tests.rs"]
 pub(super) mod tests;

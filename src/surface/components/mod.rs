@@ -392,5 +392,4 @@ fn copy_kept(
 }
 
 #[cfg(test)]
-#[path = "components_tests.rs"]
 mod tests;

@@ -122,5 +122,4 @@ pub fn select_boundary(cells: &CellSource<'_>, top: LatticePos, isovalue: f32, o
 }
 
 #[cfg(test)]
-#[path = "cap_tests.rs"]
 mod tests;

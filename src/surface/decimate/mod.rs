@@ -319,5 +319,4 @@ impl Output {
 }
 
 #[cfg(test)]
-#[path = "decimate_tests.rs"]
 mod tests;

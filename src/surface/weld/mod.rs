@@ -310,5 +310,4 @@ impl SurfaceSource for StoredSurface {
 }
 
 #[cfg(test)]
-#[path = "weld_tests.rs"]
 mod tests;
