@@ -2,8 +2,8 @@
 //!
 //! The sign of six times the volume, by exact-enough arithmetic: a determinant of differences in
 //! `f64`, against a bound of its rounding error (Shewchuk's static filter for `orient3d`). A
-//! tetrahedron within the bound is *degenerate*: its volume cannot be distinguished from none, and no point
-//! can be located in it.
+//! tetrahedron within the bound is *degenerate*: its volume may be none, and no point can be
+//! located in it.
 
 /// How a tetrahedron is turned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -16,7 +16,7 @@ use crate::volume::VolumeSource;
 use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
-const FORMATS: [&dyn Format; 13] = [
+static FORMATS: &[&dyn Format] = &[
     &Nrrd, &Npy, &Npz, &Hdf5, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &MetaImage, &Gmsh, &Tetgen,
     &Zarr,
 ];

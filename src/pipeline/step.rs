@@ -302,8 +302,8 @@ impl Step {
         write_surfaces(&self.view, settings, out, format, progress)
     }
 
-    /// This step as a field that colours surfaces, of this archive or another one in the same world:
-    /// see [`SurfaceSettings::colour_by`].
+    /// This step as a field that colours surfaces, of this archive or another one in the same
+    /// world: see [`SurfaceSettings::colour_by`].
     pub fn into_colours(self, map: ColourMap) -> ColourBy {
         ColourBy { view: Arc::new(self.view), range: None, map }
     }

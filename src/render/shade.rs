@@ -39,8 +39,8 @@ impl Picture {
         Self { width, background, pixels: vec![Pixel::default(); width * height] }
     }
 
-    /// Adds the layer that the samples show, and clears them for the next one; returns whether there
-    /// may be one.
+    /// Adds the layer that the samples show, and clears them for the next one. Returns whether
+    /// there may be one.
     pub(super) fn add(&mut self, samples: &mut Samples, sky: &Sky, view: &View, looks: &[Look]) -> bool {
         let side = samples.side;
         let part = self.width * side * side;

@@ -1,4 +1,4 @@
-//! Surfaces coloured by another field: values at the vertices, the same bytes however they are made.
+//! Surfaces coloured by another field: values at the vertices, the same bytes however made.
 
 use crate::common::*;
 use isospan::formats::surface::SurfaceFormat;

@@ -185,7 +185,7 @@ fn planes_show_the_field_where_a_cut_shows_it() {
     let told = std::fs::read_to_string(dir.join("values.csv")).unwrap();
     let value: f64 = told.lines().nth(1).unwrap().rsplit(',').next().unwrap().parse().unwrap();
     assert!(r == g && g == b && (f64::from(r) - grey(value)).abs() < 8.0, "{r} {g} {b}, {value}");
-    // Cut at the same plane and seen from there, the inside of the ball has the colours of the field.
+    // Cut at the same plane and seen from there, the inside of the ball has the field's colours.
     let above = ["--elevation", "90", "-i", "0", "--clip", "z=:50%", "--map", "grey", "--orthographic"];
     draw("cut.png", &[&above[..], &["--slice", "z=50%", "--range", "-1:1"]].concat());
     let [r, g, b] = pixel(&dir.join("cut.png"), [120, 100]);

@@ -119,7 +119,7 @@ fn every_report_is_as_its_schema_says() {
     write_npy(&d.join("labels.npy"), [20, 18, 16], |x, _, _| (3.0 * x).round());
     write_hexahedra(&d.join("m.vtk"), waves);
     let surface = ["surface", "a.isospan", "-i", "0.1"];
-    let commands: [&[&str]; 46] = [
+    let commands: &[&[&str]] = &[
         &["info", "v0.npy", "labels.npy", "holes.npy", "m.vtk"],
         &["info", "v0.npy", "m.vtk", "--no-scan"],
         &["reduce", "v0.npy", "-o", "a.isospan", "--dry-run"],
@@ -178,7 +178,7 @@ fn every_report_is_as_its_schema_says() {
         &["nightly", ".", "v0.npy", "night.isospan", "--settle", "0s"],
     ];
     for args in commands {
-        reports(&root, d, &[args, &["--json", "-q"]].concat(), &mut seen);
+        reports(&root, d, &[*args, &["--json", "-q"]].concat(), &mut seen);
     }
     view(&root, d, &mut seen);
     let known = root["oneOf"].as_array().unwrap().iter().map(|r| r["$ref"].as_str().unwrap());

@@ -286,7 +286,7 @@ impl PointBlocks {
 }
 
 /// The cells in file order, block by block; those without a volume included. Cells that the file
-/// marks as ghosts (copies of another piece's cells, or hidden) are given as cells without a volume.
+/// marks as ghosts (copies of another piece's cells, or hidden) count as cells without a volume.
 pub struct CellBlocks {
     path: Box<Path>,
     stream: Box<dyn CellStream>,

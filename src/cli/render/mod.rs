@@ -78,8 +78,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "LO:HI", allow_hyphen_values = true, value_parser = grammar::range, requires = "slice")]
     range: Option<Range>,
     /// Keep what lies in a range of an axis, and cut the rest of the surfaces away: x=40: keeps x
-    /// from 40 on, x=:40 up to 40, y=10:20 what lies between. In world units, or in % of the domain.
-    /// Planes of --slice are not cut.
+    /// from 40 on, x=:40 up to 40, y=10:20 what lies between. In world units, or in % of the
+    /// domain. Planes of --slice are not cut.
     #[arg(long, value_name = "AXIS=LO:HI[,..]", value_delimiter = ',', value_parser = grammar::slab)]
     clip: Vec<Slab>,
     /// Text below a panel; give it once per panel. Without it, several panels, and the frames of a
