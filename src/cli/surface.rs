@@ -86,7 +86,7 @@ pub(crate) struct Args {
     #[arg(help_heading = "Colours", long, visible_alias = "color-by", value_name = "FIELD|ARCHIVE", conflicts_with_all = ["all_steps", "steps"])]
     colour_by: Option<PathBuf>,
     /// The colour map: viridis, cividis, coolwarm or grey. VTP files have values alone.
-    #[arg(help_heading = "Colours", long, visible_alias = "color-map", value_name = "MAP", default_value = "viridis", value_parser = colour_map, requires = "colour_by")]
+    #[arg(help_heading = "Colours", long, visible_alias = "color-map", value_name = "MAP", default_value = "viridis", allow_hyphen_values = true, value_parser = grammar::colour_map, requires = "colour_by")]
     colour_map: ColourMap,
     /// The values at the ends of the colour map [default: those of the whole field].
     #[arg(help_heading = "Colours", long, visible_alias = "color-range", value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true, requires = "colour_by")]
@@ -174,10 +174,6 @@ fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
         max_error: max_error.unwrap_or(far.max_error),
     });
     Ok(Refine { components, decimate })
-}
-
-fn colour_map(text: &str) -> Result<ColourMap> {
-    text.parse()
 }
 
 /// The field that colours the surface.

@@ -79,7 +79,7 @@ const COMMANDS: &[&str] = &[
     "spectrum series.isospan --all-steps --plot spectrum.png",
     "render waves.ply -o waves.png --size 160,120 --lights 16 --caption isospan",
     "render hammersley.isospan -i -0.3,0.2 -o glass.png --size 160,120 --lights 16 --together --opacity 0.4,1 --slice z=50% --clip z=:50% --scale-bar",
-    "render series.isospan --slice y=40% --all-steps -o planes.gif --size 200,160 --map coolwarm",
+    "render series.isospan --slice y=40% --all-steps -o planes.gif --size 200,160 --colour-map coolwarm",
     "render waves.ply -o turn.png --size 80,60 --lights 8 --turntable 3",
     "measure hammersley.isospan --against waves.npy --map error.vti",
 ];

@@ -170,7 +170,7 @@ fn planes_show_the_field_where_a_cut_shows_it() {
         )
     };
     // A flat picture: values of the field, in its colours.
-    let flat = ["--slice", "z=50%", "--map", "grey", "--range", "-1:1"];
+    let flat = ["--slice", "z=50%", "--colour-map", "grey", "--colour-range", "-1:1"];
     draw("flat.png", &[&flat[..], &["--threads", "1"]].concat());
     draw("again.png", &[&flat[..], &["--threads", "2"]].concat());
     let bytes = |name: &str| std::fs::read(dir.join(name)).unwrap();
@@ -186,8 +186,9 @@ fn planes_show_the_field_where_a_cut_shows_it() {
     let value: f64 = told.lines().nth(1).unwrap().rsplit(',').next().unwrap().parse().unwrap();
     assert!(r == g && g == b && (f64::from(r) - grey(value)).abs() < 8.0, "{r} {g} {b}, {value}");
     // Cut at the same plane and seen from there, the inside of the ball has the field's colours.
-    let above = ["--elevation", "90", "-i", "0", "--clip", "z=:50%", "--map", "grey", "--orthographic"];
-    draw("cut.png", &[&above[..], &["--slice", "z=50%", "--range", "-1:1"]].concat());
+    let above =
+        ["--elevation", "90", "-i", "0", "--clip", "z=:50%", "--colour-map", "grey", "--orthographic"];
+    draw("cut.png", &[&above[..], &["--slice", "z=50%", "--colour-range", "-1:1"]].concat());
     let [r, g, b] = pixel(&dir.join("cut.png"), [120, 100]);
     assert!(r == g && g == b && (f64::from(r) - grey(value)).abs() < 8.0, "{r} {g} {b}, {value}");
     // Percentages and world units are places of one domain.

@@ -31,7 +31,7 @@ use serde::Serialize;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Draw surfaces, or isosurfaces and slices of archives, as a picture or an animation.
+/// Draw surfaces, isosurfaces and slices as pictures or animations.
 ///
 /// Each has a panel, and all are seen from the same place.
 /// No graphics card is needed, and the same command gives the same bytes on every machine. With
@@ -60,27 +60,27 @@ pub(crate) struct Args {
         value_parser = grammar::value
     )]
     isovalue: Vec<Value>,
-    /// Draw all isovalues of an archive in one panel, with a legend. Without --colour, --map gives
-    /// their colours.
+    /// Draw all isovalues of an archive in one panel, with a legend. Without --colour, their
+    /// colours are those of --colour-map.
     #[arg(long)]
     together: bool,
     /// Planes on which the field of the archives is shown: z=40 in world units, or x=50% of the
     /// domain. With --isovalue they stand among the surfaces; alone, each is a flat picture with
     /// axes. A grid with coordinates of its own has none.
-    #[arg(long, value_name = "PLANE[,PLANE..]", value_delimiter = ',', value_parser = grammar::plane)]
+    #[arg(long, value_name = "PLANE[,PLANE..]", allow_hyphen_values = true, value_delimiter = ',', value_parser = grammar::plane)]
     slice: Vec<Plane>,
     /// Colours of the field on planes, and of the isovalues of --together: viridis, cividis,
     /// coolwarm or grey.
-    #[arg(long, value_name = "MAP", default_value = "viridis", value_parser = grammar::colour_map)]
-    map: ColourMap,
+    #[arg(long, visible_alias = "color-map", value_name = "MAP", default_value = "viridis", allow_hyphen_values = true, value_parser = grammar::colour_map)]
+    colour_map: ColourMap,
     /// Values at the ends of the colours of --slice: 300:900 or 10%:50%; an omitted end is that of
     /// the field [default: the range of the field, of all steps that are drawn].
-    #[arg(long, value_name = "LO:HI", allow_hyphen_values = true, value_parser = grammar::range, requires = "slice")]
-    range: Option<Range>,
+    #[arg(long, visible_alias = "color-range", value_name = "LO:HI", allow_hyphen_values = true, value_parser = grammar::range, requires = "slice")]
+    colour_range: Option<Range>,
     /// Keep what lies in a range of an axis, and cut the rest of the surfaces away: x=40: keeps x
     /// from 40 on, x=:40 up to 40, y=10:20 what lies between. In world units, or in % of the
     /// domain. Planes of --slice are not cut.
-    #[arg(long, value_name = "AXIS=LO:HI[,..]", value_delimiter = ',', value_parser = grammar::slab)]
+    #[arg(long, value_name = "AXIS=LO:HI[,..]", allow_hyphen_values = true, value_delimiter = ',', value_parser = grammar::slab)]
     clip: Vec<Slab>,
     /// Text below a panel; give it once per panel. Without it, several panels, and the frames of a
     /// series, show what tells them apart: file, isovalue or plane, step or time.
@@ -91,10 +91,10 @@ pub(crate) struct Args {
     #[arg(long)]
     scale_bar: bool,
     /// Number of panels in a row [default: all, up to 4].
-    #[arg(long, value_name = "N", value_parser = grammar::whole_in(1..=1000usize))]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = grammar::whole_in(1..=1000usize))]
     columns: Option<usize>,
     /// Size of a panel in pixels.
-    #[arg(long, value_name = "W,H", default_value = "800,800", value_parser = grammar::extent)]
+    #[arg(long, value_name = "W,H", allow_hyphen_values = true, default_value = "800,800", value_parser = grammar::extent)]
     size: [u32; 2],
     /// Angle around the upward axis, in degrees.
     #[arg(
@@ -120,42 +120,42 @@ pub(crate) struct Args {
     #[arg(long, value_name = "AXIS", default_value = "z", allow_hyphen_values = true, value_parser = grammar::up, help_heading = "Camera")]
     up: Up,
     /// Magnification; 1 fills the panel.
-    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = grammar::positive_number, help_heading = "Camera")]
+    #[arg(long, value_name = "FACTOR", allow_hyphen_values = true, default_value = "1", value_parser = grammar::positive_number, help_heading = "Camera")]
     zoom: f64,
     /// Use parallel projection instead of perspective.
     #[arg(long, help_heading = "Camera")]
     orthographic: bool,
     /// Draw this many frames of one turn around the upward axis, in place of one picture.
-    #[arg(long, value_name = "N", value_parser = grammar::whole_in(2..=1000u32), help_heading = "Animation")]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = grammar::whole_in(2..=1000u32), help_heading = "Animation")]
     turntable: Option<u32>,
     /// Frames in a second [default: 15].
-    #[arg(long, value_name = "N", value_parser = grammar::frame_rate, help_heading = "Animation")]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = grammar::frame_rate, help_heading = "Animation")]
     fps: Option<f64>,
     /// Colour of the surface, #rrggbb or "normals": one for all, one per isovalue, or one per
     /// surface [default: #d8cbb4].
-    #[arg(long, value_name = "COLOUR[,COLOUR..]", value_delimiter = ',', value_parser = grammar::paint)]
+    #[arg(long, value_name = "COLOUR[,COLOUR..]", allow_hyphen_values = true, value_delimiter = ',', value_parser = grammar::paint)]
     colour: Vec<Paint>,
     /// Opacity, 0.3 or 30%: one for all surfaces, one per isovalue, or one per surface. What is
     /// transparent throws no shadow [default: 1].
-    #[arg(long, value_name = "O[,O..]", value_delimiter = ',', value_parser = grammar::opacity)]
+    #[arg(long, value_name = "O[,O..]", allow_hyphen_values = true, value_delimiter = ',', value_parser = grammar::opacity)]
     opacity: Vec<f32>,
     /// Colour each point by its distance from this surface, and draw a scale.
     #[arg(long, value_name = "SURFACE", conflicts_with_all = ["together", "slice", "steps", "all_steps"])]
     distance_to: Option<PathBuf>,
     /// The distance at the end of the scale [default: the 99.5th percentile over the vertices].
-    #[arg(long, value_name = "LENGTH", value_parser = grammar::number, requires = "distance_to")]
+    #[arg(long, value_name = "LENGTH", allow_hyphen_values = true, value_parser = grammar::number, requires = "distance_to")]
     distance_max: Option<f64>,
     /// Background colour: #rrggbb or "transparent".
-    #[arg(long, value_name = "COLOUR", default_value = "#ffffff", value_parser = grammar::background)]
+    #[arg(long, value_name = "COLOUR", allow_hyphen_values = true, default_value = "#ffffff", value_parser = grammar::background)]
     background: [u8; 4],
     /// Shade triangles flat instead of smoothly.
     #[arg(long)]
     flat: bool,
     /// Samples along each side of a pixel, 1 to 8.
-    #[arg(long, value_name = "N", default_value = "3", value_parser = grammar::whole_in(1..=8u32))]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, default_value = "3", value_parser = grammar::whole_in(1..=8u32))]
     antialias: u32,
     /// Number of lights in the sky, whose shadows make soft light; 0 for light without shadows.
-    #[arg(long, value_name = "N", default_value = "32", value_parser = grammar::whole::<u32>)]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, default_value = "32", value_parser = grammar::whole::<u32>)]
     lights: u32,
     #[command(flatten)]
     machine: Machine,
@@ -166,7 +166,7 @@ pub(crate) struct Args {
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
     /// As --all-steps, for the steps from one number to another; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"], allow_hyphen_values = true)]
     steps: Option<StepRange>,
     /// Folder for what does not fit in memory, and for the surfaces of archives
     /// [default: the system's temporary folder].
@@ -390,16 +390,16 @@ impl Job<'_> {
         let Some([lo, hi]) = all else {
             return Err(Error::usage("there is no field to show: no point has a value"));
         };
-        let given = self.args.range.map(|r| r.of(all)).transpose()?.unwrap_or([lo, hi]);
+        let given = self.args.colour_range.map(|r| r.of(all)).transpose()?.unwrap_or([lo, hi]);
         let range = [
             if given[0].is_finite() { given[0] } else { lo },
             if given[1].is_finite() { given[1] } else { hi },
         ];
         if range[0] > range[1] {
             let [a, b] = range.map(text::number);
-            return Err(Error::usage(format!("--range {a}:{b} is empty: the field has {lo} to {hi}")));
+            return Err(Error::usage(format!("--colour-range {a}:{b} is empty: the field has {lo} to {hi}")));
         }
-        Ok(Some(Colours { map: self.args.map, range }))
+        Ok(Some(Colours { map: self.args.colour_map, range }))
     }
 
     /// The view of each frame, of one scale; none where all panels are flat.
@@ -588,7 +588,7 @@ impl Stage<'_> {
             .collect();
         subjects.extend(planes.iter().map(|(mesh, shares)| Subject {
             surface: mesh,
-            paint: Paint::Map(job.args.map, [0.0, 1.0]),
+            paint: Paint::Map(job.args.colour_map, [0.0, 1.0]),
             opacity: 1.0,
             values: shares,
         }));

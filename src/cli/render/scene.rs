@@ -200,7 +200,7 @@ impl Looks<'_> {
         let last = self.args.isovalue.len().saturating_sub(1);
         let usual = match place {
             Some(place) if self.args.together && last > 0 => {
-                Paint::Plain(self.args.map.colour(place as f64 / last as f64))
+                Paint::Plain(self.args.colour_map.colour(place as f64 / last as f64))
             }
             _ => Paint::Plain([0xd8, 0xcb, 0xb4]),
         };
