@@ -103,7 +103,9 @@ impl PointSet {
         let boundary = match spec {
             PointSpec::Regular { .. } | PointSpec::Bcc { .. } | PointSpec::Own { .. } => None,
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
-            _ => Some(Boundary::new(lattice.max(), spacing_q16, false)),
+            PointSpec::Hammersley { .. } | PointSpec::HyperbolicCross { .. } => {
+                Some(Boundary::new(lattice.max(), spacing_q16, false))
+            }
         };
         let order_bits = order_bits(spacing_q16);
         Ok(Self { spec, lattice, interior, boundary, explicit: None, graded: None, spacing_q16, order_bits })
@@ -284,7 +286,10 @@ impl PointSet {
                 std::array::from_fn(|a| u64::from(max[a]).div_ceil(counts[a] - 1) as u32)
             }
             PointSpec::Bcc { cells } => std::array::from_fn(|a| self.lattice.max()[a].div_ceil(cells[a])),
-            _ => [self.spacing_q16.div_ceil(1 << 16) as u32; 3],
+            PointSpec::Hammersley { .. }
+            | PointSpec::Halton { .. }
+            | PointSpec::HyperbolicCross { .. }
+            | PointSpec::Own { .. } => [self.spacing_q16.div_ceil(1 << 16) as u32; 3],
         }
     }
 
