@@ -111,6 +111,7 @@ impl Unpublished {
     pub(crate) fn create_private(path: &Path) -> Result<Self> {
         remove_dead(path);
         let mut options = File::options();
+        options.read(true);
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
         Self::begin_with(options, path)

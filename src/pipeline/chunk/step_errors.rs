@@ -5,8 +5,12 @@
 
 use super::step_lanes::{Lanes, StepLanes};
 use super::step_samples::{Rows, WindowSamples};
-use crate::exec::lanes::{Eight, Floats, Pair, Plain, Vector, four, sorted};
-use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
+#[cfg(target_arch = "x86_64")]
+use crate::exec::lanes::{Eight, Vector};
+use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
+use crate::exec::with_vectors;
+#[cfg(target_arch = "x86_64")]
+use crate::exec::{Avx2, Avx512, with_avx512};
 use crate::grid::IndexBox;
 use crate::measure::{Compared, ComparedAt, TOGETHER};
 use crate::mesh::tet::Tet;
