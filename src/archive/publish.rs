@@ -110,10 +110,10 @@ impl Unpublished {
     /// umask: a copy in a folder of all users.
     pub(crate) fn create_private(path: &Path) -> Result<Self> {
         remove_dead(path);
-        let mut options = File::options();
-        options.read(true);
+        #[cfg(not(unix))]
+        let options = File::options();
         #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        let options = std::os::unix::fs::OpenOptionsExt::mode(&mut File::options(), 0o600).clone();
         Self::begin_with(options, path)
     }
 

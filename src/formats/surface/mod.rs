@@ -70,6 +70,14 @@ impl SurfaceFormat {
         }
     }
 
+    /// Refuses a format that has no values at vertices.
+    pub(crate) fn expect_colours(self) -> Result<()> {
+        if self == Self::Stl {
+            return Err(Error::usage("an STL file has no colours: write .ply, .vtp, .glb or .obj"));
+        }
+        Ok(())
+    }
+
     /// The format that a file name asks for, by its extension in any case.
     ///
     /// # Errors
@@ -180,11 +188,11 @@ pub fn write_surface(
             source.vertex_count()
         )));
     }
+    if meta.values.is_some() {
+        format.expect_colours()?;
+    }
     if format == SurfaceFormat::Stl {
         stl::check_limits(source.triangle_count())?;
-        if meta.values.is_some() {
-            return Err(Error::usage("an STL file has no colours: write .ply, .vtp, .glb or .obj"));
-        }
     }
     if format == SurfaceFormat::Glb {
         glb::check_limits(source.vertex_count(), source.triangle_count(), meta)?;

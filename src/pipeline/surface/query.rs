@@ -96,6 +96,7 @@ pub(in crate::pipeline) fn write_surfaces(
     format: SurfaceFormat,
     progress: &dyn Progress,
 ) -> Result<SurfaceReport> {
+    settings.check_colours(format)?;
     let (scratch, before) = (settings.scratch_of(out), traffic(archive.path()));
     let made = make(archive, settings, Room { scratch, reused: vec![] }, progress)?;
     let report = write_made(archive, settings, made, out, format)?.0;

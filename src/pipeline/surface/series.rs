@@ -79,6 +79,7 @@ pub(in crate::pipeline) fn write_series(
     progress: &dyn Progress,
 ) -> Result<SeriesReport> {
     settings.check()?;
+    settings.check_colours(format)?;
     let place = Place::in_name(out)?;
     let scratch = settings.scratch_of(out);
     let mut made: Vec<StepSurfaces> = vec![];

@@ -5,6 +5,7 @@ use crate::archive::publish::folder_of;
 use crate::bytes::remote::Traffic;
 use crate::error::{Error, Result};
 use crate::exec::Resources;
+use crate::formats::surface::SurfaceFormat;
 use crate::mesh::tet::is_active;
 use crate::pipeline::read::{Roi, StepView};
 use crate::pipeline::stage::StageSeconds;
@@ -71,6 +72,13 @@ impl SurfaceSettings {
     pub fn files(&self, out: &Path) -> Vec<PathBuf> {
         let count = if is_each_alone(out) { self.isovalues.len() } else { 1 };
         self.isovalues.iter().take(count).map(|&isovalue| file_of(out, isovalue)).collect()
+    }
+
+    /// Refuses colours that cannot be had, before work.
+    pub(super) fn check_colours(&self, format: SurfaceFormat) -> Result<()> {
+        let Some(by) = &self.colour_by else { return Ok(()) };
+        format.expect_colours()?;
+        by.view.refuse_coordinates("a probe for colours")
     }
 
     /// The isovalues as the archive has values.
