@@ -12,10 +12,9 @@ so that it matters little what else the machine does; how much chunks differ com
 chunks are so large that progress tells the time of each. The simulation of two threads is printed
 beside what two threads take.
 
-`surface` and `measure` hand chunks to n threads and take results in order, with 4 chunks a thread on
-their way (src/exec/ordered.rs). `check` does the 16 chunks of a segment in parallel, one segment after
-another (src/pipeline/check.rs). The work of all threads is the CPU time of a run with two threads.
-The part that runs alone (reading the index, checksums of segments, writing a surface) is what makes the
+`surface`, `check` and `measure` hand chunks to n threads and take results in order, with 4 chunks a
+thread on their way (src/exec/ordered.rs). The work of all threads is the CPU time of a run with two threads.
+The part that runs alone (reading the index, writing a surface) is what makes the
 simulation of two threads take as long as they did. Chunks differ as they do in `reduce`. Welding a
 surface is counted with the chunks, though one thread does it at a time.
 
@@ -42,8 +41,8 @@ THREADS = [1, 2, 4, 8, 12, 16]
 PERMITS_A_THREAD = 3
 # `held` in src/exec/ordered.rs.
 HELD_A_THREAD = 4
-# SEGMENT_CHUNKS in src/pipeline/plan/layout.rs.
-CHUNKS_A_SEGMENT = 16
+# The table is for this volume, and for one of so many times its samples.
+LARGER = 16
 
 
 def run(program, threads, *words):
@@ -120,13 +119,6 @@ def in_order(threads, chunks, shares):
     return simulate(threads, chunks, 1.0, 0.0, shares, held=HELD_A_THREAD)
 
 
-def by_segment(threads, chunks, shares):
-    """The same, as `check` does them: no chunk begins before the last segment is done."""
-    firsts = range(0, chunks, CHUNKS_A_SEGMENT)
-    sizes = (min(CHUNKS_A_SEGMENT, chunks - first) for first in firsts)
-    return sum(simulate(threads, n, 1.0, 0.0, shares, held=n) for n in sizes)
-
-
 def reduce_table(program, volume, out, rounds):
     def reduce(threads, *more):
         where = ["-o", out, "--force", "--points", "hammersley", "--progress", "json"]
@@ -149,14 +141,14 @@ def reduce_table(program, volume, out, rounds):
         spans = {n: simulate(n, more * chunks, work, write, shares) for n in THREADS}
         return {n: more * alone + span for n, span in spans.items()}
 
-    times, larger = speeds(1), speeds(16)
+    times, larger = speeds(1), speeds(LARGER)
     print(f"reduce: {report['points']} points, {report['chunks']} chunks of {work:.3f} s, written in")
     print(f"  {write * 1e3:.1f} ms each; plan and commit {alone:.2f} s; a chunk takes {min(shares):.2f}")
     print(f"  to {max(shares):.2f} of the mean ({len(shares)} seen)")
     print(f"  {one:.2f} s of CPU time with 1 thread ({wall:.2f} s), {two:.2f} s with 2, simulated {times[2]:.2f}")
     table = {
         f"reduce, {more * chunks} chunks": {n: of[1] / t for n, t in of.items()}
-        for more, of in ((1, times), (16, larger))
+        for more, of in ((1, times), (LARGER, larger))
     }
     return table, chunks, shares
 
@@ -166,19 +158,25 @@ def new_name(folder):
     return Path(folder, f"{time.monotonic_ns()}.ply")
 
 
-def queue_table(name, chunks, shares, spans, rounds, ask):
-    """`spans` gives the seconds of chunks of a second each, on so many threads."""
+def queue_table(name, chunks, shares, rounds, ask):
+    """The speeds of a command that takes chunks in order, for this volume and a larger one."""
     _, two, used, _ = least(rounds, lambda: ask(2))
     if two > used:
         sys.exit(f"{name} took {two:.2f} s, more than its CPU time ({used:.2f} s): the machine is busy")
     total = sum(shares[n % len(shares)] for n in range(chunks))
-    share = {n: spans(n, chunks, shares) / total for n in THREADS}
-    # alone + work = used, and alone + work * share[2] = two.
-    work = min(max((used - two) / (1 - share[2]), 0.0), used)
+
+    def share(threads, more):
+        return in_order(threads, more * chunks, shares) / (more * total)
+
+    # alone + work = used, and alone + work * share(2, 1) = two.
+    work = min(max((used - two) / (1 - share(2, 1)), 0.0), used)
     alone = used - work
     print(f"{name}: {chunks} chunks; {used:.3f} s of CPU time and {two:.3f} s with 2 threads, of which")
     print(f"  {alone:.3f} s ({alone / used:.1%} of the CPU time) run alone")
-    return {n: used / (alone + work * share[n]) for n in THREADS}
+    return {
+        f"{name}, {more * chunks} chunks": {n: used / (alone + work * share(n, more)) for n in THREADS}
+        for more in (1, LARGER)
+    }
 
 
 def main():
@@ -203,8 +201,7 @@ def main():
         }
         for name, ask in asked.items():
             if name in (args.commands or asked):
-                spans = by_segment if name == "check" else in_order
-                table[name] = queue_table(name, chunks, shares, spans, args.rounds, ask)
+                table |= queue_table(name, chunks, shares, args.rounds, ask)
     print("\n| threads | " + " | ".join(table) + " |\n|---|" + "---|" * len(table))
     for n in THREADS:
         row = (f"{speed[n]:.1f} ({speed[n] / n:.0%})" for speed in table.values())

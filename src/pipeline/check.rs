@@ -16,7 +16,7 @@ use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
 use crate::archive::vertices::ChunkHeader;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, pool};
+use crate::exec::{CancelToken, in_order, pool};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
 use crate::index::{Entry, EntryDigest, index_entries};
@@ -27,7 +27,7 @@ use crate::pipeline::read::{
 use crate::pipeline::reduce::strays;
 use crate::pipeline::surface::check_unpacked;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
-use rayon::prelude::*;
+use rayon::ThreadPool;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -69,7 +69,7 @@ pub(super) fn check_archive(archive: &Arc<OpenArchive>, cancel: &CancelToken) ->
     let pool = pool(0)?;
     for step in 0..archive.manifest.steps.len() {
         let view = archive.step_at(step);
-        pool.install(|| check_step(&view, cancel, &mut check))?;
+        check_step(&view, &pool, cancel, &mut check)?;
         check.steps += 1;
     }
     if let Some(record) = &archive.manifest.plan.repeated {
@@ -100,7 +100,12 @@ impl ArchiveCheck {
 }
 
 /// Verifies a step; with the first one of an archive also the mesh.
-fn check_step(archive: &StepView, cancel: &CancelToken, check: &mut ArchiveCheck) -> Result<()> {
+fn check_step(
+    archive: &StepView,
+    pool: &ThreadPool,
+    cancel: &CancelToken,
+    check: &mut ArchiveCheck,
+) -> Result<()> {
     let with_mesh = archive.position() == 0;
     let mut entries = EntryDigest::default();
     let mut volume6 = 0i128;
@@ -108,41 +113,40 @@ fn check_step(archive: &StepView, cancel: &CancelToken, check: &mut ArchiveCheck
     let mut measured = spectrum
         .as_ref()
         .map(|file| SpectrumBuilder::new(Design::new(file.spectrum().range, meter.limits())));
-    let unpacked = archive.unpacked()?;
-    if let Some(file) = unpacked {
+    if let Some(file) = archive.unpacked()? {
         file.verify()?;
         check.add(file.segment());
     }
-    for number in 0..archive.layout.segment_count() {
-        let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
-        archive.close_before(ChunkId(chunks[0]));
-        let segment = archive.segment(number)?;
-        for file in with_mesh.then_some(&segment.mesh).into_iter().chain([&segment.values]) {
-            file.segment().verify()?;
-            check.add(file.segment());
+    let look = |n: usize| {
+        cancel.check()?;
+        let chunk = ChunkId(n as u64);
+        let segment = archive.segment_of(chunk)?;
+        if archive.layout.begins_segment(chunk) {
+            segment.files(with_mesh).try_for_each(Segment::verify)?;
         }
-        let checked: Vec<CheckedChunk> = chunks
-            .par_iter()
-            .map(|&c| {
-                cancel.check()?;
-                check_chunk(archive, &segment, ChunkId(c), &meter)
-            })
-            .collect::<Result<_>>()?;
-        if let Some(file) = unpacked {
-            chunks.par_iter().try_for_each(|&c| check_unpacked(archive, file, ChunkId(c)))?;
+        let checked = check_chunk(archive, &segment, chunk, &meter)?;
+        archive.unpacked()?.map_or(Ok(()), |file| check_unpacked(archive, file, chunk))?;
+        Ok(checked)
+    };
+    // What is left of a chunk is small, so threads alone bound the memory.
+    let bytes = vec![0; archive.layout.chunk_count() as usize];
+    in_order(&bytes, 0, pool, look, |n, CheckedChunk { summary, ranges, part }| {
+        let chunk = ChunkId(n as u64);
+        if archive.layout.begins_segment(chunk) {
+            archive.close_before(chunk);
+            archive.segment_of(chunk)?.files(with_mesh).for_each(|file| check.add(file));
         }
-        for CheckedChunk { summary, ranges, part } in checked {
-            if let Some(measured) = &mut measured {
-                measured.add(&part);
-            }
-            if with_mesh {
-                volume6 += summary.volume6 + summary.outside6;
-                check.points += u64::from(summary.core);
-                check.tetrahedra += summary.tets;
-            }
-            ranges.iter().for_each(|e| entries.add(e));
+        if let Some(measured) = &mut measured {
+            measured.add(&part);
         }
-    }
+        if with_mesh {
+            volume6 += summary.volume6 + summary.outside6;
+            check.points += u64::from(summary.core);
+            check.tetrahedra += summary.tets;
+        }
+        ranges.iter().for_each(|e| entries.add(e));
+        Ok(())
+    })?;
     if with_mesh {
         check_totals(archive, volume6, check)?;
     }

@@ -3,6 +3,7 @@
 use crate::archive::manifest;
 use crate::archive::publish::sync_folders;
 use crate::error::{Error, Result};
+use crate::grid::ChunkId;
 use std::fs;
 use std::io::ErrorKind;
 use std::ops::Range;
@@ -73,6 +74,10 @@ impl Layout {
         manifest::mesh_folder(&self.root)
     }
 
+    pub(in crate::pipeline) fn chunk_count(&self) -> u64 {
+        self.chunks
+    }
+
     pub(in crate::pipeline) fn segment_count(&self) -> u64 {
         self.chunks.div_ceil(SEGMENT_CHUNKS)
     }
@@ -80,6 +85,11 @@ impl Layout {
     pub(in crate::pipeline) fn chunks_of(&self, segment: u64) -> Range<u64> {
         let first = segment * SEGMENT_CHUNKS;
         first..(first + SEGMENT_CHUNKS).min(self.chunks)
+    }
+
+    /// Whether a chunk is the first one of its segment.
+    pub(in crate::pipeline) fn begins_segment(&self, chunk: ChunkId) -> bool {
+        chunk.0.is_multiple_of(SEGMENT_CHUNKS)
     }
 
     pub(in crate::pipeline) fn mesh(&self, segment: u64) -> PathBuf {

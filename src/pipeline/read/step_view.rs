@@ -13,7 +13,7 @@ use super::choice::{Moment, StepChoice};
 use super::pools::BufferPool;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{Manifest, Step};
-use crate::archive::segment::{PlanHash, SegmentKind};
+use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::archive::unpacked::Unpacked;
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
@@ -28,6 +28,13 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 pub(in crate::pipeline) struct OpenSegment {
     pub(in crate::pipeline) mesh: Arc<ChunkSegment>,
     pub(in crate::pipeline) values: Arc<ChunkSegment>,
+}
+
+impl OpenSegment {
+    /// The files, that of the mesh only if it is asked for.
+    pub(in crate::pipeline) fn files(&self, with_mesh: bool) -> impl Iterator<Item = &Segment> {
+        with_mesh.then_some(&self.mesh).into_iter().chain([&self.values]).map(|file| file.segment())
+    }
 }
 
 /// An archive at one of its steps, or at a moment between two. It has from the archive what all
