@@ -5,9 +5,8 @@
 //! `values/decode`.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use isospan::archive::chunk::{ChunkEncoder, TetBlock, TetScratch};
+use isospan::archive::mesh::{ChunkEncoder, ChunkVertices, TetBlock, TetScratch};
 use isospan::archive::values::{BLOCK_VALUES, KnownOfBlock, ValueBlocks, decode_values, encode_values};
-use isospan::archive::vertices::ChunkVertices;
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos};
 use isospan::grid::{BrickGrid, BrickId};

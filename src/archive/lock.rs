@@ -15,7 +15,7 @@
 //!
 //! Workers of a planned reduction take no lock: those of one segment write the same bytes.
 
-use super::publish::host;
+use crate::bytes::publish::host;
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::io::{Read, Write};

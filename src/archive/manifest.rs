@@ -9,13 +9,10 @@
 //! decides the values of a step (source, field, interpolation): the step's value and index segments
 //! carry it. Neither covers the path of a source, nor threads or memory.
 
-use super::coordinates::CellCount;
-use super::explicit::ExplicitRecord;
-use super::levels::LevelsRecord;
-use super::publish::Unpublished;
-use super::repeated::RepeatedRecord;
-use super::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo};
-use super::values::Quantiser;
+use crate::archive::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo};
+use crate::archive::tables::{CellCount, ExplicitRecord, LevelsRecord, RepeatedRecord};
+use crate::archive::values::Quantiser;
+use crate::bytes::publish::Unpublished;
 use crate::bytes::read_whole;
 use crate::bytes::remote::{is_remote, read_all};
 use crate::error::{Error, Fault, Result};

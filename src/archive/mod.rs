@@ -1,14 +1,11 @@
 //! The archive: a folder of segments that are written once, and a manifest.
 //!
 //! * [`segment`]: the container, numbered blocks with checksums, published whole or not at all.
-//! * [`chunked`]: segments of a range of chunks.
-//! * [`chunk`]: the mesh of a chunk as blocks that decode on their own.
-//! * [`coordinates`]: those of a rectilinear or curvilinear grid.
+//! * [`mesh`]: the mesh of a chunk as blocks that decode on their own, and precomputed blocks.
+//! * [`values`]: the values of a chunk's points, as blocks.
+//! * [`tables`]: what is stored once: coordinates, levels, listed points, sums of errors.
+//! * [`chunked`]: segments of a range of chunks, with the counts and ranges of each.
 //! * [`manifest`]: what the archive was made of and which segments it has; written last.
-//! * [`summary`]: the last block of a chunk, with its counts and ranges.
-//! * [`unpacked`]: precomputed blocks of a step, mapped where they lie, on request.
-//! * [`values`]: the values of a chunk's vertices.
-//! * [`vertices`]: which vertices a chunk has.
 //!
 //! The archive promises the following. A file under its name is complete, and was synced before it
 //! got the name. A damaged byte is an error when it is read, never a wrong answer and never a
@@ -16,35 +13,24 @@
 //! a block was checked because its checksum was; for that see the checks of [`crate::pipeline`].
 #![doc = include_str!("FORMAT.md")]
 
-pub(crate) mod brick_values;
-pub mod chunk;
 pub mod chunked;
-pub mod coordinates;
-pub(crate) mod errors;
-pub mod explicit;
-mod journal;
-pub mod levels;
 pub(crate) mod lock;
 pub mod manifest;
-pub(crate) mod publish;
-mod range;
-pub mod repeated;
-mod runs;
+pub mod mesh;
+mod range_coder;
 pub mod segment;
-mod star;
-pub mod summary;
-mod tuples;
-pub mod unpacked;
+pub mod tables;
 pub mod values;
-pub mod vertices;
 pub(crate) mod wire;
 
-pub use publish::TEMPORARY_MARK;
 pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::{chunk, coordinates, levels, manifest, segment, star, unpacked, values, vertices};
+    use super::mesh::{chunk, connectivity, unpacked, vertices};
+    use super::tables::{coordinates, levels};
+    use super::{manifest, segment, values};
+    use crate::bytes::publish::TEMPORARY_MARK;
     use crate::index::page;
     use crate::spectrum;
 
@@ -68,9 +54,9 @@ mod tests {
             ("PAGE_IDS", vertices::PAGE_IDS as u64),
             ("TETS_TUPLES", u64::from(chunk::TETS_TUPLES)),
             ("TETS_STARS", u64::from(chunk::TETS_STARS)),
-            ("LARGEST_STARS", star::LARGEST_STARS as u64),
-            ("LARGEST_LIST", u64::from(star::LARGEST_LIST)),
-            ("LARGEST_LINK", star::LARGEST_LINK as u64),
+            ("LARGEST_STARS", connectivity::LARGEST_STARS as u64),
+            ("LARGEST_LIST", u64::from(connectivity::LARGEST_LIST)),
+            ("LARGEST_LINK", connectivity::LARGEST_LINK as u64),
             ("BLOCK_CELLS", levels::BLOCK_CELLS as u64),
             ("BLOCK_VALUES", values::BLOCK_VALUES as u64),
             ("VALUES_RAW", u64::from(values::VALUES_RAW)),
@@ -104,6 +90,6 @@ mod tests {
         assert_eq!(rows, constants.len(), "no constant of the document is unchecked");
         let magic = segment::MAGIC.map(|b| format!("{b:02X}")).join(" ");
         assert!(document.contains(&format!("`{magic}`")));
-        assert!(document.contains(super::TEMPORARY_MARK));
+        assert!(document.contains(TEMPORARY_MARK));
     }
 }

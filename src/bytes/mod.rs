@@ -33,6 +33,7 @@
 mod filesystem;
 mod mmap;
 pub(crate) mod paged;
+pub(crate) mod publish;
 pub mod remote;
 pub(crate) mod sorter;
 pub(crate) mod store;

@@ -83,7 +83,7 @@ pub(crate) fn bytes(n: u64) -> String {
 }
 
 /// The bad cells of a rectilinear or curvilinear grid.
-pub(crate) fn grid_cells(cells: &isospan::archive::coordinates::CellCount) -> String {
+pub(crate) fn grid_cells(cells: &isospan::archive::tables::CellCount) -> String {
     let mirrored = if cells.mirrored { ", mirrored" } else { "" };
     let folds = if cells.folded == 1 { "folds" } else { "fold" };
     let have = if cells.degenerate == 1 { "has" } else { "have" };

@@ -7,8 +7,8 @@
 //! unchanged, and one more; NaN is written `nan`. Memory: that of a line. A table is read twice, so
 //! it must be a file.
 
-use crate::archive::publish::Unpublished;
 use crate::bytes::open_regular;
+use crate::bytes::publish::Unpublished;
 use crate::error::{Error, Result};
 use crate::formats::shared::sink::resolve;
 use std::fs::File;

@@ -32,7 +32,7 @@ mod external;
 pub(crate) mod page;
 pub mod query;
 
-use crate::archive::summary::BlockRange;
+use crate::archive::chunked::BlockRange;
 pub use build::{BuildSettings, IndexBuilder};
 use byteorder::{ByteOrder, LE};
 pub use query::SpanIndex;

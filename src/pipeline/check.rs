@@ -10,10 +10,10 @@
 //! * unpacked blocks, where there are any, are those that would be made now;
 //! * the error of a volume's step is that of all chunks together.
 
-use crate::archive::repeated::RepeatedReader;
+use crate::archive::chunked::{BlockRange, MeshSummary, value_ranges};
+use crate::archive::mesh::ChunkHeader;
 use crate::archive::segment::Segment;
-use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
-use crate::archive::vertices::ChunkHeader;
+use crate::archive::tables::RepeatedReader;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, in_order, pool};

@@ -4,14 +4,13 @@
 use crate::mutate::{Random, mutate};
 use crate::seeds::{get, partner, put};
 use crate::unpacked_words::seal_words;
-use isospan::archive::chunk::{TetBlock, TetScratch};
+use isospan::archive::chunked::{MeshSummary, ValueSummary};
 use isospan::archive::manifest::{
     MANIFEST_NAME, Manifest, index_path, mesh_segment_path, unpacked_path, values_segment_path,
 };
+use isospan::archive::mesh::{ChunkHeader, TetBlock, TetScratch, decode_flags, decode_ids};
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use isospan::archive::summary::{MeshSummary, ValueSummary};
 use isospan::archive::values::{KnownOfBlock, Quantiser, decode_values};
-use isospan::archive::vertices::{ChunkHeader, decode_flags, decode_ids};
 use isospan::bytes::IoMode;
 use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;

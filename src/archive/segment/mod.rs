@@ -13,10 +13,12 @@
 //! Every byte is specified in [the format](super#the-bytes).
 
 mod frame;
+mod journal;
 mod positioned;
 mod read;
 mod write;
 
+pub(super) use self::journal::{Journal, Record};
 pub use self::read::Segment;
 pub(crate) use self::read::{BlockPlace, segment_plan};
 pub use self::write::SegmentWriter;

@@ -2,8 +2,8 @@
 
 use super::frame::{directory_page, footer, header};
 use super::{FOOTER_BYTES, HEADER_BYTES, LARGEST_BLOCK, PAGE_BLOCKS, PlanHash, SegmentInfo, SegmentKind};
-use crate::archive::journal::Record;
-use crate::archive::publish::{Dead, Unpublished};
+use crate::archive::segment::Record;
+use crate::bytes::publish::{Dead, Unpublished};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::Read;

@@ -1,6 +1,6 @@
 //! Files that are written and then published.
 
-use crate::archive::publish::{Unpublished, folder_of};
+use crate::bytes::publish::{Unpublished, folder_of};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io;

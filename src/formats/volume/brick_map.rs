@@ -7,7 +7,7 @@
 //! of the next brick; the last brick of an axis may be smaller than its cell.
 
 use super::samples::{numbers, publishable};
-use crate::archive::publish::Unpublished;
+use crate::bytes::publish::Unpublished;
 use crate::bytes::store::write_at;
 use crate::error::{Error, Result};
 use crate::grid::Geometry;

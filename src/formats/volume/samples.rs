@@ -9,7 +9,7 @@
 //!   direction.
 //! * **NPY** version 1: `<f4` of shape (z, y, x), or (n) for a list.
 
-use crate::archive::publish::Unpublished;
+use crate::bytes::publish::Unpublished;
 use crate::bytes::store::write_at;
 use crate::error::{Error, Result};
 use crate::formats::shared::sink::resolve;

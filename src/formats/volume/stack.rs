@@ -5,7 +5,7 @@
 //! different for all. A gap in these numbers means that a slice is missing. A volume without it
 //! would be silently wrong, so that is an error that names the numbers.
 
-use crate::archive::publish::folder_of;
+use crate::bytes::publish::folder_of;
 use crate::error::{Error, Result};
 use crate::formats::shared::has_suffix;
 use std::path::{Path, PathBuf};

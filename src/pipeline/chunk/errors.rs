@@ -14,7 +14,7 @@ use super::step_errors::{Measured, Room};
 use super::step_lanes::StepLanes;
 use super::step_samples::WindowSamples;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::errors::{ChunkErrors, decode_errors};
+use crate::archive::tables::{ChunkErrors, decode_errors};
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
 use crate::error::{Error, Result};

@@ -4,7 +4,7 @@
 //! can be made in any order, on any machine, twice, and give the same result.
 
 use super::recipe::{OwnMesh, Recipe};
-use crate::archive::vertices::order_halo;
+use crate::archive::mesh::order_halo;
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};

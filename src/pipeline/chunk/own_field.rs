@@ -8,7 +8,7 @@
 
 use super::placement::Placement;
 use super::recipe::{OwnMesh, Recipe};
-use crate::archive::vertices::order_halo;
+use crate::archive::mesh::order_halo;
 use crate::domain::column::Column;
 use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointClass, PointId, Site};

@@ -4,7 +4,7 @@
 //! each other, vertex by vertex, and one vector load fetches them. If fewer than eight steps are
 //! left, the other lanes are unused. A single step is stored as it is.
 
-use crate::archive::summary::BlockRange;
+use crate::archive::chunked::BlockRange;
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::turned;
 use crate::exec::{Avx2, with_vectors};

@@ -1,6 +1,6 @@
 //! `export`: the reduced tetrahedra as a mesh for other programs, each point once.
 
-use crate::archive::publish::folder_of;
+use crate::bytes::publish::folder_of;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, pool};
 use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};

@@ -1,6 +1,6 @@
 //! Copies volumes into bricks: on request, and where an input has no random access.
 
-use crate::archive::publish;
+use crate::bytes::publish;
 use crate::error::Result;
 use crate::exec::{CancelToken, Progress};
 use crate::grid::IndexBox;

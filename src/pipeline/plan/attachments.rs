@@ -2,11 +2,12 @@
 //! duplicate vertices of the source. In an archive these are files of their own. The first two are
 //! read before anything else, the last only when a step is added.
 
-use crate::archive::explicit::{explicit_path, read_explicit, write_explicit};
-use crate::archive::levels::{levels_path, read_levels, write_levels};
 use crate::archive::manifest::Plan as MeshPlan;
-use crate::archive::repeated::{RepeatedReader, repeated_path, write_repeated};
 use crate::archive::segment::PlanHash;
+use crate::archive::tables::{
+    RepeatedReader, explicit_path, levels_path, read_explicit, read_levels, repeated_path, write_explicit,
+    write_levels, write_repeated,
+};
 use crate::domain::merge::Firsts;
 use crate::domain::store::StoreSettings;
 use crate::error::Result;

@@ -1,7 +1,7 @@
 //! Where the files of an archive are.
 
 use crate::archive::manifest;
-use crate::archive::publish::sync_folders;
+use crate::bytes::publish::sync_folders;
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use std::fs;

@@ -12,12 +12,11 @@ mod fingerprint;
 mod layout;
 mod shard;
 
-use crate::archive::explicit::ExplicitRecord;
-use crate::archive::levels::LevelsRecord;
 use crate::archive::manifest::{
     BaseStep, FrameRecord, LONGEST_CHAIN, Manifest, OwnRecord, Plan as MeshPlan, Source, StepPlan,
 };
 use crate::archive::segment::PlanHash;
+use crate::archive::tables::{ExplicitRecord, LevelsRecord};
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;

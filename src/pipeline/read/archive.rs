@@ -5,9 +5,9 @@
 
 use super::pools::Pools;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::coordinates::CoordinateMap;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, SegmentRecord};
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
+use crate::archive::tables::CoordinateMap;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::grid::{ChunkGrid, ChunkId};

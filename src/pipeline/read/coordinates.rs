@@ -5,8 +5,8 @@
 //! over where most cells mirror.
 
 use super::step_view::StepView;
-use crate::archive::coordinates::{self, CoordinateMap, Coordinates};
 use crate::archive::manifest::CoordinateRecord;
+use crate::archive::tables::{self, CoordinateMap, Coordinates};
 use crate::error::{Error, Result};
 use crate::formats::coordinates::GridCoordinates;
 use crate::formats::{StepSource, open_coordinates};
@@ -31,7 +31,7 @@ pub(in crate::pipeline) fn write_coordinates(
     let info = match found {
         GridCoordinates::Axes(axes) => {
             axes.iter().try_for_each(|axis| finite(input, axis, 0))?;
-            coordinates::write(&path, hash, dims, Coordinates::Axes(axes))?
+            tables::write_coordinates(&path, hash, dims, Coordinates::Axes(axes))?
         }
         GridCoordinates::Points(mut stream) => {
             let mut at = 0;
@@ -41,7 +41,7 @@ pub(in crate::pipeline) fn write_coordinates(
                 at += out.len() as u64 / 3;
                 Ok(())
             };
-            let info = coordinates::write(&path, hash, dims, Coordinates::Points(&mut next))?;
+            let info = tables::write_coordinates(&path, hash, dims, Coordinates::Points(&mut next))?;
             stream.finish()?;
             info
         }

@@ -1,6 +1,6 @@
 //! The memory in which chunks are read, one after another.
 
-use crate::archive::chunk::TetScratch;
+use crate::archive::mesh::TetScratch;
 use crate::geom::{LatticePos, PointId, Site};
 use crate::mesh::bcc::BccBlock;
 

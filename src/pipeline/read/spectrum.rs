@@ -3,11 +3,10 @@
 
 use super::archive::expect_recorded;
 use super::step_view::StepView;
-use crate::archive::chunked::ChunkSegment;
-use crate::archive::coordinates::CoordinateMap;
+use crate::archive::chunked::{BlockRange, ChunkSegment};
 use crate::archive::manifest::{Plan as MeshPlan, Source};
 use crate::archive::segment::PlanHash;
-use crate::archive::summary::BlockRange;
+use crate::archive::tables::CoordinateMap;
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};

@@ -19,7 +19,7 @@ use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::chunk_reader::{ChunkReader, damaged};
 use super::reader_memory::ReaderMemory;
 use super::step_view::StepView;
-use crate::archive::summary::{BlockRange, ValueRange, decode_value_ranges};
+use crate::archive::chunked::{BlockRange, ValueRange, decode_value_ranges};
 use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;

@@ -2,9 +2,9 @@
 
 use super::spectrum::{Suggestion, report};
 use super::step_view::StepView;
-use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{MeshSource, Step};
 use crate::archive::segment::FORMAT_VERSION;
+use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
 use crate::error::Result;
 use crate::grid::{ChunkId, Geometry};

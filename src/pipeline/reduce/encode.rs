@@ -10,12 +10,11 @@
 
 use super::encoded::EncodedChunk;
 use super::reuse::ReusedChunks;
-use crate::archive::chunk::ChunkEncoder;
-use crate::archive::errors::{ChunkErrors, encode_errors};
+use crate::archive::chunked::{BlockRange, MeshSummary, ValueSummary, encode_value_ranges};
 use crate::archive::manifest::StepPlan;
-use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary, encode_value_ranges};
+use crate::archive::mesh::{ChunkEncoder, ChunkVertices};
+use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::archive::values::encode_values;
-use crate::archive::vertices::ChunkVertices;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::LatticePos;

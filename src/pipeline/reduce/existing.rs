@@ -21,7 +21,7 @@ use crate::archive::manifest::{
     mesh_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
 };
 use crate::archive::segment::{PlanHash, segment_plan};
-use crate::archive::{TEMPORARY_MARK, publish};
+use crate::bytes::publish::{self, TEMPORARY_MARK};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::formats::StepSource;

@@ -21,8 +21,8 @@
 
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
-use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;
+use crate::bytes::publish::Unpublished;
 use crate::bytes::read_whole;
 use crate::error::{Error, Result};
 use crate::formats::{Input, OpenOptions, StepSource};

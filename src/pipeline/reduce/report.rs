@@ -1,8 +1,8 @@
 //! What is reported about a reduction.
 
 use super::series::{SeriesPlan, SkippedStep};
-use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{Manifest, Step};
+use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
 use crate::domain::store::MeshCensus;
 use crate::error::Result;

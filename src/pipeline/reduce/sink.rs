@@ -3,8 +3,8 @@
 use super::encoded::EncodedChunk;
 use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::manifest::StepPlan;
-use crate::archive::publish::Left;
 use crate::archive::segment::{PlanHash, SegmentKind};
+use crate::bytes::publish::Left;
 use crate::error::Result;
 use crate::grid::ChunkId;
 use crate::pipeline::plan::{Layout, Plan, Watch};

@@ -44,7 +44,7 @@ use super::report::{ReduceReport, TargetReport};
 use super::target_max::reduce_to_max;
 use super::tries::{error_of, full_cells, publish, rename};
 use crate::archive::manifest::Manifest;
-use crate::archive::publish::remove_folder;
+use crate::bytes::publish::remove_folder;
 use crate::error::{Error, Result};
 use crate::formats::Input;
 use crate::pipeline::plan::{Inputs, folder_bytes};

@@ -33,7 +33,7 @@ use super::planned::make;
 use super::report::{ReduceReport, TargetReport};
 use super::reuse::Round;
 use super::tries::{error_of, full_cells, publish, rename};
-use crate::archive::publish::remove_folder;
+use crate::bytes::publish::remove_folder;
 use crate::cells::CellMesh;
 use crate::density::Choice;
 use crate::error::{Error, Result};

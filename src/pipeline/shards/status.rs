@@ -2,8 +2,8 @@
 //! written.
 
 use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
-use crate::archive::publish::{final_name, open_own};
 use crate::archive::segment::{PlanHash, SegmentKind};
+use crate::bytes::publish::{final_name, open_own};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
 use crate::pipeline::plan::{Attachments, Layout, Shard};

@@ -10,7 +10,7 @@ use super::extract_steps::{MOST_STEPS, Pass};
 use super::query::{Made, write_made};
 use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
 use crate::archive::manifest::Step;
-use crate::archive::publish::{Unpublished, folder_of};
+use crate::bytes::publish::{Unpublished, folder_of};
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
 use crate::formats::listed_files;

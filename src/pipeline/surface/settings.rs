@@ -1,7 +1,7 @@
 //! What is asked of a surface, and what is reported about it.
 
 use super::refine::{Refine, RefineReport};
-use crate::archive::publish::folder_of;
+use crate::bytes::publish::folder_of;
 use crate::bytes::remote::Traffic;
 use crate::error::{Error, Result};
 use crate::exec::Resources;

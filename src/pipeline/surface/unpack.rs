@@ -9,10 +9,10 @@
 //! The file appears when it is complete, and names the segments that it was made of. `unpacked`
 //! uses it.
 
+use crate::archive::chunked::{BlockRange, MeshSummary};
 use crate::archive::manifest::{Manifest, steps_folder, unpacked_path, unpacked_step};
-use crate::archive::publish::sync_folders;
-use crate::archive::summary::{BlockRange, MeshSummary};
-use crate::archive::unpacked::{Unpacked, UnpackedChunk, UnpackedWriter};
+use crate::archive::mesh::{Unpacked, UnpackedChunk, UnpackedWriter};
+use crate::bytes::publish::sync_folders;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, in_order, pool};

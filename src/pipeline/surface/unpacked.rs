@@ -12,8 +12,8 @@
 
 use super::worker::{ChunkWork, ChunkWorker};
 use crate::archive::Malformed;
+use crate::archive::mesh::{Unpacked, UnpackedPlace, unpacked_hash};
 use crate::archive::segment::PlanHash;
-use crate::archive::unpacked::{Unpacked, UnpackedPlace, unpacked_hash};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::will_read;

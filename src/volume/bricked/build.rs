@@ -1,7 +1,7 @@
 //! Writes a bricked file from a stream.
 
 use super::{ALIGN, EDGE, Header, Layout, MAGIC, PREFIX, VERSION, footer};
-use crate::archive::publish::Unpublished;
+use crate::bytes::publish::Unpublished;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::IndexBox;

@@ -1,8 +1,8 @@
-use super::even::Luck;
 use super::odds::SET;
 use super::write::Truth;
+use super::write::even::Luck;
 use super::*;
-use crate::archive::chunk::tests::{corners, cubes, sorted};
+use crate::archive::mesh::chunk::tests::{corners, cubes, sorted};
 use crate::archive::wire::Malformed;
 use crate::geom::Lattice;
 use crate::geom::curve::{Order, hilbert_key};
@@ -136,7 +136,7 @@ fn paths_agree(positions: &[LatticePos], tets: &[Tet]) -> usize {
 }
 
 #[test]
-fn an_even_star_is_told_as_an_odd_one_would_be() {
+fn an_even_star_is_coded_as_an_odd_one_would_be() {
     let (positions, mut tets) = delaunay(3000);
     // Also where many tries fail.
     let grid: Vec<LatticePos> = (0..1000).map(|i| [i % 10 * 50, i / 10 % 10 * 50, i / 100 * 50]).collect();

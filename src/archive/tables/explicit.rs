@@ -6,8 +6,8 @@
 //! (the first: to 0), its sign moved to the lowest bit, as a varint. The plan has the number of
 //! points and the hash of all positions, so that a mesh is never decoded with other points.
 
-use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
-use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
+use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
+use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticePos};
 use crate::points::ExplicitPoints;
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Points of a block.
-pub const BLOCK_POINTS: usize = 4096;
+pub(in crate::archive) const BLOCK_POINTS: usize = 4096;
 /// Bytes of a coordinate's varint, at most: a difference of 25 bits and its sign.
 const LARGEST_VARINT: usize = 4;
 const LEVEL: i32 = 9;

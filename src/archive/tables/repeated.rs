@@ -9,15 +9,15 @@
 //! far before each vertex its first one is. The plan has the number of pairs and the hash of all.
 //! Neither writing nor reading holds more than a block.
 
-use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
-use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
+use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
+use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::Xxh3;
 
 /// Pairs of a block.
-pub const BLOCK_PAIRS: usize = 4096;
+pub(in crate::archive) const BLOCK_PAIRS: usize = 4096;
 /// Bytes of a varint of 64 bits, at most.
 const LARGEST_VARINT: usize = 10;
 const LEVEL: i32 = 9;

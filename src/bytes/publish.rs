@@ -41,7 +41,7 @@ pub(crate) struct Unpublished {
 }
 
 /// The mark of a temporary's name, between the final name and host, process and number.
-pub const TEMPORARY_MARK: &str = ".tmp-";
+pub(crate) const TEMPORARY_MARK: &str = ".tmp-";
 
 /// Bytes that are written at once.
 const PIECE: usize = 1 << 18;

@@ -13,8 +13,8 @@
 //! them are 0, the cell has no volume. (At the axis of a cylinder, say, they vanish at four corners
 //! only: such cells are good.) [`CoordinateMap::count_cells`] counts them.
 
-use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use super::wire::Malformed;
+use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
+use crate::archive::wire::Malformed;
 use crate::error::{Error, Result};
 use byteorder::{ByteOrder, LE};
 use glam::{DMat3, DVec3};
@@ -25,7 +25,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3;
 
 /// Samples of a run.
-pub const RUN: u64 = 1024;
+pub(in crate::archive) const RUN: u64 = 1024;
 
 /// Runs that are kept: 24 MiB.
 const KEPT_RUNS: usize = 1024;
@@ -34,12 +34,12 @@ const KEPT_RUNS: usize = 1024;
 const HEAD_BYTES: usize = 32;
 
 /// Head of a rectilinear grid.
-pub const COORDINATES_AXES: u8 = 1;
+pub(in crate::archive) const COORDINATES_AXES: u8 = 1;
 /// Head of a curvilinear grid.
-pub const COORDINATES_POINTS: u8 = 2;
+pub(in crate::archive) const COORDINATES_POINTS: u8 = 2;
 
 /// Fills a buffer with the next numbers: x, y, z of each sample, x fastest.
-pub type NextPoints<'a> = &'a mut dyn FnMut(&mut [f64]) -> Result<()>;
+pub(in crate::archive) type NextPoints<'a> = &'a mut dyn FnMut(&mut [f64]) -> Result<()>;
 
 /// What is written.
 pub enum Coordinates<'a> {
@@ -66,7 +66,7 @@ pub struct CellCount {
 /// # Errors
 /// Errors of the coordinates and of writing; [`Error::BadInput`] for a coordinate that is not
 /// finite.
-pub fn write(
+pub fn write_coordinates(
     path: &Path,
     plan: PlanHash,
     dims: [u64; 3],
@@ -361,7 +361,7 @@ mod tests {
             }
             Ok(())
         };
-        write(&path, PLAN, dims, Coordinates::Points(&mut next)).unwrap();
+        write_coordinates(&path, PLAN, dims, Coordinates::Points(&mut next)).unwrap();
         let map = CoordinateMap::open(&path, PLAN, dims).unwrap();
         (dir, map)
     }
@@ -390,7 +390,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.seg");
         let axes = [vec![0.0, 1.0, 4.0], vec![5.0, 3.0], vec![-1.0, 0.0]];
-        write(&path, PLAN, [3, 2, 2], Coordinates::Axes(axes)).unwrap();
+        write_coordinates(&path, PLAN, [3, 2, 2], Coordinates::Axes(axes)).unwrap();
         let map = CoordinateMap::open(&path, PLAN, [3, 2, 2]).unwrap();
         let placed = map.place([1.5, 0.25, 1.0]).unwrap();
         assert_eq!(placed.position, [2.5, 4.5, 0.0]);
@@ -399,7 +399,7 @@ mod tests {
         assert!(placed.direction([0.0, 1.0, 0.0])[1] < 0.0);
         assert!(CoordinateMap::open(&path, PLAN, [3, 2, 3]).is_err());
         let bad = [vec![0.0, f64::NAN], vec![0.0, 1.0], vec![0.0, 1.0]];
-        assert!(write(&path, PLAN, [2, 2, 2], Coordinates::Axes(bad)).is_err());
+        assert!(write_coordinates(&path, PLAN, [2, 2, 2], Coordinates::Axes(bad)).is_err());
     }
 
     #[test]

@@ -14,12 +14,12 @@
 //! ```
 //!
 //! The next writer trusts none of it: a record counts if its checksum is right, its chunk is the
-//! next one, and the blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So
+//! next one, and the blocks have their checksums ([`crate::archive::segment::SegmentWriter::adopt`]). So
 //! neither a torn record nor a machine that lost power can do more than lose chunks. The journal is
 //! no part of the archive and is removed when the segment is done.
 
-use super::publish::{Dead, TEMPORARY_MARK, open_own};
-use super::wire::Cursor;
+use crate::archive::wire::Cursor;
+use crate::bytes::publish::{Dead, TEMPORARY_MARK, open_own};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -27,9 +27,9 @@ use std::path::{Path, PathBuf};
 
 /// The blocks of a chunk, each by length and CRC32C.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Record {
-    pub(super) chunk: u64,
-    pub(super) blocks: Vec<(u32, u32)>,
+pub(in crate::archive) struct Record {
+    pub(in crate::archive) chunk: u64,
+    pub(in crate::archive) blocks: Vec<(u32, u32)>,
 }
 
 impl Record {
@@ -61,7 +61,7 @@ impl Record {
 }
 
 /// A journal being written; removed when dropped, unless kept.
-pub(super) struct Journal {
+pub(in crate::archive) struct Journal {
     file: File,
     path: PathBuf,
     keep: bool,
@@ -76,7 +76,7 @@ fn name(temporary: &Path) -> PathBuf {
 
 impl Journal {
     /// An empty journal of a temporary.
-    pub(super) fn create(temporary: &Path) -> Result<Self> {
+    pub(in crate::archive) fn create(temporary: &Path) -> Result<Self> {
         let path = name(temporary);
         let file = File::options().read(true).write(true).create(true).truncate(true).open(&path);
         let file = file.map_err(|e| Error::io("create", &path, e))?;
@@ -86,12 +86,12 @@ impl Journal {
     }
 
     /// Renames the journal of a temporary that was renamed. There may be none.
-    pub(super) fn follow(before: &Path, temporary: &Path) {
+    pub(in crate::archive) fn follow(before: &Path, temporary: &Path) {
         let _ = std::fs::rename(name(before), name(temporary));
     }
 
     /// The journal that a dead writer left with its temporary, and its whole records.
-    pub(super) fn of_dead(dead: &Dead) -> Option<(Self, Vec<Record>)> {
+    pub(in crate::archive) fn of_dead(dead: &Dead) -> Option<(Self, Vec<Record>)> {
         let path = name(&dead.path);
         let mut file = open_own(&path)?;
         let _ = file.try_lock();
@@ -106,7 +106,7 @@ impl Journal {
     }
 
     /// Forgets all but the first records, which were found whole.
-    pub(super) fn truncate(&mut self, records: &[Record]) -> Result<()> {
+    pub(in crate::archive) fn truncate(&mut self, records: &[Record]) -> Result<()> {
         let len = records.iter().map(|r| 16 + 8 * r.blocks.len() as u64).sum();
         self.file
             .set_len(len)
@@ -118,14 +118,14 @@ impl Journal {
 
     /// Notes a chunk whose blocks have been handed to the system. From then on the journal stays
     /// when dropped.
-    pub(super) fn push(&mut self, record: &Record) -> Result<()> {
+    pub(in crate::archive) fn push(&mut self, record: &Record) -> Result<()> {
         self.file.write_all(&record.encode()).map_err(|e| Error::io("write", &self.path, e))?;
         self.keep = true;
         Ok(())
     }
 
     /// The segment is done.
-    pub(super) fn remove(mut self) {
+    pub(in crate::archive) fn remove(mut self) {
         self.keep = false;
     }
 }

@@ -27,7 +27,7 @@
 //!
 //! So a block has two streams. Bits of stars and gates, and the differences of the other vertices'
 //! numbers, are stored as they are ([`bits`]): reading some costs a shift. The corrections of odd
-//! stars are rare. They go through a range coder ([`range`](super::range)) whose probabilities
+//! stars are rare. They go through a range coder ([`range`](crate::archive::range_coder)) whose probabilities
 //! begin with [`first_odds`] and learn within the block.
 //!
 //! A triangle (c, d, w) of the link of v is the tetrahedron (v, c, d, w). Its face (c, d, w) is a
@@ -40,11 +40,10 @@
 //! geometry.
 //!
 //! The decoder must predict what is behind one gate before it knows the next. The encoder knows
-//! them all (`even.rs`). A third of its time goes into following gates and coding what is behind
+//! them all (`write/even.rs`). A third of its time goes into following gates and coding what is behind
 //! them, a quarter into prediction, a fifth into numbering vertices, an eighth into odd stars.
 
 mod bits;
-mod even;
 mod link;
 mod odds;
 mod read;
@@ -58,7 +57,7 @@ use self::link::{Cloud, Gate, Gates, LANES, Link, MOST, NOBODY, Path, Plain, end
 use self::odds::first_odds;
 pub(crate) use self::read::{Reader, Scratch};
 pub(crate) use self::write::Writer;
-use super::range::Odds;
+use crate::archive::range_coder::Odds;
 use crate::geom::LatticePos;
 
 /// The most tetrahedra of a block of this codec.

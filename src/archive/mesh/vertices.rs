@@ -16,14 +16,14 @@
 //! of a page, and the values that come with them: [`order_halo`] sorts them along the curve first,
 //! and only within a page by id, which keeps differences small.
 
-use super::values::BLOCK_VALUES;
-use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
+use crate::archive::values::BLOCK_VALUES;
+use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::geom::curve::hilbert_key;
 use crate::geom::{LatticePos, PointId};
 use std::ops::Range;
 
 /// Codec of a header block: one zstd frame.
-pub const HEADER_ZSTD: u8 = 0;
+pub(in crate::archive) const HEADER_ZSTD: u8 = 0;
 /// Core points of a page of flags.
 pub const PAGE_FLAGS: usize = 8192;
 /// Local vertices that a page of halo ids is about, from a multiple of it on.
@@ -32,7 +32,7 @@ pub const PAGE_IDS: usize = BLOCK_VALUES;
 /// shrinks much.
 const LEVEL: i32 = 3;
 /// The most bytes of an expanded header.
-pub const LARGEST_HEADER: usize = 1 << 28;
+pub(in crate::archive) const LARGEST_HEADER: usize = 1 << 28;
 /// The most bytes of an expanded page of ids: a varint has up to ten.
 const LARGEST_IDS: usize = 10 * PAGE_IDS;
 /// Bits an axis of the key by which halo points are sorted.

@@ -1,6 +1,6 @@
 //! The errors of a chunk as a block of its values' segment: see `FORMAT.md`.
 
-use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
+use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::measure::{BINS, BrickErrors, EXPONENTS, ErrorSums, Largest, Mantissas};
 use crate::points::Levels;
 

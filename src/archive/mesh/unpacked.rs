@@ -18,8 +18,10 @@
 //! knows what is read checks these, and what the words hold, once, and notes that in
 //! [`Unpacked::noted`]. [`Unpacked::verify`] checks all.
 
-use super::segment::{BlockPlace, HEADER_BYTES, PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use super::wire::{Cursor, Malformed};
+use crate::archive::segment::{
+    BlockPlace, HEADER_BYTES, PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter,
+};
+use crate::archive::wire::{Cursor, Malformed};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use std::path::Path;
@@ -28,12 +30,12 @@ use std::sync::atomic::AtomicU64;
 use xxhash_rust::xxh3::Xxh3Default;
 
 /// The version of what the blocks hold.
-pub const UNPACKED_VERSION: u32 = 1;
+pub(in crate::archive) const UNPACKED_VERSION: u32 = 1;
 /// Blocks begin at multiples of this many bytes.
-pub const UNPACKED_ALIGNED: usize = 64;
+pub(in crate::archive) const UNPACKED_ALIGNED: usize = 64;
 /// The most corners of a chunk for each of its blocks: what is allocated for them follows from a
 /// file.
-pub const UNPACKED_CORNERS: u64 = 8192;
+pub(in crate::archive) const UNPACKED_CORNERS: u64 = 8192;
 /// Bytes of a chunk in the table.
 const CHUNK_BYTES: usize = 12;
 /// Bytes that each numbered edge has in some block, at least.

@@ -10,18 +10,18 @@
 //! ([`ChunkVertices`] gives their number, against which every id is checked); [`TetBlock::decode`]
 //! takes their positions, which predict most of the tetrahedra.
 
+use super::connectivity;
 use super::runs::block_starts;
-use super::star;
 use super::tuples;
 use super::vertices::ChunkVertices;
-use super::wire::{Cursor, Malformed};
+use crate::archive::wire::{Cursor, Malformed};
 use crate::geom::LatticePos;
 use crate::mesh::tet::{Tet, canonical};
 
 /// Codec of a tetrahedron block: sorted tuples, differences, zstd.
-pub const TETS_TUPLES: u8 = 0;
+pub(in crate::archive) const TETS_TUPLES: u8 = 0;
 /// Codec of a tetrahedron block: star after star.
-pub const TETS_STARS: u8 = 1;
+pub(in crate::archive) const TETS_STARS: u8 = 1;
 
 /// A chunk ready to be written.
 #[derive(Clone, Debug, Default)]
@@ -70,7 +70,7 @@ fn by_vertex(tets: &mut [Tet]) {
 
 /// Turns meshes of chunks into blocks, with memory that it keeps from chunk to chunk.
 #[derive(Default)]
-pub struct ChunkEncoder(star::Writer);
+pub struct ChunkEncoder(connectivity::Writer);
 
 impl ChunkEncoder {
     /// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra; `positions` are those of
@@ -106,7 +106,7 @@ impl ChunkEncoder {
 
 /// Encodes one block of tetrahedra, the smallest vertex first in each, ascending by it; leaves them
 /// as they will be decoded.
-fn encode_tets(writer: &mut star::Writer, tets: &mut [Tet], positions: &[LatticePos]) -> Vec<u8> {
+fn encode_tets(writer: &mut connectivity::Writer, tets: &mut [Tet], positions: &[LatticePos]) -> Vec<u8> {
     let mut out = vec![TETS_STARS];
     if writer.encode(tets, positions, &mut out) {
         tets.copy_from_slice(writer.decoded());
@@ -122,7 +122,7 @@ fn encode_tets(writer: &mut star::Writer, tets: &mut [Tet], positions: &[Lattice
 /// Memory that decoding blocks reuses.
 #[derive(Default)]
 pub struct TetScratch {
-    stars: star::Scratch,
+    stars: connectivity::Scratch,
     /// 0, 1, 2, …
     count: Vec<u32>,
 }
@@ -135,7 +135,7 @@ pub struct TetBlock<'a> {
 
 enum Body<'a> {
     Tuples(Vec<Tet>),
-    Stars(star::Reader<'a>),
+    Stars(connectivity::Reader<'a>),
 }
 
 impl<'a> TetBlock<'a> {
@@ -153,7 +153,7 @@ impl<'a> TetBlock<'a> {
             }
             TETS_STARS => {
                 let mut ids = vec![];
-                let reader = star::Reader::open(c.rest(), vertices, &mut ids)?;
+                let reader = connectivity::Reader::open(c.rest(), vertices, &mut ids)?;
                 Ok(Self { vertices: ids, body: Body::Stars(reader) })
             }
             other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),

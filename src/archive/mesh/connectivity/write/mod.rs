@@ -1,14 +1,16 @@
 //! The encoder's end of the star coder.
 
+pub(super) mod even;
+
 use super::bits::BitWriter;
-use super::even::{Found, Luck};
 use super::link::{GATES, Gate, Gates, LANES, Link, MOST, NOBODY, Path, ends, gate};
 use super::odds::first_odds;
 use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
-use crate::archive::range::{Encoder, Odds};
+use crate::archive::range_coder::{Encoder, Odds};
 use crate::archive::wire::put_varint;
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
+use even::{Found, Luck};
 use std::ops::Range;
 
 /// Encodes blocks of one chunk.

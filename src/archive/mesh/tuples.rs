@@ -9,7 +9,7 @@
 //! and fourth. The four streams are compressed together: about 21 bits a tetrahedron in blocks of
 //! 1 000.
 
-use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
+use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::mesh::tet::Tet;
 
 /// The most bytes that a body may expand to, for each tetrahedron: four vertex differences and four
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn no_damage_panics_or_gives_a_vertex_that_is_not_there() {
-        let mut tets: Vec<Tet> = crate::archive::chunk::tests::cubes([3, 2, 2]);
+        let mut tets: Vec<Tet> = crate::archive::mesh::chunk::tests::cubes([3, 2, 2]);
         tets.iter_mut().for_each(|t| *t = canonical(*t));
         tets.sort_unstable();
         let mut good = vec![];

@@ -1,18 +1,22 @@
 //! Segments of a range of chunks, each chunk a run of blocks.
 //!
-//! A mesh segment has for each chunk its header and its tetrahedron blocks ([`super::chunk`]), a
-//! value segment its value blocks ([`super::values`]). The last block of the segment is the chunk
+//! A mesh segment has for each chunk its header and its tetrahedron blocks ([`crate::archive::mesh`]), a
+//! value segment its value blocks ([`crate::archive::values`]). The last block of the segment is the chunk
 //! table: how many blocks each chunk has.
 //!
 //! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`]
 //! continues after the last whole one.
 
-use super::journal::{Journal, Record};
-use super::manifest::SegmentRecord;
-use super::publish::{self, Dead};
-use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use super::summary::{MeshSummary, ValueSummary};
-use super::wire::{Cursor, Malformed, put_varint};
+mod summary;
+
+pub use summary::{
+    BlockRange, MeshSummary, ValueRange, ValueSummary, decode_value_ranges, encode_value_ranges, value_ranges,
+};
+
+use crate::archive::manifest::SegmentRecord;
+use crate::archive::segment::{Journal, PlanHash, Record, Segment, SegmentInfo, SegmentKind, SegmentWriter};
+use crate::archive::wire::{Cursor, Malformed, put_varint};
+use crate::bytes::publish::{self, Dead};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use std::ops::Range;

@@ -17,9 +17,9 @@
 //! A star that is not even is coded in the usual way: it is mostly odd. Where most stars are odd
 //! (many points on one sphere), only few are tried.
 
-use super::link::{Gate, Gates, LANES, Link, Path};
-use super::write::Truth;
-use super::{Stars, Waiting, least_first};
+use super::super::link::{Gate, Gates, LANES, Link, Path};
+use super::super::{Stars, Waiting, least_first};
+use super::Truth;
 
 /// Places of a link that is tried.
 const PLACES: usize = 64;
@@ -38,7 +38,7 @@ const NOTHING: u8 = 62 << 2;
 const KNOWN: u8 = 63 << 2;
 
 /// What is found out about a star.
-pub(super) struct Found {
+pub(in crate::archive::mesh::connectivity) struct Found {
     /// For each directed edge, a row of [`PLACES`] for each place that it is from, the side of the
     /// triangle that has it.
     sides: Box<[u8; PLACES * PLACES]>,
@@ -161,7 +161,7 @@ impl Found {
 
 /// Whether stars are worth a try.
 #[derive(Default)]
-pub(super) struct Luck {
+pub(in crate::archive::mesh::connectivity) struct Luck {
     /// Stars to pass over, and how many they will be after the next try that fails.
     pass: u32,
     then: u32,
@@ -170,7 +170,7 @@ pub(super) struct Luck {
 impl Luck {
     /// Tries no star, for as long as a test takes.
     #[cfg(test)]
-    pub(super) fn none() -> Self {
+    pub(in crate::archive::mesh::connectivity) fn none() -> Self {
         Self { pass: u32::MAX, then: 0 }
     }
 

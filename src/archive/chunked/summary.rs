@@ -8,8 +8,8 @@
 //! It also holds the ranges of the chunk's value blocks, by themselves. Where a surface does not
 //! pass, a reader that knows on which side of it all values of a block are need not read them.
 
-use super::values::ValueBlocks;
-use super::wire::{Cursor, Malformed, to_zstd, unzstd};
+use crate::archive::values::ValueBlocks;
+use crate::archive::wire::{Cursor, Malformed, to_zstd, unzstd};
 use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
 

@@ -1,7 +1,7 @@
 //! The odds at the beginning of a block. They are part of the format.
 
 use super::DECISIONS;
-use crate::archive::range::Odds;
+use crate::archive::range_coder::Odds;
 
 /// For each decision the odds that its bit is set, in 1/65536. They are averages over meshes of all
 /// point sets, made by a test of `tests.rs` (`cargo test first_odds -- --ignored`).

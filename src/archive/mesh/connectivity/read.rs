@@ -4,7 +4,7 @@ use super::bits::BitReader;
 use super::link::{Gate, Gates, Link, VERTICES};
 use super::odds::first_odds;
 use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
-use crate::archive::range::{Decoder, Odds};
+use crate::archive::range_coder::{Decoder, Odds};
 use crate::archive::wire::{Cursor, Malformed};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;

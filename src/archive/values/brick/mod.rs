@@ -31,7 +31,7 @@
 mod odds;
 
 use self::odds::{MORE, SECOND};
-use super::range::{Decoder, Encoder, Odds};
+use crate::archive::range_coder::{Decoder, Encoder, Odds};
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
@@ -495,7 +495,7 @@ mod tests {
 
     #[test]
     fn the_document_has_the_odds() {
-        let document = include_str!("../FORMAT.md");
+        let document = include_str!("../../FORMAT.md");
         for row in MORE.iter().flatten() {
             let numbers = row.map(|n| n.to_string()).join(" ");
             assert!(document.lines().any(|line| line.trim() == numbers), "{numbers}");

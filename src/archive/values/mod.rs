@@ -26,14 +26,16 @@
 //! floating-point data", where the prediction is one of space). Some blocks of a chunk are coded
 //! both ways, and the shorter way is taken for all of the chunk.
 
-use super::brick_values::{self, Template};
-use super::wire::{Cursor, Malformed};
+use self::brick::Template;
+use crate::archive::wire::{Cursor, Malformed};
 use crate::sample::Values;
 use byteorder::{ByteOrder, LE};
 use pco::standalone::{simple_compress, simple_decompress_into};
 use pco::{ChunkConfig, DeltaSpec, ModeSpec};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
+
+pub(crate) mod brick;
 
 /// Values in a block, the last one of a chunk excepted.
 pub const BLOCK_VALUES: usize = 1024;
@@ -303,7 +305,7 @@ impl Encoder<'_> {
             }
             if let Some(cells) = cells.filter(|_| level == LEVEL) {
                 block.push(if before.is_some() { VALUES_BRICK_AFTER } else { VALUES_BRICK });
-                brick_values::encode(Template::of(cells), steps, block);
+                brick::encode(Template::of(cells), steps, block);
                 return block;
             }
             block.push(if before.is_some() { VALUES_AFTER_QUANTISED } else { VALUES_QUANTISED });
@@ -447,7 +449,7 @@ pub fn decode_values(bytes: &[u8], known: &KnownOfBlock<'_>, out: &mut Vec<f32>)
                 let expected = "one for values without a lattice, or that are not rounded";
                 return Err(Malformed::new("codec", expected, codec.to_string()));
             };
-            if !brick_values::decode(template, c.rest(), &mut steps[..n]) {
+            if !brick::decode(template, c.rest(), &mut steps[..n]) {
                 return Err(Malformed::new("values", format!("{n} values of a brick"), "other bytes"));
             }
             let before = |i: usize| if codec == VALUES_BRICK { 0 } else { q.steps_or_void(before[i]) };

@@ -4,8 +4,8 @@
 //! Each block is zstd. The plan has the cells' edge and the hash of all levels, so that a mesh is
 //! never decoded with others.
 
-use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
-use super::wire::{Malformed, to_zstd, unzstd};
+use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
+use crate::archive::wire::{Malformed, to_zstd, unzstd};
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
 use crate::grid::BrickGrid;
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Cells of a block.
-pub const BLOCK_CELLS: usize = 1 << 16;
+pub(in crate::archive) const BLOCK_CELLS: usize = 1 << 16;
 const LEVEL: i32 = 9;
 
 /// What a plan says of the levels of its points.

@@ -1,0 +1,18 @@
+//! The mesh of a chunk: which vertices it has, and its tetrahedra as blocks that decode on their
+//! own.
+//!
+//! * `vertices`: the points that a chunk has, and those of other chunks that it uses.
+//! * `chunk`: the blocks of tetrahedra, from `runs` of vertices, each coded by `connectivity` or as
+//!   `tuples`.
+//! * `unpacked`: precomputed blocks of a step, mapped where they lie, on request.
+
+pub(super) mod chunk;
+pub(super) mod connectivity;
+mod runs;
+mod tuples;
+pub(super) mod unpacked;
+pub(super) mod vertices;
+
+pub use chunk::{ChunkEncoder, TetBlock, TetScratch};
+pub use unpacked::{Unpacked, UnpackedChunk, UnpackedPlace, UnpackedWriter, unpacked_hash};
+pub use vertices::{ChunkHeader, ChunkVertices, PAGE_FLAGS, PAGE_IDS, decode_flags, decode_ids, order_halo};
