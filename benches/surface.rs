@@ -15,7 +15,7 @@ use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, re
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::check::check;
-use isospan::surface::marching_tets::{CellSource, ChunkSurface, extract};
+use isospan::surface::extract::{CellSource, ChunkSurface, Workbench, extract};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
 use isospan::surface::{TriMesh, WorldMap};
 use isospan::{Archive, Resources};
@@ -94,15 +94,15 @@ fn surface(c: &mut Criterion) {
     let chunk = Chunk::new();
     let world = WorldMap::new(&chunk.lattice, &Geometry::default());
     let active = chunk.active();
-    let mut out = ChunkSurface::default();
-    extract(&chunk.source(&active), ISOVALUE, &world, &mut out);
+    let (mut bench, mut out) = (Workbench::default(), ChunkSurface::default());
+    extract(&chunk.source(&active), ISOVALUE, &world, &mut bench, &mut out);
     let triangles = out.triangles().len() as u64;
 
     let mut group = c.benchmark_group("surface");
     group.throughput(Throughput::Elements(triangles));
     for (name, tets) in [("extract/active cells", &active), ("extract/all cells", &chunk.tets)] {
         group.bench_function(format!("{name}/{}", tets.len()), |b| {
-            b.iter(|| extract(black_box(&chunk.source(tets)), ISOVALUE, &world, &mut out));
+            b.iter(|| extract(black_box(&chunk.source(tets)), ISOVALUE, &world, &mut bench, &mut out));
         });
     }
     let build = || {

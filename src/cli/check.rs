@@ -6,7 +6,7 @@ use super::text;
 use isospan::formats::surface::load_surface;
 use isospan::pipeline::{self, ArchiveCheck, ArchiveSummary, Roi, RoiSpace};
 use isospan::surface::check::{CheckSettings, Domain, OpenEdges, SurfaceReport, check_source, check_within};
-use isospan::surface::clip::HalfSpace;
+use isospan::surface::edit::clip::HalfSpace;
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

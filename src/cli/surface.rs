@@ -13,8 +13,10 @@ use isospan::pipeline::{
     SurfaceSettings, is_archive,
 };
 use isospan::render::ColourMap;
-use isospan::surface::components::{ComponentFilter, ComponentReport};
-use isospan::surface::decimate::Decimation;
+use isospan::surface::edit::{
+    components::{ComponentFilter, ComponentReport},
+    decimate::Decimation,
+};
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::fs::File;

@@ -221,7 +221,7 @@ impl Step {
     /// ```
     /// # use isospan::Archive;
     /// # use isospan::pipeline::{Refine, SurfaceSettings};
-    /// # use isospan::surface::components::ComponentFilter;
+    /// # use isospan::surface::edit::components::ComponentFilter;
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");

@@ -1,6 +1,6 @@
 //! Meshes, fields and comparisons for the tests of this module.
 
-use super::marching_tets::{CellSource, ChunkSurface, extract};
+use super::extract::{CellSource, ChunkSurface, Workbench, extract};
 use super::weld::{BuilderSettings, SurfaceBuilder};
 use super::{TriMesh, Vertex, WorldMap};
 use crate::geom::{Lattice, LatticePos, PointId};
@@ -84,7 +84,7 @@ impl Grid {
         let mut builder = SurfaceBuilder::new(&world, &BuilderSettings::default());
         let mut out = ChunkSurface::default();
         for part in self.parts(values, chunk) {
-            extract(&part.source(), isovalue, &world, &mut out);
+            extract(&part.source(), isovalue, &world, &mut Workbench::default(), &mut out);
             builder.push(&out).unwrap();
         }
         TriMesh::from_source(&builder.finish().unwrap()).unwrap()

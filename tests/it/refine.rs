@@ -8,8 +8,7 @@ use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{Amount, Refine, SurfaceReport, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
-use isospan::surface::components::ComponentFilter;
-use isospan::surface::decimate::Decimation;
+use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -15,8 +15,7 @@ use isospan::pipeline::{
     UnpackReport, UnpackSettings, remove_unpacked, unpack,
 };
 use isospan::points::SetKind;
-use isospan::surface::components::ComponentFilter;
-use isospan::surface::decimate::Decimation;
+use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
 use isospan::{Archive, Error, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -15,7 +15,7 @@ use isospan::mesh::delaunay::Mesher;
 use isospan::mesh::tet::Tet;
 use isospan::points::{PointSet, PointSpec};
 use isospan::sample::{Interpolation, VoxelBlock, sample};
-use isospan::surface::marching_tets::{CellSource, ChunkSurface, extract};
+use isospan::surface::extract::{CellSource, ChunkSurface, Workbench, extract};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
 use isospan::surface::{TriMesh, WorldMap};
 
@@ -92,8 +92,8 @@ impl TetField {
             tets: &self.tets,
         };
         let world = WorldMap::new(&self.lattice, &self.geometry);
-        let mut chunk = ChunkSurface::default();
-        extract(&cells, isovalue, &world, &mut chunk);
+        let (mut bench, mut chunk) = (Workbench::default(), ChunkSurface::default());
+        extract(&cells, isovalue, &world, &mut bench, &mut chunk);
         let mut builder = SurfaceBuilder::new(&world, &BuilderSettings::default());
         builder.push(&chunk)?;
         TriMesh::from_source(&builder.finish()?)

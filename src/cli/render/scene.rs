@@ -9,7 +9,7 @@ use isospan::pipeline::{Step, StepChoice, SurfaceSettings, is_archive};
 use isospan::render::Paint;
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
-use isospan::surface::clip::{HalfSpace, clip};
+use isospan::surface::edit::clip::{HalfSpace, clip};
 use isospan::surface::weld::{BuilderSettings, StoredSurface};
 use isospan::{Archive, Error, Resources, Result};
 use std::path::{Path, PathBuf};

@@ -6,9 +6,7 @@
 use crate::exec::will_read;
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
-use crate::surface::marching_tets::{CellSource, Workbench};
-use crate::surface::numbered::NumberedBlock;
-use crate::surface::ordered::Unpacked;
+use crate::surface::extract::{CellSource, NumberedBlock, Unpacked, Workbench};
 
 /// The corners of a block, and of its chunk how many.
 #[derive(Clone, Debug, Default)]

@@ -16,8 +16,7 @@
 use super::block::{Block, BlockCorners, PackedBlock};
 use crate::exec::will_read;
 use crate::grid::ChunkId;
-use crate::surface::known::{Known, KnownBlock};
-use crate::surface::ordered::Unpacked;
+use crate::surface::extract::{Known, KnownBlock, Unpacked};
 use rustc_hash::FxHashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -225,7 +224,7 @@ mod tests {
     use crate::geom::Lattice;
     use crate::grid::Geometry;
     use crate::surface::WorldMap;
-    use crate::surface::marching_tets::{Workbench, in_order};
+    use crate::surface::extract::{Workbench, in_order};
 
     fn known(Block { corners, tets, .. }: &Block) -> Option<CachedBlock> {
         let world = WorldMap::new(&Lattice::new([9; 3]).unwrap(), &Geometry::default());

@@ -7,7 +7,7 @@ use super::reader_memory::ReaderMemory;
 use crate::error::Result;
 use crate::exec::{available_threads, pool};
 use crate::mesh::tet::Tet;
-use crate::surface::marching_tets::{ChunkSurface, Sides, Workbench};
+use crate::surface::extract::{ChunkSurface, Sides, Workbench};
 use rayon::ThreadPool;
 use std::ops::Deref;
 use std::sync::{Mutex, PoisonError};

@@ -7,7 +7,7 @@
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::Geometry;
-use crate::surface::clip::HalfSpace;
+use crate::surface::edit::clip::HalfSpace;
 use serde::Serialize;
 use std::str::FromStr;
 

@@ -18,7 +18,7 @@ use crate::mesh::tet::is_active;
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{BufferPool, ChunkReader, Found, Frontier, Needed, Wanted, chunk_reader};
 use crate::surface::TriMesh;
-use crate::surface::fans::split_fans;
+use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;

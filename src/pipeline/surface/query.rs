@@ -20,8 +20,8 @@ use crate::pipeline::read::{
     world_map,
 };
 use crate::pipeline::stage::Stage;
-use crate::surface::clip::clip;
-use crate::surface::marching_tets::Sides;
+use crate::surface::edit::clip::clip;
+use crate::surface::extract::Sides;
 use crate::surface::weld::BuilderSettings;
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;

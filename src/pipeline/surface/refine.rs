@@ -4,8 +4,10 @@
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, pool};
 use crate::surface::SurfaceSource;
-use crate::surface::components::{ComponentFilter, ComponentReport, components};
-use crate::surface::decimate::{Decimation, DecimationReport, decimate};
+use crate::surface::edit::{
+    components::{ComponentFilter, ComponentReport, components},
+    decimate::{Decimation, DecimationReport, decimate},
+};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use serde::Serialize;
 use std::path::Path;

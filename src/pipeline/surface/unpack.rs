@@ -23,7 +23,7 @@ use crate::pipeline::read::{
     StepView, Wanted, world_map,
 };
 use crate::surface::WorldMap;
-use crate::surface::known::{Joiner, KnownBlock};
+use crate::surface::extract::{Joiner, KnownBlock};
 use serde::Serialize;
 use std::fs;
 use std::io::ErrorKind;

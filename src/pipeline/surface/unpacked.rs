@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::exec::will_read;
 use crate::index::Entry;
 use crate::pipeline::read::{Buffers, OpenArchive, StepSummary, StepView, unpack_known};
-use crate::surface::known::{Flaw, Known};
+use crate::surface::extract::{Flaw, Known};
 use std::sync::atomic::Ordering;
 
 impl StepView {

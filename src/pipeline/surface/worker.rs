@@ -10,9 +10,7 @@ use crate::pipeline::read::{
     PackedBlock, StepView,
 };
 use crate::surface::WorldMap;
-use crate::surface::cap::select_boundary;
-use crate::surface::known::{Known, KnownBlock};
-use crate::surface::marching_tets::{ChunkSurface, Workbench};
+use crate::surface::extract::{ChunkSurface, Known, KnownBlock, Workbench, cap::select_boundary};
 use std::sync::atomic::AtomicU64;
 
 /// The blocks of a chunk that can hold an answer, in order.

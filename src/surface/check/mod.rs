@@ -34,13 +34,13 @@
 //!
 //! It does *not* look for triangles that intersect each other.
 
-use super::clip::HalfSpace;
-use super::{SurfaceSource, TriMesh};
 use crate::bytes::sorter::{Sorted, Sorter};
 use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
 use crate::geom::vec3::{cross, dot, minus};
 use crate::grid::Geometry;
+use crate::surface::edit::clip::HalfSpace;
+use crate::surface::model::{SurfaceSource, TriMesh};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

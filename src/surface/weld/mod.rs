@@ -10,7 +10,7 @@
 //!   [`SurfaceBuilder::push`], within a chunk in the order of [`ChunkSurface::vertices`]. The
 //!   result is a function of that sequence alone.
 //! * Position and normal of a vertex do not depend on the cut into chunks (see
-//!   [`super::marching_tets`]): gradient sums are integers, added as chunks come, and turned into
+//!   [`super::extract::marching_tets`]): gradient sums are integers, added as chunks come, and turned into
 //!   normals once, at the end.
 //!
 //! # Memory
@@ -23,7 +23,7 @@
 //! # Example
 //! ```
 //! # use isospan::{geom::{Lattice, PointId}, grid::Geometry};
-//! # use isospan::surface::{SurfaceSource, WorldMap, marching_tets::*, weld::*};
+//! # use isospan::surface::{SurfaceSource, WorldMap, extract::*, weld::*};
 //! # fn main() -> isospan::Result<()> {
 //! let lattice = Lattice::new([2, 2, 2])?;
 //! let s = lattice.max()[0];
@@ -37,7 +37,7 @@
 //! };
 //! let world = WorldMap::new(&lattice, &Geometry::default());
 //! let mut chunk = ChunkSurface::default();
-//! extract(&cells, 0.5, &world, &mut chunk);
+//! extract(&cells, 0.5, &world, &mut Workbench::default(), &mut chunk);
 //!
 //! let mut builder = SurfaceBuilder::new(&world, &BuilderSettings::default());
 //! builder.push(&chunk)?;
@@ -47,11 +47,12 @@
 //! # }
 //! ```
 
-use super::marching_tets::{ChunkSurface, SharedEdge};
-use super::{SurfaceSource, TriMesh, Vertex, WorldMap};
 use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
 use crate::geom::PointId;
+use crate::surface::extract::{ChunkSurface, SharedEdge};
+use crate::surface::model::{SurfaceSource, TriMesh, Vertex};
+use crate::surface::world_map::WorldMap;
 use rustc_hash::FxHashMap;
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-use super::super::marching_tets::extract;
+use super::super::extract::{Workbench, extract};
 use super::super::testing::{Grid, assert_sound, triangle_set};
 use super::*;
 use crate::grid::Geometry;
@@ -13,7 +13,7 @@ fn slabs(grid: &Grid, world: &WorldMap) -> Vec<ChunkSurface> {
     let chunk: Vec<usize> = (0..grid.tets.len()).map(|i| i * 6 / grid.tets.len()).collect();
     let surface = |part: &super::super::testing::Part| {
         let mut out = ChunkSurface::default();
-        extract(&part.source(), 1.0, world, &mut out);
+        extract(&part.source(), 1.0, world, &mut Workbench::default(), &mut out);
         out
     };
     grid.parts(&grid.sample(wave), &chunk).iter().map(surface).collect()
@@ -72,7 +72,7 @@ fn all_corners_shared_is_right_too() {
     for mut part in grid.parts(&grid.sample(wave), &chunk) {
         part.shared.fill(true);
         let mut out = ChunkSurface::default();
-        extract(&part.source(), 1.0, &world, &mut out);
+        extract(&part.source(), 1.0, &world, &mut Workbench::default(), &mut out);
         // All edges but those around which the chunk has all tetrahedra.
         assert!(out.shared_edges().len() * 10 > out.vertices().len() * 9);
         builder.push(&out).unwrap();

@@ -16,8 +16,7 @@ use isospan::pipeline::{
     self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, Step, StepChoice,
     StepRange, SurfaceSettings,
 };
-use isospan::surface::components::ComponentFilter;
-use isospan::surface::decimate::Decimation;
+use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::str::FromStr;

@@ -29,12 +29,12 @@
 //! memory allows.
 
 use super::collapse::{BYTES_PER_TRIANGLE, Goal, Patch, collapse_edges};
-use super::weld::{BuilderSettings, StoredSurface};
-use super::{SurfaceSource, Vertex};
 use crate::bytes::paged::Paged;
 use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
+use crate::surface::model::{SurfaceSource, Vertex};
+use crate::surface::weld::{BuilderSettings, StoredSurface};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;

@@ -16,8 +16,8 @@
 //! About 28 bytes a tetrahedron.
 
 use super::cases::{EDGES, ODD};
+use super::cells::{CellSource, in_order};
 use super::fours::Corner;
-use super::marching_tets::{CellSource, in_order};
 use super::numbering::{Ring, code_of};
 use super::ordered::{EDGE_SLOTS, Order, SHARED, Unpacked, shared_ids, sides_of, slot_of};
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
@@ -58,15 +58,6 @@ pub(super) struct BlockBuffers {
 }
 
 impl BlockBuffers {
-    pub(super) fn bytes(&self) -> usize {
-        2 * (self.slots.capacity()
-            + self.active.capacity()
-            + self.ends.capacity()
-            + self.renumbered.capacity())
-            + size_of::<NumberedTet>() * self.tets.capacity()
-            + size_of::<Ring>() * self.rings.capacity()
-    }
-
     /// A slot for each edge, empty.
     fn slots(slots: &mut Vec<u16>) -> &mut [u16; EDGE_SLOTS] {
         slots.resize(EDGE_SLOTS, NO_EDGE);

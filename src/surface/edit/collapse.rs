@@ -38,8 +38,8 @@
 //! Garland, Heckbert 1997, "Surface simplification using quadric error metrics". Dey, Edelsbrunner,
 //! Guha, Nekhayev 1999, "Topology preserving edge contraction".
 
-use super::Vertex;
 use crate::geom::vec3::{cross, dot, minus};
+use crate::surface::model::Vertex;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 

@@ -13,9 +13,10 @@
 
 use super::cases::{CASES, Case, ODD};
 use super::fours::{self, Corner, Gradient};
-use super::{Vertex, WorldMap};
 use crate::exec::lanes::Four;
 use crate::geom::PointId;
+use crate::surface::model::Vertex;
+use crate::surface::world_map::WorldMap;
 
 /// Corners of a patch, at most: their numbers have a byte.
 pub(super) const CORNERS: usize = 256;
@@ -212,11 +213,6 @@ impl Patch {
     /// Triangles, of numbers of edges.
     pub(super) fn triangles(&self) -> &[[u16; 3]] {
         &self.triangles
-    }
-
-    pub(super) fn bytes(&self) -> usize {
-        const PER_TET: usize = size_of::<Member>() + size_of::<Gradient>() + 4 * (2 + 1 + 4 + 32 + 8) + 12;
-        self.tets.capacity() * PER_TET
     }
 }
 

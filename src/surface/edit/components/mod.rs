@@ -31,10 +31,10 @@
 //! Tarjan 1975, "Efficiency of a good but not linear set union algorithm"; path halving: Tarjan,
 //! van Leeuwen 1984.
 
-use super::weld::{BuilderSettings, StoredSurface};
-use super::{SurfaceSource, Vertex};
 use crate::bytes::paged::Paged;
 use crate::error::{Error, Result};
+use crate::surface::model::{SurfaceSource, Vertex};
+use crate::surface::weld::{BuilderSettings, StoredSurface};
 use serde::Serialize;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -1,6 +1,7 @@
 use super::*;
 use crate::grid::Geometry;
 use crate::surface::check::check;
+use crate::surface::extract::Workbench;
 use crate::surface::testing::{Grid, assert_sound, mirrored, triangle_set};
 use crate::surface::weld::{BuilderSettings, SurfaceBuilder};
 use crate::surface::{TriMesh, Vertex, WorldMap};
@@ -15,7 +16,7 @@ fn capped(grid: &Grid, values: &[f32], isovalue: f32, geometry: &Geometry, chunk
         let mut at_ends = vec![];
         select_boundary(&source, grid.lattice.max(), isovalue, &mut at_ends);
         out.start(isovalue, source.ids.len());
-        out.add(&source, &world);
+        out.add(&source, &world, &mut Workbench::default());
         out.add_caps(&CellSource { tets: &at_ends, ..source }, &world, grid.lattice.max());
         out.finish(&world);
         builder.push(&out).unwrap();

@@ -7,14 +7,14 @@
 //! others need it. An edge keeps the sum of each block if both its ends are shared with other
 //! chunks, or if one of its blocks is not at hand.
 
-use super::super::WorldMap;
+use super::super::cells::{CellSource, along_edge};
 use super::super::fours;
-use super::super::marching_tets::{CellSource, along_edge};
 use super::super::patch::up;
-use super::extract::sum_of;
+use super::crossed::sum_of;
 use super::make::close_groups;
 use super::{FIRST, Group, Known, KnownBlock, Normal, OPEN, SHARED, SLOTS_BEHIND, SUM, Shape};
 use crate::exec::lanes::Plain;
+use crate::surface::world_map::WorldMap;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 /// No number yet.

@@ -23,10 +23,11 @@
 //! vertex of the rim gets the same normal, though the surface has it too: a cap is flat, and
 //! decimation leaves few of its corners besides those of the rim.
 
-use super::WorldMap;
-use super::marching_tets::{CellSource, ChunkSurface, in_order};
+use super::cells::{CellSource, in_order};
+use super::chunk_surface::ChunkSurface;
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
+use crate::surface::world_map::WorldMap;
 
 /// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];

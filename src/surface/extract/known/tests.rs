@@ -1,9 +1,11 @@
 use super::*;
 use crate::grid::Geometry;
 use crate::surface::WorldMap;
-use crate::surface::cases::EDGES;
-use crate::surface::marching_tets::Workbench;
-use crate::surface::numbered::tests::{Blocks, Three, any_agree, any_values, fields_agree};
+use crate::surface::extract::{
+    Workbench,
+    cases::EDGES,
+    numbered::tests::{Blocks, Three, any_agree, any_values, fields_agree},
+};
 use proptest::prelude::*;
 
 /// The surface of blocks that have not been numbered, and of those that have, with vectors where
@@ -13,7 +15,7 @@ fn surfaces(of: &Blocks, values: &[f32], isovalue: f32, geometry: &Geometry) -> 
     let mut bench = Workbench::default();
     let mut surfaces = [(); 3].map(|()| of.start(isovalue));
     of.each(values, |cells| {
-        surfaces[0].add(cells, &world);
+        surfaces[0].add(cells, &world, &mut bench);
         let block = bench.know(cells, &world).expect("these blocks are small");
         let is_whole = surfaces[1].add_known(block.view(), &world, &mut bench);
         assert!(is_whole);
@@ -104,14 +106,16 @@ fn joined_blocks_have_the_same_surface() {
             surfaces.iter_mut().for_each(|surface| surface.number_edges(joiner.count() as usize));
             let mut number = 0;
             blocks.each(&values, |cells| {
-                surfaces[0].add(cells, &world);
+                surfaces[0].add(cells, &world, &mut bench);
                 match &known[number] {
                     Some(block) => {
                         let block = block.view();
                         assert!(surfaces[1].add_known(block, &world, &mut bench));
                         assert!(surfaces[2].add_known_on(block, &world, &mut bench.crossed, (None, None)));
                     }
-                    None => surfaces[1..].iter_mut().for_each(|surface| surface.add(cells, &world)),
+                    None => {
+                        surfaces[1..].iter_mut().for_each(|surface| surface.add(cells, &world, &mut bench))
+                    }
                 }
                 number += 1;
             });

@@ -23,8 +23,8 @@
 //! claimed. All tetrahedra at a crossed edge are active, so a ring has them all: its sum is final,
 //! and no table is asked for the edge.
 
+use super::cells::{CellSource, Sorted};
 use super::fours::Corner;
-use super::marching_tets::{CellSource, Sorted};
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
 use crate::geom::PointId;
 use crate::mesh::tet::Tet;
@@ -195,10 +195,6 @@ impl Numbering {
     /// The corners of the patch that was listed last, and of its source.
     pub(super) fn corners<'a>(&'a self, cells: &'a CellSource<'a>) -> Numbered<'a> {
         Numbered { numbering: self, cells }
-    }
-
-    pub(super) fn bytes(&self) -> usize {
-        (self.here.capacity() + self.slots.len()) * 2 + TETS * (size_of::<u64>() + 4 * size_of::<Ring>())
     }
 }
 

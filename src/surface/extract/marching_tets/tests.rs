@@ -1,12 +1,13 @@
 use super::super::cases::{CASES, EDGES, is_odd};
-use super::super::check::boundary_outside;
-use super::super::edges::NO_BUCKET;
-use super::super::testing::{Grid, assert_sound, mirrored, triangle_set};
+use super::super::cells::Sides;
+use super::super::edges::{EdgeTable, Found, NO_BUCKET};
 use super::*;
-use crate::geom::Lattice;
+use crate::geom::{Lattice, LatticePos, PointId};
 use crate::grid::Geometry;
-use crate::mesh::tet;
-use crate::surface::TriMesh;
+use crate::mesh::tet::{self, Tet};
+use crate::surface::check::boundary_outside;
+use crate::surface::testing::{Grid, assert_sound, mirrored, triangle_set};
+use crate::surface::{TriMesh, Vertex};
 use proptest::prelude::*;
 
 const PERMUTATIONS: [([usize; 4], bool); 24] = {
@@ -37,7 +38,7 @@ fn one_tet(values: [f32; 4], ids: [u64; 4], tet: Tet, geometry: &Geometry) -> Tr
         tets: &[tet],
     };
     let mut out = ChunkSurface::default();
-    extract(&cells, 0.0, &WorldMap::new(&lattice, geometry), &mut out);
+    extract(&cells, 0.0, &WorldMap::new(&lattice, geometry), &mut Workbench::default(), &mut out);
     TriMesh { vertices: out.vertices().to_vec(), triangles: out.triangles().to_vec() }
 }
 
@@ -293,6 +294,7 @@ fn add_numbered_alone(block: &CellSource<'_>, world: &WorldMap, out: &mut ChunkS
             tets: &tets,
         },
         world,
+        &mut Workbench::default(),
     );
 }
 
@@ -311,10 +313,11 @@ fn blocks_of_a_chunk_are_one_chunk() {
     };
     let world = WorldMap::new(&grid.lattice, &Geometry::default());
     let (mut once, mut blocks) = (ChunkSurface::default(), ChunkSurface::default());
-    extract(&source(&grid.tets), 0.0, &world, &mut once);
+    let mut bench = Workbench::default();
+    extract(&source(&grid.tets), 0.0, &world, &mut bench, &mut once);
     for _ in 0..2 {
         blocks.start(0.0, values.len());
-        grid.tets.chunks(97).for_each(|tets| blocks.add(&source(tets), &world));
+        grid.tets.chunks(97).for_each(|tets| blocks.add(&source(tets), &world, &mut bench));
         blocks.finish(&world);
         assert_eq!((blocks.vertices(), blocks.triangles()), (once.vertices(), once.triangles()));
         blocks.start(0.0, values.len());

@@ -5,7 +5,7 @@
 //! wherever it is crossed. A cached block stores it. For an edge with all its tetrahedra in the
 //! block ([`super::numbering`] finds them) it stores the normal, for others the block's part of the
 //! sum. Where all blocks of a chunk are at hand, most of those sums can be added up too ([`join`]).
-//! What is left to do is to find which edges are crossed, and where ([`extract`]).
+//! What is left to do is to find which edges are crossed, and where ([`crossed`]).
 //!
 //! Corners are in the order of their ids, edges in the order in which tetrahedra first have them. A
 //! surface numbers its vertices in both orders. So a group of consecutive tetrahedra has a run of
@@ -29,7 +29,7 @@
 //! About 70 bytes per tetrahedron. (Blocks that get other values step by step are only numbered:
 //! [`super::numbered`].) Void tetrahedra have no edges, and edges between them belong to none.
 
-mod extract;
+mod crossed;
 mod join;
 mod make;
 mod sides;
@@ -40,7 +40,7 @@ use super::ordered::{SHARED, Unpacked, shared_ids, sides_of};
 use crate::exec::will_read;
 use crate::geom::PointId;
 use crate::mesh::tet::is_active;
-pub(super) use extract::Crossed;
+pub(super) use crossed::{Crossed, NEW, sum_of};
 pub(crate) use join::Joiner;
 pub(super) use make::Maker;
 pub(super) use sides::ByteTables;
@@ -55,11 +55,11 @@ const EDGES_MOST: usize = 1 << 14;
 /// oriented one.
 const TURNED: u16 = 1 << 15;
 /// In the slot of an edge: other blocks may have tetrahedra around it.
-const OPEN: u16 = 1 << 15;
+pub(super) const OPEN: u16 = 1 << 15;
 /// Before the slot of such an edge: what is in it. Else it is an edge of the chunk with a number,
 /// and nothing is.
-const SUM: u32 = 1 << 31;
-const FIRST: u32 = 1 << 30;
+pub(super) const SUM: u32 = 1 << 31;
+pub(super) const FIRST: u32 = 1 << 30;
 /// The most words of slots, so that the place of each has 15 bits.
 const SLOTS_MOST: usize = (1 << 15) - 8;
 /// Words behind the last slot, so that each can be read as a normal, whether it is one or not.
@@ -87,7 +87,7 @@ fn is_void(edges: &TetEdges) -> bool {
 }
 
 /// A normal, its bits.
-type Normal = [u32; 3];
+pub(super) type Normal = [u32; 3];
 
 /// A block, with what is known of it.
 #[derive(Debug)]
@@ -154,21 +154,21 @@ impl<'a> Known<'a> {
     }
 
     #[inline(always)]
-    fn numbers(&self) -> &'a [u32] {
+    pub(super) fn numbers(&self) -> &'a [u32] {
         let [groups, numbers, ..] = self.ends();
         &self.words[groups..numbers]
     }
 
     /// The positions and values of the corners.
     #[inline(always)]
-    fn at(&self) -> &'a [Corner] {
+    pub(super) fn at(&self) -> &'a [Corner] {
         let [_, numbers, corners, ..] = self.ends();
         bytemuck::cast_slice(&self.words[numbers..corners])
     }
 
     /// The ends of edges, the corner of lower id first.
     #[inline(always)]
-    fn edges(&self) -> &'a [[u8; 2]] {
+    pub(super) fn edges(&self) -> &'a [[u8; 2]] {
         let [_, _, corners, edges, ..] = self.ends();
         &bytemuck::cast_slice(&self.words[corners..edges])[..self.shape.edges]
     }
@@ -176,7 +176,7 @@ impl<'a> Known<'a> {
     /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that says what
     /// it is.
     #[inline(always)]
-    fn slots_of_edges(&self) -> &'a [u16] {
+    pub(super) fn slots_of_edges(&self) -> &'a [u16] {
         let [_, _, corners, edges, ..] = self.ends();
         &bytemuck::cast_slice(&self.words[corners..edges])[self.shape.edges..]
     }
@@ -195,7 +195,7 @@ impl<'a> Known<'a> {
     }
 
     #[inline(always)]
-    fn slots(&self) -> &'a [u32] {
+    pub(super) fn slots(&self) -> &'a [u32] {
         let [.., tet_edges, slots] = self.ends();
         &self.words[tet_edges..slots]
     }
@@ -207,8 +207,14 @@ impl<'a> Known<'a> {
 
     /// The ids of two corners, if other chunks may have both.
     #[inline(always)]
-    fn shared(&self, ends: [u8; 2]) -> Option<(PointId, PointId)> {
+    pub(super) fn shared(&self, ends: [u8; 2]) -> Option<(PointId, PointId)> {
         shared_ids(self.numbers(), self.ids(), ends)
+    }
+
+    /// Whether some tetrahedron has no edges.
+    #[inline(always)]
+    pub(super) fn has_void(&self) -> bool {
+        self.shape.has_void
     }
 
     /// Asks the processor to load what is needed of any block: all but the edges of tetrahedra,

@@ -1,8 +1,8 @@
 //! The corners of a block that is kept, in the order of their ids: what both kinds of such blocks
 //! have ([`super::numbered`], [`super::known`]).
 
+use super::cells::CellSource;
 use super::fours::Corner;
-use super::marching_tets::CellSource;
 use super::patch::CORNERS;
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;

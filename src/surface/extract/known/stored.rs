@@ -11,7 +11,7 @@
 //! later lists (edges of tetrahedra, slots) a question reads the part of the groups that it may
 //! cross. So these have checksums of their own, and only what is read of a block is checked, once.
 //! What the slots of open edges name, and whether the triangles of a block have the vertices of
-//! their edges, is checked when they are used ([`super::extract`]). Whether the words mean what the
+//! their edges, is checked when they are used ([`super::crossed`]). Whether the words mean what the
 //! archive means is another question, answered by making them again.
 
 use super::super::ordered::SHARED;
@@ -262,7 +262,7 @@ mod tests {
     use super::*;
     use crate::grid::Geometry;
     use crate::surface::WorldMap;
-    use crate::surface::numbered::tests::Blocks;
+    use crate::surface::extract::numbered::tests::Blocks;
 
     /// The words of the blocks of a small grid, some of which have void tetrahedra, and the number
     /// of corners of its chunk.

@@ -2,7 +2,7 @@ use super::*;
 use crate::exec::Avx2;
 use crate::geom::LatticePos;
 use crate::grid::Geometry;
-use crate::surface::marching_tets::{ChunkSurface, SharedEdge, Workbench};
+use crate::surface::extract::{ChunkSurface, SharedEdge, Workbench};
 use crate::surface::testing::{Grid, mirrored};
 use crate::surface::{Vertex, WorldMap};
 use proptest::prelude::*;
@@ -62,7 +62,7 @@ impl Blocks {
         let mut bench = Workbench::default();
         let mut surfaces = [(); 3].map(|()| self.start(isovalue));
         self.each(values, |cells| {
-            surfaces[0].add(cells, &world);
+            surfaces[0].add(cells, &world, &mut bench);
             let block = bench.number(cells).expect("these blocks are small");
             surfaces[1].add_numbered_on(&block, &world, &mut bench, Avx2::found());
             surfaces[2].add_numbered_on(&block, &world, &mut bench, None);

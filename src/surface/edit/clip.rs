@@ -23,9 +23,9 @@
 //!
 //! Reference: Sutherland, Hodgman 1974, "Reentrant polygon clipping".
 
-use super::weld::{BuilderSettings, StoredSurface};
-use super::{SurfaceSource, Vertex};
 use crate::error::{Error, Result};
+use crate::surface::model::{SurfaceSource, Vertex};
+use crate::surface::weld::{BuilderSettings, StoredSurface};
 use rustc_hash::FxHashMap;
 
 /// The points p with `normal · p >= offset`.

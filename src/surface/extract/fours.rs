@@ -3,8 +3,8 @@
 //!
 //! The formulas are those of [`super::marching_tets`]; each is evaluated in one order.
 
-use super::WorldMap;
 use crate::exec::lanes::Four;
+use crate::surface::world_map::WorldMap;
 
 /// A corner: its position in lattice steps, at most 2^24, and so exact, and its value.
 pub(super) type Corner = [f32; 4];

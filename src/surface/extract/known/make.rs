@@ -1,9 +1,8 @@
 //! Numbers the corners and edges of a block, and sums up the gradients around its edges.
 
-use super::super::WorldMap;
 use super::super::cases::EDGES;
+use super::super::cells::{CellSource, along_edge, in_order, on_lanes};
 use super::super::fours::{self, Corner, Gradient};
-use super::super::marching_tets::{CellSource, along_edge, in_order, on_lanes};
 use super::super::numbering::{Ring, code_of};
 use super::super::ordered::{EDGE_SLOTS, Order, slot_of};
 use super::super::patch::{CORNERS, NO_EDGE, add_term, up};
@@ -16,6 +15,7 @@ use crate::exec::lanes::Vector;
 use crate::exec::lanes::{Four, Plain};
 use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::range;
+use crate::surface::world_map::WorldMap;
 
 /// Buffers in which blocks are numbered, some hundred kilobytes.
 #[derive(Debug, Default)]
@@ -88,15 +88,6 @@ impl<'a> EdgeList<'a> {
 }
 
 impl Maker {
-    pub(in super::super) fn bytes(&self) -> usize {
-        2 * self.numbers.capacity()
-            + size_of::<Corner>() * self.at.capacity()
-            + (4 + size_of::<TetEdges>() + size_of::<Gradient>()) * self.tets.capacity()
-            + size_of::<Group>() * self.groups.capacity()
-            + (4 + size_of::<Ring>() + 8 + 32) * self.edges.capacity()
-            + 4 * self.slots.capacity()
-    }
-
     /// Finds out about a block. `None` of one with too many corners or edges, which is rare, or of
     /// corners without numbers in a chunk.
     ///
