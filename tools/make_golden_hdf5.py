@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""Writes tests/data/*.h5, *.hdf, *.mnc, *.ims and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/hdf5.rs.
+"""Writes tests/data/*.h5, *.hdf, *.mnc, *.ims and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/volume/hdf5.
 
-Needs h5py, netCDF4 and numpy. Sample (z, y, x) of each dataset is its index in C order, unless said otherwise.
+Needs h5py, hdf5plugin, netCDF4 and numpy. Sample (z, y, x) of each dataset is its index in C order, unless said otherwise.
 Usage: tools/make_golden_hdf5.py
 """
 from pathlib import Path
 
 import h5py
+import hdf5plugin as plugin
 import netCDF4
 import numpy as np
 
@@ -55,6 +56,54 @@ def layouts(version):
         two = f.create_dataset("two_missing", data=i2)
         two.attrs["_FillValue"] = np.int16(1)
         two.attrs["missing_value"] = np.int16(2)
+
+
+def filters():
+    """Each filter that is a plugin: sample (z, y, x) is 1000 + 20 x + 7 z + (13 y + 5 x) mod 17, or an eighth of it."""
+    z, y, x = np.indices((9, 10, 13))
+    u2 = (1000 + 20 * x + 7 * z + (13 * y + 5 * x) % 17).astype("<u2")
+    f4 = (u2 / 8).astype("<f4")
+    with h5py.File(OUT / "filters.h5", "w", libver="latest") as f:
+
+        def put(name, data, chunks=(5, 10, 13), **how):
+            f.create_dataset(name, data=data, chunks=chunks, **how)
+
+        put("lzf", u2, compression="lzf")
+        put("lzf_all", u2, compression="lzf", shuffle=True, fletcher32=True)
+        put("lz4", u2, **plugin.LZ4())
+        put("lz4_blocks", f4, **plugin.LZ4(nbytes=512))
+        put("zstd", f4, **plugin.Zstd())
+        put("zstd_shuffle", u2, shuffle=True, **plugin.Zstd())
+        for name in ("none", "lz4", "zstd"):
+            put("bitshuffle_" + name, u2, **plugin.Bitshuffle(cname=name))
+            put("bitshuffle_f4_" + name, f4, **plugin.Bitshuffle(nelems=64, cname=name))
+        for name in ("blosclz", "lz4", "lz4hc", "zlib", "zstd"):
+            for shuffle in (0, 1, 2):
+                put(f"blosc_{name}_{shuffle}", u2, **plugin.Blosc(cname=name, shuffle=shuffle))
+                put(f"blosc2_{name}_{shuffle}", u2, **plugin.Blosc2(cname=name, filters=shuffle))
+        put("blosc2_f4", f4, **plugin.Blosc2())
+        put("blosc2_delta", u2, **plugin.Blosc2(cname="zstd", filters=plugin.Blosc2.DELTA))
+        # Blocks that are boxes, the last ones padded.
+        put("blosc2_boxes", np.tile(f4, (4, 4, 4)), (36, 40, 52), **plugin.Blosc2(cname="zstd"))
+        zeros = np.zeros((9, 10, 13), "<f4")
+        put("blosc2_zeros", zeros, **plugin.Blosc2())
+        zeros[:] = np.nan
+        put("blosc2_nan", zeros, **plugin.Blosc2())
+        zeros[:] = 3
+        put("blosc2_same", zeros, **plugin.Blosc2())
+        # Not read, and named.
+        put("zfp", f4, **plugin.Zfp())
+    # Seeds of the fuzzer.
+    small = u2[:4, :5, :7]
+    for name, how in (
+        ("lzf", dict(chunks=small.shape, compression="lzf")),
+        ("lz4", plugin.LZ4()),
+        ("bits", plugin.Bitshuffle(nelems=64)),
+        ("blosc", plugin.Blosc()),
+        ("blosc2", plugin.Blosc2(cname="zstd")),
+    ):
+        with h5py.File(OUT / f"filter_{name}.h5", "w", libver="latest") as f:
+            f.create_dataset(name, data=small, **how)
 
 
 def chunks():
@@ -161,6 +210,7 @@ if __name__ == "__main__":
         types(version)
         layouts(version)
     chunks()
+    filters()
     netcdf()
     small()
     dialects()

@@ -41,7 +41,17 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         of("vti", vti()),
         of("vtk", legacy()),
         of("tif", vec![tiff(1, 2), tiff(8, 2)]),
-        of("h5", vec![include_bytes!("../../tests/data/hdf5_small.h5").to_vec()]),
+        of(
+            "h5",
+            vec![
+                include_bytes!("../../tests/data/hdf5_small.h5").to_vec(),
+                include_bytes!("../../tests/data/filter_bits.h5").to_vec(),
+                include_bytes!("../../tests/data/filter_blosc.h5").to_vec(),
+                include_bytes!("../../tests/data/filter_blosc2.h5").to_vec(),
+                include_bytes!("../../tests/data/filter_lz4.h5").to_vec(),
+                include_bytes!("../../tests/data/filter_lzf.h5").to_vec(),
+            ],
+        ),
         // The first bytes choose the layout too: zeros stand for 4 x 4 x 4 bytes.
         of("raw", vec![[vec![0; 8], samples(1, 56)].concat()]),
         of("bricks", vec![bricks(folder)?]),

@@ -24,7 +24,7 @@
 //! Conventions of other programs: see the module `dialect`.
 //!
 //! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle,
-//! Fletcher-32, scale-offset, N-bit, szip, LZF) as they are asked for ([`crate::volume::chunked`]);
+//! Fletcher-32, scale-offset, N-bit, szip, and those of the module `filters`) as they are asked for ([`crate::volume::chunked`]);
 //! small chunks are read together. Memory: one chunk, stored, decoded and once more for output;
 //! chunks of more than 256 MiB are refused. Chunks that were never written read as the fill value.
 //!
@@ -45,6 +45,7 @@
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
 mod dialect;
+mod filters;
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
@@ -226,7 +227,8 @@ fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
     let limits = hdf5_reader::OpenOptions::default()
         .with_chunk_cache_bytes(0)
         .with_max_chunk_bytes(MOST_CHUNK as usize)
-        .with_max_read_bytes(MOST_CHUNK as usize);
+        .with_max_read_bytes(MOST_CHUNK as usize)
+        .with_filter_registry(filters::registry());
     Hdf5File::from_storage_with_options(Arc::new(Bytes(source.clone())), limits)
         .map_err(|e| damaged(path, "superblock", &e))
 }
@@ -257,36 +259,14 @@ fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
         error.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(300).collect();
     if let hdf5_reader::error::Error::UnsupportedFilter(filter) = error {
         let number = filter.rsplit(' ').next().unwrap_or_default();
-        let name = FILTERS.iter().find(|(id, _)| *id == number).map_or("of another name", |(_, name)| name);
         let help =
             "write it anew with deflate: h5repack -f GZIP=1 OLD NEW, where the filter's plugin is installed";
-        return Error::bad_input(
-            path,
-            at,
-            "filters that are read: deflate, shuffle, szip, LZF",
-            format!("the filter {name} ({filter})"),
-        )
-        .with_help(help);
+        let got = format!("the filter {} ({filter})", filters::name_of_unread(number));
+        return Error::bad_input(path, at, filters::READ, got).with_help(help);
     }
     let help = "the file is damaged, cut short, or uses what is not read; try h5dump or h5repack on it";
     Error::bad_input(path, at, "good HDF5 or NetCDF-4", got).with_help(help)
 }
-
-/// Registered filters that are not read, by their numbers.
-const FILTERS: [(&str, &str); 12] = [
-    ("305", "LZO"),
-    ("307", "bzip2"),
-    ("32001", "Blosc"),
-    ("32004", "LZ4"),
-    ("32008", "bitshuffle"),
-    ("32013", "ZFP"),
-    ("32015", "Zstandard"),
-    ("32017", "SZ"),
-    ("32018", "FCIDECOMP"),
-    ("32024", "SZ3"),
-    ("32026", "Blosc2"),
-    ("32028", "SPERR"),
-];
 
 /// The datasets of a file.
 struct Tree {

@@ -1,8 +1,7 @@
 //! Decodes the stored bytes of a chunk into samples.
 
-use super::blosc;
+use crate::formats::shared::codec::{blosc, read_to_end, unshuffle, unzstd};
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
-use std::io::Read;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Codec {
@@ -37,12 +36,9 @@ impl Codec {
         let mut out = vec![];
         match self {
             Self::Blosc => blosc::decode(stored, limit, &mut out)?,
-            Self::Gzip => read(MultiGzDecoder::new(stored), limit, &mut out)?,
-            Self::Zlib => read(ZlibDecoder::new(stored), limit, &mut out)?,
-            Self::Zstd => {
-                let frames = zstd::stream::read::Decoder::with_buffer(stored).map_err(|e| e.to_string())?;
-                read(frames, limit, &mut out)?;
-            }
+            Self::Gzip => read_to_end(MultiGzDecoder::new(stored), limit, &mut out)?,
+            Self::Zlib => read_to_end(ZlibDecoder::new(stored), limit, &mut out)?,
+            Self::Zstd => out = unzstd(stored, limit)?,
             Self::Lz4 => {
                 let (length, block) = stored.split_first_chunk::<4>().ok_or("no length before LZ4 data")?;
                 let length = u32::from_le_bytes(*length) as usize;
@@ -61,16 +57,11 @@ impl Codec {
             }
             Self::Shuffle(size) => {
                 out.resize(stored.len(), 0);
-                blosc::unshuffle(stored, size, &mut out);
+                unshuffle(stored, size, &mut out);
             }
         }
         Ok(out)
     }
-}
-
-fn read(decoded: impl Read, limit: usize, out: &mut Vec<u8>) -> std::result::Result<(), String> {
-    decoded.take(limit as u64 + 1).read_to_end(out).map_err(|e| e.to_string())?;
-    if out.len() > limit { Err(format!("more than {limit} bytes")) } else { Ok(()) }
 }
 
 /// Decodes what `codecs` encoded, the last one last, to exactly `needed` bytes.

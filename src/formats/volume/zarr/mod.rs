@@ -35,7 +35,6 @@
 //! one chunk is needed at a time. The formats: <https://zarr-specs.readthedocs.io>,
 //! <https://ngff.openmicroscopy.org>.
 
-mod blosc;
 mod codec;
 mod meta;
 

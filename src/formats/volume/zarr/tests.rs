@@ -1,5 +1,6 @@
 use super::*;
 use crate::formats::open_volume;
+use crate::formats::shared::codec::blosc;
 use crate::formats::tests::{gzip, write};
 use crate::grid::IndexBox;
 use crate::volume::ScalarType;

@@ -15,15 +15,13 @@
 //! The format: <https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>. Snappy is
 //! refused by name.
 
-use byteorder::{ByteOrder, LE};
+use super::{Decoded, le32, unshuffle, unshuffle_bits};
 use flate2::bufread::ZlibDecoder;
 use std::io::Read;
 
-type Words = std::result::Result<(), String>;
-
 /// Decodes `stored` into `out` (cleared first); at most `limit` bytes. An error is the reason, in
 /// words.
-pub(super) fn decode(stored: &[u8], limit: usize, out: &mut Vec<u8>) -> Words {
+pub(in crate::formats) fn decode(stored: &[u8], limit: usize, out: &mut Vec<u8>) -> Decoded<()> {
     let header = stored.get(..16).ok_or("fewer than the 16 bytes of a Blosc header")?;
     let u32_at = |at: usize| le32(stored, at).map(|n| n as usize).ok_or("a Blosc buffer that is cut short");
     let (version, flags, typesize) = (header[0], header[2], usize::from(header[3]).max(1));
@@ -53,18 +51,17 @@ pub(super) fn decode(stored: &[u8], limit: usize, out: &mut Vec<u8>) -> Words {
         decode_block(flags >> 5, streams, if split { typesize } else { 1 }, &mut shuffled)?;
         match flags & 5 {
             1 if typesize > 1 => unshuffle(&shuffled, typesize, out),
-            4 => unshuffle_bits(&shuffled, typesize, out),
+            // Nothing is shuffled where a block has a few elements more than a multiple of eight.
+            4 if (shuffled.len() / typesize).is_multiple_of(8) => {
+                unshuffle_bits(&shuffled, typesize, out);
+            }
             _ => out.copy_from_slice(&shuffled),
         }
     }
     Ok(())
 }
 
-fn le32(bytes: &[u8], at: usize) -> Option<u32> {
-    bytes.get(at..at.checked_add(4)?).map(LE::read_u32)
-}
-
-fn decode_block(compressor: u8, mut streams: &[u8], splits: usize, out: &mut [u8]) -> Words {
+fn decode_block(compressor: u8, mut streams: &[u8], splits: usize, out: &mut [u8]) -> Decoded<()> {
     let part = out.len() / splits;
     if part * splits != out.len() {
         return Err("a Blosc block that is no multiple of its elements".into());
@@ -77,52 +74,28 @@ fn decode_block(compressor: u8, mut streams: &[u8], splits: usize, out: &mut [u8
             out.copy_from_slice(stream);
             continue;
         }
-        let written = match compressor {
-            0 => blosclz(stream, out)?,
-            1 => lz4_flex::block::decompress_into(stream, out).map_err(|e| e.to_string())?,
-            3 => {
-                ZlibDecoder::new(stream).read_exact(out).map_err(|e| e.to_string())?;
-                out.len()
-            }
-            4 => zstd::bulk::decompress_to_buffer(stream, out).map_err(|e| e.to_string())?,
-            2 => return Err("Blosc's Snappy, which is not read".into()),
-            n => return Err(format!("Blosc's compressor {n}, which is unknown")),
-        };
-        if written != out.len() {
-            return Err(format!("a Blosc stream of {written} bytes in place of {}", out.len()));
-        }
+        decompress(compressor, stream, out)?;
     }
     Ok(())
 }
 
-/// Byte b of element i was stored at b · count + i; bytes after the last whole element as they are.
-pub(super) fn unshuffle(stored: &[u8], typesize: usize, out: &mut [u8]) {
-    let count = stored.len() / typesize;
-    for (b, plane) in stored[..count * typesize].chunks_exact(count.max(1)).enumerate() {
-        out[b..].iter_mut().step_by(typesize).zip(plane).for_each(|(o, p)| *o = *p);
-    }
-    out[count * typesize..].copy_from_slice(&stored[count * typesize..]);
-}
-
-/// Bit k of byte b of element i was stored as bit i mod 8 of byte (8 b + k) · count / 8 + i / 8.
-/// Where the count of elements is no multiple of 8, nothing was shuffled.
-fn unshuffle_bits(stored: &[u8], typesize: usize, out: &mut [u8]) {
-    let count = stored.len() / typesize;
-    out.copy_from_slice(stored);
-    if !count.is_multiple_of(8) {
-        return;
-    }
-    let row = count / 8;
-    for b in 0..typesize {
-        for i8 in 0..row {
-            // Eight rows of eight bits: a transposition of 8 x 8 bits.
-            let mut bytes = [0u8; 8];
-            for k in 0..8 {
-                let bits = stored[(8 * b + k) * row + i8];
-                bytes.iter_mut().enumerate().for_each(|(i, byte)| *byte |= (bits >> i & 1) << k);
-            }
-            bytes.iter().enumerate().for_each(|(i, byte)| out[(8 * i8 + i) * typesize + b] = *byte);
+/// Decodes a stream, which must fill `out`.
+pub(super) fn decompress(compressor: u8, stream: &[u8], out: &mut [u8]) -> Decoded<()> {
+    let written = match compressor {
+        0 => blosclz(stream, out)?,
+        1 => lz4_flex::block::decompress_into(stream, out).map_err(|e| e.to_string())?,
+        3 => {
+            ZlibDecoder::new(stream).read_exact(out).map_err(|e| e.to_string())?;
+            out.len()
         }
+        4 => zstd::bulk::decompress_to_buffer(stream, out).map_err(|e| e.to_string())?,
+        2 => return Err("Blosc's Snappy, which is not read".into()),
+        n => return Err(format!("Blosc's compressor {n}, which is unknown")),
+    };
+    if written == out.len() {
+        Ok(())
+    } else {
+        Err(format!("a Blosc stream of {written} bytes in place of {}", out.len()))
     }
 }
 
