@@ -30,8 +30,10 @@ pub enum Error {
     Usage(String),
     /// The run needs more of a resource than it was given.
     Budget {
-        /// The resource: "memory", "disk".
-        what: String,
+        /// The resource.
+        resource: Resource,
+        /// What it is for, as words that follow its name; may be empty.
+        purpose: String,
         /// Bytes that would suffice.
         needed: u64,
         /// Bytes that there are.
@@ -153,13 +155,39 @@ pub enum ErrorKind {
     Cancelled,
 }
 
-/// What [`Error::Budget`] calls memory begins with it.
-const MEMORY: &str = "memory";
+/// What a run may have too little of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Resource {
+    /// What `--memory` limits.
+    Memory,
+    /// Space in a folder.
+    Disk,
+}
+
+impl fmt::Display for Resource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Memory => "memory",
+            Self::Disk => "disk space",
+        })
+    }
+}
 
 impl Error {
     /// An [`Error::Io`]; use as `.map_err(|e| Error::io("read", &path, e))`.
     pub fn io(doing: impl Into<String>, path: impl AsRef<Path>, source: io::Error) -> Self {
         Self::Io { doing: doing.into(), path: path.as_ref().to_path_buf(), source }
+    }
+
+    /// An [`Error::Budget`] of memory, in bytes. `purpose` says what it is for; may be empty.
+    pub fn memory(purpose: impl Into<String>, needed: u64, available: u64) -> Self {
+        Self::Budget { resource: Resource::Memory, purpose: purpose.into(), needed, available }
+    }
+
+    /// An [`Error::Budget`] of space in a folder, in bytes.
+    pub fn disk(folder: &Path, needed: u64, available: u64) -> Self {
+        let purpose = format!("for {}", folder.display());
+        Self::Budget { resource: Resource::Disk, purpose, needed, available }
     }
 
     /// An [`Error::BadInput`] without advice; add some with [`Error::with_help`].
@@ -228,8 +256,8 @@ impl Error {
             Self::Io { .. } => ErrorKind::Io,
             Self::BadInput(bad) => ErrorKind::BadInput(bad.fault),
             Self::Usage(_) => ErrorKind::Usage,
-            Self::Budget { what, .. } if what.starts_with(MEMORY) => ErrorKind::Memory,
-            Self::Budget { .. } => ErrorKind::Disk,
+            Self::Budget { resource: Resource::Memory, .. } => ErrorKind::Memory,
+            Self::Budget { resource: Resource::Disk, .. } => ErrorKind::Disk,
             Self::Incomplete { .. } => ErrorKind::Incomplete,
             Self::Busy { .. } => ErrorKind::Busy,
             Self::Cancelled => ErrorKind::Cancelled,
@@ -262,12 +290,10 @@ impl Error {
         self
     }
 
-    /// The error of work that had the memory that was left beside so many bytes, for both.
+    /// The error of work for which `held` bytes of a run's memory were not left, for the whole run.
     #[must_use]
-    pub fn beside(mut self, held: u64) -> Self {
-        if let Self::Budget { what, needed, available } = &mut self
-            && what.starts_with(MEMORY)
-        {
+    pub fn plus_held(mut self, held: u64) -> Self {
+        if let Self::Budget { resource: Resource::Memory, needed, available, .. } = &mut self {
             (*needed, *available) = (needed.saturating_add(held), available.saturating_add(held));
         }
         self
@@ -276,9 +302,7 @@ impl Error {
     /// The error of work that was given `share` of a run's memory, for the `whole` of it.
     #[must_use]
     pub fn of_share(mut self, share: u64, whole: u64) -> Self {
-        if let Self::Budget { what, needed, available } = &mut self
-            && what.starts_with(MEMORY)
-        {
+        if let Self::Budget { resource: Resource::Memory, needed, available, .. } = &mut self {
             let all = u128::from(*needed) * u128::from(whole);
             *needed = u64::try_from(all.div_ceil(u128::from(share.max(1)))).unwrap_or(u64::MAX);
             *available = whole;
@@ -368,10 +392,14 @@ impl Error {
                 if help.is_empty() { Ok(()) } else { write!(f, "; {}", one_line(help)) }
             }
             Self::Usage(message) => f.write_str(message),
-            Self::Budget { what, needed, available } => {
+            Self::Budget { resource, purpose, needed, available } => {
                 let [needs, has] = [bytes_text(*needed, f64::ceil), bytes_text(*available, f64::floor)];
-                write!(f, "not enough {what}: the run needs {needs} and has {has}; ")?;
-                if what.starts_with(MEMORY) {
+                write!(f, "not enough {resource}")?;
+                if !purpose.is_empty() {
+                    write!(f, " ({})", one_line(purpose))?;
+                }
+                write!(f, ": the run needs {needs} and has {has}; ")?;
+                if *resource == Resource::Memory {
                     // The last word can be given to --memory.
                     write!(f, "give it at least {}MiB", needed.div_ceil(1 << 20))
                 } else {
@@ -429,8 +457,8 @@ mod tests {
         assert_eq!(cut.to_string(), "a.nrrd: step 3, byte 40: expected 8 more bytes, got 44 bytes");
         let line = Error::bad_input("a.vtk", "line 3", "a number", "'x'");
         assert_eq!((line.kind(), line.offset()), (ErrorKind::BadInput(Fault::Malformed), None));
-        let of = |what: &str| Error::Budget { what: what.into(), needed: 2, available: 1 }.kind();
-        assert_eq!([of("memory (to draw)"), of("disk")], [ErrorKind::Memory, ErrorKind::Disk]);
+        let of = [Error::memory("to draw", 2, 1), Error::disk(Path::new("a"), 2, 1)].map(|e| e.kind());
+        assert_eq!(of, [ErrorKind::Memory, ErrorKind::Disk]);
         let io = |kind: io::ErrorKind| Error::io("read", "a", kind.into()).kind();
         assert_eq!(io(io::ErrorKind::NotFound), ErrorKind::NotFound);
         assert_eq!(io(io::ErrorKind::StorageFull), ErrorKind::Disk);
@@ -438,15 +466,16 @@ mod tests {
     }
 
     #[test]
-    fn what_suffices_is_told_for_the_whole_run() {
-        let of = |what: &str| Error::Budget { what: what.into(), needed: 101, available: 30 };
+    fn what_suffices_is_said_for_the_whole_run() {
+        let memory = || Error::memory("to draw", 101, 30);
         let bytes = |e| match e {
             Error::Budget { needed, available, .. } => (needed, available),
             e => panic!("{e}"),
         };
-        // A third of what is left beside 20 bytes, rounded up.
-        assert_eq!(bytes(of("memory (to draw)").beside(20).of_share(100, 300)), (363, 300));
-        assert_eq!(bytes(of("memory").of_share(0, 7)), (707, 7));
-        assert_eq!(bytes(of("disk").beside(20).of_share(100, 300)), (101, 30), "not shared out");
+        // A third of what is left of all but 20 bytes, rounded up.
+        assert_eq!(bytes(memory().plus_held(20).of_share(100, 300)), (363, 300));
+        assert_eq!(bytes(memory().of_share(0, 7)), (707, 7));
+        let disk = Error::disk(Path::new("a"), 101, 30);
+        assert_eq!(bytes(disk.plus_held(20).of_share(100, 300)), (101, 30), "not shared out");
     }
 }

@@ -10,7 +10,7 @@
 
 use isospan::cells::{CellBlock, CellKind};
 use isospan::formats::{OpenOptions, open_mesh};
-use isospan::locate::{CellBatch, FinePos, Found, KdTree, PointGrid, is_positive, linear};
+use isospan::locate::{CellBatch, CellHit, FinePos, KdTree, PointGrid, is_positive, linear};
 use std::error::Error;
 use std::path::Path;
 
@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let points: Vec<FinePos> = read_points(points)?.iter().map(|&p| mesh.fine(p)).collect();
     for _ in 0..repeat.parse()? {
         let start = cpu_seconds()?;
-        let mut found = vec![Found::default(); points.len()];
+        let mut found = vec![CellHit::default(); points.len()];
         PointGrid::new(&points).locate(&mesh.cells, &mut found);
         let answers = mesh.interpolate(&found);
         let grid = cpu_seconds()? - start;
@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let tree = KdTree::new(&mesh.cells);
         let build = cpu_seconds()? - start;
         let start = cpu_seconds()?;
-        let mut by_tree = vec![Found::default(); points.len()];
+        let mut by_tree = vec![CellHit::default(); points.len()];
         tree.locate(&points, &mut by_tree);
         let same = mesh.interpolate(&by_tree);
         let answer = cpu_seconds()? - start;
@@ -65,12 +65,12 @@ impl Mesh {
         std::array::from_fn(|a| ((p[a] - self.lo[a]) * self.scale).round() as i64)
     }
 
-    fn interpolate(&self, found: &[Found]) -> Vec<f32> {
-        let value = |found: &Found| {
+    fn interpolate(&self, found: &[CellHit]) -> Vec<f32> {
+        let value = |found: &CellHit| {
             let corners = self.cells.corners[found.cell as usize];
             linear(&found.weights, &corners.map(|v| f64::from(self.values[v as usize]))) as f32
         };
-        found.iter().map(|f| if f.id == Found::NOWHERE { f32::NAN } else { value(f) }).collect()
+        found.iter().map(|f| if f.id == CellHit::NOWHERE { f32::NAN } else { value(f) }).collect()
     }
 }
 

@@ -153,7 +153,7 @@ impl Job {
         let memory = args.memory.unwrap_or(plan.memory);
         if memory < plan.memory_least {
             let (needed, available) = (plan.memory_least, memory);
-            return Err(Error::Budget { what: "memory for a shard".into(), needed, available });
+            return Err(Error::memory("for a shard", needed, available));
         }
         // The rest is for code, and pages of files that a control group counts.
         let ask = memory + memory / 4 + (128 << 20);

@@ -44,7 +44,7 @@ mod samples;
 #[cfg(test)]
 mod tests;
 
-pub use nearest::{Found, Nearest, Triangles};
+pub use nearest::{Nearest, NearestPoint, Triangles};
 
 use crate::error::{Error, Result};
 use crate::exec::{Resources, pool};
@@ -138,11 +138,7 @@ pub fn compare(
 ) -> Result<CompareReport> {
     let least = needed([a.vertex_count(), b.vertex_count()], [a.triangle_count(), b.triangle_count()]);
     if least > settings.resources.memory {
-        return Err(Error::Budget {
-            what: "memory".into(),
-            needed: least,
-            available: settings.resources.memory,
-        });
+        return Err(Error::memory("", least, settings.resources.memory));
     }
     if settings.samples == 0 {
         return Err(Error::usage("a comparison needs at least one sample"));
@@ -191,11 +187,7 @@ pub fn distances(
     let least = needed([from.vertex_count(), to.vertex_count()], [0, to.triangle_count()])
         .saturating_add(from.vertex_count().saturating_mul(4));
     if least > settings.resources.memory {
-        return Err(Error::Budget {
-            what: "memory".into(),
-            needed: least,
-            available: settings.resources.memory,
-        });
+        return Err(Error::memory("", least, settings.resources.memory));
     }
     let to = Triangles::read(to)?;
     let nearest = Nearest::new(&to, to.diagonal_with(&to) * ZERO);
@@ -223,7 +215,7 @@ const BATCH: u64 = 1 << 12;
 
 /// Sums over some samples.
 #[derive(Clone, Copy, Default)]
-struct Part {
+struct SampleSums {
     sum: f64,
     squares: f64,
     angles: f64,
@@ -231,7 +223,7 @@ struct Part {
     max_at: [f64; 3],
 }
 
-impl Part {
+impl SampleSums {
     fn note_max(&mut self, distance: f64, at: [f64; 3]) {
         if distance > self.max {
             (self.max, self.max_at) = (distance, at);
@@ -249,7 +241,7 @@ impl Part {
 fn measure(from: &Triangles, to: &Nearest<'_>, settings: &CompareSettings) -> Result<OneWay> {
     let samples = AreaSamples::new(from, settings.samples)?;
     let sampled = in_batches(samples.len(), settings, |range, walk| {
-        let mut part = Part::default();
+        let mut part = SampleSums::default();
         for k in range {
             let (at, normal) = samples.get(k);
             let found = to.nearest_aligned(at, normal, walk);
@@ -263,7 +255,7 @@ fn measure(from: &Triangles, to: &Nearest<'_>, settings: &CompareSettings) -> Re
     })?;
     let used = from.used_vertices();
     let vertices = in_batches(from.positions.len() as u64, settings, |range, walk| {
-        let mut part = Part::default();
+        let mut part = SampleSums::default();
         for v in range.filter(|&v| used[v as usize]) {
             let at = from.positions[v as usize].map(f64::from);
             part.note_max(to.nearest(at, walk).distance, at);
@@ -285,14 +277,15 @@ fn measure(from: &Triangles, to: &Nearest<'_>, settings: &CompareSettings) -> Re
 fn in_batches(
     count: u64,
     settings: &CompareSettings,
-    of: impl Fn(std::ops::Range<u64>, &mut Walk) -> Part + Sync,
-) -> Result<Part> {
+    of: impl Fn(std::ops::Range<u64>, &mut Walk) -> SampleSums + Sync,
+) -> Result<SampleSums> {
     let batch = |n: u64| {
         settings.resources.cancel.check()?;
         Ok(of(n * BATCH..((n + 1) * BATCH).min(count), &mut Walk::default()))
     };
-    let parts: Vec<Part> = (0..count.div_ceil(BATCH)).into_par_iter().map(batch).collect::<Result<_>>()?;
-    let mut all = Part::default();
+    let parts: Vec<SampleSums> =
+        (0..count.div_ceil(BATCH)).into_par_iter().map(batch).collect::<Result<_>>()?;
+    let mut all = SampleSums::default();
     parts.iter().for_each(|part| all.add(part));
     Ok(all)
 }

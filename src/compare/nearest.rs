@@ -93,7 +93,7 @@ impl Boundable for Boxed {
 
 /// The nearest point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found {
+pub struct NearestPoint {
     /// Its distance.
     pub distance: f64,
     /// The triangle that it is on.
@@ -125,12 +125,12 @@ impl<'a> Nearest<'a> {
 
     /// The point of the surface nearest to `p`; of several triangles it may lie on, any, but always
     /// the same.
-    pub fn nearest(&self, p: [f64; 3], walk: &mut Walk) -> Found {
+    pub fn nearest(&self, p: [f64; 3], walk: &mut Walk) -> NearestPoint {
         self.nearest_aligned(p, DVec3::ZERO, walk)
     }
 
     /// As [`Nearest::nearest`], on the triangle whose plane deviates least from that of a normal.
-    pub(super) fn nearest_aligned(&self, p: [f64; 3], normal: DVec3, walk: &mut Walk) -> Found {
+    pub(super) fn nearest_aligned(&self, p: [f64; 3], normal: DVec3, walk: &mut Walk) -> NearestPoint {
         let p = DVec3::from_array(p);
         let (nodes, order) = (&self.hierarchy.nodes, &self.hierarchy.primitive_indices);
         let (mut best, mut found, mut deviation) = (f64::INFINITY, 0, f64::INFINITY);
@@ -161,7 +161,7 @@ impl<'a> Nearest<'a> {
             let (near, far) = if b.0 < a.0 { (b, a) } else { (a, b) };
             walk.stack.extend([far, near]);
         }
-        Found { distance: if best <= self.zero { 0.0 } else { best.sqrt() }, triangle: found }
+        NearestPoint { distance: if best <= self.zero { 0.0 } else { best.sqrt() }, triangle: found }
     }
 
     /// The largest squared distance that counts as equal to the best, but for rounding.

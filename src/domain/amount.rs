@@ -10,7 +10,7 @@ use super::buckets::BATCH;
 use super::store::CellStore;
 use crate::error::Result;
 use crate::geom::{LatticePos, Site};
-use crate::locate::{CellBatch, Found, PointGrid, fine};
+use crate::locate::{CellBatch, CellHit, PointGrid, fine};
 use crate::points::PointSet;
 use std::sync::Arc;
 
@@ -29,14 +29,14 @@ pub(crate) fn valued(store: &CellStore, points: &PointSet, boundary: &BoundarySa
     let positions: Vec<LatticePos> = sites.iter().map(|s| s.pos).collect();
     drop(sites);
     let grid = PointGrid::new(&positions.iter().map(|&p| fine(p)).collect::<Vec<_>>());
-    let mut found = vec![Found::default(); positions.len()];
+    let mut found = vec![CellHit::default(); positions.len()];
     let (tets, mut batch) = (store.tets.get()?.len() as u64, CellBatch::default());
     for first in (0..tets).step_by(BATCH) {
         store.fill(&mut batch, first..tets.min(first + BATCH as u64))?;
         grid.locate(&batch, &mut found);
     }
     let of_the_set = found.iter().zip(&positions).filter(|(_, pos)| boundary.at(**pos).is_none());
-    let inside = of_the_set.filter(|(found, _)| found.id != Found::NOWHERE).count();
+    let inside = of_the_set.filter(|(found, _)| found.id != CellHit::NOWHERE).count();
     Ok(boundary.points.len() + inside as u64)
 }
 

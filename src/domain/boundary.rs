@@ -145,8 +145,8 @@ impl BoundarySamples {
         let lists = if store.census.bodies > 1 { 8.0 } else { 4.0 };
         let bytes = (count * lists * size_of::<(LatticePos, Sample)>() as f64) as u64;
         if bytes > memory || count > ExplicitPoints::MOST as f64 {
-            let what = format!("memory for {count:.0} samples of the boundary of {}", path.display());
-            return Err(Error::Budget { what, needed: bytes, available: memory });
+            let purpose = format!("for {count:.0} samples of the boundary of {}", path.display());
+            return Err(Error::memory(purpose, bytes, memory));
         }
         let lattice = store.frame.lattice;
         let samples = scattered(store, &surface)?;

@@ -34,7 +34,7 @@ use super::store::CellStore;
 use crate::error::Result;
 use crate::geom::vec3::{cross, dot};
 use crate::geom::{Lattice, LatticePos};
-use crate::locate::{CellBatch, FINE_BITS, FinePos, Found, PointGrid, fine};
+use crate::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine};
 
 /// Boundaries touch within this many mean distances.
 const TOUCH: f64 = 0.5;
@@ -53,7 +53,7 @@ pub(super) struct Contacts<'a> {
 }
 
 /// A sample, as a place and a direction.
-struct Placed {
+struct DirectedSample {
     sample: OnBoundary,
     at: FinePos,
     /// Out of the body.
@@ -76,7 +76,8 @@ impl Contacts<'_> {
             }
         }
         for ((pos, placed), found) in alone.iter().zip(self.locate(&beyond)?) {
-            let body = if found.id == Found::NOWHERE { None } else { Some(self.store.bodies.of(found.id)?) };
+            let body =
+                if found.id == CellHit::NOWHERE { None } else { Some(self.store.bodies.of(found.id)?) };
             match body {
                 Some(body) if body < placed.sample.body => {}
                 Some(body) if body > placed.sample.body => {
@@ -90,14 +91,14 @@ impl Contacts<'_> {
         Ok(split)
     }
 
-    fn placed(&self, sample: OnBoundary) -> Result<Placed> {
+    fn placed(&self, sample: OnBoundary) -> Result<DirectedSample> {
         let positions = self.store.positions.get()?;
         let corners = sample.triangle.map(|v| positions[v as usize]);
-        Ok(Placed { sample, at: mean(corners, sample.weights), normal: normal(corners) })
+        Ok(DirectedSample { sample, at: mean(corners, sample.weights), normal: normal(corners) })
     }
 
     /// The nearest place of the boundary of another body that faces a sample.
-    fn facing(&self, pos: LatticePos, of: &Placed) -> Result<Option<OnBoundary>> {
+    fn facing(&self, pos: LatticePos, of: &DirectedSample) -> Result<Option<OnBoundary>> {
         self.near.nearest_of(self.store, pos, TOUCH, |body, corners| {
             body != of.sample.body && dot(normal(corners), of.normal) < 0.0
         })
@@ -105,14 +106,14 @@ impl Contacts<'_> {
 
     /// Two places that touch, each moved into its body; the second one beyond the first one at
     /// least.
-    fn pair(&self, first: &Placed, second: &Placed) -> [(LatticePos, Sample); 2] {
+    fn pair(&self, first: &DirectedSample, second: &DirectedSample) -> [(LatticePos, Sample); 2] {
         let overlap = dot(difference(second.at, first.at), first.normal) < 0.0;
         let partner = if overlap { self.moved(first, 1.0) } else { self.moved(second, -1.0) };
         [(self.moved(first, -1.0), Sample::On(first.sample)), (partner, Sample::On(second.sample))]
     }
 
     /// A place moved by `times` times [`INTO`] out of its body, within the box.
-    fn moved(&self, from: &Placed, times: f64) -> LatticePos {
+    fn moved(&self, from: &DirectedSample, times: f64) -> LatticePos {
         let steps = (INTO.0 * f64::from(self.spacing.at(rounded(from.at)))).max(INTO.1);
         let n = from.normal;
         let scale = times * steps * f64::from(1u32 << FINE_BITS) / dot(n, n).sqrt();
@@ -121,8 +122,8 @@ impl Contacts<'_> {
     }
 
     /// The cells of the lowest numbers that hold points, which may lie anywhere.
-    fn locate(&self, points: &[FinePos]) -> Result<Vec<Found>> {
-        let (grid, mut found) = (PointGrid::new(points), vec![Found::default(); points.len()]);
+    fn locate(&self, points: &[FinePos]) -> Result<Vec<CellHit>> {
+        let (grid, mut found) = (PointGrid::new(points), vec![CellHit::default(); points.len()]);
         let (tets, mut batch) = (self.store.tets.get()?.len() as u64, CellBatch::default());
         for first in (0..tets).step_by(BATCH) {
             self.store.fill(&mut batch, first..tets.min(first + BATCH as u64))?;

@@ -69,7 +69,7 @@ mod tests {
     use crate::exec::CancelToken;
     use crate::formats::{OpenOptions, open_mesh};
     use crate::locate::{
-        CellBatch, Corner, FINE_BITS, Found, PointGrid, fine, linear, quadratic, quadratic_thesis,
+        CellBatch, CellHit, Corner, FINE_BITS, PointGrid, fine, linear, quadratic, quadratic_thesis,
     };
     use std::fmt::Write as _;
     use std::path::Path;
@@ -131,7 +131,7 @@ mod tests {
                 fine(std::array::from_fn(|a| (i * [7919, 104_729, 1301][a] * 2_654_435 % max[a]) as u32))
             })
             .collect();
-        let mut found = vec![Found::default(); points.len()];
+        let mut found = vec![CellHit::default(); points.len()];
         PointGrid::new(&points).locate(&cells, &mut found);
         let side = f64::from(store.frame.lattice.max()[0]) * f64::from(1u32 << FINE_BITS);
         let mut sums = [0.0; 4];

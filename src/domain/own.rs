@@ -59,8 +59,7 @@ impl OwnVertices {
         let positions = store.positions.get()?;
         let needed = positions.len() as u64 * POINT_BYTES;
         if needed > settings.memory {
-            let what = "memory for a list of the mesh's vertices".into();
-            return Err(Error::Budget { what, needed, available: settings.memory });
+            return Err(Error::memory("for a list of the mesh's vertices", needed, settings.memory));
         }
         if positions.len() > ExplicitPoints::MOST {
             let expected = format!("at most {} where all are kept", ExplicitPoints::MOST);

@@ -7,7 +7,7 @@ use super::buckets::Buckets;
 use super::store::{CellStore, StoreSettings};
 use crate::error::Result;
 use crate::grid::{BrickGrid, BrickId, IndexBox};
-use crate::locate::{CellBatch, FinePos, Found, PointGrid, fine, linear};
+use crate::locate::{CellBatch, CellHit, FinePos, PointGrid, fine, linear};
 
 /// The cells of a mesh, sorted into blocks.
 pub(crate) struct Voxels<'a> {
@@ -19,7 +19,7 @@ pub(crate) struct Voxels<'a> {
 impl<'a> Voxels<'a> {
     /// Bytes that reading a box takes for each of its samples: position, the same sorted, what was
     /// found, the value.
-    pub(crate) const SAMPLE_BYTES: u64 = 2 * 40 + size_of::<Found>() as u64 + 4;
+    pub(crate) const SAMPLE_BYTES: u64 = 2 * 40 + size_of::<CellHit>() as u64 + 4;
 
     /// Sorts the cells of a mesh into blocks.
     pub(crate) fn new(store: &'a CellStore, blocks: BrickGrid, settings: &StoreSettings) -> Result<Self> {
@@ -37,13 +37,13 @@ impl<'a> Voxels<'a> {
                 points.extend(row.map(|x| fine(self.blocks.lattice.of_voxel([x, y, z]))));
             }
         }
-        let (grid, mut found) = (PointGrid::new(&points), vec![Found::default(); points.len()]);
+        let (grid, mut found) = (PointGrid::new(&points), vec![CellHit::default(); points.len()]);
         self.buckets.each_batch(self.store, block, &mut CellBatch::default(), |cells| {
             grid.locate(cells, &mut found);
         })?;
         let (tets, values) = (self.store.tets.get()?, self.store.values.get()?);
-        let value = |found: &Found| match found.id {
-            Found::NOWHERE => f32::NAN,
+        let value = |found: &CellHit| match found.id {
+            CellHit::NOWHERE => f32::NAN,
             id => linear(&found.weights, &tets[id as usize].map(|v| f64::from(values[v as usize]))) as f32,
         };
         Ok(found.iter().map(value).collect())

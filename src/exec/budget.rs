@@ -45,7 +45,7 @@ impl MemoryBudget {
     /// while waiting.
     pub fn acquire(&self, bytes: u64, cancel: &CancelToken) -> Result<Permit> {
         if bytes > self.0.total {
-            return Err(Error::Budget { what: "memory".into(), needed: bytes, available: self.0.total });
+            return Err(Error::memory("", bytes, self.0.total));
         }
         let mut used = self.0.used.lock().unwrap_or_else(PoisonError::into_inner);
         while used.now + bytes > self.0.total {

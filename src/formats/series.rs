@@ -17,6 +17,7 @@ use crate::error::{Error, Place, Result};
 use crate::exec::CancelToken;
 use crate::formats::kinds::{Input, format_of, is_mesh, open_input, open_mesh, open_volume};
 use crate::formats::shared::format::Format;
+use crate::formats::shared::header::sibling;
 use crate::formats::shared::{Frames, OpenOptions, field_matches, has_suffix, is_pattern};
 use crate::formats::volume::nifti::UnpackedFrames;
 use crate::formats::volume::stack::{by_numbers, rise};
@@ -389,12 +390,7 @@ fn json_series(path: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     if list.files.is_empty() {
         return Err(no_files(path));
     }
-    Ok(list.files.into_iter().map(|f| (beside(path, &f.name), f.time)).collect())
-}
-
-/// A file that a list names.
-fn beside(list: &Path, name: &Path) -> PathBuf {
-    list.parent().unwrap_or(Path::new("")).join(name)
+    Ok(list.files.into_iter().map(|f| (sibling(path, &f.name), f.time)).collect())
 }
 
 /// `<VTKFile type="Collection"><Collection><DataSet timestep="0.5" part="0" file="a.vti"/>…`
@@ -426,7 +422,7 @@ fn pvd(path: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
                 let number = |t: String| t.trim().parse::<f64>().map_err(|_| t);
                 let time = of("timestep")?.map(number).transpose();
                 let time = time.map_err(|t| Error::bad_input(path, at(&reader), "timestep=\"NUMBER\"", t))?;
-                files.push((beside(path, Path::new(&file)), time));
+                files.push((sibling(path, Path::new(&file)), time));
             }
             Ok(Event::Eof) => break,
             Ok(_) => {}

@@ -15,7 +15,7 @@
 //! The thesis's pseudo-code tests the maximum like the minimum (`extrema[2*index+1] < P`, then
 //! right), which loses cells; here it is put right.
 
-use super::{CellBatch, FinePos, Found, keep, weights};
+use super::{CellBatch, CellHit, FinePos, keep, weights};
 
 /// A kd-tree over the cells of a batch.
 #[derive(Clone, Debug)]
@@ -44,14 +44,14 @@ impl<'a> KdTree<'a> {
     }
 
     /// Looks for each point; `found[i]` keeps the answer of the lowest id for point i.
-    pub fn locate(&self, points: &[FinePos], found: &mut [Found]) {
+    pub fn locate(&self, points: &[FinePos], found: &mut [CellHit]) {
         assert_eq!(found.len(), points.len(), "an answer for each point");
         for (p, found) in points.iter().zip(found) {
             self.search(0..self.order.len(), 0, *p, found);
         }
     }
 
-    fn search(&self, range: std::ops::Range<usize>, key: usize, p: FinePos, found: &mut Found) {
+    fn search(&self, range: std::ops::Range<usize>, key: usize, p: FinePos, found: &mut CellHit) {
         if range.is_empty() {
             return;
         }

@@ -76,8 +76,8 @@ impl CellBatch {
 
 /// Where a point lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found {
-    /// Id of the tetrahedron; [`Found::NOWHERE`] of a point in none.
+pub struct CellHit {
+    /// Id of the tetrahedron; [`CellHit::NOWHERE`] of a point in none.
     pub id: u64,
     /// Its number in the batch in which it was found.
     pub cell: u32,
@@ -85,12 +85,12 @@ pub struct Found {
     pub weights: [f64; 4],
 }
 
-impl Found {
+impl CellHit {
     /// The id of no tetrahedron.
     pub const NOWHERE: u64 = u64::MAX;
 }
 
-impl Default for Found {
+impl Default for CellHit {
     fn default() -> Self {
         Self { id: Self::NOWHERE, cell: 0, weights: [0.0; 4] }
     }
@@ -156,9 +156,9 @@ pub fn weights(corners: [FinePos; 4], point: FinePos) -> Option<[f64; 4]> {
 
 /// Keeps of two answers the one of the lower id.
 #[inline]
-fn keep(found: &mut Found, id: u64, cell: usize, weights: [f64; 4]) {
+fn keep(found: &mut CellHit, id: u64, cell: usize, weights: [f64; 4]) {
     if id < found.id {
-        *found = Found { id, cell: cell as u32, weights };
+        *found = CellHit { id, cell: cell as u32, weights };
     }
 }
 

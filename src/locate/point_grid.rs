@@ -10,7 +10,7 @@
 //!   └───┴───┴───┴───┘
 //! ```
 
-use super::{CellBatch, FinePos, Found, keep, weights};
+use super::{CellBatch, CellHit, FinePos, keep, weights};
 use crate::exec::with_vectors;
 use crate::geom::vec3::{cross, minus};
 
@@ -90,7 +90,7 @@ impl PointGrid {
 
     /// Looks for each point in the cells of a batch; `found[i]` keeps the answer of the lowest id
     /// for point i.
-    pub fn locate(&self, cells: &CellBatch, found: &mut [Found]) {
+    pub fn locate(&self, cells: &CellBatch, found: &mut [CellHit]) {
         assert_eq!(found.len(), self.numbers.len(), "an answer for each point");
         if !found.is_empty() {
             with_vectors(|| self.locate_all(cells, found));
@@ -98,7 +98,7 @@ impl PointGrid {
     }
 
     #[inline(always)]
-    fn locate_all(&self, cells: &CellBatch, found: &mut [Found]) {
+    fn locate_all(&self, cells: &CellBatch, found: &mut [CellHit]) {
         let size = minus(self.hi, self.lo).map(|x| x as f64);
         for (cell, &id) in cells.ids.iter().enumerate() {
             self.locate_cell(cells.corners_of(cell), size, |number, weights| {

@@ -46,20 +46,20 @@ fn cube(n: u32, edge: u32, jitter: i64) -> CellBatch {
     batch
 }
 
-fn by_grid(cells: &CellBatch, points: &[LatticePos]) -> Vec<Found> {
-    let mut found = vec![Found::default(); points.len()];
+fn by_grid(cells: &CellBatch, points: &[LatticePos]) -> Vec<CellHit> {
+    let mut found = vec![CellHit::default(); points.len()];
     PointGrid::new(&points.iter().map(|&p| fine(p)).collect::<Vec<_>>()).locate(cells, &mut found);
     found
 }
 
-fn by_tree(cells: &CellBatch, points: &[LatticePos]) -> Vec<Found> {
-    let mut found = vec![Found::default(); points.len()];
+fn by_tree(cells: &CellBatch, points: &[LatticePos]) -> Vec<CellHit> {
+    let mut found = vec![CellHit::default(); points.len()];
     KdTree::new(cells).locate(&points.iter().map(|&p| fine(p)).collect::<Vec<_>>(), &mut found);
     found
 }
 
-fn by_all(cells: &CellBatch, points: &[LatticePos]) -> Vec<Found> {
-    let mut found = vec![Found::default(); points.len()];
+fn by_all(cells: &CellBatch, points: &[LatticePos]) -> Vec<CellHit> {
+    let mut found = vec![CellHit::default(); points.len()];
     for (p, found) in points.iter().zip(&mut found) {
         for cell in 0..cells.ids.len() {
             if let Some(w) = weights(cells.corners_of(cell), fine(*p)) {
@@ -75,9 +75,9 @@ fn every_point_of_the_domain_is_found_and_none_beyond() {
     let cells = cube(4, 1000, 200 << FINE_BITS);
     let inside: Vec<LatticePos> =
         (0..2000u32).map(|i| [i * 7919 % 4001, i * 104_729 % 4001, i * 1301 % 4001]).collect();
-    assert!(by_grid(&cells, &inside).iter().all(|f| f.id != Found::NOWHERE));
+    assert!(by_grid(&cells, &inside).iter().all(|f| f.id != CellHit::NOWHERE));
     let beyond = [[4001, 5, 5], [5, 5, 4001], [90_000, 90_000, 90_000]];
-    assert!(by_grid(&cells, &beyond).iter().all(|f| f.id == Found::NOWHERE));
+    assert!(by_grid(&cells, &beyond).iter().all(|f| f.id == CellHit::NOWHERE));
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn a_point_on_a_face_edge_or_vertex_is_in_the_tetrahedron_of_the_lowest_id() {
     let mut turned = cells.clone();
     turned.corners.reverse();
     turned.ids.reverse();
-    let ids = |found: &[Found]| found.iter().map(|f| f.id).collect::<Vec<_>>();
+    let ids = |found: &[CellHit]| found.iter().map(|f| f.id).collect::<Vec<_>>();
     assert_eq!(ids(&by_grid(&turned, &points)), ids(&expected));
 }
 
@@ -119,10 +119,10 @@ fn a_zero_weight_is_zero() {
 #[test]
 fn nothing_to_locate_and_nothing_to_locate_in() {
     assert!(by_grid(&cube(1, 4, 0), &[]).is_empty());
-    assert_eq!(by_grid(&CellBatch::default(), &[[1; 3]]), [Found::default()]);
-    assert_eq!(by_tree(&CellBatch::default(), &[[1; 3]]), [Found::default()]);
+    assert_eq!(by_grid(&CellBatch::default(), &[[1; 3]]), [CellHit::default()]);
+    assert_eq!(by_tree(&CellBatch::default(), &[[1; 3]]), [CellHit::default()]);
     let one = [[3, 3, 3]; 5];
-    assert!(by_grid(&cube(1, 4, 0), &one).iter().all(|f| f.id != Found::NOWHERE), "equal points");
+    assert!(by_grid(&cube(1, 4, 0), &one).iter().all(|f| f.id != CellHit::NOWHERE), "equal points");
 }
 
 /// The error of an interpolation of x² + yz at points of the cube refined `level` times.

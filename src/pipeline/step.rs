@@ -10,7 +10,7 @@ use crate::pipeline::field::{
     ExportReport, ExportSettings, ProbeReport, ProbeSettings, edges_at_missing, export, probe_grid,
     probe_table, sample_grid, values_at,
 };
-use crate::pipeline::read::{ArchiveSummary, Place, SpectrumReport, StepView, spectrum, summarize};
+use crate::pipeline::read::{ArchiveSummary, IndexToWorld, SpectrumReport, StepView, spectrum, summarize};
 use crate::pipeline::surface::{
     ColourBy, CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, with_surfaces,
     write_surfaces,
@@ -172,7 +172,7 @@ impl Step {
     /// As [`Step::count`], and for each chunk.
     pub fn active(&self, isovalue: impl Into<f64>) -> Result<impl Iterator<Item = Result<Tetrahedra>>> {
         let mut blocks = self.active_blocks(isovalue)?.into_iter().peekable();
-        let place = Place::of(&self.view)?;
+        let place = IndexToWorld::of(&self.view)?;
         Ok(std::iter::from_fn(move || {
             let chunk = blocks.peek()?.chunk;
             let mut numbers = vec![];
@@ -183,7 +183,7 @@ impl Step {
         }))
     }
 
-    fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32], place: &Place) -> Result<Tetrahedra> {
+    fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32], place: &IndexToWorld) -> Result<Tetrahedra> {
         self.view.close_before(chunk);
         let decoded = self.view.decode(chunk, blocks)?;
         let lattice = self.view.manifest.plan.lattice;

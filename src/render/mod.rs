@@ -192,7 +192,7 @@ fn check(subjects: &[Subject<'_>]) -> Result<bool> {
 }
 
 fn too_little(needed: u64, settings: &RenderSettings) -> Error {
-    Error::Budget { what: "memory".into(), needed, available: settings.resources.memory }
+    Error::memory("", needed, settings.resources.memory)
 }
 
 /// How a subject looks.

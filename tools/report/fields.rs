@@ -10,7 +10,7 @@ use isospan::Result;
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos, PointClass, PointId, Site};
 use isospan::grid::{Geometry, IndexBox};
-use isospan::locate::{CellBatch, FinePos, Found, PointGrid, fine, linear};
+use isospan::locate::{CellBatch, CellHit, FinePos, PointGrid, fine, linear};
 use isospan::mesh::delaunay::Mesher;
 use isospan::mesh::tet::Tet;
 use isospan::points::{PointSet, PointSpec};
@@ -106,20 +106,20 @@ impl TetField {
         self.located(&points).iter().map(|f| self.value(f)).collect()
     }
 
-    fn located(&self, points: &[FinePos]) -> Vec<Found> {
+    fn located(&self, points: &[FinePos]) -> Vec<CellHit> {
         let cells = CellBatch {
             positions: self.positions.iter().map(|&p| fine(p)).collect(),
             corners: self.tets.clone(),
             ids: (0..self.tets.len() as u64).collect(),
         };
-        let mut found = vec![Found::default(); points.len()];
+        let mut found = vec![CellHit::default(); points.len()];
         PointGrid::new(points).locate(&cells, &mut found);
         found
     }
 
-    fn value(&self, at: &Found) -> f32 {
+    fn value(&self, at: &CellHit) -> f32 {
         match at.id {
-            Found::NOWHERE => f32::NAN,
+            CellHit::NOWHERE => f32::NAN,
             id => linear(&at.weights, &self.tets[id as usize].map(|v| f64::from(self.values[v as usize])))
                 as f32,
         }
@@ -184,7 +184,7 @@ pub(crate) fn uniform_in(mesh: &TetField, count: u64) -> Result<TetField> {
     while positions.len() < wanted {
         let tried: Vec<LatticePos> = (0..count.max(1000)).map(|_| random.position(&mesh.lattice)).collect();
         let found = mesh.located(&tried.iter().map(|&p| fine(p)).collect::<Vec<_>>());
-        let inside = tried.into_iter().zip(&found).filter(|(_, f)| f.id != Found::NOWHERE);
+        let inside = tried.into_iter().zip(&found).filter(|(_, f)| f.id != CellHit::NOWHERE);
         for (position, found) in inside.take(wanted - positions.len()) {
             positions.push(position);
             values.push(mesh.value(found));
@@ -196,7 +196,7 @@ pub(crate) fn uniform_in(mesh: &TetField, count: u64) -> Result<TetField> {
         std::array::from_fn(|k| corners.iter().map(|c| c[k]).sum::<i64>() / 4)
     };
     let found = mesh.located(&all.iter().map(centroid).collect::<Vec<_>>());
-    let inside = all.iter().zip(&found).filter(|(_, f)| f.id != Found::NOWHERE);
+    let inside = all.iter().zip(&found).filter(|(_, f)| f.id != CellHit::NOWHERE);
     let tets = inside.map(|(t, _)| *t).collect();
     Ok(TetField { lattice: mesh.lattice, geometry: mesh.geometry, positions, values, tets })
 }

@@ -106,14 +106,14 @@ pub fn write_coordinates(
 
 /// A position of index space in the world, and how the map stretches space there.
 #[derive(Clone, Copy, Debug)]
-pub struct Placed {
+pub struct WorldPosition {
     /// The world position.
     pub position: [f64; 3],
     /// Columns: the derivatives along the three index axes.
     jacobian: DMat3,
 }
 
-impl Placed {
+impl WorldPosition {
     /// A gradient of index space, as a covector, in the world; its length means nothing.
     pub fn direction(&self, covector: [f64; 3]) -> [f64; 3] {
         let (j, g) = (&self.jacobian, DVec3::from_array(covector));
@@ -198,7 +198,7 @@ impl CoordinateMap {
     ///
     /// # Errors
     /// When the segment cannot be read, or is damaged.
-    pub fn place(&self, ijk: [f64; 3]) -> Result<Placed> {
+    pub fn place(&self, ijk: [f64; 3]) -> Result<WorldPosition> {
         // A position on the far face lies in the last cell.
         let cell: [u64; 3] =
             std::array::from_fn(|a| (ijk[a].max(0.0) as u64).min(self.dims[a].saturating_sub(2)));
@@ -298,7 +298,7 @@ fn signs(corners: &[DVec3; 8]) -> (bool, bool) {
 }
 
 /// The trilinear map of a cell at `t`.
-fn trilinear(corners: &[DVec3; 8], t: DVec3) -> Placed {
+fn trilinear(corners: &[DVec3; 8], t: DVec3) -> WorldPosition {
     let mix = |a: DVec3, b: DVec3, t: f64| a + (b - a) * t;
     let c = corners;
     let rows: [DVec3; 4] = std::array::from_fn(|i| mix(c[2 * i], c[2 * i + 1], t.x));
@@ -307,7 +307,7 @@ fn trilinear(corners: &[DVec3; 8], t: DVec3) -> Placed {
     let along_x = mix(mix(steps[0], steps[1], t.y), mix(steps[2], steps[3], t.y), t.z);
     let along_y = mix(rows[1] - rows[0], rows[3] - rows[2], t.z);
     let jacobian = DMat3::from_cols(along_x, along_y, high - low);
-    Placed { position: mix(low, high, t.z).to_array(), jacobian }
+    WorldPosition { position: mix(low, high, t.z).to_array(), jacobian }
 }
 
 fn axes(segment: &Segment, dims: [u64; 3]) -> Result<[Vec<f64>; 3]> {

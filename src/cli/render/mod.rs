@@ -560,7 +560,7 @@ impl Stage<'_> {
         let distances = |s: &Shape| 4 * s.distances.len() as u64;
         let mut taken =
             self.layout.bytes() + self.panels.iter().flat_map(|p| &p.shapes).map(distances).sum::<u64>();
-        let beside = |e: Error, taken: u64| job.whole(e.beside(taken), share);
+        let beside = |e: Error, taken: u64| job.whole(e.plus_held(taken), share);
         let field = panel.step.as_deref().zip(self.legend.as_ref().map(|l| l.1));
         if let (true, Some((step, colours)), [slice]) = (panel.flat, field, &panel.slices[..]) {
             let size = job.args.size.map(|s| s as usize);

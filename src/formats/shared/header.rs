@@ -129,7 +129,7 @@ pub(in crate::formats) fn plain_info(
 }
 
 /// A file that a header names: relative names are relative to the header's folder.
-pub(in crate::formats) fn beside(header: &Path, name: &str) -> PathBuf {
+pub(in crate::formats) fn sibling(header: &Path, name: impl AsRef<Path>) -> PathBuf {
     header.parent().unwrap_or(Path::new("")).join(name)
 }
 
@@ -196,7 +196,7 @@ pub(in crate::formats) fn open_files(
     if names.iter().any(String::is_empty) {
         return Err(Error::bad_input(header, at, "the name of a file", "none"));
     }
-    let paths: Vec<PathBuf> = names.iter().map(|n| beside(header, n)).collect();
+    let paths: Vec<PathBuf> = names.iter().map(|n| sibling(header, n)).collect();
     let missing: Vec<&String> =
         names.iter().zip(&paths).filter(|(_, p)| !p.exists()).map(|(n, _)| n).collect();
     if !missing.is_empty() {

@@ -27,7 +27,7 @@
 
 use super::ply::check_indices;
 use super::values::linear;
-use super::{Room, SurfaceMeta, each_triangle, each_value, each_vertex, is_finite, put_floats};
+use super::{ReadLimits, SurfaceMeta, each_triangle, each_value, each_vertex, is_finite, put_floats};
 use crate::error::{Error, Result};
 use crate::formats::shared::sink::Sink;
 use crate::surface::weld::StoredSurface;
@@ -189,10 +189,10 @@ fn document(vertices: u64, triangles: u64, bounds: [[f32; 3]; 2], meta: &Surface
 pub(in crate::formats) fn read(
     path: &Path,
     bytes: &[u8],
-    room: &Room,
+    limits: &ReadLimits,
     out: &mut StoredSurface,
 ) -> Result<()> {
-    let file = File::parse(path, bytes, room)?;
+    let file = File::parse(path, bytes, limits)?;
     file.refuse_what_changes_the_shape()?;
     for (m, one) in list(&file.json, "meshes").iter().enumerate() {
         for (p, primitive) in list(one, "primitives").iter().enumerate() {
@@ -238,7 +238,7 @@ impl<'a> Elements<'a> {
 }
 
 impl<'a> File<'a> {
-    fn parse(path: &'a Path, bytes: &'a [u8], room: &Room) -> Result<Self> {
+    fn parse(path: &'a Path, bytes: &'a [u8], limits: &ReadLimits) -> Result<Self> {
         let bad = |at: &str, expected: &str, got: String| Err(Error::bad_input(path, at, expected, got));
         let word = |at: usize| bytes.get(at..at + 4).map(LE::read_u32);
         if word(4) != Some(2) {
@@ -260,7 +260,7 @@ impl<'a> File<'a> {
             at = start + length as usize;
         }
         let Some(text) = chunks[0] else { return bad("chunks", "one of JSON", "none".into()) };
-        room.check("memory (for the JSON text of a GLB file)", TREE_PER_BYTE * text.len() as u64)?;
+        limits.check("for the JSON text of a GLB file", TREE_PER_BYTE * text.len() as u64)?;
         match serde_json::from_slice(text) {
             Ok(json) => Ok(Self { path, json, bin: chunks[1].unwrap_or_default() }),
             Err(e) => bad("JSON chunk", "a JSON text", e.to_string()),
@@ -421,7 +421,7 @@ mod tests {
 
     fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         let mut out = StoredSurface::new(&BuilderSettings::default());
-        super::read(path, bytes, &Room::of(&CheckSettings::default()), &mut out)?;
+        super::read(path, bytes, &ReadLimits::of(&CheckSettings::default()), &mut out)?;
         TriMesh::from_source(&out)
     }
 
@@ -527,7 +527,7 @@ mod tests {
         let read = |memory: u64| {
             let settings = CheckSettings { memory, ..CheckSettings::default() };
             let mut out = StoredSurface::new(&BuilderSettings::default());
-            super::read(Path::new("f"), &bytes, &Room::of(&settings), &mut out)
+            super::read(Path::new("f"), &bytes, &ReadLimits::of(&settings), &mut out)
         };
         let Err(Error::Budget { needed, .. }) = read(1 << 20) else { panic!("it was read") };
         read(needed).unwrap();

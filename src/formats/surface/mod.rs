@@ -224,7 +224,7 @@ pub fn read_surface(path: &Path) -> Result<TriMesh> {
 /// [`Error::BadInput`] for a malformed file, or one that is no surface; [`Error::Io`] when it
 /// cannot be read.
 pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurface> {
-    let room = Room::of(settings);
+    let limits = ReadLimits::of(settings);
     let mut surface = StoredSurface::new(&BuilderSettings {
         memory_bytes: settings.of_source(),
         scratch: settings.scratch.clone(),
@@ -236,11 +236,11 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
     let read = match SurfaceFormat::from_path(path) {
         _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes, out),
         _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source, out),
-        _ if glb::is_glb(bytes) => glb::read(path, bytes, &room, out),
-        _ if stl::is_binary(bytes) => stl::read(path, bytes, &room, out),
-        Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &room, out),
+        _ if glb::is_glb(bytes) => glb::read(path, bytes, &limits, out),
+        _ if stl::is_binary(bytes) => stl::read(path, bytes, &limits, out),
+        Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &limits, out),
         Ok(SurfaceFormat::Obj) => obj::read(path, bytes, out),
-        _ if text.starts_with(b"solid") => stl::read(path, bytes, &room, out),
+        _ if text.starts_with(b"solid") => stl::read(path, bytes, &limits, out),
         _ => Err(Error::bad_input(
             path,
             "first bytes",
@@ -254,26 +254,26 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
 }
 
 /// What a reader may use while it reads, in addition to the surface itself.
-pub(in crate::formats) struct Room {
+pub(in crate::formats) struct ReadLimits {
     bytes: u64,
     scratch: PathBuf,
 }
 
-impl Room {
+impl ReadLimits {
     pub(in crate::formats) fn of(settings: &CheckSettings) -> Self {
         Self { bytes: settings.memory / 8 * 3, scratch: settings.scratch.clone() }
     }
 
-    /// Refuses what needs more than the room, naming the memory of the whole that has so much.
-    pub(in crate::formats) fn check(&self, what: &str, bytes: u64) -> Result<()> {
+    /// Refuses what needs more than the limits, naming the memory of the whole that has so much.
+    pub(in crate::formats) fn check(&self, purpose: &str, bytes: u64) -> Result<()> {
         if bytes <= self.bytes {
             return Ok(());
         }
-        let whole = |room: u64| room.div_ceil(3).saturating_mul(8);
-        Err(Error::Budget { what: what.into(), needed: whole(bytes), available: whole(self.bytes) })
+        let whole = |limits: u64| limits.div_ceil(3).saturating_mul(8);
+        Err(Error::memory(purpose, whole(bytes), whole(self.bytes)))
     }
 
-    /// One of `count` sorters that share the room.
+    /// One of `count` sorters that share the limits.
     pub(in crate::formats) fn sorter<R: bytemuck::Pod + Ord>(&self, count: u64) -> Sorter<R> {
         Sorter::new(usize::try_from(self.bytes / count).unwrap_or(usize::MAX), &self.scratch)
     }
@@ -424,9 +424,9 @@ pub(in crate::formats) mod tests {
         TriMesh::from_source(&surface)
     }
 
-    /// Room that holds anything, and room that holds nothing.
-    pub(in crate::formats) fn rooms() -> [Room; 2] {
-        [u64::MAX, 0].map(|bytes| Room { bytes, scratch: std::env::temp_dir() })
+    /// ReadLimits that holds anything, and limits that holds nothing.
+    pub(in crate::formats) fn rooms() -> [ReadLimits; 2] {
+        [u64::MAX, 0].map(|bytes| ReadLimits { bytes, scratch: std::env::temp_dir() })
     }
 
     /// A surface in memory that hands itself out in batches of `batch`.

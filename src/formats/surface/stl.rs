@@ -22,7 +22,7 @@
 //! file whose length agrees with the count at byte 80 is binary. The normals of a file are not
 //! read: they follow from the positions.
 
-use super::{Room, SurfaceMeta, each_triangle, is_finite, put_floats};
+use super::{ReadLimits, SurfaceMeta, each_triangle, is_finite, put_floats};
 use crate::bytes::sorter::Sorter;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
@@ -65,7 +65,7 @@ pub(in crate::formats) fn write(
     })
 }
 
-/// The comment: as many whole lines of it as there is room for.
+/// The comment: as many whole lines of it as there is limits for.
 fn header(meta: &SurfaceMeta) -> [u8; HEADER] {
     let mut text = String::from("binary STL, isospan surface");
     for line in meta.lines() {
@@ -147,12 +147,12 @@ pub(in crate::formats) fn is_binary(bytes: &[u8]) -> bool {
 pub(in crate::formats) fn read(
     path: &Path,
     bytes: &[u8],
-    room: &Room,
+    limits: &ReadLimits,
     out: &mut StoredSurface,
 ) -> Result<()> {
     if !is_binary(bytes) {
         if bytes.trim_ascii_start().starts_with(b"solid") {
-            return read_text(path, bytes, room, out);
+            return read_text(path, bytes, limits, out);
         }
         let expected = match count(bytes) {
             Some(n) => format!("{} bytes for {n} triangles", 84 + n * RECORD as u64),
@@ -161,7 +161,7 @@ pub(in crate::formats) fn read(
         return Err(Error::bad_input(path, "binary STL", expected, format!("{} bytes", bytes.len()))
             .with_help("the file is cut short, or it is no STL file"));
     }
-    let mut build = Build::new(path, room);
+    let mut build = Build::new(path, limits);
     for (n, record) in bytes[HEADER + 4..].chunks_exact(RECORD).enumerate() {
         let corners = [12, 24, 36].map(|at| position(&record[at..]));
         build.push(corners, || format!("triangle {n}"))?;
@@ -169,8 +169,8 @@ pub(in crate::formats) fn read(
     build.finish(out)
 }
 
-fn read_text(path: &Path, bytes: &[u8], room: &Room, out: &mut StoredSurface) -> Result<()> {
-    let mut build = Build::new(path, room);
+fn read_text(path: &Path, bytes: &[u8], limits: &ReadLimits, out: &mut StoredSurface) -> Result<()> {
+    let mut build = Build::new(path, limits);
     let mut words = Words::new(path, bytes, 0);
     // The name of a solid is the rest of its line, and any text.
     while let Some(first) = words.next() {
@@ -238,7 +238,7 @@ fn number(words: [u32; 2]) -> u64 {
 /// Joins equal corners to vertices, numbered by first appearance.
 struct Build<'a> {
     path: &'a Path,
-    room: &'a Room,
+    limits: &'a ReadLimits,
     /// Corners so far.
     corners: u64,
     /// (bits of the position, corner).
@@ -246,9 +246,9 @@ struct Build<'a> {
 }
 
 impl<'a> Build<'a> {
-    fn new(path: &'a Path, room: &'a Room) -> Self {
+    fn new(path: &'a Path, limits: &'a ReadLimits) -> Self {
         // At most two sorters are at work at a time.
-        Self { path, room, corners: 0, by_position: room.sorter(2) }
+        Self { path, limits, corners: 0, by_position: limits.sorter(2) }
     }
 
     fn push(&mut self, corners: [[f32; 3]; 3], at: impl Fn() -> String) -> Result<()> {
@@ -266,7 +266,7 @@ impl<'a> Build<'a> {
     }
 
     fn finish(self, out: &mut StoredSurface) -> Result<()> {
-        let mut by_first: Sorter<[u32; 7]> = self.room.sorter(2);
+        let mut by_first: Sorter<[u32; 7]> = self.limits.sorter(2);
         let (mut corners, mut place, mut first) = (self.by_position.finish()?, None, [0; 2]);
         while let Some([x, y, z, high, low]) = corners.next()? {
             if place != Some([x, y, z]) {
@@ -275,7 +275,7 @@ impl<'a> Build<'a> {
             by_first.push([first[0], first[1], high, low, x, y, z])?;
         }
         drop(corners);
-        let mut by_corner: Sorter<[u32; 3]> = self.room.sorter(2);
+        let mut by_corner: Sorter<[u32; 3]> = self.limits.sorter(2);
         let mut corners = by_first.finish()?;
         while let Some([first_high, first_low, high, low, position @ ..]) = corners.next()? {
             if [first_high, first_low] == [high, low] {
@@ -307,7 +307,8 @@ mod tests {
     use crate::surface::TriMesh;
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
-        let [wide, narrow] = rooms().map(|room| in_memory(|out| read(Path::new("f.stl"), bytes, &room, out)));
+        let [wide, narrow] =
+            rooms().map(|limits| in_memory(|out| read(Path::new("f.stl"), bytes, &limits, out)));
         assert_eq!(format!("{wide:?}"), format!("{narrow:?}"), "on disk as in memory");
         wide
     }

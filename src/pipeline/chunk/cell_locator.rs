@@ -6,7 +6,7 @@ use crate::domain::store::CellStore;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId};
-use crate::locate::{CellBatch, FINE_BITS, FinePos, Found, PointGrid, fine};
+use crate::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine};
 use crate::mesh::tet::Tet;
 
 /// A mesh, and the cells of each of its bricks.
@@ -18,8 +18,8 @@ pub(in crate::pipeline) struct CellLocator<'a> {
 
 impl CellLocator<'_> {
     /// The body of the cell found; [`NO_BODY`] of none.
-    pub(super) fn body(&self, found: &Found) -> Result<u64> {
-        if found.id == Found::NOWHERE { Ok(NO_BODY) } else { self.store.bodies.of(found.id) }
+    pub(super) fn body(&self, found: &CellHit) -> Result<u64> {
+        if found.id == CellHit::NOWHERE { Ok(NO_BODY) } else { self.store.bodies.of(found.id) }
     }
 
     /// The cells of the lowest numbers that hold points of a brick.
@@ -28,8 +28,8 @@ impl CellLocator<'_> {
         brick: BrickId,
         points: &[FinePos],
         batch: &mut CellBatch,
-    ) -> Result<Vec<Found>> {
-        let mut found = vec![Found::default(); points.len()];
+    ) -> Result<Vec<CellHit>> {
+        let mut found = vec![CellHit::default(); points.len()];
         if !points.is_empty() {
             let grid = PointGrid::new(points);
             self.buckets.each_batch(self.store, brick, batch, |cells| grid.locate(cells, &mut found))?;
@@ -38,9 +38,9 @@ impl CellLocator<'_> {
     }
 
     /// The cells of the lowest numbers that hold points, which may lie in any bricks.
-    pub(super) fn locate_anywhere(&self, points: &[FinePos], batch: &mut CellBatch) -> Result<Vec<Found>> {
+    pub(super) fn locate_anywhere(&self, points: &[FinePos], batch: &mut CellBatch) -> Result<Vec<CellHit>> {
         let near: Vec<LatticePos> = points.iter().map(|p| p.map(|c| (c >> FINE_BITS) as u32)).collect();
-        let mut all = vec![Found::default(); points.len()];
+        let mut all = vec![CellHit::default(); points.len()];
         let mut group = vec![];
         for run in brick_order(&self.bricks, &near).chunk_by(|a, b| a.0 == b.0) {
             group.clear();

@@ -10,7 +10,7 @@
 //! the domain in exactly one tetrahedron. The samples in a tetrahedron and their weights are found
 //! once for all steps that are measured together.
 
-use super::step_errors::{Measured, Room};
+use super::step_errors::{CompareBuffers, Measured};
 use super::step_lanes::StepLanes;
 use super::step_samples::WindowSamples;
 use crate::archive::chunked::ChunkSegment;
@@ -73,7 +73,7 @@ impl<'a> Samples<'a> {
 }
 
 /// The tetrahedra of a chunk, block after block.
-pub(in crate::pipeline) struct Cells<'a> {
+pub(in crate::pipeline) struct ChunkTets<'a> {
     pub(in crate::pipeline) positions: &'a [LatticePos],
     pub(in crate::pipeline) tets: &'a [Tet],
     /// End of each block in `tets`.
@@ -102,7 +102,7 @@ impl SampleErrors {
     /// samples of one.
     pub(in crate::pipeline) fn errors(
         &self,
-        cells: &Cells<'_>,
+        cells: &ChunkTets<'_>,
         steps: &StepLanes<'_>,
         read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
     ) -> Result<Vec<ErrorSums>> {
@@ -122,7 +122,7 @@ impl SampleErrors {
     /// cells of each level.
     pub(in crate::pipeline) fn chunk_errors(
         &self,
-        cells: &Cells<'_>,
+        cells: &ChunkTets<'_>,
         steps: &StepLanes<'_>,
         levels: Option<&Levels>,
         read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
@@ -149,12 +149,12 @@ impl SampleErrors {
     /// steps.
     pub(in crate::pipeline) fn each_sample(
         &self,
-        cells: &Cells<'_>,
+        cells: &ChunkTets<'_>,
         steps: &StepLanes<'_>,
         mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
         mut each: impl FnMut(Measured<'_>),
     ) -> Result<()> {
-        let (mut batch, mut room) = (BatchScan::default(), Room::default());
+        let (mut batch, mut room) = (BatchScan::default(), CompareBuffers::default());
         let mut originals = WindowSamples::new(steps);
         let groups = with_vectors(
             #[inline(always)]
@@ -183,7 +183,7 @@ impl SampleErrors {
 
     /// Runs of blocks with the box of their samples, where they have some.
     #[inline(always)]
-    fn groups(&self, cells: &Cells<'_>) -> Vec<(IndexBox, Range<usize>)> {
+    fn groups(&self, cells: &ChunkTets<'_>) -> Vec<(IndexBox, Range<usize>)> {
         let mut groups: Vec<(IndexBox, Range<usize>)> = vec![];
         let mut start = 0;
         for &end in cells.block_ends {

@@ -3,7 +3,7 @@
 //! Values can be fitted to those at the mesh's vertices ([`super::fit`]).
 
 use super::cell_locator::{CellLocator, centroid};
-use super::placement::{NO_BODY, Place, Placement, Spot, by_brick, in_bricks};
+use super::placement::{NO_BODY, Placement, Spot, ValueSource, by_brick, in_bricks};
 use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
@@ -14,7 +14,7 @@ use crate::geom::predicates::signed_volume6;
 use crate::geom::vec3::{cross, dot};
 use crate::grid::BrickId;
 use crate::locate::{
-    CellBatch, Corner, FINE_BITS, FinePos, Found, fine, linear, quadratic, quadratic_thesis,
+    CellBatch, CellHit, Corner, FINE_BITS, FinePos, fine, linear, quadratic, quadratic_thesis,
 };
 use crate::pipeline::read::MeshedChunk;
 use crate::sample::Interpolation;
@@ -71,18 +71,18 @@ impl CellField<'_> {
                 _ => None,
             };
             out.push(match place {
-                Some(place) => Spot { at: Place::Boundary(place), body: place.body, rim: true },
+                Some(place) => Spot { at: ValueSource::Boundary(place), body: place.body, rim: true },
                 None => self.spot(found, sample.is_some())?,
             });
         }
         Ok(())
     }
 
-    fn spot(&self, found: &Found, rim: bool) -> Result<Spot> {
-        if found.id == Found::NOWHERE {
+    fn spot(&self, found: &CellHit, rim: bool) -> Result<Spot> {
+        if found.id == CellHit::NOWHERE {
             return Ok(Spot::default());
         }
-        Ok(Spot { at: Place::Cell(*found), body: self.cells.body(found)?, rim })
+        Ok(Spot { at: ValueSource::Cell(*found), body: self.cells.body(found)?, rim })
     }
 
     /// The tetrahedra that lie outside of the mesh: those whose corners are not all of one body,
@@ -169,15 +169,15 @@ impl<'a> AtHand<'a> {
         })
     }
 
-    fn value(&self, place: &Place) -> f32 {
+    fn value(&self, place: &ValueSource) -> f32 {
         match place {
-            Place::Nowhere => f32::NAN,
-            Place::Cell(found) => self.in_cell(found),
-            Place::Boundary(place) => self.on_boundary(place),
+            ValueSource::Nowhere => f32::NAN,
+            ValueSource::Cell(found) => self.in_cell(found),
+            ValueSource::Boundary(place) => self.on_boundary(place),
         }
     }
 
-    fn in_cell(&self, found: &Found) -> f32 {
+    fn in_cell(&self, found: &CellHit) -> f32 {
         let tet = self.tets[found.id as usize];
         let at = tet.map(|v| f64::from(self.values[v as usize]));
         (match (self.interpolation, self.gradients) {

@@ -21,7 +21,7 @@ use std::collections::HashMap;
 /// The result of meshing a chunk.
 pub(in crate::pipeline) enum Meshing {
     Done(MeshedChunk),
-    /// A halo that is wide enough needs more memory than there is room for.
+    /// A halo that is wide enough needs more memory than there is limit for.
     NeedsRoom {
         bytes: u64,
     },
@@ -40,34 +40,34 @@ pub(in crate::pipeline) struct ChunkMesher {
 
 impl ChunkMesher {
     /// Enumerates the chunk's points and meshes them; the halo is widened until every owned
-    /// tetrahedron is certified, as long as the region fits in `room` bytes. The result does not
-    /// depend on `room`.
+    /// tetrahedron is certified, as long as the region fits in `limit` bytes. The result does not
+    /// depend on `limit`.
     pub(in crate::pipeline) fn mesh(
         &mut self,
         recipe: &Recipe<'_>,
         chunk: &Chunk,
-        room: u64,
+        limit: u64,
         cancel: &CancelToken,
     ) -> Result<Meshing> {
         cancel.check()?;
         if let Some(chunk) = recipe.bcc_chunk(chunk) {
-            let bytes = estimate::room_for(chunk.points() as u64, recipe.halo);
-            return Ok(match bytes > room {
+            let bytes = estimate::chunk_bytes(chunk.points() as u64, recipe.halo);
+            return Ok(match bytes > limit {
                 true => Meshing::NeedsRoom { bytes },
                 false => Meshing::Done(MeshedChunk::of_bcc(&chunk, recipe.halo)),
             });
         }
         if let Some(own) = recipe.own {
-            return self.keep_own(own, recipe, chunk, room);
+            return self.keep_own(own, recipe, chunk, limit);
         }
         let domain = recipe.bricks.lattice.domain();
         let core_counts = self.list_core(recipe, chunk)?;
         let core = self.sites.len();
         let region = |retries| estimate::region(recipe.points, &chunk.core, &domain, recipe.halo, retries);
-        let needs = |region: &LatticeBox| estimate::room_for(recipe.points.count_in(region), recipe.halo);
+        let needs = |region: &LatticeBox| estimate::chunk_bytes(recipe.points.count_in(region), recipe.halo);
         let boxes = recipe.boxes(chunk);
         let bytes = needs(&boxes.region);
-        if bytes > room {
+        if bytes > limit {
             return Ok(Meshing::NeedsRoom { bytes });
         }
         if core > 0 {
@@ -84,7 +84,7 @@ impl ChunkMesher {
             let (narrow, wide) = (region(retries), region(retries + 1));
             retries += 1;
             bytes = needs(&wide);
-            if bytes > room {
+            if bytes > limit {
                 return Ok(None);
             }
             for b in shell(&narrow, &wide) {
@@ -111,11 +111,11 @@ impl ChunkMesher {
         own: OwnMesh<'_>,
         recipe: &Recipe<'_>,
         chunk: &Chunk,
-        room: u64,
+        limit: u64,
     ) -> Result<Meshing> {
         let points = own.points_of(recipe, chunk, recipe.points.count_in(&chunk.core))?;
-        let bytes = estimate::room_for(points, recipe.halo);
-        if bytes > room {
+        let bytes = estimate::chunk_bytes(points, recipe.halo);
+        if bytes > limit {
             return Ok(Meshing::NeedsRoom { bytes });
         }
         let core_counts = self.list_core(recipe, chunk)?;
@@ -129,7 +129,7 @@ impl ChunkMesher {
         recipe: &Recipe<'_>,
         chunk: &Chunk,
         mesh: &mut MeshedChunk,
-        room: u64,
+        limit: u64,
         cancel: &CancelToken,
     ) -> Result<bool> {
         cancel.check()?;
@@ -142,7 +142,7 @@ impl ChunkMesher {
             return Ok(false);
         }
         let boxes = recipe.boxes(chunk);
-        let fits = estimate::room_for(recipe.points.count_in(&boxes.region), recipe.halo) <= room;
+        let fits = estimate::chunk_bytes(recipe.points.count_in(&boxes.region), recipe.halo) <= limit;
         if !fits || self.list_core(recipe, chunk)? != mesh.core_counts {
             return Ok(false);
         }

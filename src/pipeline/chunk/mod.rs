@@ -24,7 +24,7 @@ mod volume_field;
 
 pub(super) use cell_locator::CellLocator;
 pub(super) use errors::{
-    Cells, Originals, SampleErrors, Samples, field_error_of, stored_error, stored_errors,
+    ChunkTets, Originals, SampleErrors, Samples, field_error_of, stored_error, stored_errors,
 };
 pub(super) use field::{Field, interpolated};
 pub(super) use fit::fitted;

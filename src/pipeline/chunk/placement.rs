@@ -5,7 +5,7 @@ use crate::domain::boundary::OnBoundary;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId};
-use crate::locate::Found;
+use crate::locate::CellHit;
 use crate::pipeline::read::MeshedChunk;
 
 /// Where the vertices of a chunk lie in the data: the same for all steps of a series.
@@ -25,7 +25,7 @@ pub(in crate::pipeline) struct Placement {
 /// Where a vertex of a chunk lies in a tetrahedral mesh; by default nowhere.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::pipeline) struct Spot {
-    pub(super) at: Place,
+    pub(super) at: ValueSource,
     /// The body that it belongs to.
     pub(super) body: u64,
     /// On the boundary: tetrahedra there may be outside.
@@ -34,9 +34,9 @@ pub(in crate::pipeline) struct Spot {
 
 /// The data that a value in a mesh is made from.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Place {
+pub(super) enum ValueSource {
     Nowhere,
-    Cell(Found),
+    Cell(CellHit),
     Boundary(OnBoundary),
 }
 
@@ -45,7 +45,7 @@ pub(in crate::pipeline) const NO_BODY: u64 = u64::MAX;
 
 impl Default for Spot {
     fn default() -> Self {
-        Self { at: Place::Nowhere, body: NO_BODY, rim: false }
+        Self { at: ValueSource::Nowhere, body: NO_BODY, rim: false }
     }
 }
 

@@ -46,19 +46,19 @@ impl Measured<'_> {
 }
 
 /// Some samples at the steps that are interleaved.
-pub(super) struct Room {
+pub(super) struct CompareBuffers {
     one: Box<Compared<1>>,
     four: Box<Compared<4>>,
     eight: Box<Compared<8>>,
 }
 
-impl Default for Room {
+impl Default for CompareBuffers {
     fn default() -> Self {
         Self { one: Compared::new(), four: Compared::new(), eight: Compared::new() }
     }
 }
 
-impl Room {
+impl CompareBuffers {
     /// Hands on some samples of a window at each step; `originals` are all samples of the window.
     #[inline(always)]
     pub(super) fn compare(

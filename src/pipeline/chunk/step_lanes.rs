@@ -14,7 +14,7 @@ use std::ops::Range;
 /// The memory of interleaved values, kept from chunk to chunk so that its pages are not requested
 /// again.
 #[derive(Default)]
-pub(in crate::pipeline) struct Room(Vec<Vec<[f32; 8]>>);
+pub(in crate::pipeline) struct LaneBuffers(Vec<Vec<[f32; 8]>>);
 
 /// The values of up to eight steps.
 pub(super) enum Lanes<'a> {
@@ -34,7 +34,7 @@ const MOST: usize = 8;
 
 impl<'a> StepLanes<'a> {
     /// Of the values of each step, as many as there are vertices.
-    pub(in crate::pipeline) fn new(steps: &[&'a [f32]], room: &mut Room) -> Self {
+    pub(in crate::pipeline) fn new(steps: &[&'a [f32]], room: &mut LaneBuffers) -> Self {
         let all = steps.chunks(MOST).map(|some| match *some {
             [values] => Lanes::One(values),
             _ if some.len() <= 4 => Lanes::Four(side_by_side(some, vec![])),
@@ -49,7 +49,7 @@ impl<'a> StepLanes<'a> {
     }
 
     /// Gives its memory back.
-    pub(in crate::pipeline) fn give_back(self, room: &mut Room) {
+    pub(in crate::pipeline) fn give_back(self, room: &mut LaneBuffers) {
         for side in self.all {
             if let Lanes::Eight(values) = side {
                 room.0.push(values);

@@ -87,7 +87,7 @@ fn fill<const N: usize>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::step_lanes::Room;
+    use super::super::step_lanes::LaneBuffers;
     use super::*;
 
     #[test]
@@ -100,7 +100,7 @@ mod tests {
                 let window = IndexBox { lo, hi: std::array::from_fn(|k| lo[k] + dims[k]) };
                 let none = vec![vec![0.0]; count];
                 let values: Vec<&[f32]> = none.iter().map(Vec::as_slice).collect();
-                let mut samples = WindowSamples::new(&StepLanes::new(&values, &mut Room::default()));
+                let mut samples = WindowSamples::new(&StepLanes::new(&values, &mut LaneBuffers::default()));
                 let mut read = |step: usize, part: IndexBox, out: &mut [f32]| {
                     assert_eq!(out.len(), part.len());
                     let mut out = out.iter_mut();

@@ -6,7 +6,9 @@ use crate::exec::{Progress, Resources, pool};
 use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, Place, Roi, RoiSpace, StepView, Visit};
+use crate::pipeline::read::{
+    Blocks, Cut, DecodedChunk, Frontier, IndexToWorld, Roi, RoiSpace, StepView, Visit,
+};
 use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::tets::{ChunkTets, TetBuilder};
 use serde::Serialize;
@@ -133,7 +135,7 @@ pub(in crate::pipeline) fn export(
     let read = start.elapsed();
 
     let start = Instant::now();
-    let place = Place::of(archive)?;
+    let place = IndexToWorld::of(archive)?;
     let lattice = archive.manifest.plan.lattice;
     let threads = settings.compress.then(|| pool(settings.resources.threads)).transpose()?;
     let meta = TetMeta {
@@ -274,8 +276,7 @@ impl<'a> Join<'a> {
         let open = self.builder.open_points() as u64;
         if open > self.most_open {
             let needed = self.memory.saturating_add(8 * (open - self.most_open) * OPEN_POINT);
-            let what = "memory (for points that chunks share)".into();
-            return Err(Error::Budget { what, needed, available: self.memory });
+            return Err(Error::memory("for points that chunks share", needed, self.memory));
         }
         self.look_at = (2 * open).clamp(self.most_open / 64 + 1, self.most_open + 1);
         Ok(())

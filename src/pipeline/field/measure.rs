@@ -22,7 +22,9 @@ use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally};
-use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of};
+use crate::pipeline::chunk::{
+    ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of,
+};
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Attachments, Halo, MOST_STEPS_AT_ONCE, estimate, fingerprint};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, StepView, Visit};
@@ -377,7 +379,7 @@ struct AgainstSamples<'a> {
 
 /// What a chunk contributes.
 #[derive(Default)]
-struct Part {
+struct ChunkMeasure {
     sums: ErrorSums,
     bricks: BTreeMap<u64, BrickErrors>,
 }
@@ -401,7 +403,7 @@ impl AgainstSamples<'_> {
         progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let (mut sums, mut released) = (ErrorSums::default(), 0);
         let job = |_, chunk: DecodedChunk| self.part(&chunk);
-        visit.each(EXTRA, progress, job, |n, part: Part| {
+        visit.each(EXTRA, progress, job, |n, part: ChunkMeasure| {
             sums.merge(&part.sums);
             let chunk = archive.chunks.chunk(visit.chunks[n]);
             if let Some(map) = &mut map {
@@ -424,16 +426,17 @@ impl AgainstSamples<'_> {
     }
 
     /// Measures the samples in the tetrahedra of a chunk.
-    fn part(&self, chunk: &DecodedChunk) -> Result<Part> {
+    fn part(&self, chunk: &DecodedChunk) -> Result<ChunkMeasure> {
         let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
-        let cells = Cells { positions, tets, block_ends };
+        let cells = ChunkTets { positions, tets, block_ends };
         let read = |_, window, out: &mut [f32]| self.samples.read(window, out);
         if !self.mapped {
             let mut sums = self.sample_errors.errors(&cells, &StepLanes::one(values), read)?;
-            return Ok(Part { sums: sums.pop().expect("of one step"), ..Part::default() });
+            return Ok(ChunkMeasure { sums: sums.pop().expect("of one step"), ..ChunkMeasure::default() });
         }
         let (bricks, lattice) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice);
-        let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.sample_errors.dims());
+        let (mut part, mut sums, dims) =
+            (ChunkMeasure::default(), Tally::default(), self.sample_errors.dims());
         self.sample_errors.each_sample(&cells, &StepLanes::one(values), read, |m| {
             errors::add(&mut sums, &m, dims);
             for (n, (original, reduced)) in m.compared.pairs().enumerate() {
@@ -459,7 +462,7 @@ fn measure_vertices(
         let (how, memory) = (store_settings(archive, settings), settings.resources.memory);
         let of_map = if map.is_some() { map_bytes(memory) } else { 0 };
         let rest = memory.saturating_sub(of_map);
-        return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.beside(of_map));
+        return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.plus_held(of_map));
     }
     let columns = steps.iter().map(|(_, values)| values.get()).collect::<Result<Vec<_>>>()?;
     let steps: Vec<usize> = steps.iter().map(|step| step.0).collect();

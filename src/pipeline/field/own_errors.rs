@@ -41,7 +41,7 @@ pub(super) fn own_errors(
     let vertices = store.census.vertices.max(listed);
     let needed = estimate::BASE + vertices * (POINT_BYTES + 4 * steps.len() as u64);
     if needed > memory {
-        return Err(Error::Budget { what: "memory".into(), needed, available: memory });
+        return Err(Error::memory("", needed, memory));
     }
     let how = StoreSettings { memory: memory - estimate::BASE, ..how.clone() };
     let vertices = OwnVertices::new(store, &how, archive.path())?;

@@ -107,11 +107,7 @@ pub(in crate::pipeline) fn sample_grid(
     let (samples, offset) = (meta.samples()?, archive.step().plan.source.offset);
     let bytes = 8 * samples;
     if bytes > settings.resources.memory {
-        return Err(Error::Budget {
-            what: "memory".into(),
-            needed: bytes,
-            available: settings.resources.memory,
-        });
+        return Err(Error::memory("", bytes, settings.resources.memory));
     }
     let mut scan = GridScan::new(archive, dims, settings)?;
     let all = Mutex::new(vec![f64::NAN; samples as usize]);

@@ -379,7 +379,7 @@ fn find_each(
     let mut is_found = vec![0u64; batch.numbers().div_ceil(64)];
     // Values of other bodies, for points that have none of their own.
     let mut foreign = BTreeMap::<u32, Vec<f32>>::new();
-    visit.each(extra, progress, job, |_, found: Found| {
+    visit.each(extra, progress, job, |_, found: FoundPoints| {
         let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
         // The own tetrahedra of a mesh may overlap: the first one's value counts.
         for (&(n, is_own), at) in found.points.iter().zip(found.values.chunks(lists.max(1))) {
@@ -445,7 +445,7 @@ fn find_each(
 /// Points of a chunk, each with whether the tetrahedron is of its own body, and the values of all
 /// lists at the first, the second, ….
 #[derive(Default)]
-struct Found {
+struct FoundPoints {
     points: Vec<(u32, bool)>,
     values: Vec<f32>,
 }
@@ -457,8 +457,8 @@ fn locate(
     lists: &[Vec<f32>],
     points: &PointLocator,
     is_own: impl Fn(usize, u32) -> bool,
-) -> Found {
-    let mut found = Found::default();
+) -> FoundPoints {
+    let mut found = FoundPoints::default();
     for (number, tet) in chunk.tets.iter().enumerate() {
         points.each_in(tet.map(|v| chunk.positions[v as usize]), |n, weights| {
             found.points.push((n, is_own(number, n)));

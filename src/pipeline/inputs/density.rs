@@ -28,7 +28,7 @@ pub(in crate::pipeline) struct Errors<'a> {
 }
 
 /// What is found in a block.
-struct Found {
+struct BlockFindings {
     errors: BlockErrors,
     bend: Bend,
     /// The range of its samples.
@@ -58,8 +58,8 @@ impl<'a> Errors<'a> {
     pub(in crate::pipeline) fn new(lattice: Lattice, adapt: &'a Adapt, run: &'a RunSettings) -> Result<Self> {
         let needed = needed(lattice);
         if run.resources.memory < needed {
-            let what = "memory (to find where points are needed)".into();
-            return Err(Error::Budget { what, needed, available: run.resources.memory });
+            let purpose = "to find where points are needed";
+            return Err(Error::memory(purpose, needed, run.resources.memory));
         }
         Ok(Self { adapt, run, curves: ErrorCurves::new(lattice), bend: Bend::default(), range: None })
     }
@@ -79,7 +79,7 @@ impl<'a> Errors<'a> {
                     .map(|block| self.block(&*reader, reading, &blocks, BrickId(block)))
                     .collect()
             });
-            for Found { errors, bend, range } in found? {
+            for BlockFindings { errors, bend, range } in found? {
                 self.curves.add(&errors);
                 self.bend.add(&bend);
                 let ranges = [self.range, range].into_iter().flatten();
@@ -95,7 +95,7 @@ impl<'a> Errors<'a> {
         reading: Reading,
         blocks: &BrickGrid,
         block: BrickId,
-    ) -> Result<Found> {
+    ) -> Result<BlockFindings> {
         let samples = BlockErrors::samples_of(blocks, block);
         let mut values = vec![0.0; samples.len()];
         reader.read_box(samples, &mut values)?;
@@ -106,7 +106,7 @@ impl<'a> Errors<'a> {
             values.iter_mut().for_each(|v| *v = v.clamp(lo, hi));
         }
         let errors = BlockErrors::measure(self.curves.cells(), &samples, &values);
-        Ok(Found { errors, bend: Bend::of(&samples, &values), range })
+        Ok(BlockFindings { errors, bend: Bend::of(&samples, &values), range })
     }
 
     /// The range of the samples that were seen.

@@ -63,8 +63,8 @@ impl MeshCurves {
         let fixed = estimate::BASE + ErrorCurves::bytes_for_mesh(lattice);
         let needed = fixed + BLOCK_BYTES;
         if run.resources.memory < needed {
-            let what = "memory (to find where points are needed)".into();
-            return Err(Error::Budget { what, needed, available: run.resources.memory });
+            let purpose = "to find where points are needed";
+            return Err(Error::memory(purpose, needed, run.resources.memory));
         }
         let threads = run.resources.worker_threads();
         let at_once = ((run.resources.memory - fixed) / BLOCK_BYTES).min(BLOCKS_A_THREAD * threads as u64);

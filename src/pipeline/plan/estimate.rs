@@ -5,8 +5,8 @@
 //!
 //! ```text
 //!  memory = BASE                    the process itself, buffers of readers and writers
-//!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
-//!         + workers · beside        its values at further steps; samples of the source, errors
+//!         + workers · chunk         a chunk at work: its points, their tetrahedra, its values, its blocks
+//!         + workers · extra         its values at further steps; samples of the source, errors
 //!         + workers · 3 products    encoded chunks that wait for their turn to be written
 //!         + steps · cache           decoded chunks of each step's source: see `inputs::access`
 //!         + workers · decoding      a chunk of a source while it is decoded
@@ -14,9 +14,9 @@
 //!  memory >= BASE + index           afterwards, when the first two are gone: see below
 //! ```
 //!
-//! The room of a chunk follows from the number of points of its region (core and halo), which the
+//! The bytes of a chunk follow from the number of points of its region (core and halo), which the
 //! point set counts without listing them. If the budget does not hold as many chunks as there are
-//! threads, fewer run. A chunk whose halo must be widened beyond its room waits until it is alone
+//! threads, fewer run. A chunk whose halo must be widened beyond them waits until it is alone
 //! and has all of them (`reduce::encode`). The index is built in the memory that there is; what
 //! does not fit is sorted in the scratch folder.
 
@@ -157,7 +157,7 @@ fn widths(points: &PointSet, core: &LatticeBox, quarters: u64, retries: u32) -> 
 
 /// Bytes in which a chunk with `points_in_region` points in its region is meshed, sampled and
 /// encoded.
-pub(in crate::pipeline) fn room_for(points_in_region: u64, halo: Halo) -> u64 {
+pub(in crate::pipeline) fn chunk_bytes(points_in_region: u64, halo: Halo) -> u64 {
     let fixed = match halo {
         Halo::Owned => PER_CHUNK,
         Halo::Stars => PER_CHUNK + PER_FIT,
@@ -180,22 +180,22 @@ pub(in crate::pipeline) struct Shares {
     /// Chunks at work at one time.
     pub(in crate::pipeline) workers: usize,
     /// Working memory of each.
-    pub(in crate::pipeline) room: u64,
+    pub(in crate::pipeline) chunk: u64,
     /// For all encoded chunks that wait.
     pub(in crate::pipeline) queue: u64,
-    /// In addition to each room: the values of further steps, and what measures errors.
-    pub(super) beside: u64,
+    /// In addition, for each chunk at work: the values of further steps, and what measures errors.
+    pub(super) extra: u64,
 }
 
 impl Shares {
     /// The working memory of a chunk that is alone.
-    pub(in crate::pipeline) fn room_alone(&self) -> u64 {
-        self.room * self.workers as u64
+    pub(in crate::pipeline) fn all_chunks(&self) -> u64 {
+        self.chunk * self.workers as u64
     }
 
     /// The memory with which such a chunk could be made.
-    pub(in crate::pipeline) fn memory_for(&self, room: u64) -> u64 {
-        self.base + self.queue + self.beside + room
+    pub(in crate::pipeline) fn memory_for(&self, chunk: u64) -> u64 {
+        self.base + self.queue + self.extra + chunk
     }
 }
 
@@ -206,7 +206,7 @@ pub(in crate::pipeline) struct Need {
     base: u64,
     points: u64,
     chunks: u64,
-    room: u64,
+    chunk: u64,
     /// Points of the largest region.
     region_points: u64,
     /// Points of the largest chunk, encoded with the values of `steps` steps.
@@ -252,7 +252,7 @@ impl Need {
             base: BASE + parts.points.levels().map_or(0, |l| l.as_slice().len() as u64),
             points,
             chunks: parts.chunks.len(),
-            room: room_for(region_points, parts.halo),
+            chunk: chunk_bytes(region_points, parts.halo),
             region_points,
             core_points,
             steps: 1,
@@ -302,9 +302,9 @@ impl Need {
         product_bytes(self.core_points, self.steps)
     }
 
-    /// Bytes in addition to a chunk's room: the values of the steps after the first, what measures
+    /// Bytes in addition to those of a chunk: the values of the steps after the first, what measures
     /// the errors of all, and what decodes samples.
-    fn beside(&self) -> u64 {
+    fn extra(&self) -> u64 {
         let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
         let (per_point, window) = match self.window {
             0 => (further * FURTHER_PER_POINT + sides * SIDE_PER_POINT, 0),
@@ -321,7 +321,7 @@ impl Need {
     }
 
     fn of_workers(&self, workers: u64) -> u64 {
-        let each = self.room.saturating_add(self.beside()).saturating_add(WAITING * self.product());
+        let each = self.chunk.saturating_add(self.extra()).saturating_add(WAITING * self.product());
         self.base().saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
     }
 
@@ -352,14 +352,14 @@ impl Need {
     /// [`Error::Budget`] when it does not suffice for one.
     pub(in crate::pipeline) fn shares(&self, memory: u64, threads: usize) -> Result<Shares> {
         if memory < self.least() {
-            return Err(Error::Budget { what: "memory".into(), needed: self.least(), available: memory });
+            return Err(Error::memory("", self.least(), memory));
         }
         let useful = (threads as u64).min(self.chunks).max(1);
         let workers = (1..=useful).rev().find(|&w| self.of_workers(w) <= memory).unwrap_or(1);
         let queue = workers * WAITING * self.product();
-        let (base, beside) = (self.base(), self.beside());
+        let (base, extra) = (self.base(), self.extra());
         let each = (memory - base - queue) / workers;
-        Ok(Shares { base, workers: workers as usize, room: each - beside, queue, beside })
+        Ok(Shares { base, workers: workers as usize, chunk: each - extra, queue, extra })
     }
 }
 
@@ -492,14 +492,15 @@ impl Estimate {
     /// # Errors
     /// [`Error::Budget`] naming what is too small, and the least that would do.
     pub fn check(&self) -> Result<()> {
-        let enough = |what: String, needed: u64, available: Option<u64>| match available {
-            Some(available) if needed > available => Err(Error::Budget { what, needed, available }),
+        if self.memory_least > self.memory {
+            return Err(Error::memory("", self.memory_least, self.memory));
+        }
+        let enough = |folder: &Path, needed: u64, free: Option<u64>| match free {
+            Some(free) if needed > free => Err(Error::disk(folder, needed, free)),
             _ => Ok(()),
         };
-        enough("memory".into(), self.memory_least, Some(self.memory))?;
-        let place = |folder: &Path| format!("disk space for {}", folder.display());
-        enough(place(&self.archive), self.archive_bytes, self.archive_free)?;
-        enough(place(&self.scratch), self.scratch_bytes, self.scratch_free)
+        enough(&self.archive, self.archive_bytes, self.archive_free)?;
+        enough(&self.scratch, self.scratch_bytes, self.scratch_free)
     }
 }
 
@@ -532,7 +533,7 @@ impl SurfaceShares {
         let fixed = BASE + active_blocks * ACTIVE_BLOCK;
         let needed = fixed.saturating_add(largest_chunk.saturating_mul(8).div_ceil(5));
         if memory < needed {
-            return Err(Error::Budget { what: "memory".into(), needed, available: memory });
+            return Err(Error::memory("", needed, memory));
         }
         let rest = memory - fixed;
         Ok(Self { finished: rest / 8, open_edges: rest / 4 / OPEN_EDGE, batch: rest / 8 * 5, rest })
@@ -547,7 +548,7 @@ impl SurfaceShares {
     /// The error for more open edges than there is memory for.
     pub(in crate::pipeline) fn too_many_open(&self, memory: u64, open: u64) -> Error {
         let needed = memory - self.rest + 4 * open.saturating_mul(OPEN_EDGE);
-        Error::Budget { what: "memory (for edges that chunks share)".into(), needed, available: memory }
+        Error::memory("for edges that chunks share", needed, memory)
     }
 }
 
@@ -581,7 +582,7 @@ mod tests {
         base: BASE,
         points: 1 << 20,
         chunks: 9,
-        room: 100 << 20,
+        chunk: 100 << 20,
         region_points: 100_000,
         core_points: 70_000,
         steps: 1,
@@ -599,7 +600,7 @@ mod tests {
         for (memory, workers) in [(least, 1), (least + each, 2), (u64::MAX / 2, 4)] {
             let shares = NEED.shares(memory, 4).unwrap();
             assert_eq!(shares.workers, workers);
-            assert!(shares.room >= NEED.room && shares.memory_for(shares.room_alone()) <= memory);
+            assert!(shares.chunk >= NEED.chunk && shares.memory_for(shares.all_chunks()) <= memory);
         }
         assert_eq!(NEED.shares(u64::MAX / 2, 100).unwrap().workers, 9, "not more than there are chunks");
         let error = NEED.shares(least - 1, 4).unwrap_err();

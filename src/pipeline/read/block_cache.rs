@@ -73,7 +73,7 @@ pub(in crate::pipeline) fn unpack_known(block: Known<'_>, of_corners: usize, out
 
 /// A kept block that was asked for.
 #[derive(Debug)]
-pub(in crate::pipeline) struct Found {
+pub(in crate::pipeline) struct CacheHit {
     pub(in crate::pipeline) block: Arc<CachedBlock>,
     /// Whether all is to be found out about it now, if it is packed.
     pub(in crate::pipeline) is_due: bool,
@@ -89,12 +89,12 @@ pub(in crate::pipeline) struct BlockCache {
     blocks: Mutex<KeptBlocks>,
 }
 
-type Place = (ChunkId, u32);
+type BlockKey = (ChunkId, u32);
 
 #[derive(Debug, Default)]
 struct KeptBlocks {
     /// Where in `slots` each is.
-    by_place: FxHashMap<Place, usize>,
+    by_place: FxHashMap<BlockKey, usize>,
     slots: Vec<Slot>,
     /// The slot at which the next search for room begins.
     hand: usize,
@@ -103,7 +103,7 @@ struct KeptBlocks {
 
 #[derive(Debug)]
 struct Slot {
-    place: Place,
+    place: BlockKey,
     block: Arc<CachedBlock>,
     /// Whether it was used since the hand came by.
     used: bool,
@@ -131,7 +131,7 @@ impl BlockCache {
         &self,
         chunk: ChunkId,
         numbers: impl Iterator<Item = u32>,
-        out: &mut Vec<Option<Found>>,
+        out: &mut Vec<Option<CacheHit>>,
     ) {
         out.clear();
         if self.most == 0 {
@@ -150,7 +150,7 @@ impl BlockCache {
             let slot = &mut slots[slot?];
             slot.used = true;
             slot.uses = DUE.min(slot.uses + 1);
-            Some(Found { block: Arc::clone(&slot.block), is_due: slot.uses > slot.place.1 % DUE })
+            Some(CacheHit { block: Arc::clone(&slot.block), is_due: slot.uses > slot.place.1 % DUE })
         }));
     }
 
@@ -260,7 +260,7 @@ mod tests {
         let get = |chunk, number| {
             let mut found = vec![];
             kept.get(ChunkId(chunk), [number].into_iter(), &mut found);
-            found.pop().unwrap().map(|found: Found| found.block)
+            found.pop().unwrap().map(|found: CacheHit| found.block)
         };
         assert!(get(1, 0).is_some());
         kept.put(ChunkId(2), 1, &block(100, 9.0));

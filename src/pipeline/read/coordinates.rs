@@ -96,7 +96,7 @@ pub(in crate::pipeline) fn world_map(archive: &StepView) -> WorldMap {
 }
 
 /// The way from index space to the world.
-pub(in crate::pipeline) enum Place {
+pub(in crate::pipeline) enum IndexToWorld {
     /// The map of a volume with a spacing.
     Geometry(Geometry),
     /// The map of a grid with coordinates of its own.
@@ -108,7 +108,7 @@ pub(in crate::pipeline) enum Place {
     },
 }
 
-impl Place {
+impl IndexToWorld {
     pub(in crate::pipeline) fn of(archive: &StepView) -> Result<Self> {
         Ok(match (archive.coordinates()?, archive.coordinate_record()) {
             (Some(map), Some(record)) => Self::Grid { map, mirrored: record.cells.mirrored },
@@ -146,20 +146,20 @@ pub(in crate::pipeline) fn in_world<T>(
     surface: &dyn SurfaceSource,
     use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
 ) -> Result<T> {
-    match Place::of(archive)? {
-        Place::Grid { map, mirrored } => use_it(&Placed { surface, map, mirrored }),
-        Place::Geometry(_) => use_it(surface),
+    match IndexToWorld::of(archive)? {
+        IndexToWorld::Grid { map, mirrored } => use_it(&WorldSurface { surface, map, mirrored }),
+        IndexToWorld::Geometry(_) => use_it(surface),
     }
 }
 
 /// A surface of index space in the world.
-struct Placed<'a> {
+struct WorldSurface<'a> {
     surface: &'a dyn SurfaceSource,
     map: CoordinateMap,
     mirrored: bool,
 }
 
-impl Placed<'_> {
+impl WorldSurface<'_> {
     fn vertex(&self, v: &Vertex) -> Result<Vertex> {
         let placed = self.map.place(v.position.map(f64::from))?;
         let w = placed.direction(v.normal.map(f64::from));
@@ -177,7 +177,7 @@ impl Placed<'_> {
     }
 }
 
-impl SurfaceSource for Placed<'_> {
+impl SurfaceSource for WorldSurface<'_> {
     fn vertex_count(&self) -> u64 {
         self.surface.vertex_count()
     }

@@ -30,13 +30,13 @@ mod visit;
 pub(super) use archive::OpenArchive;
 pub use archive::is_archive;
 pub(super) use block::{Block, BlockCorners, NumberedShape, PackedBlock};
-pub(super) use block_cache::{CachedBlock, Found, unpack_known};
+pub(super) use block_cache::{CacheHit, CachedBlock, unpack_known};
 pub(super) use choice::Moment;
 pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::MeshedChunk;
 pub(super) use chunk_reader::{BYTES_PER_VERTEX, ChunkReader, Needed, Wanted};
 pub(super) use coordinates::{
-    Place, coordinate_hash, in_memory, in_world, world_map, world_of, write_coordinates,
+    IndexToWorld, coordinate_hash, in_memory, in_world, world_map, world_of, write_coordinates,
 };
 pub(super) use decoded::{DecodedChunk, used_corners};
 pub(super) use frontier::Frontier;

@@ -148,7 +148,7 @@ impl<'a> Visit<'a> {
         let (largest, available) = (self.least(extra), self.resources.memory);
         if largest > (self.share)(available) {
             let needed = least_with(largest, &self.share);
-            return Err(Error::Budget { what: "memory".into(), needed, available });
+            return Err(Error::memory("", needed, available));
         }
         Ok(())
     }

@@ -22,7 +22,7 @@ use crate::geom::predicates::signed_volume6;
 use crate::grid::Chunk;
 use crate::mesh::tet::Tet;
 use crate::pipeline::chunk::{
-    Cells, ChunkMesher, Field, Meshing, Placement, Recipe, SampleErrors, Samples, StepLanes, fitted,
+    ChunkMesher, ChunkTets, Field, Meshing, Placement, Recipe, SampleErrors, Samples, StepLanes, fitted,
     interpolated, step_lanes,
 };
 use crate::pipeline::plan::{Halo, Shares};
@@ -114,7 +114,7 @@ struct Workspace {
 /// Memory in which the values of several steps are measured.
 #[derive(Default)]
 struct Bench {
-    sides: step_lanes::Room,
+    sides: step_lanes::LaneBuffers,
     spectrum: spectrum::Bench,
     /// Memory in which values are fitted.
     fit: Vec<u64>,
@@ -152,7 +152,7 @@ impl ChunkMaker<'_> {
         {
             let _together = self.workspaces.turn.read().unwrap_or_else(PoisonError::into_inner);
             let mut workspace = self.workspaces.take_workspace();
-            match self.encode(chunk, &mut workspace, self.shares.room)? {
+            match self.encode(chunk, &mut workspace, self.shares.chunk)? {
                 Encoding::Done(encoded) => {
                     self.workspaces.put_workspace(workspace);
                     return Ok(encoded);
@@ -162,20 +162,17 @@ impl ChunkMaker<'_> {
         }
         let _alone = self.workspaces.turn.write().unwrap_or_else(PoisonError::into_inner);
         self.workspaces.drop_workspaces();
-        match self.encode(chunk, &mut Workspace::default(), self.shares.room_alone())? {
+        match self.encode(chunk, &mut Workspace::default(), self.shares.all_chunks())? {
             Encoding::Done(encoded) => Ok(encoded),
-            Encoding::NeedsRoom { bytes } => Err(Error::Budget {
-                what: format!(
-                    "memory (chunk {} needs a wide halo; smaller --chunk-points need less)",
-                    chunk.id.0
-                ),
-                needed: self.shares.memory_for(bytes),
-                available: self.shares.memory_for(self.shares.room_alone()),
-            }),
+            Encoding::NeedsRoom { bytes } => Err(Error::memory(
+                format!("chunk {} needs a wide halo; smaller --chunk-points need less", chunk.id.0),
+                self.shares.memory_for(bytes),
+                self.shares.memory_for(self.shares.all_chunks()),
+            )),
         }
     }
 
-    fn encode(&self, chunk: &Chunk, workspace: &mut Workspace, room: u64) -> Result<Encoding> {
+    fn encode(&self, chunk: &Chunk, workspace: &mut Workspace, limit: u64) -> Result<Encoding> {
         let mut times = StageTimes::default();
         let mut lap = Lap(Instant::now());
         if let Some(stored) = &self.stored {
@@ -184,9 +181,9 @@ impl ChunkMaker<'_> {
             // found around the mesh, or made again with it.
             let mut again = None;
             if self.recipe.halo == Halo::Stars
-                && !workspace.mesher.surround(self.recipe, chunk, &mut mesh, room, self.cancel)?
+                && !workspace.mesher.surround(self.recipe, chunk, &mut mesh, limit, self.cancel)?
             {
-                match workspace.mesher.mesh(self.recipe, chunk, room, self.cancel)? {
+                match workspace.mesher.mesh(self.recipe, chunk, limit, self.cancel)? {
                     Meshing::Done(mesh) => again = Some(mesh),
                     Meshing::NeedsRoom { bytes } => return Ok(Encoding::NeedsRoom { bytes }),
                 }
@@ -196,7 +193,7 @@ impl ChunkMaker<'_> {
                 .encode_stored(stored, chunk, (mesh, ends), again, workspace, times)
                 .map(Encoding::Done);
         }
-        let mut mesh = match workspace.mesher.mesh(self.recipe, chunk, room, self.cancel)? {
+        let mut mesh = match workspace.mesher.mesh(self.recipe, chunk, limit, self.cancel)? {
             Meshing::Done(mesh) => mesh,
             Meshing::NeedsRoom { bytes } => return Ok(Encoding::NeedsRoom { bytes }),
         };
@@ -311,7 +308,7 @@ impl ChunkMaker<'_> {
         let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
         let sides = StepLanes::new(&of_steps, &mut bench.sides);
         let (positions, tets) = (mesh.positions(), &*mesh.tets);
-        let errors = self.errors(&Cells { positions, tets, block_ends }, &sides)?;
+        let errors = self.errors(&ChunkTets { positions, tets, block_ends }, &sides)?;
         lap.add_to(&mut times.measure);
         let ranges = sides.ranges(tets, block_ends);
         sides.give_back(&mut bench.sides);
@@ -338,7 +335,7 @@ impl ChunkMaker<'_> {
     }
 
     /// The errors of each step in a chunk; none where they are not measured.
-    fn errors(&self, cells: &Cells<'_>, steps: &StepLanes<'_>) -> Result<Vec<ChunkErrors>> {
+    fn errors(&self, cells: &ChunkTets<'_>, steps: &StepLanes<'_>) -> Result<Vec<ChunkErrors>> {
         let Some((sample_errors, samples)) = &self.sample_errors else { return Ok(vec![]) };
         let levels = self.recipe.points.levels().map(|levels| &**levels);
         sample_errors

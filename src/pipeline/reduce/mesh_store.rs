@@ -54,9 +54,7 @@ pub(super) fn check_job(job: &Job<'_>, mesh: &CellMesh) -> Result<()> {
     let scratch = job.run.resources.scratch_folder();
     let needed = scratch_bytes([mesh.info().points, mesh.info().cells], job);
     match free_bytes(&scratch) {
-        Some(available) if needed > available => {
-            Err(Error::Budget { what: format!("disk space for {}", scratch.display()), needed, available })
-        }
+        Some(available) if needed > available => Err(Error::disk(&scratch, needed, available)),
         _ => Ok(()),
     }
 }

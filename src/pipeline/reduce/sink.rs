@@ -51,10 +51,10 @@ impl<'a> SegmentFiles<'a> {
         Left::in_folders(&[self.layout.mesh_folder(), self.layout.steps_folder()])
     }
 
-    fn parts(&self) -> impl Iterator<Item = Part> + use<> {
-        let mesh = self.mesh.map(Part::Mesh);
+    fn parts(&self) -> impl Iterator<Item = SegmentFile> + use<> {
+        let mesh = self.mesh.map(SegmentFile::Mesh);
         let steps = self.steps.clone();
-        mesh.into_iter().chain(steps.into_iter().enumerate().map(|(n, step)| Part::Values(n, step)))
+        mesh.into_iter().chain(steps.into_iter().enumerate().map(|(n, step)| SegmentFile::Values(n, step)))
     }
 }
 
@@ -77,14 +77,14 @@ fn is_whole(path: &Path, kind: SegmentKind, hash: PlanHash, chunks: &Range<u64>)
 
 /// One of the files of a segment.
 #[derive(Clone, Copy)]
-enum Part {
+enum SegmentFile {
     /// The mesh, with its hash.
     Mesh(PlanHash),
     /// The values of a step: which of the pass, its number and hash.
     Values(usize, (u64, PlanHash)),
 }
 
-impl Part {
+impl SegmentFile {
     fn path(self, files: &SegmentFiles<'_>, segment: u64) -> PathBuf {
         match self {
             Self::Mesh(_) => files.layout.mesh(segment),
@@ -141,7 +141,7 @@ impl Part {
 
 /// The files of a segment being written; `None` in place of a file that exists already.
 pub(super) struct Sink {
-    files: Vec<(Part, Option<ChunkSegmentWriter>)>,
+    files: Vec<(SegmentFile, Option<ChunkSegmentWriter>)>,
     times: StageTimes,
 }
 
@@ -156,10 +156,10 @@ impl Sink {
     ) -> Result<(Self, u64)> {
         let all = chunks.end - chunks.start;
         let count = |w: &Option<ChunkSegmentWriter>| w.as_ref().map_or(all, ChunkSegmentWriter::chunk_count);
-        let open = |part: Part| {
+        let open = |part: SegmentFile| {
             Ok((part, part.resume(files, segment, chunks, all, left.has(&part.path(files, segment)))?))
         };
-        let mut opened: Vec<(Part, Option<ChunkSegmentWriter>)> =
+        let mut opened: Vec<(SegmentFile, Option<ChunkSegmentWriter>)> =
             files.parts().map(open).collect::<Result<_>>()?;
         // Nothing is written again to a complete file; the others need all chunks after their last
         // common one.

@@ -40,7 +40,7 @@ use crate::error::{Error, Result};
 use crate::formats::{Input, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, ChunkId};
-use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, stored_errors};
+use crate::pipeline::chunk::{ChunkTets, Originals, SampleErrors, Samples, StepLanes, stored_errors};
 use crate::pipeline::field::{AtVertices, MeasureSettings, reopened_values, store_settings};
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Halo, estimate};
@@ -208,7 +208,7 @@ impl Measuring<'_> {
         let lattice = self.cells.lattice;
         let read = |_, window, out: &mut [f32]| samples.read(window, out);
         sample_errors.each_sample(
-            &Cells { positions, tets, block_ends },
+            &ChunkTets { positions, tets, block_ends },
             &StepLanes::one(values),
             read,
             |m| {

@@ -16,7 +16,7 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::is_active;
 use crate::pipeline::plan::{SurfaceShares, estimate};
-use crate::pipeline::read::{BufferPool, ChunkReader, Found, Frontier, Needed, Wanted, chunk_reader};
+use crate::pipeline::read::{BufferPool, CacheHit, ChunkReader, Frontier, Needed, Wanted, chunk_reader};
 use crate::surface::TriMesh;
 use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
@@ -30,7 +30,7 @@ pub(super) struct Extracted {
 }
 
 /// Where surfaces are kept while they are made.
-pub(super) struct Room {
+pub(super) struct SurfaceStorage {
     /// For what memory does not hold.
     pub(super) scratch: PathBuf,
     /// Surfaces that are no longer needed, whose memory is reused: the first one for the first
@@ -42,7 +42,7 @@ pub(super) struct Room {
 pub(super) fn extract_surfaces(
     question: &Question<'_>,
     settings: &SurfaceSettings,
-    room: Room,
+    storage: SurfaceStorage,
     progress: &dyn Progress,
 ) -> Result<Vec<Extracted>> {
     let work = question.work;
@@ -50,7 +50,7 @@ pub(super) fn extract_surfaces(
     let bytes: Vec<u64> = work.iter().map(|work| question.need(work)).collect();
     let largest = bytes.iter().copied().max().unwrap_or(0);
     let shares = SurfaceShares::of(settings.resources.memory, active_blocks, largest)?;
-    let mut weld = Weld::new(question, settings, shares, room, progress);
+    let mut weld = Weld::new(question, settings, shares, storage, progress);
     let pool = question.archive.pools.lend(settings.resources.threads)?;
     progress.begin("surface", active_blocks, "blocks");
     let (kept, of_this_question) = (&question.archive.cache, BufferPool::default());
@@ -153,7 +153,7 @@ impl Question<'_> {
 
     /// Prefetches the next kept block, and from the one after it what shows which tetrahedra may be
     /// active.
-    fn prefetch(&self, next: Option<&Found>, after: Option<&Found>) {
+    fn prefetch(&self, next: Option<&CacheHit>, after: Option<&CacheHit>) {
         if let Some(next) = next {
             next.block.rest_will_be_read(self.isovalues);
         }
@@ -203,7 +203,7 @@ impl<'a> Weld<'a> {
         question: &'a Question<'a>,
         settings: &SurfaceSettings,
         shares: SurfaceShares,
-        Room { scratch, reused }: Room,
+        SurfaceStorage { scratch, reused }: SurfaceStorage,
         progress: &'a dyn Progress,
     ) -> Self {
         let count = question.isovalues.len();

@@ -15,8 +15,8 @@
 //! it wait in the scratch folder. Where there is a choice, a pass ends before a keyframe, so that
 //! no values are decoded only for the differences to them.
 
-use super::extract::{Extracted, Room, Weld};
-use super::query::{Effort, Made, Prepared, make};
+use super::extract::{Extracted, SurfaceStorage, Weld};
+use super::query::{Effort, FinishedSurfaces, Prepared, make};
 use super::settings::SurfaceSettings;
 use super::worker::{ChunkSurfaces, ChunkWorker, Question};
 use crate::error::{Error, Result};
@@ -86,7 +86,7 @@ impl<'a> Pass<'a> {
         settings: &SurfaceSettings,
         reused: &mut Vec<Vec<TriMesh>>,
         progress: &dyn Progress,
-    ) -> Result<Vec<Made>> {
+    ) -> Result<Vec<FinishedSurfaces>> {
         let view = self.steps[0].view;
         while self.steps.len() > 1 {
             let (start, read_before) = (Instant::now(), view.bytes_read());
@@ -108,10 +108,10 @@ impl<'a> Pass<'a> {
             };
             return self.steps.iter().zip(surfaces).map(finish).collect();
         }
-        let room = Room { scratch: self.scratch, reused: reused.pop().unwrap_or_default() };
+        let storage = SurfaceStorage { scratch: self.scratch, reused: reused.pop().unwrap_or_default() };
         // A view of its own, so that what is read of unpacked blocks is counted from the start.
         let alone = view.archive().step_at(view.position());
-        Ok(vec![make(&alone, settings, room, progress)?])
+        Ok(vec![make(&alone, settings, storage, progress)?])
     }
 }
 
@@ -204,8 +204,9 @@ impl<'a> Work<'a> {
         let (shares, bytes) = self.shares(settings.resources.memory)?;
         let each = shares.of_each(self.questions.len() as u64);
         let weld = |question| {
-            let room = Room { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
-            Weld::new(question, settings, each, room, progress)
+            let storage =
+                SurfaceStorage { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
+            Weld::new(question, settings, each, storage, progress)
         };
         let mut welds: Vec<Weld<'_>> = self.questions.iter().map(weld).collect();
         let pool = self.archive.pools.lend(settings.resources.threads)?;

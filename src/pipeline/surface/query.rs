@@ -2,7 +2,7 @@
 //! read.
 
 use super::colours::colours;
-use super::extract::{Extracted, Room, extract_surfaces};
+use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
 use super::refine::{Means, RefineReport};
 use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
@@ -98,7 +98,7 @@ pub(in crate::pipeline) fn write_surfaces(
 ) -> Result<SurfaceReport> {
     settings.check_colours(format)?;
     let (scratch, before) = (settings.scratch_of(out), traffic(archive.path()));
-    let made = make(archive, settings, Room { scratch, reused: vec![] }, progress)?;
+    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, progress)?;
     let report = write_made(archive, settings, made, out, format)?.0;
     Ok(SurfaceReport { remote: traffic_since(archive.path(), before), ..report })
 }
@@ -107,7 +107,7 @@ pub(in crate::pipeline) fn write_surfaces(
 pub(super) fn write_made(
     archive: &StepView,
     settings: &SurfaceSettings,
-    mut made: Made,
+    mut made: FinishedSurfaces,
     out: &Path,
     format: SurfaceFormat,
 ) -> Result<(SurfaceReport, Vec<Extracted>)> {
@@ -123,7 +123,7 @@ pub(super) fn write_made(
 fn report_of(
     archive: &StepView,
     settings: &SurfaceSettings,
-    made: &Made,
+    made: &FinishedSurfaces,
     out: &Path,
 ) -> Result<SurfaceReport> {
     let totals = &archive.manifest.counts;
@@ -162,13 +162,13 @@ pub(in crate::pipeline) fn with_surfaces(
     mut each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
 ) -> Result<()> {
     let scratch = settings.resources.scratch_folder();
-    let made = make(archive, settings, Room { scratch, reused: vec![] }, &Silent)?;
+    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, &Silent)?;
     begin(&report_of(archive, settings, &made, Path::new(""))?)?;
     made.surfaces.iter().try_for_each(|found| in_world(archive, &found.surface, &mut each))
 }
 
 /// Surfaces, cut and refined, and what was read for them.
-pub(super) struct Made {
+pub(super) struct FinishedSurfaces {
     pub(super) surfaces: Vec<Extracted>,
     refined: Vec<RefineReport>,
     active_blocks: u64,
@@ -242,7 +242,7 @@ impl<'a> Prepared<'a> {
         mut surfaces: Vec<Extracted>,
         effort: Effort,
         scratch: &Path,
-    ) -> Result<Made> {
+    ) -> Result<FinishedSurfaces> {
         let start = Instant::now();
         if let Some(cut) = &self.cut {
             cut_all(&mut surfaces, cut, settings.resources.memory, scratch)?;
@@ -250,7 +250,7 @@ impl<'a> Prepared<'a> {
         let extracted = effort.time + start.elapsed();
         let start = Instant::now();
         let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
-        Ok(Made {
+        Ok(FinishedSurfaces {
             surfaces,
             refined,
             active_blocks: self.work.iter().map(|w| w.blocks.len() as u64).sum(),
@@ -269,15 +269,15 @@ impl<'a> Prepared<'a> {
 pub(super) fn make(
     archive: &StepView,
     settings: &SurfaceSettings,
-    room: Room,
+    storage: SurfaceStorage,
     progress: &dyn Progress,
-) -> Result<Made> {
+) -> Result<FinishedSurfaces> {
     settings.check()?;
     let read_before = archive.bytes_read();
     let prepared = Prepared::new(archive, settings)?;
-    let (start, scratch) = (Instant::now(), room.scratch.clone());
+    let (start, scratch) = (Instant::now(), storage.scratch.clone());
     let question = prepared.question(settings);
-    let surfaces = extract_surfaces(&question, settings, room, progress)?;
+    let surfaces = extract_surfaces(&question, settings, storage, progress)?;
     let effort = Effort {
         bytes_read: archive.bytes_read() - read_before,
         active_bytes: question.active_bytes.into_inner(),
@@ -338,7 +338,7 @@ pub(in crate::pipeline) fn surfaces_in_memory(
     reused: Vec<TriMesh>,
 ) -> Result<Vec<TriMesh>> {
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let made = make(archive, settings, Room { scratch, reused }, &Silent)?;
+    let made = make(archive, settings, SurfaceStorage { scratch, reused }, &Silent)?;
     made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
 }
 

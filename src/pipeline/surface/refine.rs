@@ -74,8 +74,7 @@ impl Refine {
         if let Some(goal) = &self.decimate {
             let needed = share.saturating_mul(Decimation::least_memory(surface.triangle_count()));
             if means.memory < needed {
-                let what = "memory (to decimate)".into();
-                return Err(Error::Budget { what, needed, available: means.memory });
+                return Err(Error::memory("to decimate", needed, means.memory));
             }
             let pool = pool(means.threads)?;
             let (fewer, done) = pool.install(|| decimate(surface, goal, &settings, means.cancel))?;

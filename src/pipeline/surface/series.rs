@@ -7,7 +7,7 @@
 //! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
 
 use super::extract_steps::{MOST_STEPS, Pass};
-use super::query::{Made, write_made};
+use super::query::{FinishedSurfaces, write_made};
 use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
 use crate::archive::manifest::Step;
 use crate::bytes::publish::{Unpublished, folder_of};
@@ -60,7 +60,7 @@ pub(in crate::pipeline) fn series_files(
     out: &Path,
     format: SurfaceFormat,
 ) -> Result<Vec<PathBuf>> {
-    let place = Place::in_name(out)?;
+    let place = StepDigits::in_name(out)?;
     let positions = steps.positions(&archive.manifest, archive.path())?;
     let of_step = |step: &Step| settings.files(&place.name(step.plan.number));
     let mut files: Vec<PathBuf> = archive.manifest.steps[positions].iter().flat_map(of_step).collect();
@@ -80,7 +80,7 @@ pub(in crate::pipeline) fn write_series(
 ) -> Result<SeriesReport> {
     settings.check()?;
     settings.check_colours(format)?;
-    let place = Place::in_name(out)?;
+    let place = StepDigits::in_name(out)?;
     let scratch = settings.scratch_of(out);
     let mut made: Vec<StepSurfaces> = vec![];
     let mut write = |archive: &StepView, surfaces| {
@@ -132,7 +132,7 @@ pub(in crate::pipeline) fn surfaces_of_steps(
 ) -> Result<()> {
     settings.check()?;
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let mut hand_out = |archive: &StepView, made: Made| {
+    let mut hand_out = |archive: &StepView, made: FinishedSurfaces| {
         let plan = &archive.step().plan;
         let surfaces = made.surfaces.into_iter().map(|found| in_memory(archive, found.surface));
         let mut surfaces = surfaces.collect::<Result<Vec<_>>>()?;
@@ -143,7 +143,7 @@ pub(in crate::pipeline) fn surfaces_of_steps(
 }
 
 /// What is done with the surfaces of a step; their memory comes back.
-type Use<'a> = dyn FnMut(&StepView, Made) -> Result<Vec<TriMesh>> + 'a;
+type Use<'a> = dyn FnMut(&StepView, FinishedSurfaces) -> Result<Vec<TriMesh>> + 'a;
 
 /// Extracts surfaces of step after step, several in a pass.
 fn for_each_step(
@@ -169,14 +169,14 @@ fn for_each_step(
 }
 
 /// Where the number of a step is in a file's name: `before`, digits, `after`.
-struct Place {
+struct StepDigits {
     folder: PathBuf,
     before: String,
     after: String,
     digits: usize,
 }
 
-impl Place {
+impl StepDigits {
     fn in_name(out: &Path) -> Result<Self> {
         let name = out.file_name().and_then(|n| n.to_str()).unwrap_or_default();
         let found = name.match_indices('%').find_map(|(at, _)| {
@@ -252,7 +252,7 @@ mod tests {
     #[test]
     fn names_have_a_place_for_the_number() {
         let of = |name: &str, format| {
-            let place = Place::in_name(Path::new(name)).unwrap();
+            let place = StepDigits::in_name(Path::new(name)).unwrap();
             (place.name(7).display().to_string(), place.list(format).display().to_string())
         };
         let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
@@ -262,7 +262,7 @@ mod tests {
         assert_eq!(of("%d.stl", SurfaceFormat::Stl), pair("7.stl", "surface.stl.series"));
         assert_eq!(of("50%_%2d.obj", SurfaceFormat::Obj).0, "50%_07.obj");
         for bad in ["out.ply", "out_%.ply", "out_%s.ply", "%99d.ply"] {
-            assert_eq!(Place::in_name(Path::new(bad)).err().unwrap().exit_code(), 2, "{bad}");
+            assert_eq!(StepDigits::in_name(Path::new(bad)).err().unwrap().exit_code(), 2, "{bad}");
         }
     }
 }

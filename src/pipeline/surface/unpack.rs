@@ -115,9 +115,7 @@ pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed>
     let bytes = tetrahedra * BYTES_ON_DISK;
     let free = estimate::free_bytes(archive.path());
     match free {
-        Some(available) if available < bytes => {
-            Err(Error::Budget { what: "disk".into(), needed: bytes, available })
-        }
+        Some(available) if available < bytes => Err(Error::disk(archive.path(), bytes, available)),
         _ => Ok(UnpackNeed { bytes, tetrahedra, free }),
     }
 }
@@ -251,11 +249,10 @@ fn unpack_step(
 ) -> Result<UnpackedFile> {
     let range = settings.range.map(|v| archive.step().plan.source.kept(v));
     let parts = parts_of(archive, range)?;
-    let bytes: Vec<u64> = parts.iter().map(Part::need).collect();
+    let bytes: Vec<u64> = parts.iter().map(ChunkOutline::need).collect();
     let largest = estimate::BASE + bytes.iter().copied().max().unwrap_or(0);
     if settings.resources.memory < largest {
-        let (what, available) = ("memory".into(), settings.resources.memory);
-        return Err(Error::Budget { what, needed: largest, available });
+        return Err(Error::memory("", largest, settings.resources.memory));
     }
     let path = archive.layout.unpacked();
     let mut writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
@@ -293,12 +290,12 @@ fn unpack_step(
 }
 
 /// What is known of a chunk before it is unpacked.
-struct Part {
+struct ChunkOutline {
     summary: MeshSummary,
     wanted_tets: u64,
 }
 
-impl Part {
+impl ChunkOutline {
     fn need(&self) -> u64 {
         let vertices = u64::from(self.summary.core) + u64::from(self.summary.halo);
         let tets = self.wanted_tets.saturating_mul(BYTES_PER_TET);
@@ -307,13 +304,13 @@ impl Part {
 }
 
 /// Reads the summaries of all chunks.
-fn parts_of(archive: &StepView, range: [f32; 2]) -> Result<Vec<Part>> {
+fn parts_of(archive: &StepView, range: [f32; 2]) -> Result<Vec<ChunkOutline>> {
     let part = |id: ChunkId| {
         archive.close_before(id);
         let segment = archive.segment_of(id)?;
         let ranges = segment.values.value_summary(id)?.ranges;
         let wanted_tets = ranges.iter().filter(|r| can_answer(r, range)).map(|r| u64::from(r.tets)).sum();
-        Ok(Part { summary: segment.mesh.mesh_summary(id)?, wanted_tets })
+        Ok(ChunkOutline { summary: segment.mesh.mesh_summary(id)?, wanted_tets })
     };
     let parts = (0..archive.chunks.len()).map(|id| part(ChunkId(id))).collect();
     // The chunks are read again, from the first on.

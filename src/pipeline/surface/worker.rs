@@ -6,7 +6,7 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::pipeline::read::{
-    Block, BlockCorners, BufferPool, Buffers, CachedBlock, ChunkReader, Cut, Found, NumberedShape,
+    Block, BlockCorners, BufferPool, Buffers, CacheHit, CachedBlock, ChunkReader, Cut, NumberedShape,
     PackedBlock, StepView,
 };
 use crate::surface::WorldMap;
@@ -86,7 +86,13 @@ impl<'a> ChunkWorker<'a> {
     }
 
     /// Adds a kept block to the surfaces, and finds out about it, if that is due.
-    pub(super) fn add_kept(&mut self, chunk: ChunkId, entry: &Entry, found: &Found, buffers: &mut Buffers) {
+    pub(super) fn add_kept(
+        &mut self,
+        chunk: ChunkId,
+        entry: &Entry,
+        found: &CacheHit,
+        buffers: &mut Buffers,
+    ) {
         let question = self.question;
         let is_whole = question.is_whole();
         match (&*found.block, is_whole) {

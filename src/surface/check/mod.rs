@@ -304,7 +304,7 @@ impl<'a> Shares<'a> {
         let given = settings.memory;
         let needed = least(vertices, LEAST_REST);
         if given < needed {
-            return Err(Error::Budget { what: "memory".into(), needed, available: given });
+            return Err(Error::memory("", needed, given));
         }
         let rest = given - given / 8 - FIXED - 4 * vertices;
         let fan = rest / 4 / LINK_BYTES;
@@ -320,8 +320,7 @@ impl<'a> Shares<'a> {
 
     fn fan_too_large(&self, triangles: u64) -> Error {
         let needed = least(self.vertices, 4 * LINK_BYTES * (triangles + 1));
-        let what = format!("memory (for {triangles} triangles at one vertex)");
-        Error::Budget { what, needed, available: self.given }
+        Error::memory(format!("for {triangles} triangles at one vertex"), needed, self.given)
     }
 }
 

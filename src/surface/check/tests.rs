@@ -220,9 +220,9 @@ fn too_little_memory_is_refused_naming_what_works() {
     let fan: Vec<[u32; 3]> = (0..60_000).map(|i| [0, 1 + i % 997, 2 + i % 997]).collect();
     let fan = mesh(&[[0.0; 3]; 1000], &fan);
     let within = |memory| check_source(&fan, None, &CheckSettings { memory, ..CheckSettings::default() });
-    let Err(Error::Budget { what, needed: more, .. }) = within(needed) else {
+    let Err(Error::Budget { purpose, needed: more, .. }) = within(needed) else {
         panic!("the fan is too large")
     };
-    assert!(what.contains("60000 triangles at one vertex"), "{what}");
+    assert!(purpose.contains("60000 triangles at one vertex"), "{purpose}");
     assert_eq!(within(more).unwrap().0, check(&fan));
 }

@@ -79,7 +79,7 @@ pub fn clip(
 }
 
 fn too_little(needed: u64, available: u64) -> Error {
-    Error::Budget { what: "memory (to cut a surface)".into(), needed, available }
+    Error::memory("to cut a surface", needed, available)
 }
 
 /// A vertex that stays.

@@ -10,7 +10,7 @@
 
 use super::cells::on_lanes;
 use super::chunk_surface::{ChunkSurface, OpenVertex, SharedEdge};
-use super::edges::Found;
+use super::edges::EdgeLookup;
 use super::fours;
 use super::known::{ByteTables, Crossed, FIRST, Known, NEW, Normal, OPEN, SUM, sum_of};
 use super::ordered::SHARED;
@@ -111,14 +111,14 @@ impl ChunkSurface {
             };
             let gradient = sum_of(sum);
             match self.edges.find_or_add(numbers(n)) {
-                Found::Known(number) => {
+                EdgeLookup::Known(number) => {
                     let known = &mut self.open[number as usize];
                     vertices[usize::from(n)] = known.vertex;
                     for (sum, part) in known.gradient.iter_mut().zip(gradient) {
                         *sum = sum.wrapping_add(part);
                     }
                 }
-                Found::New(_) => {
+                EdgeLookup::New(_) => {
                     self.open.push(OpenVertex { gradient, vertex: NEW });
                     first.push(n);
                 }

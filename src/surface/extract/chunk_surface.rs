@@ -2,7 +2,7 @@
 //! and its triangles.
 
 use super::cells::{CellSource, along_edge, on_lanes};
-use super::edges::{EdgeTable, Found};
+use super::edges::{EdgeLookup, EdgeTable};
 use super::{fours, patch};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::Vector;
@@ -197,8 +197,8 @@ pub(super) fn find_or_open(
     next: u32,
 ) -> (usize, bool) {
     match edges.find_or_add(edge) {
-        Found::Known(number) => (number as usize, false),
-        Found::New(number) => {
+        EdgeLookup::Known(number) => (number as usize, false),
+        EdgeLookup::New(number) => {
             open.push(OpenVertex { gradient: [0; 3], vertex: next });
             (number as usize, true)
         }

@@ -47,7 +47,7 @@ impl Bucket {
 }
 
 /// An edge that was looked for.
-pub(super) enum Found {
+pub(super) enum EdgeLookup {
     Known(u32),
     New(u32),
 }
@@ -88,25 +88,25 @@ impl EdgeTable {
 
     /// The number of an edge. The caller adds what belongs to a new one.
     #[inline(always)]
-    pub(super) fn find_or_add(&mut self, edge: [u32; 2]) -> Found {
+    pub(super) fn find_or_add(&mut self, edge: [u32; 2]) -> EdgeLookup {
         let bucket = &self.buckets[self.heads[edge[0] as usize] as usize];
         let places = places_of(&bucket.high, edge[1]);
         if places != 0 {
-            return Found::Known(bucket.number[places.trailing_zeros() as usize % LANES]);
+            return EdgeLookup::Known(bucket.number[places.trailing_zeros() as usize % LANES]);
         }
         self.find_or_add_behind(edge)
     }
 
     /// The number of an edge that is not in the first bucket of its lower corner.
     #[inline(never)]
-    fn find_or_add_behind(&mut self, [low, high]: [u32; 2]) -> Found {
+    fn find_or_add_behind(&mut self, [low, high]: [u32; 2]) -> EdgeLookup {
         let mut at = self.heads[low as usize];
         let mut length = usize::from(at != NO_BUCKET);
         loop {
             let bucket = &self.buckets[at as usize];
             let places = places_of(&bucket.high, high);
             if places != 0 {
-                return Found::Known(bucket.number[places.trailing_zeros() as usize % LANES]);
+                return EdgeLookup::Known(bucket.number[places.trailing_zeros() as usize % LANES]);
             }
             let next = bucket.number[NEXT];
             if next == NO_BUCKET {
@@ -123,10 +123,10 @@ impl EdgeTable {
         } else if length < Self::LONGEST_CHAIN {
             self.chain(low, at, high, number);
         } else if let Some(known) = self.find_or_add_overflow((low, high), number) {
-            return Found::Known(known);
+            return EdgeLookup::Known(known);
         }
         self.lows.push(low);
-        Found::New(number)
+        EdgeLookup::New(number)
     }
 
     /// Adds a bucket behind the last one of a corner's chain.

@@ -34,8 +34,9 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             about.set_item("help", &bad.help)?;
             "BadInputError"
         }
-        Error::Budget { what, needed, available } => {
-            about.set_item("what", what)?;
+        Error::Budget { resource, purpose, needed, available } => {
+            about.set_item("resource", resource.to_string())?;
+            about.set_item("purpose", purpose)?;
             about.set_item("needed", needed)?;
             about.set_item("available", available)?;
             "BudgetError"

@@ -173,6 +173,7 @@ def test_exceptions_by_kind(volume, tooth, tmp_path):
     with pytest.raises(isospan.BudgetError) as caught:
         isospan.reduce(TOOTH, tmp_path / "a.isospan", memory=1000)
     assert isinstance(caught.value, MemoryError) and caught.value.needed > caught.value.available
+    assert caught.value.resource == "memory" and caught.value.purpose == ""
     with pytest.raises(isospan.FileError) as caught:
         isospan.reduce(tmp_path / "nothing.nrrd", tmp_path / "a.isospan")
     assert isinstance(caught.value, OSError) and caught.value.errno == 2 and caught.value.doing

@@ -58,7 +58,7 @@ const LENGTHS: usize = 20;
 
 /// A value in the order of coding: which one, its table of odds, and the end of its neighbours.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+struct CodedValue {
     number: u16,
     table: u16,
     end: u32,
@@ -70,7 +70,7 @@ type Near = (u16, i16);
 /// The order of a brick's values, and the neighbours from which each is predicted.
 #[derive(Debug, Default)]
 struct Prediction {
-    places: Vec<Place>,
+    places: Vec<CodedValue>,
     near: Vec<Near>,
 }
 
@@ -169,7 +169,11 @@ impl Prediction {
 
     /// The place whose neighbours were pushed last.
     fn push(&mut self, number: usize, table: usize) {
-        self.places.push(Place { number: number as u16, table: table as u16, end: self.near.len() as u32 });
+        self.places.push(CodedValue {
+            number: number as u16,
+            table: table as u16,
+            end: self.near.len() as u32,
+        });
     }
 }
 

@@ -326,8 +326,8 @@ fn choose(
     let wanted = filter.largest.unwrap_or(u64::MAX).min(records.len());
     let chosen = filter.largest.is_some() && wanted < records.len();
     if chosen && wanted.saturating_mul(CHOICE) > memory {
-        let what = format!("memory (for the {wanted} largest components)");
-        return Err(Error::Budget { what, needed: wanted.saturating_mul(CHOICE), available: memory });
+        let purpose = format!("for the {wanted} largest components");
+        return Err(Error::memory(purpose, wanted.saturating_mul(CHOICE), memory));
     }
     let mut report = ComponentReport::default();
     let mut largest = Largest::new(wanted);

@@ -125,7 +125,7 @@ pub fn decimate(
     let (before, memory) = (surface.triangle_count(), settings.memory_bytes as u64);
     let least = Decimation::least_memory(before);
     if memory < least {
-        return Err(Error::Budget { what: "memory (to decimate)".into(), needed: least, available: memory });
+        return Err(Error::memory("to decimate", least, memory));
     }
     let wanted = (before as f64 * goal.ratio).ceil() as u64;
     let mut now = Rated { surface, errors: None };

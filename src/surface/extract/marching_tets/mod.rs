@@ -4,8 +4,8 @@
 //!
 //! A corner whose value is `>= isovalue` is *inside*. A tetrahedron with corners on both sides is
 //! active, and the surface cuts it in one triangle (one corner against three) or one quadrilateral
-//! (two against two). The corners are first sorted by [`PointId`], so a tetrahedron gives the same
-//! triangles however its corners were listed:
+//! (two against two). The corners are first sorted by [their ids](crate::geom::PointId), so a
+//! tetrahedron gives the same triangles however its corners were listed:
 //!
 //! ```text
 //!          3                         3             corners sorted by id; edges numbered in the

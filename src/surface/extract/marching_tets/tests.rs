@@ -1,6 +1,6 @@
 use super::super::cases::{CASES, EDGES, is_odd};
 use super::super::cells::Sides;
-use super::super::edges::{EdgeTable, Found, NO_BUCKET};
+use super::super::edges::{EdgeLookup, EdgeTable, NO_BUCKET};
 use super::*;
 use crate::geom::{Lattice, LatticePos, PointId};
 use crate::grid::Geometry;
@@ -444,8 +444,8 @@ fn corners_of_any_degree_find_their_edges() {
                 let next = known.len() as u32;
                 let wanted = *known.entry(edge).or_insert(next);
                 let found = match table.find_or_add(edge) {
-                    Found::Known(number) => number,
-                    Found::New(number) => {
+                    EdgeLookup::Known(number) => number,
+                    EdgeLookup::New(number) => {
                         assert_eq!(number, next);
                         number
                     }

@@ -57,10 +57,12 @@ class BadInputError(Error, ValueError):
 class BudgetError(Error, MemoryError):
     """The work needs more of a resource than it was given.
 
-    ``what``: the resource, as "memory"; ``needed`` and ``available``: bytes.
+    ``resource``: "memory" or "disk space"; ``purpose``: what it is for, or ""; ``needed`` and
+    ``available``: bytes.
     """
 
-    what: str
+    resource: str
+    purpose: str
     needed: int
     available: int
 

@@ -69,7 +69,7 @@ fn listed_files(doc: &Document) -> Result<Vec<PathBuf>> {
         if files.len() == MOST_FILES {
             return Err(doc.wrong(&doc.data, format!("at most {MOST_FILES} pieces"), "more"));
         }
-        files.push(header::beside(doc.source.path(), name));
+        files.push(header::sibling(doc.source.path(), name));
     }
     Ok(files)
 }
