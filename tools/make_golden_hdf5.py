@@ -181,7 +181,7 @@ def dialects():
         f.create_dataset("fortran", data=ramp)
         for axis, label in enumerate("xyz"):
             f["fortran"].dims[axis].label = label
-        f.create_dataset("channels", data=np.zeros((2, 3, 4, 5), "<u2"))
+        f.create_dataset("channels", data=np.stack([RAMP, RAMP + 100]).astype("<u2"))
         for axis, label in enumerate("czyx"):
             f["channels"].dims[axis].label = label
         g = f.create_group("entry")

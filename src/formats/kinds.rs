@@ -56,9 +56,13 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         return Err(Error::usage(format!("{} is no mesh: leave out --value-file", path.display())));
     }
     if stack::is_pattern(path) {
+        options.refuse_channel(path)?;
         return folder::open(path, options);
     }
     let head = Head::of(path, options.io)?;
+    if found(&head).is_none_or(|format| !format.has_channels()) {
+        options.refuse_channel(path)?;
+    }
     match (found(&head), &options.raw) {
         (Some(format), Some(_)) => Err(Error::usage(format!(
             "{} is {}, which tells its own layout: leave out --dims, --type, --endian and --offset",
@@ -115,6 +119,7 @@ fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<Ce
         return Err(Error::usage(format!("{} has its own fields: leave out --value-file", path.display())));
     }
     options.refuse_geometry(path, "a mesh")?;
+    options.refuse_channel(path)?;
     format.mesh(path, options)
 }
 

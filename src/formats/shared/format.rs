@@ -84,6 +84,11 @@ pub(in crate::formats) trait Format: Sync {
         true
     }
 
+    /// Whether its arrays may have channels, of which the user chooses one.
+    fn has_channels(&self) -> bool {
+        false
+    }
+
     /// Whether a mesh has its values in a file of their own.
     fn has_value_file(&self) -> bool {
         false

@@ -10,6 +10,9 @@ use std::path::{Path, PathBuf};
 pub struct OpenOptions {
     /// The field to read, where the file has several.
     pub field: Option<String>,
+    /// The channel to read, where an array has an axis of them: a label or a number from 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub channel: Option<String>,
     /// The layout of a headerless file; required for those, refused for others.
     pub raw: Option<RawLayout>,
     /// World lengths of a voxel's edges along x, y and z, for a format without spacing.
@@ -26,6 +29,17 @@ pub struct OpenOptions {
 }
 
 impl OpenOptions {
+    /// Refuses a channel for a file whose format has none.
+    pub(in crate::formats) fn refuse_channel(&self, path: &Path) -> Result<()> {
+        match self.channel {
+            None => Ok(()),
+            Some(_) => {
+                let text = "channels are those of Zarr and HDF5 arrays: leave out --channel";
+                Err(Error::usage(format!("{}: {text}", path.display())))
+            }
+        }
+    }
+
     /// Refuses a spacing and an origin for a file that has its own.
     pub(in crate::formats) fn refuse_geometry(&self, path: &Path, what: &str) -> Result<()> {
         if self.spacing.is_none() && self.origin.is_none() {

@@ -7,8 +7,9 @@
 //!
 //! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
 //! a sample, named by their path. Axes before the last three must have one entry. In a dataset of
-//! four axes each entry of the first is a field of its own, `name:t0`, `name:t1`, …; `name` is all
-//! of them, as a series. Links to one dataset are one field.
+//! four axes each entry of the first is a field of its own. They are the steps `name:t0`, `name:t1`,
+//! …; `name` is all of them, as a series. If the first axis is one of channels, they are the fields
+//! `name:c0`, `name:c1`, …. Links to one dataset are one field.
 //!
 //! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
 //! are what their names say: time, x, y, z in any order, channels. If the last of four axes without
@@ -89,6 +90,10 @@ impl Format for Hdf5 {
         false
     }
 
+    fn has_channels(&self) -> bool {
+        true
+    }
+
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         open(path, options)
     }
@@ -127,7 +132,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let dialect = Dialect::of(path, &file)?;
     let mut tree = Tree::of(path, &file, dialect)?;
     let Placed { number, fields, field: info, geometry, convert } =
-        tree.pick(path, &file, dialect, options.field.as_deref())?;
+        tree.pick(path, &file, dialect, options)?;
     let field = &tree.fields[number];
     let has_place = dialect != Dialect::Plain || field.lines(&tree).iter().any(Option::is_some);
     if has_place {
@@ -163,7 +168,7 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
         return Ok(None);
     }
     let mut tree = Tree::of(path, &file, dialect)?;
-    let number = tree.pick(path, &file, dialect, options.field.as_deref())?.number;
+    let number = tree.pick(path, &file, dialect, options)?.number;
     let field = &tree.fields[number];
     let lines = field.lines(&tree);
     if lines.iter().flatten().all(|l| l.regular.is_some()) {
@@ -374,9 +379,10 @@ impl Tree {
         path: &Path,
         file: &Hdf5File,
         dialect: Dialect,
-        wanted: Option<&str>,
+        options: &OpenOptions,
     ) -> Result<Placed> {
-        let wanted = wanted.map(|name| self.full_name(file, name));
+        let wanted = self.with_channel(path, options)?;
+        let wanted = wanted.map(|name| self.full_name(file, &name));
         if dialect != Dialect::Vtk {
             self.check_wanted(path, wanted.as_deref())?;
         }
@@ -391,6 +397,32 @@ impl Tree {
         let number = pick_field(path, &fields, wanted)?;
         let geometry = self.fields[number].placed(path, self)?;
         Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert: None })
+    }
+
+    /// The field that is asked for, with the channel.
+    fn with_channel(&self, path: &Path, options: &OpenOptions) -> Result<Option<String>> {
+        let Some(channel) = &options.channel else { return Ok(options.field.clone()) };
+        let number = channel.strip_prefix('c').unwrap_or(channel);
+        let usage = |text: String| Err(Error::usage(format!("{}: {text}", path.display())));
+        if let Some(field) = &options.field {
+            return match field.rsplit_once(":c") {
+                Some((_, of_field)) if of_field != number => {
+                    usage(format!("{field} is another channel than --channel {channel}"))
+                }
+                Some(_) => Ok(Some(field.clone())),
+                None => Ok(Some(format!("{field}:c{number}"))),
+            };
+        }
+        let mut datasets: Vec<&str> = self.fields.iter().filter_map(Field::dataset_of_channels).collect();
+        datasets.dedup();
+        match datasets[..] {
+            [] => usage("no dataset has channels: leave out --channel".into()),
+            [dataset] => Ok(Some(format!("{dataset}:c{number}"))),
+            _ => usage(format!(
+                "several datasets have channels ({}): choose one with --field",
+                datasets.join(", ")
+            )),
+        }
     }
 
     /// The first frame of the dataset with four axes that a user's word means.
@@ -412,7 +444,7 @@ impl Tree {
         // The name of a dataset with frames is not the name of a frame.
         let found =
             self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| match frame {
-                None => !f.is_frame(),
+                None => !f.is_frame() && !f.has_channels,
                 Some(frame) => f.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame),
             });
         found.map_or_else(|| wanted.to_string(), |f| f.info.name.clone())
@@ -440,8 +472,9 @@ struct Field {
     info: FieldInfo,
     dataset: Dataset,
     big_endian: bool,
-    /// The entry of each axis before the last three.
+    /// The entry of each axis before the last three, and whether the first is one of channels.
     before: Vec<u64>,
+    has_channels: bool,
     /// The axis of the world along which each of the last three lies, the last one first.
     world: [usize; 3],
 }
@@ -531,6 +564,7 @@ fn fields_of(
         dataset: dataset.clone(),
         big_endian,
         before,
+        has_channels: kinds[0] == 'c' && shape[0] > 1,
         world,
     };
     let refuse = |expected: &str, help: &str| {
@@ -547,16 +581,18 @@ fn fields_of(
         let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
         return Ok(vec![field(name.into(), vec![0; before.len()], components)]);
     }
-    if few && unnamed || kinds.iter().zip(shape).any(|(&k, &n)| k == 'c' && n > 1) {
-        return refuse("one number a sample", ours);
+    let others = if rank == 4 { 1 } else { 0 };
+    if few && unnamed || kinds.iter().zip(shape).skip(others).any(|(&k, &n)| k == 'c' && n > 1) {
+        return refuse("one number a sample, or channels as the first of four axes", ours);
     }
     if rank > 3 && last.contains(&'t') || kinds.iter().zip(before).any(|(&k, &n)| place(k).is_some() && n > 1)
     {
         return refuse("time as the first axis, before z, y and x", "write the dataset again in this order");
     }
     match before {
-        &[frames] if frames != 1 && frames <= MOST_FRAMES && dialect == Dialect::Plain => {
-            Ok((0..frames).map(|t| field(format!("{name}:t{t}"), vec![t], 1)).collect())
+        &[entries] if entries != 1 && entries <= MOST_FRAMES && dialect == Dialect::Plain => {
+            let kind = if kinds[0] == 'c' { 'c' } else { 't' };
+            Ok((0..entries).map(|n| field(format!("{name}:{kind}{n}"), vec![n], 1)).collect())
         }
         _ if before.iter().all(|&n| n == 1) => Ok(vec![field(name.into(), vec![0; before.len()], 1)]),
         _ => {
@@ -636,7 +672,16 @@ impl Field {
 
     /// Whether it is one of several frames of its dataset.
     fn is_frame(&self) -> bool {
-        self.before.len() == 1 && self.dataset.shape()[0] > 1 && self.info.components == 1
+        self.before.len() == 1
+            && self.dataset.shape()[0] > 1
+            && self.info.components == 1
+            && !self.has_channels
+    }
+
+    /// The name of its dataset, if it is one of several channels of that.
+    fn dataset_of_channels(&self) -> Option<&str> {
+        let (name, _) = self.info.name.rsplit_once(":c").filter(|_| self.has_channels)?;
+        Some(name)
     }
 
     fn volume_info(
@@ -774,7 +819,8 @@ impl Field {
     /// The numbers of the coordinate variable of an axis.
     fn line(&self, axis: usize, tree: &Tree) -> Option<Vec<f64>> {
         let dataset_name = self.info.name.rsplit_once(":t").filter(|_| self.is_frame());
-        let name = dataset_name.map_or(self.info.name.as_str(), |(name, _)| name);
+        let name = dataset_name.map(|(name, _)| name).or(self.dataset_of_channels());
+        let name = name.unwrap_or(&self.info.name);
         let (_, line) = tree.line_of(name, &self.dataset, axis)?;
         // A dimension without coordinates has a dataset too, of zeros.
         let name = line.attribute("NAME").ok().and_then(|a| a.read_string().ok()).unwrap_or_default();

@@ -281,8 +281,19 @@ fn axes_are_what_they_are_called() {
     );
     let line = open("axes.h5", "vectors").err().expect("vectors").to_string();
     assert!(line.contains("vectors (3 x float32, not scalar)"), "{line}");
-    let line = open("axes.h5", "channels").err().expect("channels").to_string();
-    assert!(line.contains("2 (c) x 3 (z) x 4 (y) x 5 (x)"), "{line}");
+    for (field, channel) in [(Some("channels:c1"), None), (Some("channels"), Some("1")), (None, Some("c1"))] {
+        let [field, channel] = [field, channel].map(|text| text.map(str::to_owned));
+        let options = OpenOptions { field, channel, ..OpenOptions::default() };
+        let source = open_volume(&data("axes.h5"), &options).unwrap();
+        assert_eq!((&*source.info().field.name, source.info().dims), ("channels:c1", [5, 4, 3]));
+        assert_eq!(values(source), ramp().iter().map(|v| v + 100.0).collect::<Vec<f32>>());
+    }
+    for (field, channel) in [("channels", None), ("channels", Some("2")), ("channels:c0", Some("1"))] {
+        let (field, channel) = (Some(field.to_owned()), channel.map(str::to_owned));
+        let options = OpenOptions { field, channel, ..OpenOptions::default() };
+        let error = open_volume(&data("axes.h5"), &options).err().expect("no channel, or another");
+        assert!(error.exit_code() == 2 && error.to_string().contains("channels:c0"), "{error}");
+    }
 }
 
 #[test]

@@ -13,10 +13,12 @@
 //! OME-Zarr image gives its first level, which is the full image.
 //!
 //! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`,
-//! `_ARRAY_DIMENSIONS`); without names the last axis is x, the one before y, then z. One more axis
-//! may have several entries: the frames of a series. It is named t or time, or is the first of four
-//! without names. The frames are the fields `NAME:t0`, `NAME:t1`, …; their times are those of
-//! OME-Zarr's `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and
+//! `_ARRAY_DIMENSIONS`); without names the last axis is x, the one before y, then z. Two more axes
+//! may have several entries. One has the frames of a series; it is named t or time, or is the first
+//! of four without names. The frames are the fields `NAME:t0`, `NAME:t1`, …; their times are those
+//! of OME-Zarr's `coordinateTransformations`. The other has channels; it is named c or channel.
+//! They are the fields `NAME:LABEL`, with the labels of OME-Zarr's `omero`, or `NAME:c0`,
+//! `NAME:c1`, …; their frames are `NAME:LABEL:t0`, …. All others must have one entry. Spacing and
 //! origin are those of `coordinateTransformations`; else of the arrays next to the array that are
 //! named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1
 //! and 0. `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
@@ -54,7 +56,7 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
 use meta::Array;
 use serde_json::Value;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -79,6 +81,10 @@ impl Format for Zarr {
         false
     }
 
+    fn has_channels(&self) -> bool {
+        true
+    }
+
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         open(path, options)
     }
@@ -88,7 +94,7 @@ impl Format for Zarr {
     }
 
     fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        frames(path, options.field.as_deref()).map(Some)
+        frames(path, options).map(Some)
     }
 
     fn times(&self, path: &Path, _: &OpenOptions) -> Result<HashMap<String, f64>> {
@@ -103,7 +109,7 @@ const MOST_OPEN: u64 = 32;
 const OPEN_INDICES: u64 = 4 << 20;
 /// Most numbers of coordinates along an axis.
 const MOST_COORDINATES: u64 = 1 << 24;
-/// Most frames of an array.
+/// Most frames of all channels of an array.
 const MOST_FRAMES: u64 = 1 << 16;
 /// If an array has more chunk files than this, this many of them, evenly spread, stand for all in
 /// [`VolumeInfo::data_files`].
@@ -122,13 +128,9 @@ pub(in crate::formats) fn is_zarr(folder: &Path) -> bool {
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let (image, arrays) = arrays(path)?;
     let fields = fields(image.as_ref(), &arrays)?;
-    let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
-    let first = image.is_some().then(|| fields.first()).flatten().filter(|f| f.frame.is_none());
-    let first = first.map(|f| f.info.name.clone());
-    let wanted = options.field.as_deref().map(|w| full_name(w, &names)).or(first);
+    let number = choose(path, options, image.as_ref(), &arrays, &fields)?;
     let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
-    let number = pick_field(path, &infos, wanted.as_deref())?;
-    let Field { info: field, array, axes, frame } = fields.into_iter().nth(number).expect("one of them");
+    let Field { info: field, array, axes, fixed, .. } = fields.into_iter().nth(number).expect("one of them");
     let array = arrays.into_iter().nth(array).expect("a field's array").1;
     let image = match image {
         Some(image) => Some(image),
@@ -154,27 +156,61 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     packing(&array, &mut info)?;
     info.field = field;
     info.fields = infos;
-    info.data_files = files(&array, frame);
-    let chunks = Chunks::new(info, array, axes, frame, options.io);
+    info.data_files = files(&array, &fixed);
+    let chunks = Chunks::new(info, array, axes, fixed, options.io);
     Ok(VolumeSource::Chunked(Arc::new(chunks)))
 }
 
-/// The frames of the array that is `wanted`, or that is read without a choice, by the names of
-/// their fields, and their times, where OME-Zarr states them. None where there is one volume.
+/// The number of the field that is read.
+fn choose(
+    path: &Path,
+    options: &OpenOptions,
+    image: Option<&Image>,
+    arrays: &Named,
+    fields: &[Field],
+) -> Result<usize> {
+    let wanted = Wanted::of(options, image, arrays);
+    if let Some(wanted) = &wanted {
+        if let Some(number) = fields.iter().position(|f| wanted.is(f)) {
+            return Ok(number);
+        }
+        let labels: Vec<&str> = fields
+            .iter()
+            .filter(|f| f.array == wanted.array && f.frame.is_none_or(|t| t.number == 0))
+            .filter_map(|f| Some(f.channel.as_ref()?.label.as_str()))
+            .collect();
+        match (&options.channel, &labels[..]) {
+            (Some(_), []) => {
+                let text = format!("{}: an array without channels: leave out --channel", path.display());
+                return Err(Error::usage(text));
+            }
+            (Some(channel), _) => {
+                let (path, labels) = (path.display(), labels.join(", "));
+                let field = options.field.as_deref().unwrap_or("it");
+                let text = format!("{path}: {field} has no channel {channel}; its channels: {labels}");
+                return Err(Error::usage(text));
+            }
+            (None, [_, ..]) if wanted.channels.is_empty() => {
+                let (path, labels) = (path.display(), labels.join(", "));
+                let text = format!("{path}: several channels: {labels}; choose one with --channel NAME");
+                return Err(Error::usage(text));
+            }
+            _ => {}
+        }
+    }
+    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
+    pick_field(path, &infos, options.field.as_deref())
+}
+
+/// The frames of the array that is wanted, or that is read without a choice, by the names of their
+/// fields, and their times, where OME-Zarr states them. None where there is one volume.
 ///
 /// # Errors
 /// As [`open`].
-pub(in crate::formats) fn frames(path: &Path, wanted: Option<&str>) -> Result<Frames> {
+pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
     let (image, arrays) = arrays(path)?;
-    let number = match wanted {
-        Some(name) => {
-            let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
-            let full = full_name(name, &names);
-            names.iter().position(|n| *n == full)
-        }
-        None => (image.is_some() || arrays.len() == 1).then_some(0),
-    };
-    number.map_or(Ok(vec![]), |number| frames_of(image.as_ref(), &arrays, |n| n == number))
+    let wanted = Wanted::of(options, image.as_ref(), &arrays).filter(|wanted| wanted.frame.is_none());
+    wanted.map_or(Ok(vec![]), |wanted| frames_of(image.as_ref(), &arrays, |f| wanted.is_series(f)))
 }
 
 /// The frames of all arrays.
@@ -183,9 +219,9 @@ pub(in crate::formats) fn all_frames(path: &Path) -> Result<Frames> {
     frames_of(image.as_ref(), &arrays, |_| true)
 }
 
-fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(usize) -> bool) -> Result<Frames> {
+fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(&Field) -> bool) -> Result<Frames> {
     let mut out = vec![];
-    for field in fields(image, arrays)?.into_iter().filter(|f| taken(f.array)) {
+    for field in fields(image, arrays)?.into_iter().filter(taken) {
         let Some(frame) = field.frame else { continue };
         let array = &arrays[field.array].1;
         let around = match image {
@@ -216,10 +252,7 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
         return Ok(None);
     }
     let fields = fields(None, &arrays)?;
-    let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
-    let wanted = options.field.as_deref().map(|w| full_name(w, &names));
-    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
-    let field = &fields[pick_field(path, &infos, wanted.as_deref())?];
+    let field = &fields[choose(path, options, None, &arrays, &fields)?];
     let array = &arrays[field.array].1;
     let lines = lines(array, field.axes, options.io);
     if image_around(&array.folder)?.is_some() || lines.iter().flatten().all(|l| regular(&l.0, l.1).is_some())
@@ -252,7 +285,7 @@ fn line(array: &Array, axis: usize, io: IoMode) -> Option<Coordinates> {
     let mut info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
     packing(&own, &mut info).ok()?;
     let (slope, intercept, scalar) = (info.slope, info.intercept, own.scalar);
-    let chunks = Chunks::new(info, own, [Some(0), None, None], None, io);
+    let chunks = Chunks::new(info, own, [Some(0), None, None], vec![], io);
     let (mut chunks, mut bytes, mut out) = (ChunkSlabs::new(Arc::new(chunks)), vec![], vec![]);
     while chunks.next_slab(&mut bytes).ok()?.is_some() {
         let mut part = vec![0.0; bytes.len() / scalar.bytes()];
@@ -330,23 +363,32 @@ fn attributes_file(array: &Array) -> PathBuf {
     }
 }
 
-/// A volume that can be chosen: an array, or a frame of one.
+/// A volume that can be chosen: an array, or a channel or frame of one.
 struct Field {
     info: FieldInfo,
     /// The number of the array.
     array: usize,
     axes: Axes,
-    frame: Option<Frame>,
+    channel: Option<Channel>,
+    frame: Option<Entry>,
+    /// The entries of both.
+    fixed: Vec<Entry>,
 }
 
 /// An array's axes along x, y, z.
 type Axes = [Option<usize>; 3];
 
-/// One entry of the axis of time.
+/// One entry of an axis that is not of space.
 #[derive(Clone, Copy, Debug)]
-struct Frame {
+struct Entry {
     axis: usize,
     number: u64,
+}
+
+#[derive(Clone, Debug)]
+struct Channel {
+    entry: Entry,
+    label: String,
 }
 
 /// All fields. An array whose axes are not understood is left out, unless it is the only one.
@@ -357,25 +399,36 @@ fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
             Some(_) => None,
             None => image_around(&array.folder)?,
         };
-        let (axes, time) = match axes(array, image.or(around.as_ref())) {
+        let image = image.or(around.as_ref());
+        let AllAxes { space, time, channel } = match axes(array, image) {
             Ok(found) => found,
             Err(e) => {
                 refused = refused.or(Some(e));
                 continue;
             }
         };
-        let field = |name: String, frame| Field {
-            info: FieldInfo { name, scalar: array.scalar, components: 1 },
-            array: number,
-            axes,
-            frame,
+        let entries = |axis: Option<usize>| -> Vec<Option<Entry>> {
+            let all = |axis: usize| (0..array.shape[axis]).map(move |number| Some(Entry { axis, number }));
+            axis.map_or_else(|| vec![None], |axis| all(axis).collect())
         };
-        match time {
-            None => fields.push(field(name.clone(), None)),
-            Some(axis) => fields.extend(
-                (0..array.shape[axis])
-                    .map(|n| field(format!("{name}:t{n}"), Some(Frame { axis, number: n }))),
-            ),
+        let labels = channel.map(|axis| labels(image, array.shape[axis]));
+        for channel in entries(channel) {
+            let channel = channel.zip(labels.as_ref());
+            let channel =
+                channel.map(|(entry, l)| Channel { entry, label: l[entry.number as usize].clone() });
+            for frame in entries(time) {
+                let of_channel = channel.iter().map(|c| format!(":{}", c.label));
+                let of_frame = frame.iter().map(|t| format!(":t{}", t.number));
+                let name = std::iter::once(name.clone()).chain(of_channel).chain(of_frame).collect();
+                fields.push(Field {
+                    info: FieldInfo { name, scalar: array.scalar, components: 1 },
+                    array: number,
+                    axes: space,
+                    fixed: channel.iter().map(|c| c.entry).chain(frame).collect(),
+                    channel: channel.clone(),
+                    frame,
+                });
+            }
         }
     }
     match refused {
@@ -384,18 +437,68 @@ fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
     }
 }
 
-/// The field that a user's word means: itself, the one whose path starts with it, or "scaleN" the
-/// one at that level; with ":tN" its frame.
-fn full_name(wanted: &str, names: &[&str]) -> String {
-    let (array, frame) = match wanted.rfind(":t") {
-        Some(at) if wanted[at + 2..].parse::<u64>().is_ok() => wanted.split_at(at),
-        _ => (wanted, ""),
-    };
-    let starts = |name: &&&str| name.strip_prefix(array).is_some_and(|rest| rest.starts_with('/'));
-    let level =
-        || array.strip_prefix("scale").and_then(|n| n.parse::<usize>().ok()).and_then(|n| names.get(n));
-    let found = names.iter().find(|n| **n == array).or_else(|| names.iter().find(starts)).or_else(level);
-    format!("{}{frame}", found.unwrap_or(&array))
+/// What the channels of an array are called: as the image says, where it says so of all, in names
+/// that can be part of a field's; else c0, c1, ….
+fn labels(image: Option<&Image>, count: u64) -> Vec<String> {
+    let is_good = |label: &String| !label.is_empty() && !label.contains([':', '/', ',', '*', '?', '[']);
+    let of_image = image.map(|i| &i.channels).filter(|labels| {
+        labels.len() as u64 == count
+            && labels.iter().all(is_good)
+            && labels.iter().collect::<HashSet<_>>().len() == labels.len()
+    });
+    of_image.cloned().unwrap_or_else(|| (0..count).map(|n| format!("c{n}")).collect())
+}
+
+/// The field that a user means.
+struct Wanted {
+    array: usize,
+    /// What the flag and the field say of its channel: a label, or a number, or c and a number.
+    channels: Vec<String>,
+    frame: Option<u64>,
+}
+
+impl Wanted {
+    /// That of a word: an array (itself, the one whose path starts with it, or "scaleN" the one at
+    /// that level), and with colons its channel and frame. Without a word the first level of an
+    /// image, or the only array.
+    fn of(options: &OpenOptions, image: Option<&Image>, arrays: &Named) -> Option<Self> {
+        let Some(wanted) = &options.field else {
+            let is_clear = image.is_some() || arrays.len() == 1;
+            let channels = options.channel.iter().cloned().collect();
+            return is_clear.then_some(Self { array: 0, channels, frame: None });
+        };
+        let position = |is: &dyn Fn(&str) -> bool| arrays.iter().position(|(name, _)| is(name));
+        let (word, rest) = match position(&|name| name == wanted) {
+            Some(_) => (wanted.as_str(), ""),
+            None => wanted.split_once(':').unwrap_or((wanted, "")),
+        };
+        let level = || word.strip_prefix("scale")?.parse::<usize>().ok().filter(|n| *n < arrays.len());
+        let starts = |name: &str| name.strip_prefix(word).is_some_and(|rest| rest.starts_with('/'));
+        let array = position(&|name| name == word).or_else(|| position(&starts)).or_else(level)?;
+        let mut found = Self { array, channels: options.channel.iter().cloned().collect(), frame: None };
+        for part in rest.split(':').filter(|part| !part.is_empty()) {
+            match part.strip_prefix('t').and_then(|n| n.parse().ok()) {
+                Some(frame) => found.frame = Some(frame),
+                None => found.channels.push(part.to_owned()),
+            }
+        }
+        Some(found)
+    }
+
+    /// Whether it is this field.
+    fn is(&self, field: &Field) -> bool {
+        self.is_series(field) && self.frame == field.frame.map(|t| t.number)
+    }
+
+    /// Whether it is this field, or a series that it is a frame of.
+    fn is_series(&self, field: &Field) -> bool {
+        let number = |c: &Channel| c.entry.number.to_string();
+        let names =
+            |word: &str, c: &Channel| word == c.label || word.strip_prefix('c').unwrap_or(word) == number(c);
+        self.array == field.array
+            && self.channels.is_empty() == field.channel.is_none()
+            && field.channel.iter().all(|c| self.channels.iter().all(|word| names(word, c)))
+    }
 }
 
 /// An image of an OME-Zarr group: its `multiscales` entry.
@@ -403,6 +506,8 @@ fn full_name(wanted: &str, names: &[&str]) -> String {
 struct Image {
     group: PathBuf,
     multiscale: Value,
+    /// The labels of its channels.
+    channels: Vec<String>,
 }
 
 /// The image that a group describes.
@@ -412,7 +517,10 @@ fn image(group: &Path) -> Result<Option<Image>> {
     let attributes = &v3["attributes"];
     let lists = [&attributes["ome"]["multiscales"], &attributes["multiscales"], &v2["multiscales"]];
     let multiscale = lists.into_iter().find_map(|l| l.get(0)).cloned();
-    Ok(multiscale.map(|multiscale| Image { group: group.to_path_buf(), multiscale }))
+    let omero = [&attributes["ome"]["omero"], &attributes["omero"], &v2["omero"]];
+    let channels = omero.into_iter().find_map(|o| o["channels"].as_array()).into_iter().flatten();
+    let channels = channels.map(|c| c["label"].as_str().unwrap_or_default().trim().to_owned()).collect();
+    Ok(multiscale.map(|multiscale| Image { group: group.to_path_buf(), multiscale, channels }))
 }
 
 /// The image that an array belongs to: described by a folder above it.
@@ -499,42 +607,54 @@ fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
     }
 }
 
-/// The array's axes that are x, y and z, and the one of time, where it has several entries.
-fn axes(array: &Array, image: Option<&Image>) -> Result<(Axes, Option<usize>)> {
+/// What the axes of an array are. Those of time and of channels have several entries.
+struct AllAxes {
+    space: Axes,
+    time: Option<usize>,
+    channel: Option<usize>,
+}
+
+fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
     let rank = array.shape.len();
     let of_image = image.and_then(|i| i.multiscale["axes"].as_array()).map(|axes| {
         axes.iter().map(|a| a["name"].as_str().or(a.as_str()).unwrap_or_default().to_string()).collect()
     });
+    // Images of the first versions have no names, and always five axes.
+    let first = || image.filter(|_| rank == 5).map(|_| ["t", "c", "z", "y", "x"].map(String::from).into());
     let names: Option<Vec<String>> = of_image.or_else(|| array.names.clone()).filter(|n| n.len() == rank);
+    let names = names.or_else(first);
     let find = |name: &str| names.as_ref()?.iter().position(|n| n.eq_ignore_ascii_case(name));
     let named = ["x", "y", "z"].map(find);
-    let axes = if named.iter().all(Option::is_some) {
+    let space = if named.iter().all(Option::is_some) {
         named
     } else {
         std::array::from_fn(|a| rank.checked_sub(a + 1))
     };
-    let others = (0..rank).filter(|a| !axes.contains(&Some(*a)) && array.shape[*a] != 1).collect::<Vec<_>>();
-    let is_time = |axis: usize| match &names {
-        Some(names) => ["t", "time"].iter().any(|t| names[axis].eq_ignore_ascii_case(t)),
-        None => (axis, rank) == (0, 4),
+    let others = (0..rank).filter(|a| !space.contains(&Some(*a)) && array.shape[*a] != 1).collect::<Vec<_>>();
+    let is_called = |axis: usize, known: &[&str]| {
+        names.as_ref().is_some_and(|names| known.iter().any(|k| names[axis].eq_ignore_ascii_case(k)))
     };
-    match others[..] {
-        [] if rank >= 3 => return Ok((axes, None)),
-        // The last of four axes that is as short as this has the components of vectors, or colours.
-        [_] if names.is_none() && rank == 4 && array.shape[3] <= 4 && array.shape[2] > 4 => {}
-        [time] if rank >= 3 && is_time(time) && (1..=MOST_FRAMES).contains(&array.shape[time]) => {
-            return Ok((axes, Some(time)));
-        }
-        _ => {}
+    let is_time =
+        |&axis: &usize| is_called(axis, &["t", "time"]) || names.is_none() && (axis, rank) == (0, 4);
+    let time = others.iter().copied().find(is_time);
+    let channel = others.iter().copied().find(|&axis| is_called(axis, &["c", "channel", "channels"]));
+    let understood = usize::from(time.is_some()) + usize::from(channel.is_some());
+    let count = others.iter().try_fold(1u64, |n, &axis| n.checked_mul(array.shape[axis]));
+    // The last of four axes that is as short as this has the components of vectors, or colours.
+    let has_components = names.is_none() && rank == 4 && array.shape[3] <= 4 && array.shape[2] > 4;
+    let is_few = count.is_some_and(|n| (1..=MOST_FRAMES).contains(&n));
+    if rank >= 3 && others.len() == understood && is_few && !(has_components && time.is_some()) {
+        return Ok(AllAxes { space, time, channel });
     }
     let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
     let got = match &names {
         Some(names) => format!("{} ({})", shape.join(" x "), names.join(", ")),
         None => shape.join(" x "),
     };
-    let expected = "three axes, one of time of at most 65536 frames, others of one entry";
+    let expected =
+        "three axes, one of time, one of channels (65536 frames of channels at most), others of one entry";
     Err(Error::bad_input(&array.file, "shape", expected, got)
-        .with_help("write one channel to an array of its own"))
+        .with_help("write one channel, or the part that is wanted, to an array of its own; or name its axes"))
 }
 
 /// Scale and translation of an array's samples along x, y, z.
@@ -565,9 +685,9 @@ fn check_chunks(array: &Array) -> Result<()> {
 }
 
 /// The metadata's file and the chunks' files that exist; evenly chosen ones if there are very many.
-fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
+fn files(array: &Array, fixed: &[Entry]) -> Vec<PathBuf> {
     let mut grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
-    frame.iter().for_each(|f| grid[f.axis] = 1);
+    fixed.iter().for_each(|f| grid[f.axis] = 1);
     let count = grid.iter().fold(1u64, |n, &g| n.saturating_mul(g));
     let place = |mut number: u64| {
         let mut at: Vec<u64> = vec![];
@@ -576,7 +696,7 @@ fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
             number /= g;
         }
         at.reverse();
-        frame.iter().for_each(|f| at[f.axis] = f.number / array.chunk[f.axis]);
+        fixed.iter().for_each(|f| at[f.axis] = f.number / array.chunk[f.axis]);
         array.chunk_file(&at)
     };
     let some = (0..count.min(LISTED))
@@ -584,13 +704,13 @@ fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
     std::iter::once(array.file.clone()).chain(some.map(place)).collect()
 }
 
-/// The chunks of an array, or of one of its frames.
+/// The chunks of an array, or of one of its channels or frames.
 struct Chunks {
     info: VolumeInfo,
     array: Array,
     axes: Axes,
-    /// The entry of the time axis, if the array has one.
-    frame: Option<Frame>,
+    /// The entries of the axes of time and channels, if the array has them.
+    fixed: Vec<Entry>,
     io: IoMode,
     /// Shards that were opened last, by their places in the grid of files.
     shards: Mutex<Vec<([u64; 3], Arc<OpenShard>)>>,
@@ -600,8 +720,8 @@ struct Chunks {
 type OpenShard = Option<(ByteSource, Vec<u8>)>;
 
 impl Chunks {
-    fn new(info: VolumeInfo, array: Array, axes: Axes, frame: Option<Frame>, io: IoMode) -> Self {
-        Self { info, array, axes, frame, io, shards: Mutex::default() }
+    fn new(info: VolumeInfo, array: Array, axes: Axes, fixed: Vec<Entry>, io: IoMode) -> Self {
+        Self { info, array, axes, fixed, io, shards: Mutex::default() }
     }
 
     /// Sizes along x, y, z of a list along the array's axes.
@@ -609,16 +729,16 @@ impl Chunks {
         self.axes.map(|a| a.map_or(1, |a| sizes[a]))
     }
 
-    /// A place along the array's axes of one along x, y, z, and of the frame's `of_frame`.
-    fn place(&self, xyz: [u64; 3], of_frame: impl Fn(Frame) -> u64) -> Vec<u64> {
+    /// A place along the array's axes of one along x, y, z, and along others of `of_entry`.
+    fn place(&self, xyz: [u64; 3], of_entry: impl Fn(Entry) -> u64) -> Vec<u64> {
         let mut place = vec![0; self.array.shape.len()];
         for (axis, at) in self.axes.iter().zip(xyz) {
             if let Some(axis) = axis {
                 place[*axis] = at;
             }
         }
-        if let Some(frame) = self.frame {
-            place[frame.axis] = of_frame(frame);
+        for &entry in &self.fixed {
+            place[entry.axis] = of_entry(entry);
         }
         place
     }
@@ -731,7 +851,7 @@ impl Chunks {
         Ok(Some(at..end))
     }
 
-    /// Where the frame begins in a decoded chunk, and bytes a step along x, y, z.
+    /// Where the channel's frame begins in a decoded chunk, and bytes a step along x, y, z.
     fn strides(&self) -> (usize, [usize; 3]) {
         let mut strides = vec![0; self.array.shape.len()];
         let mut step = self.array.scalar.bytes();
@@ -740,7 +860,7 @@ impl Chunks {
             step *= self.array.unit()[axis] as usize;
         }
         let unit = self.array.unit();
-        let begin = self.frame.map_or(0, |f| (f.number % unit[f.axis]) as usize * strides[f.axis]);
+        let begin = self.fixed.iter().map(|f| (f.number % unit[f.axis]) as usize * strides[f.axis]).sum();
         (begin, self.axes.map(|a| a.map_or(0, |a| strides[a])))
     }
 }

@@ -108,7 +108,11 @@ fn values(source: VolumeSource) -> Result<(VolumeInfo, Vec<f32>)> {
 
 fn read(path: &Path, field: Option<&str>) -> Result<(VolumeInfo, Vec<f32>)> {
     let options = OpenOptions { field: field.map(str::to_string), ..OpenOptions::default() };
-    open_volume(path, &options).and_then(values)
+    read_with(path, &options)
+}
+
+fn read_with(path: &Path, options: &OpenOptions) -> Result<(VolumeInfo, Vec<f32>)> {
+    open_volume(path, options).and_then(values)
 }
 
 fn expected() -> Vec<f32> {
@@ -637,7 +641,7 @@ fn a_time_axis_gives_frames() {
     for (path, name, times) in
         [(&plain, "data", [None; 3]), (&ome, "0", [Some(10.0), Some(10.5), Some(11.0)])]
     {
-        let found = frames(path, None).unwrap();
+        let found = frames(path, &OpenOptions::default()).unwrap();
         let expected_frames: Vec<_> = (0..3).map(|t| (format!("{name}:t{t}"), times[t])).collect();
         assert_eq!(found, expected_frames);
         for t in 0..3u64 {
@@ -649,13 +653,67 @@ fn a_time_axis_gives_frames() {
         }
         assert!(read(path, None).unwrap_err().to_string().contains(":t1"), "a choice is asked for");
     }
-    // Channels are no times.
-    put(
-        &ome,
-        ".zattrs",
-        &json!({ "multiscales": [{ "axes": ["c", "z", "y", "x"], "datasets": [{ "path": "0" }] }] }),
-    );
-    assert!(refusal(&ome).contains("one of time"), "{}", refusal(&ome));
+    // The same as channels, which are no steps.
+    let axes = json!([{ "axes": ["c", "z", "y", "x"], "datasets": [{ "path": "0" }] }]);
+    for (labels, names) in
+        [(["DAPI", "GFP", "a/b"], ["c0", "c1", "c2"]), (["DAPI", "GFP", "c1"], ["DAPI", "GFP", "c1"])]
+    {
+        let labels = labels.map(|label| json!({ "label": label }));
+        put(&ome, ".zattrs", &json!({ "multiscales": axes, "omero": { "channels": labels } }));
+        assert!(frames(&ome, &OpenOptions::default()).unwrap().is_empty());
+        let error = read(&ome, None).unwrap_err().to_string();
+        assert!(error.contains(&format!("{}; choose one with --channel", names.join(", "))), "{error}");
+        let options = |field: Option<&str>, channel: Option<&str>| {
+            let [field, channel] = [field, channel].map(|text| text.map(str::to_owned));
+            OpenOptions { field, channel, ..OpenOptions::default() }
+        };
+        let second = format!("0:{}", names[1]);
+        for options in [
+            options(None, Some(names[1])),
+            options(None, Some("1")),
+            options(Some("0"), Some("1")),
+            options(Some(&second), None),
+            options(Some(&second), Some(names[1])),
+        ] {
+            let (info, values) = read_with(&ome, &options).unwrap();
+            assert_eq!((&*info.field.name, info.dims), (&*second, DIMS), "{options:?}");
+            assert!(values.iter().zip(expected()).all(|(&v, of_first)| v == of_first + 1000.0));
+        }
+        for options in
+            [options(None, Some("RFP")), options(Some(&second), Some("0")), options(None, Some("3"))]
+        {
+            let error = read_with(&ome, &options).unwrap_err();
+            assert!(error.exit_code() == 2 && error.to_string().contains(names[2]), "{error}");
+        }
+    }
+    let channel = OpenOptions { channel: Some("0".into()), ..OpenOptions::default() };
+    assert!(read_with(&plain, &channel).unwrap_err().to_string().contains("without channels"));
+}
+
+#[test]
+fn channels_may_have_frames() {
+    let dir = tempfile::tempdir().unwrap();
+    // An image of the first version: its axes are t, c, z, y, x.
+    let array = json!({
+        "zarr_format": 2, "shape": [2, 3, 2, 2, 2], "chunks": [1, 2, 2, 2, 2], "dtype": "|u1", "compressor": null,
+        "fill_value": 0, "order": "C", "filters": null
+    });
+    put(&dir.path().join("0"), ".zarray", &array);
+    put(dir.path(), ".zattrs", &json!({ "multiscales": [{ "datasets": [{ "path": "0" }] }] }));
+    for (t, c) in (0..2).flat_map(|t| (0..2).map(move |c| (t, c))) {
+        let chunk: Vec<u8> = (0..16).map(|i| 100 * t + 20 * c + i).collect();
+        fs::write(dir.path().join(format!("0/{t}.{c}.0.0.0")), chunk).unwrap();
+    }
+    let options = OpenOptions { channel: Some("1".into()), ..OpenOptions::default() };
+    let steps = crate::formats::steps_of(&[dir.path().to_owned()], &options).unwrap();
+    let names: Vec<_> = steps.iter().map(|s| s.options.field.clone().unwrap()).collect();
+    assert_eq!(names, ["0:c1:t0", "0:c1:t1"]);
+    for (t, step) in steps.iter().enumerate() {
+        let (_, values) = read_with(&step.path, &step.options).unwrap();
+        assert_eq!(values, (8..16).map(|i| (100 * t + i) as f32).collect::<Vec<_>>());
+    }
+    let third = OpenOptions { field: Some("0:c2:t1".into()), ..OpenOptions::default() };
+    assert_eq!(read_with(dir.path(), &third).unwrap().1, (120..128).map(|v| v as f32).collect::<Vec<_>>());
 }
 
 #[test]
