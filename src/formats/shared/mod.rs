@@ -3,6 +3,7 @@
 pub(in crate::formats) mod centers;
 pub(in crate::formats) mod codec;
 pub mod coordinates;
+pub(in crate::formats) mod entries;
 mod fields;
 pub(in crate::formats) mod format;
 pub(in crate::formats) mod header;

@@ -34,7 +34,7 @@ impl OpenOptions {
         match self.channel {
             None => Ok(()),
             Some(_) => {
-                let text = "channels are those of Zarr and HDF5 arrays: leave out --channel";
+                let text = "channels are those of Zarr, HDF5 and TIFF files: leave out --channel";
                 Err(Error::usage(format!("{}: {text}", path.display())))
             }
         }

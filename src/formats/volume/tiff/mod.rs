@@ -18,8 +18,9 @@
 //!
 //! The reader takes grey values of 8 to 64 bits, integers and floats, in either byte order. It
 //! refuses by name: colours, palettes, other numbers of bits, JPEG and other compressions, pages
-//! that differ in size or type, missing slices, several channels or moments. Pages that are
-//! thumbnails or masks of others are skipped. ImageJ's stacks of more than 4 GiB have one page,
+//! that differ in size or type, missing slices. Pages that are thumbnails or masks of others are
+//! skipped. Pages of several channels or moments, as ImageJ and OME-XML describe them, are fields:
+//! `data:c0`, `data:DAPI`, `data:t0`, `data:DAPI:t0`. ImageJ's stacks of more than 4 GiB have one page,
 //! whose description has the number of images that follow each other: they are read too.
 //!
 //! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
@@ -33,6 +34,7 @@
 
 mod ifd;
 mod page;
+mod planes;
 mod slices;
 
 use crate::bytes::{ByteSource, IoMode};
@@ -40,13 +42,14 @@ use crate::error::{Error, Result};
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
 use crate::formats::shared::stream::sample_bytes;
-use crate::formats::shared::{OpenOptions, pick_field};
+use crate::formats::shared::{Frames, OpenOptions, pick_field};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{VolumeInfo, VolumeSource};
 use ifd::Tiff;
 pub(in crate::formats) use ifd::has_magic;
 use page::{Page, Shape};
+use planes::Planes;
 use slices::SliceFiles;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -69,6 +72,14 @@ impl Format for TiffFile {
 
     fn has_spacing(&self) -> bool {
         false
+    }
+
+    fn has_channels(&self) -> bool {
+        true
+    }
+
+    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+        frames(path, options).map(Some)
     }
 
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
@@ -107,7 +118,11 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let Some((first, in_place)) = pages else {
         return Err(tiff.wrong("pages", "a page that is no thumbnail or mask", "none"));
     };
-    let images = images(path, &first.description)?;
+    if let Some(planes) = Planes::of(path, &first.description)? {
+        return of_planes(&tiff, &places, &first, in_place, &planes, options);
+    }
+    options.refuse_channel(path)?;
+    let images = images(&first.description);
     if places.len() == 1 && images > 1 {
         return imagej_stack(&tiff, places[0], &first, images, options);
     }
@@ -125,6 +140,47 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     } else {
         Ok(chunked(info, &first, Pages::OfFile(tiff, places)))
     }
+}
+
+/// Opens the pages of one channel and moment.
+fn of_planes(
+    tiff: &Tiff,
+    places: &[u64],
+    first: &Page,
+    in_place: bool,
+    planes: &Planes,
+    options: &OpenOptions,
+) -> Result<VolumeSource> {
+    let path = tiff.source.path();
+    if places.len() as u64 != planes.count() {
+        let got = places.len().to_string();
+        return Err(tiff
+            .wrong("pages", &format!("{} images of {planes}, as the description says", planes.count()), got)
+            .with_help("write each channel and moment to a file of its own"));
+    }
+    if planes.slices < 2 {
+        return Err(tiff.wrong("pages", "at least 2 slices", planes.to_string()));
+    }
+    let scalar = first.shape.scalar;
+    let (field, channel, moment) = planes.choose(path, scalar, options)?;
+    let pages: Vec<u64> =
+        (0..planes.slices).map(|z| places[planes.number(channel, z, moment) as usize]).collect();
+    let all = OpenOptions { field: None, ..options.clone() };
+    let mut info = info(path, "TIFF (pages", tiff, first, planes.slices, &all)?;
+    (info.field, info.fields) = (field, planes.fields(scalar));
+    if in_place {
+        mapped(info, tiff, &pages)
+    } else {
+        Ok(chunked(info, first, Pages::OfFile(tiff.clone(), pages)))
+    }
+}
+
+/// The moments of a file's channel, by the names of their fields. None where there is one.
+fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
+    let tiff = Tiff::open(Arc::new(ByteSource::open(path, options.io)?))?;
+    let Some(place) = tiff.places()?.first().copied() else { return Ok(vec![]) };
+    let planes = Planes::of(path, &Page::parse(&tiff, place)?.description)?;
+    Ok(planes.map_or(vec![], |planes| planes.frames(options)))
 }
 
 /// Opens a stack of files, a slice each; `path` is the folder or the pattern that was named.
@@ -177,8 +233,8 @@ fn only_page(file: &Path, io: IoMode) -> Result<(Tiff, Page)> {
         }
     }
     let page = found.ok_or_else(|| tiff.wrong("pages", "a page that is no thumbnail or mask", "none"))?;
-    if images(file, &page.description)? > 1 {
-        return Err(tiff.wrong("description", "one image, as a slice of a stack has", "an ImageJ stack"));
+    if images(&page.description) > 1 || Planes::of(file, &page.description)?.is_some() {
+        return Err(tiff.wrong("description", "one image, as a slice of a stack has", "a stack"));
     }
     Ok((tiff, page))
 }
@@ -245,23 +301,8 @@ fn packed(info: &VolumeInfo) -> Result<[i64; 3]> {
 }
 
 /// The number of images that an ImageJ description states; 1 without one.
-fn images(path: &Path, description: &str) -> Result<u64> {
-    let count = |key: &str| imagej(description, key).and_then(|v| v.parse::<u64>().ok());
-    let ome = |key: &str| ome(description, key).and_then(|v| v.parse::<u64>().ok());
-    for (many, name) in
-        [(count("channels").max(ome("SizeC")), "channels"), (count("frames").max(ome("SizeT")), "moments")]
-    {
-        if let Some(n) = many.filter(|&n| n > 1) {
-            return Err(Error::bad_input(
-                path,
-                "description",
-                format!("one {}", name.trim_end_matches('s')),
-                format!("{n} {name}"),
-            )
-            .with_help("write one of them to a file of its own"));
-        }
-    }
-    Ok(count("images").unwrap_or(1))
+fn images(description: &str) -> u64 {
+    imagej(description, "images").and_then(|v| v.parse().ok()).unwrap_or(1)
 }
 
 /// A value of an ImageJ description: lines "key=value" after "ImageJ=version".

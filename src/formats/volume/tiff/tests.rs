@@ -402,6 +402,66 @@ fn what_is_no_volume_is_named() {
     assert!(refusal(empty.path()).contains("an isospan archive"));
 }
 
+/// A file of 2 channels, 3 slices and `moments`, page n is slice n of the usual, and its channel and
+/// moment are chosen.
+#[test]
+fn channels_and_moments_are_fields() {
+    let dir = tempfile::tempdir().unwrap();
+    let ome = |order: &str, moments: u64| {
+        format!(
+            "<?xml version=\"1.0\"?><OME><Image><Pixels SizeC=\"2\" SizeZ=\"3\" SizeT=\"{moments}\" DimensionOrder=\"{order}\">\
+             <Channel ID=\"a\" Name=\"DAPI\"/><Channel ID=\"b\" Name=\"GFP\"></Channel></Pixels></Image></OME>\0"
+        )
+    };
+    let imagej = "ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\nhyperstack=true\n\0".to_owned();
+    // The page of channel c, slice z, moment t.
+    type Place = fn(usize, usize, usize) -> usize;
+    let cases: [(String, usize, [&str; 2], Place); 3] = [
+        (imagej, 2, ["c0", "c1"], |c, z, t| c + 2 * z + 6 * t),
+        (ome("XYZCT", 1), 1, ["DAPI", "GFP"], |c, z, _| z + 3 * c),
+        (ome("XYTZC", 2), 2, ["DAPI", "GFP"], |c, z, t| t + 2 * z + 6 * c),
+    ];
+    for ((text, moments, labels, place), style) in cases
+        .into_iter()
+        .flat_map(|case| [PLAIN, Style { compression: 8, ..PLAIN }].map(|s| (case.clone(), s)))
+    {
+        let mut w = Writer::new(style);
+        for n in 0..6 * moments {
+            let more = if n == 0 { vec![(270, 2, text.clone().into_bytes())] } else { vec![] };
+            w.page(DIMS, ScalarType::U16, &slice(DIMS, ScalarType::U16, n), &more);
+        }
+        let path = write(&dir, "a.tif", &w.bytes);
+        let open = |field: Option<String>, channel: Option<&str>| {
+            let channel = channel.map(str::to_owned);
+            open_volume(&path, &OpenOptions { field, channel, ..OpenOptions::default() })
+        };
+        for (c, t) in (0..2).flat_map(|c| (0..moments).map(move |t| (c, t))) {
+            let frame = if moments > 1 { format!(":t{t}") } else { String::new() };
+            let name = format!("data:{}{frame}", labels[c]);
+            let pages: Vec<f32> = (0..3)
+                .flat_map(|z| {
+                    let n = place(c, z, t);
+                    expected(12)[n * DIMS[0] * DIMS[1]..][..DIMS[0] * DIMS[1]].to_vec()
+                })
+                .collect();
+            for source in [
+                open(Some(name.clone()), None),
+                open(Some(format!("data{frame}")), Some(&c.to_string())),
+                open(Some(format!("data:c{c}{frame}")), Some(labels[c])),
+            ] {
+                let (info, values) = read_all(source.unwrap());
+                assert_eq!((&*info.field.name, info.dims[2], info.fields.len()), (&*name, 3, 2 * moments));
+                assert_eq!(values, pages, "{name}");
+            }
+        }
+        let options = OpenOptions { channel: Some("1".into()), ..OpenOptions::default() };
+        let steps = crate::formats::steps_of(&[path.clone()], &options).unwrap();
+        assert_eq!(steps.len(), moments);
+        assert!(open(None, None).err().unwrap().to_string().contains(labels[1]));
+        assert!(open(None, Some("RFP")).err().unwrap().to_string().contains(labels[1]));
+    }
+}
+
 #[test]
 fn thumbnails_are_skipped() {
     let dir = tempfile::tempdir().unwrap();

@@ -43,6 +43,7 @@ mod meta;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Fault, Result};
 use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
+use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
 use crate::formats::shared::numbers::to_f64;
@@ -56,7 +57,7 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
 use meta::Array;
 use serde_json::Value;
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -169,33 +170,15 @@ fn choose(
     arrays: &Named,
     fields: &[Field],
 ) -> Result<usize> {
-    let wanted = Wanted::of(options, image, arrays);
-    if let Some(wanted) = &wanted {
+    if let Some(wanted) = Wanted::of(options, image, arrays) {
         if let Some(number) = fields.iter().position(|f| wanted.is(f)) {
             return Ok(number);
         }
-        let labels: Vec<&str> = fields
-            .iter()
-            .filter(|f| f.array == wanted.array && f.frame.is_none_or(|t| t.number == 0))
-            .filter_map(|f| Some(f.channel.as_ref()?.label.as_str()))
-            .collect();
-        match (&options.channel, &labels[..]) {
-            (Some(_), []) => {
-                let text = format!("{}: an array without channels: leave out --channel", path.display());
-                return Err(Error::usage(text));
-            }
-            (Some(channel), _) => {
-                let (path, labels) = (path.display(), labels.join(", "));
-                let field = options.field.as_deref().unwrap_or("it");
-                let text = format!("{path}: {field} has no channel {channel}; its channels: {labels}");
-                return Err(Error::usage(text));
-            }
-            (None, [_, ..]) if wanted.channels.is_empty() => {
-                let (path, labels) = (path.display(), labels.join(", "));
-                let text = format!("{path}: several channels: {labels}; choose one with --channel NAME");
-                return Err(Error::usage(text));
-            }
-            _ => {}
+        let of_array = fields.iter().filter(|f| f.array == wanted.array);
+        let once = of_array.filter(|f| f.frame.is_none_or(|t| t.number == 0));
+        let channels = once.filter_map(|f| f.channel.as_ref());
+        if let Some(error) = wanted.entries.no_channel(path, options, channels) {
+            return Err(error);
         }
     }
     let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
@@ -209,7 +192,7 @@ fn choose(
 /// As [`open`].
 pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
     let (image, arrays) = arrays(path)?;
-    let wanted = Wanted::of(options, image.as_ref(), &arrays).filter(|wanted| wanted.frame.is_none());
+    let wanted = Wanted::of(options, image.as_ref(), &arrays).filter(|wanted| wanted.entries.frame.is_none());
     wanted.map_or(Ok(vec![]), |wanted| frames_of(image.as_ref(), &arrays, |f| wanted.is_series(f)))
 }
 
@@ -385,12 +368,6 @@ struct Entry {
     number: u64,
 }
 
-#[derive(Clone, Debug)]
-struct Channel {
-    entry: Entry,
-    label: String,
-}
-
 /// All fields. An array whose axes are not understood is left out, unless it is the only one.
 fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
     let (mut fields, mut refused) = (vec![], None);
@@ -411,21 +388,18 @@ fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
             let all = |axis: usize| (0..array.shape[axis]).map(move |number| Some(Entry { axis, number }));
             axis.map_or_else(|| vec![None], |axis| all(axis).collect())
         };
-        let labels = channel.map(|axis| labels(image, array.shape[axis]));
-        for channel in entries(channel) {
-            let channel = channel.zip(labels.as_ref());
-            let channel =
-                channel.map(|(entry, l)| Channel { entry, label: l[entry.number as usize].clone() });
+        let labels = image.map_or(&[][..], |image| &image.channels);
+        let all = channel.map(|axis| channels(labels, array.shape[axis]));
+        for of_channel in entries(channel) {
+            let channel = of_channel.zip(all.as_ref()).map(|(entry, all)| &all[entry.number as usize]);
             for frame in entries(time) {
-                let of_channel = channel.iter().map(|c| format!(":{}", c.label));
-                let of_frame = frame.iter().map(|t| format!(":t{}", t.number));
-                let name = std::iter::once(name.clone()).chain(of_channel).chain(of_frame).collect();
+                let name = field_name(name, channel, frame.map(|t| t.number));
                 fields.push(Field {
                     info: FieldInfo { name, scalar: array.scalar, components: 1 },
                     array: number,
                     axes: space,
-                    fixed: channel.iter().map(|c| c.entry).chain(frame).collect(),
-                    channel: channel.clone(),
+                    fixed: of_channel.into_iter().chain(frame).collect(),
+                    channel: channel.cloned(),
                     frame,
                 });
             }
@@ -437,24 +411,10 @@ fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
     }
 }
 
-/// What the channels of an array are called: as the image says, where it says so of all, in names
-/// that can be part of a field's; else c0, c1, ….
-fn labels(image: Option<&Image>, count: u64) -> Vec<String> {
-    let is_good = |label: &String| !label.is_empty() && !label.contains([':', '/', ',', '*', '?', '[']);
-    let of_image = image.map(|i| &i.channels).filter(|labels| {
-        labels.len() as u64 == count
-            && labels.iter().all(is_good)
-            && labels.iter().collect::<HashSet<_>>().len() == labels.len()
-    });
-    of_image.cloned().unwrap_or_else(|| (0..count).map(|n| format!("c{n}")).collect())
-}
-
 /// The field that a user means.
 struct Wanted {
     array: usize,
-    /// What the flag and the field say of its channel: a label, or a number, or c and a number.
-    channels: Vec<String>,
-    frame: Option<u64>,
+    entries: Entries,
 }
 
 impl Wanted {
@@ -464,8 +424,7 @@ impl Wanted {
     fn of(options: &OpenOptions, image: Option<&Image>, arrays: &Named) -> Option<Self> {
         let Some(wanted) = &options.field else {
             let is_clear = image.is_some() || arrays.len() == 1;
-            let channels = options.channel.iter().cloned().collect();
-            return is_clear.then_some(Self { array: 0, channels, frame: None });
+            return is_clear.then(|| Self { array: 0, entries: Entries::of("", options) });
         };
         let position = |is: &dyn Fn(&str) -> bool| arrays.iter().position(|(name, _)| is(name));
         let (word, rest) = match position(&|name| name == wanted) {
@@ -475,29 +434,17 @@ impl Wanted {
         let level = || word.strip_prefix("scale")?.parse::<usize>().ok().filter(|n| *n < arrays.len());
         let starts = |name: &str| name.strip_prefix(word).is_some_and(|rest| rest.starts_with('/'));
         let array = position(&|name| name == word).or_else(|| position(&starts)).or_else(level)?;
-        let mut found = Self { array, channels: options.channel.iter().cloned().collect(), frame: None };
-        for part in rest.split(':').filter(|part| !part.is_empty()) {
-            match part.strip_prefix('t').and_then(|n| n.parse().ok()) {
-                Some(frame) => found.frame = Some(frame),
-                None => found.channels.push(part.to_owned()),
-            }
-        }
-        Some(found)
+        Some(Self { array, entries: Entries::of(rest, options) })
     }
 
     /// Whether it is this field.
     fn is(&self, field: &Field) -> bool {
-        self.is_series(field) && self.frame == field.frame.map(|t| t.number)
+        self.is_series(field) && self.entries.frame == field.frame.map(|t| t.number)
     }
 
     /// Whether it is this field, or a series that it is a frame of.
     fn is_series(&self, field: &Field) -> bool {
-        let number = |c: &Channel| c.entry.number.to_string();
-        let names =
-            |word: &str, c: &Channel| word == c.label || word.strip_prefix('c').unwrap_or(word) == number(c);
-        self.array == field.array
-            && self.channels.is_empty() == field.channel.is_none()
-            && field.channel.iter().all(|c| self.channels.iter().all(|word| names(word, c)))
+        self.array == field.array && self.entries.are_of(field.channel.as_ref())
     }
 }
 
