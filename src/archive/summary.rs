@@ -10,8 +10,8 @@
 
 use super::values::ValueBlocks;
 use super::wire::{Cursor, Malformed, to_zstd, unzstd};
-use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
+use crate::simd::with_vectors;
 
 /// Compression of the lists of ranges.
 const LEVEL: i32 = 9;

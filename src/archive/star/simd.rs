@@ -3,8 +3,8 @@
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
-use crate::cpu::may_use;
-use crate::exec::lanes::PLACES;
+use crate::simd::PLACES;
+use crate::simd::may_use;
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.

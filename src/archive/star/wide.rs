@@ -5,7 +5,7 @@
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
 use super::simd::Vectors;
-use crate::cpu::may_use;
+use crate::simd::may_use;
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.

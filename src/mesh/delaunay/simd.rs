@@ -11,7 +11,7 @@
 #![allow(unsafe_code)]
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, INFINITE, LAST_TAG, Margin, Tetra};
-use crate::cpu::may_use;
+use crate::simd::may_use;
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
 

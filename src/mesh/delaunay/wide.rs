@@ -20,7 +20,7 @@
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG, Margin};
 use super::simd::codes;
-use crate::cpu::may_use;
+use crate::simd::may_use;
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
 

@@ -37,8 +37,8 @@
 
 use super::lanes::{Batch, Machine};
 use super::{Grid, LANES, Star};
-use crate::exec::lanes::{Wide, four, three};
 use crate::mesh::tet::Tet;
+use crate::simd::{F64s, Floats as _, Lanes as _, four, three};
 use glam::DVec3;
 
 /// The most points that are looked at, the one itself included.
@@ -404,17 +404,17 @@ impl Neighbourhood {
             let w = three(|a| B::load_doubles(proof, &self.corners[6 + a], first));
             let (vw, wu, uv) = (cross(v, w), cross(w, u), cross(u, v));
             let det = dot(u, vw);
-            let by_det = splat(1.0).over(det);
-            let (uu, vv, ww) = (dot(u, u).times(by_det), dot(v, v).times(by_det), dot(w, w).times(by_det));
-            let k = three(|a| vw[a].times_plus(uu, wu[a].times_plus(vv, uv[a].times(ww))));
-            fat &= others | bits::<B::Doubles>(least.below(det));
+            let by_det = splat(1.0) / det;
+            let (uu, vv, ww) = (dot(u, u) * by_det, dot(v, v) * by_det, dot(w, w) * by_det);
+            let k = three(|a| vw[a].mul_add(uu, wu[a].mul_add(vv, uv[a] * ww)));
+            fat &= others | bits::<B::Doubles>(least.lt(det));
             let within = three(|a| k[a].max(domain[a][0]).min(domain[a][1]));
-            let beyond = three(|a| k[a].plus(k[a]).minus(within[a]));
-            whole &= others | bits::<B::Doubles>(dot(within, beyond).below(largest));
+            let beyond = three(|a| k[a] + k[a] - within[a]);
+            whole &= others | bits::<B::Doubles>(dot(within, beyond).lt(largest));
             let kk = dot(k, k);
-            let far = det.times(far);
-            fat &= others | bits::<B::Doubles>(kk.below(far.times(far)));
-            let outside = kk.max(shortest).root().times(outside);
+            let far = det * far;
+            fat &= others | bits::<B::Doubles>(kk.lt(far * far));
+            let outside = kk.max(shortest).sqrt() * outside;
             for (a, k) in [k[0], k[1], k[2], outside].into_iter().enumerate() {
                 B::store_doubles(k, &mut self.centres[a], first);
             }
@@ -482,21 +482,21 @@ impl Neighbourhood {
 }
 
 #[inline(always)]
-fn minor<W: Wide>(a: [W; 3], b: [W; 3], i: usize, j: usize) -> W {
-    a[i].times(b[j]).minus(a[j].times(b[i]))
+fn minor<W: F64s>(a: [W; 3], b: [W; 3], i: usize, j: usize) -> W {
+    a[i] * b[j] - a[j] * b[i]
 }
 
 #[inline(always)]
-fn cross<W: Wide>(a: [W; 3], b: [W; 3]) -> [W; 3] {
+fn cross<W: F64s>(a: [W; 3], b: [W; 3]) -> [W; 3] {
     [minor(a, b, 1, 2), minor(a, b, 2, 0), minor(a, b, 0, 1)]
 }
 
 #[inline(always)]
-fn dot<W: Wide>(a: [W; 3], b: [W; 3]) -> W {
-    a[0].times_plus(b[0], a[1].times_plus(b[1], a[2].times(b[2])))
+fn dot<W: F64s>(a: [W; 3], b: [W; 3]) -> W {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
 }
 
 #[inline(always)]
-fn bits<W: Wide>(mask: W::Mask) -> u32 {
-    W::bits(mask)
+fn bits<W: F64s>(mask: W::Mask) -> u32 {
+    W::bitmask(mask)
 }

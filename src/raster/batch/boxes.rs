@@ -1,11 +1,11 @@
 //! Sixteen tetrahedra side by side: their boxes, their planes in `f32`.
 
 use super::LANES;
-use crate::exec::lanes::{four, three};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 use crate::raster::Scanner;
 use crate::raster::sixteen::{Bits, Floats, Ints};
+use crate::simd::{four, three};
 
 /// The error of the filter, in M³: see the module above.
 const ERROR: f32 = 1024.0 / (1u32 << 24) as f32;

@@ -41,9 +41,9 @@ use super::scan::Scanner;
 use super::sixteen::{Bits, Floats, Ints, Plain};
 #[cfg(target_arch = "x86_64")]
 use super::sixteen::{FloatPair, FloatVector};
-use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
+use crate::simd::{Avx2, Avx512, with_avx512, with_vectors};
 
 /// Members handed on at a time, at most.
 pub const MEMBERS: usize = 128;

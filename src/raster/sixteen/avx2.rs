@@ -3,8 +3,8 @@
 #![allow(unsafe_code)]
 
 use super::{Bits, Floats, Ints};
-use crate::exec::Avx2;
 use crate::geom::LatticePos;
+use crate::simd::Avx2;
 use std::arch::x86_64::*;
 
 /// Lanes 0 to 7 and 8 to 15.

@@ -4,8 +4,8 @@
 
 use super::avx2::quarter;
 use super::{Bits, Floats, Ints};
-use crate::exec::Avx512;
 use crate::geom::LatticePos;
+use crate::simd::Avx512;
 use std::arch::x86_64::*;
 
 #[derive(Clone, Copy)]

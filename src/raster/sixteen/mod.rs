@@ -258,7 +258,7 @@ impl Ints for Plain<u32> {
 mod tests {
     use super::*;
     #[cfg(target_arch = "x86_64")]
-    use crate::exec::Avx2;
+    use crate::simd::Avx2;
     use proptest::prelude::*;
 
     fn same<F: Floats>(proof: F::Proof, rows: &[[u32; 3]; 16], some: Bits) -> Vec<Vec<u32>> {
@@ -296,7 +296,7 @@ mod tests {
             prop_assert_eq!(&plain[0][..], &first);
             #[cfg(target_arch = "x86_64")]
             {
-                if let Some(proof) = crate::exec::Avx512::found() {
+                if let Some(proof) = crate::simd::Avx512::found() {
                     prop_assert_eq!(&same::<FloatVector>(proof, &rows, some), &plain);
                 }
                 if let Some(proof) = Avx2::found() {

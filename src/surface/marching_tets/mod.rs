@@ -85,12 +85,9 @@ use super::numbered::{BlockBuffers, NumberedBlock};
 use super::numbering::Numbering;
 use super::patch::{self, Corners, Patch};
 use super::{Vertex, WorldMap};
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::Vector;
-use crate::exec::lanes::{Four, Plain};
-use crate::exec::{Avx2, with_vectors};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
+use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 
 /// The corners and tetrahedra of (a part of) one chunk. Corner arrays are indexed by the numbers
 /// that the tetrahedra use; entries that no tetrahedron uses may hold anything.
@@ -216,22 +213,6 @@ pub fn extract(cells: &CellSource<'_>, isovalue: f32, world: &WorldMap, out: &mu
     out.finish(world);
 }
 
-/// Calls a method for any kind of four lanes with those of AVX2, where they were found, or with
-/// plain ones: the same bits.
-macro_rules! on_lanes {
-    ($avx2:expr, $this:ident.$method:ident($($argument:expr),*)) => {
-        match $avx2 {
-            #[cfg(target_arch = "x86_64")]
-            Some(proof) => with_vectors(
-                #[inline(always)]
-                || $this.$method::<Vector>(proof, $($argument),*),
-            ),
-            _ => $this.$method::<Plain>((), $($argument),*),
-        }
-    };
-}
-pub(super) use on_lanes;
-
 impl ChunkSurface {
     /// Empties the buffers for another chunk, of this many corners, or another isovalue.
     pub fn start(&mut self, isovalue: f32, corners: usize) {
@@ -272,13 +253,13 @@ impl ChunkSurface {
         bench: &mut Workbench,
         avx2: Option<Avx2>,
     ) {
-        on_lanes!(avx2, self.add_cells(cells, world, bench));
+        on_avx2_or_plain!(avx2, F64x4, Plain<f64, 4>, |W, token| self.add_cells::<W>(token, cells, world, bench));
     }
 
     #[inline(always)]
-    fn add_cells<W: Four>(
+    fn add_cells<W: F64x4s>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         cells: &CellSource<'_>,
         world: &WorldMap,
         Workbench { numbering, patch, .. }: &mut Workbench,
@@ -289,7 +270,7 @@ impl ChunkSurface {
             let cells = CellSource { tets: left, ..*cells };
             let taken = numbering.list(&cells, self.isovalue, |tet| Sorted::new(cells.ids, tet), patch);
             left = &left[taken..];
-            self.add_patch::<W>(proof, patch, &numbering.corners(&cells), world);
+            self.add_patch::<W>(token, patch, &numbering.corners(&cells), world);
         }
     }
 
@@ -307,13 +288,13 @@ impl ChunkSurface {
         bench: &mut Workbench,
         avx2: Option<Avx2>,
     ) {
-        on_lanes!(avx2, self.add_block(block, world, bench));
+        on_avx2_or_plain!(avx2, F64x4, Plain<f64, 4>, |W, token| self.add_block::<W>(token, block, world, bench));
     }
 
     #[inline(always)]
-    fn add_block<W: Four>(
+    fn add_block<W: F64x4s>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         block: &NumberedBlock,
         world: &WorldMap,
         Workbench { block: buffers, patch, .. }: &mut Workbench,
@@ -321,14 +302,14 @@ impl ChunkSurface {
         let active = block.list(self.isovalue, buffers, patch);
         self.active_cells += active as u64;
         if active > 0 {
-            self.add_patch::<W>(proof, patch, block, world);
+            self.add_patch::<W>(token, patch, block, world);
         }
     }
 
     #[inline(always)]
-    fn add_patch<W: Four>(
+    fn add_patch<W: F64x4s>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         patch: &mut Patch,
         corners: &impl Corners,
         world: &WorldMap,
@@ -338,9 +319,9 @@ impl ChunkSurface {
                 self.edges.will_be_looked_for(ends.map(|corner| corners.number(corner)));
             }
         }
-        patch.sum_gradients::<W>(proof, corners.at());
+        patch.sum_gradients::<W>(token, corners.at());
         self.join_edges(patch, corners);
-        self.append_vertices::<W>(proof, patch, corners.at(), world);
+        self.append_vertices::<W>(token, patch, corners.at(), world);
         let vertex = |edge: u16| self.joined.vertices[usize::from(edge)];
         self.triangles.extend(patch.triangles().iter().map(|t| t.map(vertex)));
     }
@@ -381,9 +362,15 @@ impl ChunkSurface {
     /// Adds the new vertices, with normals where their gradients are known; until then a normal is
     /// what [`along_edge`] takes.
     #[inline(always)]
-    fn append_vertices<W: Four>(&mut self, proof: W::Proof, patch: &Patch, at: &[Corner], world: &WorldMap) {
+    fn append_vertices<W: F64x4s>(
+        &mut self,
+        token: W::Token,
+        patch: &Patch,
+        at: &[Corner],
+        world: &WorldMap,
+    ) {
         let Joined { vertices, new, alone, first } = &self.joined;
-        patch.append_vertices::<W>(proof, at, new, (self.isovalue, world), &mut self.vertices);
+        patch.append_vertices::<W>(token, at, new, (self.isovalue, world), &mut self.vertices);
         let vertex = |edge: u16| vertices[usize::from(edge)] as usize;
         for &edge in first {
             self.vertices[vertex(edge)].normal = patch.up(at, edge.into());
@@ -393,7 +380,7 @@ impl ChunkSurface {
             for (sum, &edge) in sums.iter_mut().zip(four) {
                 *sum = patch.gradient(edge.into());
             }
-            let normals = fours::normals::<W>(proof, &sums, world);
+            let normals = fours::normals::<W>(token, &sums, world);
             for (&edge, normal) in four.iter().zip(normals) {
                 let normal = normal.unwrap_or_else(|| along_edge(patch.up(at, edge.into()), world));
                 self.vertices[vertex(edge)].normal = normal;
@@ -404,7 +391,7 @@ impl ChunkSurface {
     /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as
     /// before, mirrors.
     pub fn finish(&mut self, world: &WorldMap) {
-        on_lanes!(Avx2::found(), self.finish_normals(world));
+        on_avx2_or_plain!(Avx2::found(), F64x4, Plain<f64, 4>, |W, token| self.finish_normals::<W>(token, world));
         if world.mirrors() {
             self.triangles.iter_mut().for_each(|t| t.swap(1, 2));
         }
@@ -412,14 +399,14 @@ impl ChunkSurface {
 
     /// Finds the normals of open vertices.
     #[inline(always)]
-    fn finish_normals<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
+    fn finish_normals<W: F64x4s>(&mut self, token: W::Token, world: &WorldMap) {
         let mut shared = self.shared.iter_mut().peekable();
         for four in self.open.chunks(4) {
             let mut sums = [[0; 3]; 4];
             for (sum, open) in sums.iter_mut().zip(four) {
                 *sum = open.gradient;
             }
-            let normals = fours::normals::<W>(proof, &sums, world);
+            let normals = fours::normals::<W>(token, &sums, world);
             for (open, normal) in four.iter().zip(normals) {
                 let edge = shared.next_if(|edge| edge.vertex == open.vertex);
                 // The sum of a shared edge is known only at the end: until then its normal is the
@@ -499,7 +486,7 @@ impl ChunkSurface {
                 [x, y, z, cells.values[c as usize]]
             });
             let [a, b] = &at;
-            let [position, ..] = fours::crossings::<Plain>((), [[a, b]; 4], self.isovalue, world);
+            let [position, ..] = fours::crossings::<Plain<f64, 4>>((), [[a, b]; 4], self.isovalue, world);
             self.vertices.push(Vertex { position, normal: patch::up([a, b]) });
             self.shared.extend(shared_edge(cells, ends, next));
         }

@@ -2,11 +2,9 @@
 #![allow(unsafe_code)]
 
 use super::{Batch, Machine};
-use crate::cpu::may_use;
-use crate::exec::Avx2;
-use crate::exec::lanes::{Floats, PLACES, Vector, Wide as _};
 use crate::mesh::stars::wide::{Neighbourhood, View};
 use crate::mesh::stars::{Grid, Star};
+use crate::simd::{Avx2, F64s as _, F64x4, Lanes as _, PLACES, may_use};
 use std::arch::x86_64::*;
 
 /// Proof that this machine has AVX2 and what else the code is compiled for.
@@ -77,7 +75,7 @@ impl Batch for Eight {
     type Proof = Narrow;
     type Mask = __m256;
     type Packing = __m256i;
-    type Doubles = Vector;
+    type Doubles = F64x4;
     const LANES: usize = 8;
     const HOLDS: bool = false;
     #[inline(always)]
@@ -183,16 +181,15 @@ impl Batch for Eight {
         Self(unsafe { _mm256_permutevar8x32_ps(self.0, packing) })
     }
     #[inline(always)]
-    fn doubles(proof: Narrow, x: f64) -> Vector {
-        Vector::splat(proof.0, x)
+    fn doubles(proof: Narrow, x: f64) -> F64x4 {
+        F64x4::splat(proof.0, x)
     }
     #[inline(always)]
-    fn load_doubles(proof: Narrow, list: &[f32], place: usize) -> Vector {
-        let (four, _) = list[place..].split_first_chunk().expect("so many are there");
-        Vector::of_floats(proof.0, four)
+    fn load_doubles(proof: Narrow, list: &[f32], place: usize) -> F64x4 {
+        F64x4::from_f32(proof.0, &list[place..])
     }
     #[inline(always)]
-    fn store_doubles(doubles: Vector, list: &mut [f32], place: usize) {
-        list[place..place + 4].copy_from_slice(&doubles.floats());
+    fn store_doubles(doubles: F64x4, list: &mut [f32], place: usize) {
+        list[place..place + 4].copy_from_slice(&doubles.to_f32());
     }
 }

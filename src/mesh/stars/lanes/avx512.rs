@@ -2,11 +2,9 @@
 #![allow(unsafe_code)]
 
 use super::{Batch, Machine};
-use crate::cpu::may_use;
-use crate::exec::Avx512;
-use crate::exec::lanes::{Eight, Floats, Wide as _};
 use crate::mesh::stars::wide::{Neighbourhood, View};
 use crate::mesh::stars::{Grid, Star};
+use crate::simd::{Avx512, F64s as _, F64x8, Lanes as _, may_use};
 use std::arch::x86_64::*;
 
 /// Proof that this machine has AVX-512 and what else the code is compiled for.
@@ -78,7 +76,7 @@ impl Batch for Sixteen {
     type Proof = Wide;
     type Mask = __mmask16;
     type Packing = __mmask16;
-    type Doubles = Eight;
+    type Doubles = F64x8;
     const LANES: usize = 16;
     const HOLDS: bool = true;
     #[inline(always)]
@@ -178,16 +176,15 @@ impl Batch for Sixteen {
         Self(unsafe { _mm512_maskz_compress_ps(packing, self.0) })
     }
     #[inline(always)]
-    fn doubles(proof: Wide, x: f64) -> Eight {
-        Eight::splat(proof.0, x)
+    fn doubles(proof: Wide, x: f64) -> F64x8 {
+        F64x8::splat(proof.0, x)
     }
     #[inline(always)]
-    fn load_doubles(proof: Wide, list: &[f32], place: usize) -> Eight {
-        let (eight, _) = list[place..].split_first_chunk().expect("so many are there");
-        Eight::of_floats(proof.0, eight)
+    fn load_doubles(proof: Wide, list: &[f32], place: usize) -> F64x8 {
+        F64x8::from_f32(proof.0, &list[place..])
     }
     #[inline(always)]
-    fn store_doubles(doubles: Eight, list: &mut [f32], place: usize) {
-        list[place..place + 8].copy_from_slice(&doubles.floats());
+    fn store_doubles(doubles: F64x8, list: &mut [f32], place: usize) {
+        list[place..place + 8].copy_from_slice(&doubles.to_f32());
     }
 }

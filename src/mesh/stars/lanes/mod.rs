@@ -9,7 +9,7 @@ mod plain;
 
 use super::wide::{Neighbourhood, View};
 use super::{Grid, Star};
-use crate::exec::lanes;
+use crate::simd::F64s;
 #[cfg(target_arch = "x86_64")]
 use avx2::Narrow;
 #[cfg(target_arch = "x86_64")]
@@ -75,7 +75,7 @@ pub(super) trait Batch: Copy {
     /// How lanes are packed.
     type Packing: Copy;
     /// Half as many `f64`.
-    type Doubles: lanes::Wide;
+    type Doubles: F64s;
     /// The number of lanes.
     const LANES: usize;
     /// Whether there are registers for the points nearby.

@@ -1,9 +1,9 @@
 //! Eight lanes, as two times four, in vectors that all machines of a kind have: NEON's on aarch64.
 
 use super::{Batch, Machine};
-use crate::exec::lanes::{self, Floats as _, PLACES, Wide as _};
 use crate::mesh::stars::wide::{Neighbourhood, View};
 use crate::mesh::stars::{Grid, Star};
+use crate::simd::{self, F64s as _, Lanes as _, PLACES};
 use glam::{BVec4A, Vec4};
 
 /// Whether that takes less time than insertion: where one instruction multiplies and adds.
@@ -57,7 +57,7 @@ impl Batch for Lanes {
     type Proof = Plain;
     type Mask = [BVec4A; 2];
     type Packing = [u8; 8];
-    type Doubles = lanes::Plain;
+    type Doubles = simd::Plain<f64, 4>;
     const LANES: usize = 8;
     const HOLDS: bool = false;
     #[inline(always)]
@@ -141,15 +141,15 @@ impl Batch for Lanes {
         Self(bytemuck::cast(packing.map(|place| lanes[usize::from(place) % 8])))
     }
     #[inline(always)]
-    fn doubles(_: Plain, x: f64) -> lanes::Plain {
-        lanes::Plain::splat((), x)
+    fn doubles(_: Plain, x: f64) -> simd::Plain<f64, 4> {
+        simd::Plain::splat((), x)
     }
     #[inline(always)]
-    fn load_doubles(_: Plain, list: &[f32], place: usize) -> lanes::Plain {
-        lanes::Plain::of_floats((), list[place..].first_chunk().expect("so many are there"))
+    fn load_doubles(_: Plain, list: &[f32], place: usize) -> simd::Plain<f64, 4> {
+        simd::Plain::from_f32((), &list[place..])
     }
     #[inline(always)]
-    fn store_doubles(doubles: lanes::Plain, list: &mut [f32], place: usize) {
-        list[place..place + 4].copy_from_slice(&doubles.floats());
+    fn store_doubles(doubles: simd::Plain<f64, 4>, list: &mut [f32], place: usize) {
+        list[place..place + 4].copy_from_slice(&doubles.to_f32());
     }
 }

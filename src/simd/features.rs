@@ -1,8 +1,27 @@
-//! Code that the compiler makes for this machine's vectors, where it has them; the same operations,
-//! so the same bits.
+//! Which vector instructions may be used: those that the machine has and the user does not forbid.
+//!
+//! All vector code gives the bytes of the plain code. To check that, or to make a machine behave
+//! as an older one of the same cluster, instructions are forbidden as for the C library:
+//! `GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F`.
 #![allow(unsafe_code)]
 
-/// Proof that the machine has AVX2 and FMA, and that they may be used.
+use std::sync::LazyLock;
+
+/// Whether none of these features is forbidden.
+pub(crate) fn may_use(features: &[&str]) -> bool {
+    static FORBIDDEN: LazyLock<Vec<String>> =
+        LazyLock::new(|| forbidden(&std::env::var("GLIBC_TUNABLES").unwrap_or_default()));
+    !features.iter().any(|f| FORBIDDEN.iter().any(|no| no == f))
+}
+
+/// The features that tunables take away, without the `_Usable` that older C libraries want.
+fn forbidden(tunables: &str) -> Vec<String> {
+    let lists = tunables.split(':').filter_map(|t| t.strip_prefix("glibc.cpu.hwcaps="));
+    let less = lists.flat_map(|list| list.split(',')).filter_map(|f| f.strip_prefix('-'));
+    less.map(|f| f.strip_suffix("_Usable").unwrap_or(f).to_owned()).collect()
+}
+
+/// A token: the machine has AVX2 and FMA, and they may be used.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx2(());
 
@@ -11,7 +30,7 @@ impl Avx2 {
     #[inline]
     pub(crate) fn found() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
-        if crate::cpu::may_use(&["AVX2", "BMI1", "BMI2", "FMA"])
+        if may_use(&["AVX2", "BMI1", "BMI2", "FMA"])
             && is_x86_feature_detected!("avx2")
             && is_x86_feature_detected!("bmi1")
             && is_x86_feature_detected!("bmi2")
@@ -23,7 +42,7 @@ impl Avx2 {
     }
 }
 
-/// Proof that the machine has AVX-512 and AVX2, and that they may be used.
+/// A token: the machine has AVX-512 and AVX2, and they may be used.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx512(Avx2);
 
@@ -32,7 +51,7 @@ impl Avx512 {
     #[inline]
     pub(crate) fn found() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
-        if crate::cpu::may_use(&["AVX512F", "AVX512VL"])
+        if may_use(&["AVX512F", "AVX512VL"])
             && is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512vl")
         {
@@ -41,7 +60,7 @@ impl Avx512 {
         None
     }
 
-    /// The lesser one.
+    /// The token of AVX2.
     #[inline]
     pub(crate) fn avx2(self) -> Avx2 {
         self.0
@@ -64,7 +83,7 @@ pub(crate) fn with_vectors<T>(f: impl FnOnce() -> T) -> T {
 #[inline]
 pub(crate) fn with_avx512<T>(_: Avx512, f: impl FnOnce() -> T) -> T {
     #[cfg(target_arch = "x86_64")]
-    // SAFETY: there is a proof that the features were found.
+    // SAFETY: the token says that the features were found.
     return unsafe { on_avx512(f) };
     #[cfg(not(target_arch = "x86_64"))]
     f()
@@ -80,4 +99,16 @@ fn on_avx2<T>(f: impl FnOnce() -> T) -> T {
 #[target_feature(enable = "avx512f,avx512vl,avx2,bmi1,bmi2,fma")]
 fn on_avx512<T>(f: impl FnOnce() -> T) -> T {
     f()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn tunables_take_features_away() {
+        let found = super::forbidden(
+            "glibc.malloc.check=1:glibc.cpu.hwcaps=-AVX2,-FMA,ERMS,-AVX512F_Usable:glibc.cpu.x=-BMI1",
+        );
+        assert_eq!(found, ["AVX2", "FMA", "AVX512F"]);
+        assert!(super::forbidden("").is_empty());
+    }
 }
