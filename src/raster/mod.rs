@@ -55,7 +55,6 @@
 
 mod batch;
 mod grid;
-mod lanes;
 mod locate;
 mod planes;
 mod scan;
