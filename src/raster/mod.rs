@@ -58,7 +58,6 @@ mod grid;
 mod locate;
 mod planes;
 mod scan;
-mod sixteen;
 #[cfg(test)]
 mod tests;
 

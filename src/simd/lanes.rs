@@ -1,7 +1,7 @@
 //! What lanes can do.
 
 use bytemuck::Pod;
-use std::ops::{Add, Div, Mul, Sub};
+use std::ops::{Add, BitAnd, Div, Mul, Shl, Shr, Sub};
 
 /// Some numbers at a time. Each operation is that of each lane by itself, rounded once; sums,
 /// differences and products of integers wrap around.
@@ -32,6 +32,15 @@ pub(crate) trait Lanes: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Out
     fn eq(self, other: Self) -> Self::Mask;
     /// A mask as a number: bit k is that of lane k.
     fn bitmask(mask: Self::Mask) -> u32;
+
+    /// Overwrites the first numbers of a list.
+    ///
+    /// # Panics
+    /// When the list is shorter.
+    #[inline(always)]
+    fn store(self, list: &mut [Self::Element]) {
+        list[..Self::LANES].copy_from_slice(self.to_array().as_ref());
+    }
 }
 
 /// Lanes of floating-point numbers.
@@ -69,4 +78,61 @@ impl<const N: usize, V: F64s<Array = [f64; N], Narrow = [f32; N]>> F64xN<N> for 
 pub(crate) trait F64x4s: F64xN<4> {
     /// Four rows as four columns.
     fn transpose(rows: [Self; 4]) -> [Self; 4];
+}
+
+/// Lanes that can be packed.
+pub(crate) trait Compress: Lanes {
+    /// The lanes whose bits are set, in their order; then any numbers.
+    fn compress(self, bits: u32) -> Self::Array;
+}
+
+/// Lanes of `f32`.
+pub(crate) trait F32s: Floats<Element = f32> + Compress {
+    /// As many `u32`.
+    type U32s: Compress<Token = Self::Token, Element = u32>;
+    /// The other, less this times the factor: rounded once.
+    fn neg_mul_add(self, factor: Self, more: Self) -> Self;
+    /// The least lane, in all lanes.
+    fn reduce_min(self) -> Self;
+}
+
+/// Sixteen lanes of `f32` that go together with sixteen of `u32`.
+pub(crate) trait F32x16s: Floats<Element = f32, Array = [f32; 16]> {
+    type U32s: U32x16s<Token = Self::Token>;
+    /// The lanes of these numbers; their lowest four bits count.
+    fn permute(self, numbers: Self::U32s) -> Self;
+    /// Numbers of `i32`, rounded.
+    fn from_i32(numbers: Self::U32s) -> Self;
+    /// As `i32`, fractions cut off. Numbers that are no `i32` give any one.
+    fn to_i32(self) -> Self::U32s;
+
+    /// This, but where the mask is set and the other is less, the other; of numbers.
+    #[inline(always)]
+    fn min_where(self, mask: Self::Mask, other: Self) -> Self {
+        Self::select(mask, other.min(self), self)
+    }
+    /// This, but where the mask is set and the other is greater, the other; of numbers.
+    #[inline(always)]
+    fn max_where(self, mask: Self::Mask, other: Self) -> Self {
+        Self::select(mask, other.max(self), self)
+    }
+}
+
+/// Sixteen lanes of `u32`.
+pub(crate) trait U32x16s:
+    Compress<Element = u32, Array = [u32; 16]>
+    + BitAnd<Output = Self>
+    + Shl<u32, Output = Self>
+    + Shr<u32, Output = Self>
+{
+    /// Sixteen rows as three columns.
+    fn from_rows(token: Self::Token, row: impl FnMut(usize) -> [u32; 3]) -> [Self; 3];
+    /// The lanes of these numbers; their lowest four bits count.
+    fn permute(self, numbers: Self) -> Self;
+
+    /// The greatest lane.
+    #[inline(always)]
+    fn reduce_max(self) -> u32 {
+        self.to_array().into_iter().fold(0, u32::max)
+    }
 }

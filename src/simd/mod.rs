@@ -6,6 +6,8 @@
 //! | | everywhere | AVX2 | AVX-512 |
 //! |---|---|---|---|
 //! | `f64` | [`Plain`] | `F64x4`, [`Pair`] of it | `F64x8` |
+//! | `f32` | [`Plain`], [`Vec4x2`] | `F32x8`, [`Pair`] of it | `F32x16` |
+//! | `u32` | [`Plain`] | `U32x8`, [`Pair`] of it | `U32x16` |
 //!
 //! Vectors of AVX2 and AVX-512 are made with a token only ([`Avx2`], [`Avx512`]), which is had
 //! where the machine has the instructions. They are fast in code that is compiled for these
@@ -19,15 +21,19 @@ mod features;
 mod lanes;
 mod pair;
 mod plain;
+#[cfg(test)]
+mod tests;
+mod vec4;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
 pub(crate) use features::{Avx2, Avx512, may_use, with_avx512, with_vectors};
-pub(crate) use lanes::{F64s, F64x4s, F64xN, Floats, Lanes};
+pub(crate) use lanes::{Compress, F32s, F32x16s, F64s, F64x4s, F64xN, Floats, Lanes, U32x16s};
 pub(crate) use pair::Pair;
 pub(crate) use plain::Plain;
+pub(crate) use vec4::Vec4x2;
 #[cfg(target_arch = "x86_64")]
-pub(crate) use x86::{F64x4, F64x8, transpose_f32x8};
+pub(crate) use x86::{F32x8, F32x16, F64x4, F64x8, transpose_f32x8};
 
 /// The places of the bits that are set in a byte, ascending.
 pub(crate) static PLACES: [[u8; 8]; 256] = {

@@ -1,7 +1,7 @@
 //! Two vectors as one.
 
 use super::lanes::{Floats, Lanes};
-use std::ops::{Add, Div, Mul, Sub};
+use std::ops::{Add, BitAnd, Div, Mul, Shl, Shr, Sub};
 
 /// Twice as many lanes.
 #[derive(Clone, Copy)]
@@ -23,7 +23,23 @@ macro_rules! operators {
         })*
     };
 }
-operators!(Add::add, Sub::sub, Mul::mul, Div::div);
+operators!(Add::add, Sub::sub, Mul::mul, Div::div, BitAnd::bitand);
+
+impl<V: Shl<u32, Output = V>> Shl<u32> for Pair<V> {
+    type Output = Self;
+    #[inline(always)]
+    fn shl(self, bits: u32) -> Self {
+        Self(self.0 << bits, self.1 << bits)
+    }
+}
+
+impl<V: Shr<u32, Output = V>> Shr<u32> for Pair<V> {
+    type Output = Self;
+    #[inline(always)]
+    fn shr(self, bits: u32) -> Self {
+        Self(self.0 >> bits, self.1 >> bits)
+    }
+}
 
 impl<V: Half> Lanes for Pair<V> {
     type Token = V::Token;

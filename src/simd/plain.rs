@@ -1,7 +1,7 @@
 //! Lanes everywhere.
 
-use super::lanes::{F64s, F64x4s, Floats, Lanes};
-use std::ops::{Add, Div, Mul, Sub};
+use super::lanes::{Compress, F32x16s, F64s, F64x4s, Floats, Lanes, U32x16s};
+use std::ops::{Add, BitAnd, Div, Mul, Shl, Shr, Sub};
 
 /// Any number of lanes, as an array.
 #[derive(Clone, Copy)]
@@ -10,9 +10,10 @@ pub(crate) struct Plain<T, const N: usize>([T; N]);
 // Loops over arrays in place: these the compiler turns into what vectors there are.
 impl<T: Copy, const N: usize> Plain<T, N> {
     #[inline(always)]
-    fn each(mut self, f: impl Fn(T) -> T) -> Self {
-        self.0.iter_mut().for_each(|x| *x = f(*x));
-        self
+    fn each<U: Copy + Default>(self, f: impl Fn(T) -> U) -> Plain<U, N> {
+        let mut out = [U::default(); N];
+        out.iter_mut().zip(self.0).for_each(|(out, x)| *out = f(x));
+        Plain(out)
     }
     #[inline(always)]
     fn pairs(mut self, other: Self, f: impl Fn(T, T) -> T) -> Self {
@@ -114,7 +115,10 @@ macro_rules! floats {
     };
 }
 
+floats!(f32, u32);
 floats!(f64, u64);
+plain!(u32, u32, add u32::wrapping_add, sub u32::wrapping_sub, mul u32::wrapping_mul);
+plain!(@operator u32, BitAnd::bitand, |a, b| a & b);
 
 impl<const N: usize> F64s for Plain<f64, N> {
     type Narrow = [f32; N];
@@ -141,5 +145,68 @@ impl F64x4s for Plain<f64, 4> {
     #[inline(always)]
     fn transpose(rows: [Self; 4]) -> [Self; 4] {
         [0, 1, 2, 3].map(|k| Self(rows.map(|r| r.0[k])))
+    }
+}
+
+impl<T: Copy + Default, const N: usize> Compress for Plain<T, N>
+where
+    Self: Lanes<Array = [T; N]>,
+{
+    #[inline(always)]
+    fn compress(self, mut bits: u32) -> [T; N] {
+        let (mut out, mut len) = ([T::default(); N], 0);
+        while bits != 0 {
+            out[len % N] = self.0[bits.trailing_zeros() as usize % N];
+            len += 1;
+            bits &= bits - 1;
+        }
+        out
+    }
+}
+
+impl<const N: usize> Shl<u32> for Plain<u32, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn shl(self, bits: u32) -> Self {
+        self.each(|x| x << bits)
+    }
+}
+
+impl<const N: usize> Shr<u32> for Plain<u32, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn shr(self, bits: u32) -> Self {
+        self.each(|x| x >> bits)
+    }
+}
+
+impl F32x16s for Plain<f32, 16> {
+    type U32s = Plain<u32, 16>;
+    #[inline(always)]
+    fn permute(self, numbers: Plain<u32, 16>) -> Self {
+        numbers.each(|n| self.0[n as usize % 16])
+    }
+    #[inline(always)]
+    fn from_i32(numbers: Plain<u32, 16>) -> Self {
+        numbers.each(|x| x as i32 as f32)
+    }
+    #[inline(always)]
+    fn to_i32(self) -> Plain<u32, 16> {
+        self.each(|x| x as i32 as u32)
+    }
+}
+
+impl U32x16s for Plain<u32, 16> {
+    #[inline(always)]
+    fn from_rows((): (), mut row: impl FnMut(usize) -> [u32; 3]) -> [Self; 3] {
+        let [mut x, mut y, mut z] = [[0; 16]; 3];
+        for (n, ((x, y), z)) in x.iter_mut().zip(&mut y).zip(&mut z).enumerate() {
+            [*x, *y, *z] = row(n);
+        }
+        [x, y, z].map(Self)
+    }
+    #[inline(always)]
+    fn permute(self, numbers: Self) -> Self {
+        numbers.each(|n| self.0[n as usize % 16])
     }
 }

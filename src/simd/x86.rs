@@ -5,11 +5,11 @@
 //! its intrinsic; `load` and `store` also have as many numbers in memory as there are lanes.
 #![allow(unsafe_code)]
 
-use super::lanes::{F64s, F64x4s, Floats, Lanes};
+use super::lanes::{Compress, F32s, F32x16s, F64s, F64x4s, Floats, Lanes, U32x16s};
 use super::pair::{Half, Pair};
-use super::{Avx2, Avx512};
+use super::{Avx2, Avx512, PLACES, four};
 use std::arch::x86_64::*;
-use std::ops::{Add, Div, Mul, Sub};
+use std::ops::{Add, BitAnd, Div, Mul, Shl, Shr, Sub};
 
 /// One vector type: each operation is one intrinsic.
 macro_rules! lanes {
@@ -184,6 +184,284 @@ f64s! {
     F64x8: [f32; 8];
     load = _mm256_loadu_ps, widen = _mm512_cvtps_pd, narrow = _mm512_cvtpd_ps,
     sqrt = _mm512_sqrt_pd, floor = _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>
+}
+
+macro_rules! compress {
+    ($name:ident($all:ident, $bits:ident) = $compress:expr) => {
+        impl Compress for $name {
+            #[inline(always)]
+            fn compress(self, $bits: u32) -> Self::Array {
+                let $all = self.0;
+                // SAFETY: the machine has the instructions.
+                Self(unsafe { $compress }).to_array()
+            }
+        }
+    };
+}
+
+macro_rules! shifts {
+    ($name:ident: $($trait:ident::$operator:ident = $op:path),*) => {
+        $(impl $trait<u32> for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn $operator(self, bits: u32) -> Self {
+                // SAFETY: the machine has the instruction.
+                Self(unsafe { $op(self.0, _mm_cvtsi32_si128(bits as i32)) })
+            }
+        })*
+    };
+}
+
+lanes! {
+    /// Eight `f32` of AVX2.
+    F32x8: [f32; 8], __m256, Avx2, __m256;
+    load(from) = _mm256_loadu_ps(from);
+    store(to, all) = _mm256_storeu_ps(to, all);
+    splat(x) = _mm256_set1_ps(x);
+    operators: Add::add = _mm256_add_ps, Sub::sub = _mm256_sub_ps, Mul::mul = _mm256_mul_ps, Div::div = _mm256_div_ps;
+    min = _mm256_min_ps, max = _mm256_max_ps;
+    lt(a, b) = _mm256_cmp_ps::<_CMP_LT_OQ>(a, b);
+    eq(a, b) = _mm256_cmp_ps::<_CMP_EQ_OQ>(a, b);
+    bitmask(mask) = _mm256_movemask_ps(mask) as u32;
+}
+floats! {
+    F32x8: mul_add = _mm256_fmadd_ps;
+    select(mask, set, unset) = _mm256_blendv_ps(unset, set, mask);
+}
+compress!(F32x8(all, bits) = _mm256_permutevar8x32_ps(all, places(bits)));
+
+lanes! {
+    /// Eight `u32` of AVX2.
+    U32x8: [u32; 8], __m256i, Avx2, __m256i;
+    load(from) = _mm256_loadu_si256(from.cast());
+    store(to, all) = _mm256_storeu_si256(to.cast(), all);
+    splat(x) = _mm256_set1_epi32(x as i32);
+    operators: Add::add = _mm256_add_epi32, Sub::sub = _mm256_sub_epi32, Mul::mul = _mm256_mullo_epi32, BitAnd::bitand = _mm256_and_si256;
+    min = _mm256_min_epu32, max = _mm256_max_epu32;
+    // Not less is to be the greater one.
+    lt(a, b) = _mm256_xor_si256(_mm256_cmpeq_epi32(_mm256_max_epu32(a, b), a), _mm256_set1_epi32(-1));
+    eq(a, b) = _mm256_cmpeq_epi32(a, b);
+    bitmask(mask) = _mm256_movemask_ps(_mm256_castsi256_ps(mask)) as u32;
+}
+compress!(U32x8(all, bits) = _mm256_permutevar8x32_epi32(all, places(bits)));
+shifts!(U32x8: Shl::shl = _mm256_sll_epi32, Shr::shr = _mm256_srl_epi32);
+
+lanes! {
+    /// Sixteen `f32` of AVX-512.
+    F32x16: [f32; 16], __m512, Avx512, __mmask16;
+    load(from) = _mm512_loadu_ps(from);
+    store(to, all) = _mm512_storeu_ps(to, all);
+    splat(x) = _mm512_set1_ps(x);
+    operators: Add::add = _mm512_add_ps, Sub::sub = _mm512_sub_ps, Mul::mul = _mm512_mul_ps, Div::div = _mm512_div_ps;
+    min = _mm512_min_ps, max = _mm512_max_ps;
+    lt(a, b) = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b);
+    eq(a, b) = _mm512_cmp_ps_mask::<_CMP_EQ_OQ>(a, b);
+    bitmask(mask) = mask.into();
+}
+floats! {
+    F32x16: mul_add = _mm512_fmadd_ps;
+    select(mask, set, unset) = _mm512_mask_blend_ps(mask, unset, set);
+}
+compress!(F32x16(all, bits) = _mm512_maskz_compress_ps(bits as u16, all));
+
+lanes! {
+    /// Sixteen `u32` of AVX-512.
+    U32x16: [u32; 16], __m512i, Avx512, __mmask16;
+    load(from) = _mm512_loadu_si512(from.cast());
+    store(to, all) = _mm512_storeu_si512(to.cast(), all);
+    splat(x) = _mm512_set1_epi32(x as i32);
+    operators: Add::add = _mm512_add_epi32, Sub::sub = _mm512_sub_epi32, Mul::mul = _mm512_mullo_epi32, BitAnd::bitand = _mm512_and_si512;
+    min = _mm512_min_epu32, max = _mm512_max_epu32;
+    lt(a, b) = _mm512_cmplt_epu32_mask(a, b);
+    eq(a, b) = _mm512_cmpeq_epi32_mask(a, b);
+    bitmask(mask) = mask.into();
+}
+compress!(U32x16(all, bits) = _mm512_maskz_compress_epi32(bits as u16, all));
+shifts!(U32x16: Shl::shl = _mm512_sll_epi32, Shr::shr = _mm512_srl_epi32);
+
+impl F32s for F32x8 {
+    type U32s = U32x8;
+    #[inline(always)]
+    fn neg_mul_add(self, factor: Self, more: Self) -> Self {
+        // SAFETY: the machine has FMA.
+        Self(unsafe { _mm256_fnmadd_ps(self.0, factor.0, more.0) })
+    }
+    #[inline(always)]
+    fn reduce_min(self) -> Self {
+        // SAFETY: the machine has AVX2.
+        unsafe {
+            let two = _mm256_min_ps(self.0, _mm256_permute2f128_ps::<0x01>(self.0, self.0));
+            let four = _mm256_min_ps(two, _mm256_permute_ps::<0x4e>(two));
+            Self(_mm256_min_ps(four, _mm256_permute_ps::<0xb1>(four)))
+        }
+    }
+}
+
+impl F32s for F32x16 {
+    type U32s = U32x16;
+    #[inline(always)]
+    fn neg_mul_add(self, factor: Self, more: Self) -> Self {
+        // SAFETY: the machine has AVX-512.
+        Self(unsafe { _mm512_fnmadd_ps(self.0, factor.0, more.0) })
+    }
+    #[inline(always)]
+    fn reduce_min(self) -> Self {
+        // SAFETY: the machine has AVX-512.
+        Self(unsafe { _mm512_set1_ps(_mm512_reduce_min_ps(self.0)) })
+    }
+}
+
+impl Half for F32x8 {
+    type Double = [f32; 16];
+}
+
+impl Half for U32x8 {
+    type Double = [u32; 16];
+}
+
+impl Pair<F32x8> {
+    /// Those of the sixteen lanes that eight numbers name.
+    #[inline(always)]
+    fn pick(self, U32x8(numbers): U32x8) -> F32x8 {
+        // SAFETY: the machine has AVX2.
+        F32x8(unsafe {
+            let low = _mm256_permutevar8x32_ps(self.0.0, numbers);
+            let high = _mm256_permutevar8x32_ps(self.1.0, numbers);
+            // Bit 3 selects the half.
+            _mm256_blendv_ps(low, high, _mm256_castsi256_ps(_mm256_slli_epi32::<28>(numbers)))
+        })
+    }
+}
+
+impl F32x16s for Pair<F32x8> {
+    type U32s = Pair<U32x8>;
+    #[inline(always)]
+    fn permute(self, numbers: Pair<U32x8>) -> Self {
+        Self(self.pick(numbers.0), self.pick(numbers.1))
+    }
+    #[inline(always)]
+    fn from_i32(numbers: Pair<U32x8>) -> Self {
+        // SAFETY: the machine has AVX2.
+        unsafe { Self(F32x8(_mm256_cvtepi32_ps(numbers.0.0)), F32x8(_mm256_cvtepi32_ps(numbers.1.0))) }
+    }
+    #[inline(always)]
+    fn to_i32(self) -> Pair<U32x8> {
+        // SAFETY: the machine has AVX2.
+        unsafe { Pair(U32x8(_mm256_cvttps_epi32(self.0.0)), U32x8(_mm256_cvttps_epi32(self.1.0))) }
+    }
+}
+
+impl F32x16s for F32x16 {
+    type U32s = U32x16;
+    #[inline(always)]
+    fn permute(self, numbers: U32x16) -> Self {
+        // SAFETY: the machine has AVX-512.
+        Self(unsafe { _mm512_permutexvar_ps(numbers.0, self.0) })
+    }
+    #[inline(always)]
+    fn from_i32(numbers: U32x16) -> Self {
+        // SAFETY: the machine has AVX-512.
+        Self(unsafe { _mm512_cvtepi32_ps(numbers.0) })
+    }
+    #[inline(always)]
+    fn to_i32(self) -> U32x16 {
+        // SAFETY: the machine has AVX-512.
+        U32x16(unsafe { _mm512_cvttps_epi32(self.0) })
+    }
+}
+
+impl Compress for Pair<U32x8> {
+    #[inline(always)]
+    fn compress(self, bits: u32) -> [u32; 16] {
+        let mut out = [0; 16];
+        let first = (bits as u8).count_ones() as usize;
+        out[..8].copy_from_slice(&self.0.compress(bits));
+        out[first..first + 8].copy_from_slice(&self.1.compress(bits >> 8));
+        out
+    }
+}
+
+impl U32x16s for Pair<U32x8> {
+    #[inline(always)]
+    fn from_rows(_: Avx2, mut row: impl FnMut(usize) -> [u32; 3]) -> [Self; 3] {
+        let low = [row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)];
+        let high = [row(8), row(9), row(10), row(11), row(12), row(13), row(14), row(15)];
+        // SAFETY: the machine has AVX2.
+        let ([x, y, z], [u, v, w]) = unsafe { (columns(low), columns(high)) };
+        [Self(U32x8(x), U32x8(u)), Self(U32x8(y), U32x8(v)), Self(U32x8(z), U32x8(w))]
+    }
+    #[inline(always)]
+    fn permute(self, numbers: Self) -> Self {
+        // SAFETY: the machine has AVX2. Bits are moved, and nothing else.
+        unsafe {
+            let (low, high) = (_mm256_castsi256_ps(self.0.0), _mm256_castsi256_ps(self.1.0));
+            let all = Pair(F32x8(low), F32x8(high)).permute(numbers);
+            Self(U32x8(_mm256_castps_si256(all.0.0)), U32x8(_mm256_castps_si256(all.1.0)))
+        }
+    }
+}
+
+impl U32x16s for U32x16 {
+    #[inline(always)]
+    fn from_rows(_: Avx512, mut row: impl FnMut(usize) -> [u32; 3]) -> [Self; 3] {
+        // Lane k of four lanes is row 4·lane + k: then columns have them in order.
+        let [a, b, c, d] = four(
+            #[inline(always)]
+            |k| {
+                // SAFETY: the machine has AVX-512 and AVX2.
+                unsafe {
+                    let (low, high) = (two(row(k), row(k + 4)), two(row(k + 8), row(k + 12)));
+                    _mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high)
+                }
+            },
+        );
+        // SAFETY: the machine has AVX-512.
+        unsafe {
+            let (ab, cd) = (_mm512_unpacklo_epi32(a, b), _mm512_unpacklo_epi32(c, d));
+            let (ab_high, cd_high) = (_mm512_unpackhi_epi32(a, b), _mm512_unpackhi_epi32(c, d));
+            [
+                Self(_mm512_unpacklo_epi64(ab, cd)),
+                Self(_mm512_unpackhi_epi64(ab, cd)),
+                Self(_mm512_unpacklo_epi64(ab_high, cd_high)),
+            ]
+        }
+    }
+    #[inline(always)]
+    fn permute(self, numbers: Self) -> Self {
+        // SAFETY: the machine has AVX-512.
+        Self(unsafe { _mm512_permutexvar_epi32(numbers.0, self.0) })
+    }
+}
+
+/// The places of the bits that are set in the lowest byte.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn places(bits: u32) -> __m256i {
+    let places = &PLACES[bits as usize & 0xff];
+    // SAFETY: there are eight bytes.
+    _mm256_cvtepu8_epi32(unsafe { _mm_loadl_epi64(places.as_ptr().cast()) })
+}
+
+/// Two rows, each with a 0 behind it.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn two(a: [u32; 3], b: [u32; 3]) -> __m256i {
+    let one = |[x, y, z]: [u32; 3]| {
+        let xy = _mm_cvtsi64_si128((u64::from(x) | u64::from(y) << 32) as i64);
+        _mm_insert_epi32::<2>(xy, z as i32)
+    };
+    _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(one(a)), one(b))
+}
+
+/// Eight rows as columns.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn columns(rows: [[u32; 3]; 8]) -> [__m256i; 3] {
+    let (a, b) = (two(rows[0], rows[4]), two(rows[1], rows[5]));
+    let (c, d) = (two(rows[2], rows[6]), two(rows[3], rows[7]));
+    let (ab, cd) = (_mm256_unpacklo_epi32(a, b), _mm256_unpacklo_epi32(c, d));
+    let (ab_high, cd_high) = (_mm256_unpackhi_epi32(a, b), _mm256_unpackhi_epi32(c, d));
+    [_mm256_unpacklo_epi64(ab, cd), _mm256_unpackhi_epi64(ab, cd), _mm256_unpacklo_epi64(ab_high, cd_high)]
 }
 
 impl F64x4s for F64x4 {
