@@ -21,6 +21,17 @@ fn forbidden(tunables: &str) -> Vec<String> {
     less.map(|f| f.strip_suffix("_Usable").unwrap_or(f).to_owned()).collect()
 }
 
+/// Whether the machine has some features and none of them is forbidden. Each has the C library's
+/// name and the compiler's.
+#[cfg(target_arch = "x86_64")]
+macro_rules! may_use_all {
+    ($($name:literal = $feature:tt),*) => {
+        $crate::simd::may_use(&[$($name),*]) $(&& is_x86_feature_detected!($feature))*
+    };
+}
+#[cfg(target_arch = "x86_64")]
+pub(crate) use may_use_all;
+
 /// A token: the machine has AVX2 and FMA, and they may be used.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx2(());
@@ -30,12 +41,7 @@ impl Avx2 {
     #[inline]
     pub(crate) fn found() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
-        if may_use(&["AVX2", "BMI1", "BMI2", "FMA"])
-            && is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("bmi1")
-            && is_x86_feature_detected!("bmi2")
-            && is_x86_feature_detected!("fma")
-        {
+        if may_use_all!("AVX2" = "avx2", "BMI1" = "bmi1", "BMI2" = "bmi2", "FMA" = "fma") {
             return Some(Self(()));
         }
         None
@@ -51,10 +57,7 @@ impl Avx512 {
     #[inline]
     pub(crate) fn found() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
-        if may_use(&["AVX512F", "AVX512VL"])
-            && is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512vl")
-        {
+        if may_use_all!("AVX512F" = "avx512f", "AVX512VL" = "avx512vl") {
             return Avx2::found().map(Self);
         }
         None

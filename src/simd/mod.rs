@@ -9,10 +9,11 @@
 //! | `f32` | [`Plain`], [`Vec4x2`] | `F32x8`, [`Pair`] of it | `F32x16` |
 //! | `u32` | [`Plain`] | `U32x8`, [`Pair`] of it | `U32x16` |
 //!
-//! Vectors of AVX2 and AVX-512 are made with a token only ([`Avx2`], [`Avx512`]), which is had
-//! where the machine has the instructions. They are fast in code that is compiled for these
-//! instructions: closures of [`with_vectors`] and [`with_avx512`], and what is inlined in them. A
-//! vector that crosses a call passes through memory. So all here is `#[inline(always)]`.
+//! A vector of AVX2 or AVX-512 is made from a token ([`Avx2`], [`Avx512`]). There is a token only
+//! where the machine has the instructions and the user does not forbid them. Vectors are fast in
+//! code that is compiled for them: closures of [`with_vectors`] and [`with_avx512`], and what is
+//! inlined there. A vector that crosses a call passes through memory. So all functions here are
+//! `#[inline(always)]`.
 //!
 //! Each operation acts on each lane by itself and rounds once; none is fused but `mul_add` and
 //! `neg_mul_add`. A kernel with the same operations in the same order has the same bits.
@@ -27,7 +28,11 @@ mod vec4;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-pub(crate) use features::{Avx2, Avx512, may_use, with_avx512, with_vectors};
+#[cfg(target_arch = "x86_64")]
+pub(crate) use features::may_use;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use features::may_use_all;
+pub(crate) use features::{Avx2, Avx512, with_avx512, with_vectors};
 pub(crate) use lanes::{Compress, F32s, F32x16s, F64s, F64x4s, F64xN, Floats, Lanes, U32x16s};
 pub(crate) use pair::Pair;
 pub(crate) use plain::Plain;
@@ -51,6 +56,18 @@ pub(crate) static PLACES: [[u8; 8]; 256] = {
     }
     places
 };
+
+/// The places of a number among eight, as bits.
+#[inline(always)]
+pub(crate) fn places_among_eight(eight: &[u32; 8], wanted: u32) -> u32 {
+    #[cfg(target_arch = "x86_64")]
+    return x86::places_among_eight(eight, wanted);
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        type Eight = Plain<u32, 8>;
+        Eight::bitmask(Eight::load((), eight).eq(Eight::splat((), wanted)))
+    }
+}
 
 /// As `[0, 1, 2].map`, but always inlined.
 #[inline(always)]

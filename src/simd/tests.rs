@@ -78,6 +78,15 @@ fn of_sixteen<F: F32x16s>(token: F::Token, rows: &[[u32; 3]; 16], some: u32) -> 
     ]
 }
 
+#[test]
+fn each_place_is_a_bit() {
+    let eight = [5, u32::MAX, 0, 5, 7, 1 << 31, u32::MAX, 5];
+    for wanted in [0, 1, 5, 7, 1 << 31, u32::MAX] {
+        let expected = (0..8).filter(|&i| eight[i] == wanted).map(|i| 1 << i).sum::<u32>();
+        assert_eq!(places_among_eight(&eight, wanted), expected, "{wanted}");
+    }
+}
+
 fn number() -> impl Strategy<Value = f64> {
     prop_oneof![
         8 => -4.0f64..4.0,

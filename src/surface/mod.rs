@@ -36,7 +36,6 @@ pub(crate) mod numbered;
 mod numbering;
 pub(crate) mod ordered;
 mod patch;
-mod places;
 #[cfg(test)]
 mod testing;
 pub mod weld;

@@ -4,7 +4,7 @@
 use super::wide::{Neighbourhood, View};
 use super::{Grid, Star};
 #[cfg(target_arch = "x86_64")]
-use crate::simd::{Avx2, Avx512, F32x8, F32x16, F64x4, F64x8, may_use};
+use crate::simd::{Avx2, Avx512, F32x8, F32x16, F64x4, F64x8, may_use_all};
 use crate::simd::{F32s, F64s, Plain, Vec4x2};
 
 /// Whether the vectors of all machines take less time than insertion: where one instruction
@@ -117,14 +117,14 @@ impl Machine for AnyMachine {
 /// A machine with these vectors, and with what else the code is compiled for.
 #[cfg(target_arch = "x86_64")]
 macro_rules! machine {
-    ($(#[$doc:meta])* $name:ident($token:ident), $batch:ident, compiled for $features:tt, also $($also:tt = $detected:tt),*) => {
+    ($(#[$doc:meta])* $name:ident($token:ident), $batch:ident, compiled for $features:tt, also $($also:literal = $detected:tt),*) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
         pub(super) struct $name($token);
 
         impl $name {
             fn found() -> Option<Self> {
-                let also = may_use(&[$($also),*]) $(&& is_x86_feature_detected!($detected))*;
+                let also = may_use_all!($($also = $detected),*);
                 $token::found().filter(|_| also).map(Self)
             }
         }
