@@ -119,7 +119,6 @@ pub mod bytes;
 pub mod cells;
 #[cfg(feature = "compare")]
 pub mod compare;
-pub(crate) mod cpu;
 #[doc(hidden)]
 pub mod density;
 pub(crate) mod domain;
@@ -144,6 +143,7 @@ pub mod points;
 pub mod raster;
 pub mod render;
 pub mod sample;
+pub(crate) mod simd;
 #[doc(hidden)]
 pub mod spectrum;
 pub mod surface;

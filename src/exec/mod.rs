@@ -9,14 +9,12 @@
 mod ahead;
 mod budget;
 mod cancel;
-pub(crate) mod lanes;
 mod limits;
 mod ordered;
 mod progress;
 mod reorder;
 mod resources;
 mod room;
-mod vectors;
 
 pub(crate) use ahead::will_read;
 pub use budget::{MemoryBudget, Permit};
@@ -27,7 +25,6 @@ pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
 pub use resources::Resources;
 pub use room::{Lent, Room};
-pub(crate) use vectors::{Avx2, Avx512, with_avx512, with_vectors};
 
 use crate::error::{Error, Result};
 

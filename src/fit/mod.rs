@@ -81,11 +81,12 @@ mod windows;
 use self::sums::Side;
 pub use windows::{BrickTets, Windows, window_edge};
 
-use crate::exec::{Room, with_vectors};
+use crate::exec::Room;
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
 use crate::raster::{BatchScan, PointLocator, SampleGrid, Scanner};
+use crate::simd::with_vectors;
 
 /// Samples of a step that are read at a time, where a slice has no more.
 const SLICES: usize = 1 << 13;

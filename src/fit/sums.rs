@@ -6,13 +6,9 @@
 //! all had in common so far. Steps that are left over have lanes that are not looked at.
 
 use super::{Located, NONE, RoundWithin};
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::{Eight, Vector};
-use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
-#[cfg(target_arch = "x86_64")]
-use crate::exec::{Avx2, Avx512, with_avx512};
-use crate::exec::{Lent, Room, with_vectors};
+use crate::exec::{Lent, Room};
 use crate::mesh::tet::Tet;
+use crate::simd::{Avx2, F64xN, Plain, four, on_avx2_or_plain, on_widest, sorted, with_vectors};
 use bytemuck::{Pod, Zeroable};
 
 /// ω: the length of the step.
@@ -96,7 +92,7 @@ impl<'a> Side<'a> {
         match self {
             Self::One(sums) => with_vectors(
                 #[inline(always)]
-                || sums.add::<Plain<1>>((), located, samples, tets),
+                || sums.add::<Plain<f64, 1>>((), located, samples, tets),
             ),
             Self::Four(sums) => add_four(sums, located, samples, tets),
             Self::Eight(sums) => add_eight(sums, located, samples, tets),
@@ -115,34 +111,28 @@ impl<'a> Side<'a> {
 
 #[inline(never)]
 fn add_four(sums: &mut Sums<'_, 4>, located: &[Located], samples: &[f32], tets: &[Tet]) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(proof) = Avx2::found() {
-        return with_vectors(
-            #[inline(always)]
-            || sums.add::<Vector>(proof, located, samples, tets),
-        );
-    }
-    sums.add::<Plain>((), located, samples, tets);
+    on_avx2_or_plain!(Avx2::found(), F64x4, Plain<f64, 4>, |W, token| sums
+        .add::<W>(token, located, samples, tets));
 }
 
 #[inline(never)]
 fn add_eight(sums: &mut Sums<'_, 8>, located: &[Located], samples: &[f32], tets: &[Tet]) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(proof) = Avx512::found() {
-        return with_avx512(
-            proof,
-            #[inline(always)]
-            || sums.add::<Eight>(proof, located, samples, tets),
-        );
-    }
-    #[cfg(target_arch = "x86_64")]
-    if let Some(proof) = Avx2::found() {
-        return with_vectors(
-            #[inline(always)]
-            || sums.add::<Pair<Vector>>(proof, located, samples, tets),
-        );
-    }
-    sums.add::<Pair<Plain>>((), located, samples, tets);
+    on_widest!(F64x8, F64x4, Plain<f64, 8>, |W, token| sums.add::<W>(token, located, samples, tets));
+}
+
+/// In each lane the first where it is less, else the second: a NaN that comes first changes
+/// nothing.
+#[inline(always)]
+fn lesser<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
+    b.iter_mut().zip(a).for_each(|(b, a)| *b = if a < *b { a } else { *b });
+    b
+}
+
+/// In each lane the first where it is greater, else the second.
+#[inline(always)]
+fn greater<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
+    b.iter_mut().zip(a).for_each(|(b, a)| *b = if a > *b { a } else { *b });
+    b
 }
 
 impl<'a, const N: usize> Sums<'a, N> {
@@ -167,38 +157,38 @@ impl<'a, const N: usize> Sums<'a, N> {
     /// Adds what samples contribute: nothing at a step where one, or a corner of its tetrahedron,
     /// is no number.
     #[inline(always)]
-    pub(super) fn add<W: Floats<N>>(
+    pub(super) fn add<W: F64xN<N>>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         located: &[Located],
         samples: &[f32],
         tets: &[Tet],
     ) {
         let all = (1 << self.steps) - 1;
-        let (least, most, zero) = (W::splat(proof, -MOST), W::splat(proof, MOST), W::splat(proof, 0.0));
+        let (least, most, zero) = (W::splat(token, -MOST), W::splat(token, MOST), W::splat(token, 0.0));
         for (n, some) in located.chunks(SOME).enumerate() {
             for (lane, of_step) in samples.chunks_exact(located.len()).enumerate().take(N) {
                 let of_step = &of_step[n * SOME..];
                 self.rows.iter_mut().zip(of_step).for_each(|(row, &sample)| row[lane] = sample);
             }
             for (located, i) in some.iter().zip(0..SOME).filter(|(located, _)| located.tet != NONE) {
-                let (tet, sample) = (tets[located.tet as usize], W::of_floats(proof, &self.rows[i]));
+                let (tet, sample) = (tets[located.tet as usize], W::from_f32(token, &self.rows[i]));
                 let weights = located.weights.map(f64::from);
                 let [a, b, c, d] = sorted(four(
                     #[inline(always)]
                     |k| {
-                        let value = W::of_floats(proof, &{ self.vertices[tet[k] as usize].values });
-                        W::splat(proof, weights[k]).times(sample.minus(value))
+                        let value = W::from_f32(token, &{ self.vertices[tet[k] as usize].values });
+                        W::splat(token, weights[k]) * (sample - value)
                     },
                 ));
-                let sum = a.plus(b).plus(c).plus(d);
-                let counts = W::bits(sum.is_number()) & all;
+                let sum = a + b + c + d;
+                let counts = W::bitmask(sum.is_number()) & all;
                 if counts == 0 {
                     continue;
                 }
                 // To add 0 changes no sum: none is -0, as they begin at 0.
-                let sum = W::pick(sum.is_number(), sum.min(most).max(least), zero);
-                let difference = W::of_floats(proof, &sum.floats());
+                let sum = W::select(sum.is_number(), sum.min(most).max(least), zero);
+                let difference = W::from_f32(token, &sum.to_f32());
                 let mut row = self.rows[i];
                 if counts != all {
                     let uncounted = |&lane: &usize| counts >> lane & 1 == 0;
@@ -206,10 +196,10 @@ impl<'a, const N: usize> Sums<'a, N> {
                 }
                 for (v, w) in tet.into_iter().zip(weights) {
                     let at = &mut self.vertices[v as usize];
-                    at.least = W::lesser(proof, &row, &{ at.least });
-                    at.largest = W::greater(proof, &row, &{ at.largest });
-                    let pulls = W::of(proof, &{ at.pulls });
-                    at.pulls = pulls.plus(W::splat(proof, w - TURN).times(difference)).lanes();
+                    at.least = lesser(row, at.least);
+                    at.largest = greater(row, at.largest);
+                    let pulls = W::load(token, &{ at.pulls });
+                    at.pulls = (pulls + W::splat(token, w - TURN) * difference).to_array();
                     if counts == all {
                         at.weight += w * w;
                     }
@@ -277,9 +267,9 @@ impl Side<'_> {
     /// As [`Side::add`] where there are no vectors.
     pub(super) fn add_plain(&mut self, located: &[Located], samples: &[f32], tets: &[Tet]) {
         match self {
-            Self::One(sums) => sums.add::<Plain<1>>((), located, samples, tets),
-            Self::Four(sums) => sums.add::<Plain>((), located, samples, tets),
-            Self::Eight(sums) => sums.add::<Pair<Plain>>((), located, samples, tets),
+            Self::One(sums) => sums.add::<Plain<f64, 1>>((), located, samples, tets),
+            Self::Four(sums) => sums.add::<Plain<f64, 4>>((), located, samples, tets),
+            Self::Eight(sums) => sums.add::<Plain<f64, 8>>((), located, samples, tets),
         }
     }
 

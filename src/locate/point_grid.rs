@@ -11,8 +11,8 @@
 //! ```
 
 use super::{CellBatch, CellHit, FinePos, keep, weights};
-use crate::exec::with_vectors;
 use crate::geom::vec3::{cross, minus};
+use crate::simd::with_vectors;
 
 /// Points to be located, sorted into a grid.
 #[derive(Clone, Debug)]

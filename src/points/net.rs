@@ -26,8 +26,8 @@
 //! (mod 4). With Φ₃ ∈ [1/3, 2/3), k ≡ 1 (mod 3), that is k ≡ 1 (mod 12).
 
 use super::radical_inverse::{Base, mirror, round_fraction};
-use crate::exec::{Avx512, with_avx512, with_vectors};
 use crate::geom::{LatticeBox, LatticePos, PointClass, PointId, Site};
+use crate::simd::{Avx512, with_avx512, with_vectors};
 
 /// What a coordinate of a [`Net`] is, k being the point's number and i = k - first its index.
 #[derive(Clone, Copy, Debug)]

@@ -55,11 +55,9 @@
 
 mod batch;
 mod grid;
-mod lanes;
 mod locate;
 mod planes;
 mod scan;
-mod sixteen;
 #[cfg(test)]
 mod tests;
 

@@ -4,11 +4,11 @@
 //! inside: each λ is raised by more than its error, so no sample inside is lost, and few others
 //! stay. Then exact integers decide, and give the weights.
 
-use super::lanes::Four;
 use super::planes::{Int, LONGEST_64, Planes};
 use super::{Axis, SampleGrid};
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
+use glam::{Mat4, Vec4, Vec4Swizzles};
 
 /// Calls `each` for every sample of the window that belongs to a positively oriented tetrahedron,
 /// with its place in an x-fastest array of the window, and the weights of the corners. See the
@@ -107,10 +107,10 @@ impl<'a> Scanner<'a> {
     #[inline(always)]
     pub fn each_run(&self, corners: [LatticePos; 4], each: impl FnMut(usize, &[[f64; 4]])) {
         let [a, b, c, d] = corners;
-        let [fa, fb, fc, fd] = [Four::position(a), Four::position(b), Four::position(c), Four::position(d)];
+        let [fa, fb, fc, fd] = [vector(a), vector(b), vector(c), vector(d)];
         let lo = fa.min(fb).min(fc.min(fd));
         let hi = fa.max(fb).max(fc.max(fd));
-        let ([lx, ly, lz, _], [hx, hy, hz, _]) = (lo.lanes(), hi.lanes());
+        let ([lx, ly, lz, _], [hx, hy, hz, _]) = (lo.to_array(), hi.to_array());
         let from = |k: usize, c: f32| self.axes[k].below(c as i32 as u32).max(self.lo[k]);
         let to = |k: usize, c: f32| self.axes[k].up_to(c as i32 as u32).min(self.hi[k]);
         let (from, to) = ([from(0, lx), from(1, ly), from(2, lz)], [to(0, hx), to(1, hy), to(2, hz)]);
@@ -119,10 +119,10 @@ impl<'a> Scanner<'a> {
         }
         let position = |k: usize| self.axes[k].position(from[k]);
         let first = [position(0), position(1), position(2)];
-        let [x, y, z, _] = hi.minus(lo).lanes();
+        let [x, y, z, _] = (hi - lo).to_array();
         let longest = if x > y { x } else { y };
         let longest = if longest > z { longest } else { z };
-        let edges = Four::columns([fb.minus(fa), fc.minus(fa), fd.minus(fa), Four::splat(0.0)]);
+        let edges = Mat4::from_cols(fb - fa, fc - fa, fd - fa, Vec4::ZERO).transpose();
         let found = Found {
             corners,
             lo: from,
@@ -131,7 +131,7 @@ impl<'a> Scanner<'a> {
             place: (from[2] - self.lo[2]) * self.strides[1]
                 + (from[1] - self.lo[1]) * self.strides[0]
                 + (from[0] - self.lo[0]),
-            filter: Filter::new(edges, Four::position(first).minus(fa), longest),
+            filter: Filter::new(edges, vector(first) - fa, longest),
         };
         if longest <= LONGEST_64 as f32 {
             self.scan::<i64>(&found, each);
@@ -166,13 +166,13 @@ impl<'a> Scanner<'a> {
     /// How far four samples of an axis are from its first in the box. Those behind the last one are
     /// anywhere.
     #[inline(always)]
-    fn offsets(&self, found: &Found, axis: usize, from: usize) -> Four {
+    fn offsets(&self, found: &Found, axis: usize, from: usize) -> Vec4 {
         if let Some(pitch) = self.pitch {
             let from = from as f32;
-            return Four::new([from, from + 1.0, from + 2.0, from + 3.0]).times(Four::splat(pitch[axis]));
+            return Vec4::from_array([from, from + 1.0, from + 2.0, from + 3.0]) * pitch[axis];
         }
         let at = |i: usize| self.offset(found, axis, (found.lo[axis] + from + i).min(found.hi[axis] - 1));
-        Four::new([at(0), at(1), at(2), at(3)])
+        Vec4::from_array([at(0), at(1), at(2), at(3)])
     }
 
     #[inline(always)]
@@ -189,16 +189,16 @@ impl<'a> Scanner<'a> {
         let (width, height) = (found.hi[0] - found.lo[0], found.hi[1] - found.lo[1]);
         let filter = &found.filter;
         let along_x = filter.growth(self.offsets(found, 0, 0));
-        let ys = self.offsets(found, 1, 0).spread();
-        let y = filter.y.spread();
-        let grown = |k: usize, j: usize| along_x[k].plus(y[k].times(ys[j]));
+        let ys = spread(self.offsets(found, 1, 0));
+        let y = spread(filter.y);
+        let grown = |k: usize, j: usize| along_x[k] + y[k] * ys[j];
         let row = |j: usize| [grown(0, j), grown(1, j), grown(2, j), grown(3, j)];
         let rows = [row(0), row(1), row(2), row(3)];
         // A row has four bits; `width` of them count.
         let wanted = (0x1111 * ((1 << width) - 1)) & ((1u32 << (4 * height)) - 1);
         for iz in found.lo[2]..found.hi[2] {
             let dz = self.offset(found, 2, iz);
-            let layer = filter.first.plus(filter.z.times(Four::splat(dz))).spread();
+            let layer = spread(filter.first + filter.z * dz);
             let mut mask = candidates(&layer, &rows[0])
                 | candidates(&layer, &rows[1]) << 4
                 | candidates(&layer, &rows[2]) << 8
@@ -220,10 +220,10 @@ impl<'a> Scanner<'a> {
         let beyond = filter.growth(self.offsets(found, 0, 4));
         let wanted = (1u32 << (found.hi[0] - found.lo[0])) - 1;
         for iz in found.lo[2]..found.hi[2] {
-            let layer = filter.first.plus(filter.z.times(Four::splat(self.offset(found, 2, iz))));
+            let layer = filter.first + filter.z * self.offset(found, 2, iz);
             for iy in found.lo[1]..found.hi[1] {
                 let dy = self.offset(found, 1, iy);
-                let row = layer.plus(filter.y.times(Four::splat(dy))).spread();
+                let row = spread(layer + filter.y * dy);
                 let mask = (candidates(&row, &near) | candidates(&row, &beyond) << 4) & wanted;
                 if mask != 0 {
                     exact.row(iz, iy, mask);
@@ -236,12 +236,12 @@ impl<'a> Scanner<'a> {
     #[inline(never)]
     fn long_rows<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &Found, mut exact: Exact<'_, I, F>) {
         let filter = &found.filter;
-        let inverse = filter.x.lanes().map(|g| -1.0 / f64::from(g));
+        let inverse = filter.x.to_array().map(|g| -1.0 / f64::from(g));
         for iz in found.lo[2]..found.hi[2] {
-            let layer = filter.first.plus(filter.z.times(Four::splat(self.offset(found, 2, iz))));
+            let layer = filter.first + filter.z * self.offset(found, 2, iz);
             for iy in found.lo[1]..found.hi[1] {
-                let row = layer.plus(filter.y.times(Four::splat(self.offset(found, 1, iy))));
-                let (start, end) = self.span(found, row.lanes(), filter.x.lanes(), &inverse);
+                let row = layer + filter.y * self.offset(found, 1, iy);
+                let (start, end) = self.span(found, row.to_array(), filter.x.to_array(), &inverse);
                 if start < end {
                     exact.run(iz, iy, start, end);
                 }
@@ -287,10 +287,10 @@ const SLACK: f64 = 1e-6;
 /// the products with differences of up to M and the sums add up to less than 200·M³u for any sample
 /// of the box.
 struct Filter {
-    first: Four,
-    x: Four,
-    y: Four,
-    z: Four,
+    first: Vec4,
+    x: Vec4,
+    y: Vec4,
+    z: Vec4,
 }
 
 const ERROR: f32 = 256.0 / (1u32 << 24) as f32;
@@ -299,39 +299,53 @@ impl Filter {
     /// The filter from the edges from a to the other corners, coordinate by coordinate, and the
     /// place of the first sample relative to a.
     #[inline(always)]
-    fn new([x, y, z]: [Four; 3], first_from_a: Four, longest: f32) -> Self {
-        let (ux, uy, uz) = (x.turned(), y.turned(), z.turned());
-        let (vx, vy, vz) = (ux.turned(), uy.turned(), uz.turned());
-        let gx = uy.times(vz).minus(uz.times(vy));
-        let gy = uz.times(vx).minus(ux.times(vz));
-        let gz = ux.times(vy).minus(uy.times(vx));
-        let volume = x.times(gx).plus(y.times(gy)).plus(z.times(gz)).lanes()[0];
+    fn new(edges: Mat4, first_from_a: Vec4, longest: f32) -> Self {
+        let (x, y, z) = (edges.x_axis, edges.y_axis, edges.z_axis);
+        let (ux, uy, uz) = (x.yzxw(), y.yzxw(), z.yzxw());
+        let (vx, vy, vz) = (ux.yzxw(), uy.yzxw(), uz.yzxw());
+        let gx = uy * vz - uz * vy;
+        let gy = uz * vx - ux * vz;
+        let gz = ux * vy - uy * vx;
+        let volume = (x * gx + y * gy + z * gz).x;
         // Lane 3 is 0 so far.
-        let with_a = |g: Four| {
-            let [b, c, d, _] = g.lanes();
-            g.minus(Four::new([0.0, 0.0, 0.0, b + c + d]))
+        let with_a = |g: Vec4| {
+            let [b, c, d, _] = g.to_array();
+            g - Vec4::from_array([0.0, 0.0, 0.0, b + c + d])
         };
         let (gx, gy, gz) = (with_a(gx), with_a(gy), with_a(gz));
         let error = ERROR * longest * longest * longest;
-        let [rx, ry, rz, _] = first_from_a.spread();
-        let at_first = gx.times(rx).plus(gy.times(ry)).plus(gz.times(rz));
-        let first = at_first.plus(Four::new([error, error, error, volume + error]));
+        let [rx, ry, rz, _] = spread(first_from_a);
+        let at_first = gx * rx + gy * ry + gz * rz;
+        let first = at_first + Vec4::from_array([error, error, error, volume + error]);
         Self { first, x: gx, y: gy, z: gz }
     }
 
     /// The growth of each λ at some offsets along x.
     #[inline(always)]
-    fn growth(&self, offsets: Four) -> [Four; 4] {
-        let [b, c, d, a] = self.x.spread();
-        [b.times(offsets), c.times(offsets), d.times(offsets), a.times(offsets)]
+    fn growth(&self, offsets: Vec4) -> [Vec4; 4] {
+        let [b, c, d, a] = spread(self.x);
+        [b * offsets, c * offsets, d * offsets, a * offsets]
     }
+}
+
+/// A position and 0; coordinates of at most 24 bits, and 2^24, are exact.
+#[inline(always)]
+fn vector(p: LatticePos) -> Vec4 {
+    let [x, y, z] = p.map(|c| c as i32 as f32);
+    Vec4::new(x, y, z, 0.0)
+}
+
+/// Each lane in all four.
+#[inline(always)]
+fn spread(x: Vec4) -> [Vec4; 4] {
+    [x.xxxx(), x.yyyy(), x.zzzz(), x.wwww()]
 }
 
 /// Bit i is set where sample i can be inside.
 #[inline(always)]
-fn candidates(row: &[Four; 4], growth: &[Four; 4]) -> u32 {
-    let at = |k: usize| row[k].plus(growth[k]);
-    at(0).min(at(1)).min(at(2).min(at(3))).signs() ^ 15
+fn candidates(row: &[Vec4; 4], growth: &[Vec4; 4]) -> u32 {
+    let at = |k: usize| row[k] + growth[k];
+    at(0).min(at(1)).min(at(2).min(at(3))).is_negative_bitmask() ^ 15
 }
 
 /// The exact part: planes are made when a sample first asks for them.

@@ -3,11 +3,11 @@
 
 use super::planes::{Planes, bounds};
 use super::*;
-use crate::exec::Avx2;
 use crate::geom::predicates::signed_volume6;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
+use crate::simd::Avx2;
 use proptest::prelude::*;
 
 /// The six tetrahedra of each cell of a grid of planes: many samples lie on faces, edges and

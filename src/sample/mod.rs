@@ -44,9 +44,9 @@ pub mod nearest;
 pub mod trilinear;
 
 use crate::error::Error;
-use crate::exec::with_vectors;
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::IndexBox;
+use crate::simd::with_vectors;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;

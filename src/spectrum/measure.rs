@@ -15,11 +15,10 @@
 use super::design::{Design, Limits};
 use super::side::{Alone, Room as Memory, SIDE_BY_SIDE, Side, Together, ends_of};
 use super::tetra::{BATCH, Ladder, PiecesOf, Shapes};
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::{Eight, Vector};
-use crate::exec::lanes::{Floats, Four, Pair, Plain, Wide, four};
-use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::mesh::tet::Tet;
+use crate::simd::{Avx2, Avx512, F64s, F64x4s, F64xN, Plain, four, with_avx512, with_vectors};
+#[cfg(target_arch = "x86_64")]
+use crate::simd::{F64x4, F64x8, Pair};
 
 /// What the tetrahedra of a chunk contribute to a spectrum: the spectrum of the chunk.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,8 +61,8 @@ pub(super) enum Vectors {
 impl Vectors {
     fn found() -> Self {
         match (Avx512::found(), Avx2::found()) {
-            (Some(proof), _) => Self::Avx512(proof),
-            (None, Some(proof)) => Self::Avx2(proof),
+            (Some(token), _) => Self::Avx512(token),
+            (None, Some(token)) => Self::Avx2(token),
             (None, None) => Self::Plain,
         }
     }
@@ -97,17 +96,17 @@ impl ChunkPart {
         let cells = Cells { places, tets };
         match vectors {
             #[cfg(target_arch = "x86_64")]
-            Vectors::Avx512(proof) => with_avx512(
-                proof,
+            Vectors::Avx512(token) => with_avx512(
+                token,
                 #[inline(always)]
-                || cells.add_all::<Vector, Eight, Eight>(proof.avx2(), proof, proof, &mut sides),
+                || cells.add_all::<F64x4, F64x8, F64x8>(token.avx2(), token, token, &mut sides),
             ),
             #[cfg(target_arch = "x86_64")]
-            Vectors::Avx2(proof) => with_vectors(
+            Vectors::Avx2(token) => with_vectors(
                 #[inline(always)]
-                || cells.add_all::<Vector, Pair<Vector>, Vector>(proof, proof, proof, &mut sides),
+                || cells.add_all::<F64x4, Pair<F64x4>, F64x4>(token, token, token, &mut sides),
             ),
-            _ => cells.add_all::<Plain, Pair<Plain>, Plain>((), (), (), &mut sides),
+            _ => cells.add_all::<Plain<f64, 4>, Plain<f64, 8>, Plain<f64, 4>>((), (), (), &mut sides),
         }
         sides.into_iter().flat_map(|side| side.finish(tets.len() as u64, memory)).collect()
     }
@@ -122,11 +121,11 @@ struct Cells<'a> {
 impl Cells<'_> {
     /// Adds all tetrahedra to the sums: those of all steps for some, then for the next ones.
     #[inline(always)]
-    fn add_all<W: Four, S: Floats<8>, K: Wide>(
+    fn add_all<W: F64x4s, S: F64xN<8>, K: F64s>(
         &self,
-        four: W::Proof,
-        eight: S::Proof,
-        knots: K::Proof,
+        four: W::Token,
+        eight: S::Token,
+        knots: K::Token,
         sides: &mut [Side],
     ) {
         let (mut shapes, mut room) = (Box::<Shapes>::default(), Box::new(Room([PiecesOf::NONE; AT_HAND])));
@@ -160,15 +159,15 @@ const _: () = assert!(AT_HAND > LATER);
 impl Room {
     /// Tetrahedra at some steps; `next` are those that lie [`AHEAD`] of each.
     #[inline(always)]
-    fn measure<S: Floats<8>, K: Wide>(
+    fn measure<S: F64xN<8>, K: F64s>(
         &mut self,
-        (proof, knots): (S::Proof, K::Proof),
+        (token, knots): (S::Token, K::Token),
         shapes: &Shapes,
         side: &mut Together,
         tets: &[Tet],
         next: &[Tet],
     ) {
-        let ladder = Ladder::<S>::new(proof, side.designs.each_ref().map(Option::as_ref));
+        let ladder = Ladder::<S>::new(token, side.designs.each_ref().map(Option::as_ref));
         for i in 0..tets.len() + LATER {
             if let Some(tet) = tets.get(i) {
                 if let Some(next) = next.get(i) {
@@ -181,7 +180,7 @@ impl Room {
                 );
                 let values = four(
                     #[inline(always)]
-                    |k| S::of_floats(proof, &floats[k]),
+                    |k| S::from_f32(token, &floats[k]),
                 );
                 let void = voids(values);
                 let mut ends = ends_of(&floats);
@@ -194,7 +193,7 @@ impl Room {
                 for (&v, ends) in tet.iter().zip(&ends) {
                     side.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
                 }
-                shapes.one::<S>(proof, i).pieces(proof, &ladder, values, void, pieces);
+                shapes.one::<S>(token, i).pieces(token, &ladder, values, void, pieces);
             }
             // All steps of one, then of the next: so a sum need not wait for what was added to it
             // just before.
@@ -216,22 +215,23 @@ impl Room {
 
     /// Tetrahedra at one step: eight by eight.
     #[inline(always)]
-    fn measure_one<S: Floats<8>, K: Wide>(
+    fn measure_one<S: F64xN<8>, K: F64s>(
         &mut self,
-        (proof, knots): (S::Proof, K::Proof),
+        (token, knots): (S::Token, K::Token),
         shapes: &Shapes,
         side: &mut Alone,
         tets: &[Tet],
     ) {
         let Some(design) = &side.design else { return };
-        let ladder = Ladder::<S>::new(proof, [Some(design); 8]);
+        let ladder = Ladder::<S>::new(token, [Some(design); 8]);
         for (n, (tets, pieces)) in tets.chunks(8).zip(&mut self.0).enumerate() {
             // With fewer than eight, the last one is repeated.
             let corner = |k: usize, i: usize| tets[i.min(tets.len() - 1)][k] as usize;
-            let floats = [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.values[corner(k, i)]));
+            let floats: [[f32; 8]; 4] =
+                [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.values[corner(k, i)]));
             let values = four(
                 #[inline(always)]
-                |k| S::of_floats(proof, &floats[k]),
+                |k| S::from_f32(token, &floats[k]),
             );
             let void = voids(values);
             let ends = ends_of(&floats);
@@ -242,7 +242,7 @@ impl Room {
                     side.void += 1;
                 }
             }
-            shapes.eight::<S>(proof, n).pieces(proof, &ladder, values, void, pieces);
+            shapes.eight::<S>(token, n).pieces(token, &ladder, values, void, pieces);
         }
         for (tets, pieces) in tets.chunks(8).zip(&self.0) {
             for lane in 0..tets.len() {
@@ -254,6 +254,6 @@ impl Room {
 
 /// Tetrahedra with a value that is NaN, bit by bit.
 #[inline(always)]
-fn voids<S: Floats<8>>([a, b, c, d]: [S; 4]) -> u32 {
-    !S::bits(a.plus(b).plus(c.plus(d)).is_number()) & 0xff
+fn voids<S: F64xN<8>>([a, b, c, d]: [S; 4]) -> u32 {
+    !S::bitmask((a + b + (c + d)).is_number()) & 0xff
 }

@@ -3,8 +3,9 @@
 use super::design::{Design, Limits};
 use super::measure::{ChunkPart, Vertices};
 use super::sums::{Ends, Sums};
-use crate::exec::{will_read, with_vectors};
+use crate::exec::will_read;
 use crate::mesh::tet::Tet;
+use crate::simd::with_vectors;
 
 /// Steps that are measured side by side, at most, and at least: two are measured sooner one by one.
 pub(super) const SIDE_BY_SIDE: usize = 8;

@@ -14,7 +14,7 @@ use super::design::{Design, MOST_KNOTS};
 use super::grid::{BinaryPlaces, Places};
 use super::measure::{ChunkPart, Measured};
 use super::tetra::{Cut, KNOTS, Pieces, PiecesOf};
-use crate::exec::lanes::Wide;
+use crate::simd::F64s;
 
 /// How many knots are at or below a void value: more than there are.
 pub(super) const VOID: u8 = u8::MAX;
@@ -52,7 +52,7 @@ impl Sums {
 
     /// Adds a tetrahedron of this volume: one of some.
     #[inline(always)]
-    pub(super) fn add<W: Wide>(&mut self, proof: W::Proof, of: &PiecesOf, lane: usize, volume: f64) {
+    pub(super) fn add<W: F64s>(&mut self, token: W::Token, of: &PiecesOf, lane: usize, volume: f64) {
         let below = usize::from(of.below(lane));
         self.whole[below] += volume;
         if of.flat >> lane & 1 != 0 {
@@ -61,15 +61,15 @@ impl Sums {
         let from = below % CUTS;
         let knots = self.knots[from..].first_chunk().expect("there are more behind the last");
         let most = of.most(lane);
-        Pieces::<W>::new(proof, of, lane).add(proof, volume, most, knots, &mut self.cuts[from]);
+        Pieces::<W>::new(token, of, lane).add(token, volume, most, knots, &mut self.cuts[from]);
         if of.steep >> lane & 1 != 0 {
-            let pieces = Pieces::<W>::new(proof, of, lane);
+            let pieces = Pieces::<W>::new(token, of, lane);
             for from in (from + KNOTS..CUTS).step_by(KNOTS) {
                 if self.knots[from] > most {
                     break;
                 }
                 let knots = self.knots[from..].first_chunk().expect("there are more behind the last");
-                pieces.add(proof, volume, most, knots, &mut self.cuts[from]);
+                pieces.add(token, volume, most, knots, &mut self.cuts[from]);
             }
         }
     }

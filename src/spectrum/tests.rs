@@ -3,8 +3,8 @@
 use super::measure::Vectors;
 use super::*;
 use crate::archive::segment::PlanHash;
-use crate::exec::{Avx2, Avx512};
 use crate::mesh::tet::{Tet, is_active, range};
+use crate::simd::{Avx2, Avx512};
 use proptest::prelude::*;
 use std::path::Path;
 

@@ -22,8 +22,8 @@
 
 use super::design::Design;
 use super::sums::VOID;
-use crate::exec::lanes::{Floats, Four, Wide, four, sorted, three};
 use crate::mesh::tet::Tet;
+use crate::simd::{F64s, F64x4s, F64xN, four, sorted, three};
 
 /// Tetrahedra that are looked at together: enough that the sums near their values, at some steps,
 /// are fetched once for many of them.
@@ -56,51 +56,51 @@ pub(super) struct Shape<W> {
 impl Shapes {
     /// Computes them for at most [`BATCH`] tetrahedra.
     #[inline(always)]
-    pub(super) fn look<W: Four>(&mut self, proof: W::Proof, places: &[[f64; 4]], tets: &[Tet]) {
-        let (zero, one) = (W::splat(proof, 0.0), W::splat(proof, 1.0));
+    pub(super) fn look<W: F64x4s>(&mut self, token: W::Token, places: &[[f64; 4]], tets: &[Tet]) {
+        let (zero, one) = (W::splat(token, 0.0), W::splat(token, 1.0));
         for (n, four) in tets.chunks(4).enumerate() {
             // With fewer than four, the last one is repeated.
             let four = [0, 1, 2, 3].map(|k| four[k.min(four.len() - 1)]);
-            let a = corners::<W>(proof, places, &four, 0);
-            let b = edge(proof, places, &four, 1, &a);
-            let c = edge(proof, places, &four, 2, &a);
-            let d = edge(proof, places, &four, 3, &a);
+            let a = corners::<W>(token, places, &four, 0);
+            let b = edge(token, places, &four, 1, &a);
+            let c = edge(token, places, &four, 2, &a);
+            let d = edge(token, places, &four, 3, &a);
             let six = dot(b, cross(c, d));
-            let six = six.max(zero.minus(six));
+            let six = six.max(zero - six);
             self.put(0, n, cross(c, d));
             self.put(1, n, cross(d, b));
             self.put(2, n, cross(b, c));
-            self.six[n] = six.lanes();
-            self.inverse[n] = W::pick(zero.below(six), one.over(six), zero).lanes();
+            self.six[n] = six.to_array();
+            self.inverse[n] = W::select(zero.lt(six), one / six, zero).to_array();
         }
     }
 
     #[inline(always)]
-    fn put<W: Four>(&mut self, normal: usize, n: usize, [x, y, z]: [W; 3]) {
+    fn put<W: F64x4s>(&mut self, normal: usize, n: usize, [x, y, z]: [W; 3]) {
         let [to_x, to_y, to_z] = &mut self.normals[normal];
-        (to_x[n], to_y[n], to_z[n]) = (x.lanes(), y.lanes(), z.lanes());
+        (to_x[n], to_y[n], to_z[n]) = (x.to_array(), y.to_array(), z.to_array());
     }
 
     /// The n-th eight.
     #[inline(always)]
-    pub(super) fn eight<W: Floats<8>>(&self, proof: W::Proof, n: usize) -> Shape<W> {
+    pub(super) fn eight<W: F64xN<8>>(&self, token: W::Token, n: usize) -> Shape<W> {
         self.map(
             #[inline(always)]
-            |column| W::of(proof, &column.as_flattened().as_chunks().0[n]),
+            |column| W::load(token, &column.as_flattened()[8 * n..]),
         )
     }
 
     /// The i-th, in all lanes.
     #[inline(always)]
-    pub(super) fn one<W: Wide>(&self, proof: W::Proof, i: usize) -> Shape<W> {
+    pub(super) fn one<W: F64s>(&self, token: W::Token, i: usize) -> Shape<W> {
         self.map(
             #[inline(always)]
-            |column| W::splat(proof, column[i / 4][i % 4]),
+            |column| W::splat(token, column[i / 4][i % 4]),
         )
     }
 
     #[inline(always)]
-    fn map<W: Wide>(&self, of: impl Fn(&Column) -> W) -> Shape<W> {
+    fn map<W: F64s>(&self, of: impl Fn(&Column) -> W) -> Shape<W> {
         let [[a, b, c], [d, e, f], [g, h, i]] = &self.normals;
         Shape {
             normals: [[of(a), of(b), of(c)], [of(d), of(e), of(f)], [of(g), of(h), of(i)]],
@@ -112,26 +112,26 @@ impl Shapes {
 
 /// A corner of each of four tetrahedra.
 #[inline(always)]
-fn corners<W: Four>(proof: W::Proof, places: &[[f64; 4]], tets: &[Tet; 4], corner: usize) -> [W; 4] {
+fn corners<W: F64x4s>(token: W::Token, places: &[[f64; 4]], tets: &[Tet; 4], corner: usize) -> [W; 4] {
     four(
         #[inline(always)]
-        |i| W::of(proof, &places[tets[i][corner] as usize]),
+        |i| W::load(token, &places[tets[i][corner] as usize]),
     )
 }
 
 /// From corner a to another one.
 #[inline(always)]
-fn edge<W: Four>(
-    proof: W::Proof,
+fn edge<W: F64x4s>(
+    token: W::Token,
     places: &[[f64; 4]],
     tets: &[Tet; 4],
     corner: usize,
     from: &[W; 4],
 ) -> [W; 3] {
-    let to = corners::<W>(proof, places, tets, corner);
-    let [x, y, z, _] = W::columns(four(
+    let to = corners::<W>(token, places, tets, corner);
+    let [x, y, z, _] = W::transpose(four(
         #[inline(always)]
-        |i| to[i].minus(from[i]),
+        |i| to[i] - from[i],
     ));
     [x, y, z]
 }
@@ -163,11 +163,11 @@ pub(super) struct Ladder<W> {
     first: W,
 }
 
-impl<W: Floats<8>> Ladder<W> {
+impl<W: F64xN<8>> Ladder<W> {
     /// The ladder of some designs; a lane without a step has none.
     #[inline(always)]
-    pub(super) fn new(proof: W::Proof, designs: [Option<&Design>; 8]) -> Self {
-        let of = |f: fn(&Design) -> f64, none| W::of(proof, &designs.map(|design| design.map_or(none, f)));
+    pub(super) fn new(token: W::Token, designs: [Option<&Design>; 8]) -> Self {
+        let of = |f: fn(&Design) -> f64, none| W::load(token, &designs.map(|design| design.map_or(none, f)));
         Self {
             step: of(|design| design.knots.step.size(), 1.0),
             scale: of(|design| 1.0 / design.knots.step.size(), 0.0),
@@ -193,65 +193,65 @@ impl PiecesOf {
     }
 }
 
-impl<W: Floats<8>> Shape<W> {
+impl<W: F64xN<8>> Shape<W> {
     /// The pieces of tetrahedra with these corner values, void ones bit by bit.
     #[inline(always)]
     pub(super) fn pieces(
         &self,
-        proof: W::Proof,
+        token: W::Token,
         ladder: &Ladder<W>,
         values: [W; 4],
         void: u32,
         out: &mut PiecesOf,
     ) {
         let [a, b, c, d] = values;
-        let d = [b.minus(a), c.minus(a), d.minus(a)];
+        let d = [b - a, c - a, d - a];
         // Six times the volume times the gradient.
         let gradient = three(
             #[inline(always)]
             |k| dot(d, [self.normals[0][k], self.normals[1][k], self.normals[2][k]]),
         );
-        let length = dot(gradient, gradient).root();
-        let area = length.times(W::splat(proof, 0.5));
-        let slope = area.times(length.times(self.inverse));
+        let length = dot(gradient, gradient).sqrt();
+        let area = length * W::splat(token, 0.5);
+        let slope = area * (length * self.inverse);
         let [f0, f1, f2, f3] = sorted(values);
-        let multiple = f0.times(ladder.scale).floor();
-        out.below = multiple.plus(ladder.first).lanes();
-        let v = multiple.plus(W::splat(proof, 1.0)).times(ladder.step);
-        let up = f3.minus(v);
-        out.flat = W::bits(up.below(W::splat(proof, 0.0))) | void;
-        out.steep = !W::bits(up.below(ladder.step.times(W::splat(proof, KNOTS as f64))));
+        let multiple = (f0 * ladder.scale).floor();
+        out.below = (multiple + ladder.first).to_array();
+        let v = (multiple + W::splat(token, 1.0)) * ladder.step;
+        let up = f3 - v;
+        out.flat = W::bitmask(up.lt(W::splat(token, 0.0))) | void;
+        out.steep = !W::bitmask(up.lt(ladder.step * W::splat(token, KNOTS as f64)));
         if void != 0 {
             for (lane, below) in out.below.iter_mut().enumerate() {
                 *below = if void >> lane & 1 == 0 { *below } else { WHOLE + f64::from(VOID) };
             }
         }
-        let least = W::splat(proof, LEAST);
-        let (d01, d02, d03) = (f1.minus(f0).max(least), f2.minus(f0).max(least), f3.minus(f0).max(least));
-        let (d12, d13, d23) = (f2.minus(f1).max(least), f3.minus(f1).max(least), f3.minus(f2).max(least));
-        let (outer, low, high) = (d01.times(d23), d02.times(d03), d12.times(d13));
-        let inner = low.times(high);
-        let all = W::splat(proof, 1.0).over(outer.times(inner));
-        let (of_outer, of_inner) = (all.times(inner), all.times(outer));
-        let (of_low, of_high) = (of_inner.times(high), of_inner.times(low));
+        let least = W::splat(token, LEAST);
+        let (d01, d02, d03) = ((f1 - f0).max(least), (f2 - f0).max(least), (f3 - f0).max(least));
+        let (d12, d13, d23) = ((f2 - f1).max(least), (f3 - f1).max(least), (f3 - f2).max(least));
+        let (outer, low, high) = (d01 * d23, d02 * d03, d12 * d13);
+        let inner = low * high;
+        let all = W::splat(token, 1.0) / (outer * inner);
+        let (of_outer, of_inner) = (all * inner, all * outer);
+        let (of_low, of_high) = (of_inner * high, of_inner * low);
         // One over the difference of f0 and f3.
-        let steep = of_low.times(d02);
+        let steep = of_low * d02;
         // One by one: an array of all would be made elsewhere, and copied.
         let to = &mut out.numbers;
-        to[0] = f0.lanes();
-        to[1] = f1.lanes();
-        to[2] = f3.lanes();
+        to[0] = f0.to_array();
+        to[1] = f1.to_array();
+        to[2] = f3.to_array();
         // A little more, lest a clamp miss 1 for rounding: what is 0 above f3 is so exactly.
-        let more = W::splat(proof, 1.0 + 8.0 * f64::EPSILON);
-        to[3] = of_outer.times(d23).times(more).lanes();
-        to[4] = of_low.times(d03).lanes();
-        to[5] = steep.lanes();
-        to[6] = of_high.times(d13).times(more).lanes();
-        to[7] = of_high.times(d12).lanes();
-        to[8] = of_outer.times(d01).lanes();
-        to[9] = area.times(steep).lanes();
-        to[10] = slope.times(steep).lanes();
-        out.volume = self.six.times(W::splat(proof, 1.0 / 6.0)).lanes();
+        let more = W::splat(token, 1.0 + 8.0 * f64::EPSILON);
+        to[3] = (of_outer * d23 * more).to_array();
+        to[4] = (of_low * d03).to_array();
+        to[5] = steep.to_array();
+        to[6] = (of_high * d13 * more).to_array();
+        to[7] = (of_high * d12).to_array();
+        to[8] = (of_outer * d01).to_array();
+        to[9] = (area * steep).to_array();
+        to[10] = (slope * steep).to_array();
+        out.volume = (self.six * W::splat(token, 1.0 / 6.0)).to_array();
     }
 }
 
@@ -259,14 +259,14 @@ impl<W: Floats<8>> Shape<W> {
 const LEAST: f64 = f64::from_bits((1023 - 149) << 52);
 
 #[inline(always)]
-fn cross<W: Wide>(u: [W; 3], v: [W; 3]) -> [W; 3] {
+fn cross<W: F64s>(u: [W; 3], v: [W; 3]) -> [W; 3] {
     let ([ux, uy, uz], [vx, vy, vz]) = (u, v);
-    [uy.times(vz).minus(uz.times(vy)), uz.times(vx).minus(ux.times(vz)), ux.times(vy).minus(uy.times(vx))]
+    [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]
 }
 
 #[inline(always)]
-fn dot<W: Wide>(u: [W; 3], v: [W; 3]) -> W {
-    u[2].times_plus(v[2], u[1].times_plus(v[1], u[0].times(v[0])))
+fn dot<W: F64s>(u: [W; 3], v: [W; 3]) -> W {
+    u[2].mul_add(v[2], u[1].mul_add(v[1], u[0] * v[0]))
 }
 
 /// Sums at some knots that follow each other.
@@ -296,23 +296,23 @@ pub(super) struct Pieces<W> {
     slope: W,
 }
 
-impl<W: Wide> Pieces<W> {
+impl<W: F64s> Pieces<W> {
     /// The pieces of one of them.
     #[inline(always)]
-    pub(super) fn new(proof: W::Proof, of: &PiecesOf, lane: usize) -> Self {
+    pub(super) fn new(token: W::Token, of: &PiecesOf, lane: usize) -> Self {
         let [f0, f1, f3, d01, d02, d03, d12, d13, d23, area, slope] = &of.numbers;
         Self {
-            f0: W::splat(proof, f0[lane]),
-            f1: W::splat(proof, f1[lane]),
-            f3: W::splat(proof, f3[lane]),
-            d01: W::splat(proof, d01[lane]),
-            d02: W::splat(proof, d02[lane]),
-            d03: W::splat(proof, d03[lane]),
-            d12: W::splat(proof, d12[lane]),
-            d13: W::splat(proof, d13[lane]),
-            d23: W::splat(proof, d23[lane]),
-            area: W::splat(proof, area[lane]),
-            slope: W::splat(proof, slope[lane]),
+            f0: W::splat(token, f0[lane]),
+            f1: W::splat(token, f1[lane]),
+            f3: W::splat(token, f3[lane]),
+            d01: W::splat(token, d01[lane]),
+            d02: W::splat(token, d02[lane]),
+            d03: W::splat(token, d03[lane]),
+            d12: W::splat(token, d12[lane]),
+            d13: W::splat(token, d13[lane]),
+            d23: W::splat(token, d23[lane]),
+            area: W::splat(token, area[lane]),
+            slope: W::splat(token, slope[lane]),
         }
     }
 
@@ -320,32 +320,32 @@ impl<W: Wide> Pieces<W> {
     /// the first of them is above its least value. At knots outside its range the contribution is
     /// 0.
     #[inline(always)]
-    pub(super) fn add(&self, proof: W::Proof, volume: f64, most: f64, knots: &[f64; KNOTS], sums: &mut Cut) {
-        let wide: &[W::Lanes] = bytemuck::cast_slice(knots);
-        let area: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.area);
-        let inside: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.inside);
-        let slope: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.slope);
-        let (volume, lanes) = (W::splat(proof, volume), KNOTS / wide.len());
+    pub(super) fn add(&self, token: W::Token, volume: f64, most: f64, knots: &[f64; KNOTS], sums: &mut Cut) {
+        let wide: &[W::Array] = bytemuck::cast_slice(knots);
+        let area: &mut [W::Array] = bytemuck::cast_slice_mut(&mut sums.area);
+        let inside: &mut [W::Array] = bytemuck::cast_slice_mut(&mut sums.inside);
+        let slope: &mut [W::Array] = bytemuck::cast_slice_mut(&mut sums.slope);
+        let (volume, lanes) = (W::splat(token, volume), KNOTS / wide.len());
         for (n, wide) in wide.iter().enumerate() {
             if n > 0 && knots[n * lanes] > most {
                 break;
             }
-            let (density, above) = self.at(proof, W::of(proof, wide));
-            area[n] = self.area.times_plus(density, W::of(proof, &area[n])).lanes();
-            inside[n] = volume.times_plus(above, W::of(proof, &inside[n])).lanes();
-            slope[n] = self.slope.times_plus(density, W::of(proof, &slope[n])).lanes();
+            let (density, above) = self.at(token, W::load(token, wide.as_ref()));
+            area[n] = self.area.mul_add(density, W::load(token, area[n].as_ref())).to_array();
+            inside[n] = volume.mul_add(above, W::load(token, inside[n].as_ref())).to_array();
+            slope[n] = self.slope.mul_add(density, W::load(token, slope[n].as_ref())).to_array();
         }
     }
 
     /// See the module: w, and the share of the volume above, at an isovalue.
     #[inline(always)]
-    fn at(&self, proof: W::Proof, v: W) -> (W, W) {
-        let (zero, one) = (W::splat(proof, 0.0), W::splat(proof, 1.0));
-        let (t, s) = (v.minus(self.f0), self.f3.minus(v));
-        let a = t.times(self.d01).min(one);
-        let b = v.minus(self.f1).times(self.d12).max(zero).min(one);
-        let right = s.times(self.d13).times(s.times(self.d23).max(zero).min(b));
-        let w = t.times(self.d02).times_plus(a.minus(b), right);
-        (w, one.minus(b).plus(right).minus(t.times(self.d03).times(w)))
+    fn at(&self, token: W::Token, v: W) -> (W, W) {
+        let (zero, one) = (W::splat(token, 0.0), W::splat(token, 1.0));
+        let (t, s) = (v - self.f0, self.f3 - v);
+        let a = (t * self.d01).min(one);
+        let b = ((v - self.f1) * self.d12).max(zero).min(one);
+        let right = s * self.d13 * (s * self.d23).max(zero).min(b);
+        let w = (t * self.d02).mul_add(a - b, right);
+        (w, one - b + right - t * self.d03 * w)
     }
 }

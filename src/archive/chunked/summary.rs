@@ -10,8 +10,8 @@
 
 use crate::archive::values::ValueBlocks;
 use crate::archive::wire::{Cursor, Malformed, to_zstd, unzstd};
-use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
+use crate::simd::with_vectors;
 
 /// Compression of the lists of ranges.
 const LEVEL: i32 = 9;

@@ -11,7 +11,7 @@
 #![allow(unsafe_code)]
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, INFINITE, LAST_TAG, Margin, Tetra};
-use crate::cpu::may_use;
+use crate::simd::may_use_all;
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
 
@@ -21,9 +21,7 @@ const LOG2_SMALL: u32 = 6;
 
 /// Whether this machine can run [`Arena::insert_avx2`].
 pub(super) fn is_available() -> bool {
-    static FOUND: LazyLock<bool> = LazyLock::new(|| {
-        may_use(&["AVX2", "FMA"]) && is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
-    });
+    static FOUND: LazyLock<bool> = LazyLock::new(|| may_use_all!("AVX2" = "avx2", "FMA" = "fma"));
     *FOUND
 }
 

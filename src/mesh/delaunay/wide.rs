@@ -20,7 +20,7 @@
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG, Margin};
 use super::simd::codes;
-use crate::cpu::may_use;
+use crate::simd::may_use_all;
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
 
@@ -70,11 +70,12 @@ impl Scratch {
 pub(super) fn is_available() -> bool {
     static FOUND: LazyLock<bool> = LazyLock::new(|| {
         super::simd::is_available()
-            && may_use(&["AVX512F", "AVX512VL", "AVX512DQ", "POPCNT"])
-            && is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("popcnt")
+            && may_use_all!(
+                "AVX512F" = "avx512f",
+                "AVX512VL" = "avx512vl",
+                "AVX512DQ" = "avx512dq",
+                "POPCNT" = "popcnt"
+            )
     });
     *FOUND
 }

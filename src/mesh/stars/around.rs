@@ -4,7 +4,7 @@
 //! their points lie beyond the faces that bound them. So the stars of the points of such faces are
 //! closed, one after another.
 
-use super::lanes::Vectors;
+use super::machine::Vectors;
 use super::{Chunk, END, Stars, Waiting};
 use crate::error::Result;
 use crate::geom::LatticePos;

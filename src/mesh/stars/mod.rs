@@ -44,7 +44,7 @@
 
 mod around;
 mod grid;
-mod lanes;
+mod machine;
 mod wide;
 
 use super::certify::Unseen;
@@ -56,7 +56,7 @@ use crate::error::Result;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos};
 use grid::Grid;
-use lanes::Vectors;
+use machine::Vectors;
 use wide::{Neighbourhood, View};
 
 /// D in mean spacings, at first and where that does not do. With 2.15, one star in 140 of

@@ -1,4 +1,4 @@
-//! The points near one, and its star closed among them, with vectors (`lanes.rs`).
+//! The points near one, and its star closed among them, with vectors.
 //!
 //! Coordinates are relative to the point: differences of integers, below 2^24, times a power of
 //! two, hence exact in `f32`. A gate's apex is guessed in `f32`; the spheres of all new tetrahedra
@@ -6,8 +6,8 @@
 //! `f64`.
 //!
 //! # Error bounds
-//! They hold for all: an operation has the same bits with each (`lanes.rs`: each lane is rounded
-//! once, products that are added or taken away are fused), and so has the outcome. (In spheres,
+//! They hold for all vectors: an operation has the same bits with each (every lane is rounded once,
+//! products that are added or taken away are fused), and so has the outcome. (In spheres,
 //! cross products alone are not fused: they are exact.)
 //!
 //! Let u = 2^-24, v = 2^-53, and 0, a, b, c a tetrahedron relative to its point, |a|, |b|, |c| ≤ D;
@@ -35,10 +35,10 @@
 //! 2^-12)·D², as it is computed: with an error of at most 2√3·D·e ≤ 2^-13·D², where KD² < 2^33·det.
 //! The list has all points with |q| ≤ (1 - 2^-21)·D.
 
-use super::lanes::{Batch, Machine};
+use super::machine::{Batch, Machine};
 use super::{Grid, LANES, Star};
-use crate::exec::lanes::{Wide, four, three};
 use crate::mesh::tet::Tet;
+use crate::simd::{Compress, F64s, Floats, Lanes, four, three};
 use glam::DVec3;
 
 /// The most points that are looked at, the one itself included.
@@ -151,31 +151,30 @@ impl Neighbourhood {
     #[inline(always)]
     pub(super) fn gather<B: Batch>(
         &mut self,
-        proof: B::Proof,
+        token: B::Token,
         grid: &Grid,
         rows: &[[u32; 2]],
         p: [f32; 3],
         reach: f32,
     ) -> bool {
-        let ([x, y, z], ids) = (&grid.at, bytemuck::cast_slice(&grid.ids));
-        let [px, py, pz] = three(|a| B::splat(proof, p[a]));
-        let within = B::splat(proof, reach * reach);
+        let ([x, y, z], ids) = (&grid.at, &grid.ids);
+        let [px, py, pz] = three(|a| B::splat(token, p[a]));
+        let within = B::splat(token, reach * reach);
         let mut count = 0;
         for &[start, end] in rows {
             let (mut i, end) = (start as usize, end as usize);
             while i < end {
-                let dx = B::load(proof, x, i).minus(px);
-                let dy = B::load(proof, y, i).minus(py);
-                let dz = B::load(proof, z, i).minus(pz);
-                let id = B::load(proof, ids, i);
-                let square = dx.times_plus(dx, dy.times_plus(dy, dz.times(dz)));
+                let dx = B::load(token, &x[i..]) - px;
+                let dy = B::load(token, &y[i..]) - py;
+                let dz = B::load(token, &z[i..]) - pz;
+                let id = B::U32s::load(token, &ids[i..]);
+                let square = dx.mul_add(dx, dy.mul_add(dy, dz * dz));
                 let lanes = (1u32 << (end - i).min(B::LANES)) - 1;
-                let near = square.below_in(within, lanes);
-                let packing = B::packing(proof, near);
-                dx.packed(packing).store(&mut self.at[0], count);
-                dy.packed(packing).store(&mut self.at[1], count);
-                dz.packed(packing).store(&mut self.at[2], count);
-                id.packed(packing).store(bytemuck::cast_slice_mut(&mut self.ids), count);
+                let near = B::bitmask(square.lt(within)) & lanes;
+                put(&mut self.at[0], count, dx.compress(near));
+                put(&mut self.at[1], count, dy.compress(near));
+                put(&mut self.at[2], count, dz.compress(near));
+                put(&mut self.ids, count, id.compress(near));
                 count += near.count_ones() as usize;
                 if count > MOST {
                     return false;
@@ -193,19 +192,19 @@ impl Neighbourhood {
     #[inline(always)]
     pub(super) fn close<const N: usize, B: Batch>(
         &mut self,
-        proof: B::Proof,
+        token: B::Token,
         view: &View,
         is_outer: impl Fn([u32; 3]) -> bool,
     ) -> Star {
-        self.pad::<N, B>(proof);
-        let Some(gates) = (if view.is_new { self.begin() } else { self.open_waiting::<N, B>(proof) }) else {
+        self.pad::<N, B>(token);
+        let Some(gates) = (if view.is_new { self.begin() } else { self.open_waiting::<N, B>(token) }) else {
             return Star::TooNear;
         };
-        if !self.follow::<N, B>(proof, gates, view, is_outer) {
+        if !self.follow::<N, B>(token, gates, view, is_outer) {
             return Star::TooNear;
         }
-        match self.spheres::<B>(proof, view) {
-            Star::Whole if self.are_empty::<N, B>(proof, view.reach) => Star::Whole,
+        match self.spheres::<B>(token, view) {
+            Star::Whole if self.are_empty::<N, B>(token, view.reach) => Star::Whole,
             Star::Whole => Star::Doubtful,
             other => other,
         }
@@ -213,15 +212,16 @@ impl Neighbourhood {
 
     /// Fills up the batches with points that are nowhere, and squares the lengths.
     #[inline(always)]
-    fn pad<const N: usize, B: Batch>(&mut self, proof: B::Proof) {
+    fn pad<const N: usize, B: Batch>(&mut self, token: B::Token) {
         let [x, y, z, square] = &mut self.at;
         for place in (self.count..N * B::LANES).step_by(B::LANES) {
-            B::splat(proof, f32::NAN).store(x, place);
+            B::splat(token, f32::NAN).store(&mut x[place..]);
             self.ids[place..place + B::LANES].fill(u32::MAX);
         }
         for place in (0..N * B::LANES).step_by(B::LANES) {
-            let [x, y, z] = [B::load(proof, x, place), B::load(proof, y, place), B::load(proof, z, place)];
-            x.times_plus(x, y.times_plus(y, z.times(z))).store(square, place);
+            let x = B::load(token, &x[place..]);
+            let (y, z) = (B::load(token, &y[place..]), B::load(token, &z[place..]));
+            x.mul_add(x, y.mul_add(y, z * z)).store(&mut square[place..]);
         }
     }
 
@@ -251,14 +251,14 @@ impl Neighbourhood {
     /// Opens the gates that wait, as many as are left when those with two sides are gone; `None` if
     /// a corner is not in the list.
     #[inline(always)]
-    fn open_waiting<const N: usize, B: Batch>(&mut self, proof: B::Proof) -> Option<usize> {
+    fn open_waiting<const N: usize, B: Batch>(&mut self, token: B::Token) -> Option<usize> {
         if self.gates.len() > WAITING {
             return None;
         }
         let mut tail = 0;
         for gate in 0..self.gates.len() {
             let [a, b] = self.gates[gate];
-            let (a, b) = (self.place::<N, B>(proof, a), self.place::<N, B>(proof, b));
+            let (a, b) = (self.place::<N, B>(token, a), self.place::<N, B>(token, b));
             if a.max(b) == NOWHERE {
                 return None;
             }
@@ -268,10 +268,12 @@ impl Neighbourhood {
     }
 
     #[inline(always)]
-    fn place<const N: usize, B: Batch>(&self, proof: B::Proof, id: u32) -> usize {
+    fn place<const N: usize, B: Batch>(&self, token: B::Token, id: u32) -> usize {
         let mut found = 0u128;
         for batch in 0..N {
-            found |= u128::from(B::find(proof, &self.ids, batch * B::LANES, id)) << (batch * B::LANES);
+            let ids = B::U32s::load(token, &self.ids[batch * B::LANES..]);
+            let here = B::U32s::bitmask(ids.eq(B::U32s::splat(token, id)));
+            found |= u128::from(here) << (batch * B::LANES);
         }
         found.trailing_zeros() as usize
     }
@@ -292,13 +294,13 @@ impl Neighbourhood {
     #[inline(always)]
     fn follow<const N: usize, B: Batch>(
         &mut self,
-        proof: B::Proof,
+        token: B::Token,
         mut tail: usize,
         view: &View,
         is_outer: impl Fn([u32; 3]) -> bool,
     ) -> bool {
-        let held = self.hold::<N, B>(proof);
-        let infinite = B::splat(proof, f32::INFINITY);
+        let held = self.hold::<N, B>(token);
+        let infinite = B::splat(token, f32::INFINITY);
         let (mut head, mut count) = (0, 0);
         while head != tail {
             let gate = usize::from(self.queue[head]);
@@ -315,22 +317,23 @@ impl Neighbourhood {
             let [cx, cy, cz] = [ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx];
             let [ex, ey, ez] = [ny * bz - nz * by, nz * bx - nx * bz, nx * by - ny * bx];
             let m = [bb * cx + aa * ex, bb * cy + aa * ey, bb * cz + aa * ez];
-            let [mx, my, mz] = three(|k| B::splat(proof, m[k]));
-            let [nx, ny, nz, nn] = four(|k| B::splat(proof, [nx, ny, nz, nn][k]));
+            let [mx, my, mz] = three(|k| B::splat(token, m[k]));
+            let [nx, ny, nz, nn] = four(|k| B::splat(token, [nx, ny, nz, nn][k]));
             // The largest value that rounding may make of 0.
-            let least = B::splat(proof, 5e-7 * view.reach * (aa * bb).sqrt());
+            let least = B::splat(token, 5e-7 * view.reach * (aa * bb).sqrt());
             let (mut best, mut all) = (infinite, [infinite; N]);
             for (i, all) in all.iter_mut().enumerate() {
-                let [x, y, z, square] = self.batch(proof, &held, i);
-                let height = x.times_plus(nx, y.times_plus(ny, z.times(nz)));
-                let power = square.times(nn).less_product(z, mz).less_product(y, my).less_product(x, mx);
-                *all = B::pick(least.below(height), power.over(height), infinite);
+                let [x, y, z, square] = self.batch(token, &held, i);
+                let height = x.mul_add(nx, y.mul_add(ny, z * nz));
+                let power = x.neg_mul_add(mx, y.neg_mul_add(my, z.neg_mul_add(mz, square * nn)));
+                *all = B::select(least.lt(height), power / height, infinite);
                 best = best.min(*all);
             }
-            let (best, everywhere) = best.least();
+            let everywhere = best.reduce_min();
+            let best = everywhere.to_array().as_ref()[0];
             let mut found = 0u128;
             for (i, all) in all.into_iter().enumerate() {
-                found |= u128::from(B::bits(all.equals(everywhere))) << (i * B::LANES);
+                found |= u128::from(B::bitmask(all.eq(everywhere))) << (i * B::LANES);
             }
             self.open[gate & (MOST * MOST - 1)] = 0;
             if best == f32::INFINITY {
@@ -359,39 +362,39 @@ impl Neighbourhood {
 
     /// The points nearby, where there are registers for them.
     #[inline(always)]
-    fn hold<const N: usize, B: Batch>(&self, proof: B::Proof) -> [[B; 4]; N] {
-        let mut held = [[B::splat(proof, 0.0); 4]; N];
+    fn hold<const N: usize, B: Batch>(&self, token: B::Token) -> [[B; 4]; N] {
+        let mut held = [[B::splat(token, 0.0); 4]; N];
         if B::HOLDS {
             for (i, held) in held.iter_mut().enumerate() {
-                *held = self.load(proof, i);
+                *held = self.load(token, i);
             }
         }
         held
     }
 
     #[inline(always)]
-    fn load<B: Batch>(&self, proof: B::Proof, i: usize) -> [B; 4] {
+    fn load<B: Batch>(&self, token: B::Token, i: usize) -> [B; 4] {
         let [x, y, z, square] = &self.at;
         let place = i * B::LANES;
         [
-            B::load(proof, x, place),
-            B::load(proof, y, place),
-            B::load(proof, z, place),
-            B::load(proof, square, place),
+            B::load(token, &x[place..]),
+            B::load(token, &y[place..]),
+            B::load(token, &z[place..]),
+            B::load(token, &square[place..]),
         ]
     }
 
     /// Coordinates and squared lengths of a batch.
     #[inline(always)]
-    fn batch<const N: usize, B: Batch>(&self, proof: B::Proof, held: &[[B; 4]; N], i: usize) -> [B; 4] {
-        if B::HOLDS { held[i] } else { self.load(proof, i) }
+    fn batch<const N: usize, B: Batch>(&self, token: B::Token, held: &[[B; 4]; N], i: usize) -> [B; 4] {
+        if B::HOLDS { held[i] } else { self.load(token, i) }
     }
 
     /// Makes the spheres of the new tetrahedra.
     #[inline(always)]
-    fn spheres<B: Batch>(&mut self, proof: B::Proof, view: &View) -> Star {
+    fn spheres<B: Batch>(&mut self, token: B::Token, view: &View) -> Star {
         let d = f64::from(view.reach);
-        let splat = |x| B::doubles(proof, x);
+        let splat = |x| B::Doubles::splat(token, x);
         let (largest, least) = (splat(d * d * WITHIN), splat(d * d * d * LEAST_VOLUME));
         let (shortest, outside) = (splat(d * d), splat(OUTSIDE * d));
         let far = splat(LARGEST / (d * d));
@@ -399,24 +402,24 @@ impl Neighbourhood {
         let (mut whole, mut fat) = (u32::MAX, u32::MAX);
         for first in (0..self.triangles).step_by(B::LANES / 2) {
             let others = u32::MAX << (self.triangles - first).min(B::LANES / 2);
-            let u = three(|a| B::load_doubles(proof, &self.corners[a], first));
-            let v = three(|a| B::load_doubles(proof, &self.corners[3 + a], first));
-            let w = three(|a| B::load_doubles(proof, &self.corners[6 + a], first));
+            let u = three(|a| B::Doubles::from_f32(token, &self.corners[a][first..]));
+            let v = three(|a| B::Doubles::from_f32(token, &self.corners[3 + a][first..]));
+            let w = three(|a| B::Doubles::from_f32(token, &self.corners[6 + a][first..]));
             let (vw, wu, uv) = (cross(v, w), cross(w, u), cross(u, v));
             let det = dot(u, vw);
-            let by_det = splat(1.0).over(det);
-            let (uu, vv, ww) = (dot(u, u).times(by_det), dot(v, v).times(by_det), dot(w, w).times(by_det));
-            let k = three(|a| vw[a].times_plus(uu, wu[a].times_plus(vv, uv[a].times(ww))));
-            fat &= others | bits::<B::Doubles>(least.below(det));
+            let by_det = splat(1.0) / det;
+            let (uu, vv, ww) = (dot(u, u) * by_det, dot(v, v) * by_det, dot(w, w) * by_det);
+            let k = three(|a| vw[a].mul_add(uu, wu[a].mul_add(vv, uv[a] * ww)));
+            fat &= others | B::Doubles::bitmask(least.lt(det));
             let within = three(|a| k[a].max(domain[a][0]).min(domain[a][1]));
-            let beyond = three(|a| k[a].plus(k[a]).minus(within[a]));
-            whole &= others | bits::<B::Doubles>(dot(within, beyond).below(largest));
+            let beyond = three(|a| k[a] + k[a] - within[a]);
+            whole &= others | B::Doubles::bitmask(dot(within, beyond).lt(largest));
             let kk = dot(k, k);
-            let far = det.times(far);
-            fat &= others | bits::<B::Doubles>(kk.below(far.times(far)));
-            let outside = kk.max(shortest).root().times(outside);
+            let far = det * far;
+            fat &= others | B::Doubles::bitmask(kk.lt(far * far));
+            let outside = kk.max(shortest).sqrt() * outside;
             for (a, k) in [k[0], k[1], k[2], outside].into_iter().enumerate() {
-                B::store_doubles(k, &mut self.centres[a], first);
+                put(&mut self.centres[a], first, k.to_f32());
             }
         }
         match (whole, fat) {
@@ -428,17 +431,17 @@ impl Neighbourhood {
 
     /// Whether the spheres are proven to leave out all points but their own.
     #[inline(always)]
-    fn are_empty<const N: usize, B: Batch>(&self, proof: B::Proof, reach: f32) -> bool {
-        let held = self.hold::<N, B>(proof);
+    fn are_empty<const N: usize, B: Batch>(&self, token: B::Token, reach: f32) -> bool {
+        let held = self.hold::<N, B>(token);
         let (mut doubtful, mut which) = (0, [0u16; 8]);
         for triangle in 0..self.triangles {
-            let [kx, ky, kz] = three(|a| B::splat(proof, self.centres[a][triangle]));
-            let outside = B::splat(proof, self.centres[3][triangle]);
+            let [kx, ky, kz] = three(|a| B::splat(token, self.centres[a][triangle]));
+            let outside = B::splat(token, self.centres[3][triangle]);
             let mut near = 0u128;
             for i in 0..N {
-                let [x, y, z, square] = self.batch(proof, &held, i);
-                let power = square.less_product(z, kz).less_product(y, ky).less_product(x, kx);
-                near |= u128::from(B::bits(power.below(outside))) << (i * B::LANES);
+                let [x, y, z, square] = self.batch(token, &held, i);
+                let power = x.neg_mul_add(kx, y.neg_mul_add(ky, z.neg_mul_add(kz, square)));
+                near |= u128::from(B::bitmask(power.lt(outside))) << (i * B::LANES);
             }
             // The tetrahedron's own are always near.
             which[doubtful & 7] = triangle as u16;
@@ -482,21 +485,23 @@ impl Neighbourhood {
 }
 
 #[inline(always)]
-fn minor<W: Wide>(a: [W; 3], b: [W; 3], i: usize, j: usize) -> W {
-    a[i].times(b[j]).minus(a[j].times(b[i]))
+fn minor<W: F64s>(a: [W; 3], b: [W; 3], i: usize, j: usize) -> W {
+    a[i] * b[j] - a[j] * b[i]
 }
 
 #[inline(always)]
-fn cross<W: Wide>(a: [W; 3], b: [W; 3]) -> [W; 3] {
+fn cross<W: F64s>(a: [W; 3], b: [W; 3]) -> [W; 3] {
     [minor(a, b, 1, 2), minor(a, b, 2, 0), minor(a, b, 0, 1)]
 }
 
 #[inline(always)]
-fn dot<W: Wide>(a: [W; 3], b: [W; 3]) -> W {
-    a[0].times_plus(b[0], a[1].times_plus(b[1], a[2].times(b[2])))
+fn dot<W: F64s>(a: [W; 3], b: [W; 3]) -> W {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
 }
 
+/// Overwrites numbers of a list from a place on.
 #[inline(always)]
-fn bits<W: Wide>(mask: W::Mask) -> u32 {
-    W::bits(mask)
+fn put<T: Copy>(list: &mut [T], place: usize, numbers: impl AsRef<[T]>) {
+    let numbers = numbers.as_ref();
+    list[place..place + numbers.len()].copy_from_slice(numbers);
 }

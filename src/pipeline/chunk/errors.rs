@@ -18,7 +18,6 @@ use crate::archive::tables::{ChunkErrors, decode_errors};
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
 use crate::error::{Error, Result};
-use crate::exec::with_vectors;
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, IndexBox};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Tally, Worst};
@@ -28,6 +27,7 @@ use crate::pipeline::plan::ERROR_WINDOW;
 use crate::pipeline::read::{StepView, world_of};
 use crate::points::Levels;
 use crate::raster::{BatchScan, SampleGrid, Scanner, corner_box, greater, lesser};
+use crate::simd::with_vectors;
 use crate::volume::VolumeReader;
 use std::ops::Range;
 

@@ -5,16 +5,11 @@
 
 use super::step_lanes::{Lanes, StepLanes};
 use super::step_samples::{Rows, WindowSamples};
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::{Eight, Vector};
-use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
-use crate::exec::with_vectors;
-#[cfg(target_arch = "x86_64")]
-use crate::exec::{Avx2, Avx512, with_avx512};
 use crate::grid::IndexBox;
 use crate::measure::{Compared, ComparedAt, TOGETHER};
 use crate::mesh::tet::Tet;
 use crate::raster::{MEMBERS, Members, interpolate};
+use crate::simd::{Avx2, F64xN, Plain, four, on_avx2_or_plain, on_widest, sorted, with_vectors};
 
 const _: () = assert!(MEMBERS <= TOGETHER);
 
@@ -132,14 +127,9 @@ fn compare_four(
     originals: &[[f32; 4]],
     out: &mut Compared<4>,
 ) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(proof) = Avx2::found() {
-        return with_vectors(
-            #[inline(always)]
-            || compare_wide::<Vector, 4>(proof, members, tets, values, originals, out),
-        );
-    }
-    compare_wide::<Plain, 4>((), members, tets, values, originals, out);
+    on_avx2_or_plain!(Avx2::found(), F64x4, Plain<f64, 4>, |W, token| compare_wide::<W, 4>(
+        token, members, tets, values, originals, out
+    ));
 }
 
 /// The same at eight steps.
@@ -151,49 +141,36 @@ fn compare_eight(
     originals: &[[f32; 8]],
     out: &mut Compared<8>,
 ) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(proof) = Avx512::found() {
-        return with_avx512(
-            proof,
-            #[inline(always)]
-            || compare_wide::<Eight, 8>(proof, members, tets, values, originals, out),
-        );
-    }
-    #[cfg(target_arch = "x86_64")]
-    if let Some(proof) = Avx2::found() {
-        return with_vectors(
-            #[inline(always)]
-            || compare_wide::<Pair<Vector>, 8>(proof, members, tets, values, originals, out),
-        );
-    }
-    compare_wide::<Pair<Plain>, 8>((), members, tets, values, originals, out);
+    on_widest!(F64x8, F64x4, Plain<f64, 8>, |W, token| compare_wide::<W, 8>(
+        token, members, tets, values, originals, out
+    ));
 }
 
 /// As [`interpolate`], and NaN where a corner is, sample by sample, at all steps at a time: the
 /// same bits.
 #[inline(always)]
-fn compare_wide<W: Floats<N>, const N: usize>(
-    proof: W::Proof,
+fn compare_wide<W: F64xN<N>, const N: usize>(
+    token: W::Token,
     members: &Members,
     tets: &[Tet],
     values: &[[f32; N]],
     originals: &[[f32; N]],
     out: &mut Compared<N>,
 ) {
-    let (weights, void) = (members.weights(), W::splat(proof, f64::NAN));
+    let (weights, void) = (members.weights(), W::splat(token, f64::NAN));
     for ((i, &tet), reduced) in members.tets().iter().enumerate().zip(&mut out.reduced) {
         let tet = tets[tet as usize];
         let corners = four(
             #[inline(always)]
-            |k| W::of_floats(proof, &values[tet[k] as usize]),
+            |k| W::from_f32(token, &values[tet[k] as usize]),
         );
         let [a, b, c, d] = sorted(four(
             #[inline(always)]
-            |k| corners[k].times(W::splat(proof, weights[k][i])),
+            |k| corners[k] * W::splat(token, weights[k][i]),
         ));
-        let value = a.plus(b).plus(c).plus(d);
-        let all = corners[0].plus(corners[1]).plus(corners[2].plus(corners[3]));
-        *reduced = W::pick(all.is_number(), value, void).floats();
+        let value = a + b + c + d;
+        let all = corners[0] + corners[1] + (corners[2] + corners[3]);
+        *reduced = W::select(all.is_number(), value, void).to_f32();
     }
     find_errors(members, originals, out);
 }

@@ -5,10 +5,10 @@
 //! left, the other lanes are unused. A single step is stored as it is.
 
 use crate::archive::chunked::BlockRange;
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::turned;
-use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::Tet;
+#[cfg(target_arch = "x86_64")]
+use crate::simd::transpose_f32x8;
+use crate::simd::{Avx2, with_vectors};
 use std::ops::Range;
 
 /// The memory of interleaved values, kept from chunk to chunk so that its pages are not requested
@@ -107,11 +107,11 @@ pub(super) fn put_side_by_side<const N: usize>(columns: &[&[f32]], rows: &mut [[
     let mut done = 0;
     #[cfg(target_arch = "x86_64")]
     if N == 8
-        && let (Some(proof), Ok(rows)) = (Avx2::found(), bytemuck::try_cast_slice_mut(rows))
+        && let (Some(token), Ok(rows)) = (Avx2::found(), bytemuck::try_cast_slice_mut(rows))
     {
         done = with_vectors(
             #[inline(always)]
-            || put_eights(proof, columns, rows),
+            || put_eights(token, columns, rows),
         );
     }
     for (n, rows) in rows[done..].chunks_mut(SOME).enumerate() {
@@ -124,13 +124,13 @@ pub(super) fn put_side_by_side<const N: usize>(columns: &[&[f32]], rows: &mut [[
 /// Those of eight lanes, eight rows at a time; returns how many rows are done.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn put_eights(proof: Avx2, columns: &[&[f32]], rows: &mut [[f32; 8]]) -> usize {
+fn put_eights(token: Avx2, columns: &[&[f32]], rows: &mut [[f32; 8]]) -> usize {
     let eights = rows.as_chunks_mut::<8>().0;
     let columns: [&[[f32; 8]]; 8] =
         std::array::from_fn(|lane| &columns[lane.min(columns.len() - 1)].as_chunks().0[..eights.len()]);
     for (n, rows) in eights.iter_mut().enumerate() {
         let [a, b, c, d, e, f, g, h] = &columns;
-        *rows = turned(proof, [&a[n], &b[n], &c[n], &d[n], &e[n], &f[n], &g[n], &h[n]]);
+        *rows = transpose_f32x8(token, [&a[n], &b[n], &c[n], &d[n], &e[n], &f[n], &g[n], &h[n]]);
     }
     8 * eights.len()
 }

@@ -5,13 +5,14 @@ use super::errors::Originals;
 use super::groups::Groups;
 use super::placement::Placement;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, with_vectors};
+use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, Chunk, IndexBox};
 use crate::pipeline::inputs::{Scratch, treat_missing};
 use crate::pipeline::read::MeshedChunk;
 use crate::pipeline::settings::NanPolicy;
 use crate::sample::{Interpolation, Places, Values};
+use crate::simd::with_vectors;
 use crate::volume::VolumeReader;
 use std::sync::atomic::{AtomicU64, Ordering};
 

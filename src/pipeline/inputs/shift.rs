@@ -7,8 +7,9 @@
 use crate::archive::manifest::StepPlan;
 use crate::cells::CellMesh;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, with_vectors};
+use crate::exec::CancelToken;
 use crate::pipeline::settings::NanPolicy;
+use crate::simd::with_vectors;
 use crate::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use std::path::Path;

@@ -1,11 +1,10 @@
 //! Sixteen tetrahedra side by side: their boxes, their planes in `f32`.
 
 use super::LANES;
-use crate::exec::lanes::{four, three};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 use crate::raster::Scanner;
-use crate::raster::sixteen::{Bits, Floats, Ints};
+use crate::simd::{F32x16s, Lanes, U32x16s, four, three};
 
 /// The error of the filter, in M³: see the module above.
 const ERROR: f32 = 1024.0 / (1u32 << 24) as f32;
@@ -37,15 +36,15 @@ pub(super) struct Boxes<I> {
     pub(super) longest: I,
 }
 
-impl<I: Ints> Boxes<I> {
+impl<I: U32x16s> Boxes<I> {
     #[inline(always)]
-    pub(super) fn new(proof: I::Proof, scene: &Scene<'_>, tet: impl Fn(usize) -> u32) -> Self {
+    pub(super) fn new(token: I::Token, scene: &Scene<'_>, tet: impl Fn(usize) -> u32) -> Self {
         let tets: [Tet; LANES] = std::array::from_fn(|n| scene.tets[tet(n) as usize]);
         let corners = four(
             #[inline(always)]
             |k| {
-                I::columns(
-                    proof,
+                I::from_rows(
+                    token,
                     #[inline(always)]
                     |n| scene.positions[tets[n][k] as usize],
                 )
@@ -53,17 +52,17 @@ impl<I: Ints> Boxes<I> {
         );
         let [a, b, c, d] = &corners;
         let (lo, hi) = scene.scanner.window();
-        let mut longest = I::splat(proof, 0);
+        let mut longest = I::splat(token, 0);
         let ranges = three(
             #[inline(always)]
             |k| {
                 let least = a[k].min(b[k]).min(c[k].min(d[k]));
                 let most = a[k].max(b[k]).max(c[k].max(d[k]));
                 let shift = scene.shifts[k];
-                let before = I::splat(proof, (1 << shift) - 1);
-                let from = least.plus(before).shifted_right(shift).max(I::splat(proof, lo[k]));
-                let to = most.shifted_right(shift).plus(I::splat(proof, 1)).min(I::splat(proof, hi[k]));
-                longest = longest.max(most.minus(least));
+                let before = I::splat(token, (1 << shift) - 1);
+                let from = ((least + before) >> shift).max(I::splat(token, lo[k]));
+                let to = ((most >> shift) + I::splat(token, 1)).min(I::splat(token, hi[k]));
+                longest = longest.max(most - least);
                 (from, to)
             },
         );
@@ -74,49 +73,49 @@ impl<I: Ints> Boxes<I> {
     /// Samples along each axis; no number of any where there are none.
     #[inline(always)]
     pub(super) fn samples(&self) -> [I; 3] {
-        let [x, y, z] = &self.to;
-        [x.minus(self.from[0]), y.minus(self.from[1]), z.minus(self.from[2])]
+        let [x, y, z] = self.to;
+        [x - self.from[0], y - self.from[1], z - self.from[2]]
     }
 
     /// The boxes that have samples.
     #[inline(always)]
-    pub(super) fn with_samples(&self) -> Bits {
+    pub(super) fn with_samples(&self) -> u32 {
         let ([x, y, z], [u, v, w]) = (&self.from, &self.to);
-        x.below(*u) & y.below(*v) & z.below(*w)
+        I::bitmask(x.lt(*u)) & I::bitmask(y.lt(*v)) & I::bitmask(z.lt(*w))
     }
 }
 
 /// What is noted of sixteen tetrahedra.
-pub(super) struct Columns<F: Floats> {
-    pub(super) tets: F::Ints,
+pub(super) struct Columns<F: F32x16s> {
+    pub(super) tets: F::U32s,
     /// The place of the first sample in the window.
-    pub(super) places: F::Ints,
+    pub(super) places: F::U32s,
     pub(super) edges: [[F; 3]; 3],
     pub(super) first: [F; 3],
 }
 
-impl<F: Floats> Columns<F> {
+impl<F: F32x16s> Columns<F> {
     #[inline(always)]
     pub(super) fn new(
-        proof: F::Proof,
+        token: F::Token,
         scene: &Scene<'_>,
-        boxes: &Boxes<F::Ints>,
+        boxes: &Boxes<F::U32s>,
         filter: &Filter<F>,
-        tets: F::Ints,
+        tets: F::U32s,
     ) -> Self {
         let (lo, strides) = (scene.scanner.window().0, scene.scanner.strides());
         let [x, y, z] = three(
             #[inline(always)]
-            |k| boxes.from[k].minus(F::Ints::splat(proof, lo[k])),
+            |k| boxes.from[k] - F::U32s::splat(token, lo[k]),
         );
-        let [row, layer] = [F::Ints::splat(proof, strides[0]), F::Ints::splat(proof, strides[1])];
-        let places = z.times(layer).plus(y.times(row)).plus(x);
+        let [row, layer] = [F::U32s::splat(token, strides[0]), F::U32s::splat(token, strides[1])];
+        let places = z * layer + y * row + x;
         Self { tets, places, edges: filter.edges, first: filter.first }
     }
 }
 
 /// The four planes of sixteen tetrahedra, in samples; of corners b, c, d, a.
-pub(super) struct Filter<F: Floats> {
+pub(super) struct Filter<F: F32x16s> {
     /// From corner a to the others, and to the first sample: exact.
     pub(super) edges: [[F; 3]; 3],
     pub(super) first: [F; 3],
@@ -131,57 +130,57 @@ pub(super) struct Filter<F: Floats> {
     pub(super) falls: [F::Mask; 4],
 }
 
-impl<F: Floats> Filter<F> {
+impl<F: F32x16s> Filter<F> {
     #[inline(always)]
-    pub(super) fn new(proof: F::Proof, boxes: &Boxes<F::Ints>, shifts: [u32; 3]) -> Self {
+    pub(super) fn new(token: F::Token, boxes: &Boxes<F::U32s>, shifts: [u32; 3]) -> Self {
         let [a, b, c, d] = &boxes.corners;
         let edges = [between::<F>(a, b), between::<F>(a, c), between::<F>(a, d)];
         let first = three(
             #[inline(always)]
-            |k| boxes.from[k].shifted_left(shifts[k]).minus(a[k]).floats(),
+            |k| F::from_i32((boxes.from[k] << shifts[k]) - a[k]),
         );
         let [b, c, d] = edges;
         let (gb, gc, gd) = (cross(c, d), cross(d, b), cross(b, c));
-        let zero = F::splat(proof, 0.0);
+        let zero = F::splat(token, 0.0);
         let ga = three(
             #[inline(always)]
-            |k| zero.minus(gb[k].plus(gc[k]).plus(gd[k])),
+            |k| zero - (gb[k] + gc[k] + gd[k]),
         );
-        let m = boxes.longest.floats();
-        let error = F::splat(proof, ERROR).times(m).times(m).times(m);
+        let m = F::from_i32(boxes.longest);
+        let error = F::splat(token, ERROR) * m * m * m;
         let planes = [gb, gc, gd, ga];
-        let raised = [error, error, error, dot(b, gb).plus(error)];
+        let raised = [error, error, error, dot(b, gb) + error];
         let lambda = four(
             #[inline(always)]
-            |k| dot(planes[k], first).plus(raised[k]),
+            |k| dot(planes[k], first) + raised[k],
         );
         let growth = three(
             #[inline(always)]
             |axis| {
-                let pitch = F::splat(proof, (1u32 << shifts[axis]) as f32);
+                let pitch = F::splat(token, (1u32 << shifts[axis]) as f32);
                 four(
                     #[inline(always)]
-                    |k| planes[k][axis].times(pitch),
+                    |k| planes[k][axis] * pitch,
                 )
             },
         );
         let along = growth[0];
         let rises = four(
             #[inline(always)]
-            |k| zero.below(along[k]),
+            |k| zero.lt(along[k]),
         );
-        let (minus_one, none) = (F::splat(proof, -1.0), F::splat(proof, -NO_GROWTH));
+        let (minus_one, none) = (F::splat(token, -1.0), F::splat(token, -NO_GROWTH));
         let slopes = four(
             #[inline(always)]
-            |k| F::pick(rises[k], along[k], F::pick(along[k].below(zero), along[k], none)),
+            |k| F::select(rises[k], along[k], F::select(along[k].lt(zero), along[k], none)),
         );
         let falls = four(
             #[inline(always)]
-            |k| slopes[k].below(zero),
+            |k| slopes[k].lt(zero),
         );
         let crossing = four(
             #[inline(always)]
-            |k| minus_one.over(slopes[k]),
+            |k| minus_one / slopes[k],
         );
         Self { edges, first, lambda, growth, crossing, rises, falls }
     }
@@ -189,20 +188,20 @@ impl<F: Floats> Filter<F> {
 
 /// From one position to another.
 #[inline(always)]
-fn between<F: Floats>(a: &[F::Ints; 3], b: &[F::Ints; 3]) -> [F; 3] {
+fn between<F: F32x16s>(a: &[F::U32s; 3], b: &[F::U32s; 3]) -> [F; 3] {
     three(
         #[inline(always)]
-        |k| b[k].minus(a[k]).floats(),
+        |k| F::from_i32(b[k] - a[k]),
     )
 }
 
 #[inline(always)]
-fn cross<F: Floats>(u: [F; 3], v: [F; 3]) -> [F; 3] {
+fn cross<F: F32x16s>(u: [F; 3], v: [F; 3]) -> [F; 3] {
     let ([a, b, c], [x, y, z]) = (u, v);
-    [b.times(z).minus(c.times(y)), c.times(x).minus(a.times(z)), a.times(y).minus(b.times(x))]
+    [b * z - c * y, c * x - a * z, a * y - b * x]
 }
 
 #[inline(always)]
-fn dot<F: Floats>(u: [F; 3], v: [F; 3]) -> F {
-    u[0].times(v[0]).plus(u[1].times(v[1])).plus(u[2].times(v[2]))
+fn dot<F: F32x16s>(u: [F; 3], v: [F; 3]) -> F {
+    u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 }

@@ -38,12 +38,13 @@ use self::boxes::{Boxes, Columns, Filter, Scene};
 use self::exact::{Candidates, wins_tie};
 use super::planes::LONGEST_64;
 use super::scan::Scanner;
-use super::sixteen::{Bits, Floats, Ints, Plain};
-#[cfg(target_arch = "x86_64")]
-use super::sixteen::{FloatPair, FloatVector};
-use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
+#[cfg(test)]
+use crate::simd::Avx2;
+use crate::simd::{Avx512, Compress, F32x16s, Lanes, Plain, U32x16s, on_widest, with_avx512};
+#[cfg(all(test, target_arch = "x86_64"))]
+use crate::simd::{F32x8, Pair};
 
 /// Members handed on at a time, at most.
 pub const MEMBERS: usize = 128;
@@ -64,6 +65,9 @@ const _: () = assert!(LONGEST <= LONGEST_64);
 const SLACK: f32 = 1.0 / 4096.0;
 /// The lanes.
 const NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
+/// The bits of all lanes.
+const ALL: u32 = (1 << LANES) - 1;
+
 /// Samples, each in the tetrahedron that it belongs to.
 pub struct Members {
     len: usize,
@@ -176,22 +180,7 @@ impl BatchScan {
             return self.alone.hand_on(&mut each);
         };
         let scene = Scene { scanner, positions, tets, shifts };
-        #[cfg(target_arch = "x86_64")]
-        if let Some(proof) = Avx512::found() {
-            return with_avx512(
-                proof,
-                #[inline(always)]
-                || self.run::<FloatVector>(proof, &scene, &mut each),
-            );
-        }
-        #[cfg(target_arch = "x86_64")]
-        if let Some(proof) = Avx2::found() {
-            return with_vectors(
-                #[inline(always)]
-                || self.run::<FloatPair>(proof, &scene, &mut each),
-            );
-        }
-        self.run::<Plain<f32>>((), &scene, &mut each);
+        on_widest!(F32x16, F32x8, Plain<f32, 16>, |F, token| self.run::<F>(token, &scene, &mut each));
     }
 
     /// As [`BatchScan::each_member`] with AVX2, or where there are no vectors; of voxels.
@@ -208,19 +197,19 @@ impl BatchScan {
         let scene = Scene { scanner, positions, tets, shifts };
         match avx2 {
             #[cfg(target_arch = "x86_64")]
-            Some(proof) => self.run::<FloatPair>(proof, &scene, &mut each),
-            _ => self.run::<Plain<f32>>((), &scene, &mut each),
+            Some(token) => self.run::<Pair<F32x8>>(token, &scene, &mut each),
+            _ => self.run::<Plain<f32, 16>>((), &scene, &mut each),
         }
     }
 
     #[inline(always)]
-    fn run<F: Floats>(&mut self, proof: F::Proof, scene: &Scene<'_>, each: &mut impl FnMut(&Members)) {
+    fn run<F: F32x16s>(&mut self, token: F::Token, scene: &Scene<'_>, each: &mut impl FnMut(&Members)) {
         for from in (0..scene.tets.len()).step_by(SORTED) {
             let to = scene.tets.len().min(from + SORTED);
-            let small = self.boxes::<F::Ints>(proof, scene, from..to, each);
+            let small = self.boxes::<F::U32s>(token, scene, from..to, each);
             self.sort(small);
             for start in (0..small).step_by(LANES) {
-                self.look::<F>(proof, scene, start, LANES.min(small - start), each);
+                self.look::<F>(token, scene, start, LANES.min(small - start), each);
             }
         }
         self.hand_on(scene, each);
@@ -230,27 +219,28 @@ impl BatchScan {
     /// Notes the sizes of boxes that have samples in them; returns how many are small. The others
     /// are scanned at once.
     #[inline(always)]
-    fn boxes<I: Ints>(
+    fn boxes<I: U32x16s>(
         &mut self,
-        proof: I::Proof,
+        token: I::Token,
         scene: &Scene<'_>,
         range: std::ops::Range<usize>,
         each: &mut impl FnMut(&Members),
     ) -> usize {
-        let (one, edge) = (I::splat(proof, 1), I::splat(proof, EDGE));
-        let numbers = I::of(proof, &NUMBERS);
+        let (one, edge) = (I::splat(token, 1), I::splat(token, EDGE));
+        let numbers = I::load(token, &NUMBERS);
         let mut len = 0;
         for start in range.clone().step_by(LANES) {
             let count = LANES.min(range.end - start);
             // Of less than sixteen, the last one again.
-            let boxes = Boxes::<I>::new(proof, scene, |n| (start + n.min(count - 1)) as u32);
-            let [x, y, z] = boxes.samples().map(|n| n.minus(one));
-            let sizes = y.plus(z.times(edge));
-            let found = boxes.with_samples() & (Bits::MAX >> (LANES - count));
-            let fits = x.max(y).max(z).below(edge) & boxes.longest.below(I::splat(proof, LONGEST + 1));
+            let boxes = Boxes::<I>::new(token, scene, |n| (start + n.min(count - 1)) as u32);
+            let [x, y, z] = boxes.samples().map(|n| n - one);
+            let sizes = y + z * edge;
+            let found = boxes.with_samples() & (ALL >> (LANES - count));
+            let fits = I::bitmask(x.max(y).max(z).lt(edge))
+                & I::bitmask(boxes.longest.lt(I::splat(token, LONGEST + 1)));
             let small = found & fits;
-            put(&mut *self.small, len, numbers.plus(I::splat(proof, start as u32)).packed(small));
-            put(&mut *self.sizes, len, sizes.packed(small));
+            put(&mut *self.small, len, (numbers + I::splat(token, start as u32)).compress(small));
+            put(&mut *self.sizes, len, sizes.compress(small));
             len += small.count_ones() as usize;
             let mut large = found & !fits;
             while large != 0 {
@@ -282,9 +272,9 @@ impl BatchScan {
 
     /// Finds the samples that can be members of some tetrahedra of like boxes.
     #[inline(always)]
-    fn look<F: Floats>(
+    fn look<F: F32x16s>(
         &mut self,
-        proof: F::Proof,
+        token: F::Token,
         scene: &Scene<'_>,
         start: usize,
         count: usize,
@@ -292,87 +282,86 @@ impl BatchScan {
     ) {
         // Of less than sixteen, the last one again.
         let tets: [u32; LANES] = std::array::from_fn(|n| self.sorted[(start + n.min(count - 1)) % SORTED]);
-        let boxes = Boxes::<F::Ints>::new(proof, scene, |n| tets[n]);
-        let filter = Filter::<F>::new(proof, &boxes, scene.shifts);
-        let columns = Columns::new(proof, scene, &boxes, &filter, F::Ints::of(proof, &tets));
+        let boxes = Boxes::<F::U32s>::new(token, scene, |n| tets[n]);
+        let filter = Filter::<F>::new(token, &boxes, scene.shifts);
+        let columns = Columns::new(token, scene, &boxes, &filter, F::U32s::load(token, &tets));
         let [nx, ny, nz] = boxes.samples();
-        let (one, numbers) = (F::Ints::splat(proof, 1), F::Ints::of(proof, &NUMBERS));
-        let (zero, slack) = (F::splat(proof, 0.0), F::splat(proof, SLACK));
+        let (one, numbers) = (F::U32s::splat(token, 1), F::U32s::load(token, &NUMBERS));
+        let (zero, slack) = (F::splat(token, 0.0), F::splat(token, SLACK));
         // Cut off, it is rounded up, but for what is less than SLACK above an integer.
-        let up = F::splat(proof, 1.0 - SLACK);
-        let last = nx.minus(one).floats();
-        let live = Bits::MAX >> (LANES - count);
+        let up = F::splat(token, 1.0 - SLACK);
+        let last = F::from_i32(nx - one);
+        let live = ALL >> (LANES - count);
         let mut noted = 0;
         let mut layer = filter.lambda;
-        for z in 0..nz.greatest() {
-            let live = F::Ints::splat(proof, z).below(nz) & live;
+        for z in 0..nz.reduce_max() {
+            let live = F::U32s::bitmask(F::U32s::splat(token, z).lt(nz)) & live;
             let mut row = layer;
-            for y in 0..ny.greatest() {
+            for y in 0..ny.reduce_max() {
                 let (mut enter, mut leave) = (zero, last);
                 for (k, lambda) in row.iter_mut().enumerate() {
-                    let at = lambda.times(filter.crossing[k]);
-                    enter = enter.greater_where(filter.rises[k], at);
-                    leave = leave.lesser_where(filter.falls[k], at);
-                    *lambda = lambda.plus(filter.growth[1][k]);
+                    let at = *lambda * filter.crossing[k];
+                    enter = enter.max_where(filter.rises[k], at);
+                    leave = leave.min_where(filter.falls[k], at);
+                    *lambda = *lambda + filter.growth[1][k];
                 }
-                let leave = leave.plus(slack);
-                let mut x = enter.plus(up).cut();
-                let end = leave.cut().plus(one);
-                let at = numbers.plus(F::Ints::splat(proof, y << 8 | z << 12));
-                let mut found =
-                    F::Ints::splat(proof, y).below(ny) & live & !F::bits(leave.below(enter)) & x.below(end);
+                let leave = leave + slack;
+                let mut x = (enter + up).to_i32();
+                let end = leave.to_i32() + one;
+                let at = numbers + F::U32s::splat(token, y << 8 | z << 12);
+                let mut found = F::U32s::bitmask(F::U32s::splat(token, y).lt(ny))
+                    & live
+                    & !F::bitmask(leave.lt(enter))
+                    & F::U32s::bitmask(x.lt(end));
                 while found != 0 {
-                    put(&mut *self.found, noted, at.plus(x.shifted_left(4)).packed(found));
+                    put(&mut *self.found, noted, (at + (x << 4)).compress(found));
                     noted += found.count_ones() as usize;
-                    x = x.plus(one);
-                    found &= x.below(end);
+                    x = x + one;
+                    found &= F::U32s::bitmask(x.lt(end));
                     if noted > FOUND - LANES {
-                        self.note(proof, scene, &columns, noted, each);
+                        self.note(token, scene, &columns, noted, each);
                         noted = 0;
                     }
                 }
             }
             for (lambda, &by) in layer.iter_mut().zip(&filter.growth[2]) {
-                *lambda = lambda.plus(by);
+                *lambda = *lambda + by;
             }
         }
-        self.note(proof, scene, &columns, noted, each);
+        self.note(token, scene, &columns, noted, each);
     }
 
     /// Notes the candidates found so far.
     #[inline(always)]
-    fn note<F: Floats>(
+    fn note<F: F32x16s>(
         &mut self,
-        proof: F::Proof,
+        token: F::Token,
         scene: &Scene<'_>,
         columns: &Columns<F>,
         count: usize,
         each: &mut impl FnMut(&Members),
     ) {
-        let fifteen = F::Ints::splat(proof, 15);
+        let fifteen = F::U32s::splat(token, 15);
         let strides = scene.scanner.strides();
         for from in (0..count).step_by(LANES) {
-            let found = F::Ints::of(proof, sixteen(&*self.found, from));
-            let number = |bits| found.shifted_right(bits).and(fifteen);
+            let found = F::U32s::load(token, &self.found[from..]);
+            let number = |bits| (found >> bits) & fifteen;
             let xyz = [number(4), number(8), number(12)];
             let (candidates, members) = (&mut *self.candidates, &mut *self.members);
             let n = members.len;
             for (to, edge) in candidates.edges.iter_mut().zip(&columns.edges) {
                 for (to, edge) in to.iter_mut().zip(edge) {
-                    put(to, n, edge.at(found).lanes());
+                    edge.permute(found).store(&mut to[n..]);
                 }
             }
             for (axis, to) in candidates.at.iter_mut().enumerate() {
-                let offset = xyz[axis].shifted_left(scene.shifts[axis]).floats();
-                put(to, n, columns.first[axis].at(found).plus(offset).lanes());
+                let offset = F::from_i32(xyz[axis] << scene.shifts[axis]);
+                (columns.first[axis].permute(found) + offset).store(&mut to[n..]);
             }
             let [x, y, z] = xyz;
-            let place = z
-                .times(F::Ints::splat(proof, strides[1]))
-                .plus(y.times(F::Ints::splat(proof, strides[0])))
-                .plus(x);
-            put(&mut members.places, n, columns.places.at(found).plus(place).lanes());
-            put(&mut members.tets, n, columns.tets.at(found).lanes());
+            let place = z * F::U32s::splat(token, strides[1]) + y * F::U32s::splat(token, strides[0]) + x;
+            (columns.places.permute(found) + place).store(&mut members.places[n..]);
+            columns.tets.permute(found).store(&mut members.tets[n..]);
             members.len += LANES.min(count - from);
             if members.len > MEMBERS - LANES {
                 self.hand_on(scene, each);
@@ -387,8 +376,8 @@ impl BatchScan {
         let count = members.len.min(MEMBERS);
         let weights = &mut members.weights;
         match Avx512::found() {
-            Some(proof) => with_avx512(
-                proof,
+            Some(token) => with_avx512(
+                token,
                 #[inline(always)]
                 || candidates.decide(weights, count),
             ),
@@ -430,9 +419,4 @@ impl BatchScan {
 #[inline(always)]
 fn put<T: Copy>(list: &mut [T], at: usize, numbers: [T; LANES]) {
     list[at..at + LANES].copy_from_slice(&numbers);
-}
-
-#[inline(always)]
-fn sixteen<T>(list: &[T], at: usize) -> &[T; LANES] {
-    list[at..].first_chunk().expect("there is room for all of them")
 }

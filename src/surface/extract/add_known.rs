@@ -8,7 +8,6 @@
 //! single edge or tetrahedron, but for the edges that other blocks may have too: those are looked
 //! for in the chunk.
 
-use super::cells::on_lanes;
 use super::chunk_surface::{ChunkSurface, OpenVertex, SharedEdge};
 use super::edges::EdgeLookup;
 use super::fours;
@@ -16,10 +15,7 @@ use super::known::{ByteTables, Crossed, FIRST, Known, NEW, Normal, OPEN, SUM, su
 use super::ordered::SHARED;
 use super::patch::up;
 use super::workbench::Workbench;
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::Vector;
-use crate::exec::lanes::{Four, Plain};
-use crate::exec::{Avx2, with_vectors};
+use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
 
@@ -44,14 +40,15 @@ impl ChunkSurface {
             Some(tables) => crossed.find_at_once(block, self.isovalue, tables),
             None => crossed.find(block, self.isovalue),
         }
-        crossed.tets().is_empty() || on_lanes!(avx2, self.add_found(block, world, crossed))
+        crossed.tets().is_empty()
+            || on_avx2_or_plain!(avx2, F64x4, Plain<f64, 4>, |W, token| self.add_found::<W>(token, block, world, crossed))
     }
 
     /// Adds what was found to be crossed. False if a triangle has no vertex.
     #[inline(always)]
-    fn add_found<W: Four>(
+    fn add_found<W: F64x4s>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         block: Known<'_>,
         world: &WorldMap,
         crossed: &mut Crossed,
@@ -60,7 +57,7 @@ impl ChunkSurface {
         let before = self.open.len();
         let mut is_sound = self.join_open(block, crossed);
         let count = crossed.number_new(self.vertices.len() as u32);
-        self.append_new::<W>(proof, block, world, &crossed.new[..count]);
+        self.append_new::<W>(token, block, world, &crossed.new[..count]);
         is_sound &= self.note_first(block, crossed, before);
         let triangles = crossed.list_triangles(block);
         self.triangles.extend_from_slice(triangles);
@@ -152,7 +149,7 @@ impl ChunkSurface {
 
     /// Appends vertices; the normals of open ones mean nothing yet.
     #[inline(always)]
-    fn append_new<W: Four>(&mut self, proof: W::Proof, block: Known<'_>, world: &WorldMap, new: &[u16]) {
+    fn append_new<W: F64x4s>(&mut self, token: W::Token, block: Known<'_>, world: &WorldMap, new: &[u16]) {
         let (edges, of_edges) = (block.edges(), block.slots_of_edges());
         let (slots, at) = (block.slots(), block.at());
         for four in new.chunks(4) {
@@ -164,7 +161,7 @@ impl ChunkSurface {
                 let normal: Normal = slots[slot..slot + 3].try_into().expect("three words");
                 vertex.normal = normal.map(f32::from_bits);
             }
-            let positions = fours::crossings::<W>(proof, ends, self.isovalue, world);
+            let positions = fours::crossings::<W>(token, ends, self.isovalue, world);
             for (vertex, position) in vertices.iter_mut().zip(positions) {
                 vertex.position = position;
             }

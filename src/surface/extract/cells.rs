@@ -25,22 +25,6 @@ pub struct CellSource<'a> {
     pub tets: &'a [Tet],
 }
 
-/// Calls a method for any kind of four lanes with those of AVX2, where they were found, or with
-/// plain ones: the same bits.
-macro_rules! on_lanes {
-    ($avx2:expr, $this:ident.$method:ident($($argument:expr),*)) => {
-        match $avx2 {
-            #[cfg(target_arch = "x86_64")]
-            Some(proof) => with_vectors(
-                #[inline(always)]
-                || $this.$method::<Vector>(proof, $($argument),*),
-            ),
-            _ => $this.$method::<Plain>((), $($argument),*),
-        }
-    };
-}
-pub(super) use on_lanes;
-
 /// An active tetrahedron, its corners in the order of their ids.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Sorted {

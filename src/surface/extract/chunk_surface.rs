@@ -1,14 +1,11 @@
 //! The surface of a chunk while it grows: its vertices, the edges that further tetrahedra may have,
 //! and its triangles.
 
-use super::cells::{CellSource, along_edge, on_lanes};
+use super::cells::{CellSource, along_edge};
 use super::edges::{EdgeLookup, EdgeTable};
 use super::{fours, patch};
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::Vector;
-use crate::exec::lanes::{Four, Plain};
-use crate::exec::{Avx2, with_vectors};
 use crate::geom::PointId;
+use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
 
@@ -76,7 +73,7 @@ impl ChunkSurface {
     /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as
     /// before, mirrors.
     pub fn finish(&mut self, world: &WorldMap) {
-        on_lanes!(Avx2::found(), self.finish_normals(world));
+        on_avx2_or_plain!(Avx2::found(), F64x4, Plain<f64, 4>, |W, token| self.finish_normals::<W>(token, world));
         if world.mirrors() {
             self.triangles.iter_mut().for_each(|t| t.swap(1, 2));
         }
@@ -84,14 +81,14 @@ impl ChunkSurface {
 
     /// Finds the normals of open vertices.
     #[inline(always)]
-    fn finish_normals<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
+    fn finish_normals<W: F64x4s>(&mut self, token: W::Token, world: &WorldMap) {
         let mut shared = self.shared.iter_mut().peekable();
         for four in self.open.chunks(4) {
             let mut sums = [[0; 3]; 4];
             for (sum, open) in sums.iter_mut().zip(four) {
                 *sum = open.gradient;
             }
-            let normals = fours::normals::<W>(proof, &sums, world);
+            let normals = fours::normals::<W>(token, &sums, world);
             for (open, normal) in four.iter().zip(normals) {
                 let edge = shared.next_if(|edge| edge.vertex == open.vertex);
                 // The sum of a shared edge is known only at the end: until then its normal is the
@@ -168,7 +165,7 @@ impl ChunkSurface {
                 [x, y, z, cells.values[c as usize]]
             });
             let [a, b] = &at;
-            let [position, ..] = fours::crossings::<Plain>((), [[a, b]; 4], self.isovalue, world);
+            let [position, ..] = fours::crossings::<Plain<f64, 4>>((), [[a, b]; 4], self.isovalue, world);
             self.vertices.push(Vertex { position, normal: patch::up([a, b]) });
             self.shared.extend(shared_edge(cells, ends, next));
         }

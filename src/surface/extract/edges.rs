@@ -7,8 +7,8 @@
 //! edges has a chain of buckets; one of enormous degree would make it slow, so what exceeds
 //! `LONGEST_CHAIN` goes to a hash table. What belongs to an edge is kept elsewhere, by its number.
 
-use super::places::{Eight, places_of};
 use crate::exec::will_read;
+use crate::simd::places_among_eight;
 use rustc_hash::FxHashMap;
 
 /// No corner.
@@ -32,7 +32,7 @@ pub(super) struct EdgeTable {
 #[repr(C, align(64))]
 pub(super) struct Bucket {
     /// The higher corners, from the front; `NONE` behind, and in the last place always.
-    high: Eight,
+    high: [u32; 8],
     /// The numbers of the crossings; in the last place the next bucket of the chain.
     number: [u32; LANES],
 }
@@ -90,7 +90,7 @@ impl EdgeTable {
     #[inline(always)]
     pub(super) fn find_or_add(&mut self, edge: [u32; 2]) -> EdgeLookup {
         let bucket = &self.buckets[self.heads[edge[0] as usize] as usize];
-        let places = places_of(&bucket.high, edge[1]);
+        let places = places_among_eight(&bucket.high, edge[1]);
         if places != 0 {
             return EdgeLookup::Known(bucket.number[places.trailing_zeros() as usize % LANES]);
         }
@@ -104,7 +104,7 @@ impl EdgeTable {
         let mut length = usize::from(at != NO_BUCKET);
         loop {
             let bucket = &self.buckets[at as usize];
-            let places = places_of(&bucket.high, high);
+            let places = places_among_eight(&bucket.high, high);
             if places != 0 {
                 return EdgeLookup::Known(bucket.number[places.trailing_zeros() as usize % LANES]);
             }
@@ -116,7 +116,7 @@ impl EdgeTable {
         }
         let number = self.lows.len() as u32;
         assert!(number < NONE, "a chunk has fewer than 2^32 - 1 crossed edges");
-        let free = places_of(&self.buckets[at as usize].high, NONE).trailing_zeros() as usize;
+        let free = places_among_eight(&self.buckets[at as usize].high, NONE).trailing_zeros() as usize;
         if at != NO_BUCKET && free < NEXT {
             let bucket = &mut self.buckets[at as usize];
             (bucket.high[free], bucket.number[free]) = (high, number);

@@ -21,7 +21,6 @@ mod numbered;
 mod numbering;
 mod ordered;
 mod patch;
-mod places;
 mod workbench;
 
 #[cfg(test)]

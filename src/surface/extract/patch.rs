@@ -13,8 +13,8 @@
 
 use super::cases::{CASES, Case, ODD};
 use super::fours::{self, Corner, Gradient};
-use crate::exec::lanes::Four;
 use crate::geom::PointId;
+use crate::simd::F64x4s;
 use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
 
@@ -106,14 +106,14 @@ impl Patch {
 
     /// Sums up the gradients around edges.
     #[inline(always)]
-    pub(super) fn sum_gradients<W: Four>(&mut self, proof: W::Proof, at: &[Corner]) {
-        self.find_gradients::<W>(proof, at);
-        self.find_units::<W>(proof, at);
+    pub(super) fn sum_gradients<W: F64x4s>(&mut self, token: W::Token, at: &[Corner]) {
+        self.find_gradients::<W>(token, at);
+        self.find_units::<W>(token, at);
         self.add_gradients();
     }
 
     #[inline(always)]
-    fn find_gradients<W: Four>(&mut self, proof: W::Proof, at: &[Corner]) {
+    fn find_gradients<W: F64x4s>(&mut self, token: W::Token, at: &[Corner]) {
         self.gradients.clear();
         for four in self.tets.chunks(4) {
             let mut corners = [[&at[0]; 4]; 4];
@@ -124,19 +124,19 @@ impl Patch {
                 }
                 signs[t] = tet.sign();
             }
-            self.gradients.extend_from_slice(&fours::gradients::<W>(proof, corners, &signs));
+            self.gradients.extend_from_slice(&fours::gradients::<W>(token, corners, &signs));
         }
     }
 
     #[inline(always)]
-    fn find_units<W: Four>(&mut self, proof: W::Proof, at: &[Corner]) {
+    fn find_units<W: F64x4s>(&mut self, token: W::Token, at: &[Corner]) {
         self.edges.units.clear();
         for four in self.edges.ends.chunks(4) {
             let mut ends = [at_ends(at, four[0]); 4];
             for (to, &edge) in ends.iter_mut().zip(four) {
                 *to = at_ends(at, edge);
             }
-            self.edges.units.extend_from_slice(&fours::units::<W>(proof, ends));
+            self.edges.units.extend_from_slice(&fours::units::<W>(token, ends));
         }
     }
 
@@ -188,9 +188,9 @@ impl Patch {
 
     /// Appends the vertices of edges, without normals.
     #[inline(always)]
-    pub(super) fn append_vertices<W: Four>(
+    pub(super) fn append_vertices<W: F64x4s>(
         &self,
-        proof: W::Proof,
+        token: W::Token,
         at: &[Corner],
         edges: &[u16],
         (isovalue, world): (f32, &WorldMap),
@@ -201,7 +201,7 @@ impl Patch {
             for (to, &edge) in ends.iter_mut().zip(four) {
                 *to = at_ends(at, self.edges.ends[usize::from(edge)]);
             }
-            let positions = fours::crossings::<W>(proof, ends, isovalue, world);
+            let positions = fours::crossings::<W>(token, ends, isovalue, world);
             let vertices = positions.map(|position| Vertex { position, normal: [0.0; 3] });
             match four.len() {
                 4 => out.extend(vertices),

@@ -3,24 +3,18 @@
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
-use crate::cpu::may_use;
-use crate::exec::lanes::PLACES;
+use crate::simd::{Avx2, PLACES, may_use_all};
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.
 #[derive(Clone, Copy)]
-pub(super) struct Vectors(());
+pub(super) struct Vectors(Avx2);
 
 impl Vectors {
     /// Only where this machine can.
     pub(super) fn find() -> Option<Self> {
-        let can = may_use(&["AVX2", "FMA", "BMI1", "BMI2", "POPCNT"])
-            && is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("fma")
-            && is_x86_feature_detected!("bmi1")
-            && is_x86_feature_detected!("bmi2")
-            && is_x86_feature_detected!("popcnt");
-        can.then_some(Self(()))
+        let can = may_use_all!("POPCNT" = "popcnt");
+        Avx2::found().filter(|_| can).map(Self)
     }
 
     /// Runs a function that is compiled for this machine as far as it is inlined.

@@ -5,7 +5,7 @@
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
 use super::simd::Vectors;
-use crate::cpu::may_use;
+use crate::simd::{Avx512, may_use_all};
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.
@@ -15,10 +15,7 @@ pub(super) struct Wide(Vectors);
 impl Wide {
     /// Only where this machine can.
     pub(super) fn find() -> Option<Self> {
-        let can = may_use(&["AVX512F", "AVX512VL", "AVX512DQ"])
-            && is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512dq");
+        let can = Avx512::found().is_some() && may_use_all!("AVX512DQ" = "avx512dq");
         Vectors::find().filter(|_| can).map(Self)
     }
 

@@ -13,7 +13,7 @@ use super::super::patch::up;
 use super::crossed::sum_of;
 use super::make::close_groups;
 use super::{FIRST, Group, Known, KnownBlock, Normal, OPEN, SHARED, SLOTS_BEHIND, SUM, Shape};
-use crate::exec::lanes::Plain;
+use crate::simd::Plain;
 use crate::surface::world_map::WorldMap;
 use rustc_hash::{FxHashMap, FxHashSet};
 
@@ -102,7 +102,7 @@ impl Joiner {
         }
         edge.number = self.count;
         self.count += 1;
-        let [normal, ..] = fours::normals::<Plain>((), &[edge.sum, [0; 3], [0; 3], [0; 3]], world);
+        let [normal, ..] = fours::normals::<Plain<f64, 4>>((), &[edge.sum, [0; 3], [0; 3], [0; 3]], world);
         let ends = block.edges()[n].map(|corner| &block.at()[usize::from(corner)]);
         let normal = normal.unwrap_or_else(|| along_edge(up(ends), world));
         Some((edge.number, Some(normal.map(f32::to_bits))))

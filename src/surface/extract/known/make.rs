@@ -1,7 +1,7 @@
 //! Numbers the corners and edges of a block, and sums up the gradients around its edges.
 
 use super::super::cases::EDGES;
-use super::super::cells::{CellSource, along_edge, in_order, on_lanes};
+use super::super::cells::{CellSource, along_edge, in_order};
 use super::super::fours::{self, Corner, Gradient};
 use super::super::numbering::{Ring, code_of};
 use super::super::ordered::{EDGE_SLOTS, Order, slot_of};
@@ -10,11 +10,8 @@ use super::{
     EDGES_MOST, GROUP, Group, KnownBlock, OPEN, SLOTS_BEHIND, SLOTS_MOST, SUM, Shape, TURNED, TetEdges,
     is_void,
 };
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::Vector;
-use crate::exec::lanes::{Four, Plain};
-use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::range;
+use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 use crate::surface::world_map::WorldMap;
 
 /// Buffers in which blocks are numbered, some hundred kilobytes.
@@ -110,7 +107,7 @@ impl Maker {
         if !self.list(cells, &order.ranks()) {
             return None;
         }
-        on_lanes!(avx2, self.know_edges(world));
+        on_avx2_or_plain!(avx2, F64x4, Plain<f64, 4>, |W, token| self.know_edges::<W>(token, world));
         if self.slots.len() > SLOTS_MOST {
             return None;
         }
@@ -169,9 +166,9 @@ impl Maker {
     /// Finds what is known of edges: the normals of those with all their tetrahedra here, of others
     /// the part of the sum.
     #[inline(always)]
-    fn know_edges<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
-        self.find_gradients::<W>(proof);
-        self.sum_up::<W>(proof);
+    fn know_edges<W: F64x4s>(&mut self, token: W::Token, world: &WorldMap) {
+        self.find_gradients::<W>(token);
+        self.sum_up::<W>(token);
         self.slots.clear();
         self.slots_of_edges.clear();
         let known = self.sums.chunks(4).zip(self.rings.chunks(4));
@@ -180,7 +177,7 @@ impl Maker {
             for (to, &[x, y, z, _]) in four.iter_mut().zip(sums) {
                 *to = [x, y, z];
             }
-            let normals = fours::normals::<W>(proof, &four, world);
+            let normals = fours::normals::<W>(token, &four, world);
             for (((&ends, sum), normal), ring) in edges.iter().zip(four).zip(normals).zip(rings) {
                 if ring.is_closed(ends) {
                     let at = || ends.map(|corner| &self.at[usize::from(corner)]);
@@ -199,7 +196,7 @@ impl Maker {
     }
 
     #[inline(always)]
-    fn find_gradients<W: Four>(&mut self, proof: W::Proof) {
+    fn find_gradients<W: F64x4s>(&mut self, token: W::Token) {
         self.gradients.clear();
         for (tets, edges) in self.tets.chunks(4).zip(self.tet_edges.chunks(4)) {
             let four = tets.iter().zip(edges);
@@ -208,20 +205,20 @@ impl Maker {
                 *corners = tet.map(|corner| &self.at[usize::from(corner)]);
                 *sign = if edges[0] & TURNED == 0 { 1.0 } else { -1.0 };
             }
-            self.gradients.extend_from_slice(&fours::gradients::<W>(proof, corners, &signs));
+            self.gradients.extend_from_slice(&fours::gradients::<W>(token, corners, &signs));
         }
     }
 
     /// Sums up the gradients around edges.
     #[inline(always)]
-    fn sum_up<W: Four>(&mut self, proof: W::Proof) {
+    fn sum_up<W: F64x4s>(&mut self, token: W::Token) {
         self.units.clear();
         for four in self.edges.chunks(4) {
             let mut ends = [[&self.at[0]; 2]; 4];
             for (ends, edge) in ends.iter_mut().zip(four) {
                 *ends = edge.map(|corner| &self.at[usize::from(corner)]);
             }
-            self.units.extend_from_slice(&fours::units::<W>(proof, ends));
+            self.units.extend_from_slice(&fours::units::<W>(token, ends));
         }
         self.sums.clear();
         self.sums.resize(self.edges.len(), [0; 4]);

@@ -18,11 +18,12 @@ impl ByteTables {
     #[inline]
     pub(in super::super) fn found() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
-        if crate::exec::Avx512::found().is_some()
-            && crate::cpu::may_use(&["AVX512BW", "AVX512_VBMI", "AVX512_VBMI2"])
-            && is_x86_feature_detected!("avx512bw")
-            && is_x86_feature_detected!("avx512vbmi")
-            && is_x86_feature_detected!("avx512vbmi2")
+        if crate::simd::Avx512::found().is_some()
+            && crate::simd::may_use_all!(
+                "AVX512BW" = "avx512bw",
+                "AVX512_VBMI" = "avx512vbmi",
+                "AVX512_VBMI2" = "avx512vbmi2"
+            )
         {
             return Some(Self(()));
         }

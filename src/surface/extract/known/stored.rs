@@ -17,8 +17,8 @@
 use super::super::ordered::SHARED;
 use super::super::patch::CORNERS;
 use super::{EDGES_MOST, GROUP, Known, KnownBlock, OPEN, SLOTS_BEHIND, SLOTS_MOST, Shape, TURNED};
-use crate::exec::with_vectors;
 use crate::mesh::tet::is_active;
+use crate::simd::with_vectors;
 use std::ops::Range;
 
 /// Words before the checksums of groups; those of them that have their checksum with the first

@@ -77,16 +77,13 @@
 //! cells". The clamp is the symbolic perturbation of a value off the isovalue, made visible enough
 //! to leave every triangle an area.
 
-use super::cells::{CellSource, Sorted, along_edge, on_lanes};
+use super::cells::{CellSource, Sorted, along_edge};
 use super::chunk_surface::{ChunkSurface, Joined, SharedEdge, find_or_open};
 use super::fours::{self, Corner};
 use super::numbered::NumberedBlock;
 use super::patch::{Corners, Patch};
 use super::workbench::Workbench;
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::Vector;
-use crate::exec::lanes::{Four, Plain};
-use crate::exec::{Avx2, with_vectors};
+use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 use crate::surface::world_map::WorldMap;
 
 /// Extracts a chunk whose tetrahedra are all at hand. For several blocks use the three methods that
@@ -135,13 +132,13 @@ impl ChunkSurface {
         bench: &mut Workbench,
         avx2: Option<Avx2>,
     ) {
-        on_lanes!(avx2, self.add_cells(cells, world, bench));
+        on_avx2_or_plain!(avx2, F64x4, Plain<f64, 4>, |W, token| self.add_cells::<W>(token, cells, world, bench));
     }
 
     #[inline(always)]
-    fn add_cells<W: Four>(
+    fn add_cells<W: F64x4s>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         cells: &CellSource<'_>,
         world: &WorldMap,
         Workbench { numbering, patch, .. }: &mut Workbench,
@@ -152,7 +149,7 @@ impl ChunkSurface {
             let cells = CellSource { tets: left, ..*cells };
             let taken = numbering.list(&cells, self.isovalue, |tet| Sorted::new(cells.ids, tet), patch);
             left = &left[taken..];
-            self.add_patch::<W>(proof, patch, &numbering.corners(&cells), world);
+            self.add_patch::<W>(token, patch, &numbering.corners(&cells), world);
         }
     }
 
@@ -170,13 +167,13 @@ impl ChunkSurface {
         bench: &mut Workbench,
         avx2: Option<Avx2>,
     ) {
-        on_lanes!(avx2, self.add_block(block, world, bench));
+        on_avx2_or_plain!(avx2, F64x4, Plain<f64, 4>, |W, token| self.add_block::<W>(token, block, world, bench));
     }
 
     #[inline(always)]
-    fn add_block<W: Four>(
+    fn add_block<W: F64x4s>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         block: &NumberedBlock,
         world: &WorldMap,
         Workbench { block: buffers, patch, .. }: &mut Workbench,
@@ -184,14 +181,14 @@ impl ChunkSurface {
         let active = block.list(self.isovalue, buffers, patch);
         self.active_cells += active as u64;
         if active > 0 {
-            self.add_patch::<W>(proof, patch, block, world);
+            self.add_patch::<W>(token, patch, block, world);
         }
     }
 
     #[inline(always)]
-    fn add_patch<W: Four>(
+    fn add_patch<W: F64x4s>(
         &mut self,
-        proof: W::Proof,
+        token: W::Token,
         patch: &mut Patch,
         corners: &impl Corners,
         world: &WorldMap,
@@ -201,9 +198,9 @@ impl ChunkSurface {
                 self.edges.will_be_looked_for(ends.map(|corner| corners.number(corner)));
             }
         }
-        patch.sum_gradients::<W>(proof, corners.at());
+        patch.sum_gradients::<W>(token, corners.at());
         self.join_edges(patch, corners);
-        self.append_vertices::<W>(proof, patch, corners.at(), world);
+        self.append_vertices::<W>(token, patch, corners.at(), world);
         let vertex = |edge: u16| self.joined.vertices[usize::from(edge)];
         self.triangles.extend(patch.triangles().iter().map(|t| t.map(vertex)));
     }
@@ -244,9 +241,15 @@ impl ChunkSurface {
     /// Adds the new vertices, with normals where their gradients are known; until then a normal is
     /// what [`along_edge`] takes.
     #[inline(always)]
-    fn append_vertices<W: Four>(&mut self, proof: W::Proof, patch: &Patch, at: &[Corner], world: &WorldMap) {
+    fn append_vertices<W: F64x4s>(
+        &mut self,
+        token: W::Token,
+        patch: &Patch,
+        at: &[Corner],
+        world: &WorldMap,
+    ) {
         let Joined { vertices, new, alone, first } = &self.joined;
-        patch.append_vertices::<W>(proof, at, new, (self.isovalue, world), &mut self.vertices);
+        patch.append_vertices::<W>(token, at, new, (self.isovalue, world), &mut self.vertices);
         let vertex = |edge: u16| vertices[usize::from(edge)] as usize;
         for &edge in first {
             self.vertices[vertex(edge)].normal = patch.up(at, edge.into());
@@ -256,7 +259,7 @@ impl ChunkSurface {
             for (sum, &edge) in sums.iter_mut().zip(four) {
                 *sum = patch.gradient(edge.into());
             }
-            let normals = fours::normals::<W>(proof, &sums, world);
+            let normals = fours::normals::<W>(token, &sums, world);
             for (&edge, normal) in four.iter().zip(normals) {
                 let normal = normal.unwrap_or_else(|| along_edge(patch.up(at, edge.into()), world));
                 self.vertices[vertex(edge)].normal = normal;

@@ -1,7 +1,7 @@
 use super::*;
-use crate::exec::Avx2;
 use crate::geom::LatticePos;
 use crate::grid::Geometry;
+use crate::simd::Avx2;
 use crate::surface::extract::{ChunkSurface, SharedEdge, Workbench};
 use crate::surface::testing::{Grid, mirrored};
 use crate::surface::{Vertex, WorldMap};
