@@ -120,21 +120,6 @@ fn add_eight(sums: &mut Sums<'_, 8>, located: &[Located], samples: &[f32], tets:
     on_widest!(F64x8, F64x4, Plain<f64, 8>, |W, token| sums.add::<W>(token, located, samples, tets));
 }
 
-/// In each lane the first where it is less, else the second: a NaN that comes first changes
-/// nothing.
-#[inline(always)]
-fn lesser<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
-    b.iter_mut().zip(a).for_each(|(b, a)| *b = if a < *b { a } else { *b });
-    b
-}
-
-/// In each lane the first where it is greater, else the second.
-#[inline(always)]
-fn greater<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
-    b.iter_mut().zip(a).for_each(|(b, a)| *b = if a > *b { a } else { *b });
-    b
-}
-
 impl<'a, const N: usize> Sums<'a, N> {
     fn new(steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let none =
@@ -196,8 +181,8 @@ impl<'a, const N: usize> Sums<'a, N> {
                 }
                 for (v, w) in tet.into_iter().zip(weights) {
                     let at = &mut self.vertices[v as usize];
-                    at.least = lesser(row, at.least);
-                    at.largest = greater(row, at.largest);
+                    at.least = W::min_f32(token, &row, &{ at.least });
+                    at.largest = W::max_f32(token, &row, &{ at.largest });
                     let pulls = W::load(token, &{ at.pulls });
                     at.pulls = (pulls + W::splat(token, w - TURN) * difference).to_array();
                     if counts == all {

@@ -59,6 +59,11 @@ pub(crate) trait F64s: Floats<Element = f64> {
     fn from_f32(token: Self::Token, list: &[f32]) -> Self;
     /// Each rounded.
     fn to_f32(self) -> Self::Narrow;
+    /// In each lane the first where it is less, else the second: a NaN that comes first changes
+    /// nothing. (Of plain code with this result, compilers make masked stores, which are slow.)
+    fn min_f32(token: Self::Token, a: &Self::Narrow, b: &Self::Narrow) -> Self::Narrow;
+    /// In each lane the first where it is greater, else the second.
+    fn max_f32(token: Self::Token, a: &Self::Narrow, b: &Self::Narrow) -> Self::Narrow;
     fn sqrt(self) -> Self;
     /// The largest integer that is not above.
     fn floor(self) -> Self;

@@ -132,6 +132,14 @@ impl<const N: usize> F64s for Plain<f64, N> {
         self.0.map(|x| x as f32)
     }
     #[inline(always)]
+    fn min_f32((): (), a: &[f32; N], b: &[f32; N]) -> [f32; N] {
+        Plain(*a).min(Plain(*b)).0
+    }
+    #[inline(always)]
+    fn max_f32((): (), a: &[f32; N], b: &[f32; N]) -> [f32; N] {
+        Plain(*a).max(Plain(*b)).0
+    }
+    #[inline(always)]
     fn sqrt(self) -> Self {
         self.each(f64::sqrt)
     }

@@ -114,7 +114,7 @@ macro_rules! floats {
 }
 
 macro_rules! f64s {
-    ($name:ident: $narrow:ty; load = $load:path, widen = $widen:path, narrow = $to:path, sqrt = $sqrt:path, floor = $floor:path) => {
+    ($name:ident: $narrow:ty; load = $load:path, widen = $widen:path, narrow = $to:path, min = $min:path, max = $max:path, sqrt = $sqrt:path, floor = $floor:path) => {
         impl F64s for $name {
             type Narrow = $narrow;
             #[inline(always)]
@@ -127,6 +127,16 @@ macro_rules! f64s {
             fn to_f32(self) -> $narrow {
                 // SAFETY: the machine has the instruction.
                 bytemuck::cast(unsafe { $to(self.0) })
+            }
+            #[inline(always)]
+            fn min_f32(_: Self::Token, a: &$narrow, b: &$narrow) -> $narrow {
+                // SAFETY: the machine has the instructions, and the arrays have all lanes.
+                bytemuck::cast(unsafe { $min($load(a.as_ptr()), $load(b.as_ptr())) })
+            }
+            #[inline(always)]
+            fn max_f32(_: Self::Token, a: &$narrow, b: &$narrow) -> $narrow {
+                // SAFETY: the machine has the instructions, and the arrays have all lanes.
+                bytemuck::cast(unsafe { $max($load(a.as_ptr()), $load(b.as_ptr())) })
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
@@ -160,7 +170,7 @@ floats! {
 }
 f64s! {
     F64x4: [f32; 4];
-    load = _mm_loadu_ps, widen = _mm256_cvtps_pd, narrow = _mm256_cvtpd_ps,
+    load = _mm_loadu_ps, widen = _mm256_cvtps_pd, narrow = _mm256_cvtpd_ps, min = _mm_min_ps, max = _mm_max_ps,
     sqrt = _mm256_sqrt_pd, floor = _mm256_floor_pd
 }
 
@@ -182,7 +192,7 @@ floats! {
 }
 f64s! {
     F64x8: [f32; 8];
-    load = _mm256_loadu_ps, widen = _mm512_cvtps_pd, narrow = _mm512_cvtpd_ps,
+    load = _mm256_loadu_ps, widen = _mm512_cvtps_pd, narrow = _mm512_cvtpd_ps, min = _mm256_min_ps, max = _mm256_max_ps,
     sqrt = _mm512_sqrt_pd, floor = _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>
 }
 
@@ -494,6 +504,14 @@ impl F64s for Pair<F64x4> {
     #[inline(always)]
     fn to_f32(self) -> [f32; 8] {
         bytemuck::cast([self.0.to_f32(), self.1.to_f32()])
+    }
+    #[inline(always)]
+    fn min_f32(token: Avx2, a: &[f32; 8], b: &[f32; 8]) -> [f32; 8] {
+        F32x8::load(token, a).min(F32x8::load(token, b)).to_array()
+    }
+    #[inline(always)]
+    fn max_f32(token: Avx2, a: &[f32; 8], b: &[f32; 8]) -> [f32; 8] {
+        F32x8::load(token, a).max(F32x8::load(token, b)).to_array()
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
