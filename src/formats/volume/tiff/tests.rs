@@ -455,7 +455,7 @@ fn channels_and_moments_are_fields() {
             }
         }
         let options = OpenOptions { channel: Some("1".into()), ..OpenOptions::default() };
-        let steps = crate::formats::steps_of(&[path.clone()], &options).unwrap();
+        let steps = crate::formats::steps_of(std::slice::from_ref(&path), &options).unwrap();
         assert_eq!(steps.len(), moments);
         assert!(open(None, None).err().unwrap().to_string().contains(labels[1]));
         assert!(open(None, Some("RFP")).err().unwrap().to_string().contains(labels[1]));
