@@ -20,7 +20,7 @@ pub(crate) struct InputArgs {
     /// The field to read, if the file has several.
     #[arg(help_heading = "Input", long, value_name = "NAME")]
     pub(crate) field: Option<String>,
-    /// The channel to read, if a Zarr, HDF5 or TIFF file has several: its label, or a number from 0.
+    /// The channel to read, if a Zarr, HDF5 or TIFF file has several: a label, or a number from 0.
     #[arg(help_heading = "Input", long, value_name = "NAME")]
     channel: Option<String>,
     /// A text file with one value per point, for meshes in .node and .ele, or .pts and .tet, files.

@@ -9,8 +9,8 @@
 //!   Any number of chunks may be extracted at once.
 //! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a
 //!   given size.
-//! * [`edit`] changes a finished surface: cuts it, keeps some of its components, makes do with fewer
-//!   triangles, splits vertices at which it touches itself.
+//! * [`edit`] changes a finished surface: cuts it, keeps some of its components, makes do with
+//!   fewer triangles, splits vertices at which it touches itself.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
 //! An edge of the mesh is the pair of its [`crate::geom::PointId`]s, the lower first. Everything

@@ -105,6 +105,41 @@ fn two_fields_of_one_file() {
     assert!(String::from_utf8_lossy(&refused.stderr).contains("it has ball, heat"));
 }
 
+/// Two cubes that overlap, of six tetrahedra each; two fields.
+fn write_overlapping(path: &Path) {
+    let corner = |n: usize, lo: f64, side: f64| [0, 1, 2].map(|a| lo + side * (n >> a & 1) as f64);
+    let points: Vec<[f64; 3]> =
+        (0..8).map(|n| corner(n, 0.0, 2.0)).chain((0..8).map(|n| corner(n, -0.5, 2.0))).collect();
+    let tets = [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]];
+    let mut text =
+        "# vtk DataFile Version 3.0\ntwo\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 16 float\n".to_owned();
+    points.iter().for_each(|[x, y, z]| _ = writeln!(text, "{x} {y} {z}"));
+    text += "CELLS 12 60\n";
+    for first in [0, 8] {
+        tets.iter().for_each(|t| _ = writeln!(text, "4 {}", t.map(|v| (v + first).to_string()).join(" ")));
+    }
+    text += &format!("CELL_TYPES 12\n{}POINT_DATA 16\n", "10\n".repeat(12));
+    // The second cube has no surface of x = 1.
+    text += "SCALARS x float 1\nLOOKUP_TABLE default\n";
+    points.iter().enumerate().for_each(|(n, p)| _ = writeln!(text, "{}", if n < 8 { p[0] } else { 0.25 }));
+    text += "SCALARS heat float 1\nLOOKUP_TABLE default\n";
+    (0..16).for_each(|n| _ = writeln!(text, "{}", if n < 8 { 7 } else { -1 }));
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn where_bodies_overlap_a_vertex_has_the_colour_of_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_overlapping(&d.join("two.vtk"));
+    isospan(d, &["reduce", "two.vtk", "-o", "two.isospan", "--fields", "x,heat", "--fraction", "1"]);
+    isospan(d, &["surface", "two.isospan", "--step", "x", "-i", "1", "--colour-by", "heat", "-o", "x.ply"]);
+    let found = vertices(&fs::read(d.join("x.ply")).unwrap());
+    // One of them lies within both cubes.
+    assert!(found.len() > 6 && found.iter().any(|(p, ..)| p.iter().all(|c| (c - 1.0).abs() < 1e-3)));
+    assert!(found.iter().all(|&(_, heat, _)| heat == 7.0), "{found:?}");
+}
+
 #[test]
 fn another_archive_in_little_memory() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,8 +1,8 @@
 //! Segments of a range of chunks, each chunk a run of blocks.
 //!
-//! A mesh segment has for each chunk its header and its tetrahedron blocks ([`crate::archive::mesh`]), a
-//! value segment its value blocks ([`crate::archive::values`]). The last block of the segment is the chunk
-//! table: how many blocks each chunk has.
+//! A mesh segment has for each chunk its header and its tetrahedron blocks
+//! ([`crate::archive::mesh`]), a value segment its value blocks ([`crate::archive::values`]). The
+//! last block of the segment is the chunk table: how many blocks each chunk has.
 //!
 //! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`]
 //! continues after the last whole one.

@@ -14,9 +14,10 @@
 //! ```
 //!
 //! The next writer trusts none of it: a record counts if its checksum is right, its chunk is the
-//! next one, and the blocks have their checksums ([`crate::archive::segment::SegmentWriter::adopt`]). So
-//! neither a torn record nor a machine that lost power can do more than lose chunks. The journal is
-//! no part of the archive and is removed when the segment is done.
+//! next one, and the blocks have their checksums
+//! ([`crate::archive::segment::SegmentWriter::adopt`]). So neither a torn record nor a machine that
+//! lost power can do more than lose chunks. The journal is no part of the archive and is removed
+//! when the segment is done.
 
 use crate::archive::wire::Cursor;
 use crate::bytes::publish::{Dead, TEMPORARY_MARK, open_own};

@@ -131,6 +131,8 @@ impl Input {
                     super::words_of(ends[1])
                 )));
             }
+            // A middle that rounding moves off 0 is 0.
+            let at = if at.abs() < 1e-12 * (ends[1] - ends[0]) { 0.0 } else { at };
             Ok(Slice { axis: plane.axis, at, hull })
         });
         let slices = slices.collect::<Result<Vec<_>>>()?;

@@ -87,6 +87,7 @@ impl<'a> AtVertices<'a> {
             share: &share,
             outside: Outside::All,
             bodies: cells.as_ref().map(|cells| PointBodies { of_points: &of_points, cells }),
+            surface: None,
         };
         let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
         each_value_of(

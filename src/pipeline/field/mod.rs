@@ -18,5 +18,5 @@ pub use measure::{MeasureReport, MeasureSettings, measure, measure_source};
 pub(super) use measure::{field_errors, reopened_errors, reopened_values, store_settings};
 pub use probe_grid::{ProbeReport, ProbeSettings};
 pub(super) use probe_grid::{probe_grid, sample_grid};
-pub(super) use probe_points::{edges_at_missing, probe_table, values_at};
+pub(super) use probe_points::{edges_at_missing, probe_table, values_at, values_on_surface};
 pub(super) use vertex_errors::StepErrors;

@@ -15,11 +15,12 @@ use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
 use crate::archive::manifest::Source;
 use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources};
+use crate::exec::{Progress, Resources, Silent};
 use crate::formats::point_list::{PointReader, PointWriter};
 use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::{BrickGrid, ChunkId, Geometry};
+use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit, full_region};
@@ -255,22 +256,53 @@ pub(in crate::pipeline) fn values_at(
             points.len()
         )));
     }
-    let lattice = archive.manifest.plan.lattice;
-    let geometry = &archive.step().plan.source.geometry;
-    let tolerance = tolerance(geometry, &lattice);
-    let placed: Vec<_> = points
-        .iter()
-        .zip(0u32..)
-        .filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice, tolerance)?, n)))
-        .collect();
+    let (placed, outside) = placed(archive, points);
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
-    let outside = Outside::Within(tolerance);
-    let find = Find { resources: &settings.resources, share, outside, bodies: None };
+    let find = Find { resources: &settings.resources, share, outside, bodies: None, surface: None };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
         values[n as usize] = value;
         found += 1;
     })?;
     Ok(Probed { values, outside: points.len() as u64 - found, chunks_read })
+}
+
+/// Points in the world on the lattice, with their numbers, and how far outside others count.
+fn placed(archive: &StepView, points: &[[f64; 3]]) -> (Vec<(LatticePos, u32)>, Outside) {
+    let lattice = archive.manifest.plan.lattice;
+    let geometry = &archive.step().plan.source.geometry;
+    let tolerance = tolerance(geometry, &lattice);
+    let place = |(&p, n)| Some((lattice_position(p, geometry, &lattice, tolerance)?, n));
+    (points.iter().zip(0u32..).filter_map(place).collect(), Outside::Within(tolerance))
+}
+
+/// Values of the field at vertices of surfaces of another step, by its position in the manifest,
+/// each with its isovalue. The tetrahedra of a mesh may overlap: of those that hold a vertex, the
+/// one counts at which that step is nearest to the isovalue. NaN where there are none.
+pub(in crate::pipeline) fn values_on_surface(
+    archive: &StepView,
+    step: usize,
+    vertices: &[[f64; 3]],
+    isovalues: &[f32],
+    settings: &ProbeSettings,
+    share: &(dyn Fn(u64) -> u64 + Sync),
+) -> Result<Vec<f32>> {
+    let mut steps = vec![step, archive.position()];
+    steps.sort_unstable();
+    steps.dedup();
+    let list_of = |step: usize| steps.iter().position(|&s| s == step).expect("one of both");
+    let (list, of_field) = (list_of(step), list_of(archive.position()));
+    let (placed, outside) = placed(archive, vertices);
+    let surface = Some(OnSurface { list, isovalues });
+    let find = Find { resources: &settings.resources, share, outside, bodies: None, surface };
+    let (mut values, mut least) = (vec![f32::NAN; vertices.len()], vec![f32::INFINITY; vertices.len()]);
+    each_value_of(archive, &steps, placed.into_iter(), &find, &Silent, "probe", |n, found, _| {
+        let n = n as usize;
+        let off = (found[list] - isovalues[n]).abs();
+        if off < least[n] || least[n] == f32::INFINITY {
+            (values[n], least[n]) = (found[of_field], off);
+        }
+    })?;
+    Ok(values)
 }
 
 /// How points are located.
@@ -282,6 +314,24 @@ pub(super) struct Find<'a> {
     pub(super) outside: Outside,
     /// The bodies of a mesh, where a point has the value of its own.
     pub(super) bodies: Option<PointBodies<'a>>,
+    /// The surfaces of which the points are vertices, where tetrahedra may overlap.
+    pub(super) surface: Option<OnSurface<'a>>,
+}
+
+/// Vertices of surfaces. Only tetrahedra that the surface cuts are a vertex's own.
+pub(super) struct OnSurface<'a> {
+    /// Which list of values has the surface.
+    list: usize,
+    /// The isovalue of each point.
+    isovalues: &'a [f32],
+}
+
+impl OnSurface<'_> {
+    /// Whether the surface of a point cuts a tetrahedron.
+    fn cuts(&self, tet: &Tet, lists: &[Vec<f32>], point: u32) -> bool {
+        range(tet.map(|v| lists[self.list][v as usize]))
+            .is_some_and(|(least, largest)| is_active(least, largest, self.isovalues[point as usize]))
+    }
 }
 
 /// The bodies that points lie in, for a mesh of several bodies. They touch or overlap, and a vertex
@@ -363,32 +413,34 @@ fn find_each(
         Some(bodies) => bodies.cells.bodies_of(&chunk.positions, &chunk.tets),
         None => Ok(vec![]),
     };
-    let is_own = |of_tets: &[u64], tet: usize, point: u32| {
-        find.bodies.as_ref().is_none_or(|bodies| {
+    let is_own = |chunk: &DecodedChunk, lists: &[Vec<f32>], of_tets: &[u64], tet: usize, point: u32| {
+        let same_body = find.bodies.as_ref().is_none_or(|bodies| {
             let (of_tet, of_point) = (of_tets[tet], bodies.of_points[point as usize]);
             of_tet == of_point || of_tet == NO_BODY || of_point == NO_BODY
-        })
+        });
+        same_body && find.surface.as_ref().is_none_or(|surface| surface.cuts(&chunk.tets[tet], lists, point))
     };
     let job = |id, mut chunk: DecodedChunk| {
         let region = full_region(archive, id)?;
         let values = values(id, &mut chunk)?;
         let of_tets = bodies_of(&chunk)?;
         let points = PointLocator::new(region, far, batch.within(region));
-        Ok(locate(&chunk, &values, &points, |tet, n| is_own(&of_tets, tet, n)))
+        Ok(locate(&chunk, &values, &points, |tet, n| is_own(&chunk, &values, &of_tets, tet, n)))
     };
     let mut is_found = vec![0u64; batch.numbers().div_ceil(64)];
     // Values of other bodies, for points that have none of their own.
     let mut foreign = BTreeMap::<u32, Vec<f32>>::new();
     visit.each(extra, progress, job, |_, found: FoundPoints| {
         let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
-        // The own tetrahedra of a mesh may overlap: the first one's value counts.
+        // The own tetrahedra of a mesh may overlap: the first one's value counts, or that nearest
+        // to an isovalue.
         for (&(n, is_own), at) in found.points.iter().zip(found.values.chunks(lists.max(1))) {
             if !is_own {
                 foreign.entry(n).or_insert_with(|| at.to_vec());
                 continue;
             }
             let (word, bit) = (&mut is_found[n as usize / 64], 1 << (n % 64));
-            if *word & bit == 0 {
+            if *word & bit == 0 || find.surface.is_some() {
                 *word |= bit;
                 each(n, at, true);
             }
@@ -415,7 +467,7 @@ fn find_each(
             let values = values(id, &mut chunk)?;
             let of_tets = bodies_of(&chunk)?;
             let points = PointLocator::new(region, far, batch.within(region));
-            let is_own = |tet, n| is_own(&of_tets, tet, n);
+            let is_own = |tet, n| is_own(&chunk, &values, &of_tets, tet, n);
             Ok(near_places(&chunk, &values, &points, is_own, reach, &lattice))
         };
         let mut places = BTreeMap::new();

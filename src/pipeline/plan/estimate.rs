@@ -302,8 +302,8 @@ impl Need {
         product_bytes(self.core_points, self.steps)
     }
 
-    /// Bytes in addition to those of a chunk: the values of the steps after the first, what measures
-    /// the errors of all, and what decodes samples.
+    /// Bytes in addition to those of a chunk: the values of the steps after the first, what
+    /// measures the errors of all, and what decodes samples.
     fn extra(&self) -> u64 {
         let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
         let (per_point, window) = match self.window {

@@ -1,24 +1,31 @@
 //! Values of another field at the vertices of a surface: they are probed, as `probe` does it.
+//!
+//! The tetrahedra of a mesh that is stored as it is may overlap. A vertex has the value in the one
+//! that the surface cuts, where surface and field are of one archive.
 
 use super::settings::SurfaceSettings;
 use crate::error::Result;
 use crate::exec::Silent;
 use crate::formats::surface::VertexValues;
-use crate::pipeline::field::{ProbeSettings, values_at};
+use crate::pipeline::field::{ProbeSettings, values_at, values_on_surface};
 use crate::pipeline::plan::estimate;
+use crate::pipeline::read::StepView;
 use crate::surface::SurfaceSource;
 use std::path::Path;
 use std::sync::Arc;
 
 /// Bytes of a vertex while it is probed: its place, and what probing takes.
-const VERTEX: u64 = 330;
+const VERTEX: u64 = 340;
 /// The most vertices that are probed together.
 const MOST: u64 = 1 << 28;
 
-/// The values at the vertices of a surface in the world; `None` where none are asked for.
+/// The values at the vertices of surfaces of a step, one after another in the world, given the
+/// isovalue and the number of vertices of each; `None` where none are asked for.
 pub(super) fn colours(
+    archive: &StepView,
     settings: &SurfaceSettings,
     surface: &dyn SurfaceSource,
+    parts: &[(f64, u64)],
     scratch: &Path,
 ) -> Result<Option<Arc<VertexValues>>> {
     let Some(by) = &settings.colour_by else { return Ok(None) };
@@ -30,10 +37,22 @@ pub(super) fn colours(
     let rest = |memory: u64| memory.saturating_sub(estimate::BASE + memory / 16);
     let most = (rest(memory) / 2 / VERTEX).clamp(1, MOST) as usize;
     let probe = ProbeSettings { resources: settings.resources.clone() };
+    let may_overlap = archive.manifest.plan.own.is_some()
+        && Arc::ptr_eq(by.view.archive(), archive.archive())
+        && !by.view.is_between()
+        && !archive.is_between();
+    let kept = |isovalue: f64| archive.step().plan.source.kept(isovalue);
+    let mut isovalues = parts.iter().flat_map(|&(v, count)| std::iter::repeat_n(kept(v), count as usize));
     let mut ask = |points: &mut Vec<[f64; 3]>| {
-        let found = values_at(&by.view, points, &probe, &|memory| rest(memory) / 2, &Silent)?;
+        let share = |memory| rest(memory) / 2;
+        let found = if may_overlap {
+            let isovalues: Vec<f32> = isovalues.by_ref().take(points.len()).collect();
+            values_on_surface(&by.view, archive.position(), points, &isovalues, &probe, &share)?
+        } else {
+            values_at(&by.view, points, &probe, &share, &Silent)?.values
+        };
         points.clear();
-        values.extend(&found.values.iter().map(|&v| source.in_file(v) as f32).collect::<Vec<_>>())
+        values.extend(&found.iter().map(|&v| source.in_file(v) as f32).collect::<Vec<_>>())
     };
     let mut points = vec![];
     surface.vertices(&mut |batch| {

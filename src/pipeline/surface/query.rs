@@ -434,15 +434,21 @@ fn write_all(
     comment: &str,
 ) -> Result<u64> {
     let (isovalues, scratch) = (&settings.isovalues, settings.scratch_of(out));
-    let meta = |isovalue: Option<f64>, surface: &dyn SurfaceSource| {
-        let (comments, values) = (vec![comment.to_owned()], colours(settings, surface, &scratch)?);
+    let counts: Vec<(f64, u64)> =
+        isovalues.iter().zip(surfaces).map(|(&v, s)| (v, s.surface.vertex_count())).collect();
+    let meta = |isovalue: Option<f64>, surface: &dyn SurfaceSource, counts: &[(f64, u64)]| {
+        let comments = vec![comment.to_owned()];
+        let values = colours(archive, settings, surface, counts, &scratch)?;
         Ok(SurfaceMeta { isovalue, comments, parts: vec![], values })
     };
     if is_each_alone(out) || surfaces.len() == 1 {
-        let write = |(s, &v): (&Extracted, &f64)| {
-            in_world(archive, &s.surface, |s| write_surface(s, &file_of(out, v), format, &meta(Some(v), s)?))
+        let write = |(s, count): (&Extracted, &(f64, u64))| {
+            let (v, counts) = (count.0, std::slice::from_ref(count));
+            in_world(archive, &s.surface, |s| {
+                write_surface(s, &file_of(out, v), format, &meta(Some(v), s, counts)?)
+            })
         };
-        return surfaces.iter().zip(isovalues).map(write).sum();
+        return surfaces.iter().zip(&counts).map(write).sum();
     }
     let part = |(s, &v): (&Extracted, &f64)| SurfacePart {
         isovalue: v,
@@ -451,7 +457,9 @@ fn write_all(
     };
     let parts = surfaces.iter().zip(isovalues).map(part).collect();
     let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
-    in_world(archive, &joined, |s| write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s)? }))
+    in_world(archive, &joined, |s| {
+        write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
+    })
 }
 
 fn describe(

@@ -6,7 +6,8 @@
 //!  known ─▶ crossed edges and tetrahedra ─┘      a block that is kept for many isovalues
 //! ```
 //!
-//! The arithmetic of four edges or tetrahedra at a time is in `fours`, the table of cases in `cases`.
+//! The arithmetic of four edges or tetrahedra at a time is in `fours`, the table of cases in
+//! `cases`.
 
 mod add_known;
 pub mod cap;

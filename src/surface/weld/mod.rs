@@ -10,8 +10,8 @@
 //!   [`SurfaceBuilder::push`], within a chunk in the order of [`ChunkSurface::vertices`]. The
 //!   result is a function of that sequence alone.
 //! * Position and normal of a vertex do not depend on the cut into chunks (see
-//!   [`super::extract::marching_tets`]): gradient sums are integers, added as chunks come, and turned into
-//!   normals once, at the end.
+//!   [`super::extract::marching_tets`]): gradient sums are integers, added as chunks come, and
+//!   turned into normals once, at the end.
 //!
 //! # Memory
 //! Up to `memory_bytes` of finished records (24 bytes a vertex, 12 a triangle); what exceeds it

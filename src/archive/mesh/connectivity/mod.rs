@@ -27,8 +27,8 @@
 //!
 //! So a block has two streams. Bits of stars and gates, and the differences of the other vertices'
 //! numbers, are stored as they are ([`bits`]): reading some costs a shift. The corrections of odd
-//! stars are rare. They go through a range coder ([`range`](crate::archive::range_coder)) whose probabilities
-//! begin with [`first_odds`] and learn within the block.
+//! stars are rare. They go through a range coder ([`range`](crate::archive::range_coder)) whose
+//! probabilities begin with [`first_odds`] and learn within the block.
 //!
 //! A triangle (c, d, w) of the link of v is the tetrahedron (v, c, d, w). Its face (c, d, w) is a
 //! gate in the link of the smallest of them, which comes later. Two such gates of opposite
@@ -40,8 +40,9 @@
 //! geometry.
 //!
 //! The decoder must predict what is behind one gate before it knows the next. The encoder knows
-//! them all (`write/even.rs`). A third of its time goes into following gates and coding what is behind
-//! them, a quarter into prediction, a fifth into numbering vertices, an eighth into odd stars.
+//! them all (`write/even.rs`). A third of its time goes into following gates and coding what is
+//! behind them, a quarter into prediction, a fifth into numbering vertices, an eighth into odd
+//! stars.
 
 mod bits;
 mod link;

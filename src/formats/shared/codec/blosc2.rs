@@ -9,12 +9,12 @@
 //! ```
 //!
 //! Filters are undone last first: bytes shuffled, bits shuffled, differences (of the first block to
-//! the element before, of others to the first block), bits dropped (nothing to undo). A stream of length 0 is zeros, one of negative length a byte
-//! repeated. A chunk may be special: zeros, NaN, or one value repeated; as an offset, zeros or NaN
-//! have no chunk at all.
+//! the element before, of others to the first block), bits dropped (nothing to undo). A stream of
+//! length 0 is zeros, one of negative length a byte repeated. A chunk may be special: zeros, NaN,
+//! or one value repeated; as an offset, zeros or NaN have no chunk at all.
 //!
-//! **Arrays.** The chunk of an array of several axes has its blocks one after another, as boxes, the
-//! last along each axis padded.
+//! **Arrays.** The chunk of an array of several axes has its blocks one after another, as boxes,
+//! the last along each axis padded.
 //!
 //! The format: <https://github.com/Blosc/c-blosc2>, README_CFRAME_FORMAT, README_CHUNK_FORMAT,
 //! README_B2ND_METALAYER.

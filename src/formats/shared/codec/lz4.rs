@@ -7,7 +7,8 @@
 //! Numbers have the highest byte first. A block whose length is that of its decoded bytes is stored
 //! as it is.
 //!
-//! The format: <https://github.com/HDFGroup/hdf5_plugins/blob/master/docs/RegisteredFilterPlugins.md>.
+//! The format:
+//! <https://github.com/HDFGroup/hdf5_plugins/blob/master/docs/RegisteredFilterPlugins.md>.
 
 use super::{Decoded, Front};
 

@@ -1,6 +1,7 @@
 //! Filters that HDF5 has as plugins.
 //!
-//! The registry: <https://github.com/HDFGroup/hdf5_plugins/blob/master/docs/RegisteredFilterPlugins.md>.
+//! The registry:
+//! <https://github.com/HDFGroup/hdf5_plugins/blob/master/docs/RegisteredFilterPlugins.md>.
 
 use super::MOST_CHUNK;
 use crate::formats::shared::codec::{bitshuffle, blosc, blosc2, lz4, lzf, read_to_end, unzstd};

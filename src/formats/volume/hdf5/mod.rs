@@ -7,9 +7,9 @@
 //!
 //! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
 //! a sample, named by their path. Axes before the last three must have one entry. In a dataset of
-//! four axes each entry of the first is a field of its own. They are the steps `name:t0`, `name:t1`,
-//! …; `name` is all of them, as a series. If the first axis is one of channels, they are the fields
-//! `name:c0`, `name:c1`, …. Links to one dataset are one field.
+//! four axes each entry of the first is a field of its own. They are the steps `name:t0`,
+//! `name:t1`, …; `name` is all of them, as a series. If the first axis is one of channels, they are
+//! the fields `name:c0`, `name:c1`, …. Links to one dataset are one field.
 //!
 //! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
 //! are what their names say: time, x, y, z in any order, channels. If the last of four axes without
@@ -25,9 +25,10 @@
 //! Conventions of other programs: see the module `dialect`.
 //!
 //! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle,
-//! Fletcher-32, scale-offset, N-bit, szip, and those of the module `filters`) as they are asked for ([`crate::volume::chunked`]);
-//! small chunks are read together. Memory: one chunk, stored, decoded and once more for output;
-//! chunks of more than 256 MiB are refused. Chunks that were never written read as the fill value.
+//! Fletcher-32, scale-offset, N-bit, szip, and those of the module `filters`) as they are asked for
+//! ([`crate::volume::chunked`]); small chunks are read together. Memory: one chunk, stored, decoded
+//! and once more for output; chunks of more than 256 MiB are refused. Chunks that were never
+//! written read as the fill value.
 //!
 //! # The crate behind it
 //! Two crates were tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file

@@ -20,8 +20,8 @@
 //! refuses by name: colours, palettes, other numbers of bits, JPEG and other compressions, pages
 //! that differ in size or type, missing slices. Pages that are thumbnails or masks of others are
 //! skipped. Pages of several channels or moments, as ImageJ and OME-XML describe them, are fields:
-//! `data:c0`, `data:DAPI`, `data:t0`, `data:DAPI:t0`. ImageJ's stacks of more than 4 GiB have one page,
-//! whose description has the number of images that follow each other: they are read too.
+//! `data:c0`, `data:DAPI`, `data:t0`, `data:DAPI:t0`. ImageJ's stacks of more than 4 GiB have one
+//! page, whose description has the number of images that follow each other: they are read too.
 //!
 //! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
 //! spacing comes from ImageJ's description (`spacing=` and the resolution tags that go with it) or

@@ -402,8 +402,8 @@ fn what_is_no_volume_is_named() {
     assert!(refusal(empty.path()).contains("an isospan archive"));
 }
 
-/// A file of 2 channels, 3 slices and `moments`, page n is slice n of the usual, and its channel and
-/// moment are chosen.
+/// A file of 2 channels, 3 slices and `moments`, page n is slice n of the usual, and its channel
+/// and moment are chosen.
 #[test]
 fn channels_and_moments_are_fields() {
     let dir = tempfile::tempdir().unwrap();
