@@ -12,7 +12,8 @@
 //! The format: Masui et al. 2015, "A compression scheme for radio data in high performance
 //! computing"; <https://github.com/kiyo-masui/bitshuffle/blob/master/src/bshuf_h5filter.c>.
 
-use super::{Decoded, Front, lz4, unshuffle_bits};
+use super::front::Front;
+use super::{Decoded, lz4, unshuffle_bits};
 
 /// Bytes of a block whose size is not given.
 const USUAL_BLOCK: usize = 8192;

@@ -10,7 +10,8 @@
 //! The format:
 //! <https://github.com/HDFGroup/hdf5_plugins/blob/master/docs/RegisteredFilterPlugins.md>.
 
-use super::{Decoded, Front};
+use super::Decoded;
+use super::front::Front;
 
 /// Decodes at most `limit` bytes.
 pub(in crate::formats) fn decode(stored: &[u8], limit: usize) -> Decoded<Vec<u8>> {

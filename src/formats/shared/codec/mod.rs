@@ -1,13 +1,19 @@
 //! Compressors and filters that several formats have. Each decodes into at most as many bytes as
 //! its caller allows. An error is the reason, in words.
 
+#[cfg(feature = "hdf5")]
 pub(in crate::formats) mod bitshuffle;
 pub(in crate::formats) mod blosc;
+#[cfg(feature = "hdf5")]
 pub(in crate::formats) mod blosc2;
+#[cfg(feature = "hdf5")]
+mod front;
+#[cfg(feature = "hdf5")]
 pub(in crate::formats) mod lz4;
+#[cfg(feature = "hdf5")]
 pub(in crate::formats) mod lzf;
 
-use byteorder::{BE, ByteOrder, LE};
+use byteorder::{ByteOrder, LE};
 use std::io::Read;
 
 /// What was decoded, or what is wrong.
@@ -69,27 +75,6 @@ fn transposed(mut bits: u64) -> u64 {
 /// A number of four bytes, the lowest first.
 fn le32(bytes: &[u8], at: usize) -> Option<u32> {
     bytes.get(at..at.checked_add(4)?).map(LE::read_u32)
-}
-
-/// Takes numbers, the highest byte first, and bytes from the front of what is stored.
-struct Front<'a>(&'a [u8]);
-
-impl<'a> Front<'a> {
-    fn bytes(&mut self, count: usize) -> Decoded<&'a [u8]> {
-        let (bytes, rest) = self.0.split_at_checked(count).ok_or("data that are cut short")?;
-        self.0 = rest;
-        Ok(bytes)
-    }
-
-    fn u32(&mut self) -> Decoded<usize> {
-        Ok(BE::read_u32(self.bytes(4)?) as usize)
-    }
-
-    /// A number of bytes to be decoded.
-    fn size(&mut self, limit: usize) -> Decoded<usize> {
-        let size = BE::read_u64(self.bytes(8)?);
-        usize::try_from(size).ok().filter(|&n| n <= limit).ok_or_else(|| format!("{size} bytes"))
-    }
 }
 
 #[cfg(test)]

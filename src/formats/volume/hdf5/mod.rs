@@ -61,6 +61,7 @@ use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 use dialect::{Convert, Dialect, Placed};
+use filters::Limit;
 use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
 use hdf5_reader::io::Cursor;
@@ -129,7 +130,8 @@ const MOST_COORDINATES: u64 = 1 << 24;
 /// [`Error::Usage`] when it has several and none is chosen.
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
-    let file = open_file(path, &source)?;
+    let limit = Limit::new();
+    let file = open_limited(path, &source, &limit)?;
     let dialect = Dialect::of(path, &file)?;
     let mut tree = Tree::of(path, &file, dialect)?;
     let Placed { number, fields, field: info, geometry, convert } =
@@ -142,18 +144,23 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let geometry = given_geometry(path, options, geometry)?;
     let mut info = field.volume_info(path, dialect, info, geometry)?;
     info.fields = fields;
+    let pieces = |info, convert| {
+        let pieces = Pieces::new(info, field, convert)?;
+        limit.set(pieces.chunk_bytes);
+        Ok(VolumeSource::Chunked(Arc::new(pieces)))
+    };
     if let Some(convert) = convert {
-        return Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, Some(convert))?)));
+        return pieces(info, Some(convert));
     }
     if let Some(convert) = field.valid_range(path, &info)? {
         (info.slope, info.intercept, info.missing) = (1.0, 0.0, None);
-        return Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, Some(convert))?)));
+        return pieces(info, Some(convert));
     }
     if let Some((at, strides)) = field.in_place(path, &file)? {
         let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
         return Ok(VolumeSource::Random(Box::new(volume)));
     }
-    Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, None)?)))
+    pieces(info, None)
 }
 
 /// The coordinates of a dataset along its axes, where those of one of them are not regular; else
@@ -230,11 +237,15 @@ pub(in crate::formats) fn times(path: &Path, options: &OpenOptions) -> Result<Ha
 }
 
 fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
+    open_limited(path, source, &Limit::new())
+}
+
+fn open_limited(path: &Path, source: &Arc<ByteSource>, limit: &Limit) -> Result<Hdf5File> {
     let limits = hdf5_reader::OpenOptions::default()
         .with_chunk_cache_bytes(0)
         .with_max_chunk_bytes(MOST_CHUNK as usize)
         .with_max_read_bytes(MOST_CHUNK as usize)
-        .with_filter_registry(filters::registry());
+        .with_filter_registry(filters::registry(limit));
     Hdf5File::from_storage_with_options(Arc::new(Bytes(source.clone())), limits)
         .map_err(|e| damaged(path, "superblock", &e))
 }
