@@ -29,12 +29,12 @@ pub struct OpenOptions {
 }
 
 impl OpenOptions {
-    /// Refuses a channel for a file whose format has none.
+    /// Refuses a channel for a file that has one alone.
     pub(in crate::formats) fn refuse_channel(&self, path: &Path) -> Result<()> {
         match self.channel {
             None => Ok(()),
             Some(_) => {
-                let text = "channels are those of Zarr, HDF5 and TIFF files: leave out --channel";
+                let text = "it has no channels to choose from: leave out --channel";
                 Err(Error::usage(format!("{}: {text}", path.display())))
             }
         }
