@@ -53,7 +53,7 @@
 //! **Several steps of a series.** Which tetrahedron has a sample, and with which weights, does not
 //! depend on the step; nor does Σ w² where no corner is void, and no sample NaN, at one step and
 //! not at another. So steps are fitted together: one scan conversion, then each step's differences,
-//! side by side (`sums.rs`). The additions are those of each step alone, in their order, and so are
+//! interleaved (`sums.rs`). The additions are those of each step alone, in their order, and so are
 //! the bits.
 //!
 //! **Meshes.** The samples of a tetrahedral mesh are its vertices. They lie anywhere, so windows
@@ -78,7 +78,7 @@ mod sums;
 mod tests;
 mod windows;
 
-use self::sums::Side;
+use self::sums::Lanes;
 pub use windows::{BrickTets, Windows, window_edge};
 
 use crate::exec::Room;
@@ -117,7 +117,7 @@ const NOTHING: Located = Located { tet: NONE, weights: [0.0; 4] };
 pub struct Fit<'a> {
     mesh: FitMesh<'a>,
     steps: usize,
-    sides: Vec<Side<'a>>,
+    lanes: Vec<Lanes<'a>>,
     /// Whether each vertex is void at all steps; empty where none is.
     void: Vec<bool>,
     /// The tetrahedron and the weights of each sample of a window.
@@ -139,7 +139,7 @@ impl<'a> Fit<'a> {
         Self {
             mesh,
             steps: steps.len(),
-            sides: Side::all(steps, room),
+            lanes: Lanes::all(steps, room),
             void: if some_void { vertices.map(is_void).collect() } else { vec![] },
             located: vec![],
             tets: vec![],
@@ -150,7 +150,7 @@ impl<'a> Fit<'a> {
 
     /// Words of memory that the sums of some steps take besides those of the first ones.
     pub fn further_words(vertices: usize, steps: usize) -> usize {
-        Side::words(vertices).saturating_mul(Side::count(steps).saturating_sub(1))
+        Lanes::words(vertices).saturating_mul(Lanes::count(steps).saturating_sub(1))
     }
 
     /// The mesh that was given.
@@ -184,8 +184,8 @@ impl<'a> Fit<'a> {
             || self.scan(&scanner, window.len(), tets),
         );
         let mut first = 0;
-        for side in &mut self.sides {
-            let (steps, mut rest) = (first..first + side.steps(), &*self.located);
+        for lanes in &mut self.lanes {
+            let (steps, mut rest) = (first..first + lanes.steps(), &*self.located);
             for part in window.slices(SLICES) {
                 let located;
                 (located, rest) = rest.split_at(part.len());
@@ -193,7 +193,7 @@ impl<'a> Fit<'a> {
                 for (step, out) in steps.clone().zip(self.samples.chunks_exact_mut(located.len())) {
                     read(step, part, out)?;
                 }
-                side.add(located, &self.samples, &self.tets);
+                lanes.add(located, &self.samples, &self.tets);
             }
             first = steps.end;
         }
@@ -268,9 +268,9 @@ impl<'a> Fit<'a> {
     /// order.
     fn add_located(&mut self, samples: &[f32]) {
         let mut rest = samples;
-        for side in &mut self.sides {
-            let (some, others) = rest.split_at(side.steps() * self.located.len());
-            side.add(&self.located, some, &self.tets);
+        for lanes in &mut self.lanes {
+            let (some, others) = rest.split_at(lanes.steps() * self.located.len());
+            lanes.add(&self.located, some, &self.tets);
             rest = others;
         }
     }
@@ -284,9 +284,9 @@ impl<'a> Fit<'a> {
     /// largest value that it may have.
     pub fn values_rounded(&self, count: usize, round: &RoundWithin<'_>) -> Vec<Vec<f32>> {
         let mut all = vec![];
-        for side in &self.sides {
+        for lanes in &self.lanes {
             let first = all.len();
-            all.extend(side.values(count, &|lane, value, bounds| round(first + lane, value, bounds)));
+            all.extend(lanes.values(count, &|lane, value, bounds| round(first + lane, value, bounds)));
         }
         all
     }

@@ -1,4 +1,4 @@
-//! The sums at the vertices, of steps that lie side by side.
+//! The sums at the vertices, of interleaved steps.
 //!
 //! The contribution of a sample goes to the four corners of its tetrahedron, at each step. So the
 //! values and sums of up to eight steps lie together, vertex by vertex; Σ w² once for all of them,
@@ -19,10 +19,10 @@ const TURN: f64 = 0.125;
 const PULL: f64 = 0.25;
 /// The largest difference of a sample that counts as such.
 const MOST: f64 = f32::MAX as f64;
-/// Samples, or vertices, that are put side by side at a time, or apart: they fit in the nearest
+/// Samples, or vertices, that are interleaved at a time, or taken apart: they fit in the nearest
 /// cache.
 const SOME: usize = 256;
-/// Steps that lie side by side, at most.
+/// Steps that are interleaved, at most.
 const TOGETHER: usize = 8;
 
 /// A vertex at some steps. Packed, so that it has no bytes without a meaning, and any memory will
@@ -48,29 +48,29 @@ pub(super) struct Sums<'a, const N: usize> {
     vertices: Lent<'a, Vertex<N>>,
     /// Σ w² of each step, where it is not the same for all.
     apart: Vec<[f64; N]>,
-    /// Some samples, side by side.
+    /// Some samples, interleaved.
     rows: Vec<[f32; N]>,
 }
 
-/// One step, or some side by side.
-pub(super) enum Side<'a> {
+/// One step, or some interleaved ones.
+pub(super) enum Lanes<'a> {
     One(Sums<'a, 1>),
     Four(Sums<'a, 4>),
     Eight(Sums<'a, 8>),
 }
 
-impl<'a> Side<'a> {
+impl<'a> Lanes<'a> {
     /// All steps, given the interpolated values of each.
     pub(super) fn all(steps: &[&[f32]], room: &mut Room<'a>) -> Vec<Self> {
-        let side = |some: &[&[f32]]| match some.len() {
+        let lanes = |some: &[&[f32]]| match some.len() {
             1 => Self::One(Sums::new(some, room)),
             2..=4 => Self::Four(Sums::new(some, room)),
             _ => Self::Eight(Sums::new(some, room)),
         };
-        steps.chunks(TOGETHER).map(side).collect()
+        steps.chunks(TOGETHER).map(lanes).collect()
     }
 
-    /// How many sides so many steps make, and the words of memory that each takes, at most.
+    /// How many groups of lanes so many steps make, and the words of memory that each takes, at most.
     pub(super) fn count(steps: usize) -> usize {
         steps.div_ceil(TOGETHER)
     }
@@ -248,8 +248,8 @@ impl<'a, const N: usize> Sums<'a, N> {
 }
 
 #[cfg(test)]
-impl Side<'_> {
-    /// As [`Side::add`] where there are no vectors.
+impl Lanes<'_> {
+    /// As [`Lanes::add`] where there are no vectors.
     pub(super) fn add_plain(&mut self, located: &[Located], samples: &[f32], tets: &[Tet]) {
         match self {
             Self::One(sums) => sums.add::<Plain<f64, 1>>((), located, samples, tets),

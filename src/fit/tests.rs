@@ -244,9 +244,9 @@ fn vectors_do_not_show() {
             let steps: Vec<&dyn Fn([f64; 3]) -> f32> = fields.iter().map(|f| f as _).collect();
             add(&mut vectors, &grid, &window, tets, &steps);
             plain.scan(&Scanner::new(&grid, &window), window.len(), tets);
-            plain.sides[0].add_plain(&plain.located, &samples, &plain.tets);
+            plain.lanes[0].add_plain(&plain.located, &samples, &plain.tets);
         }
-        let bits = |fit: &Fit<'_>| fit.sides[0].bits();
+        let bits = |fit: &Fit<'_>| fit.lanes[0].bits();
         assert!(bits(&plain) == bits(&vectors));
         assert!(bits(&plain).iter().any(|s| s[0] != 0));
     }

@@ -4,7 +4,7 @@
 //! this is most of what a step costs. What does not depend on values is computed once for all
 //! steps. The values of a tetrahedron, their gradient, and all quotients are computed eight at a
 //! time, in vectors. A vector has one tetrahedron at up to eight steps that are measured together,
-//! with what is known of a vertex side by side in a cache line. At a step that is alone, it has
+//! with what is known of a vertex in one cache line. At a step that is alone, it has
 //! eight tetrahedra. Then, tetrahedron by tetrahedron, come the knots in its range, eight by eight
 //! ([`super::tetra`], [`super::sums`]). The amount of data read bounds that part. So the places of
 //! the knots are found along with the quotients, and the volume is read once for all steps.
@@ -13,7 +13,7 @@
 //! does not show with which steps it was measured.
 
 use super::design::{Design, Limits};
-use super::side::{Alone, Room as Memory, SIDE_BY_SIDE, Side, Together, ends_of};
+use super::lanes::{Alone, LANES, LaneBuffers, Lanes, Together, ends_of};
 use super::tetra::{BATCH, Ladder, PiecesOf, Shapes};
 use crate::mesh::tet::Tet;
 use crate::simd::{Avx2, Avx512, F64s, F64x4s, F64xN, Plain, four, with_avx512, with_vectors};
@@ -78,7 +78,7 @@ impl ChunkPart {
         places: &[[f64; 4]],
         tets: &[Tet],
         steps: &[Vertices<'_>],
-        memory: &mut Memory,
+        memory: &mut LaneBuffers,
     ) -> Vec<Self> {
         Self::of_with(limits, places, tets, steps, Vectors::found(), memory)
     }
@@ -90,25 +90,25 @@ impl ChunkPart {
         tets: &[Tet],
         steps: &[Vertices<'_>],
         vectors: Vectors,
-        memory: &mut Memory,
+        memory: &mut LaneBuffers,
     ) -> Vec<Self> {
-        let mut sides = Side::all(limits, steps, memory);
+        let mut lanes = Lanes::all(limits, steps, memory);
         let cells = Cells { places, tets };
         match vectors {
             #[cfg(target_arch = "x86_64")]
             Vectors::Avx512(token) => with_avx512(
                 token,
                 #[inline(always)]
-                || cells.add_all::<F64x4, F64x8, F64x8>(token.avx2(), token, token, &mut sides),
+                || cells.add_all::<F64x4, F64x8, F64x8>(token.avx2(), token, token, &mut lanes),
             ),
             #[cfg(target_arch = "x86_64")]
             Vectors::Avx2(token) => with_vectors(
                 #[inline(always)]
-                || cells.add_all::<F64x4, Pair<F64x4>, F64x4>(token, token, token, &mut sides),
+                || cells.add_all::<F64x4, Pair<F64x4>, F64x4>(token, token, token, &mut lanes),
             ),
-            _ => cells.add_all::<Plain<f64, 4>, Plain<f64, 8>, Plain<f64, 4>>((), (), (), &mut sides),
+            _ => cells.add_all::<Plain<f64, 4>, Plain<f64, 8>, Plain<f64, 4>>((), (), (), &mut lanes),
         }
-        sides.into_iter().flat_map(|side| side.finish(tets.len() as u64, memory)).collect()
+        lanes.into_iter().flat_map(|steps| steps.finish(tets.len() as u64, memory)).collect()
     }
 }
 
@@ -126,17 +126,20 @@ impl Cells<'_> {
         four: W::Token,
         eight: S::Token,
         knots: K::Token,
-        sides: &mut [Side],
+        lanes: &mut [Lanes],
     ) {
-        let (mut shapes, mut room) = (Box::<Shapes>::default(), Box::new(Room([PiecesOf::NONE; AT_HAND])));
+        let (mut shapes, mut pieces_of) =
+            (Box::<Shapes>::default(), Box::new(PieceBuffers([PiecesOf::NONE; AT_HAND])));
         for from in (0..self.tets.len()).step_by(BATCH) {
             let tets = &self.tets[from..self.tets.len().min(from + BATCH)];
             let next = self.tets.get(from + AHEAD..).unwrap_or_default();
             shapes.look::<W>(four, self.places, tets);
-            for side in &mut *sides {
-                match side {
-                    Side::One(side) => room.measure_one::<S, K>((eight, knots), &shapes, side, tets),
-                    Side::Eight(side) => room.measure::<S, K>((eight, knots), &shapes, side, tets, next),
+            for steps in &mut *lanes {
+                match steps {
+                    Lanes::One(steps) => pieces_of.measure_one::<S, K>((eight, knots), &shapes, steps, tets),
+                    Lanes::Eight(steps) => {
+                        pieces_of.measure::<S, K>((eight, knots), &shapes, steps, tets, next)
+                    }
                 }
             }
         }
@@ -151,32 +154,32 @@ const LATER: usize = 2;
 const AHEAD: usize = 16;
 
 /// What is known of some tetrahedra; of one at some steps, or of eight at one.
-struct Room([PiecesOf; AT_HAND]);
+struct PieceBuffers([PiecesOf; AT_HAND]);
 
 const AT_HAND: usize = BATCH / 8;
 const _: () = assert!(AT_HAND > LATER);
 
-impl Room {
+impl PieceBuffers {
     /// Tetrahedra at some steps; `next` are those that lie [`AHEAD`] of each.
     #[inline(always)]
     fn measure<S: F64xN<8>, K: F64s>(
         &mut self,
         (token, knots): (S::Token, K::Token),
         shapes: &Shapes,
-        side: &mut Together,
+        steps: &mut Together,
         tets: &[Tet],
         next: &[Tet],
     ) {
-        let ladder = Ladder::<S>::new(token, side.designs.each_ref().map(Option::as_ref));
+        let ladder = Ladder::<S>::new(token, steps.designs.each_ref().map(Option::as_ref));
         for i in 0..tets.len() + LATER {
             if let Some(tet) = tets.get(i) {
                 if let Some(next) = next.get(i) {
-                    side.will_look_at(next);
+                    steps.will_look_at(next);
                 }
                 let pieces = &mut self.0[i % AT_HAND];
                 let floats = four(
                     #[inline(always)]
-                    |k| side.vertices[tet[k] as usize].values,
+                    |k| steps.vertices[tet[k] as usize].values,
                 );
                 let values = four(
                     #[inline(always)]
@@ -185,13 +188,13 @@ impl Room {
                 let void = voids(values);
                 let mut ends = ends_of(&floats);
                 if void != 0 {
-                    for lane in (0..SIDE_BY_SIDE).filter(|lane| void >> lane & 1 != 0) {
-                        side.void[lane] += 1;
+                    for lane in (0..LANES).filter(|lane| void >> lane & 1 != 0) {
+                        steps.void[lane] += 1;
                         ends.iter_mut().for_each(|ends| ends[lane] = 0);
                     }
                 }
                 for (&v, ends) in tet.iter().zip(&ends) {
-                    side.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
+                    steps.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
                 }
                 shapes.one::<S>(token, i).pieces(token, &ladder, values, void, pieces);
             }
@@ -199,7 +202,7 @@ impl Room {
             // just before.
             if i >= LATER {
                 let pieces = &self.0[(i - LATER) % AT_HAND];
-                let (volume, [a, b, c, d, e, f, g, h]) = (pieces.volume[0], &mut *side.sums);
+                let (volume, [a, b, c, d, e, f, g, h]) = (pieces.volume[0], &mut *steps.sums);
                 // Without a loop: so where each lies is known beforehand.
                 a.add::<K>(knots, pieces, 0, volume);
                 b.add::<K>(knots, pieces, 1, volume);
@@ -219,16 +222,16 @@ impl Room {
         &mut self,
         (token, knots): (S::Token, K::Token),
         shapes: &Shapes,
-        side: &mut Alone,
+        steps: &mut Alone,
         tets: &[Tet],
     ) {
-        let Some(design) = &side.design else { return };
+        let Some(design) = &steps.design else { return };
         let ladder = Ladder::<S>::new(token, [Some(design); 8]);
         for (n, (tets, pieces)) in tets.chunks(8).zip(&mut self.0).enumerate() {
             // With fewer than eight, the last one is repeated.
             let corner = |k: usize, i: usize| tets[i.min(tets.len() - 1)][k] as usize;
             let floats: [[f32; 8]; 4] =
-                [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.values[corner(k, i)]));
+                [0, 1, 2, 3].map(|k| std::array::from_fn(|i| steps.values[corner(k, i)]));
             let values = four(
                 #[inline(always)]
                 |k| S::from_f32(token, &floats[k]),
@@ -237,16 +240,16 @@ impl Room {
             let ends = ends_of(&floats);
             for (i, tet) in tets.iter().enumerate() {
                 if void >> i & 1 == 0 {
-                    (0..4).for_each(|k| side.ends[tet[k] as usize] += ends[k][i]);
+                    (0..4).for_each(|k| steps.ends[tet[k] as usize] += ends[k][i]);
                 } else {
-                    side.void += 1;
+                    steps.void += 1;
                 }
             }
             shapes.eight::<S>(token, n).pieces(token, &ladder, values, void, pieces);
         }
         for (tets, pieces) in tets.chunks(8).zip(&self.0) {
             for lane in 0..tets.len() {
-                side.sums.add::<K>(knots, pieces, lane % 8, pieces.volume[lane % 8]);
+                steps.sums.add::<K>(knots, pieces, lane % 8, pieces.volume[lane % 8]);
             }
         }
     }

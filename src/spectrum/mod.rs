@@ -42,9 +42,9 @@
 mod builder;
 mod design;
 mod grid;
+mod lanes;
 mod measure;
 mod part;
-mod side;
 mod store;
 pub mod suggest;
 mod sums;
@@ -53,8 +53,8 @@ mod tetra;
 pub use builder::SpectrumBuilder;
 pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};
+pub use lanes::LaneBuffers;
 pub use measure::{ChunkPart, Vertices};
-pub use side::Room;
 pub use store::SpectrumFile;
 
 #[cfg(test)]

@@ -100,8 +100,9 @@ fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Opti
     let mut builder = SpectrumBuilder::new(Design::new(all, limits));
     for tets in tets.chunks(7) {
         let step = Vertices { values, range: range_of(tets) };
-        let part =
-            ChunkPart::of_steps(limits, &vectors(places), tets, &[step], &mut Room::default()).pop().unwrap();
+        let part = ChunkPart::of_steps(limits, &vectors(places), tets, &[step], &mut LaneBuffers::default())
+            .pop()
+            .unwrap();
         let bytes = part.encode();
         let back = ChunkPart::decode(&bytes, limits).unwrap();
         assert_eq!(back, part);
@@ -131,9 +132,9 @@ proptest! {
             tets.iter().filter_map(range).fold(none, |r, (lo, hi)| [r[0].min(lo), r[1].max(hi)])
         });
         let all: Vec<Vertices<'_>> = all.iter().zip(ranges).map(|(values, range)| Vertices { values, range }).collect();
-        let mut room = Room::default();
+        let mut buffers = LaneBuffers::default();
         let mut made = |steps: &[Vertices<'_>], vectors| -> Vec<Vec<u8>> {
-            ChunkPart::of_with(limits, &places, &tets, steps, vectors, &mut room).iter().map(ChunkPart::encode).collect()
+            ChunkPart::of_with(limits, &places, &tets, steps, vectors, &mut buffers).iter().map(ChunkPart::encode).collect()
         };
         let plain = made(&all, Vectors::Plain);
         prop_assert_eq!(plain.len(), steps + 1);
@@ -157,8 +158,9 @@ fn damaged_parts_are_refused_or_harmless() {
     let tets: Vec<Tet> = (0..50).map(|i| [i, i + 1, i + 2, i + 9]).collect();
     let limits = Limits::of_chunks(100);
     let step = Vertices { values: &values, range: [0.0, 198.0] };
-    let part =
-        ChunkPart::of_steps(limits, &vectors(&places), &tets, &[step], &mut Room::default()).pop().unwrap();
+    let part = ChunkPart::of_steps(limits, &vectors(&places), &tets, &[step], &mut LaneBuffers::default())
+        .pop()
+        .unwrap();
     let good = part.encode();
     let design = Design::new([-1e9, 1e9], limits);
     for i in 0..good.len() {
@@ -172,7 +174,7 @@ fn damaged_parts_are_refused_or_harmless() {
         }
     }
     let nothing = Vertices { values: &[], range: [f32::INFINITY, f32::NEG_INFINITY] };
-    let void = ChunkPart::of_steps(limits, &[], &[], &[nothing], &mut Room::default()).pop().unwrap();
+    let void = ChunkPart::of_steps(limits, &[], &[], &[nothing], &mut LaneBuffers::default()).pop().unwrap();
     assert_eq!(ChunkPart::decode(&void.encode(), limits).unwrap(), void);
 }
 

@@ -154,7 +154,7 @@ impl SampleErrors {
         mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
         mut each: impl FnMut(Measured<'_>),
     ) -> Result<()> {
-        let (mut batch, mut room) = (BatchScan::default(), CompareBuffers::default());
+        let (mut batch, mut buffers) = (BatchScan::default(), CompareBuffers::default());
         let mut originals = WindowSamples::new(steps);
         let groups = with_vectors(
             #[inline(always)]
@@ -172,7 +172,7 @@ impl SampleErrors {
                             cells.positions,
                             tets,
                             #[inline(always)]
-                            |members| room.compare(members, &window, tets, steps, &originals, &mut each),
+                            |members| buffers.compare(members, &window, tets, steps, &originals, &mut each),
                         )
                     },
                 );

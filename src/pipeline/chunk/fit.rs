@@ -2,7 +2,7 @@
 //! vertex to the samples in all tetrahedra around it.
 //!
 //! ```text
-//!  tetrahedra ─▶ windows (of a mesh: bricks) ─▶ read the samples of each step ─▶ one scan ─▶ sums, steps side by side ─▶ values
+//!  tetrahedra ─▶ windows (of a mesh: bricks) ─▶ read the samples of each step ─▶ one scan ─▶ sums, steps interleaved ─▶ values
 //! ```
 //!
 //! The samples of a mesh are its vertices. Each lies in one tetrahedron of the reduction, and

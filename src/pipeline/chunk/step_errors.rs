@@ -70,8 +70,8 @@ impl CompareBuffers {
         if count == 0 {
             return;
         }
-        for ((steps, side), originals) in steps.iter().zip(originals.sides()) {
-            match (side, originals) {
+        for ((steps, lanes), originals) in steps.iter().zip(originals.rows_of_steps()) {
+            match (lanes, originals) {
                 (Lanes::One(values), Rows::One(originals)) => {
                     compare_one(members, tets, values, originals, &mut self.one);
                 }
@@ -84,7 +84,7 @@ impl CompareBuffers {
                 _ => unreachable!("samples lie as the values do"),
             }
             for (lane, step) in steps.enumerate() {
-                let compared = match side {
+                let compared = match lanes {
                     Lanes::One(_) => self.one.at(lane, count),
                     Lanes::Four(_) => self.four.at(lane, count),
                     Lanes::Eight(_) => self.eight.at(lane, count),

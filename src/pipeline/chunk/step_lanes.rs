@@ -11,7 +11,7 @@ use crate::simd::transpose_f32x8;
 use crate::simd::{Avx2, with_vectors};
 use std::ops::Range;
 
-/// The memory of interleaved values, kept from chunk to chunk so that its pages are not requested
+/// The memory of interleaved values, reused from chunk to chunk so that its pages are not requested
 /// again.
 #[derive(Default)]
 pub(in crate::pipeline) struct LaneBuffers(Vec<Vec<[f32; 8]>>);
@@ -34,11 +34,11 @@ const MOST: usize = 8;
 
 impl<'a> StepLanes<'a> {
     /// Of the values of each step, as many as there are vertices.
-    pub(in crate::pipeline) fn new(steps: &[&'a [f32]], room: &mut LaneBuffers) -> Self {
+    pub(in crate::pipeline) fn new(steps: &[&'a [f32]], buffers: &mut LaneBuffers) -> Self {
         let all = steps.chunks(MOST).map(|some| match *some {
             [values] => Lanes::One(values),
-            _ if some.len() <= 4 => Lanes::Four(side_by_side(some, vec![])),
-            _ => Lanes::Eight(side_by_side(some, room.0.pop().unwrap_or_default())),
+            _ if some.len() <= 4 => Lanes::Four(interleaved(some, vec![])),
+            _ => Lanes::Eight(interleaved(some, buffers.0.pop().unwrap_or_default())),
         });
         Self { steps: steps.len(), all: all.collect() }
     }
@@ -49,10 +49,10 @@ impl<'a> StepLanes<'a> {
     }
 
     /// Gives its memory back.
-    pub(in crate::pipeline) fn give_back(self, room: &mut LaneBuffers) {
-        for side in self.all {
-            if let Lanes::Eight(values) = side {
-                room.0.push(values);
+    pub(in crate::pipeline) fn give_back(self, buffers: &mut LaneBuffers) {
+        for lanes in self.all {
+            if let Lanes::Eight(values) = lanes {
+                buffers.0.push(values);
             }
         }
     }
@@ -70,12 +70,12 @@ impl<'a> StepLanes<'a> {
     /// The ranges of blocks at each step, given the end of each block.
     pub(in crate::pipeline) fn ranges(&self, tets: &[Tet], block_ends: &[usize]) -> Vec<Vec<BlockRange>> {
         let mut out = vec![Vec::with_capacity(block_ends.len()); self.steps];
-        for (steps, side) in self.iter() {
+        for (steps, lanes) in self.iter() {
             let out = &mut out[steps];
             let mut start = 0;
             for &end in block_ends {
                 let tets = &tets[std::mem::replace(&mut start, end)..end];
-                match side {
+                match lanes {
                     Lanes::One(values) => push(out, [BlockRange::of(tets, values)]),
                     Lanes::Four(values) => push(out, ranges(tets, values)),
                     Lanes::Eight(values) => push(out, ranges(tets, values)),
@@ -103,7 +103,7 @@ const SOME: usize = 256;
 
 /// Interleaves columns; there are at most as many as lanes. Lanes without a column hold arbitrary
 /// numbers.
-pub(super) fn put_side_by_side<const N: usize>(columns: &[&[f32]], rows: &mut [[f32; N]]) {
+pub(super) fn interleave<const N: usize>(columns: &[&[f32]], rows: &mut [[f32; N]]) {
     let mut done = 0;
     #[cfg(target_arch = "x86_64")]
     if N == 8
@@ -135,9 +135,9 @@ fn put_eights(token: Avx2, columns: &[&[f32]], rows: &mut [[f32; 8]]) -> usize {
     8 * eights.len()
 }
 
-fn side_by_side<const N: usize>(steps: &[&[f32]], mut out: Vec<[f32; N]>) -> Vec<[f32; N]> {
+fn interleaved<const N: usize>(steps: &[&[f32]], mut out: Vec<[f32; N]>) -> Vec<[f32; N]> {
     out.resize(steps[0].len(), [0.0; N]);
-    put_side_by_side(steps, &mut out);
+    interleave(steps, &mut out);
     out
 }
 
@@ -146,18 +146,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_lie_side_by_side() {
+    fn columns_are_interleaved() {
         for (steps, len) in [(1, 3), (3, 8), (5, 7), (8, 16), (8, 8 * SOME + 13), (4, SOME + 1)] {
             let of = |step: usize, n: usize| f32::from_bits((step << 20 | n) as u32);
             let columns: Vec<Vec<f32>> =
                 (0..steps).map(|step| (0..len).map(|n| of(step, n)).collect()).collect();
             let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
             let mut eight = vec![[0.0f32; 8]; len];
-            put_side_by_side(&columns, &mut eight);
+            interleave(&columns, &mut eight);
             let mut same = (0..len).all(|n| (0..steps).all(|k| eight[n][k].to_bits() == of(k, n).to_bits()));
             if steps <= 4 {
                 let mut four = vec![[0.0f32; 4]; len];
-                put_side_by_side(&columns, &mut four);
+                interleave(&columns, &mut four);
                 same &= (0..len).all(|n| (0..steps).all(|k| four[n][k].to_bits() == of(k, n).to_bits()));
             }
             assert!(same, "{steps} steps, {len} vertices");

@@ -4,7 +4,7 @@
 //! Samples are read step by step, some slices of the window at a time, and interleaved while they
 //! are in a near cache.
 
-use super::step_lanes::{Lanes, StepLanes, put_side_by_side};
+use super::step_lanes::{Lanes, StepLanes, interleave};
 use crate::error::Result;
 use crate::grid::IndexBox;
 use std::ops::Range;
@@ -18,7 +18,7 @@ pub(super) enum Rows {
 
 /// The samples of a window at all steps. Lanes without a step have any number.
 pub(super) struct WindowSamples {
-    sides: Vec<(Range<usize>, Rows)>,
+    rows_of_steps: Vec<(Range<usize>, Rows)>,
     /// The samples of some slices, step after step.
     slices: Vec<f32>,
 }
@@ -30,12 +30,15 @@ const SOME: usize = 1 << 13;
 impl WindowSamples {
     /// For the steps whose values lie so.
     pub(super) fn new(steps: &StepLanes<'_>) -> Self {
-        let rows = |side: &Lanes<'_>| match side {
+        let rows = |lanes: &Lanes<'_>| match lanes {
             Lanes::One(_) => Rows::One(vec![]),
             Lanes::Four(_) => Rows::Four(vec![]),
             Lanes::Eight(_) => Rows::Eight(vec![]),
         };
-        Self { sides: steps.iter().map(|(steps, side)| (steps, rows(side))).collect(), slices: vec![] }
+        Self {
+            rows_of_steps: steps.iter().map(|(steps, lanes)| (steps, rows(lanes))).collect(),
+            slices: vec![],
+        }
     }
 
     /// Reads those of a window; `read` reads samples of one step.
@@ -44,7 +47,7 @@ impl WindowSamples {
         window: IndexBox,
         read: &mut impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
     ) -> Result<()> {
-        for (steps, rows) in &mut self.sides {
+        for (steps, rows) in &mut self.rows_of_steps {
             match rows {
                 Rows::One(samples) => {
                     samples.resize(window.len(), 0.0);
@@ -57,9 +60,9 @@ impl WindowSamples {
         Ok(())
     }
 
-    /// Those of each side.
-    pub(super) fn sides(&self) -> impl Iterator<Item = &Rows> {
-        self.sides.iter().map(|(_, rows)| rows)
+    /// Those of each group of steps.
+    pub(super) fn rows_of_steps(&self) -> impl Iterator<Item = &Rows> {
+        self.rows_of_steps.iter().map(|(_, rows)| rows)
     }
 }
 
@@ -80,7 +83,7 @@ fn fill<const N: usize>(
             read(step, part, out)?;
         }
         let columns: Vec<&[f32]> = slices.chunks_exact(rows.len()).collect();
-        put_side_by_side(&columns, rows);
+        interleave(&columns, rows);
     }
     Ok(())
 }
@@ -121,7 +124,7 @@ mod tests {
                     [lo[0] + n % x, lo[1] + n / x % y, lo[2] + n / x / y]
                 };
                 let mut seen = 0;
-                for (steps, rows) in &samples.sides {
+                for (steps, rows) in &samples.rows_of_steps {
                     for (lane, step) in steps.clone().enumerate() {
                         let found: Vec<f32> = match rows {
                             Rows::One(samples) => samples.clone(),

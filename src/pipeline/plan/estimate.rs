@@ -46,7 +46,7 @@ const PER_POINT: u64 = 600;
 /// In addition, for each further step, its value; and for each eight steps, which are measured
 /// together: values; values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;
-const SIDE_PER_POINT: u64 = 104;
+const LANES_PER_POINT: u64 = 104;
 /// In addition, where values are fitted: fitted values; for each eight steps but the first, sums;
 /// and for each eight, weights, where voids differ.
 const FITTED_PER_POINT: u64 = 4;
@@ -305,13 +305,13 @@ impl Need {
     /// Bytes in addition to those of a chunk: the values of the steps after the first, what
     /// measures the errors of all, and what decodes samples.
     fn extra(&self) -> u64 {
-        let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
+        let (further, groups) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
         let (per_point, window) = match self.window {
-            0 => (further * FURTHER_PER_POINT + sides * SIDE_PER_POINT, 0),
+            0 => (further * FURTHER_PER_POINT + groups * LANES_PER_POINT, 0),
             window => {
                 let per_point = further * (FURTHER_PER_POINT + FITTED_PER_POINT)
-                    + sides * (SIDE_PER_POINT + WEIGHTS_PER_POINT)
-                    + sides.saturating_sub(1) * SUMS_PER_POINT;
+                    + groups * (LANES_PER_POINT + WEIGHTS_PER_POINT)
+                    + groups.saturating_sub(1) * SUMS_PER_POINT;
                 // The samples of eight steps are there at a time.
                 (per_point, window.saturating_mul(4 * further.min(7)))
             }
@@ -381,7 +381,7 @@ pub(in crate::pipeline) fn need_of(
 /// Bytes that measuring a chunk at `steps` steps takes: samples, those of up to eight steps once
 /// more while they are interleaved, sums.
 pub(in crate::pipeline) const fn error_bytes(steps: u64) -> u64 {
-    // As they lie side by side.
+    // As they are interleaved.
     let lanes = match steps % 8 {
         0 | 1 => steps,
         2..=4 => steps / 8 * 8 + 4,

@@ -12,7 +12,7 @@ use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
-use crate::spectrum::{ChunkPart, Limits, Room, SpectrumBuilder, SpectrumFile, Vertices};
+use crate::spectrum::{ChunkPart, LaneBuffers, Limits, SpectrumBuilder, SpectrumFile, Vertices};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ use std::path::PathBuf;
 pub(in crate::pipeline) struct Bench {
     /// Vertices in the world, up to a shift common to all.
     places: Vec<[f64; 4]>,
-    room: Room,
+    lanes: LaneBuffers,
 }
 
 /// Measures chunks of a step: has what is needed besides the chunk.
@@ -73,7 +73,7 @@ impl Meter {
         steps: &[(&[f32], &[BlockRange])],
         bench: &mut Bench,
     ) -> Result<Vec<ChunkPart>> {
-        let Bench { places, room } = bench;
+        let Bench { places, lanes } = bench;
         places.clear();
         match &self.coordinates {
             None => places.extend(positions.iter().map(|&p| four(self.place(p)))),
@@ -91,7 +91,7 @@ impl Meter {
             |ranges: &[BlockRange]| ranges.iter().fold(none, |[lo, hi], r| [lo.min(r.min), hi.max(r.max)]);
         let steps: Vec<Vertices<'_>> =
             steps.iter().map(|(values, ranges)| Vertices { values, range: all(ranges) }).collect();
-        Ok(ChunkPart::of_steps(self.limits, places, tets, &steps, room))
+        Ok(ChunkPart::of_steps(self.limits, places, tets, &steps, lanes))
     }
 
     fn place(&self, position: LatticePos) -> [f64; 3] {

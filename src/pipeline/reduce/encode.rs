@@ -114,7 +114,7 @@ struct Workspace {
 /// Memory in which the values of several steps are measured.
 #[derive(Default)]
 struct Bench {
-    sides: step_lanes::LaneBuffers,
+    lanes: step_lanes::LaneBuffers,
     spectrum: spectrum::Bench,
     /// Memory in which values are fitted.
     fit: Vec<u64>,
@@ -306,12 +306,12 @@ impl ChunkMaker<'_> {
         let values = self.values_of(mesh, placement, &mut bench.fit, times)?;
         let mut lap = Lap(Instant::now());
         let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
-        let sides = StepLanes::new(&of_steps, &mut bench.sides);
+        let lanes = StepLanes::new(&of_steps, &mut bench.lanes);
         let (positions, tets) = (mesh.positions(), &*mesh.tets);
-        let errors = self.errors(&ChunkTets { positions, tets, block_ends }, &sides)?;
+        let errors = self.errors(&ChunkTets { positions, tets, block_ends }, &lanes)?;
         lap.add_to(&mut times.measure);
-        let ranges = sides.ranges(tets, block_ends);
-        sides.give_back(&mut bench.sides);
+        let ranges = lanes.ranges(tets, block_ends);
+        lanes.give_back(&mut bench.lanes);
         lap.add_to(&mut times.encode);
         let of_steps: Vec<(&[f32], &[BlockRange])> =
             of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();

@@ -1,4 +1,4 @@
-//! The vertices of a chunk at some steps, with what is known of them, side by side.
+//! The vertices of a chunk at some steps, with what is known of them, interleaved.
 
 use super::design::{Design, Limits};
 use super::measure::{ChunkPart, Vertices};
@@ -7,8 +7,8 @@ use crate::exec::will_read;
 use crate::mesh::tet::Tet;
 use crate::simd::with_vectors;
 
-/// Steps that are measured side by side, at most, and at least: two are measured sooner one by one.
-pub(super) const SIDE_BY_SIDE: usize = 8;
+/// Steps that are interleaved, at most, and at least: two are measured sooner one by one.
+pub(super) const LANES: usize = 8;
 const FEWEST: usize = 3;
 
 /// The design at which a step is measured; `None` where all is void.
@@ -21,40 +21,40 @@ fn design(limits: Limits, step: &Vertices<'_>) -> Option<Design> {
 const NOTHING: ChunkPart = ChunkPart { tetrahedra: 0, volume: 0.0, measured: None };
 
 /// One step, or up to eight.
-pub(super) enum Side {
+pub(super) enum Lanes {
     One(Box<Alone>),
     Eight(Box<Together>),
 }
 
-impl Side {
-    /// The sides of all steps, in their order.
-    pub(super) fn all(limits: Limits, steps: &[Vertices<'_>], room: &mut Room) -> Vec<Self> {
-        let mut sides = vec![];
+impl Lanes {
+    /// The lanes of all steps, in their order.
+    pub(super) fn all(limits: Limits, steps: &[Vertices<'_>], buffers: &mut LaneBuffers) -> Vec<Self> {
+        let mut lanes = vec![];
         with_vectors(
             #[inline(always)]
             || {
-                for steps in steps.chunks(SIDE_BY_SIDE) {
+                for steps in steps.chunks(LANES) {
                     if steps.len() < FEWEST {
-                        sides.extend(steps.iter().map(|step| Self::One(Box::new(Alone::new(limits, step)))));
+                        lanes.extend(steps.iter().map(|step| Self::One(Box::new(Alone::new(limits, step)))));
                     } else {
-                        let memory = room.0.pop().unwrap_or_default();
-                        sides.push(Self::Eight(Box::new(Together::new(limits, steps, memory))));
+                        let memory = buffers.0.pop().unwrap_or_default();
+                        lanes.push(Self::Eight(Box::new(Together::new(limits, steps, memory))));
                     }
                 }
             },
         );
-        sides
+        lanes
     }
 
     /// The parts of a chunk of `tets` tetrahedra.
-    pub(super) fn finish(self, tets: u64, room: &mut Room) -> Vec<ChunkPart> {
+    pub(super) fn finish(self, tets: u64, buffers: &mut LaneBuffers) -> Vec<ChunkPart> {
         with_vectors(
             #[inline(always)]
             || match self {
-                Self::One(side) => vec![side.finish(tets)],
-                Self::Eight(side) => {
-                    let (parts, memory) = side.finish(tets);
-                    room.0.push(memory);
+                Self::One(steps) => vec![steps.finish(tets)],
+                Self::Eight(steps) => {
+                    let (parts, memory) = steps.finish(tets);
+                    buffers.0.push(memory);
                     parts
                 }
             },
@@ -94,27 +94,27 @@ impl Alone {
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(super) struct Vertex {
-    pub(super) values: [f32; SIDE_BY_SIDE],
-    pub(super) ends: [i32; SIDE_BY_SIDE],
+    pub(super) values: [f32; LANES],
+    pub(super) ends: [i32; LANES],
 }
 
-/// Some steps side by side. Lanes that have no step are 0.
+/// Some interleaved steps. Lanes that have no step are 0.
 pub(super) struct Together {
     pub(super) vertices: Vec<Vertex>,
-    pub(super) designs: [Option<Design>; SIDE_BY_SIDE],
-    pub(super) sums: Box<[Sums; SIDE_BY_SIDE]>,
+    pub(super) designs: [Option<Design>; LANES],
+    pub(super) sums: Box<[Sums; LANES]>,
     /// Tetrahedra that are void.
-    pub(super) void: [u64; SIDE_BY_SIDE],
+    pub(super) void: [u64; LANES],
     steps: usize,
 }
 
-/// Vertices that are put side by side at a time: they fit in the nearest cache.
+/// Vertices that are interleaved at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
-/// The memory of eight steps side by side, kept from chunk to chunk so that its pages are not asked
+/// The memory of interleaved steps, reused from chunk to chunk so that its pages are not asked
 /// for again.
 #[derive(Default)]
-pub struct Room(Vec<Vec<Vertex>>);
+pub struct LaneBuffers(Vec<Vec<Vertex>>);
 
 impl Together {
     #[inline(always)]
@@ -131,7 +131,7 @@ impl Together {
                 vertices.iter_mut().zip(values).for_each(|(to, &value)| to.values[lane] = value);
             }
         }
-        Self { vertices, designs, sums, void: [0; SIDE_BY_SIDE], steps: steps.len() }
+        Self { vertices, designs, sums, void: [0; LANES], steps: steps.len() }
     }
 
     /// The parts, and the memory.
