@@ -1,98 +1,98 @@
 //! The cache of decoded blocks, in bounded memory.
 //!
 //! ```text
-//!  archive ──▶ Block (a reused buffer) ──▶ packed ──▶ on the next use: precomputed (known)
+//!  archive ──▶ Block (a reused buffer) ──▶ numbered ──▶ on the next use: precomputed
 //! ```
 //!
-//! Precomputing a block ([`crate::surface::known`]) takes as long as ten surfaces of its packed
+//! Precomputing a block ([`crate::surface::precomputed`]) takes as long as ten surfaces of its numbered
 //! form. So it waits until the block is used again, and is spread out: at the first repeated use
 //! one block is due, at the second the next one, and so on. No question then takes much longer than
-//! others. The precomputed form is three times as large; a block stays packed where there is no
-//! room for it.
+//! others. The precomputed form is more than twice as large; a block stays numbered where
+//! there is no room for it.
 //!
 //! Eviction follows the clock algorithm (Corbató 1968): the hand skips a block once if it was used
 //! since the hand last passed.
 
-use super::block::{Block, BlockCorners, PackedBlock};
+use super::block::{Block, BlockCorners, NumberedShape};
 use crate::exec::will_read;
 use crate::grid::ChunkId;
-use crate::surface::extract::{Known, KnownBlock, Unpacked};
+use crate::surface::extract::{Precomputed, PrecomputedBlock, Unpacked, Workbench};
 use rustc_hash::FxHashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A block kept in memory.
+/// A block in the cache.
 #[derive(Debug)]
 pub(in crate::pipeline) enum CachedBlock {
-    /// As it was read.
-    Packed(PackedBlock),
+    /// As it was read, its edges numbered.
+    Numbered(NumberedShape),
     /// Precomputed for the surface of any isovalue, and the number of corners of its chunk.
-    Known(KnownBlock, usize),
+    Precomputed(PrecomputedBlock, usize),
 }
 
 impl CachedBlock {
     fn bytes(&self) -> usize {
         match self {
-            Self::Packed(block) => size_of::<Self>() + block.bytes(),
-            Self::Known(block, _) => size_of::<Self>() + block.bytes(),
+            Self::Numbered(block) => size_of::<Self>() + block.bytes(),
+            Self::Precomputed(block, _) => size_of::<Self>() + block.bytes(),
         }
     }
 
     /// The block as it was read, its corners maybe in another order.
     pub(in crate::pipeline) fn unpack(&self, out: &mut Block) {
         let (block, of_corners) = match self {
-            Self::Packed(block) => return block.unpack(out),
-            Self::Known(block, of_corners) => (block, *of_corners),
+            Self::Numbered(block) => return block.unpack(out),
+            Self::Precomputed(block, of_corners) => (block, *of_corners),
         };
-        unpack_known(block.view(), of_corners, out);
+        unpack_precomputed(block.view(), of_corners, out);
     }
 
     /// Prefetches what is read in any case.
     pub(in crate::pipeline) fn will_be_read(&self) {
         match self {
-            Self::Packed(block) => block.will_be_read(),
-            Self::Known(block, _) => block.view().corners_will_be_read(),
+            Self::Numbered(block) => block.numbered.will_be_read(),
+            Self::Precomputed(block, _) => block.view().corners_will_be_read(),
         }
     }
 
     /// Prefetches the rest.
     pub(in crate::pipeline) fn rest_will_be_read(&self, isovalues: &[f32]) {
-        if let Self::Known(block, _) = self {
+        if let Self::Precomputed(block, _) = self {
             block.view().tets_will_be_read(isovalues);
         }
     }
 }
 
-/// A known block as it was read, its corners maybe in another order; its chunk has `of_corners`
+/// A precomputed block as it was read, its corners maybe in another order; its chunk has `of_corners`
 /// corners.
-pub(in crate::pipeline) fn unpack_known(block: Known<'_>, of_corners: usize, out: &mut Block) {
+pub(in crate::pipeline) fn unpack_precomputed(block: Precomputed<'_>, of_corners: usize, out: &mut Block) {
     let Block { corners, tets, bytes } = out;
     let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;
     block.unpack(&mut Unpacked { numbers, positions, ids, values, shared, tets });
     (*of_chunk, *bytes) = (of_corners, 0);
 }
 
-/// A kept block that was asked for.
+/// A cached block that was asked for.
 #[derive(Debug)]
 pub(in crate::pipeline) struct CacheHit {
     pub(in crate::pipeline) block: Arc<CachedBlock>,
-    /// Whether all is to be found out about it now, if it is packed.
+    /// Whether it is to be precomputed now, if it is not yet.
     pub(in crate::pipeline) is_due: bool,
 }
 
 /// A block is precomputed at most this many uses after the first one; some are after fewer.
 const DUE: u32 = 8;
 
-/// Blocks kept in memory, up to a number of bytes; from any thread.
+/// Decoded blocks, up to a number of bytes; from any thread.
 #[derive(Debug, Default)]
 pub(in crate::pipeline) struct BlockCache {
     most: usize,
-    blocks: Mutex<KeptBlocks>,
+    blocks: Mutex<CachedBlocks>,
 }
 
 type BlockKey = (ChunkId, u32);
 
 #[derive(Debug, Default)]
-struct KeptBlocks {
+struct CachedBlocks {
     /// Where in `slots` each is.
     by_place: FxHashMap<BlockKey, usize>,
     slots: Vec<Slot>,
@@ -112,21 +112,21 @@ struct Slot {
 }
 
 impl BlockCache {
-    /// Keeps up to about `most` bytes.
+    /// Caches up to about `most` bytes.
     pub(super) fn new(most: usize) -> Self {
         Self { most, blocks: Mutex::default() }
     }
 
-    fn blocks(&self) -> MutexGuard<'_, KeptBlocks> {
+    fn blocks(&self) -> MutexGuard<'_, CachedBlocks> {
         self.blocks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The most bytes that are kept.
+    /// The most bytes that are cached.
     pub(in crate::pipeline) fn most(&self) -> usize {
         self.most
     }
 
-    /// Replaces `out` by the blocks of a chunk, those that are kept.
+    /// Replaces `out` by the blocks of a chunk, those that are cached.
     pub(in crate::pipeline) fn get(
         &self,
         chunk: ChunkId,
@@ -138,7 +138,7 @@ impl BlockCache {
             return out.extend(numbers.map(|_| None));
         }
         let mut blocks = self.blocks();
-        let KeptBlocks { by_place, slots, .. } = &mut *blocks;
+        let CachedBlocks { by_place, slots, .. } = &mut *blocks;
         let slots_of = numbers.map(|number| by_place.get(&(chunk, number)).copied());
         let found: Vec<Option<usize>> = slots_of
             .inspect(|slot| {
@@ -154,13 +154,13 @@ impl BlockCache {
         }));
     }
 
-    /// Keeps a block, and drops others to make room.
-    pub(in crate::pipeline) fn put(&self, chunk: ChunkId, number: u32, block: &Block) {
+    /// Caches a block, and drops others to make room.
+    pub(in crate::pipeline) fn put(&self, chunk: ChunkId, number: u32, block: &Block, bench: &mut Workbench) {
         if self.most == 0 {
             return;
         }
-        let Some(packed) = PackedBlock::of(block) else { return };
-        let (block, place) = (CachedBlock::Packed(packed), (chunk, number));
+        let Some(numbered) = NumberedShape::of(block, bench) else { return };
+        let (block, place) = (CachedBlock::Numbered(numbered), (chunk, number));
         let bytes = block.bytes();
         let mut blocks = self.blocks();
         // Another thread may have been faster.
@@ -173,11 +173,11 @@ impl BlockCache {
         blocks.add(Slot { place, block: Arc::new(block), used: false, uses: 0 });
     }
 
-    /// Keeps a block in another form, if it is kept still and there is room: others are worth more
-    /// than this.
+    /// Caches a block in another form, if it is still there and there is room: others are worth
+    /// more than this.
     pub(in crate::pipeline) fn replace(&self, chunk: ChunkId, number: u32, block: CachedBlock) {
         let mut blocks = self.blocks();
-        let KeptBlocks { by_place, slots, bytes, .. } = &mut *blocks;
+        let CachedBlocks { by_place, slots, bytes, .. } = &mut *blocks;
         let Some(slot) = by_place.get(&(chunk, number)).map(|&slot| &mut slots[slot]) else { return };
         let after = *bytes - slot.block.bytes() + block.bytes();
         if after <= self.most {
@@ -191,7 +191,7 @@ impl BlockCache {
     }
 }
 
-impl KeptBlocks {
+impl CachedBlocks {
     fn add(&mut self, slot: Slot) {
         self.bytes += slot.block.bytes();
         self.by_place.insert(slot.place, self.slots.len());
@@ -226,17 +226,17 @@ mod tests {
     use crate::surface::WorldMap;
     use crate::surface::extract::{Workbench, in_order};
 
-    fn known(Block { corners, tets, .. }: &Block) -> Option<CachedBlock> {
+    fn precomputed(Block { corners, tets, .. }: &Block) -> Option<CachedBlock> {
         let world = WorldMap::new(&Lattice::new([9; 3]).unwrap(), &Geometry::default());
-        let block = Workbench::default().know(&corners.cells(tets), &world)?;
-        Some(CachedBlock::Known(block, corners.of_chunk))
+        let block = Workbench::default().precompute(&corners.cells(tets), &world)?;
+        Some(CachedBlock::Precomputed(block, corners.of_chunk))
     }
 
     #[test]
-    fn a_kept_block_is_the_block() {
+    fn a_cached_block_is_the_block() {
         let block = block(200, 10.0);
         let mut unpacked = Block::default();
-        known(&block).unwrap().unpack(&mut unpacked);
+        precomputed(&block).unwrap().unpack(&mut unpacked);
         let all = |Block { corners: c, tets, .. }: &Block| -> Vec<_> {
             let corner = |v: u32| {
                 let v = v as usize;
@@ -247,48 +247,52 @@ mod tests {
         assert_eq!(all(&unpacked), all(&block));
         assert_eq!(unpacked.corners.of_chunk, block.corners.of_chunk);
         assert!(unpacked.corners.ids.is_sorted());
-        assert!(known(&self::block(257, 0.0)).is_none());
+        assert!(precomputed(&self::block(257, 0.0)).is_none());
     }
 
     #[test]
     fn blocks_that_were_not_used_go() {
-        let one = CachedBlock::Packed(PackedBlock::of(&block(100, 0.0)).unwrap()).bytes();
-        let kept = BlockCache::new(3 * one + one / 2);
+        let bench = &mut Workbench::default();
+        let one = CachedBlock::Numbered(NumberedShape::of(&block(100, 0.0), bench).unwrap()).bytes();
+        let cache = BlockCache::new(3 * one + one / 2);
         for n in 0..3 {
-            kept.put(ChunkId(1), n, &block(100, n as f32));
+            cache.put(ChunkId(1), n, &block(100, n as f32), bench);
         }
         let get = |chunk, number| {
             let mut found = vec![];
-            kept.get(ChunkId(chunk), [number].into_iter(), &mut found);
+            cache.get(ChunkId(chunk), [number].into_iter(), &mut found);
             found.pop().unwrap().map(|found: CacheHit| found.block)
         };
         assert!(get(1, 0).is_some());
-        kept.put(ChunkId(2), 1, &block(100, 9.0));
-        assert_eq!(kept.bytes(), 3 * one);
+        cache.put(ChunkId(2), 1, &block(100, 9.0), bench);
+        assert_eq!(cache.bytes(), 3 * one);
         let there = [(1, 0), (1, 1), (1, 2), (2, 1)].map(|(c, n)| get(c, n).is_some());
         assert_eq!(there, [true, false, true, true]);
-        // In another form where there is room, and where it is kept.
-        kept.replace(ChunkId(1), 0, known(&block(100, 0.0)).unwrap());
-        assert!(matches!(&*get(1, 0).unwrap(), CachedBlock::Packed(_)), "it is larger");
-        kept.replace(ChunkId(1), 0, known(&block(10, 0.0)).unwrap());
-        assert!(matches!(&*get(1, 0).unwrap(), CachedBlock::Known(_, 20)) && kept.bytes() < 3 * one);
-        kept.replace(ChunkId(1), 1, known(&block(10, 0.0)).unwrap());
+        // In another form where there is room, and where it is cached.
+        cache.replace(ChunkId(1), 0, precomputed(&block(100, 0.0)).unwrap());
+        assert!(matches!(&*get(1, 0).unwrap(), CachedBlock::Numbered(_)), "it is larger");
+        cache.replace(ChunkId(1), 0, precomputed(&block(10, 0.0)).unwrap());
+        assert!(matches!(&*get(1, 0).unwrap(), CachedBlock::Precomputed(_, 20)) && cache.bytes() < 3 * one);
+        cache.replace(ChunkId(1), 1, precomputed(&block(10, 0.0)).unwrap());
         assert!(get(1, 1).is_none());
-        kept.put(ChunkId(9), 9, &block(10, 0.0));
-        let bytes = kept.bytes();
-        // A block larger than the cache is not kept, and nothing is kept where nothing may be.
-        kept.put(ChunkId(3), 0, &block(1000, 0.0));
-        assert!(get(3, 0).is_none() && kept.bytes() == bytes);
+        cache.put(ChunkId(9), 9, &block(10, 0.0), bench);
+        let bytes = cache.bytes();
+        // Of too many corners.
+        cache.put(ChunkId(3), 0, &block(1000, 0.0), bench);
+        assert!(get(3, 0).is_none() && cache.bytes() == bytes);
+        let small = BlockCache::new(one - 1);
+        small.put(ChunkId(1), 0, &block(100, 0.0), bench);
+        assert_eq!(small.bytes(), 0, "it is larger than the cache");
         // Block 3 is due when it is used for the fourth time, and from then on.
-        let (kept, mut found) = (BlockCache::new(1 << 20), vec![]);
-        kept.put(ChunkId(1), 3, &block(10, 0.0));
+        let (cache, mut found) = (BlockCache::new(1 << 20), vec![]);
+        cache.put(ChunkId(1), 3, &block(10, 0.0), bench);
         let mut is_due = || {
-            kept.get(ChunkId(1), [3].into_iter(), &mut found);
+            cache.get(ChunkId(1), [3].into_iter(), &mut found);
             found[0].as_ref().unwrap().is_due
         };
         assert!((0..20).map(|_| is_due()).eq((0..20).map(|n| n >= 3)));
         let none = BlockCache::new(0);
-        none.put(ChunkId(1), 0, &block(100, 0.0));
+        none.put(ChunkId(1), 0, &block(100, 0.0), bench);
         let mut found = vec![];
         none.get(ChunkId(1), 0..2, &mut found);
         assert!(found.iter().all(Option::is_none) && found.len() == 2 && none.bytes() == 0);

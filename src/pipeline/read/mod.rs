@@ -29,8 +29,8 @@ mod visit;
 
 pub(super) use archive::OpenArchive;
 pub use archive::is_archive;
-pub(super) use block::{Block, BlockCorners, NumberedShape, PackedBlock};
-pub(super) use block_cache::{CacheHit, CachedBlock, unpack_known};
+pub(super) use block::{Block, BlockCorners, NumberedShape};
+pub(super) use block_cache::{CacheHit, CachedBlock, unpack_precomputed};
 pub(super) use choice::Moment;
 pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::MeshedChunk;

@@ -31,7 +31,7 @@ use std::ops::Range;
 
 /// Values of a block that are known already.
 #[derive(Clone, Copy)]
-struct Known<'a> {
+struct KnownValues<'a> {
     /// Position in the manifest of the step that they are of.
     step: usize,
     values: &'a [f32],
@@ -115,7 +115,7 @@ impl StepView {
         step: usize,
         id: ChunkId,
         at: BlockAt<'_>,
-        known: Option<Known<'_>>,
+        known: Option<KnownValues<'_>>,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let segment = self.values_of(step, id)?;
@@ -179,7 +179,8 @@ impl StepView {
         let mut out = Vec::with_capacity(vertices);
         let blocks = &self.value_blocks(id, vertices);
         for block in 0..blocks.count() {
-            let known = before.map(|values| Known { step: step - 1, values: &values[blocks.range(block)] });
+            let known =
+                before.map(|values| KnownValues { step: step - 1, values: &values[blocks.range(block)] });
             self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut out)?;
         }
         Ok(out)
@@ -329,7 +330,7 @@ impl<'a> ValuesOverTime<'a> {
     fn read(&mut self, block: usize, step: usize) -> Result<()> {
         let values = &mut self.values[self.blocks.range(block)];
         self.decoded.clear();
-        let known = self.at[block].map(|step| Known { step, values });
+        let known = self.at[block].map(|step| KnownValues { step, values });
         self.bytes[block] = self.archive.block_of_step(
             step,
             self.chunk,

@@ -29,7 +29,7 @@ pub(super) struct Extracted {
     pub(super) active_tetrahedra: u64,
 }
 
-/// Where surfaces are kept while they are made.
+/// Where surfaces are while they are made.
 pub(super) struct SurfaceStorage {
     /// For what memory does not hold.
     pub(super) scratch: PathBuf,
@@ -53,8 +53,8 @@ pub(super) fn extract_surfaces(
     let mut weld = Weld::new(question, settings, shares, storage, progress);
     let pool = question.archive.pools.lend(settings.resources.threads)?;
     progress.begin("surface", active_blocks, "blocks");
-    let (kept, of_this_question) = (&question.archive.cache, BufferPool::default());
-    let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
+    let (cache, of_this_question) = (&question.archive.cache, BufferPool::default());
+    let spare = if cache.most() > 0 { &question.archive.spare } else { &of_this_question };
     let extract = |n: usize| {
         settings.resources.cancel.check()?;
         question.chunk_surfaces(&work[n], spare)
@@ -63,11 +63,11 @@ pub(super) fn extract_surfaces(
         question.archive.close_before(work[n].chunk);
         weld.push(surfaces, spare)
     })?;
-    spare.trim(kept.most() / 4);
+    spare.trim(cache.most() / 4);
     weld.finish()
 }
 
-/// Kept blocks that are looked up together, and held meanwhile.
+/// Cached blocks that are looked up together, and held meanwhile.
 const AT_ONCE: usize = 32;
 
 impl Question<'_> {
@@ -105,9 +105,9 @@ impl Question<'_> {
         let (mut buffers, mut reader) = (spare.buffers(), None);
         let mut chunk = ChunkWorker::new(self, spare);
         let mut unpacked = UnpackedChunk::of(self.archive, work)?;
-        // Blocks that are unpacked are not kept: they need not be looked up.
+        // Unpacked blocks are not in the cache: they need not be looked up.
         let at_once = if unpacked.is_none() { AT_ONCE } else { 1 };
-        let mut kept = vec![];
+        let mut cached = vec![];
         for (n, block) in work.blocks.iter().enumerate() {
             if let Some(unpacked) = &mut unpacked
                 && unpacked.add(n, block, &mut chunk, &mut buffers)?
@@ -116,12 +116,12 @@ impl Question<'_> {
             }
             if n % at_once == 0 {
                 let next = work.blocks[n..].iter().take(at_once).map(|b| b.block);
-                self.archive.cache.get(work.chunk, next, &mut kept);
+                self.archive.cache.get(work.chunk, next, &mut cached);
             }
-            let ahead = |blocks: usize| kept.get(n % at_once + blocks).and_then(Option::as_ref);
+            let ahead = |blocks: usize| cached.get(n % at_once + blocks).and_then(Option::as_ref);
             self.prefetch(ahead(1), ahead(2));
             if let Some(found) = ahead(0) {
-                chunk.add_kept(work.chunk, block, found, &mut buffers);
+                chunk.add_cached(work.chunk, block, found, &mut buffers);
                 continue;
             }
             let reader = match &mut reader {
@@ -134,7 +134,7 @@ impl Question<'_> {
             if !reader.block(block.block, &self.wanted(block), &self.needed(), &mut buffers.block)? {
                 continue;
             }
-            self.archive.cache.put(work.chunk, block.block, &buffers.block);
+            self.archive.cache.put(work.chunk, block.block, &buffers.block, &mut buffers.bench);
             chunk.add(block, &mut buffers, Some(reader));
         }
         unpacked.map_or(Ok(()), UnpackedChunk::end)?;
@@ -151,7 +151,7 @@ impl Question<'_> {
         self.cut.is_none() && self.caps.is_none()
     }
 
-    /// Prefetches the next kept block, and from the one after it what shows which tetrahedra may be
+    /// Prefetches the next cached block, and from the one after it what shows which tetrahedra may be
     /// active.
     fn prefetch(&self, next: Option<&CacheHit>, after: Option<&CacheHit>) {
         if let Some(next) = next {
@@ -173,8 +173,8 @@ impl Question<'_> {
         }
     }
 
-    /// Caps have triangles in tetrahedra that are not active, and what is kept is for other
-    /// isovalues too.
+    /// Caps have triangles in tetrahedra that are not active, and cached blocks are for
+    /// other isovalues too.
     fn needed(&self) -> Needed<'_> {
         match self.caps.is_some() || self.archive.cache.most() > 0 {
             true => Needed::All,
@@ -191,7 +191,7 @@ pub(super) struct Weld<'a> {
     /// Made when first needed: most surfaces fit in memory.
     frontier: Option<Frontier>,
     shares: SurfaceShares,
-    /// Where each surface is kept.
+    /// Where each surface is stored.
     place: BuilderSettings,
     memory: u64,
     done: usize,

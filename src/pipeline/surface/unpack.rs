@@ -2,7 +2,7 @@
 //! use them.
 //!
 //! ```text
-//!  a chunk: its blocks, decoded ──▶ known (crate::surface::known) ──▶ edges joined ──▶ words ──▶ in order ──▶ steps/N-unpacked.seg
+//!  a chunk: its blocks, decoded ──▶ precomputed (crate::surface::extract) ──▶ edges joined ──▶ words ──▶ in order ──▶ steps/N-unpacked.seg
 //! ```
 //!
 //! The copy depends on the archive and the range alone: the same bytes for any number of threads.
@@ -23,7 +23,7 @@ use crate::pipeline::read::{
     StepView, Wanted, world_map,
 };
 use crate::surface::WorldMap;
-use crate::surface::extract::{Joiner, KnownBlock};
+use crate::surface::extract::{Joiner, PrecomputedBlock};
 use serde::Serialize;
 use std::fs;
 use std::io::ErrorKind;
@@ -352,7 +352,7 @@ impl MadeChunk {
             if of_block.tets > 0 {
                 reader.block(n, &Wanted::All, &Needed::All, block)?;
                 let cells = block.corners.cells(&block.tets);
-                found = can_answer(of_block, range).then(|| bench.know(&cells, world)).flatten();
+                found = can_answer(of_block, range).then(|| bench.precompute(&cells, world)).flatten();
                 match &found {
                     Some(found) => joiner.add(found),
                     None => joiner.keep_apart(&cells),
@@ -360,7 +360,7 @@ impl MadeChunk {
             }
             known.push(found);
         }
-        let words = |found: Option<KnownBlock>| {
+        let words = |found: Option<PrecomputedBlock>| {
             let mut words = vec![];
             if let Some(found) = found {
                 joiner.join(&found, world).store(&mut words);

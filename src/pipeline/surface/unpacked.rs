@@ -2,7 +2,7 @@
 //! a step, and used where they are mapped.
 //!
 //! ```text
-//!  steps/N-unpacked.seg, mapped ──▶ words of a block ──▶ checksum, contents: once ──▶ known block ──▶ surface
+//!  steps/N-unpacked.seg, mapped ──▶ words of a block ──▶ checksum, contents: once ──▶ precomputed block ──▶ surface
 //! ```
 //!
 //! They are used where they exist and were made for this archive, for a stored step on this
@@ -18,8 +18,8 @@ use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::will_read;
 use crate::index::Entry;
-use crate::pipeline::read::{Buffers, OpenArchive, StepSummary, StepView, unpack_known};
-use crate::surface::extract::{Flaw, Known};
+use crate::pipeline::read::{Buffers, OpenArchive, StepSummary, StepView, unpack_precomputed};
+use crate::surface::extract::{Flaw, Precomputed};
 use std::sync::atomic::Ordering;
 
 impl StepView {
@@ -106,7 +106,7 @@ impl<'a> UnpackedChunk<'a> {
         let before = chunk.active();
         if chunk.question.is_whole() {
             chunk.number_edges(self.edges);
-            if !chunk.add_known(entry, block, self.corners, &mut buffers.bench) {
+            if !chunk.add_precomputed(entry, block, self.corners, &mut buffers.bench) {
                 return Err(flawed(
                     file,
                     &place,
@@ -118,7 +118,7 @@ impl<'a> UnpackedChunk<'a> {
                 let flaw = Flaw::new("corners of tetrahedra", "corners in different places", "others");
                 return Err(flawed(file, &place, flaw));
             }
-            unpack_known(block, self.corners, &mut buffers.block);
+            unpack_precomputed(block, self.corners, &mut buffers.block);
             chunk.add(entry, buffers, None);
         }
         if chunk.active() > before {
@@ -131,7 +131,7 @@ impl<'a> UnpackedChunk<'a> {
     fn prefetch(&self, n: usize, isovalues: &[f32]) {
         let ahead = |blocks: usize| self.places.get(n + blocks)?.at_hand();
         // Its groups were prefetched before.
-        if let Some(Ok(next)) = ahead(1).map(Known::open) {
+        if let Some(Ok(next)) = ahead(1).map(Precomputed::open) {
             next.block.tets_will_be_read(isovalues);
         }
         // About the part of any block that is read: its lists except the edges of tetrahedra and
@@ -162,9 +162,9 @@ fn block_of<'a>(
     of_chunk: usize,
     isovalues: Option<&[f32]>,
     words: &'a mut Vec<u32>,
-) -> Result<Known<'a>> {
+) -> Result<Precomputed<'a>> {
     let is_right = |words: &'a [u32]| {
-        let (stored, noted) = (Known::open(words)?, file.noted(place));
+        let (stored, noted) = (Precomputed::open(words)?, file.noted(place));
         let known = noted.load(Ordering::Relaxed);
         let right = stored.check(of_chunk, isovalues, known)?;
         if right != known {

@@ -7,10 +7,10 @@ use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::pipeline::read::{
     Block, BlockCorners, BufferPool, Buffers, CacheHit, CachedBlock, ChunkReader, Cut, NumberedShape,
-    PackedBlock, StepView,
+    StepView,
 };
 use crate::surface::WorldMap;
-use crate::surface::extract::{ChunkSurface, Known, KnownBlock, Workbench, cap::select_boundary};
+use crate::surface::extract::{ChunkSurface, Precomputed, PrecomputedBlock, Workbench, cap::select_boundary};
 use std::sync::atomic::AtomicU64;
 
 /// The blocks of a chunk that can hold an answer, in order.
@@ -85,8 +85,8 @@ impl<'a> ChunkWorker<'a> {
         }
     }
 
-    /// Adds a kept block to the surfaces, and finds out about it, if that is due.
-    pub(super) fn add_kept(
+    /// Adds a cached block to the surfaces, and precomputes it, if that is due.
+    pub(super) fn add_cached(
         &mut self,
         chunk: ChunkId,
         entry: &Entry,
@@ -95,43 +95,34 @@ impl<'a> ChunkWorker<'a> {
     ) {
         let question = self.question;
         let is_whole = question.is_whole();
-        match (&*found.block, is_whole) {
-            (CachedBlock::Known(block, of_chunk), true) => {
-                return self.add_kept_known(entry, block, *of_chunk, &mut buffers.bench);
+        match &*found.block {
+            CachedBlock::Precomputed(block, of_chunk) if is_whole => {
+                return self.add_cached_precomputed(entry, block, *of_chunk, &mut buffers.bench);
             }
-            (CachedBlock::Packed(block), true) if !found.is_due => {
-                return self.add_packed(entry, block, buffers);
+            CachedBlock::Numbered(shape) if !(is_whole && found.is_due) => {
+                return self.add_shape(entry, shape, buffers);
             }
-            (block, _) => block.unpack(&mut buffers.block),
+            block => block.unpack(&mut buffers.block),
         }
         let Buffers { block: Block { corners, tets, .. }, bench, .. } = &mut *buffers;
-        match is_whole.then(|| bench.know(&corners.cells(tets), &question.world)).flatten() {
+        match is_whole.then(|| bench.precompute(&corners.cells(tets), &question.world)).flatten() {
             Some(known) => {
-                self.add_kept_known(entry, &known, corners.of_chunk, bench);
-                let known = CachedBlock::Known(known, corners.of_chunk);
+                self.add_cached_precomputed(entry, &known, corners.of_chunk, bench);
+                let known = CachedBlock::Precomputed(known, corners.of_chunk);
                 question.archive.cache.replace(chunk, entry.block, known);
             }
             None => self.add(entry, buffers, None),
         }
     }
 
-    /// Unpacks the corners, and of the tetrahedra those that are active.
-    fn add_packed(&mut self, entry: &Entry, block: &PackedBlock, buffers: &mut Buffers) {
-        let Buffers { block: Block { corners, .. }, sides, active, bench, .. } = buffers;
-        block.unpack_corners(corners);
-        self.start(corners.of_chunk);
-        for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
-            if is_active(entry.min, entry.max, isovalue) {
-                active.clear();
-                sides.set(&corners.values, isovalue);
-                sides.active_of(block.tets(), active);
-                surface.add_active(&corners.cells(active), &self.question.world, bench);
-            }
-        }
-    }
-
-    fn add_kept_known(&mut self, entry: &Entry, block: &KnownBlock, of_chunk: usize, bench: &mut Workbench) {
-        let is_sound = self.add_known(entry, block.view(), of_chunk, bench);
+    fn add_cached_precomputed(
+        &mut self,
+        entry: &Entry,
+        block: &PrecomputedBlock,
+        of_chunk: usize,
+        bench: &mut Workbench,
+    ) {
+        let is_sound = self.add_precomputed(entry, block.view(), of_chunk, bench);
         assert!(is_sound, "a block that was made here has the edges of its tetrahedra");
     }
 
@@ -140,12 +131,12 @@ impl<'a> ChunkWorker<'a> {
         self.surfaces.iter_mut().for_each(|surface| surface.number_edges(count));
     }
 
-    /// Adds a known block to the surfaces. False if it is none: see [`ChunkSurface::add_known`].
+    /// Adds a precomputed block to the surfaces. False if it is none: see [`ChunkSurface::add_precomputed`].
     #[must_use]
-    pub(super) fn add_known(
+    pub(super) fn add_precomputed(
         &mut self,
         entry: &Entry,
-        block: Known<'_>,
+        block: Precomputed<'_>,
         of_chunk: usize,
         bench: &mut Workbench,
     ) -> bool {
@@ -153,7 +144,7 @@ impl<'a> ChunkWorker<'a> {
         let mut is_sound = true;
         for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
             if is_active(entry.min, entry.max, isovalue) {
-                is_sound &= surface.add_known(block, &self.question.world, bench);
+                is_sound &= surface.add_precomputed(block, &self.question.world, bench);
             }
         }
         is_sound

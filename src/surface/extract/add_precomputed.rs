@@ -1,4 +1,4 @@
-//! The surface in a known block, added to that of its chunk.
+//! The surface in a precomputed block, added to that of its chunk.
 //!
 //! ```text
 //!  crossed edges, active tetrahedra ─▶ vertices of edges, numbered ─▶ new vertices ─▶ triangles
@@ -11,27 +11,32 @@
 use super::chunk_surface::{ChunkSurface, OpenVertex, SharedEdge};
 use super::edges::EdgeLookup;
 use super::fours;
-use super::known::{ByteTables, Crossed, FIRST, Known, NEW, Normal, OPEN, SUM, sum_of};
 use super::ordered::SHARED;
 use super::patch::up;
+use super::precomputed::{ByteTables, Crossed, FIRST, NEW, Normal, OPEN, Precomputed, SUM, sum_of};
 use super::workbench::Workbench;
 use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
 
 impl ChunkSurface {
-    /// Adds the active tetrahedra of a known block, whose numbers in the chunk are below that of
+    /// Adds the active tetrahedra of a precomputed block, whose numbers in the chunk are below that of
     /// its corners. `world` is that of the block. False if a triangle has no vertex: then the edges
     /// of a tetrahedron are not those between its corners, and the surface is of no use.
     #[must_use]
-    pub(crate) fn add_known(&mut self, block: Known<'_>, world: &WorldMap, bench: &mut Workbench) -> bool {
+    pub(crate) fn add_precomputed(
+        &mut self,
+        block: Precomputed<'_>,
+        world: &WorldMap,
+        bench: &mut Workbench,
+    ) -> bool {
         self.add_known_on(block, world, &mut bench.crossed, (Avx2::found(), ByteTables::found()))
     }
 
     /// With vectors of AVX2, with tables, or without: the same bits.
     pub(super) fn add_known_on(
         &mut self,
-        block: Known<'_>,
+        block: Precomputed<'_>,
         world: &WorldMap,
         crossed: &mut Crossed,
         (avx2, tables): (Option<Avx2>, Option<ByteTables>),
@@ -49,7 +54,7 @@ impl ChunkSurface {
     fn add_found<W: F64x4s>(
         &mut self,
         token: W::Token,
-        block: Known<'_>,
+        block: Precomputed<'_>,
         world: &WorldMap,
         crossed: &mut Crossed,
     ) -> bool {
@@ -68,7 +73,7 @@ impl ChunkSurface {
     /// Looks for the edges that other blocks may have too, and adds this block's part of their
     /// sums. False if a slot is not there.
     #[inline(always)]
-    fn join_open(&mut self, block: Known<'_>, crossed: &mut Crossed) -> bool {
+    fn join_open(&mut self, block: Precomputed<'_>, crossed: &mut Crossed) -> bool {
         let (edges, of_edges, slots) = (block.edges(), block.slots_of_edges(), block.slots());
         let Crossed { edges: list, open, counts, vertices, first, numbered, .. } = crossed;
         for &n in &list[..counts[0]] {
@@ -127,7 +132,7 @@ impl ChunkSurface {
     /// Notes what others may ask of new vertices: `before` is the number of open ones before. False
     /// if an edge has no length, or its number is not one of the chunk's.
     #[inline(always)]
-    fn note_first(&mut self, block: Known<'_>, crossed: &Crossed, before: usize) -> bool {
+    fn note_first(&mut self, block: Precomputed<'_>, crossed: &Crossed, before: usize) -> bool {
         let (at, mut is_sound) = (block.at(), true);
         for (&n, open) in crossed.first.iter().zip(&mut self.open[before..]) {
             let (vertex, ends) = (crossed.vertices[usize::from(n)], block.edges()[usize::from(n)]);
@@ -149,7 +154,13 @@ impl ChunkSurface {
 
     /// Appends vertices; the normals of open ones mean nothing yet.
     #[inline(always)]
-    fn append_new<W: F64x4s>(&mut self, token: W::Token, block: Known<'_>, world: &WorldMap, new: &[u16]) {
+    fn append_new<W: F64x4s>(
+        &mut self,
+        token: W::Token,
+        block: Precomputed<'_>,
+        world: &WorldMap,
+        new: &[u16],
+    ) {
         let (edges, of_edges) = (block.edges(), block.slots_of_edges());
         let (slots, at) = (block.slots(), block.at());
         for four in new.chunks(4) {

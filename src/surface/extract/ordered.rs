@@ -1,5 +1,5 @@
 //! The corners of a block that is kept, in the order of their ids: what both kinds of such blocks
-//! have ([`super::numbered`], [`super::known`]).
+//! have ([`super::numbered`], [`super::precomputed`]).
 
 use super::cells::CellSource;
 use super::fours::Corner;

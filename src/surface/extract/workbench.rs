@@ -1,10 +1,10 @@
 //! The buffers of a thread that extracts surfaces.
 
 use super::cells::{CellSource, Sides};
-use super::known::{Crossed, KnownBlock, Maker};
 use super::numbered::{BlockBuffers, NumberedBlock};
 use super::numbering::Numbering;
 use super::patch::Patch;
+use super::precomputed::{Crossed, Maker, PrecomputedBlock};
 use crate::mesh::tet::Tet;
 use crate::surface::world_map::WorldMap;
 
@@ -37,7 +37,11 @@ impl Workbench {
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
-    pub(crate) fn know(&mut self, block: &CellSource<'_>, world: &WorldMap) -> Option<KnownBlock> {
+    pub(crate) fn precompute(
+        &mut self,
+        block: &CellSource<'_>,
+        world: &WorldMap,
+    ) -> Option<PrecomputedBlock> {
         self.maker.make(block, world)
     }
 }

@@ -1,6 +1,6 @@
 //! A block of tetrahedra whose corners and edges have been numbered once, for the values of one
-//! step after another. (Where isovalues change and values do not, more is known of a block:
-//! [`super::known`].)
+//! step after another. (Where isovalues change and values do not, more can be
+//! precomputed: [`super::precomputed`].)
 //!
 //! Corners are in the order of their ids. A tetrahedron of 16 bytes has the numbers of its corners
 //! and of its six edges, so that nothing is looked up when a surface is extracted. Edges with all
@@ -21,6 +21,7 @@ use super::fours::Corner;
 use super::numbering::{Ring, code_of};
 use super::ordered::{EDGE_SLOTS, Order, SHARED, Unpacked, shared_ids, sides_of, slot_of};
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
+use crate::exec::will_read;
 use crate::geom::PointId;
 use crate::mesh::tet::{Tet, is_active, range};
 
@@ -138,6 +139,16 @@ impl NumberedBlock {
         }
         words.extend(order.ids(cells));
         Some(Self { words: words.into(), tets, corners, alone })
+    }
+
+    /// Bytes of memory.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&*self.words)
+    }
+
+    /// Asks the processor for what shows which tetrahedra are active.
+    pub(crate) fn will_be_read(&self) {
+        will_read(&self.words[..self.starts()[2]]);
     }
 
     /// Where corners' numbers, corners, tetrahedra and ids begin.

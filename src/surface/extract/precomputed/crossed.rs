@@ -1,8 +1,8 @@
-//! Which edges and tetrahedra of a known block does an isovalue cross?
+//! Which edges and tetrahedra of a precomputed block does an isovalue cross?
 
 use super::super::cases::CASES;
 use super::sides::SPARE;
-use super::{ByteTables, EDGES_MOST, GROUP, Known, TURNED};
+use super::{ByteTables, EDGES_MOST, GROUP, Precomputed, TURNED};
 use crate::mesh::tet::is_active;
 
 /// No vertex yet.
@@ -30,7 +30,7 @@ pub(in super::super) struct Crossed {
 
 impl Crossed {
     /// Room for all of a block.
-    fn make_room(&mut self, block: Known<'_>) {
+    fn make_room(&mut self, block: Precomputed<'_>) {
         let grow = |list: &mut Vec<u16>, most: usize| list.resize(most.max(list.len()), 0);
         grow(&mut self.edges, block.shape.edges + SPARE);
         grow(&mut self.open, block.shape.edges + SPARE);
@@ -47,7 +47,12 @@ impl Crossed {
 
     /// Looks what is crossed, 64 corners at a time, in a block without void tetrahedra.
     #[inline(always)]
-    pub(in super::super) fn find_at_once(&mut self, block: Known<'_>, isovalue: f32, tables: ByteTables) {
+    pub(in super::super) fn find_at_once(
+        &mut self,
+        block: Precomputed<'_>,
+        isovalue: f32,
+        tables: ByteTables,
+    ) {
         self.make_room(block);
         let table = block.sides(isovalue);
         // Neither end of an edge is a NaN.
@@ -58,7 +63,7 @@ impl Crossed {
 
     /// Finds what is crossed.
     #[inline(always)]
-    pub(in super::super) fn find(&mut self, block: Known<'_>, isovalue: f32) {
+    pub(in super::super) fn find(&mut self, block: Precomputed<'_>, isovalue: f32) {
         self.make_room(block);
         let sides = block.sides(isovalue);
         let (edges, slots, tets) = (block.edges(), block.slots_of_edges(), block.tets());
@@ -108,7 +113,7 @@ impl Crossed {
 
     /// Makes the triangles.
     #[inline(always)]
-    pub(in super::super) fn list_triangles(&mut self, block: Known<'_>) -> &[[u32; 3]] {
+    pub(in super::super) fn list_triangles(&mut self, block: Precomputed<'_>) -> &[[u32; 3]] {
         let (tets, mut end) = (block.edges_of_tets(), 0);
         let vertices: &[u32; EDGES_MOST] =
             self.vertices.as_slice().try_into().expect("it was made so long before");

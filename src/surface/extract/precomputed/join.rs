@@ -12,7 +12,7 @@ use super::super::fours;
 use super::super::patch::up;
 use super::crossed::sum_of;
 use super::make::close_groups;
-use super::{FIRST, Group, Known, KnownBlock, Normal, OPEN, SHARED, SLOTS_BEHIND, SUM, Shape};
+use super::{FIRST, Group, Normal, OPEN, Precomputed, PrecomputedBlock, SHARED, SLOTS_BEHIND, SUM, Shape};
 use crate::simd::Plain;
 use crate::surface::world_map::WorldMap;
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -38,7 +38,7 @@ struct Edge {
 
 impl Joiner {
     /// Adds the sums of a block.
-    pub(crate) fn add(&mut self, block: &KnownBlock) {
+    pub(crate) fn add(&mut self, block: &PrecomputedBlock) {
         let block = block.view();
         for (n, &slot) in block.slots_of_edges().iter().enumerate().filter(|(_, slot)| **slot & OPEN != 0) {
             let Some(key) = key(block, n) else { continue };
@@ -63,7 +63,7 @@ impl Joiner {
     }
 
     /// The block with its edges joined. Blocks are given in order, when all were added.
-    pub(crate) fn join(&mut self, block: &KnownBlock, world: &WorldMap) -> KnownBlock {
+    pub(crate) fn join(&mut self, block: &PrecomputedBlock, world: &WorldMap) -> PrecomputedBlock {
         let known = block.view();
         let [groups_end, _, corners_end, edges_end, _, slots_at, slots_end] = known.ends();
         let (mut slots, mut of_edges) = (Vec::with_capacity(known.shape.slots), vec![]);
@@ -90,11 +90,16 @@ impl Joiner {
         slots.extend([0; SLOTS_BEHIND]);
         words.extend_from_slice(&slots);
         words.extend_from_slice(&block.words[slots_end..]);
-        KnownBlock { words: words.into(), shape: Shape { slots: slots.len(), ..known.shape } }
+        PrecomputedBlock { words: words.into(), shape: Shape { slots: slots.len(), ..known.shape } }
     }
 
     /// The number of an edge that is joined, and where it is met first its normal.
-    fn normal_of(&mut self, block: Known<'_>, n: usize, world: &WorldMap) -> Option<(u32, Option<Normal>)> {
+    fn normal_of(
+        &mut self,
+        block: Precomputed<'_>,
+        n: usize,
+        world: &WorldMap,
+    ) -> Option<(u32, Option<Normal>)> {
         let key = key(block, n).filter(|key| self.count < FIRST && !self.apart.contains(key))?;
         let edge = self.edges.get_mut(&key).expect("all blocks were added before");
         if edge.number != NONE {
@@ -116,7 +121,7 @@ impl Joiner {
 
 /// The numbers of an edge's ends in the chunk, the lower one first; `None` if other chunks may have
 /// it.
-fn key(block: Known<'_>, n: usize) -> Option<[u32; 2]> {
+fn key(block: Precomputed<'_>, n: usize) -> Option<[u32; 2]> {
     let mut ends = block.edges()[n].map(|corner| block.numbers()[usize::from(corner)]);
     if ends[0] & ends[1] & SHARED != 0 {
         return None;

@@ -7,7 +7,7 @@ use super::super::numbering::{Ring, code_of};
 use super::super::ordered::{EDGE_SLOTS, Order, slot_of};
 use super::super::patch::{CORNERS, NO_EDGE, add_term, up};
 use super::{
-    EDGES_MOST, GROUP, Group, KnownBlock, OPEN, SLOTS_BEHIND, SLOTS_MOST, SUM, Shape, TURNED, TetEdges,
+    EDGES_MOST, GROUP, Group, OPEN, PrecomputedBlock, SLOTS_BEHIND, SLOTS_MOST, SUM, Shape, TURNED, TetEdges,
     is_void,
 };
 use crate::mesh::tet::range;
@@ -90,7 +90,11 @@ impl Maker {
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
-    pub(in super::super) fn make(&mut self, cells: &CellSource<'_>, world: &WorldMap) -> Option<KnownBlock> {
+    pub(in super::super) fn make(
+        &mut self,
+        cells: &CellSource<'_>,
+        world: &WorldMap,
+    ) -> Option<PrecomputedBlock> {
         self.make_on(cells, world, Avx2::found())
     }
 
@@ -100,7 +104,7 @@ impl Maker {
         cells: &CellSource<'_>,
         world: &WorldMap,
         avx2: Option<Avx2>,
-    ) -> Option<KnownBlock> {
+    ) -> Option<PrecomputedBlock> {
         let (order, corners, tets) = (Order::of(cells)?, cells.ids.len(), cells.tets.len());
         self.at.clear();
         self.at.extend(order.corners(cells));
@@ -131,7 +135,7 @@ impl Maker {
         words.extend(order.ids(cells));
         let has_void = self.tet_edges.iter().any(is_void);
         let shape = Shape { corners, edges, tets, slots, has_void };
-        Some(KnownBlock { words: words.into(), shape })
+        Some(PrecomputedBlock { words: words.into(), shape })
     }
 
     /// Lists tetrahedra, groups and edges. False if there are too many.

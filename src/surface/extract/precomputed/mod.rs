@@ -49,7 +49,7 @@ pub(crate) use stored::Flaw;
 
 /// Tetrahedra that have a common range of values, and a common run of edges.
 const GROUP: usize = 16;
-/// The most edges of a block; this many have less than 2^15 slots of what is known of them.
+/// The most edges of a block; this many have less than 2^15 slots for what is stored of them.
 const EDGES_MOST: usize = 1 << 14;
 /// In the first edge of a tetrahedron: the order of its ids is an odd permutation of a positively
 /// oriented one.
@@ -89,9 +89,9 @@ fn is_void(edges: &TetEdges) -> bool {
 /// A normal, its bits.
 pub(super) type Normal = [u32; 3];
 
-/// A block, with what is known of it.
+/// A precomputed block in memory.
 #[derive(Debug)]
-pub(crate) struct KnownBlock {
+pub(crate) struct PrecomputedBlock {
     words: Box<[u32]>,
     shape: Shape,
 }
@@ -121,7 +121,7 @@ impl Shape {
     }
 }
 
-impl KnownBlock {
+impl PrecomputedBlock {
     /// Bytes of memory.
     pub(crate) fn bytes(&self) -> usize {
         size_of::<Self>() + size_of_val(&*self.words)
@@ -129,19 +129,19 @@ impl KnownBlock {
 
     /// A view of the block.
     #[inline]
-    pub(crate) fn view(&self) -> Known<'_> {
-        Known { words: &self.words, shape: self.shape }
+    pub(crate) fn view(&self) -> Precomputed<'_> {
+        Precomputed { words: &self.words, shape: self.shape }
     }
 }
 
-/// A known block, in memory or in a file that is mapped.
+/// A precomputed block, in memory or in a file that is mapped.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Known<'a> {
+pub(crate) struct Precomputed<'a> {
     words: &'a [u32],
     shape: Shape,
 }
 
-impl<'a> Known<'a> {
+impl<'a> Precomputed<'a> {
     /// Where the lists end, in their order; the slots of edges are in the same words as their ends.
     #[inline(always)]
     fn ends(&self) -> [usize; 7] {

@@ -1,11 +1,11 @@
-//! A known block as words of a file, and what must be true of such words before they are used.
+//! A precomputed block as words of a file, and what must be true of such words before they are used.
 //!
 //! ```text
 //!  corners │ edges │ tetrahedra │ words of slots │ whether some are void │ checksums: first lists, ids │ 0
 //!   │ a checksum for each group │ the lists of the block │ zeros up to a cache line
 //! ```
 //!
-//! The lists are used where they lie, in a mapped file too. So [`Known::open`] checks that they are
+//! The lists are used where they lie, in a mapped file too. So [`Precomputed::open`] checks that they are
 //! as long as the words. [`Stored::check`] checks that they have their checksums, and that
 //! everything they name is there. Then no words, whoever wrote them, lead outside of a list. Of the
 //! later lists (edges of tetrahedra, slots) a question reads the part of the groups that it may
@@ -16,7 +16,9 @@
 
 use super::super::ordered::SHARED;
 use super::super::patch::CORNERS;
-use super::{EDGES_MOST, GROUP, Known, KnownBlock, OPEN, SLOTS_BEHIND, SLOTS_MOST, Shape, TURNED};
+use super::{
+    EDGES_MOST, GROUP, OPEN, Precomputed, PrecomputedBlock, SLOTS_BEHIND, SLOTS_MOST, Shape, TURNED,
+};
 use crate::mesh::tet::is_active;
 use crate::simd::with_vectors;
 use std::ops::Range;
@@ -64,7 +66,7 @@ fn crc_behind(crc: u32, words: &[u32]) -> u32 {
     crc32c::crc32c_append(crc, bytemuck::cast_slice(words))
 }
 
-impl KnownBlock {
+impl PrecomputedBlock {
     /// Replaces `out` by the words of the block.
     pub(crate) fn store(&self, out: &mut Vec<u32>) {
         let Shape { corners, edges, tets, slots, has_void } = self.shape;
@@ -75,17 +77,17 @@ impl KnownBlock {
         out.resize(HEAD + groups, 0);
         out.extend_from_slice(&self.words);
         out.resize(self.shape.stored_words(), 0);
-        let stored = Known::open(out).expect("it is as long as it tells");
+        let stored = Precomputed::open(out).expect("it is as long as it tells");
         let of_groups: Vec<u32> =
             stored.ranges().enumerate().map(|(n, slots)| stored.crc_of(n, slots)).collect();
         out[HEAD..HEAD + groups].copy_from_slice(&of_groups);
-        let stored = Known::open(out).expect("it is as long as it tells");
+        let stored = Precomputed::open(out).expect("it is as long as it tells");
         [out[OF_LISTS], out[OF_IDS]] = [stored.crc_of_lists(), crc_behind(0, stored.block.ids())];
     }
 }
 
-impl<'a> Known<'a> {
-    /// The block of some words, as [`KnownBlock::store`] gives them. What its lists hold is not
+impl<'a> Precomputed<'a> {
+    /// The block of some words, as [`PrecomputedBlock::store`] gives them. What its lists hold is not
     /// looked at: see [`Stored::check`].
     ///
     /// # Errors
@@ -113,11 +115,11 @@ impl<'a> Known<'a> {
     }
 }
 
-/// A known block of a file.
+/// A precomputed block of a file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stored<'a> {
     /// The block, to be used once it has been checked.
-    pub(crate) block: Known<'a>,
+    pub(crate) block: Precomputed<'a>,
     head: &'a [u32; HEAD],
     /// The checksum of each group.
     of_groups: &'a [u32],
@@ -230,7 +232,7 @@ fn same_crc(at: &'static str, expected: u32, got: u32) -> Result<(), Flaw> {
     }
 }
 
-impl Known<'_> {
+impl Precomputed<'_> {
     /// The greatest number in each of the first lists; of groups 1 if one does not end where it
     /// may.
     #[inline(always)]
@@ -274,7 +276,7 @@ mod tests {
         blocks.each(&values, |cells| {
             let (block, mut words) = (Maker::default().make(cells, &world).unwrap(), vec![]);
             block.store(&mut words);
-            let known = Known::open(&words).unwrap().block;
+            let known = Precomputed::open(&words).unwrap().block;
             assert_eq!((known.words, known.shape), (&*block.words, block.shape));
             assert_eq!(words.len() % LINE, 0);
             all.push(words);
@@ -287,7 +289,7 @@ mod tests {
         let (all, of_chunk) = stored();
         assert!(all.iter().any(|words| words[4] == 1) && all.iter().any(|words| words[4] == 0));
         for words in &all {
-            let stored = Known::open(words).unwrap();
+            let stored = Precomputed::open(words).unwrap();
             let groups = stored.block.groups();
             assert_eq!(stored.check(of_chunk, None, 0), Ok(LISTS_ARE_RIGHT | ((1 << groups.len()) - 1)));
             // Group by group, as isovalues read them.
@@ -299,18 +301,18 @@ mod tests {
             let most = stored.block.numbers().iter().map(|n| n & !SHARED).max().unwrap() as usize;
             assert_eq!(stored.check(most, None, 0).unwrap_err().at, "numbers of corners");
             for cut in [0, HEAD - 1, HEAD, words.len() - LINE] {
-                assert!(Known::open(&words[..cut]).is_err());
+                assert!(Precomputed::open(&words[..cut]).is_err());
             }
         }
     }
 
     /// Gives words the checksums that fit them.
     fn seal(words: &mut [u32]) {
-        let Ok(stored) = Known::open(words) else { return };
+        let Ok(stored) = Precomputed::open(words) else { return };
         let of_groups: Vec<u32> =
             stored.ranges().enumerate().map(|(n, slots)| stored.crc_of(n, slots)).collect();
         words[HEAD..HEAD + of_groups.len()].copy_from_slice(&of_groups);
-        let stored = Known::open(words).unwrap();
+        let stored = Precomputed::open(words).unwrap();
         let (of_lists, of_ids) = (stored.crc_of_lists(), crc_behind(0, stored.block.ids()));
         (words[OF_LISTS], words[OF_IDS]) = (of_lists, of_ids);
     }
@@ -325,9 +327,9 @@ mod tests {
             for change in [1, 1 << 8, 1 << 15, 1 << 16, 1 << 31, u32::MAX] {
                 let mut words = all[0].clone();
                 words[n] ^= change;
-                let check = |words: &[u32]| Known::open(words)?.check(of_chunk, None, 0).map(drop);
-                let [_, .., slots_at, slots_end] = Known::open(&all[0]).unwrap().block.ends();
-                let first = HEAD + Known::open(&all[0]).unwrap().of_groups.len();
+                let check = |words: &[u32]| Precomputed::open(words)?.check(of_chunk, None, 0).map(drop);
+                let [_, .., slots_at, slots_end] = Precomputed::open(&all[0]).unwrap().block.ends();
+                let first = HEAD + Precomputed::open(&all[0]).unwrap().of_groups.len();
                 // Neither the word and the zeros at the ends, nor those behind the slots, nor ids
                 // that are not asked for.
                 if n != HEAD - 1 && n != OF_IDS && n < first + slots_end - SLOTS_BEHIND {
@@ -338,7 +340,7 @@ mod tests {
                     refused += 1;
                     continue;
                 }
-                let known = Known::open(&words).unwrap().block;
+                let known = Precomputed::open(&words).unwrap().block;
                 taken += 1;
                 let Shape { corners, edges, slots, .. } = known.shape;
                 let is_there = |n: u8| usize::from(n) < corners;

@@ -16,8 +16,8 @@ fn surfaces(of: &Blocks, values: &[f32], isovalue: f32, geometry: &Geometry) -> 
     let mut surfaces = [(); 3].map(|()| of.start(isovalue));
     of.each(values, |cells| {
         surfaces[0].add(cells, &world, &mut bench);
-        let block = bench.know(cells, &world).expect("these blocks are small");
-        let is_whole = surfaces[1].add_known(block.view(), &world, &mut bench);
+        let block = bench.precompute(cells, &world).expect("these blocks are small");
+        let is_whole = surfaces[1].add_precomputed(block.view(), &world, &mut bench);
         assert!(is_whole);
         let block = Maker::default().make_on(cells, &world, None).unwrap();
         assert!(surfaces[2].add_known_on(block.view(), &world, &mut bench.crossed, (None, None)));
@@ -85,7 +85,7 @@ fn joined_blocks_have_the_same_surface() {
     for left_out in [usize::MAX, 2] {
         let (mut joiner, mut known, mut n) = (Joiner::default(), vec![], 0);
         blocks.each(&values, |cells| {
-            let block = bench.know(cells, &world).filter(|_| n != left_out);
+            let block = bench.precompute(cells, &world).filter(|_| n != left_out);
             match &block {
                 Some(block) => joiner.add(block),
                 None => joiner.keep_apart(cells),
@@ -93,8 +93,9 @@ fn joined_blocks_have_the_same_surface() {
             known.push(block);
             n += 1;
         });
-        let words =
-            |blocks: &[Option<KnownBlock>]| blocks.iter().flatten().map(|b| b.words.len()).sum::<usize>();
+        let words = |blocks: &[Option<PrecomputedBlock>]| {
+            blocks.iter().flatten().map(|b| b.words.len()).sum::<usize>()
+        };
         let before = words(&known);
         for block in known.iter_mut().flatten() {
             *block = joiner.join(block, &world);
@@ -110,7 +111,7 @@ fn joined_blocks_have_the_same_surface() {
                 match &known[number] {
                     Some(block) => {
                         let block = block.view();
-                        assert!(surfaces[1].add_known(block, &world, &mut bench));
+                        assert!(surfaces[1].add_precomputed(block, &world, &mut bench));
                         assert!(surfaces[2].add_known_on(block, &world, &mut bench.crossed, (None, None)));
                     }
                     None => {
