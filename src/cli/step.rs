@@ -4,9 +4,9 @@ use super::grammar;
 use super::input::InputArgs;
 use super::progress::Talk;
 use isospan::formats::{OpenOptions, StepSource, order_in_doubt, steps_of};
-use isospan::pipeline::{StepChoice, StepRange};
+use isospan::pipeline::{Step, StepChoice, StepRange, is_archive};
 use isospan::{Archive, Error, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The steps that are made.
 #[derive(clap::Args, Debug)]
@@ -128,6 +128,17 @@ impl StepArgs {
             (None, None) => StepChoice::First,
         }
     }
+}
+
+/// The field that `--colour-by` names: one of the archive, or of another archive, at the step that
+/// is asked where it has several.
+pub(crate) fn colour_field(by: &Path, archive: &Archive, choice: StepChoice) -> Result<Step> {
+    if !is_archive(by) {
+        return archive.at(StepChoice::Field(by.display().to_string()));
+    }
+    let other = Archive::open(by)?;
+    let is_one = other.info()?.steps.len() <= 1;
+    other.at(if is_one { StepChoice::First } else { choice })
 }
 
 /// The times of steps.

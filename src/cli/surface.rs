@@ -4,13 +4,12 @@ use super::grammar::{self, Length, Value};
 use super::machine::{Machine, OutputScratch};
 use super::output::Force;
 use super::progress::Talk;
-use super::step::StepArgs;
+use super::step::{StepArgs, colour_field};
 use super::text;
 use clap::ValueEnum;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{
-    ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepChoice, StepRange, SurfaceReport,
-    SurfaceSettings, is_archive,
+    ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings,
 };
 use isospan::render::ColourMap;
 use isospan::surface::edit::{
@@ -181,22 +180,10 @@ fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
 /// The field that colours the surface.
 fn colours(args: &Args, archive: &Archive) -> Result<Option<ColourBy>> {
     let Some(by) = &args.colour_by else { return Ok(None) };
-    let step = if is_archive(by) {
-        let other = Archive::open(by)?;
-        let is_one = other.info()?.steps.len() <= 1;
-        other.at(if is_one { StepChoice::First } else { args.step.choice() })?
-    } else {
-        archive.at(StepChoice::Field(by.display().to_string()))?
-    };
-    let range = step.value_range();
-    let mut colours = step.into_colours(args.colour_map);
-    if let Some(asked) = args.colour_range {
-        let ends = |[lo, hi]: [f64; 2]| {
-            let [least, most] = range.unwrap_or([0.0, 1.0]);
-            [if lo.is_finite() { lo } else { least }, if hi.is_finite() { hi } else { most }]
-        };
-        colours.range = Some(ends(asked.of(range)?));
-    }
+    let field = colour_field(by, archive, args.step.choice())?;
+    let range = args.colour_range.map(|asked| asked.within(field.value_range())).transpose()?;
+    let mut colours = field.into_colours(args.colour_map);
+    colours.range = range;
     Ok(Some(colours))
 }
 
@@ -447,6 +434,10 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             text::count(report.triangles),
             text::bytes(report.file_bytes)
         );
+    }
+    if let Some(without) = report.without_value.filter(|&n| n > 0) {
+        let (without, all) = (text::count(without), text::count(report.vertices));
+        let _ = writeln!(out, "  colours       {without} of {all} vertices have no value, and are grey");
     }
     out
 }

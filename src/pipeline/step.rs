@@ -1,7 +1,7 @@
 //! [`Step`]: an archive at a step, and all questions that can be asked of it.
 
 use crate::error::Result;
-use crate::exec::{CancelToken, Progress, Silent};
+use crate::exec::{CancelToken, Progress, Resources, Silent};
 use crate::formats::samples::SampleFormat;
 use crate::formats::surface::SurfaceFormat;
 use crate::grid::{ChunkId, Geometry};
@@ -12,8 +12,8 @@ use crate::pipeline::field::{
 };
 use crate::pipeline::read::{ArchiveSummary, IndexToWorld, SpectrumReport, StepView, spectrum, summarize};
 use crate::pipeline::surface::{
-    ColourBy, CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, with_surfaces,
-    write_surfaces,
+    ColourBy, CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, values_on,
+    with_surfaces, write_surfaces,
 };
 use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
@@ -306,6 +306,29 @@ impl Step {
     /// world: see [`SurfaceSettings::colour_by`].
     pub fn into_colours(self, map: ColourMap) -> ColourBy {
         ColourBy { view: Arc::new(self.view), range: None, map }
+    }
+
+    /// The values of a field, at a step of this archive or of another one in the same world, at the
+    /// vertices of an isosurface of this step, as `f32`. NaN where the field has no value.
+    ///
+    /// Memory: four bytes a vertex, besides what the resources allow.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] where the field has no value at any vertex, or lies on a grid with
+    /// coordinates; those of [`Step::probe_with`].
+    pub fn values_on(
+        &self,
+        field: &Self,
+        surface: &dyn SurfaceSource,
+        isovalue: f64,
+        resources: &Resources,
+    ) -> Result<Vec<f32>> {
+        values_on(&self.view, &field.view, surface, isovalue, resources)
+    }
+
+    /// The name of the field that the step was made from; empty where the file names none.
+    pub fn field(&self) -> &str {
+        &self.view.step().plan.source.field
     }
 
     /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their

@@ -12,9 +12,12 @@ pub enum Paint {
     Normals,
     /// The values of the vertices, on the scale [`SEQUENTIAL`] from the first number to the second.
     Values([f32; 2]),
-    /// The values of the vertices on a colour map, from the first number to the second. Light does
-    /// not change these colours: they are those of the legend.
+    /// The values of the vertices on a colour map, from the first number to the second; grey where
+    /// there is no value.
     Map(ColourMap, [f32; 2]),
+    /// As [`Paint::Map`], for planes. Light does not change these colours: they are those of the
+    /// legend.
+    Flat(ColourMap, [f32; 2]),
 }
 
 /// A scale from light to dark, for numbers from 0 on: sRGB at evenly spaced places.

@@ -23,6 +23,9 @@ pub enum ColourMap {
 }
 
 impl ColourMap {
+    /// The colour of what has no value, sRGB.
+    pub const NO_VALUE: [u8; 3] = [128; 3];
+
     /// All maps.
     pub const ALL: [Self; 4] = [Self::Viridis, Self::Cividis, Self::Coolwarm, Self::Grey];
 

@@ -205,7 +205,7 @@ struct Look {
 impl Look {
     /// Whether light changes its colours.
     fn is_lit(self) -> bool {
-        !matches!(self.paint, Paint::Map(..))
+        !matches!(self.paint, Paint::Flat(..))
     }
 
     fn throws_shadows(self) -> bool {
@@ -229,7 +229,7 @@ impl<'a> Scenery<'a> {
         settings: &RenderSettings,
     ) -> Result<Self> {
         let surface = subject.surface;
-        let flat = settings.flat || matches!(subject.paint, Paint::Map(..));
+        let flat = settings.flat || matches!(subject.paint, Paint::Flat(..));
         let given = !flat && has_normals(surface)?;
         let made = if given || flat { 0 } else { 12 * surface.vertex_count() };
         let Some(rest) = read.checked_sub(usize::try_from(made).unwrap_or(usize::MAX)) else {

@@ -3,7 +3,7 @@
 use super::colour::{encode, linear, scale_linear};
 use super::light::Sky;
 use super::samples::{Samples, Seen};
-use super::{Look, Paint, View};
+use super::{ColourMap, Look, Paint, View};
 use crate::geom::vec3::dot;
 use rayon::prelude::*;
 
@@ -160,7 +160,9 @@ impl Shader<'_> {
             Paint::Plain(colour) => linear(colour),
             Paint::Normals => linear(normal.map(|c| (127.5 * (c + 1.0)).round() as u8)),
             Paint::Values(range) => scale_linear(share_of(seen.value, range) as f32),
-            Paint::Map(map, range) => return linear(map.colour(share_of(seen.value, range))),
+            Paint::Map(..) if seen.value.is_nan() => linear(ColourMap::NO_VALUE),
+            Paint::Map(map, range) => linear(map.colour(share_of(seen.value, range))),
+            Paint::Flat(map, range) => return linear(map.colour(share_of(seen.value, range))),
         };
         // The far side of what is opaque and open is darker.
         if seen.is_back() && look.opacity == 1.0 {

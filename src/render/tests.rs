@@ -181,7 +181,7 @@ fn layers_add_up_from_front_to_back_in_any_order_of_subjects() {
     let subjects: Vec<Subject<'_>> = (0..4)
         .map(|n| Subject {
             surface: &plates[n],
-            paint: Paint::Map(ColourMap::Viridis, [0.0, 1.0]),
+            paint: Paint::Flat(ColourMap::Viridis, [0.0, 1.0]),
             opacity: opacities[n],
             values: &values[n],
         })

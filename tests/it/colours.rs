@@ -105,6 +105,88 @@ fn two_fields_of_one_file() {
     assert!(String::from_utf8_lossy(&refused.stderr).contains("it has ball, heat"));
 }
 
+/// A PNG's pixels, RGBA.
+fn pixels(path: &Path) -> (usize, Vec<[u8; 4]>) {
+    let mut reader = png::Decoder::new(std::io::Cursor::new(fs::read(path).unwrap())).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let width = reader.next_frame(&mut bytes).unwrap().width as usize;
+    (width, bytes.as_chunks().0.to_vec())
+}
+
+#[test]
+fn pictures_show_another_field() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_two_fields(&d.join("two.vtk"));
+    isospan(d, &["reduce", "two.vtk", "-o", "two.isospan", "--fields", "ball,heat", "--fraction", "1/2"]);
+    let view = ["--size", "120,120", "--lights", "0", "--azimuth", "0", "--elevation", "0", "--orthographic"];
+    let render = |out: &str, more: &[&str]| {
+        let what = ["render", "two.isospan", "--step", "ball", "-i", "1", "-o", out];
+        isospan(d, &[&what[..], &view, more].concat())
+    };
+    let said = render("heat.png", &["--colour-by", "heat", "--colour-range", "20:30"]);
+    assert!(said.contains("triangles") && !said.contains("without a value"), "{said}");
+    // Heat rises along x and y: from violet to yellow across the ball.
+    let (width, heat) = pixels(&d.join("heat.png"));
+    let row = &heat[60 * width..][..120];
+    let solid: Vec<&[u8; 4]> = row.iter().filter(|p| p[..3] != [255; 3]).collect();
+    let (first, last) = (solid[solid.len() / 8], solid[solid.len() * 7 / 8]);
+    let is_rising = |a: &[u8; 4], b: &[u8; 4]| a[2] > a[1] && b[1] > b[2] && b[0] > b[2];
+    assert!(is_rising(first, last) || is_rising(last, first), "{first:?} {last:?}");
+    // A scale below the panel, of the field's name; planes show the same field.
+    assert!(heat.len() / width > 120 + 30, "{} rows", heat.len() / width);
+    render("cut.png", &["--colour-by", "heat", "--slice", "z=50%"]);
+    render("plain.png", &["--slice", "z=50%"]);
+    assert!(pixels(&d.join("cut.png")).1 != pixels(&d.join("plain.png")).1);
+    let json = render("json.png", &["--colour-by", "heat", "--json"]);
+    assert!(json.contains("\"without_value\": 0") && json.contains("\"range\""), "{json}");
+    // What cannot be had is refused, and nothing is left.
+    for (more, words) in [
+        (&["--colour-by", "cold"][..], "it has ball, heat"),
+        (&["--colour-by", "heat", "--colour", "#ff0000"], "cannot be used with"),
+        (&["--colour-range", "1:2"], "--colour-range is for --slice and --colour-by"),
+    ] {
+        let what = ["render", "two.isospan", "--step", "ball", "-i", "1", "-o", "no.png"];
+        let args = [&what[..], more].concat();
+        let out = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(&args).output().unwrap();
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.code() == Some(2) && said.contains(words), "{args:?}: {said}");
+        assert!(!d.join("no.png").exists());
+    }
+}
+
+#[test]
+fn a_field_elsewhere_is_refused_and_missing_values_are_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_two_fields(&d.join("two.vtk"));
+    let text = fs::read_to_string(d.join("two.vtk")).unwrap();
+    for (name, origin) in [("far", "ORIGIN 500 0 0"), ("near", "ORIGIN 10 0 0")] {
+        fs::write(d.join(format!("{name}.vtk")), text.replace("ORIGIN 0 0 0", origin)).unwrap();
+    }
+    for (input, field) in [("two", "ball"), ("far", "heat"), ("near", "heat")] {
+        let (file, out) = (format!("{input}.vtk"), format!("{input}.isospan"));
+        isospan(d, &["reduce", &file, "-o", &out, "--field", field, "--fraction", "1/2"]);
+    }
+    for command in [
+        &["surface", "two.isospan", "-i", "1", "--colour-by", "far.isospan", "-o", "far.ply"][..],
+        &["render", "two.isospan", "-i", "1", "--colour-by", "far.isospan", "-o", "far.png"],
+    ] {
+        let out = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(command).output().unwrap();
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert!(said.contains("heat has no value at any vertex of the surface"), "{said}");
+        assert!(out.status.code() == Some(2) && !d.join(command[7]).exists());
+    }
+    let said =
+        isospan(d, &["surface", "two.isospan", "-i", "1", "--colour-by", "near.isospan", "-o", "a.ply"]);
+    let count = vertices(&fs::read(d.join("a.ply")).unwrap()).iter().filter(|v| v.1.is_nan()).count();
+    assert!(count > 0 && said.contains(&format!("colours       {count} of ")), "{count}: {said}");
+    let small = ["--size", "60,60", "--lights", "0"];
+    let what = ["render", "two.isospan", "-i", "1", "--colour-by", "near.isospan", "-o", "a.png"];
+    let said = isospan(d, &[&what[..], &small].concat());
+    assert!(said.contains(&format!(", {count} of ")) && said.contains("vertices without a value"), "{said}");
+}
+
 /// Two cubes that overlap, of six tetrahedra each; two fields.
 fn write_overlapping(path: &Path) {
     let corner = |n: usize, lo: f64, side: f64| [0, 1, 2].map(|a| lo + side * (n >> a & 1) as f64);

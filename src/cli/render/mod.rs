@@ -38,7 +38,7 @@ use std::path::{Path, PathBuf};
 /// --distance-to, colours show how far each surface is from another one.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render scan.isospan -i 600,1000 --together --opacity 0.3,1 -o both.png\n  isospan render scan.isospan -i 600 --clip y=50%: --slice y=50% -o cut.png\n  isospan render scan.isospan -i 600 --turntable 36 -o turn.gif\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
+    after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render scan.isospan -i 600,1000 --together --opacity 0.3,1 -o both.png\n  isospan render scan.isospan -i 600 --clip y=50%: --slice y=50% -o cut.png\n  isospan render flow.isospan -i 0.1 --colour-by pressure -o flow.png\n  isospan render scan.isospan -i 600 --turntable 36 -o turn.gif\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
 )]
 pub(crate) struct Args {
     /// Surfaces (.ply .stl .obj .vtp .glb) or archives, these also by address: s3://... or
@@ -69,13 +69,18 @@ pub(crate) struct Args {
     /// axes. A grid with coordinates of its own has none.
     #[arg(long, value_name = "PLANE[,PLANE..]", allow_hyphen_values = true, value_delimiter = ',', value_parser = grammar::plane)]
     slice: Vec<Plane>,
-    /// Colours of the field on planes, and of the isovalues of --together: viridis, cividis,
-    /// coolwarm or grey.
+    /// Colour the surfaces of the archives by another field, and draw a scale: by a field of the
+    /// same archive (see reduce --fields), or by another archive in the same world. Planes of
+    /// --slice show this field too. What has no value is grey.
+    #[arg(long, visible_alias = "color-by", value_name = "FIELD|ARCHIVE", requires = "isovalue", conflicts_with_all = ["colour", "distance_to"])]
+    colour_by: Option<PathBuf>,
+    /// Colours of the field on planes, of --colour-by, and of the isovalues of --together: viridis,
+    /// cividis, coolwarm or grey.
     #[arg(long, visible_alias = "color-map", value_name = "MAP", default_value = "viridis", allow_hyphen_values = true, value_parser = grammar::colour_map)]
     colour_map: ColourMap,
-    /// Values at the ends of the colours of --slice: 300:900 or 10%:50%; an omitted end is that of
-    /// the field [default: the range of the field, of all steps that are drawn].
-    #[arg(long, visible_alias = "color-range", value_name = "LO:HI", allow_hyphen_values = true, value_parser = grammar::range, requires = "slice")]
+    /// Values at the ends of the colours of --slice and --colour-by: 300:900 or 10%:50%; an omitted
+    /// end is that of the field [default: the range of the field, of all steps that are drawn].
+    #[arg(long, visible_alias = "color-range", value_name = "LO:HI", allow_hyphen_values = true, value_parser = grammar::range)]
     colour_range: Option<Range>,
     /// Keep what lies in a range of an axis, and cut the rest of the surfaces away: x=40: keeps x
     /// from 40 on, x=:40 up to 40, y=10:20 what lies between. In world units, or in % of the
@@ -224,6 +229,8 @@ struct ShapeReport {
     vertices: u64,
     triangles: u64,
     largest_distance: Option<f32>,
+    /// Vertices at which the field of --colour-by has no value.
+    without_value: Option<u64>,
 }
 
 /// A plane on which the field is shown.
@@ -238,7 +245,7 @@ struct SliceReport {
 struct Drawn {
     size: [usize; 2],
     frames: usize,
-    /// Values at the ends of the colours of planes.
+    /// Values at the ends of the colours of a field.
     range: Option<[f64; 2]>,
     panels: Vec<PanelReport>,
 }
@@ -277,7 +284,10 @@ fn in_words(file: &Path, drawn: &Drawn) -> String {
                 format!(", at most {} world units away", text::number(f64::from(d)))
             });
             let triangles = text::plural(s.triangles, "triangle");
-            out += &format!("  {}{step}{isovalue}: {triangles}{far}\n", p.input);
+            let without = s.without_value.filter(|&n| n > 0).map_or(String::new(), |n| {
+                format!(", {} of {} vertices without a value", text::count(n), text::count(s.vertices))
+            });
+            out += &format!("  {}{step}{isovalue}: {triangles}{far}{without}\n", p.input);
         }
         for s in &p.slices {
             out += &format!("  {}{step}: the plane {} = {}\n", p.input, s.axis, text::number(s.at));
@@ -318,8 +328,8 @@ impl Job<'_> {
             panels: count,
             frames,
             captions: !args.caption.is_empty() || count > 1 || steps_are_frames,
-            legends: args.together && args.isovalue.len() > 1,
-            bar: args.distance_to.is_some() || !args.slice.is_empty(),
+            legends: args.together && args.isovalue.len() > 1 && args.colour_by.is_none(),
+            bar: args.distance_to.is_some() || !args.slice.is_empty() || args.colour_by.is_some(),
             scale_bar: args.scale_bar,
         };
         let layout = Layout::new(args, parts)?;
@@ -327,6 +337,9 @@ impl Job<'_> {
         let colours = self.colours(&inputs)?;
         let mut panels = self.panels(&inputs, steps_are_frames, progress)?;
         let end = self.measure(&mut panels, progress)?;
+        if let Some(colours) = colours.as_ref().filter(|_| args.colour_by.is_some()) {
+            self.colour(&mut panels, colours, progress)?;
+        }
         let views = self.views(&panels, args.turntable.map_or(1, |n| n as usize))?;
         let legend = colours.as_ref().map(|c| (field_name(&inputs), c));
         let stage = Stage { job: self, layout, inputs: inputs.len(), panels, views, end, legend };
@@ -377,29 +390,41 @@ impl Job<'_> {
         Ok(1)
     }
 
-    /// The colours of the field on planes, where there are some.
+    /// The colours of the field on planes and surfaces, where there are some.
     fn colours(&self, inputs: &[Input]) -> Result<Option<Colours>> {
-        if self.args.slice.is_empty() {
-            return Ok(None);
+        if self.args.slice.is_empty() && self.args.colour_by.is_none() {
+            return match self.args.colour_range {
+                Some(_) => Err(Error::usage("--colour-range is for --slice and --colour-by")),
+                None => Ok(None),
+            };
         }
         let ranges = inputs.iter().filter_map(|i| match i {
-            Input::Archive(opened) => opened.range,
+            Input::Archive(opened) => opened.colour_range(),
             Input::Surface(_) => None,
         });
         let all = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-        let Some([lo, hi]) = all else {
+        let Some(whole) = all else {
             return Err(Error::usage("there is no field to show: no point has a value"));
         };
-        let given = self.args.colour_range.map(|r| r.of(all)).transpose()?.unwrap_or([lo, hi]);
-        let range = [
-            if given[0].is_finite() { given[0] } else { lo },
-            if given[1].is_finite() { given[1] } else { hi },
-        ];
-        if range[0] > range[1] {
-            let [a, b] = range.map(text::number);
-            return Err(Error::usage(format!("--colour-range {a}:{b} is empty: the field has {lo} to {hi}")));
-        }
+        let range = self.args.colour_range.map_or(Ok(whole), |range| range.within(all))?;
         Ok(Some(Colours { map: self.args.colour_map, range }))
+    }
+
+    /// Gives the surfaces of archives the values of the field that colours them.
+    fn colour(&self, panels: &mut [Panel], colours: &Colours, progress: &dyn Progress) -> Result<()> {
+        let paint = Paint::Map(colours.map, colours.range.map(|v| v as f32));
+        progress.begin("colours", panels.len() as u64, "panels");
+        for panel in panels {
+            let Some(moment) = &panel.step else { continue };
+            for shape in &mut panel.shapes {
+                let (Some(surface), Some(isovalue)) = (&shape.surface, shape.isovalue) else { continue };
+                let found = moment.step.values_on(&moment.field, surface, isovalue, &self.resources(0));
+                shape.values = found.map_err(|e| self.whole(e, self.memory / 8 * 7))?;
+                shape.paint = paint;
+            }
+            progress.advance(1);
+        }
+        Ok(())
     }
 
     /// The view of each frame, of one scale; none where all panels are flat.
@@ -474,9 +499,9 @@ impl Job<'_> {
         let mut end = 0.0f32;
         for shape in panels.iter_mut().flat_map(|p| &mut p.shapes) {
             let Some(surface) = &shape.surface else { continue };
-            shape.distances = distances(surface, &target, &settings)
+            shape.values = distances(surface, &target, &settings)
                 .map_err(|e| self.whole(e, settings.resources.memory))?;
-            let mut sorted = shape.distances.clone();
+            let mut sorted = shape.values.clone();
             let place = (sorted.len() as f64 * 0.995) as usize;
             let last = sorted.len().saturating_sub(1);
             let (_, at, _) = sorted.select_nth_unstable_by(place.min(last), f32::total_cmp);
@@ -495,7 +520,7 @@ impl Job<'_> {
 /// What the bar of colours is of: the field of the archives, if it has one name.
 fn field_name(inputs: &[Input]) -> String {
     let mut names = inputs.iter().filter_map(|i| match i {
-        Input::Archive(opened) => Some(&opened.field),
+        Input::Archive(opened) => Some(opened.colour_field()),
         Input::Surface(_) => None,
     });
     match names.next() {
@@ -549,7 +574,7 @@ impl Stage<'_> {
             self.layout.colours(&mut canvas, name, colours);
         }
         if let Some(end) = self.end {
-            let all = self.panels.iter().flat_map(|p| &p.shapes).flat_map(|s| &s.distances);
+            let all = self.panels.iter().flat_map(|p| &p.shapes).flat_map(|s| &s.values);
             self.layout.distances(&mut canvas, end, all.copied().fold(0.0, f32::max));
         }
         Ok(canvas)
@@ -557,11 +582,11 @@ impl Stage<'_> {
 
     fn picture(&self, panel: &Panel, frame: usize) -> Result<Image> {
         let (job, share) = (self.job, self.job.memory / 8 * 7);
-        let distances = |s: &Shape| 4 * s.distances.len() as u64;
+        let distances = |s: &Shape| 4 * s.values.len() as u64;
         let mut taken =
             self.layout.bytes() + self.panels.iter().flat_map(|p| &p.shapes).map(distances).sum::<u64>();
         let beside = |e: Error, taken: u64| job.whole(e.plus_held(taken), share);
-        let field = panel.step.as_deref().zip(self.legend.as_ref().map(|l| l.1));
+        let field = panel.step.as_ref().map(|m| &m.field).zip(self.legend.as_ref().map(|l| l.1));
         if let (true, Some((step, colours)), [slice]) = (panel.flat, field, &panel.slices[..]) {
             let size = job.args.size.map(|s| s as usize);
             let drawn = slice.picture(step, colours, size, job.args.background, &job.resources(taken));
@@ -582,13 +607,13 @@ impl Stage<'_> {
             .shapes
             .iter()
             .filter_map(|s| {
-                let (surface, values) = (s.source()?, &s.distances[..]);
+                let (surface, values) = (s.source()?, &s.values[..]);
                 Some(Subject { surface, paint: paint(s), opacity: s.opacity, values })
             })
             .collect();
         subjects.extend(planes.iter().map(|(mesh, shares)| Subject {
             surface: mesh,
-            paint: Paint::Map(job.args.colour_map, [0.0, 1.0]),
+            paint: Paint::Flat(job.args.colour_map, [0.0, 1.0]),
             opacity: 1.0,
             values: shares,
         }));
@@ -619,7 +644,9 @@ impl Stage<'_> {
             opacity: s.opacity,
             vertices: s.surface.as_ref().map_or(0, |s| s.vertex_count()),
             triangles: s.surface.as_ref().map_or(0, |s| s.triangle_count()),
-            largest_distance: self.end.map(|_| s.distances.iter().copied().fold(0.0, f32::max)),
+            largest_distance: self.end.map(|_| s.values.iter().copied().fold(0.0, f32::max)),
+            without_value: matches!(s.paint, Paint::Map(..))
+                .then(|| s.values.iter().filter(|v| v.is_nan()).count() as u64),
         };
         let panel = |p: &Panel| PanelReport {
             input: p.name.clone(),

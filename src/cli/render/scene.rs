@@ -1,6 +1,7 @@
 //! What is drawn: inputs are opened, surfaces extracted and cut, and shared out to panels.
 
 use super::super::grammar::{AXES, Slab};
+use super::super::step::colour_field;
 use super::plane::{Hull, Slice};
 use super::{Args, Job};
 use isospan::exec::Progress;
@@ -25,8 +26,8 @@ pub(super) struct Shape {
     pub(super) isovalue: Option<f64>,
     /// None where there is no triangle.
     pub(super) surface: Option<StoredSurface>,
-    /// The distance of each vertex, where they are asked for.
-    pub(super) distances: Vec<f32>,
+    /// The distance of each vertex, or its value of another field, where they are asked for.
+    pub(super) values: Vec<f32>,
     pub(super) paint: Paint,
     pub(super) opacity: f32,
 }
@@ -46,11 +47,18 @@ pub(super) struct Panel {
     /// The frame that it is in; none where it is in all of them.
     pub(super) frame: Option<usize>,
     pub(super) shapes: Vec<Shape>,
-    /// Planes on which the field is shown, and the step that has it.
+    /// Planes on which the field is shown.
     pub(super) slices: Vec<Slice>,
-    pub(super) step: Option<Rc<Step>>,
+    /// The step of an archive.
+    pub(super) step: Option<Rc<Moment>>,
     /// Whether it is a flat picture of a plane.
     pub(super) flat: bool,
+}
+
+/// A step of an archive, and the field that colours show: its own, or another one.
+pub(super) struct Moment {
+    pub(super) step: Step,
+    pub(super) field: Rc<Step>,
 }
 
 /// An input, opened.
@@ -66,9 +74,8 @@ pub(super) struct Opened {
     /// Steps or a time, with words where there are several.
     moments: Vec<(StepChoice, Option<(u64, String)>)>,
     isovalues: Vec<f64>,
-    /// Least and largest value of all of them.
-    pub(super) range: Option<[f64; 2]>,
-    pub(super) field: String,
+    /// The field that colours show, at each of the moments.
+    fields: Vec<Rc<Step>>,
     /// The box of the domain; none for a grid that has coordinates of its own.
     hull: Option<Hull>,
     slices: Vec<Slice>,
@@ -136,8 +143,13 @@ impl Input {
             Ok(Slice { axis: plane.axis, at, hull })
         });
         let slices = slices.collect::<Result<Vec<_>>>()?;
-        let (name, field) = (path.to_path_buf(), about.field);
-        Ok(Self::Archive(Box::new(Opened { name, archive, moments, isovalues, range, field, hull, slices })))
+        let field = |(choice, _): &(StepChoice, _)| match &args.colour_by {
+            Some(by) => colour_field(by, &archive, choice.clone()),
+            None => archive.at(choice.clone()),
+        };
+        let fields = moments.iter().map(|m| field(m).map(Rc::new)).collect::<Result<_>>()?;
+        let name = path.to_path_buf();
+        Ok(Self::Archive(Box::new(Opened { name, archive, moments, isovalues, fields, hull, slices })))
     }
 
     /// How many steps of it are drawn.
@@ -156,6 +168,19 @@ impl Input {
             Self::Archive(_) if args.together => 1,
             Self::Archive(_) => args.isovalue.len(),
         }
+    }
+}
+
+impl Opened {
+    /// The name of the field that colours show.
+    pub(super) fn colour_field(&self) -> &str {
+        self.fields[0].field()
+    }
+
+    /// Least and largest value of the field that colours show.
+    pub(super) fn colour_range(&self) -> Option<[f64; 2]> {
+        let ranges = self.fields.iter().filter_map(|field| field.value_range());
+        ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
     }
 }
 
@@ -223,6 +248,7 @@ impl Job<'_> {
         }
         let series = args.step_range().is_some() || args.step.is_given();
         for (given, flag) in [
+            (args.colour_by.is_some(), "--colour-by"),
             (!args.isovalue.is_empty(), "--isovalue"),
             (!args.slice.is_empty(), "--slice"),
             (args.together, "--together"),
@@ -276,7 +302,7 @@ impl Job<'_> {
                     let surface = load_surface(path, &check).map_err(|e| self.whole(e, check.memory))?;
                     let surface = self.cut(surface, None, &check)?;
                     let (paint, opacity) = looks.take(None)?;
-                    let shape = Shape { isovalue: None, surface, distances: vec![], paint, opacity };
+                    let shape = Shape { isovalue: None, surface, values: vec![], paint, opacity };
                     panels.push(Panel {
                         name: path.display().to_string(),
                         moment: None,
@@ -288,11 +314,16 @@ impl Job<'_> {
                     });
                 }
                 Input::Archive(opened) => {
-                    for (n, (choice, moment)) in opened.moments.iter().enumerate() {
+                    for (n, ((choice, moment), field)) in
+                        opened.moments.iter().zip(&opened.fields).enumerate()
+                    {
                         // Every step looks as the first does.
                         looks.next = first;
-                        let step = Rc::new(opened.archive.at(choice.clone())?);
-                        let shapes = self.extract(opened, &step, &check, &mut looks, progress)?;
+                        let step = Rc::new(Moment {
+                            step: opened.archive.at(choice.clone())?,
+                            field: field.clone(),
+                        });
+                        let shapes = self.extract(opened, &step.step, &check, &mut looks, progress)?;
                         let panel = |shapes, slices, flat| Panel {
                             name: opened.name.display().to_string(),
                             moment: moment.clone(),
@@ -360,7 +391,7 @@ impl Job<'_> {
                 return Err(Error::usage(format!("{archive}: the isovalue {isovalue} gives no surface")));
             };
             let (paint, opacity) = looks.take(Some(place))?;
-            shapes.push(Shape { isovalue: Some(isovalue), surface, distances: vec![], paint, opacity });
+            shapes.push(Shape { isovalue: Some(isovalue), surface, values: vec![], paint, opacity });
         }
         Ok(shapes)
     }

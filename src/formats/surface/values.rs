@@ -5,9 +5,6 @@ use crate::error::{Error, Result};
 use crate::render::ColourMap;
 use std::path::Path;
 
-/// The colour of a vertex without a value: grey.
-const NO_VALUE: [u8; 3] = [128; 3];
-
 /// A value at each vertex of a surface, NaN where there is none. What memory does not hold is on
 /// disk.
 #[derive(Debug)]
@@ -16,6 +13,7 @@ pub struct VertexValues {
     range: [f64; 2],
     map: ColourMap,
     values: Store<f32>,
+    without: u64,
 }
 
 impl VertexValues {
@@ -31,7 +29,7 @@ impl VertexValues {
                 range[0], range[1]
             )));
         }
-        Ok(Self { name: name.into(), range, map, values: Store::new(memory, scratch) })
+        Ok(Self { name: name.into(), range, map, values: Store::new(memory, scratch), without: 0 })
     }
 
     /// Appends the values of the next vertices.
@@ -39,7 +37,13 @@ impl VertexValues {
     /// # Errors
     /// [`Error::Io`] when the scratch folder cannot be written.
     pub fn extend(&mut self, values: &[f32]) -> Result<()> {
+        self.without += values.iter().filter(|v| v.is_nan()).count() as u64;
         self.values.extend(values)
+    }
+
+    /// How many vertices have no value.
+    pub fn without_value(&self) -> u64 {
+        self.without
     }
 
     /// The field's name.
@@ -59,7 +63,7 @@ impl VertexValues {
         let [lo, hi] = self.range;
         let share = (f64::from(value) - lo) / (hi - lo);
         match value {
-            v if v.is_nan() => NO_VALUE,
+            v if v.is_nan() => ColourMap::NO_VALUE,
             _ if hi > lo => self.map.colour(share),
             _ => self.map.colour(0.5),
         }

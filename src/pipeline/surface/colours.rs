@@ -4,8 +4,8 @@
 //! that the surface cuts, where surface and field are of one archive.
 
 use super::settings::SurfaceSettings;
-use crate::error::Result;
-use crate::exec::Silent;
+use crate::error::{Error, Result};
+use crate::exec::{Resources, Silent};
 use crate::formats::surface::VertexValues;
 use crate::pipeline::field::{ProbeSettings, values_at, values_on_surface};
 use crate::pipeline::plan::estimate;
@@ -29,30 +29,66 @@ pub(super) fn colours(
     scratch: &Path,
 ) -> Result<Option<Arc<VertexValues>>> {
     let Some(by) = &settings.colour_by else { return Ok(None) };
-    let (memory, source) = (settings.resources.memory, &by.view.step().plan.source);
     let range = by.range.or(by.view.file_range()).unwrap_or([0.0, 1.0]);
-    let held = usize::try_from(memory / 16).unwrap_or(usize::MAX);
-    let mut values = VertexValues::new(&source.field, range, by.map, held, scratch)?;
+    let held = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
+    let mut values = VertexValues::new(&by.view.step().plan.source.field, range, by.map, held, scratch)?;
+    each_value(archive, &by.view, surface, parts, &settings.resources, |some| values.extend(some))?;
+    Ok(Some(Arc::new(values)))
+}
+
+/// The values of a field at the vertices of an isosurface of a step, in memory.
+pub(in crate::pipeline) fn values_on(
+    archive: &StepView,
+    field: &StepView,
+    surface: &dyn SurfaceSource,
+    isovalue: f64,
+    resources: &Resources,
+) -> Result<Vec<f32>> {
+    field.refuse_coordinates("a probe for colours")?;
+    let count = surface.vertex_count();
+    let mut all = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
+    each_value(archive, field, surface, &[(isovalue, count)], resources, |some| {
+        all.extend_from_slice(some);
+        Ok(())
+    })?;
+    Ok(all)
+}
+
+/// Hands on the values of a field at the vertices of surfaces of a step, in their order.
+///
+/// # Errors
+/// [`Error::Usage`] where the field has a value at no vertex.
+fn each_value(
+    archive: &StepView,
+    field: &StepView,
+    surface: &dyn SurfaceSource,
+    parts: &[(f64, u64)],
+    resources: &Resources,
+    mut each: impl FnMut(&[f32]) -> Result<()>,
+) -> Result<()> {
+    let (memory, source) = (resources.memory, &field.step().plan.source);
     // Half for vertices, the rest for chunks.
     let rest = |memory: u64| memory.saturating_sub(estimate::BASE + memory / 16);
     let most = (rest(memory) / 2 / VERTEX).clamp(1, MOST) as usize;
-    let probe = ProbeSettings { resources: settings.resources.clone() };
+    let probe = ProbeSettings { resources: resources.clone() };
     let may_overlap = archive.manifest.plan.own.is_some()
-        && Arc::ptr_eq(by.view.archive(), archive.archive())
-        && !by.view.is_between()
+        && Arc::ptr_eq(field.archive(), archive.archive())
+        && !field.is_between()
         && !archive.is_between();
     let kept = |isovalue: f64| archive.step().plan.source.kept(isovalue);
     let mut isovalues = parts.iter().flat_map(|&(v, count)| std::iter::repeat_n(kept(v), count as usize));
+    let mut found_any = false;
     let mut ask = |points: &mut Vec<[f64; 3]>| {
         let share = |memory| rest(memory) / 2;
         let found = if may_overlap {
             let isovalues: Vec<f32> = isovalues.by_ref().take(points.len()).collect();
-            values_on_surface(&by.view, archive.position(), points, &isovalues, &probe, &share)?
+            values_on_surface(field, archive.position(), points, &isovalues, &probe, &share)?
         } else {
-            values_at(&by.view, points, &probe, &share, &Silent)?.values
+            values_at(field, points, &probe, &share, &Silent)?.values
         };
         points.clear();
-        values.extend(&found.iter().map(|&v| source.in_file(v) as f32).collect::<Vec<_>>())
+        found_any |= found.iter().any(|v| !v.is_nan());
+        each(&found.iter().map(|&v| source.in_file(v) as f32).collect::<Vec<_>>())
     };
     let mut points = vec![];
     surface.vertices(&mut |batch| {
@@ -65,5 +101,12 @@ pub(super) fn colours(
         Ok(())
     })?;
     ask(&mut points)?;
-    Ok(Some(Arc::new(values)))
+    if !found_any && surface.vertex_count() > 0 {
+        return Err(Error::usage(format!(
+            "{}: {} has no value at any vertex of the surface: do both lie in the same place of the world?",
+            field.path().display(),
+            source.field
+        )));
+    }
+    Ok(())
 }

@@ -18,6 +18,7 @@ mod unpack;
 mod unpacked;
 mod worker;
 
+pub(super) use colours::values_on;
 pub(super) use query::{count, surfaces_in_memory, with_surfaces, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};

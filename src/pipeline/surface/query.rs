@@ -113,9 +113,9 @@ pub(super) fn write_made(
 ) -> Result<(SurfaceReport, Vec<Extracted>)> {
     let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
-    let file_bytes = write_all(archive, &made.surfaces, settings, out, format, &comment)?;
+    let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, format, &comment)?;
     made.seconds.push((Stage::Write, start.elapsed()));
-    let report = SurfaceReport { file_bytes, ..report_of(archive, settings, &made, out)? };
+    let report = SurfaceReport { file_bytes, without_value, ..report_of(archive, settings, &made, out)? };
     Ok((report, made.surfaces))
 }
 
@@ -133,6 +133,7 @@ fn report_of(
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),
+        without_value: None,
         file_bytes: 0,
         points: totals.points,
         tetrahedra: totals.tetrahedra,
@@ -424,7 +425,8 @@ fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -
     Ok(())
 }
 
-/// Writes one file, or a file each; returns the bytes of all.
+/// Writes one file, or a file each. Returns the bytes of all, and at how many vertices the field of
+/// the colours has no value, where there are colours.
 fn write_all(
     archive: &StepView,
     surfaces: &[Extracted],
@@ -432,34 +434,40 @@ fn write_all(
     out: &Path,
     format: SurfaceFormat,
     comment: &str,
-) -> Result<u64> {
+) -> Result<(u64, Option<u64>)> {
     let (isovalues, scratch) = (&settings.isovalues, settings.scratch_of(out));
     let counts: Vec<(f64, u64)> =
         isovalues.iter().zip(surfaces).map(|(&v, s)| (v, s.surface.vertex_count())).collect();
-    let meta = |isovalue: Option<f64>, surface: &dyn SurfaceSource, counts: &[(f64, u64)]| {
+    let mut without_value = settings.colour_by.as_ref().map(|_| 0);
+    let mut meta = |isovalue: Option<f64>, surface: &dyn SurfaceSource, counts: &[(f64, u64)]| {
         let comments = vec![comment.to_owned()];
         let values = colours(archive, settings, surface, counts, &scratch)?;
+        if let (Some(sum), Some(values)) = (&mut without_value, &values) {
+            *sum += values.without_value();
+        }
         Ok(SurfaceMeta { isovalue, comments, parts: vec![], values })
     };
-    if is_each_alone(out) || surfaces.len() == 1 {
-        let write = |(s, count): (&Extracted, &(f64, u64))| {
+    let bytes = if is_each_alone(out) || surfaces.len() == 1 {
+        let mut write = |(s, count): (&Extracted, &(f64, u64))| {
             let (v, counts) = (count.0, std::slice::from_ref(count));
             in_world(archive, &s.surface, |s| {
                 write_surface(s, &file_of(out, v), format, &meta(Some(v), s, counts)?)
             })
         };
-        return surfaces.iter().zip(&counts).map(write).sum();
-    }
-    let part = |(s, &v): (&Extracted, &f64)| SurfacePart {
-        isovalue: v,
-        vertices: s.surface.vertex_count(),
-        triangles: s.surface.triangle_count(),
+        surfaces.iter().zip(&counts).map(&mut write).sum::<Result<u64>>()?
+    } else {
+        let part = |(s, &v): (&Extracted, &f64)| SurfacePart {
+            isovalue: v,
+            vertices: s.surface.vertex_count(),
+            triangles: s.surface.triangle_count(),
+        };
+        let parts = surfaces.iter().zip(isovalues).map(part).collect();
+        let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
+        in_world(archive, &joined, |s| {
+            write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
+        })?
     };
-    let parts = surfaces.iter().zip(isovalues).map(part).collect();
-    let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
-    in_world(archive, &joined, |s| {
-        write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
-    })
+    Ok((bytes, without_value))
 }
 
 fn describe(

@@ -132,6 +132,9 @@ pub struct SurfaceReport {
     pub vertices: u64,
     /// Triangles written.
     pub triangles: u64,
+    /// Vertices at which the field that colours them has no value, where one does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub without_value: Option<u64>,
     /// Bytes of the files written.
     pub file_bytes: u64,
     /// Points of the archive.
