@@ -189,8 +189,8 @@ impl Range {
     /// The values; open ends are those of the field, 0 and 1 where it has none.
     ///
     /// # Errors
-    /// As [`Range::of`]; [`Error::Usage`] where an end lies beyond the field's, and the other one is
-    /// open.
+    /// As [`Range::of`]; [`Error::Usage`] where an end lies beyond the field's, and the other one
+    /// is open.
     pub(crate) fn within(self, values: Option<[f64; 2]>) -> Result<[f64; 2]> {
         let ([least, most], [low, high]) = (values.unwrap_or([0.0, 1.0]), self.of(values)?);
         let range = [if low.is_finite() { low } else { least }, if high.is_finite() { high } else { most }];

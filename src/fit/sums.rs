@@ -70,7 +70,8 @@ impl<'a> Lanes<'a> {
         steps.chunks(TOGETHER).map(lanes).collect()
     }
 
-    /// How many groups of lanes so many steps make, and the words of memory that each takes, at most.
+    /// How many groups of lanes so many steps make, and the words of memory that each takes, at
+    /// most.
     pub(super) fn count(steps: usize) -> usize {
         steps.div_ceil(TOGETHER)
     }

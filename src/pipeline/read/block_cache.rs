@@ -4,11 +4,11 @@
 //!  archive ──▶ Block (a reused buffer) ──▶ numbered ──▶ on the next use: precomputed
 //! ```
 //!
-//! Precomputing a block ([`crate::surface::precomputed`]) takes as long as ten surfaces of its numbered
-//! form. So it waits until the block is used again, and is spread out: at the first repeated use
-//! one block is due, at the second the next one, and so on. No question then takes much longer than
-//! others. The precomputed form is more than twice as large; a block stays numbered where
-//! there is no room for it.
+//! Precomputing a block ([`crate::surface::precomputed`]) takes as long as ten surfaces of its
+//! numbered form. So it waits until the block is used again, and is spread out: at the first
+//! repeated use one block is due, at the second the next one, and so on. No question then takes
+//! much longer than others. The precomputed form is more than twice as large; a block stays
+//! numbered where there is no room for it.
 //!
 //! Eviction follows the clock algorithm (Corbató 1968): the hand skips a block once if it was used
 //! since the hand last passed.
@@ -62,8 +62,8 @@ impl CachedBlock {
     }
 }
 
-/// A precomputed block as it was read, its corners maybe in another order; its chunk has `of_corners`
-/// corners.
+/// A precomputed block as it was read, its corners maybe in another order; its chunk has
+/// `of_corners` corners.
 pub(in crate::pipeline) fn unpack_precomputed(block: Precomputed<'_>, of_corners: usize, out: &mut Block) {
     let Block { corners, tets, bytes } = out;
     let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;

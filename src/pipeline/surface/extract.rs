@@ -151,8 +151,8 @@ impl Question<'_> {
         self.cut.is_none() && self.caps.is_none()
     }
 
-    /// Prefetches the next cached block, and from the one after it what shows which tetrahedra may be
-    /// active.
+    /// Prefetches the next cached block, and from the one after it what shows which tetrahedra may
+    /// be active.
     fn prefetch(&self, next: Option<&CacheHit>, after: Option<&CacheHit>) {
         if let Some(next) = next {
             next.block.rest_will_be_read(self.isovalues);

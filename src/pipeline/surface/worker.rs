@@ -131,7 +131,8 @@ impl<'a> ChunkWorker<'a> {
         self.surfaces.iter_mut().for_each(|surface| surface.number_edges(count));
     }
 
-    /// Adds a precomputed block to the surfaces. False if it is none: see [`ChunkSurface::add_precomputed`].
+    /// Adds a precomputed block to the surfaces. False if it is none: see
+    /// [`ChunkSurface::add_precomputed`].
     #[must_use]
     pub(super) fn add_precomputed(
         &mut self,

@@ -20,9 +20,9 @@ use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
 
 impl ChunkSurface {
-    /// Adds the active tetrahedra of a precomputed block, whose numbers in the chunk are below that of
-    /// its corners. `world` is that of the block. False if a triangle has no vertex: then the edges
-    /// of a tetrahedron are not those between its corners, and the surface is of no use.
+    /// Adds the active tetrahedra of a precomputed block, whose numbers in the chunk are below that
+    /// of its corners. `world` is that of the block. False if a triangle has no vertex: then the
+    /// edges of a tetrahedron are not those between its corners, and the surface is of no use.
     #[must_use]
     pub(crate) fn add_precomputed(
         &mut self,

@@ -1,12 +1,13 @@
-//! A precomputed block as words of a file, and what must be true of such words before they are used.
+//! A precomputed block as words of a file, and what must be true of such words before they are
+//! used.
 //!
 //! ```text
 //!  corners │ edges │ tetrahedra │ words of slots │ whether some are void │ checksums: first lists, ids │ 0
 //!   │ a checksum for each group │ the lists of the block │ zeros up to a cache line
 //! ```
 //!
-//! The lists are used where they lie, in a mapped file too. So [`Precomputed::open`] checks that they are
-//! as long as the words. [`Stored::check`] checks that they have their checksums, and that
+//! The lists are used where they lie, in a mapped file too. So [`Precomputed::open`] checks that
+//! they are as long as the words. [`Stored::check`] checks that they have their checksums, and that
 //! everything they name is there. Then no words, whoever wrote them, lead outside of a list. Of the
 //! later lists (edges of tetrahedra, slots) a question reads the part of the groups that it may
 //! cross. So these have checksums of their own, and only what is read of a block is checked, once.
@@ -87,8 +88,8 @@ impl PrecomputedBlock {
 }
 
 impl<'a> Precomputed<'a> {
-    /// The block of some words, as [`PrecomputedBlock::store`] gives them. What its lists hold is not
-    /// looked at: see [`Stored::check`].
+    /// The block of some words, as [`PrecomputedBlock::store`] gives them. What its lists hold is
+    /// not looked at: see [`Stored::check`].
     ///
     /// # Errors
     /// When they are not as long as they say.
