@@ -8,7 +8,7 @@ use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, ArchiveSummary, Scan, StepChoice};
 use isospan::points::PointSpec;
 use isospan::sample::Values;
-use isospan::volume::{ScalarType, VolumeInfo};
+use isospan::volume::VolumeInfo;
 use isospan::{Archive, Error, Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -215,7 +215,7 @@ fn stored_range(info: &VolumeInfo, scan: &Scan) -> Option<[f64; 2]> {
     let back = |v: f64| {
         let stored = (v - info.intercept) / info.slope;
         // Values were rounded to f32: integers come back to the nearest one.
-        let float = matches!(info.field.scalar, ScalarType::F32 | ScalarType::F64);
+        let float = info.field.scalar.is_float();
         if float { stored } else { stored.round() }
     };
     if (info.slope, info.intercept) == (1.0, 0.0) {

@@ -15,6 +15,7 @@ pub(crate) mod unpacked;
 
 use crate::error::Result;
 use crate::grid::{Geometry, IndexBox};
+use half::f16;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::ops::Range;
@@ -34,13 +35,14 @@ pub enum ScalarType {
     I32,
     U64,
     I64,
+    F16,
     F32,
     F64,
 }
 
 impl ScalarType {
     /// All of them, in the order of their names on the command line.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::U8,
         Self::I8,
         Self::U16,
@@ -49,6 +51,7 @@ impl ScalarType {
         Self::I32,
         Self::U64,
         Self::I64,
+        Self::F16,
         Self::F32,
         Self::F64,
     ];
@@ -57,7 +60,7 @@ impl ScalarType {
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 => 2,
+            Self::U16 | Self::I16 | Self::F16 => 2,
             Self::U32 | Self::I32 | Self::F32 => 4,
             Self::U64 | Self::I64 | Self::F64 => 8,
         }
@@ -74,9 +77,24 @@ impl ScalarType {
             Self::I32 => "int32",
             Self::U64 => "uint64",
             Self::I64 => "int64",
+            Self::F16 => "float16",
             Self::F32 => "float32",
             Self::F64 => "float64",
         }
+    }
+
+    /// The number of this type that a number of a header becomes, as far as it is a float.
+    pub(crate) fn rounded(self, number: f64) -> f64 {
+        match self {
+            Self::F16 => f16::from_f64(number).to_f64(),
+            Self::F32 => f64::from(number as f32),
+            _ => number,
+        }
+    }
+
+    /// Whether it is a floating-point type.
+    pub fn is_float(self) -> bool {
+        matches!(self, Self::F16 | Self::F32 | Self::F64)
     }
 
     /// The type of a name.
@@ -101,6 +119,12 @@ impl ScalarType {
         let name = String::deserialize(from)?;
         Self::from_name(&name).ok_or_else(|| D::Error::custom(format!("no type is called {name:?}")))
     }
+}
+
+/// The little-endian half at the start of some bytes.
+#[inline]
+pub(crate) fn half_at(bytes: &[u8]) -> f32 {
+    f16::from_le_bytes([bytes[0], bytes[1]]).to_f32()
 }
 
 /// A scalar field that a file offers.

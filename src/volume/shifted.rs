@@ -5,7 +5,7 @@
 //! its value less the offset, subtracted in `f64` (whole numbers of 64 bits: in integers) and
 //! rounded once. It is 0 wherever `f32` holds the range well, which is nearly always.
 
-use super::{ScalarType, SlabStream, VolumeInfo, VolumeReader};
+use super::{ScalarType, SlabStream, VolumeInfo, VolumeReader, half_at};
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
@@ -27,11 +27,11 @@ pub(crate) fn shortest(v: f32) -> f64 {
 
 /// Whether values of this type, so scaled, may need an offset.
 pub(crate) fn may_need_offset(scalar: ScalarType, slope: f64, intercept: f64) -> bool {
-    use ScalarType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
+    use ScalarType::{F16, F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
     let far = |most: f64| intercept.abs() > FAR * most * slope.abs();
     match scalar {
         F64 | U32 | I32 | U64 | I64 => true,
-        F32 => intercept != 0.0,
+        F16 | F32 => intercept != 0.0,
         U16 | I16 => far(65536.0),
         U8 | I8 => far(256.0),
     }
@@ -39,7 +39,7 @@ pub(crate) fn may_need_offset(scalar: ScalarType, slope: f64, intercept: f64) ->
 
 /// Whether all values are whole numbers, each of which counts.
 pub(crate) fn is_whole(scalar: ScalarType, slope: f64, intercept: f64) -> bool {
-    !matches!(scalar, ScalarType::F32 | ScalarType::F64) && slope == 1.0 && intercept.fract() == 0.0
+    !scalar.is_float() && slope == 1.0 && intercept.fract() == 0.0
 }
 
 /// Whether a value is the one that means "no data", which a file may have rounded to `f32`.
@@ -146,7 +146,7 @@ pub(crate) fn each_value(
 ) {
     let (slope, intercept, scalar) = (info.slope, info.intercept, info.field.scalar);
     let plain = slope == 1.0 && intercept == 0.0;
-    let declared = info.missing.map(|m| if scalar == ScalarType::F32 { f64::from(m as f32) } else { m });
+    let declared = info.missing.map(|m| scalar.rounded(m));
     let mut float = |stored: f64| {
         let value = if plain { stored } else { slope * stored + intercept };
         let none = Some(stored) == declared || is_missing(value, missing);
@@ -179,6 +179,7 @@ pub(crate) fn each_value(
         ScalarType::I64 if whole => wide!(LE::read_i64),
         ScalarType::U64 => floats!(u64, LE::read_u64),
         ScalarType::I64 => floats!(i64, LE::read_i64),
+        ScalarType::F16 => bytes.chunks_exact(2).for_each(|b| float(half_at(b).into())),
         ScalarType::F32 => floats!(f32, LE::read_f32),
         ScalarType::F64 => floats!(f64, LE::read_f64),
     }

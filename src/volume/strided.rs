@@ -17,6 +17,7 @@ use crate::exec::will_read;
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader};
 use byteorder::{BE, ByteOrder, LE};
+use half::f16;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -424,8 +425,7 @@ pub fn convert_row(
                 out.zip(stored).for_each(|(o, v)| *o = (v as f64) as f32);
             } else if let Some(m) = missing {
                 // Compared in the stored type's precision: a text "-1e20" is no f32.
-                let m =
-                    if size_of::<$t>() == 4 && scalar == ScalarType::F32 { f64::from(m as f32) } else { m };
+                let m = scalar.rounded(m);
                 out.zip(stored).for_each(|(o, v)| {
                     let v = v as f64;
                     *o = if v == m { f32::NAN } else { (slope * v + intercept) as f32 };
@@ -446,6 +446,7 @@ pub fn convert_row(
                 ScalarType::I32 => row!(i32, <$order>::read_i32),
                 ScalarType::U64 => row!(u64, <$order>::read_u64),
                 ScalarType::I64 => row!(i64, <$order>::read_i64),
+                ScalarType::F16 => row!(u16, |b| f16::from_bits(<$order>::read_u16(b)).to_f32()),
                 ScalarType::F32 => row!(f32, <$order>::read_f32),
                 ScalarType::F64 => row!(f64, <$order>::read_f64),
             }
@@ -587,6 +588,13 @@ mod tests {
         check!(u64, ScalarType::U64, 3, u64::MAX);
         check!(i64, ScalarType::I64, i64::MIN, 1 << 40);
         check!(f32, ScalarType::F32, -1e20, 1.5);
+        // 0.1 is no half: it is compared as the nearest one.
+        for (big, pair) in [(false, [0x66, 0x2e, 0x00, 0xfc]), (true, [0x2e, 0x66, 0xfc, 0x00])] {
+            convert_row(&pair, ScalarType::F16, big, 1.0, 0.0, None, &mut out);
+            assert_eq!(out, [0.099_975_586, f32::NEG_INFINITY]);
+            convert_row(&pair, ScalarType::F16, big, 2.0, 1.0, Some(0.1), &mut out);
+            assert!(out[0].is_nan() && out[1] == f32::NEG_INFINITY);
+        }
         check!(f64, ScalarType::F64, -1e300, 1.1);
         // A missing value written as decimal text is no f32; it is compared as one.
         convert_row(&1e20f32.to_le_bytes(), ScalarType::F32, false, 1.0, 0.0, Some(1e20), &mut out[..1]);

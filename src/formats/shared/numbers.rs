@@ -1,6 +1,6 @@
 //! Converts stored numbers of any type to those of a mesh: `f64`, and numbers of points.
 
-use crate::volume::ScalarType;
+use crate::volume::{ScalarType, half_at};
 use byteorder::{ByteOrder, LE};
 
 /// Applies a function to each of the little-endian numbers in `$bytes`, as their own type.
@@ -22,6 +22,7 @@ macro_rules! each {
             ScalarType::I32 => of!(i32, LE::read_i32),
             ScalarType::U64 => of!(u64, LE::read_u64),
             ScalarType::I64 => of!(i64, LE::read_i64),
+            ScalarType::F16 => of!(u16, |b| half_at(b)),
             ScalarType::F32 => of!(f32, LE::read_f32),
             ScalarType::F64 => of!(f64, LE::read_f64),
         }

@@ -275,6 +275,7 @@ pub(crate) fn push_number(word: &[u8], scalar: ScalarType, out: &mut Vec<u8>) ->
         ScalarType::I32 => parse!(i32),
         ScalarType::U64 => parse!(u64),
         ScalarType::I64 => parse!(i64),
+        ScalarType::F16 => parse!(half::f16),
         ScalarType::F32 => parse!(f32),
         ScalarType::F64 => parse!(f64),
     };

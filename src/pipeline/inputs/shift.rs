@@ -11,7 +11,7 @@ use crate::exec::CancelToken;
 use crate::pipeline::settings::NanPolicy;
 use crate::simd::with_vectors;
 use crate::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
-use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
 use std::path::Path;
 
 /// How the values of a source are kept.
@@ -70,7 +70,7 @@ impl Shift {
     ) -> Result<Self> {
         let scalar = mesh.field()?.scalar;
         // A magnitude, or a mean of cells, may be no f32 where the numbers are.
-        let exact = !may_need_offset(scalar, 1.0, 0.0) && scalar != ScalarType::F32;
+        let exact = !may_need_offset(scalar, 1.0, 0.0) && !scalar.is_float();
         if exact && offset.is_none_or(|o| o == 0.0) {
             return Ok(Self::default());
         }

@@ -10,6 +10,7 @@ use crate::cells::{CellField, CellMesh, Center};
 use crate::error::Result;
 use crate::grid::IndexBox;
 use crate::volume::{ScalarType, SlabStream, VolumeInfo, VolumeReader, VolumeSource};
+use half::f16;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The most samples that are kept.
@@ -133,7 +134,8 @@ impl Survey {
     /// Of a volume.
     fn of(info: &VolumeInfo, budget: u64) -> Self {
         let scaling = [info.slope, info.intercept];
-        let is_single = info.field.scalar == ScalarType::F32 || scaling != [1.0, 0.0];
+        let is_single =
+            matches!(info.field.scalar, ScalarType::F16 | ScalarType::F32) || scaling != [1.0, 0.0];
         Self { scaling, ..Self::new(seen(info.dims, budget), true, is_single) }
     }
 
@@ -340,13 +342,15 @@ impl Stored {
     /// missing.
     fn values(&self, bytes: &[u8], out: &mut Vec<f64>) {
         let Self { scalar, slope, intercept, missing } = *self;
-        let single = scalar == ScalarType::F32;
-        let missing = missing.map(|m| if single { f64::from(m as f32) } else { m });
+        let missing = missing.map(|m| scalar.rounded(m));
         out.clear();
         macro_rules! row {
             ($t:ty) => {
+                row!($t, |v| v as f64)
+            };
+            ($t:ty, $number:expr) => {
                 out.extend(bytes.as_chunks().0.iter().map(|b| {
-                    let v = <$t>::from_le_bytes(*b) as f64;
+                    let v: f64 = $number(<$t>::from_le_bytes(*b));
                     if Some(v) == missing { f64::NAN } else { slope * v + intercept }
                 }))
             };
@@ -360,6 +364,7 @@ impl Stored {
             ScalarType::I32 => row!(i32),
             ScalarType::U64 => row!(u64),
             ScalarType::I64 => row!(i64),
+            ScalarType::F16 => row!(f16, f64::from),
             ScalarType::F32 => row!(f32),
             ScalarType::F64 => row!(f64),
         }

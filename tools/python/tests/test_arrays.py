@@ -160,7 +160,7 @@ def test_boxes_are_whole_chunks_of_bounded_size(monkeypatch):
 
 def test_other_types_of_samples(tmp_path):
     half = made(field().astype(np.float16), tmp_path, "half")
-    np.save(tmp_path / "half.npy", field().astype(np.float16).astype(np.float32))
+    np.save(tmp_path / "half.npy", field().astype(np.float16))
     expect_same(half, made(tmp_path / "half.npy", tmp_path, "file"))
     inside = field() > 0.25
     np.save(tmp_path / "inside.npy", inside.astype(np.uint8))

@@ -62,12 +62,15 @@ use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 use dialect::{Convert, Dialect, Placed};
 use filters::Limit;
+use half::f16;
 use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
 use hdf5_reader::io::Cursor;
 use hdf5_reader::messages::HdfMessage;
 use hdf5_reader::messages::layout::DataLayout;
-use hdf5_reader::{ByteOrder, Dataset, Datatype, Hdf5File, SliceInfo, SliceInfoElem, Storage, StorageBuffer};
+use hdf5_reader::{
+    ByteOrder, Dataset, Datatype, H5Type, Hdf5File, SliceInfo, SliceInfoElem, Storage, StorageBuffer,
+};
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
@@ -617,7 +620,7 @@ fn fields_of(
 /// The type of a dataset's samples, and whether they are big-endian.
 fn scalar_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, bool)> {
     let refuse = |got: String| {
-        Error::bad_input(path, name, "integers of 8 to 64 bits, or 32- or 64-bit IEEE floats", got)
+        Error::bad_input(path, name, "integers of 8 to 64 bits, or 16-, 32- or 64-bit IEEE floats", got)
             .with_help("write the numbers that are wanted to a dataset of such a type")
     };
     let (scalar, order) = match dataset.dtype() {
@@ -664,6 +667,7 @@ fn kind(datatype: &Datatype) -> &'static str {
 fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
     let bits = 8 * scalar.bytes() as u8;
     let float: &[u8] = match scalar {
+        ScalarType::F16 => &[10, 5, 0, 10, 15, 0, 0, 0],
         ScalarType::F32 => &[23, 8, 0, 23, 127, 0, 0, 0],
         ScalarType::F64 => &[52, 11, 0, 52, 255, 3, 0, 0],
         _ => &[],
@@ -769,7 +773,7 @@ impl Field {
             return Ok(None);
         }
         // Where packed integers have a range of floats, it is that of the values.
-        let packed = !matches!(info.field.scalar, ScalarType::F32 | ScalarType::F64);
+        let packed = !info.field.scalar.is_float();
         if packed && float {
             valid = valid.map(|v| (v - info.intercept) / info.slope);
             valid.sort_by(f64::total_cmp);
@@ -901,10 +905,36 @@ macro_rules! with_samples {
             ScalarType::I32 => of!(i32),
             ScalarType::U64 => of!(u64),
             ScalarType::I64 => of!(i64),
+            ScalarType::F16 => {
+                let $samples = $dataset.read_slice::<Half>($selection)?.mapv(|half| half.0.to_f32());
+                $body
+            }
             ScalarType::F32 => of!(f32),
             ScalarType::F64 => of!(f64),
         }
     }};
+}
+
+/// A half, as the reader of HDF5 decodes it.
+#[derive(Clone)]
+struct Half(f16);
+
+impl H5Type for Half {
+    fn hdf5_type() -> Datatype {
+        Datatype::FloatingPoint { size: 2, byte_order: ByteOrder::LittleEndian }
+    }
+
+    fn from_bytes(bytes: &[u8], datatype: &Datatype) -> hdf5_reader::error::Result<Self> {
+        let bits = <[u8; 2]>::try_from(bytes).map_err(|_| {
+            hdf5_reader::error::Error::InvalidData(format!("a half of {} bytes", bytes.len()))
+        })?;
+        let is_big = matches!(datatype, Datatype::FloatingPoint { byte_order: ByteOrder::BigEndian, .. });
+        Ok(Self(if is_big { f16::from_be_bytes(bits) } else { f16::from_le_bytes(bits) }))
+    }
+
+    fn element_size(_: &Datatype) -> usize {
+        2
+    }
 }
 
 /// All of a dataset as `f64`.
@@ -922,6 +952,11 @@ fn little_endian(
     out: &mut Vec<u8>,
 ) -> hdf5_reader::error::Result<()> {
     let size = scalar.bytes();
+    if scalar == ScalarType::F16 {
+        let samples = dataset.read_slice::<Half>(selection)?;
+        out.extend(samples.iter().flat_map(|half| half.0.to_le_bytes()));
+        return Ok(());
+    }
     with_samples!(dataset, selection, scalar, samples, {
         out.resize(samples.len() * size, 0);
         let to = out.chunks_exact_mut(size);

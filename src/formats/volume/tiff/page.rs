@@ -167,7 +167,7 @@ impl Page {
             let got = format!("{} places and {} lengths", self.offsets.len(), self.counts.len());
             return Err(ifd.wrong("strips or tiles", &format!("{count} of them"), got));
         }
-        let float = matches!(self.shape.scalar, ScalarType::F32 | ScalarType::F64);
+        let float = self.shape.scalar.is_float();
         if !(self.predictor <= 2 || (self.predictor == 3 && float)) || self.predictor == 0 {
             let expected = "1 (none), 2 (horizontal) or, of floats, 3";
             return Err(ifd.wrong("predictor", expected, self.predictor.to_string()));
@@ -334,6 +334,7 @@ fn scalar(ifd: &super::ifd::Ifd<'_>) -> Result<ScalarType> {
         (2, 16) => ScalarType::I16,
         (2, 32) => ScalarType::I32,
         (2, 64) => ScalarType::I64,
+        (3, 16) => ScalarType::F16,
         (3, 32) => ScalarType::F32,
         (3, 64) => ScalarType::F64,
         _ => {

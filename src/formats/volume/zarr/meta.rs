@@ -317,7 +317,7 @@ impl Parser<'_> {
         }
         // "0.0" for integers is what some writers give.
         let whole = text.strip_suffix(".0").unwrap_or(&text);
-        let float = matches!(scalar, ScalarType::F32 | ScalarType::F64);
+        let float = scalar.is_float();
         let pushed = crate::formats::shared::stream::push_number(
             if float { &text } else { whole }.as_bytes(),
             scalar,

@@ -351,7 +351,6 @@ fn metadata_that_are_not_read_are_named() {
         meta
     };
     for (meta, message) in [
-        (with("dtype", json!("<f2")), "dtype"),
         (with("dtype", json!([["a", "<u2"]])), "dtype"),
         (with("compressor", json!({ "id": "bz2" })), "bz2"),
         (with("filters", json!([{ "id": "delta" }])), "delta"),

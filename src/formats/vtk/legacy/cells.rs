@@ -89,7 +89,7 @@ impl Shared {
 
     fn array(&self, array: &Array, count: u64) -> Result<Ids> {
         match array.kind {
-            Type::Number(scalar) if !matches!(scalar, ScalarType::F32 | ScalarType::F64) => {
+            Type::Number(scalar) if !scalar.is_float() => {
                 Ok(Ids::new(self.numbers(&array.data, scalar), count))
             }
             _ => Err(Error::bad_input(&self.info.path, &array.name[..], "integers", "another type")),

@@ -21,7 +21,7 @@ from ._meshes import Image, Plain
 #: Names of the types of samples that the library has, by kind and bytes of a NumPy type.
 _SCALARS = {
     code: np.dtype(code).name
-    for code in ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
+    for code in ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")
 }
 #: Bytes of a box that is read at a time, unless one chunk has more.
 _BOX_BYTES = 32 << 20
@@ -226,8 +226,6 @@ def _boxes(array: Any, dtype: np.dtype, spacing: Any, origin: Any, name: str) ->
     stored: np.dtype[Any]
     if dtype == np.bool_:
         stored = np.dtype(np.uint8)
-    elif scalar is None and dtype == np.float16:
-        stored = np.dtype(np.float32)
     elif scalar is None:
         raise UsageError(
             f"samples are integers or floating-point numbers of 1 to 8 bytes, not {dtype}"

@@ -377,7 +377,7 @@ impl OpenCells {
             let array = arrays(Some(cells)).find(|a| name_of(a) == name);
             let array = array.ok_or_else(|| doc.wrong(cells, format!("an array '{name}'"), "none"))?;
             let scalar = array.attribute("type").and_then(scalar_type);
-            let scalar = scalar.filter(|s| !matches!(s, ScalarType::F32 | ScalarType::F64));
+            let scalar = scalar.filter(|s| !s.is_float());
             let scalar = scalar.ok_or_else(|| doc.wrong(array, "an integer type", "another"))?;
             let stream = match count {
                 // Points and cells have been checked to be few enough.
