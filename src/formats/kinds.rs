@@ -6,10 +6,11 @@ use crate::error::{Error, Result};
 use crate::formats::mesh::{gmsh::Gmsh, tetgen::Tetgen};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::formats::volume::{
-    bricks::Bricks, folder, hdf5::Hdf5, metaimage::MetaImage, nifti::Nifti, npy::Npy, npz::Npz, nrrd::Nrrd,
-    raw, stack, tiff::TiffFile, zarr::Zarr,
+    bricks::Bricks, folder, hdf5::Hdf5, metaimage::MetaImage, mrc::Mrc, nifti::Nifti, npy::Npy, npz::Npz,
+    nrrd::Nrrd, raw, stack, tiff::TiffFile, zarr::Zarr,
 };
 use crate::formats::vtk::{legacy::VtkLegacy, xml::VtkXml};
 use crate::volume::VolumeSource;
@@ -17,8 +18,8 @@ use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
-    &Nrrd, &Npy, &Npz, &Hdf5, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &MetaImage, &Gmsh, &Tetgen,
-    &Zarr,
+    &Nrrd, &Npy, &Npz, &Hdf5, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &Mrc, &MetaImage, &Gmsh,
+    &Tetgen, &Zarr,
 ];
 
 /// What a file holds.
@@ -142,19 +143,25 @@ pub fn open_coordinates(path: &Path, options: &OpenOptions) -> Result<Option<Gri
 }
 
 fn unknown_kind(head: &Head<'_>) -> Error {
-    let shown: Vec<String> = head.bytes.iter().take(8).map(|b| format!("{b:02x}")).collect();
-    let is_surface = has_suffix(head.path, &[".ply", ".stl", ".obj", ".vtp", ".glb"]);
-    let help = if is_surface {
-        "of surfaces, isospan check tells what is in them"
-    } else {
-        "a headerless file needs --dims and --type; of other compressed files, unpack them first"
+    let wrong = |got: String, help: &str| {
+        Error::bad_input(
+            head.path,
+            "kind of file",
+            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, MRC, HDF5, NetCDF-4, VTI, VTR, VTS, legacy VTK, \
+             .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, .pts and .tet)",
+            got,
+        )
+        .with_help(help)
     };
-    Error::bad_input(
-        head.path,
-        "kind of file",
-        "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, HDF5, NetCDF-4, VTI, VTR, VTS, legacy VTK, .bricks, a \
-         folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, .pts and .tet)",
-        if is_surface { "a surface".into() } else { format!("none of these: it begins with {}", shown.join(" ")) },
+    if has_suffix(head.path, &[".ply", ".stl", ".obj", ".vtp", ".glb"]) {
+        return wrong("a surface".into(), "of surfaces, isospan check tells what is in them");
+    }
+    if let Some(Unread { name, help }) = Unread::of(head) {
+        return wrong(format!("{name}, which isospan does not read"), help);
+    }
+    let shown: Vec<String> = head.bytes.iter().take(8).map(|b| format!("{b:02x}")).collect();
+    wrong(
+        format!("none of these: it begins with {}", shown.join(" ")),
+        "a headerless file needs --dims and --type; of other compressed files, unpack them first",
     )
-    .with_help(help)
 }

@@ -38,6 +38,8 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         of("nii", vec![nifti(16, 4), nifti(4, 2)]),
         of("nii.gz", vec![gzip(&nifti(4, 2))]),
         of("hdr", vec![nifti(4, 2)]),
+        of("mrc", vec![mrc(1, 2), mrc(12, 2), mrc(2, 4)]),
+        of("map.gz", vec![gzip(&mrc(6, 2))]),
         of("vti", vti()),
         of("vtk", legacy()),
         of("tif", vec![tiff(1, 2), tiff(8, 2)]),
@@ -170,6 +172,17 @@ fn npz() -> Vec<u8> {
     let entry = [b"PK\x01\x02\x14\0\x14\0", &common[..], &[0; 14], name].concat();
     let places = [entry.len() as u32, file.len() as u32].map(u32::to_le_bytes).concat();
     [file, entry, [b"PK\x05\x06\0\0\0\0\x01\0\x01\0", &places[..], b"\0\0"].concat()].concat()
+}
+
+fn mrc(mode: i32, size: usize) -> Vec<u8> {
+    let mut h = vec![0u8; 1024];
+    let mut put = |at: usize, bytes: &[u8]| h[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, &[4, 3, 2, mode, 5, 6, 7, 4, 3, 2].map(i32::to_le_bytes).concat());
+    put(40, &[4f32, 6.0, 6.0, 90.0, 90.0, 120.0].map(f32::to_le_bytes).concat());
+    put(64, &[1i32, 2, 3].map(i32::to_le_bytes).concat());
+    put(88, &1i32.to_le_bytes());
+    put(208, b"MAP DD\0\0");
+    [h, samples(size, 24)].concat()
 }
 
 fn nifti(datatype: i16, size: usize) -> Vec<u8> {

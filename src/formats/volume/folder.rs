@@ -2,7 +2,10 @@
 
 use super::stack;
 use super::tiff;
+use crate::bytes::IoMode;
 use crate::error::{Error, Result};
+use crate::formats::shared::format::Head;
+use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::volume::VolumeSource;
 use std::path::Path;
@@ -37,7 +40,16 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
             "the reduce command that began it goes on with it; isospan status tells how far a planned one is",
         ));
     }
-    let got = "none of these";
-    Err(Error::bad_input(path, "folder", "slices (*.tif), or a Zarr array or group", got)
-        .with_help("name a file in it, or a pattern for its slices, in quotes"))
+    let (got, help) = match unread_in(path) {
+        Some(Unread { name, help }) => (format!("{name}, which isospan does not read"), help),
+        None => ("none of these".into(), "name a file in it, or a pattern for its slices, in quotes"),
+    };
+    Err(Error::bad_input(path, "folder", "slices (*.tif), or a Zarr array or group", got).with_help(help))
+}
+
+/// The kind of the first file of a folder, by its name, if it is one that is not read.
+fn unread_in(folder: &Path) -> Option<Unread> {
+    let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    let first = files.filter(|path| path.is_file()).min()?;
+    Unread::of(&Head::of(&first, IoMode::Read).ok()?)
 }

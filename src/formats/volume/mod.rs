@@ -9,6 +9,7 @@ pub(in crate::formats) mod hdf5;
 #[path = "no_hdf5.rs"]
 pub(in crate::formats) mod hdf5;
 pub(in crate::formats) mod metaimage;
+pub(in crate::formats) mod mrc;
 pub(in crate::formats) mod nifti;
 pub(in crate::formats) mod npy;
 pub(in crate::formats) mod npz;
