@@ -80,6 +80,10 @@ impl Format for Hdf5 {
         "an HDF5 or NetCDF-4 file"
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn suffixes(&self) -> &'static [&'static str] {
         &[]
     }
@@ -158,7 +162,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     if let Some((at, strides)) = field.in_place(path, &file)? {
         let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
-        return Ok(VolumeSource::Random(Box::new(volume)));
+        return Ok(volume.source());
     }
     pieces(info, None)
 }
