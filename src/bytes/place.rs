@@ -48,7 +48,7 @@ pub(crate) fn ranges_if_there(path: &Path, io: IoMode) -> Result<Option<ByteSour
 
 /// Whether a file or a folder is there; of a server, a file.
 pub(crate) fn exists(path: &Path) -> Result<bool> {
-    if is_remote(path) { Ok(remote::seen(path)?.len.is_some()) } else { Ok(path.exists()) }
+    if is_remote(path) { Ok(lengths(&[path.to_path_buf()])?[0].is_some()) } else { Ok(path.exists()) }
 }
 
 /// The lengths of files; `None` where there is none.

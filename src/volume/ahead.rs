@@ -11,7 +11,6 @@
 //! Memory: as many chunks as [`most_ahead`] says are ready or being decoded at a time. Chunks that
 //! nobody takes give way to those that are asked for. Which chunks are ready changes no sample.
 
-use super::chunked::{ChunkSource, decode};
 use crate::error::Result;
 use std::collections::{HashMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -32,8 +31,10 @@ pub(super) fn most_ahead(bytes_of_one: u64) -> u64 {
 /// The chunks of a source that are decoded ahead.
 pub(super) struct Ahead(Arc<Shared>);
 
+type Decode = dyn Fn([u64; 3]) -> Decoded + Send + Sync;
+
 struct Shared {
-    source: Arc<dyn ChunkSource>,
+    decode: Box<Decode>,
     most: usize,
     state: Mutex<State>,
     changed: Condvar,
@@ -46,17 +47,21 @@ struct State {
     wanted: VecDeque<[u64; 3]>,
     /// Those begun; `None` while one is decoded.
     begun: HashMap<[u64; 3], Option<Decoded>>,
-    /// Those that are ready, in the order in which they became so.
-    ready: VecDeque<[u64; 3]>,
+    /// Those that are ready, in the order in which they became so, and how many had been asked for
+    /// in vain by then.
+    ready: VecDeque<([u64; 3], usize)>,
+    /// Chunks that were asked for and not begun.
+    in_vain: usize,
     threads: usize,
     idle: usize,
     is_over: bool,
 }
 
 impl Ahead {
-    pub(super) fn new(source: Arc<dyn ChunkSource>, most: u64) -> Self {
+    /// Up to `most` chunks are decoded ahead by `decode`.
+    pub(super) fn new(most: u64, decode: impl Fn([u64; 3]) -> Decoded + Send + Sync + 'static) -> Self {
         let (state, changed) = (Mutex::default(), Condvar::new());
-        Self(Arc::new(Shared { source, most: most as usize, state, changed }))
+        Self(Arc::new(Shared { decode: Box::new(decode), most: most as usize, state, changed }))
     }
 
     /// The most chunks that are ready or being decoded.
@@ -109,7 +114,7 @@ impl Ahead {
             match state.begun.get(&at) {
                 Some(Some(_)) => {
                     let found = state.begun.remove(&at).flatten();
-                    state.ready.retain(|other| *other != at);
+                    state.ready.retain(|(other, _)| *other != at);
                     drop(state);
                     self.0.changed.notify_all();
                     return found;
@@ -119,10 +124,13 @@ impl Ahead {
             }
         }
         state.wanted.retain(|other| *other != at);
-        // What nobody took stands in the way of what is needed.
+        state.in_vain += 1;
+        // What nobody took for long stands in the way of what is needed.
         if state.begun.len() >= self.0.most
-            && let Some(oldest) = state.ready.pop_front()
+            && let Some(&(oldest, since)) = state.ready.front()
+            && state.in_vain - since > self.0.most
         {
+            state.ready.pop_front();
             state.begun.remove(&oldest);
             drop(state);
             self.0.changed.notify_all();
@@ -135,7 +143,7 @@ impl Ahead {
         let mut state = self.0.lock();
         state.wanted.retain(|at| !gone(*at));
         let State { begun, ready, .. } = &mut *state;
-        ready.retain(|at| !gone(*at));
+        ready.retain(|(at, _)| !gone(*at));
         begun.retain(|at, decoded| decoded.is_none() || !gone(*at));
         drop(state);
         self.0.changed.notify_all();
@@ -171,14 +179,13 @@ impl Shared {
             };
             state.begun.insert(at, None);
             drop(state);
-            let mut bytes = vec![];
-            let decoded =
-                catch_unwind(AssertUnwindSafe(|| decode(&*self.source, at, &mut bytes).map(|()| bytes)));
+            let decoded = catch_unwind(AssertUnwindSafe(|| (self.decode)(at)));
             state = self.lock();
             match decoded {
                 Ok(decoded) => {
                     state.begun.insert(at, Some(decoded));
-                    state.ready.push_back(at);
+                    let in_vain = state.in_vain;
+                    state.ready.push_back((at, in_vain));
                 }
                 // Whoever asks for it decodes it again, and sees the panic.
                 Err(_) => {
@@ -187,5 +194,69 @@ impl Shared {
             }
             self.changed.notify_all();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::Error;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    fn places(n: u64) -> impl DoubleEndedIterator<Item = [u64; 3]> {
+        (0..n).map(|x| [x, 0, 0])
+    }
+
+    /// Chunk 3 cannot be decoded, chunk 4 is a bug.
+    fn decode(at: [u64; 3]) -> Decoded {
+        assert_ne!(at[0], 4, "a bug, as this test wants it");
+        if at[0] == 3 { Err(Error::usage("bad")) } else { Ok(vec![at[0] as u8]) }
+    }
+
+    #[test]
+    fn what_is_taken_is_what_decoding_gives() {
+        for most in [1, 2, 20] {
+            let ahead = Ahead::new(most, decode);
+            ahead.will_need(places(10), false);
+            ahead.will_need((7..10).map(|x| [x, 0, 0]), true);
+            for at in places(10).chain(places(10)) {
+                let found =
+                    ahead.take(at).unwrap_or_else(|| if at[0] == 4 { Ok(vec![4]) } else { decode(at) });
+                match at[0] {
+                    3 => assert!(found.is_err()),
+                    x => assert_eq!(found.unwrap(), [x as u8]),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn no_more_are_begun_than_may_be_ready() {
+        let count = Arc::new(AtomicUsize::new(0));
+        let counted = Arc::clone(&count);
+        let ahead = Ahead::new(3, move |at| {
+            counted.fetch_add(1, Ordering::SeqCst);
+            Ok(vec![at[0] as u8])
+        });
+        ahead.will_need(places(10), false);
+        for at in places(3) {
+            while ahead.0.lock().ready.len() < 3 {
+                std::thread::yield_now();
+            }
+            assert_eq!(count.load(Ordering::SeqCst), 3 + at[0] as usize);
+            assert_eq!(ahead.take(at).unwrap().unwrap(), [at[0] as u8]);
+        }
+        // What nobody takes gives way, and what will not be asked for is forgotten.
+        assert!((20..60).all(|x| ahead.take([x, 0, 0]).is_none()));
+        assert!(ahead.take([3, 0, 0]).is_none());
+        ahead.forget(|_| true);
+        let state = ahead.0.lock();
+        assert!(state.wanted.is_empty() && state.ready.is_empty());
+        assert!(count.load(Ordering::SeqCst) <= 10);
+    }
+
+    #[test]
+    fn one_is_decoded_ahead_even_if_it_is_large() {
+        assert_eq!([1, 2 << 20, 30 << 20, 1 << 40].map(most_ahead), [AT_ONCE, AT_ONCE, 2, 1]);
     }
 }

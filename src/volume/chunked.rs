@@ -175,7 +175,7 @@ pub(super) fn chunk_voxels(source: &dyn ChunkSource, at: [u64; 3]) -> IndexBox {
     IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(c[a]).min(d[a])) }
 }
 
-pub(super) fn decode(source: &dyn ChunkSource, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+fn decode(source: &dyn ChunkSource, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
     out.clear();
     source.decode(at, out)?;
     let (info, needed) = (source.info(), chunk_voxels(source, at).len() * source.info().field.scalar.bytes());
@@ -284,7 +284,12 @@ impl ChunkSlabs {
 /// What decodes the chunks of a source ahead, where that is of use.
 fn ahead(source: &Arc<dyn ChunkSource>) -> Option<Ahead> {
     let most = ChunkShape::of(&**source).ahead();
-    (most > 0).then(|| Ahead::new(Arc::clone(source), most))
+    let source = Arc::clone(source);
+    let decoded = move |at| {
+        let mut bytes = vec![];
+        decode(&*source, at, &mut bytes).map(|()| bytes)
+    };
+    (most > 0).then(|| Ahead::new(most, decoded))
 }
 
 impl SlabStream for ChunkSlabs {

@@ -62,12 +62,16 @@ pub(crate) struct Seen {
     pub(crate) changes: u32,
 }
 
-/// All bytes of a small object.
+/// All bytes of a small object, by ranges.
 pub(crate) fn read_all(path: &Path, most: u64) -> Result<Vec<u8>> {
-    whole_if_there(path, most)?.ok_or_else(|| {
-        let nothing = std::io::Error::new(std::io::ErrorKind::NotFound, "the server has no such file");
-        Error::io("open", path, nothing)
-    })
+    let file = RemoteFile::open(path)?;
+    if file.len() > most {
+        let (expected, got) = (format!("at most {most} bytes"), format!("{} bytes", file.len()));
+        return Err(Error::bad_input(path, "length", expected, got));
+    }
+    let mut bytes = vec![0; file.len() as usize];
+    file.read_at(0, &mut bytes).map_err(|e| Error::io("read", path, e))?;
+    Ok(bytes)
 }
 
 #[cfg(feature = "remote")]

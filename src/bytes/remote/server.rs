@@ -264,16 +264,16 @@ pub(crate) fn folders_in(path: &Path) -> Result<Vec<String>> {
 
 /// Asks about files, many at a time.
 pub(crate) fn look_at(paths: &[PathBuf]) -> Result<()> {
-    let mut all = vec![];
-    for path in paths {
-        all.push((path.clone(), server_of(path)?));
+    if paths.is_empty() {
+        return Ok(());
     }
-    let asked = wait(async move {
-        let (mut tasks, mut left) = (JoinSet::new(), all.into_iter());
+    let asked = wait(async {
+        let (mut tasks, mut left) = (JoinSet::new(), paths.iter().cloned());
         loop {
             while tasks.len() < AT_ONCE
-                && let Some((path, (server, key))) = left.next()
+                && let Some(path) = left.next()
             {
+                let (server, key) = server_of(&path)?;
                 tasks.spawn(async move {
                     let asked = server.head(&path, &key).await;
                     asked.map_err(|e| Error::io("look at", &path, e))

@@ -8,6 +8,7 @@ use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, SegmentRecord};
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::tables::CoordinateMap;
+use crate::bytes::place;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::grid::{ChunkGrid, ChunkId};
@@ -19,10 +20,15 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// Whether `path` is an archive: a folder with a manifest. Nothing else is read from an object
-/// store or a web server.
+/// Whether `path` is an archive: a folder with a manifest. Of an address that ends in ".isospan" the
+/// server is not asked.
 pub fn is_archive(path: &Path) -> bool {
-    is_remote(path) || path.is_dir() && path.join(MANIFEST_NAME).exists()
+    if is_remote(path) {
+        let is_called = path.extension().is_some_and(|e| e == "isospan");
+        // Where the server fails, opening the volume tells why.
+        return is_called || place::exists(&path.join(MANIFEST_NAME)).unwrap_or(false);
+    }
+    path.is_dir() && path.join(MANIFEST_NAME).exists()
 }
 
 /// An archive opened for reading: what all its steps share. Nothing of it changes but what is

@@ -285,6 +285,12 @@ fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
         let got = format!("the filter {} ({filter})", filters::name_of_unread(number));
         return Error::bad_input(path, at, filters::READ, got).with_help(help);
     }
+    // Not the file's fault, but of the disk or the server.
+    if let hdf5_reader::error::Error::Io(failed) = error
+        && failed.get_ref().is_some_and(|inner| matches!(inner.downcast_ref(), Some(Error::Io { .. })))
+    {
+        return Error::io("read", path, std::io::Error::other(got));
+    }
     let help = "the file is damaged, cut short, or uses what is not read; try h5dump or h5repack on it";
     Error::bad_input(path, at, "good HDF5 or NetCDF-4", got).with_help(help)
 }

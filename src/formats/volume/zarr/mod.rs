@@ -8,6 +8,10 @@
 //!    1/                       the next level, coarser
 //! ```
 //!
+//! On a server ([`crate::bytes::remote`]) a chunk is fetched in one request, or as a range of its
+//! shard. Groups without OME-Zarr's metadata are listed, or have consolidated metadata. Where a
+//! server denies a file, that is an error, unless the metadata of another version are there.
+//!
 //! The path is the group or an array in it (`image.ome.zarr/1`). In a group, `--field` chooses one
 //! array: by its path, the first part of that, or "scaleN" for level N. Without a choice an
 //! OME-Zarr image gives its first level, which is the full image.
