@@ -8,8 +8,8 @@ use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, SegmentRecord};
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::tables::CoordinateMap;
-use crate::bytes::place;
 use crate::bytes::remote::is_remote;
+use crate::bytes::{IoMode, place};
 use crate::error::{Error, Result};
 use crate::grid::{ChunkGrid, ChunkId};
 use crate::mesh::bcc::{BccChunk, BccMesh};
@@ -26,7 +26,8 @@ pub fn is_archive(path: &Path) -> bool {
     if is_remote(path) {
         let is_called = path.extension().is_some_and(|e| e == "isospan");
         // Where the server fails, opening the volume tells why.
-        return is_called || place::exists(&path.join(MANIFEST_NAME)).unwrap_or(false);
+        let manifest = || place::ranges_if_there(&path.join(MANIFEST_NAME), IoMode::Auto);
+        return is_called || manifest().is_ok_and(|found| found.is_some());
     }
     path.is_dir() && path.join(MANIFEST_NAME).exists()
 }
