@@ -94,7 +94,7 @@ enum Bytes {
     Read(File, OnceLock<mmap::Mapping>),
     Memory(InMemory),
     /// Slices that were borrowed are kept.
-    Remote(RemoteFile, Kept),
+    Remote(Box<RemoteFile>, Kept),
 }
 
 /// Bytes that something else owns.
@@ -137,7 +137,7 @@ impl ByteSource {
             if len == 0 {
                 return Err(not_regular(path, "an empty file"));
             }
-            let bytes = Bytes::Remote(file, Kept::default());
+            let bytes = Bytes::Remote(Box::new(file), Kept::default());
             return Ok(Self { path: path.to_path_buf(), len, bytes, drop_behind: false });
         }
         Self::of_file(path, open_with_data(path)?, mode)

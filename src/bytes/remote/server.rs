@@ -46,8 +46,11 @@ pub(super) struct Server {
     numbers: Mutex<HashMap<(PathBuf, u64, u64), u64>>,
     /// By hashes of paths.
     seen: Mutex<HashMap<u128, Seen>>,
-    small: Mutex<HashMap<PathBuf, (Instant, Option<Arc<[u8]>>)>>,
+    small: Mutex<HashMap<PathBuf, Small>>,
 }
+
+/// When a small file was asked for, and its bytes; `None` where there was none.
+type Small = (Instant, Option<Arc<[u8]>>);
 
 impl fmt::Debug for Server {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
