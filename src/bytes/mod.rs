@@ -1,7 +1,7 @@
 //! The bytes of a file, without reading it whole.
 //!
-//! A [`ByteSource`] is a file of known length with random access, in one of three ways that give the
-//! same bytes:
+//! A [`ByteSource`] is a file of known length with random access, in one of three ways that give
+//! the same bytes:
 //!
 //! * **mapped** into memory ([`IoMode::Map`]): a volume larger than memory costs only the pages
 //!   that are touched, which the system may drop again at any time, and bytes are used where they

@@ -169,8 +169,8 @@ fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<Ce
 
 /// The format of a mesh; `None` of anything else.
 fn mesh_format(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
-    // Folders and patterns for names are volumes, and so are files that are declared headerless, and
-    // what is on a server.
+    // Folders and patterns for names are volumes, and so are files that are declared headerless,
+    // and what is on a server.
     if options.raw.is_some() || is_remote(path) || !path.is_file() {
         return Ok(None);
     }

@@ -1,8 +1,8 @@
 //! Chunks that are decoded before they are asked for, because each has to wait for a server.
 //!
-//! The question: a request to a server takes some 20 ms, a thread that waits for one after the other
-//! is idle most of the time. So the chunks that will be needed are announced, in their order, and
-//! some threads of their own fetch and decode them. These threads wait nearly always.
+//! The question: a request to a server takes some 20 ms, so a thread that waits for one after the
+//! other is idle most of the time. The chunks that will be needed are announced, in their order,
+//! and some threads of their own fetch and decode them. These threads wait nearly always.
 //!
 //! ```text
 //!  will_need(chunks) ─▶ wanted, in order ─▶ threads: decode ─▶ ready ─▶ take(chunk)

@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// Whether `path` is an archive: a folder with a manifest. Of an address that ends in ".isospan" the
-/// server is not asked.
+/// Whether `path` is an archive: a folder with a manifest. Of an address that ends in ".isospan"
+/// the server is not asked.
 pub fn is_archive(path: &Path) -> bool {
     if is_remote(path) {
         let is_called = path.extension().is_some_and(|e| e == "isospan");
