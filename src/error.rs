@@ -212,6 +212,11 @@ impl Error {
         Self::Usage(message.into())
     }
 
+    /// Whether the right to read is missing.
+    pub(crate) fn is_denied(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::PermissionDenied)
+    }
+
     /// The same error, which names the step of a series; only [`Error::BadInput`] does.
     #[must_use]
     pub(crate) fn at_step(mut self, number: u64) -> Self {

@@ -1,13 +1,14 @@
 //! The bytes of a file, without reading it whole.
 //!
-//! A [`ByteSource`] is a file of known length with random access, in one of two ways that give the
-//! same bytes:
+//! A [`ByteSource`] is a file of known length with random access, in one of three ways that give
+//! the same bytes:
 //!
 //! * **mapped** into memory ([`IoMode::Map`]): a volume larger than memory costs only the pages
 //!   that are touched, which the system may drop again at any time, and bytes are used where they
 //!   lie;
 //! * **read** at given offsets ([`IoMode::Read`]): no page faults, which on a network file system
-//!   each cost a request of 4 KiB, and no address space.
+//!   each cost a request of 4 KiB, and no address space;
+//! * **fetched** from a server by ranges, where the name is an address: see [`remote`].
 //!
 //! [`IoMode::Auto`], the default, reads on network file systems and maps elsewhere. Every access is
 //! checked against the length, and a refusal names file, offset and lengths. A header with wrong
@@ -31,14 +32,18 @@
 //! follow are requested ahead ([`ByteSource::advise_will_need`]).
 
 mod filesystem;
+mod kept;
 mod mmap;
 pub(crate) mod paged;
+pub(crate) mod place;
 pub(crate) mod publish;
 pub mod remote;
 pub(crate) mod sorter;
 pub(crate) mod store;
 
 use crate::error::{Error, Fault, Place, Result};
+use kept::Kept;
+use remote::{RemoteFile, is_remote};
 use std::fmt;
 use std::fs::File;
 use std::io::{self, Read};
@@ -88,6 +93,8 @@ enum Bytes {
     /// The mapping is made when a slice is first asked for.
     Read(File, OnceLock<mmap::Mapping>),
     Memory(InMemory),
+    /// Slices that were borrowed are kept.
+    Remote(Box<RemoteFile>, Kept),
 }
 
 /// Bytes that something else owns.
@@ -107,15 +114,32 @@ impl fmt::Debug for InMemory {
 
 /// Readers drop the bytes that they have read in pieces of this size.
 const DROP_BYTES: u64 = 16 << 20;
+/// Readers of a file on a server fetch so many bytes at a time.
+const FETCHED_BYTES: u64 = 1 << 20;
+/// The most bytes that are fetched at once, and the most that are borrowed of a file on a server.
+const MOST_FETCHED: u64 = (1 << 30) + (16 << 20);
+const MOST_KEPT: u64 = 64 << 20;
+/// Bytes at the beginning of a file on a server that are fetched for a header in them.
+const HEAD_BYTES: u64 = 1 << 20;
 
 impl ByteSource {
-    /// Opens a file. Cost: none until bytes are used.
+    /// Opens a file, on a server where the path is an address. Cost: none until bytes are used; of
+    /// a file on a server, a request.
     ///
     /// # Errors
     /// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe or device,
     /// or an empty file.
     pub fn open(path: impl AsRef<Path>, mode: IoMode) -> Result<Self> {
         let path = path.as_ref();
+        if is_remote(path) {
+            let file = RemoteFile::open(path)?;
+            let len = file.len();
+            if len == 0 {
+                return Err(not_regular(path, "an empty file"));
+            }
+            let bytes = Bytes::Remote(Box::new(file), Kept::default());
+            return Ok(Self { path: path.to_path_buf(), len, bytes, drop_behind: false });
+        }
         Self::of_file(path, open_with_data(path)?, mode)
     }
 
@@ -178,7 +202,7 @@ impl ByteSource {
 
     /// How the bytes are accessed: [`IoMode::Map`] or [`IoMode::Read`].
     pub fn mode(&self) -> IoMode {
-        if matches!(self.bytes, Bytes::Read(..)) { IoMode::Read } else { IoMode::Map }
+        if matches!(self.bytes, Bytes::Read(..) | Bytes::Remote(..)) { IoMode::Read } else { IoMode::Map }
     }
 
     /// Copies the `out.len()` bytes at `offset`.
@@ -197,7 +221,29 @@ impl ByteSource {
                 out.copy_from_slice(&bytes.bytes()[range]);
                 Ok(())
             }
+            Bytes::Remote(file, _) => self.fetch_into(file, offset, out),
         }
+    }
+
+    /// Whether the bytes come from a server.
+    pub(crate) fn is_remote(&self) -> bool {
+        matches!(self.bytes, Bytes::Remote(..))
+    }
+
+    fn fetch_into(&self, file: &RemoteFile, offset: u64, out: &mut [u8]) -> Result<()> {
+        file.read_at(offset, out)
+            .map_err(|e| Error::io(format!("read {} bytes at {offset} of", out.len()), &self.path, e))
+    }
+
+    /// Bytes of a range that are to be fetched: a server may claim any length of a file.
+    fn expect_few(&self, range: &Range<u64>, most: u64) -> Result<()> {
+        let count = range.end - range.start;
+        if count <= most {
+            return Ok(());
+        }
+        let expected = format!("at most {most} bytes to fetch at a time");
+        Err(Error::bad_input(&self.path, Place::byte(range.start), expected, format!("{count} bytes"))
+            .with_help("copy the file to a disk, and name that copy"))
     }
 
     fn read_into(&self, file: &File, offset: u64, out: &mut [u8]) -> Result<()> {
@@ -222,6 +268,12 @@ impl ByteSource {
                 self.read_into(file, range.start, buffer)?;
                 Ok(buffer)
             }
+            Bytes::Remote(file, _) => {
+                self.expect_few(&range, MOST_FETCHED)?;
+                buffer.resize(within.len(), 0);
+                self.fetch_into(file, range.start, buffer)?;
+                Ok(buffer)
+            }
         }
     }
 
@@ -231,13 +283,14 @@ impl ByteSource {
         let bytes = match &self.bytes {
             Bytes::Mapped(_, mapping) => mapping.bytes(),
             Bytes::Memory(bytes) => bytes.bytes(),
-            Bytes::Read(..) => return None,
+            Bytes::Read(..) | Bytes::Remote(..) => return None,
         };
         bytes.get(usize::try_from(range.start).ok()?..usize::try_from(range.end).ok()?)
     }
 
     /// Borrows a range of bytes. A file that is read and not mapped gets a mapping for that. This
     /// is for headers, directories and text that must be searched: only what is touched is loaded.
+    /// Of a file on a server the range is fetched and kept, up to 64 MiB in all.
     /// Samples are read by [`ByteSource::view`]. When the bytes have been used,
     /// [`ByteSource::check`] says whether they were the file's.
     ///
@@ -258,7 +311,26 @@ impl ByteSource {
                 let bytes = mapping.get().expect("it was set, here or by another thread").bytes();
                 bytes.get(within).ok_or_else(|| self.shrunk(file))?
             }
+            Bytes::Remote(file, kept) => {
+                if let Some(bytes) = kept.get(&range) {
+                    return Ok(bytes);
+                }
+                self.expect_few(&range, MOST_KEPT.saturating_sub(kept.bytes()))?;
+                let mut bytes = vec![0; within.len()];
+                self.fetch_into(file, range.start, &mut bytes)?;
+                kept.keep(range.start, bytes)
+            }
         })
+    }
+
+    /// The bytes from `start` on in which a header is searched: all, but of a file on a server the
+    /// first mebibyte.
+    ///
+    /// # Errors
+    /// Those of [`ByteSource::slice`].
+    pub(crate) fn head_from(&self, start: u64) -> Result<&[u8]> {
+        let end = if self.is_remote() { start.saturating_add(HEAD_BYTES).min(self.len) } else { self.len };
+        self.slice(start..end)
     }
 
     /// Whether the bytes of views and slices used so far were those of the file: an error when it
@@ -273,7 +345,7 @@ impl ByteSource {
                 Some(mapping) => (file, mapping),
                 None => return Ok(()),
             },
-            Bytes::Memory(_) => return Ok(()),
+            Bytes::Memory(_) | Bytes::Remote(..) => return Ok(()),
         };
         let short = file.metadata().is_ok_and(|about| about.len() < self.len);
         if short || mapping.is_broken() { Err(self.shrunk(file)) } else { Ok(()) }
@@ -296,7 +368,14 @@ impl ByteSource {
     /// [`Error::BadInput`] when the range does not lie within the file.
     pub fn reader(self: &Arc<Self>, range: Range<u64>) -> Result<ByteReader> {
         self.range(&range)?;
-        Ok(ByteReader { source: Arc::clone(self), at: range.start, end: range.end, released: range.start })
+        let fetched = (range.start, vec![]);
+        Ok(ByteReader {
+            source: Arc::clone(self),
+            at: range.start,
+            end: range.end,
+            released: range.start,
+            fetched,
+        })
     }
 
     /// Advises the system that a range will be read soon. A hint: nothing happens where it cannot
@@ -306,7 +385,7 @@ impl ByteSource {
         match &self.bytes {
             Bytes::Mapped(_, mapping) => mapping.advise_will_need(range),
             Bytes::Read(file, _) => advise(file, &range, Advice::WillNeed),
-            Bytes::Memory(_) => {}
+            Bytes::Memory(_) | Bytes::Remote(..) => {}
         }
     }
 
@@ -329,7 +408,7 @@ impl ByteSource {
                 }
                 advise(file, &range, Advice::DontNeed);
             }
-            Bytes::Memory(_) => {}
+            Bytes::Memory(_) | Bytes::Remote(..) => {}
         }
     }
 
@@ -468,12 +547,40 @@ pub struct ByteReader {
     end: u64,
     /// Up to here pages have been given up.
     released: u64,
+    /// Bytes that were fetched, and where they begin; none of a file on this machine.
+    fetched: (u64, Vec<u8>),
+}
+
+impl ByteReader {
+    /// Reads from what was fetched before, or now.
+    fn read_fetched(&mut self, out: &mut [u8]) -> Result<()> {
+        let within = |first: u64, len: usize| self.at >= first && self.at < first + len as u64;
+        if !within(self.fetched.0, self.fetched.1.len()) {
+            let end = (self.at + FETCHED_BYTES).min(self.end);
+            self.fetched.1.resize((end - self.at) as usize, 0);
+            self.fetched.0 = self.at;
+            if let Err(e) = self.source.read_at(self.at, &mut self.fetched.1) {
+                self.fetched.1.clear();
+                return Err(e);
+            }
+        }
+        let skip = (self.at - self.fetched.0) as usize;
+        out.copy_from_slice(&self.fetched.1[skip..skip + out.len()]);
+        Ok(())
+    }
 }
 
 impl Read for ByteReader {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        let n = (self.end - self.at).min(out.len() as u64) as usize;
-        self.source.read_at(self.at, &mut out[..n]).map_err(io::Error::other)?;
+        let mut n = (self.end - self.at).min(out.len() as u64) as usize;
+        if self.source.is_remote() && n > 0 {
+            let (first, bytes) = &self.fetched;
+            let left = (first + bytes.len() as u64).checked_sub(self.at).filter(|&left| left > 0);
+            n = n.min(left.unwrap_or(FETCHED_BYTES) as usize);
+            self.read_fetched(&mut out[..n]).map_err(io::Error::other)?;
+        } else {
+            self.source.read_at(self.at, &mut out[..n]).map_err(io::Error::other)?;
+        }
         self.at += n as u64;
         if self.at - self.released >= DROP_BYTES {
             self.source.release(self.released..self.at);

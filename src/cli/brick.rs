@@ -18,7 +18,7 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan brick scan.nii.gz -o scan.bricks\n  isospan brick slices.tif -o slices.bricks --memory 1GiB"
 )]
 pub(crate) struct Args {
-    /// The volume.
+    /// The volume: a file or folder, or its address, s3://... or https://...
     input: PathBuf,
     /// The file to write, NAME.bricks.
     #[arg(short, long, value_name = "FILE")]

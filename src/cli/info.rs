@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:\n  isospan info scan.nrrd\n  isospan info scan.isospan --json")]
 pub(crate) struct Args {
-    /// Volumes, meshes or archives, these also by address: s3://... or https://...
+    /// Volumes, meshes or archives; volumes and archives also by address: s3://... or https://...
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// Read the header only: no range, no histogram.

@@ -56,7 +56,7 @@ const ENVIRONMENT: [(&str, &str); 4] = [
     ("NO_COLOR", "If set, help and messages have no colours."),
     (
         "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, ...",
-        "Keys and place of archives in object stores (s3://), as other programs take them.",
+        "Keys and place of archives and volumes in object stores (s3://), as other programs take them.",
     ),
     (
         "GLIBC_TUNABLES",

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
-    /// The source volume or mesh.
+    /// The source volume or mesh; a volume also by address.
     #[arg(long, value_name = "INPUT")]
     against: PathBuf,
     /// Also write an image with a cell for each brick of samples, as .vti: the arrays rms (RMS

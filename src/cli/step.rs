@@ -11,9 +11,10 @@ use std::path::{Path, PathBuf};
 /// The steps that are made.
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepInputs {
-    /// The volume or mesh, in any format that isospan reads. Several inputs are the steps of a
-    /// series. So are a quoted pattern ("step_*.vti"), a .pvd or .series file, a file with frames,
-    /// and the fields that match --field PATTERN.
+    /// The volume or mesh, in any format that isospan reads; a volume also by address (s3://... or
+    /// https://...). Several inputs are the steps of a series. So are a quoted pattern
+    /// ("step_*.vti"), a .pvd or .series file, a file with frames, and the fields that match
+    /// --field PATTERN.
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Times of the steps: 0,0.5,2, or 0,0.5,... which goes on like that [default: those in the

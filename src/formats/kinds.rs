@@ -1,6 +1,7 @@
 //! The formats that are read: one line each. What a file or a folder is follows from its first
 //! bytes or, where they do not show it, from its name.
 
+use crate::bytes::remote::is_remote;
 use crate::cells::CellMesh;
 use crate::error::{Error, Result};
 use crate::formats::mesh::{gmsh::Gmsh, tetgen::Tetgen};
@@ -9,8 +10,18 @@ use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::formats::volume::{
-    bricks::Bricks, folder, hdf5::Hdf5, metaimage::MetaImage, mrc::Mrc, nifti::Nifti, npy::Npy, npz::Npz,
-    nrrd::Nrrd, raw, stack, tiff::TiffFile, zarr::Zarr,
+    bricks::Bricks,
+    folder,
+    hdf5::Hdf5,
+    metaimage::MetaImage,
+    mrc::Mrc,
+    nifti::Nifti,
+    npy::Npy,
+    npz::Npz,
+    nrrd::Nrrd,
+    raw, stack,
+    tiff::TiffFile,
+    zarr::{Zarr, is_zarr},
 };
 use crate::formats::vtk::{legacy::VtkLegacy, xml::VtkXml};
 use crate::volume::VolumeSource;
@@ -36,13 +47,47 @@ pub(super) fn format_of(path: &Path, options: &OpenOptions) -> Result<Option<&'s
     if options.raw.is_some() || stack::is_pattern(path) {
         return Ok(None);
     }
-    Ok(found(&Head::of(path, options.io)?))
+    Ok(found(&head_of(path, options)?))
 }
 
 fn found(head: &Head<'_>) -> Option<&'static dyn Format> {
-    let by_name = |f: &&dyn Format| !head.path.is_dir() && has_suffix(head.path, f.suffixes());
+    let by_name = |f: &&dyn Format| !head.is_folder && has_suffix(head.path, f.suffixes());
     let by_bytes = FORMATS.iter().find(|f| f.is_in(head));
     by_bytes.or_else(|| FORMATS.iter().find(|f| by_name(f))).copied()
+}
+
+/// The beginning of a file, or a folder. A server has no folders: what a Zarr array or group has is
+/// looked for where the address has ".zarr" in it, and where no file is found there.
+///
+/// # Errors
+/// [`Error::BadInput`] for a format that is not read from servers.
+fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
+    if !is_remote(path) {
+        return Head::of(path, options.io);
+    }
+    if stack::has_wildcard(path) {
+        return Err(Error::bad_input(path, "address", "one file, or a Zarr array or group", "a pattern")
+            .with_help("patterns are for folders of this machine"));
+    }
+    let is_called = path.to_str().is_some_and(|p| p.contains(".zarr"));
+    if is_called && options.raw.is_none() && is_zarr(path)? {
+        return Ok(Head::of_folder(path));
+    }
+    let head = Head::of(path, options.io);
+    let is_known = head.as_ref().is_ok_and(|head| found(head).is_some());
+    if !is_known && !is_called && options.raw.is_none() && is_zarr(path).is_ok_and(|found| found) {
+        return Ok(Head::of_folder(path));
+    }
+    let head = head?;
+    match found(&head) {
+        Some(format) if !format.is_on_servers() => {
+            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF-4, TIFF, NRRD, NIfTI, NPY, NPZ, \
+                            MetaImage, raw), or a copy on a disk";
+            Err(Error::bad_input(path, "kind of file", expected, format.name())
+                .with_help("copy it to a disk, and name that copy"))
+        }
+        _ => Ok(head),
+    }
 }
 
 /// Opens a volume of any format that is read: a file, a folder of slices, or a pattern for the
@@ -60,7 +105,7 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         options.refuse_channel(path)?;
         return folder::open(path, options);
     }
-    let head = Head::of(path, options.io)?;
+    let head = head_of(path, options)?;
     if found(&head).is_none_or(|format| !format.has_channels()) {
         options.refuse_channel(path)?;
     }
@@ -76,7 +121,7 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
             }
             format.volume(path, options)
         }
-        (None, _) if path.is_dir() => folder::open(path, options),
+        (None, _) if head.is_folder => folder::open(path, options),
         (None, Some(_)) => raw::open(path, options),
         (None, None) if has_suffix(path, &[".raw", ".bin", ".dat", ".raw.gz"]) => Err(raw::no_layout(path)),
         (None, None) => Err(unknown_kind(&head)),
@@ -126,8 +171,9 @@ fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<Ce
 
 /// The format of a mesh; `None` of anything else.
 fn mesh_format(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
-    // Folders and patterns for names are volumes, and so are files that are declared headerless.
-    if options.raw.is_some() || !path.is_file() {
+    // Folders and patterns for names are volumes, and so are files that are declared headerless,
+    // and what is on a server.
+    if options.raw.is_some() || is_remote(path) || !path.is_file() {
         return Ok(None);
     }
     let head = Head::of(path, options.io)?;

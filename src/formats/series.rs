@@ -13,6 +13,7 @@
 //! is in its field data: `TimeValue`, or `TIME`.
 
 use crate::bytes::read_whole;
+use crate::bytes::remote::is_remote;
 use crate::error::{Error, Place, Result};
 use crate::exec::CancelToken;
 use crate::formats::kinds::{Input, format_of, is_mesh, open_input, open_mesh, open_volume};
@@ -209,6 +210,10 @@ pub fn steps_of(inputs: &[PathBuf], options: &OpenOptions) -> Result<Vec<StepSou
 
 /// The files that an input stands for, and their times.
 fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
+    if is_remote(input) {
+        // An address is no pattern; its reader says so.
+        return Ok(vec![(input.to_path_buf(), None)]);
+    }
     if has_suffix(input, &[".pvd", ".series"]) {
         return listed_files(input).map(by_times);
     }
@@ -304,7 +309,7 @@ fn time_of(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
 
 /// The format of one file or folder that has its own layout.
 fn single(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
-    if path.exists() { format_of(path, options) } else { Ok(None) }
+    if is_remote(path) || path.exists() { format_of(path, options) } else { Ok(None) }
 }
 
 /// The frames of a file that is itself a series, or of the array in it that is named; and their

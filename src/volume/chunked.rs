@@ -7,13 +7,16 @@
 //!
 //! The method: chunks lie on a regular grid, the last ones are cut. [`ChunkedVolume`] holds a given
 //! number of bytes of them; beyond that, the least recently used chunk is dropped. Two threads
-//! never decode one chunk at the same time: the second one waits for the first.
+//! never decode one chunk at the same time: the second one waits for the first. Of a source on a
+//! server, the chunks that follow are decoded ahead, many at a time (see `ahead`).
 //!
 //! The cost: that number of bytes of chunks and, for each thread that reads, what decoding takes
 //! ([`ChunkSource::decoding_bytes`]). How often a chunk is decoded depends on the order of boxes
 //! and on these bytes: once where all chunks that a later box needs are cached. It does not promise
 //! good use of too few bytes; the caller chooses enough of them. [`DecodeCount`] shows the figure.
 
+use super::ahead::{Ahead, most_ahead};
+use crate::bytes::remote::{PAGES_BYTES, is_remote};
 use crate::error::{Error, Result};
 use crate::grid::IndexBox;
 use crate::volume::slabs::{CHUNK_SLAB_BYTES, cut_slab};
@@ -58,6 +61,8 @@ pub(crate) struct ChunkShape {
     sample_bytes: u64,
     /// See [`ChunkSource::decoding_bytes`].
     pub(crate) decoding_bytes: u64,
+    /// Whether it is on a server.
+    is_remote: bool,
 }
 
 impl ChunkShape {
@@ -68,7 +73,24 @@ impl ChunkShape {
             chunk: std::array::from_fn(|a| chunk[a].min(info.dims[a])),
             sample_bytes: info.field.scalar.bytes() as u64,
             decoding_bytes: source.decoding_bytes(),
+            is_remote: is_remote(&info.path),
         }
+    }
+
+    /// Chunks that are decoded before they are asked for; none of files on this machine.
+    fn ahead(&self) -> u64 {
+        if self.is_remote { most_ahead(self.bytes_ahead()) } else { 0 }
+    }
+
+    /// Bytes that a chunk takes while it is decoded ahead, and then.
+    fn bytes_ahead(&self) -> u64 {
+        self.decoding_bytes.saturating_add(self.cached_bytes([1; 3]))
+    }
+
+    /// Bytes of the chunks that are decoded ahead, and what is kept of their file.
+    pub(crate) fn ahead_bytes(&self) -> u64 {
+        let pages = if self.is_remote { PAGES_BYTES } else { 0 };
+        self.ahead().saturating_mul(self.bytes_ahead()).saturating_add(pages)
     }
 
     /// Chunks along x, y, z.
@@ -84,7 +106,7 @@ impl ChunkShape {
 
     /// Bytes that reading chunk after chunk takes.
     pub(crate) fn stream_bytes(&self) -> u64 {
-        self.decoding_bytes.saturating_add(2 * CHUNK_SLAB_BYTES)
+        self.decoding_bytes.saturating_add(2 * CHUNK_SLAB_BYTES).saturating_add(self.ahead_bytes())
     }
 }
 
@@ -147,7 +169,7 @@ impl ChunkSource for Counted {
 }
 
 /// The samples of a chunk that lie in the volume; none of a chunk beyond its end.
-fn voxels(source: &dyn ChunkSource, at: [u64; 3]) -> IndexBox {
+pub(super) fn chunk_voxels(source: &dyn ChunkSource, at: [u64; 3]) -> IndexBox {
     let (d, c) = (source.info().dims, source.chunk_dims());
     let lo: [u64; 3] = std::array::from_fn(|a| at[a].saturating_mul(c[a]).min(d[a]));
     IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(c[a]).min(d[a])) }
@@ -156,7 +178,7 @@ fn voxels(source: &dyn ChunkSource, at: [u64; 3]) -> IndexBox {
 fn decode(source: &dyn ChunkSource, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
     out.clear();
     source.decode(at, out)?;
-    let (info, needed) = (source.info(), voxels(source, at).len() * source.info().field.scalar.bytes());
+    let (info, needed) = (source.info(), chunk_voxels(source, at).len() * source.info().field.scalar.bytes());
     if out.len() == needed {
         return Ok(());
     }
@@ -176,22 +198,17 @@ pub(crate) fn step(at: &mut [u64; 3], grid: [u64; 3]) -> bool {
     false
 }
 
-/// The chunks of a volume one after the other, those of a file together: each is decoded once.
-pub struct ChunkSlabs {
+/// The places of all chunks, those of a file together.
+struct Order {
     source: Arc<dyn ChunkSource>,
     /// The next file, by its place among them, and the next chunk in it.
     file: Option<[u64; 3]>,
     inner: [u64; 3],
-    /// What is left of the chunk decoded last, and all its bytes.
-    left: IndexBox,
-    bytes: Vec<u8>,
 }
 
-impl ChunkSlabs {
-    /// All chunks.
-    pub fn new(source: Arc<dyn ChunkSource>) -> Self {
-        let left = IndexBox { lo: [0; 3], hi: [0; 3] };
-        Self { source, file: Some([0; 3]), inner: [0; 3], left, bytes: vec![] }
+impl Order {
+    fn new(source: &Arc<dyn ChunkSource>) -> Self {
+        Self { source: Arc::clone(source), file: Some([0; 3]), inner: [0; 3] }
     }
 
     /// Moves to the next chunk of this file, or to the first of the next file.
@@ -207,6 +224,74 @@ impl ChunkSlabs {
     }
 }
 
+impl Iterator for Order {
+    type Item = [u64; 3];
+
+    fn next(&mut self) -> Option<[u64; 3]> {
+        loop {
+            let file = self.file?;
+            let together = self.source.together();
+            let at = std::array::from_fn(|a| file[a] * together[a] + self.inner[a]);
+            self.advance(file);
+            if !chunk_voxels(&*self.source, at).is_empty() {
+                return Some(at);
+            }
+        }
+    }
+}
+
+/// The chunks of a volume one after the other, those of a file together: each is decoded once.
+pub struct ChunkSlabs {
+    source: Arc<dyn ChunkSource>,
+    order: Order,
+    /// Those that are decoded ahead of the order, how many, and which follow.
+    ahead: Option<(Ahead, usize, Order)>,
+    /// What is left of the chunk decoded last, and all its bytes.
+    left: IndexBox,
+    bytes: Vec<u8>,
+}
+
+impl ChunkSlabs {
+    /// All chunks.
+    pub fn new(source: Arc<dyn ChunkSource>) -> Self {
+        let left = IndexBox { lo: [0; 3], hi: [0; 3] };
+        let (order, ahead) = (Order::new(&source), ahead(&source).map(|a| (a, 0, Order::new(&source))));
+        Self { source, order, ahead, left, bytes: vec![] }
+    }
+
+    /// Decodes the next chunk; `None` after the last.
+    fn next_chunk(&mut self) -> Result<Option<[u64; 3]>> {
+        if let Some((ahead, count, order)) = &mut self.ahead {
+            let next: Vec<[u64; 3]> = order.take(ahead.most() - *count).collect();
+            *count += next.len();
+            ahead.will_need(next.into_iter(), false);
+        }
+        let Some(at) = self.order.next() else { return Ok(None) };
+        // Not cleared: what it holds would be there while the next chunk is decoded.
+        self.bytes = vec![];
+        if let Some((ahead, count, _)) = &mut self.ahead {
+            *count -= 1;
+            if let Some(decoded) = ahead.take(at) {
+                self.bytes = decoded?;
+                return Ok(Some(at));
+            }
+        }
+        decode(&*self.source, at, &mut self.bytes)?;
+        Ok(Some(at))
+    }
+}
+
+/// What decodes the chunks of a source ahead, where that is of use.
+fn ahead(source: &Arc<dyn ChunkSource>) -> Option<Ahead> {
+    let most = ChunkShape::of(&**source).ahead();
+    let source = Arc::clone(source);
+    let decoded = move |at| {
+        let mut bytes = vec![];
+        decode(&*source, at, &mut bytes).map(|()| bytes)
+    };
+    (most > 0).then(|| Ahead::new(most, decoded))
+}
+
 impl SlabStream for ChunkSlabs {
     fn info(&self) -> &VolumeInfo {
         self.source.info()
@@ -218,17 +303,9 @@ impl SlabStream for ChunkSlabs {
 
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
         out.clear();
-        while self.left.is_empty() {
-            let Some(file) = self.file else { return Ok(None) };
-            let together = self.source.together();
-            let at = std::array::from_fn(|a| file[a] * together[a] + self.inner[a]);
-            self.left = voxels(&*self.source, at);
-            if !self.left.is_empty() {
-                // Not cleared: what it holds would be there while the next chunk is decoded.
-                self.bytes = vec![];
-                decode(&*self.source, at, &mut self.bytes)?;
-            }
-            self.advance(file);
+        if self.left.is_empty() {
+            let Some(at) = self.next_chunk()? else { return Ok(None) };
+            self.left = chunk_voxels(&*self.source, at);
         }
         let size = self.source.info().field.scalar.bytes();
         Ok(Some(cut_slab(&mut self.left, &self.bytes, size, out)))
@@ -238,6 +315,9 @@ impl SlabStream for ChunkSlabs {
 /// Bytes of a chunk's entries in the cache, besides its samples.
 const ENTRY_BYTES: u64 = 192;
 
+/// Chunks of a box that are announced, at most.
+const MOST_ANNOUNCED: usize = 4096;
+
 /// Random access to a volume of chunks.
 pub struct ChunkedVolume {
     source: Arc<dyn ChunkSource>,
@@ -245,6 +325,7 @@ pub struct ChunkedVolume {
     most: u64,
     cache: Mutex<Cache>,
     decoded: Condvar,
+    ahead: Option<Ahead>,
 }
 
 /// Chunks that are cached or being decoded.
@@ -321,7 +402,8 @@ impl Drop for Claim<'_> {
 impl ChunkedVolume {
     /// Caches up to `most` bytes of decoded chunks.
     pub fn new(source: Arc<dyn ChunkSource>, most: u64) -> Self {
-        Self { source, most, cache: Mutex::default(), decoded: Condvar::new() }
+        let ahead = ahead(&source);
+        Self { source, most, cache: Mutex::default(), decoded: Condvar::new(), ahead }
     }
 
     fn lock(&self) -> MutexGuard<'_, Cache> {
@@ -343,10 +425,41 @@ impl ChunkedVolume {
         drop(cache);
         let _claim = Claim { volume: self, at };
         let mut bytes = vec![];
-        decode(&*self.source, at, &mut bytes)?;
+        match self.ahead.as_ref().and_then(|ahead| ahead.take(at)) {
+            Some(decoded) => bytes = decoded?,
+            None => decode(&*self.source, at, &mut bytes)?,
+        }
         let bytes = Arc::new(bytes);
         self.lock().insert(at, Arc::clone(&bytes), self.most);
         Ok(bytes)
+    }
+
+    /// The chunks that meet a box: the first, and how many along each axis.
+    fn met(&self, wanted: IndexBox) -> ([u64; 3], [u64; 3]) {
+        let c = self.source.chunk_dims();
+        let first: [u64; 3] = std::array::from_fn(|a| wanted.lo[a] / c[a]);
+        (first, std::array::from_fn(|a| wanted.hi[a].div_ceil(c[a]) - first[a]))
+    }
+
+    /// Has the chunks of a box decoded ahead that are not there; `soon` before others.
+    fn announce(&self, wanted: IndexBox, soon: bool) {
+        let Some(ahead) = self.ahead.as_ref().filter(|_| !wanted.is_empty()) else { return };
+        let (first, grid) = self.met(wanted);
+        let (mut place, mut missing, cache) = ([0; 3], vec![], self.lock());
+        loop {
+            let at = std::array::from_fn(|a| first[a] + place[a]);
+            if !cache.chunks.contains_key(&at) {
+                missing.push(at);
+            }
+            if missing.len() > MOST_ANNOUNCED || !step(&mut place, grid) {
+                break;
+            }
+        }
+        drop(cache);
+        // A single one is decoded by whoever needs it now.
+        if missing.len() > usize::from(soon) {
+            ahead.will_need(missing.into_iter(), soon);
+        }
     }
 
     /// Calls `take` with each row of a box: where it starts in the box, and its bytes.
@@ -354,13 +467,12 @@ impl ChunkedVolume {
         if wanted.is_empty() {
             return Ok(());
         }
-        let (c, size) = (self.source.chunk_dims(), self.source.info().field.scalar.bytes());
-        let first: [u64; 3] = std::array::from_fn(|a| wanted.lo[a] / c[a]);
-        let grid = std::array::from_fn(|a| wanted.hi[a].div_ceil(c[a]) - first[a]);
+        self.announce(wanted, true);
+        let (size, (first, grid)) = (self.source.info().field.scalar.bytes(), self.met(wanted));
         let mut place = [0; 3];
         loop {
             let at = std::array::from_fn(|a| first[a] + place[a]);
-            let (whole, bytes) = (voxels(&*self.source, at), self.chunk(at)?);
+            let (whole, bytes) = (chunk_voxels(&*self.source, at), self.chunk(at)?);
             let part = whole.intersect(&wanted);
             let row = part.dims()[0] as usize * size;
             for z in part.lo[2]..part.hi[2] {
@@ -390,12 +502,21 @@ impl VolumeReader for ChunkedVolume {
         })
     }
 
+    fn will_need(&self, voxels: IndexBox) {
+        self.announce(voxels, false);
+    }
+
     /// Chunks that lie before the end of `slices` are given up.
     fn release(&self, slices: Range<u64>) {
         let mut cache = self.lock();
         let cached = cache.by_use.values().copied();
-        let gone: Vec<_> = cached.filter(|&at| voxels(&*self.source, at).hi[2] <= slices.end).collect();
+        let is_gone = |at| chunk_voxels(&*self.source, at).hi[2] <= slices.end;
+        let gone: Vec<_> = cached.filter(|&at| is_gone(at)).collect();
         gone.into_iter().for_each(|at| cache.remove(at));
+        drop(cache);
+        if let Some(ahead) = &self.ahead {
+            ahead.forget(is_gone);
+        }
     }
 
     fn stored_info(&self) -> VolumeInfo {
@@ -440,7 +561,7 @@ mod tests {
             if at == [1, 1, 2] && self.0.format == "bad" {
                 return Err(Error::usage("bad"));
             }
-            let b = voxels(self, at);
+            let b = chunk_voxels(self, at);
             for (z, y) in (b.lo[2]..b.hi[2]).flat_map(|z| (b.lo[1]..b.hi[1]).map(move |y| (z, y))) {
                 (b.lo[0]..b.hi[0]).for_each(|x| out.extend(value(x, y, z).to_le_bytes()));
             }

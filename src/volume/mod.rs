@@ -5,6 +5,7 @@
 //! slabs ([`SlabStream`]: other compressed files, and text). A stream is turned into random access
 //! by [`bricked`], once; a small one in memory.
 
+pub(crate) mod ahead;
 pub mod bricked;
 pub mod chunked;
 pub mod memory;
@@ -13,6 +14,7 @@ pub mod slabs;
 pub mod strided;
 pub(crate) mod unpacked;
 
+use crate::bytes::remote::is_remote;
 use crate::error::Result;
 use crate::grid::{Geometry, IndexBox};
 use half::f16;
@@ -172,7 +174,10 @@ impl VolumeInfo {
     /// All files that make up the volume, the one that was named first. Where a folder or a pattern
     /// was named, that is no file: only the files it stands for.
     pub fn files(&self) -> Vec<PathBuf> {
-        let named = Some(self.path.clone()).filter(|p| self.data_files.is_empty() || p.is_file());
+        let has_files_in =
+            |folder: &PathBuf| self.data_files.iter().any(|f| f.starts_with(folder) && f != folder);
+        let is_file = |p: &PathBuf| if is_remote(p) { !has_files_in(p) } else { p.is_file() };
+        let named = Some(self.path.clone()).filter(|p| self.data_files.is_empty() || is_file(p));
         let others = self.data_files.iter().filter(|f| **f != self.path).cloned();
         named.into_iter().chain(others).collect()
     }

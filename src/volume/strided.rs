@@ -15,7 +15,8 @@ use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::exec::will_read;
 use crate::grid::{Geometry, IndexBox};
-use crate::volume::{ScalarType, VolumeInfo, VolumeReader};
+use crate::volume::chunked::{ChunkSource, chunk_voxels};
+use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use half::f16;
 use std::ops::Range;
@@ -108,6 +109,22 @@ impl StridedVolume {
     pub fn placed(mut self, geometry: Geometry) -> Self {
         self.info.geometry = geometry;
         self
+    }
+
+    /// The volume as a source: of files on servers one of pieces that are fetched and cached, each
+    /// of them rows that follow each other in a file.
+    pub fn source(self) -> VolumeSource {
+        /// Bytes of a piece, at most, unless one row has more.
+        const PIECE: u64 = 512 << 10;
+        if !self.parts.iter().any(|part| part.is_remote()) {
+            return VolumeSource::Random(Box::new(self));
+        }
+        let ([axis, next, _], d) = (self.axes_by_step(), self.info.dims);
+        let step = |a: usize| self.strides[a].unsigned_abs();
+        let row = step(axis).saturating_mul(d[axis]).max(step(next)).max(1);
+        let mut piece = [1; 3];
+        (piece[axis], piece[next]) = (d[axis], (PIECE / row).clamp(1, d[next]));
+        VolumeSource::Chunked(Arc::new(Pieces { volume: self, piece }))
     }
 
     /// The steps of samples stored without gaps, x fastest, then y, then z; `None` where they do
@@ -217,6 +234,34 @@ impl StridedVolume {
     fn byte_of(&self, part: usize, ijk: [u64; 3]) -> u64 {
         let step = |a: usize| self.strides[a].wrapping_mul(ijk[a] as i64);
         self.offsets[part].wrapping_add_signed(step(0).wrapping_add(step(1)).wrapping_add(step(2)))
+    }
+}
+
+/// A volume in pieces that are read each by itself.
+struct Pieces {
+    volume: StridedVolume,
+    piece: [u64; 3],
+}
+
+impl ChunkSource for Pieces {
+    fn info(&self) -> &VolumeInfo {
+        &self.volume.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.piece
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        let piece = IndexBox::whole(self.piece).len() as u64;
+        // As it is fetched, and as it is given out.
+        piece.saturating_mul(2 * self.volume.info.field.scalar.bytes() as u64)
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        let voxels = chunk_voxels(self, at);
+        out.resize(voxels.len() * self.volume.info.field.scalar.bytes(), 0);
+        self.volume.read_stored(voxels, out)
     }
 }
 

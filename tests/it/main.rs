@@ -40,6 +40,8 @@ mod refine;
 mod reports;
 mod resample;
 mod series;
+#[cfg(feature = "remote")]
+mod servers;
 mod shards;
 mod shared_data;
 mod slurm;

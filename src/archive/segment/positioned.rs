@@ -22,7 +22,7 @@ enum Bytes {
     Local(File),
     #[cfg(not(unix))]
     Local(Mutex<File>),
-    Remote(RemoteFile),
+    Remote(Box<RemoteFile>),
     /// Mapped, but on a network file system.
     Source(Box<ByteSource>),
 }
@@ -31,7 +31,7 @@ impl PositionedFile {
     pub(super) fn open(path: &Path) -> Result<Self> {
         if is_remote(path) {
             let file = RemoteFile::open(path)?;
-            return Ok(Self { len: file.len(), bytes: Bytes::Remote(file) });
+            return Ok(Self { len: file.len(), bytes: Bytes::Remote(Box::new(file)) });
         }
         let file = open_regular(path)?;
         let meta = file.metadata().map_err(|e| Error::io("read the length of", path, e))?;

@@ -23,6 +23,8 @@ pub(in crate::formats) struct Head<'a> {
     pub(in crate::formats) path: &'a Path,
     /// Its first bytes; none of a folder.
     pub(in crate::formats) bytes: Vec<u8>,
+    /// Whether it is a folder; on a server, one with metadata of Zarr.
+    pub(in crate::formats) is_folder: bool,
     source: Option<Arc<ByteSource>>,
 }
 
@@ -33,12 +35,16 @@ impl<'a> Head<'a> {
     /// [`Error::Io`] when it cannot be read; [`Error::BadInput`] for an empty file.
     pub(in crate::formats) fn of(path: &'a Path, io: IoMode) -> Result<Self> {
         if path.is_dir() {
-            return Ok(Self { path, bytes: vec![], source: None });
+            return Ok(Self::of_folder(path));
         }
         let source = ByteSource::open(path, io)?;
         let mut bytes = vec![0; source.len().min(HEAD) as usize];
         source.read_at(0, &mut bytes)?;
-        Ok(Self { path, bytes, source: Some(Arc::new(source)) })
+        Ok(Self { path, bytes, is_folder: false, source: Some(Arc::new(source)) })
+    }
+
+    pub(in crate::formats) fn of_folder(path: &'a Path) -> Self {
+        Self { path, bytes: vec![], is_folder: true, source: None }
     }
 
     /// The first bytes of a gzip file, decoded; fewer where it is damaged, which its own reader
@@ -71,6 +77,11 @@ pub(in crate::formats) trait Format: Sync {
 
     /// Whether a file or a folder is of this format, by what is in it.
     fn is_in(&self, _: &Head<'_>) -> bool {
+        false
+    }
+
+    /// Whether it is read from servers: by ranges, or chunk by chunk.
+    fn is_on_servers(&self) -> bool {
         false
     }
 

@@ -2,7 +2,8 @@
 //! files, axes.
 
 use super::options::OpenOptions;
-use crate::bytes::{ByteSource, IoMode};
+use crate::bytes::remote::is_remote;
+use crate::bytes::{ByteSource, IoMode, place};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
@@ -197,8 +198,16 @@ pub(in crate::formats) fn open_files(
         return Err(Error::bad_input(header, at, "the name of a file", "none"));
     }
     let paths: Vec<PathBuf> = names.iter().map(|n| sibling(header, n)).collect();
+    if is_remote(header)
+        && let Some(name) = names.iter().zip(&paths).find(|(_, p)| !is_remote(p)).map(|(name, _)| name)
+    {
+        let expected = "files on the server of the header";
+        return Err(Error::bad_input(header, at, expected, format!("{name}, on this machine"))
+            .with_help("copy the header and its files to a disk"));
+    }
+    let lengths = place::lengths(&paths)?;
     let missing: Vec<&String> =
-        names.iter().zip(&paths).filter(|(_, p)| !p.exists()).map(|(n, _)| n).collect();
+        names.iter().zip(lengths).filter(|(_, l)| l.is_none()).map(|(n, _)| n).collect();
     if !missing.is_empty() {
         let shown: Vec<&str> = missing.iter().take(3).map(|n| n.as_str()).collect();
         let more = if missing.len() > 3 { ", …" } else { "" };

@@ -36,6 +36,10 @@ impl Format for Npy {
         "an NPY file"
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn suffixes(&self) -> &'static [&'static str] {
         &[".npy"]
     }
@@ -59,7 +63,7 @@ impl Format for Npy {
 /// [`Error::BadInput`] when it is malformed, cut short or not a three-dimensional array of numbers.
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
-    let array = Array::parse(path, source.slice(0..source.len())?)?;
+    let array = Array::parse(path, source.head_from(0)?)?;
     let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
     let info = plain_info(
         path,
@@ -71,7 +75,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     pick_field(path, &info.fields, options.field.as_deref())?;
     let (at, big) = (array.data_at as u64, array.big_endian);
     let strides = array.strides(path)?;
-    Ok(VolumeSource::Random(Box::new(StridedVolume::new(info, source, at, big, strides)?)))
+    Ok(StridedVolume::new(info, source, at, big, strides)?.source())
 }
 
 /// What the header of an array says.

@@ -37,6 +37,10 @@ impl Format for Npz {
         "an NPZ file"
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn suffixes(&self) -> &'static [&'static str] {
         &[".npz"]
     }
@@ -84,7 +88,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         let source = member.check_length(&array, source)?;
         let at = member.bytes.start + array.data_at as u64;
         let volume = StridedVolume::new(info, source, at, array.big_endian, array.strides(path)?)?;
-        return Ok(VolumeSource::Random(Box::new(volume)));
+        return Ok(volume.source());
     }
     if array.z_fastest {
         return Err(Error::bad_input(path, &member.name, "C order in a compressed archive", "Fortran order")

@@ -78,7 +78,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let strides = StridedVolume::packed_strides(layout.dims, layout.scalar).expect("fewer than 2^63 bytes");
     let volume = StridedVolume::new(info, source, layout.offset, layout.big_endian, strides)?;
-    Ok(VolumeSource::Random(Box::new(volume)))
+    Ok(volume.source())
 }
 
 /// The error for a file whose layout must be given.

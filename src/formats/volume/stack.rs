@@ -6,14 +6,20 @@
 //! would be silently wrong, so that is an error that names the numbers.
 
 use crate::bytes::publish::folder_of;
+use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::formats::shared::has_suffix;
 use std::path::{Path, PathBuf};
 
 /// Whether a path that does not exist is a pattern for file names: `slices_*.tif`.
 pub(in crate::formats) fn is_pattern(path: &Path) -> bool {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    name.contains(['*', '?']) && !path.exists()
+    has_wildcard(path) && !is_remote(path) && !path.exists()
+}
+
+/// Whether the name could be a pattern.
+pub(in crate::formats) fn has_wildcard(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().contains('*'))
+        || path.file_name().is_some_and(|name| name.to_string_lossy().contains('?')) && !is_remote(path)
 }
 
 /// The files that a pattern stands for, in the order of their numbers.

@@ -114,8 +114,9 @@ impl ChunkCache {
         let VolumeSource::Chunked(chunks) = source else { return None };
         let shape = ChunkShape::of(&**chunks);
         let decoding = shape.decoding_bytes.saturating_mul(run.resources.worker_threads() as u64);
+        let held = decoding.saturating_add(shape.ahead_bytes());
         let caches = cache_sizes(&shape, boxes).into_iter().flatten();
-        let mut caches = caches.map(|size| Self { size, held: size.saturating_add(decoding) });
+        let mut caches = caches.map(|size| Self { size, held: size.saturating_add(held) });
         let fits = |cache: &Self| {
             cache.size <= most_cached(run.resources.memory)
                 && cache.held.saturating_add(least) <= run.resources.memory

@@ -5,8 +5,13 @@
 //! (length, times of change, inode); the watch compares it again before each chunk and each segment
 //! is stored, and before a manifest is published. If a comparison finds no change, all that was
 //! read before it is from the bytes that were hashed.
+//!
+//! A file on a server is not read for that. Its address, its length and its ETag (or else its time
+//! of change) stand for its bytes. Servers are asked for these when the watch begins. From then on
+//! each answer is compared with the one before, so the watch sees what has been read since.
 
-use crate::bytes::open_regular;
+use crate::bytes::remote::{self, is_remote};
+use crate::bytes::{open_regular, place};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::formats::StepSource;
@@ -26,17 +31,34 @@ const NO_FILE: u64 = u64::MAX;
 
 /// XXH3 (128 bits), in hexadecimal, of the files that make up an input. It hashes, for each file in
 /// order, its length as a little-endian u64, then all its bytes. A file that does not exist counts
-/// as the length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB.
+/// as the length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB. Of a file on a
+/// server it hashes the length, the address and what the server says of its state: a request each.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read; [`Error::BadInput`] for what is no regular file.
 pub fn fingerprint(files: &[PathBuf]) -> Result<String> {
+    look_at(files)?;
     hash_of(files, &CancelToken::new())
+}
+
+/// Asks servers about the files that they have.
+fn look_at<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
+    let on_servers: Vec<PathBuf> = files.into_iter().filter(|file| is_remote(file)).cloned().collect();
+    remote::look_at(&on_servers)
 }
 
 fn hash_of(files: &[PathBuf], cancel: &CancelToken) -> Result<String> {
     let (mut hash, mut buffer) = (Xxh3::new(), vec![0; PIECE]);
     for path in files {
+        if is_remote(path) {
+            let seen = remote::seen(path)?;
+            hash.update(&seen.len.unwrap_or(NO_FILE).to_le_bytes());
+            if seen.len.is_some() {
+                hash.update(path.as_os_str().as_encoded_bytes());
+                hash.update(&seen.tag.to_le_bytes());
+            }
+            continue;
+        }
         let mut file = match open_regular(path) {
             Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
                 hash.update(&NO_FILE.to_le_bytes());
@@ -61,17 +83,30 @@ fn hash_of(files: &[PathBuf], cancel: &CancelToken) -> Result<String> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Stamp {
     len: u64,
-    /// Nanoseconds since 1970.
+    /// Nanoseconds since 1970; of a file on a server a hash of its ETag.
     modified: i128,
     /// Time of change of the inode, which no program can set, in nanoseconds; the inode; the
-    /// device. 0 where the system has none.
+    /// device. 0 where the system has none. Of a file on a server, how often it changed.
     changed: i128,
     inode: [u64; 2],
 }
 
 impl Stamp {
-    /// The stamp of a file; `None` for a folder, and where there is nothing.
-    fn of(path: &Path) -> Option<Self> {
+    /// The stamp of a file; `None` for a folder, and where there is nothing. A server is asked only
+    /// if it said nothing of the file so far.
+    ///
+    /// # Errors
+    /// When a server fails.
+    fn of(path: &Path) -> Result<Option<Self>> {
+        if is_remote(path) {
+            let remote::Seen { len, tag, changes } = remote::seen(path)?;
+            let (modified, changed) = (i128::from(tag), i128::from(changes));
+            return Ok(len.map(|len| Self { len, modified, changed, inode: [0; 2] }));
+        }
+        Ok(Self::of_local(path))
+    }
+
+    fn of_local(path: &Path) -> Option<Self> {
         let about = std::fs::metadata(path).ok().filter(|about| !about.is_dir())?;
         let modified = about.modified().ok().map_or(0, |time| match time.duration_since(UNIX_EPOCH) {
             Ok(after) => after.as_nanos() as i128,
@@ -110,10 +145,25 @@ pub(in crate::pipeline) struct Watch(BTreeMap<PathBuf, Option<Stamp>>);
 
 impl Watch {
     /// Takes the stamps of files that are not watched yet.
-    pub(in crate::pipeline) fn add(&mut self, files: &[PathBuf]) {
-        for file in files.iter().filter(|&f| !self.0.contains_key(f)).collect::<Vec<_>>() {
-            self.0.insert(file.clone(), Stamp::of(file));
+    ///
+    /// # Errors
+    /// When a server fails.
+    pub(in crate::pipeline) fn add(&mut self, files: &[PathBuf]) -> Result<()> {
+        let new: Vec<&PathBuf> = files.iter().filter(|&f| !self.0.contains_key(f)).collect();
+        look_at(new.iter().copied())?;
+        for file in new {
+            self.0.insert(file.clone(), Stamp::of(file)?);
         }
+        Ok(())
+    }
+
+    /// [`Watch::add`] for what a user named, before it is opened: a file, or a folder, which has no
+    /// stamp. An address is opened first, because what a server says of a folder means nothing.
+    ///
+    /// # Errors
+    /// Those of [`Watch::add`].
+    pub(in crate::pipeline) fn add_named(&mut self, path: &Path) -> Result<()> {
+        if is_remote(path) { Ok(()) } else { self.add(&[path.to_path_buf()]) }
     }
 
     /// Whether all files are what they were.
@@ -143,13 +193,13 @@ impl Watch {
 }
 
 fn recorded(path: &Path, stamp: Option<Stamp>) -> RecordedFile {
-    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let path = place::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let modified = stamp.map_or(String::new(), |s| s.modified.to_string());
     RecordedFile { path, bytes: stamp.map(|s| s.len), modified }
 }
 
 fn unchanged(path: &Path, before: Option<Stamp>) -> Result<()> {
-    let now = Stamp::of(path);
+    let now = Stamp::of(path)?;
     if now == before {
         return Ok(());
     }
@@ -194,7 +244,7 @@ impl<'a> Inputs<'a> {
         files: &[PathBuf],
         cancel: &CancelToken,
     ) -> Result<String> {
-        self.watch.add(files);
+        self.watch.add(files)?;
         let stamps: Vec<Option<Stamp>> = files.iter().map(|file| self.watch.0[file]).collect();
         if let Some(found) = self.of_plan(number, files, &stamps) {
             return Ok(found.to_owned());

@@ -9,6 +9,7 @@ use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, Segmen
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::tables::CoordinateMap;
 use crate::bytes::remote::is_remote;
+use crate::bytes::{IoMode, place};
 use crate::error::{Error, Result};
 use crate::grid::{ChunkGrid, ChunkId};
 use crate::mesh::bcc::{BccChunk, BccMesh};
@@ -19,10 +20,16 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// Whether `path` is an archive: a folder with a manifest. Nothing else is read from an object
-/// store or a web server.
+/// Whether `path` is an archive: a folder with a manifest. Of an address that ends in ".isospan"
+/// the server is not asked.
 pub fn is_archive(path: &Path) -> bool {
-    is_remote(path) || path.is_dir() && path.join(MANIFEST_NAME).exists()
+    if is_remote(path) {
+        let is_called = path.extension().is_some_and(|e| e == "isospan");
+        // Where the server fails, opening the volume tells why.
+        let manifest = || place::ranges_if_there(&path.join(MANIFEST_NAME), IoMode::Auto);
+        return is_called || manifest().is_ok_and(|found| found.is_some());
+    }
+    path.is_dir() && path.join(MANIFEST_NAME).exists()
 }
 
 /// An archive opened for reading: what all its steps share. Nothing of it changes but what is

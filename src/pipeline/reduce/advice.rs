@@ -8,6 +8,8 @@
 use super::job::Job;
 use super::meshes::keeps_own;
 use super::report::ReduceReport;
+use crate::bytes::place;
+use crate::bytes::remote::is_remote;
 use crate::cells::CellMesh;
 use crate::error::{Result, bytes_text};
 use crate::formats::{Input, StepSource};
@@ -387,23 +389,29 @@ fn points_of(dims: [u64; 3], asked: u64, settings: &ReduceSettings) -> u64 {
     points.map_or(asked, |points| points.len())
 }
 
-/// The size of all steps; `input` is the one that was opened. `None` where the system does not say.
+/// The size of all steps; `input` is the one that was opened. `None` where the system, or a server,
+/// does not say.
 fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
     let steps = sources.len() as u64;
-    let mut paths: Vec<&PathBuf> = sources.iter().map(|(_, s)| &s.path).collect();
+    let mut paths: Vec<PathBuf> = sources.iter().map(|(_, s)| s.path.clone()).collect();
     paths.sort_unstable();
     paths.dedup();
     let files = match input {
         Input::Volume(volume) => volume.info().files(),
         Input::Mesh(mesh) => mesh.info().files(),
     };
-    let length = |path: &Path| std::fs::metadata(path).ok().map(|m| m.len());
+    // Chunks that are not there take no bytes.
+    let length = |files: &[PathBuf]| {
+        let lengths = place::lengths(files).ok()?;
+        let on_servers = files.iter().any(|file| is_remote(file));
+        lengths.into_iter().map(|len| len.or(on_servers.then_some(0))).sum::<Option<u64>>()
+    };
     let on_disk = if sources.iter().any(|(_, source)| source.is_given()) {
         u64::MAX
     } else if files.len() == 1 {
-        paths.iter().map(|p| length(p)).sum::<Option<u64>>()?
+        length(&paths)?
     } else {
-        files.iter().map(|p| length(p)).sum::<Option<u64>>()?.saturating_mul(paths.len() as u64)
+        length(&files)?.saturating_mul(paths.len() as u64)
     };
     let (samples, stored) = match input {
         Input::Volume(volume) => {

@@ -143,9 +143,9 @@ fn base_from(
     how: &StoreSettings,
     inputs: &mut Inputs<'_>,
 ) -> Result<(CellMesh, CellStore)> {
-    inputs.watch.add(std::slice::from_ref(&source.path));
+    inputs.watch.add_named(&source.path)?;
     let mesh = open_mesh_of(source)?;
-    inputs.watch.add(&mesh.info().files());
+    inputs.watch.add(&mesh.info().files())?;
     check_job(job, &mesh)?;
     let Some(archive) = job.basis.archive() else {
         let store = CellStore::build(&mesh, how)?;
@@ -541,7 +541,7 @@ impl StepPlanner<'_> {
 
     fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
         // Before its head is read.
-        self.inputs.watch.add(std::slice::from_ref(&source.path));
+        self.inputs.watch.add_named(&source.path)?;
         let mesh = match self.last.as_ref().and_then(|last| last.of(source)) {
             Some(mesh) => mesh?,
             None => open_mesh_of(source)?,

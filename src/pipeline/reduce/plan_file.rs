@@ -23,7 +23,7 @@ use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::segment::PlanHash;
 use crate::bytes::publish::Unpublished;
-use crate::bytes::read_whole;
+use crate::bytes::{place, read_whole};
 use crate::error::{Error, Result};
 use crate::formats::{Input, OpenOptions, StepSource};
 use crate::pipeline::plan::{Attachments, Inputs, Plan, RecordedFile, Watch};
@@ -250,7 +250,7 @@ struct Version {
 
 fn with_absolute_paths(source: &StepSource) -> Result<StepSource> {
     let absolute = |p: &Path| {
-        let path = std::path::absolute(p).map_err(|e| Error::io("find", p, e))?;
+        let path = place::absolute(p).map_err(|e| Error::io("find", p, e))?;
         match path.to_str() {
             Some(_) => Ok(path),
             None => Err(Error::usage(format!("{}: a plan needs paths in UTF-8", path.display()))),

@@ -250,7 +250,7 @@ impl Planner<'_> {
     fn step(&mut self, number: u64, source: &StepSource, look: bool) -> Result<(StepPlan, PlannedSource)> {
         if !source.is_given() {
             // Before its head is read.
-            self.inputs.watch.add(std::slice::from_ref(&source.path));
+            self.inputs.watch.add_named(&source.path)?;
         }
         let volume = volume_of(source, "a volume, as other steps are")?;
         let info = volume.info().clone();

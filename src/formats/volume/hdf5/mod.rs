@@ -83,6 +83,10 @@ impl Format for Hdf5 {
         "an HDF5 or NetCDF-4 file"
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn suffixes(&self) -> &'static [&'static str] {
         &[]
     }
@@ -161,7 +165,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     if let Some((at, strides)) = field.in_place(path, &file)? {
         let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
-        return Ok(VolumeSource::Random(Box::new(volume)));
+        return Ok(volume.source());
     }
     pieces(info, None)
 }
@@ -283,6 +287,12 @@ fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
             "write it anew with deflate: h5repack -f GZIP=1 OLD NEW, where the filter's plugin is installed";
         let got = format!("the filter {} ({filter})", filters::name_of_unread(number));
         return Error::bad_input(path, at, filters::READ, got).with_help(help);
+    }
+    // Not the file's fault, but of the disk or the server.
+    if let hdf5_reader::error::Error::Io(failed) = error
+        && failed.get_ref().is_some_and(|inner| matches!(inner.downcast_ref(), Some(Error::Io { .. })))
+    {
+        return Error::io("read", path, std::io::Error::other(got));
     }
     let help = "the file is damaged, cut short, or uses what is not read; try h5dump or h5repack on it";
     Error::bad_input(path, at, "good HDF5 or NetCDF-4", got).with_help(help)

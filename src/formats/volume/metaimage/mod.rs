@@ -44,6 +44,10 @@ impl Format for MetaImage {
         "a MetaImage file"
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn suffixes(&self) -> &'static [&'static str] {
         &[".mha", ".mhd"]
     }
@@ -102,7 +106,7 @@ struct Header<'a> {
 impl<'a> Header<'a> {
     fn parse(source: &'a ByteSource) -> Result<Self> {
         let path = source.path();
-        let mut lines = Lines::new(source.slice(0..source.len())?);
+        let mut lines = Lines::new(source.head_from(0)?);
         let mut header = Self { path, fields: vec![], listed: vec![], end: 0 };
         while header.get("ElementDataFile").is_none() {
             let at = |n: usize| format!("line {n}");
@@ -302,7 +306,7 @@ impl<'a> Header<'a> {
                 StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
             let slices = info.dims[2] / count;
             let volume = StridedVolume::stacked(info, parts, slices, start, big, strides)?;
-            return Ok(VolumeSource::Random(Box::new(volume)));
+            return Ok(volume.source());
         }
         let [part] = &parts[..] else {
             let got = format!("{count} files of {} data", encoding.name());
@@ -318,7 +322,8 @@ impl<'a> Header<'a> {
         } else {
             let range = start..self.compressed_end(part, start)?;
             // MetaIO takes a gzip header for a zlib one, too.
-            let gzip = part.slice(range.clone())?.starts_with(&[0x1f, 0x8b]);
+            let start = range.start..range.end.min(range.start.saturating_add(2));
+            let gzip = part.slice(start)?.starts_with(&[0x1f, 0x8b]);
             let codec = if gzip { Codec::Gzip } else { Codec::Zlib };
             Box::new(ByteSlabs::new(info, part, range, codec, 0, big, Tail::Nothing)?)
         };

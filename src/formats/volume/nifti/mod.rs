@@ -28,7 +28,7 @@
 //! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and
 //! `nifti1.h`, `nifti2.h`.
 
-use crate::bytes::{ByteSource, IoMode};
+use crate::bytes::{ByteSource, IoMode, place};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::formats::shared::format::{Format, Head};
@@ -50,6 +50,10 @@ pub(in crate::formats) struct Nifti;
 impl Format for Nifti {
     fn name(&self) -> &'static str {
         "a NIfTI file"
+    }
+
+    fn is_on_servers(&self) -> bool {
+        true
     }
 
     fn suffixes(&self) -> &'static [&'static str] {
@@ -120,7 +124,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
     let volume = StridedVolume::new(info, data, offset, header.big_endian, strides)?;
-    Ok(VolumeSource::Random(Box::new(volume)))
+    Ok(volume.source())
 }
 
 /// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]`
@@ -256,7 +260,13 @@ fn partner(path: &Path, wanted: &str) -> Result<PathBuf> {
         endings.reverse();
     }
     let names = endings.map(|e| format!("{stem}.{wanted}{e}"));
-    let found = names.iter().map(|n| path.with_file_name(n)).find(|p| p.exists());
+    let mut found = None;
+    for name in &names {
+        let file = path.with_file_name(name);
+        if found.is_none() && place::exists(&file)? {
+            found = Some(file);
+        }
+    }
     found.ok_or_else(|| {
         let expected = format!("the other file of the pair, {} or {}", names[0], names[1]);
         Error::bad_input(path, "file", expected, "neither").with_help("put it into the same folder")

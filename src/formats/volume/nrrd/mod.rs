@@ -51,6 +51,10 @@ impl Format for Nrrd {
         &[".nrrd", ".nhdr"]
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn is_in(&self, head: &Head<'_>) -> bool {
         head.bytes.starts_with(b"NRRD000")
     }
@@ -115,7 +119,7 @@ struct Header<'a> {
 impl<'a> Header<'a> {
     fn parse(source: &'a ByteSource) -> Result<Self> {
         let path = source.path();
-        let mut lines = Lines::new(source.slice(0..source.len())?);
+        let mut lines = Lines::new(source.head_from(0)?);
         let magic = lines.next().unwrap_or_default();
         if !matches!(
             magic.strip_prefix("NRRD000").map(str::trim_end),
@@ -349,7 +353,7 @@ impl<'a> Header<'a> {
             let (slices, big) = (info.dims[2] / parts, self.big_endian(scalar)?);
             self.same_layout(&data.parts)?;
             let volume = StridedVolume::stacked(info, data.parts, slices, offset, big, strides)?;
-            return Ok(VolumeSource::Random(Box::new(volume)));
+            return Ok(volume.source());
         }
         if parts > 1 {
             let got = format!("{parts} files of {} data", encoding.name());
@@ -398,7 +402,7 @@ impl<'a> Header<'a> {
     /// The byte after the lines to skip.
     fn skip_lines(&self, source: &ByteSource, start: u64) -> Result<u64> {
         let [count] = numbers::<u64, 1>(self.path, "line skip", self.get("lineskip").unwrap_or("0"))?;
-        let rest = source.slice(start..source.len())?;
+        let rest = source.head_from(start)?;
         let mut at = 0;
         for skipped in 0..count {
             let end = rest[at..].iter().position(|&b| b == b'\n');

@@ -74,7 +74,9 @@ pub(crate) fn has_magic(head: &[u8]) -> bool {
 
 impl Tiff {
     pub(super) fn open(source: Arc<ByteSource>) -> Result<Self> {
-        let head = source.slice(0..source.len().min(16))?;
+        let mut head = [0; 16];
+        let head = &mut head[..source.len().min(16) as usize];
+        source.read_at(0, head)?;
         if !has_magic(head) {
             let got = format!("{:02x?}", &head[..head.len().min(4)]);
             return Err(Error::bad_input(source.path(), "byte 0", "a TIFF file (II*, MM*, II+ or MM+)", got));
@@ -97,7 +99,8 @@ impl Tiff {
         let end = at.checked_add(size).ok_or_else(|| {
             self.wrong(&format!("byte {at}"), "a place within the file", "one beyond 64 bits")
         })?;
-        Ok(number(self.source.slice(at..end)?, self.big_endian))
+        let mut buffer = vec![];
+        Ok(number(self.source.view(at..end, &mut buffer)?, self.big_endian))
     }
 
     /// The places of all directories, in the order of the file's chain.
@@ -120,7 +123,8 @@ impl Tiff {
         let count = self.number(at, count_size)?;
         let (start, bytes) = (at + count_size, count.saturating_mul(entry_size));
         let end = start.saturating_add(bytes);
-        let table = self.source.slice(start..end)?;
+        let mut buffer = vec![];
+        let table = self.source.view(start..end, &mut buffer)?;
         let field = |e: &[u8], at: u64, n: u64| number(&e[at as usize..(at + n) as usize], self.big_endian);
         let mut entries = vec![];
         for (i, e) in table.chunks_exact(entry_size as usize).enumerate() {
@@ -162,14 +166,14 @@ impl Ifd<'_> {
 
     /// The stored bytes of an entry. They are sure to lie in the file, even if the entry's count is
     /// wrong.
-    fn bytes(&self, entry: &Entry) -> Result<&[u8]> {
+    fn bytes<'b>(&'b self, entry: &Entry, buffer: &'b mut Vec<u8>) -> Result<&'b [u8]> {
         let size = size_of_kind(entry.kind).and_then(|s| s.checked_mul(entry.count));
         let end = size.and_then(|s| entry.at.checked_add(s));
         let end = end.ok_or_else(|| {
             let got = format!("{} values of type {}", entry.count, entry.kind);
             self.wrong(&format!("tag {}", entry.tag), "values of a known type that fit a file", got)
         })?;
-        self.tiff.source.slice(entry.at..end)
+        self.tiff.source.view(entry.at..end, buffer)
     }
 
     /// The values of a tag of unsigned integers; `None` where the tag is missing.
@@ -180,7 +184,8 @@ impl Ifd<'_> {
             return Err(self.wrong(&format!("tag {tag}"), "unsigned integers", got));
         }
         let size = size_of_kind(entry.kind).expect("the types above have sizes") as usize;
-        let bytes = self.bytes(entry)?.chunks_exact(size);
+        let mut buffer = vec![];
+        let bytes = self.bytes(entry, &mut buffer)?.chunks_exact(size);
         Ok(Some(bytes.map(|b| number(b, self.tiff.big_endian)).collect()))
     }
 
@@ -197,21 +202,34 @@ impl Ifd<'_> {
     }
 
     /// A rational number; `None` where the tag is missing, of another type, or no number.
-    pub(super) fn rational(&self, tag: u16) -> Option<f64> {
-        let entry = self.entry(tag).filter(|e| e.kind == 5 && e.count == 1)?;
-        let bytes = self.bytes(entry).ok()?;
+    pub(super) fn rational(&self, tag: u16) -> Result<Option<f64>> {
+        let (mut buffer, entry) = (vec![], self.entry(tag).filter(|e| e.kind == 5 && e.count == 1));
+        let Some(bytes) = self.bytes_in_file(entry, &mut buffer)? else { return Ok(None) };
         let part = |b: &[u8]| number(b, self.tiff.big_endian) as f64;
         let value = part(&bytes[..4]) / part(&bytes[4..]);
-        (value.is_finite() && value > 0.0).then_some(value)
+        Ok((value.is_finite() && value > 0.0).then_some(value))
+    }
+
+    /// The bytes of an entry; `None` where they do not lie in the file.
+    fn bytes_in_file<'b>(
+        &'b self,
+        entry: Option<&Entry>,
+        buffer: &'b mut Vec<u8>,
+    ) -> Result<Option<&'b [u8]>> {
+        match entry.map(|e| self.bytes(e, buffer)) {
+            Some(Err(e @ Error::Io { .. })) => Err(e),
+            found => Ok(found.and_then(Result::ok)),
+        }
     }
 
     /// The text of a tag, empty where it is missing. A description that does not lie in the file is
     /// no reason to refuse the samples.
-    pub(super) fn text(&self, tag: u16) -> String {
+    pub(super) fn text(&self, tag: u16) -> Result<String> {
         /// The longest text that is read: OME-XML of large data sets has some megabytes.
-        const MOST: usize = 64 << 20;
-        let bytes = self.entry(tag).filter(|e| e.kind == 2 || e.kind == 1).and_then(|e| self.bytes(e).ok());
-        let bytes = bytes.filter(|b| b.len() <= MOST).unwrap_or_default();
-        String::from_utf8_lossy(bytes).trim_end_matches('\0').to_string()
+        const MOST: u64 = 64 << 20;
+        let mut buffer = vec![];
+        let entry = self.entry(tag).filter(|e| (e.kind == 2 || e.kind == 1) && e.count <= MOST);
+        let bytes = self.bytes_in_file(entry, &mut buffer)?.unwrap_or_default();
+        Ok(String::from_utf8_lossy(bytes).trim_end_matches('\0').to_string())
     }
 }

@@ -62,6 +62,10 @@ impl Format for TiffFile {
         "a TIFF file"
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn suffixes(&self) -> &'static [&'static str] {
         &SUFFIXES
     }
@@ -290,7 +294,7 @@ fn imagej_stack(
     }
     let strides = packed(&info)?;
     let volume = StridedVolume::new(info, Arc::clone(&tiff.source), at, tiff.big_endian, strides)?;
-    Ok(VolumeSource::Random(Box::new(volume)))
+    Ok(volume.source())
 }
 
 fn packed(info: &VolumeInfo) -> Result<[i64; 3]> {
@@ -347,7 +351,7 @@ fn mapped(info: VolumeInfo, tiff: &Tiff, places: &[u64]) -> Result<VolumeSource>
     }
     let strides = packed(&info)?;
     let volume = StridedVolume::stacked_at(info, parts, 1, tiff.big_endian, strides)?;
-    Ok(VolumeSource::Random(Box::new(volume)))
+    Ok(volume.source())
 }
 
 /// Where the pages of a volume are.

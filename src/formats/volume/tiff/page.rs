@@ -128,7 +128,7 @@ impl Page {
         } else {
             (tag::STRIP_OFFSETS, tag::STRIP_COUNTS)
         };
-        let resolution = ifd.rational(tag::X_RESOLUTION).zip(ifd.rational(tag::Y_RESOLUTION));
+        let resolution = ifd.rational(tag::X_RESOLUTION)?.zip(ifd.rational(tag::Y_RESOLUTION)?);
         let mut page = Self {
             shape: Shape { dims, scalar },
             compression,
@@ -138,7 +138,7 @@ impl Page {
             offsets: ifd.numbers(tags.0)?.unwrap_or_default(),
             counts: ifd.numbers(tags.1)?.unwrap_or_default(),
             secondary,
-            description: ifd.text(tag::DESCRIPTION),
+            description: ifd.text(tag::DESCRIPTION)?,
             resolution: resolution.map(|(x, y)| [x, y]),
         };
         if !secondary {

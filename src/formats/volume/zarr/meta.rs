@@ -2,7 +2,7 @@
 //! structure.
 
 use super::codec::Codec;
-use crate::bytes::read_whole;
+use crate::bytes::place::read_if_there;
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use serde_json::Value;
@@ -58,19 +58,7 @@ const MOST: u64 = 64 << 20;
 
 /// The JSON of a metadata file, if there is one.
 pub(super) fn json(file: &Path) -> Result<Option<Value>> {
-    let about = match std::fs::metadata(file) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        about => about.map_err(|e| Error::io("look at", file, e))?,
-    };
-    if about.len() > MOST {
-        return Err(Error::bad_input(
-            file,
-            "length",
-            "metadata of some kilobytes",
-            format!("{} bytes", about.len()),
-        ));
-    }
-    let bytes = read_whole(file, MOST)?;
+    let Some(bytes) = read_if_there(file, MOST)? else { return Ok(None) };
     let value = serde_json::from_slice(&bytes);
     value.map(Some).map_err(|e| Error::bad_input(file, "metadata", "JSON", e.to_string()))
 }
@@ -78,12 +66,21 @@ pub(super) fn json(file: &Path) -> Result<Option<Value>> {
 /// The metadata of the array in a folder; `None` where there is no array.
 pub(super) fn array(folder: &Path) -> Result<Option<Array>> {
     let file = folder.join("zarr.json");
-    if let Some(json) = json(&file)? {
+    let of_3 = json(&file);
+    if let Ok(Some(json)) = of_3 {
         let is_array = json["node_type"] == "array";
         return if is_array { Ok(Some(Parser { file: &file, json: &json }.v3(folder)?)) } else { Ok(None) };
     }
     let file = folder.join(".zarray");
-    let Some(json) = json(&file)? else { return Ok(None) };
+    // A server that denies what is not there does not hide an array of version 2.
+    let json = match (json(&file), of_3) {
+        (Ok(Some(json)), Err(e)) if e.is_denied() => json,
+        (found, of_3) => {
+            of_3?;
+            let Some(json) = found? else { return Ok(None) };
+            json
+        }
+    };
     let mut array = Parser { file: &file, json: &json }.v2(folder)?;
     let attributes = self::json(&folder.join(".zattrs"))?.unwrap_or_default();
     array.names = strings(&attributes["_ARRAY_DIMENSIONS"]);

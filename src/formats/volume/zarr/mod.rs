@@ -8,6 +8,10 @@
 //!    1/                       the next level, coarser
 //! ```
 //!
+//! On a server ([`crate::bytes::remote`]) a chunk is fetched in one request, or as a range of its
+//! shard. Groups without OME-Zarr's metadata are listed, or have consolidated metadata. Where a
+//! server denies a file, that is an error, unless the metadata of another version are there.
+//!
 //! The path is the group or an array in it (`image.ome.zarr/1`). In a group, `--field` chooses one
 //! array: by its path, the first part of that, or "scaleN" for level N. Without a choice an
 //! OME-Zarr image gives its first level, which is the full image.
@@ -40,6 +44,8 @@
 mod codec;
 mod meta;
 
+use crate::bytes::place::{above, folders_in, open_if_there, ranges_if_there};
+use crate::bytes::remote::is_remote;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Fault, Result};
 use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
@@ -75,7 +81,11 @@ impl Format for Zarr {
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
-        is_zarr(head.path)
+        head.is_folder && (is_remote(head.path) || is_zarr(head.path).is_ok_and(|found| found))
+    }
+
+    fn is_on_servers(&self) -> bool {
+        true
     }
 
     fn has_spacing(&self) -> bool {
@@ -117,9 +127,28 @@ const MOST_FRAMES: u64 = 1 << 16;
 const LISTED: u64 = 1 << 20;
 
 /// Whether a folder is a Zarr array or group.
-pub(in crate::formats) fn is_zarr(folder: &Path) -> bool {
-    [".zarray", ".zgroup", "zarr.json", ".zattrs"].iter().any(|f| folder.join(f).is_file())
+///
+/// # Errors
+/// When a server fails.
+pub(in crate::formats) fn is_zarr(folder: &Path) -> Result<bool> {
+    if !is_remote(folder) {
+        return Ok(METADATA.iter().any(|f| folder.join(f).is_file()));
+    }
+    let mut denied = Ok(false);
+    for file in METADATA {
+        match meta::json(&folder.join(file)) {
+            Ok(None) => {}
+            Ok(Some(_)) => return Ok(true),
+            // Another one may be readable: S3 denies what is not there, too.
+            Err(e) if e.is_denied() => denied = denied.and(Err(e)),
+            Err(e) => return Err(e),
+        }
+    }
+    denied
 }
+
+/// Names of metadata: one of them is in each array and group.
+const METADATA: [&str; 4] = ["zarr.json", ".zattrs", ".zarray", ".zgroup"];
 
 /// Opens an array, or one of a group.
 ///
@@ -140,7 +169,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
     sample_bytes(&array.file, dims, array.scalar)?;
     check_chunks(&array)?;
-    let lines = lines(&array, axes, options.io);
+    let lines = lines(&array, axes, options.io)?;
     if image.is_some() || lines.iter().any(Option::is_some) {
         options.refuse_geometry(path, "a Zarr array with coordinates")?;
     }
@@ -216,7 +245,7 @@ fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(&Field) -> bo
                 let (scale, shift) = image.scale_and_shift(array, frame.axis);
                 Some(shift + scale * frame.number as f64)
             }
-            None => line(array, frame.axis, IoMode::Auto)
+            None => line(array, frame.axis, IoMode::Auto)?
                 .and_then(|(times, _)| times.get(frame.number as usize).copied()),
         };
         out.push((field.info.name, time.filter(|t| t.is_finite())));
@@ -237,7 +266,7 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
     let fields = fields(None, &arrays)?;
     let field = &fields[choose(path, options, None, &arrays, &fields)?];
     let array = &arrays[field.array].1;
-    let lines = lines(array, field.axes, options.io);
+    let lines = lines(array, field.axes, options.io)?;
     if image_around(&array.folder)?.is_some() || lines.iter().flatten().all(|l| regular(&l.0, l.1).is_some())
     {
         return Ok(None);
@@ -250,32 +279,44 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
 type Coordinates = (Vec<f64>, bool);
 
 /// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
-fn lines(array: &Array, axes: Axes, io: IoMode) -> [Option<Coordinates>; 3] {
-    axes.map(|axis| line(array, axis?, io))
+fn lines(array: &Array, axes: Axes, io: IoMode) -> Result<[Option<Coordinates>; 3]> {
+    let [x, y, z] = axes.map(|axis| axis.map_or(Ok(None), |axis| line(array, axis, io)));
+    Ok([x?, y?, z?])
 }
 
 /// The numbers of the array of one axis that is named like an axis of an array, and lies next to
-/// it.
-fn line(array: &Array, axis: usize, io: IoMode) -> Option<Coordinates> {
-    let name = array.names.as_ref().filter(|n| n.len() == array.shape.len())?.get(axis)?;
-    let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
-    let folder = array.folder.parent().filter(|_| inside)?.join(name);
-    let own = meta::array(&folder).ok()??;
-    if own.shape != [array.shape[axis]] || own.shape[0] > MOST_COORDINATES || check_chunks(&own).is_err() {
-        return None;
+/// it. What is there but is no such array is ignored.
+///
+/// # Errors
+/// When they cannot be read.
+fn line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Coordinates>> {
+    match try_line(array, axis, io) {
+        Err(e @ Error::Io { .. }) => Err(e),
+        found => Ok(found.ok().flatten()),
     }
+}
+
+fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Coordinates>> {
+    let names = array.names.as_ref().filter(|n| n.len() == array.shape.len());
+    let Some(name) = names.and_then(|n| n.get(axis)).filter(|name| is_inside(name)) else { return Ok(None) };
+    let Some(folder) = array.folder.parent().map(|group| group.join(name)) else { return Ok(None) };
+    let Some(own) = meta::array(&folder)? else { return Ok(None) };
+    if own.shape != [array.shape[axis]] || own.shape[0] > MOST_COORDINATES {
+        return Ok(None);
+    }
+    check_chunks(&own)?;
     let single = own.scalar == crate::volume::ScalarType::F32;
     let mut info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
-    packing(&own, &mut info).ok()?;
+    packing(&own, &mut info)?;
     let (slope, intercept, scalar) = (info.slope, info.intercept, own.scalar);
     let chunks = Chunks::new(info, own, [Some(0), None, None], vec![], io);
     let (mut chunks, mut bytes, mut out) = (ChunkSlabs::new(Arc::new(chunks)), vec![], vec![]);
-    while chunks.next_slab(&mut bytes).ok()?.is_some() {
+    while chunks.next_slab(&mut bytes)?.is_some() {
         let mut part = vec![0.0; bytes.len() / scalar.bytes()];
         to_f64(scalar, &bytes, &mut part);
         out.extend(part.into_iter().map(|v| slope * v + intercept));
     }
-    Some((out, single))
+    Ok(Some((out, single)))
 }
 
 /// Spacing and origin by coordinates, where those of all axes are regular.
@@ -459,8 +500,13 @@ struct Image {
 
 /// The image that a group describes.
 fn image(group: &Path) -> Result<Option<Image>> {
-    let v3 = meta::json(&group.join("zarr.json"))?.unwrap_or_default();
-    let v2 = meta::json(&group.join(".zattrs"))?.unwrap_or_default();
+    let [v3, v2] = match (meta::json(&group.join("zarr.json")), meta::json(&group.join(".zattrs"))) {
+        // A server that denies what is not there does not hide a group of version 2.
+        (Err(e), Ok(Some(v2))) if e.is_denied() => [None, Some(v2)],
+        (Ok(Some(v3)), Err(e)) if e.is_denied() => [Some(v3), None],
+        (v3, v2) => [v3?, v2?],
+    }
+    .map(Option::unwrap_or_default);
     let attributes = &v3["attributes"];
     let lists = [&attributes["ome"]["multiscales"], &attributes["multiscales"], &v2["multiscales"]];
     let multiscale = lists.into_iter().find_map(|l| l.get(0)).cloned();
@@ -472,8 +518,9 @@ fn image(group: &Path) -> Result<Option<Image>> {
 
 /// The image that an array belongs to: described by a folder above it.
 fn image_around(folder: &Path) -> Result<Option<Image>> {
-    for above in folder.ancestors().skip(1).take(3).filter(|p| is_zarr(p)) {
-        if let Some(image) = image(above)?
+    for above in above(folder).take(3) {
+        if (is_remote(above) || is_zarr(above)?)
+            && let Some(image) = image(above)?
             && image.levels().any(|l| above.join(path_of(l)) == folder)
         {
             return Ok(Some(image));
@@ -521,9 +568,7 @@ fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
         let mut arrays = vec![];
         for level in image.levels() {
             let name = path_of(level);
-            // A path out of the group would read what the user did not name.
-            let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
-            let array = if inside { meta::array(&path.join(name))? } else { None };
+            let array = if is_inside(name) { meta::array(&path.join(name))? } else { None };
             let array = array.ok_or_else(|| {
                 Error::bad_input(path, "multiscales", format!("an array at {name}"), "none")
                     .with_help("a level of the image is missing; name one that is there")
@@ -532,13 +577,7 @@ fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
         }
         return Ok((Some(image), arrays));
     }
-    let mut names: Vec<String> = vec![];
-    for entry in std::fs::read_dir(path).map_err(|e| Error::io("list", path, e))? {
-        let entry = entry.map_err(|e| Error::io("list", path, e))?;
-        if entry.path().is_dir() {
-            names.push(entry.file_name().to_string_lossy().into_owned());
-        }
-    }
+    let mut names = names_in(path)?;
     names.sort();
     let (mut arrays, mut refused) = (vec![], None);
     for name in names {
@@ -552,6 +591,34 @@ fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
         Some(e) if arrays.is_empty() => Err(e),
         _ => Ok((None, arrays)),
     }
+}
+
+/// The names of the folders in a group. A web server lists none: what the group's consolidated
+/// metadata name is there.
+fn names_in(group: &Path) -> Result<Vec<String>> {
+    let listed = folders_in(group);
+    if listed.is_ok() || !is_remote(group) {
+        return listed;
+    }
+    let of_3 = meta::json(&group.join("zarr.json"))?.unwrap_or_default();
+    let of_2 = meta::json(&group.join(".zmetadata"))?.unwrap_or_default();
+    let of_3 = of_3["consolidated_metadata"]["metadata"].as_object().map(|all| all.keys());
+    let of_2 = of_2["metadata"].as_object().map(|all| all.keys());
+    let mut names: Vec<String> = match (of_3, of_2) {
+        (None, None) => return listed,
+        (Some(paths), _) => paths.filter(|path| !path.contains('/')).cloned().collect(),
+        (None, Some(paths)) => {
+            let arrays = paths.filter_map(|path| path.strip_suffix("/.zarray"));
+            arrays.filter(|path| !path.contains('/')).map(str::to_owned).collect()
+        }
+    };
+    names.retain(|name| is_inside(name));
+    Ok(names)
+}
+
+/// Whether a path leads to what is in a group: another would read what the user did not name.
+fn is_inside(path: &str) -> bool {
+    Path::new(path).components().all(|c| matches!(c, std::path::Component::Normal(_)))
 }
 
 /// What the axes of an array are. Those of time and of channels have several entries.
@@ -694,7 +761,8 @@ impl Chunks {
     fn load(&self, file: [u64; 3], inner: [u64; 3]) -> Result<Option<Vec<u8>>> {
         let path = self.array.chunk_file(&self.place(file, |f| f.number / self.array.chunk[f.axis]));
         if self.array.shard.is_none() {
-            let Some(source) = self.open_file(&path)? else { return Ok(None) };
+            // An empty file is damage, not a missing chunk.
+            let Some(source) = open_if_there(&path, self.io, self.most_stored())? else { return Ok(None) };
             return self.decoded(&source, 0..source.len()).map(Some);
         }
         let shard = self.shard(file, &path)?;
@@ -720,15 +788,6 @@ impl Chunks {
         })
     }
 
-    /// `None` where there is no file. An empty one is damage, not a missing chunk.
-    fn open_file(&self, path: &Path) -> Result<Option<ByteSource>> {
-        match std::fs::metadata(path) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(e) => Err(Error::io("look at", path, e)),
-            Ok(_) => Ok(Some(ByteSource::open(path, self.io)?)),
-        }
-    }
-
     /// The shard at a place of the grid of files, opened before or now.
     fn shard(&self, file: [u64; 3], path: &Path) -> Result<Arc<OpenShard>> {
         let mut open = self.shards.lock().unwrap_or_else(PoisonError::into_inner);
@@ -741,6 +800,12 @@ impl Chunks {
         };
         open.insert(0, (file, Arc::clone(&found)));
         Ok(found)
+    }
+
+    /// More bytes than a stored chunk has: compressors make nothing twice as large.
+    fn most_stored(&self) -> u64 {
+        let samples = self.array.unit().iter().fold(1u64, |n, &d| n.saturating_mul(d));
+        samples.saturating_mul(2 * self.array.scalar.bytes() as u64).saturating_add(1 << 20)
     }
 
     /// Shards that are kept open, at most.
@@ -756,7 +821,7 @@ impl Chunks {
     }
 
     fn open_shard(&self, path: &Path) -> Result<OpenShard> {
-        let Some(source) = self.open_file(path)? else { return Ok(None) };
+        let Some(source) = ranges_if_there(path, self.io)? else { return Ok(None) };
         let shard = self.array.shard.as_ref().expect("called for shards");
         let count: u64 = shard.inner.iter().zip(&self.array.chunk).map(|(i, c)| c / i).product();
         let (bytes, crc) = (16 * count, if shard.index_crc { 4 } else { 0 });

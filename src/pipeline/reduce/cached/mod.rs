@@ -24,10 +24,12 @@ pub(super) fn need_with_caches(sources: &mut [PlannedSource], parts: &MeshParts,
             shapes.push((shape, cache_sizes(&shape, boxes)));
         }
     }
+    let ahead = shapes.iter().map(|(shape, _)| shape.ahead_bytes()).max().unwrap_or(0);
     let by_worker = shapes.iter().map(|(shape, _)| shape.decoding_bytes).max().unwrap_or(0);
     let found = (0..4).filter_map(|n| {
         let sizes: Vec<u64> = shapes.iter().map(|(_, bytes)| bytes[n]).collect::<Option<_>>()?;
         let by_step = sizes.iter().copied().max().filter(|&largest| largest <= most)?;
+        let by_step = by_step.saturating_add(ahead);
         let need = need(Held { by_step, most, by_worker, ..Held::default() });
         let workers = need.shares(run.resources.memory, threads).ok()?.workers;
         Some((need.seconds(workers, steps), need, sizes))

@@ -114,7 +114,8 @@ def reduce(
 
     ``archive.report`` is the report of the run, as ``isospan reduce --json`` prints it.
 
-    source: a path, as the program takes it; an array of three dimensions, indexed [z, y, x] (NumPy,
+    source: a path, or a volume's address (``s3://…``, ``https://…``), as the program takes it and as
+        text, for ``Path`` joins its slashes; an array of three dimensions, indexed [z, y, x] (NumPy,
         also memory mapped, Zarr, h5py, dask, xarray); or a list of these, which are the steps of a
         series.
         Arrays are read box by box. Those of NumPy are read in place, and must not change meanwhile;

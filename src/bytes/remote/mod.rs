@@ -1,0 +1,183 @@
+//! Files of an object store or a web server: `s3://bucket/name`, `https://host/name`.
+//!
+//! A file is read by ranges ([`RemoteFile`]), or whole where it is small or a chunk of a volume
+//! ([`whole_if_there`]). Opening a file for ranges fetches its end, which gives the length, and
+//! where a segment has its directory.
+//!
+//! ```text
+//!  read_at(offset, n) ─▶ many bytes ────────────────────────────▶ GET, Range: bytes=from-to
+//!                     └▶ few: pages ─▶ kept? ── no ─▶ GET of all missing ones ─▶ keep
+//!  whole_if_there ──────────────────────────────────────────────▶ GET ─▶ 404: there is none
+//! ```
+//!
+//! Keys and region come from the environment, as for Amazon's own tools (`AWS_ACCESS_KEY_ID`,
+//! `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT_URL`; `AWS_SKIP_SIGNATURE=true` for public
+//! buckets). Failed requests are tried again by the client; a server that does not exist, or does
+//! not answer, is given up within about half a minute. At most 32 requests are under way to a
+//! server. One that answers a range with the whole file is an error.
+//!
+//! **What is not there.** A server's 404 says that there is no such file. Anything else is an
+//! error, 403 too: S3 gives that for a missing file where the keys may not list the bucket, but
+//! also for one that they may not read, and a chunk that may not be read is not a missing chunk.
+//!
+//! **Changes.** Each answer has the file's length and its ETag, or else its time of change. They
+//! are noted: what differs from the answer before has been changed ([`Seen`]).
+//!
+//! Without the feature `remote` there is no such file: opening one says so.
+
+#[cfg(feature = "remote")]
+mod file;
+#[cfg(feature = "remote")]
+mod server;
+
+use crate::error::{Error, Result};
+use serde::Serialize;
+use std::path::Path;
+
+/// Whether a path names an object of a store or web server.
+pub fn is_remote(path: &Path) -> bool {
+    path.to_str().is_some_and(|p| ["s3://", "https://", "http://"].iter().any(|scheme| p.starts_with(scheme)))
+}
+
+/// Bytes of pages that are kept of a server, at most.
+pub(crate) const PAGES_BYTES: u64 = 32 << 20;
+
+/// What was fetched.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Traffic {
+    /// Requests, those that were tried again counted once.
+    pub requests: u64,
+    /// Bytes of the answers, without their headers.
+    pub bytes: u64,
+}
+
+/// What a server said last about a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Seen {
+    /// Its length; `None` where there is no such file.
+    pub(crate) len: Option<u64>,
+    /// A hash of its ETag, or else of its time of change.
+    pub(crate) tag: u64,
+    /// How often an answer differed from the one before.
+    pub(crate) changes: u32,
+}
+
+/// All bytes of a small object, by ranges.
+pub(crate) fn read_all(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let file = RemoteFile::open(path)?;
+    if file.len() > most {
+        let (expected, got) = (format!("at most {most} bytes"), format!("{} bytes", file.len()));
+        return Err(Error::bad_input(path, "length", expected, got));
+    }
+    let mut bytes = vec![0; file.len() as usize];
+    file.read_at(0, &mut bytes).map_err(|e| Error::io("read", path, e))?;
+    Ok(bytes)
+}
+
+#[cfg(feature = "remote")]
+pub(crate) use {
+    file::RemoteFile,
+    server::{folders_in, look_at, seen, small_if_there, whole_if_there},
+};
+
+/// What this process has fetched from the server of a path; nothing for a local path.
+#[cfg(feature = "remote")]
+pub(crate) fn traffic(path: &Path) -> Option<Traffic> {
+    is_remote(path).then(|| server::traffic(path))
+}
+
+/// What was fetched from the server of a file since `before`.
+pub(crate) fn traffic_since(path: &Path, before: Option<Traffic>) -> Option<Traffic> {
+    traffic(path).zip(before).map(|(now, before)| Traffic {
+        requests: now.requests - before.requests,
+        bytes: now.bytes - before.bytes,
+    })
+}
+
+#[cfg(not(feature = "remote"))]
+pub(crate) use without_client::*;
+
+/// There is nothing on servers without the feature.
+#[cfg(not(feature = "remote"))]
+mod without_client {
+    use super::{Error, Result, Seen, Traffic};
+    use std::path::{Path, PathBuf};
+
+    fn refused<T>(path: &Path) -> Result<T> {
+        Err(Error::usage(format!(
+            "{}: this isospan was built without object stores; build it with the feature `remote`, which is a default one",
+            path.display()
+        )))
+    }
+
+    #[derive(Debug)]
+    pub(crate) enum RemoteFile {}
+
+    impl RemoteFile {
+        pub(crate) fn open(path: &Path) -> Result<Self> {
+            refused(path)
+        }
+
+        pub(crate) fn len(&self) -> u64 {
+            match *self {}
+        }
+
+        pub(crate) fn read_at(&self, _offset: u64, _out: &mut [u8]) -> std::io::Result<()> {
+            match *self {}
+        }
+    }
+
+    pub(crate) fn traffic(_path: &Path) -> Option<Traffic> {
+        None
+    }
+
+    pub(crate) fn whole_if_there(path: &Path, _most: u64) -> Result<Option<Vec<u8>>> {
+        refused(path)
+    }
+
+    pub(crate) fn small_if_there(path: &Path, _most: u64) -> Result<Option<Vec<u8>>> {
+        refused(path)
+    }
+
+    pub(crate) fn folders_in(path: &Path) -> Result<Vec<String>> {
+        refused(path)
+    }
+
+    pub(crate) fn look_at(paths: &[PathBuf]) -> Result<()> {
+        paths.first().map_or(Ok(()), |path| refused(path))
+    }
+
+    pub(crate) fn seen(path: &Path) -> Result<Seen> {
+        refused(path)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_told_from_paths() {
+        let remote = |p: &str| is_remote(Path::new(p));
+        assert!(remote("s3://b/a.isospan") && remote("https://h/a.isospan") && remote("http://h:1/a"));
+        assert!(!remote("a.isospan") && !remote("/s3://b") && !remote("ftp://h/a"));
+        let joined = Path::new("s3://b/a.isospan").join("mesh/000000.seg");
+        assert_eq!(joined.to_str(), Some("s3://b/a.isospan/mesh/000000.seg"));
+    }
+
+    #[cfg(feature = "remote")]
+    #[test]
+    fn addresses_with_secrets_are_refused_and_not_shown() {
+        for address in ["https://me:secret@h/a.nrrd", "https://h/a.nrrd?key=secret", "s3://b/a#secret"] {
+            let error = RemoteFile::open(Path::new(address)).err().unwrap();
+            assert!(!error.to_string().contains("secret"), "{error}");
+        }
+    }
+
+    #[cfg(not(feature = "remote"))]
+    #[test]
+    fn without_the_feature_an_address_is_refused() {
+        let error = RemoteFile::open(Path::new("s3://b/a.isospan")).err().unwrap();
+        assert!(error.exit_code() == 2 && error.to_string().contains("feature `remote`"));
+    }
+}

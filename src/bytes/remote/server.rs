@@ -1,0 +1,393 @@
+//! The servers that this process has talked to: requests, and what they said.
+
+use super::{Seen, Traffic};
+use crate::error::{Error, Result};
+use object_store::aws::AmazonS3Builder;
+use object_store::http::HttpBuilder;
+use object_store::path::Path as Key;
+use object_store::{
+    BackoffConfig, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreScheme, RetryConfig,
+};
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::fmt;
+use std::future::Future;
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
+use url::{Position, Url};
+use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
+
+/// Pages kept for each server: 32 MiB.
+pub(super) const KEPT: usize = 2048;
+/// Requests that are under way to a server, at most.
+const AT_ONCE: usize = 32;
+/// Small files are not asked for again so soon: metadata are needed several times when a volume is
+/// opened.
+const SMALL_FOR: Duration = Duration::from_secs(5);
+/// Small files that are kept for that long, and the most bytes of one.
+const SMALL: (usize, usize) = (256, 256 << 10);
+
+/// A server or bucket, and what was fetched from it.
+pub(super) struct Server {
+    store: Arc<dyn ObjectStore>,
+    /// Whether it lists what it has: a store, not a web server.
+    lists: bool,
+    room: Semaphore,
+    requests: AtomicU64,
+    bytes: AtomicU64,
+    pages: Mutex<Pages>,
+    /// The files that were opened, as they were then, and the numbers of their pages.
+    numbers: Mutex<HashMap<(PathBuf, u64, u64), u64>>,
+    /// By hashes of paths.
+    seen: Mutex<HashMap<u128, Seen>>,
+    small: Mutex<HashMap<PathBuf, Small>>,
+}
+
+/// When a small file was asked for, and its bytes; `None` where there was none.
+type Small = (Instant, Option<Arc<[u8]>>);
+
+impl fmt::Debug for Server {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.store)
+    }
+}
+
+/// Pages by file and number, and the order in which they came.
+#[derive(Default)]
+pub(super) struct Pages {
+    kept: BTreeMap<(u64, u64), Arc<[u8]>>,
+    order: VecDeque<(u64, u64)>,
+}
+
+impl Pages {
+    pub(super) fn get(&self, at: (u64, u64)) -> Option<Arc<[u8]>> {
+        self.kept.get(&at).cloned()
+    }
+
+    pub(super) fn keep(&mut self, at: (u64, u64), page: Arc<[u8]>) {
+        if self.kept.insert(at, page).is_none() {
+            self.order.push_back(at);
+        }
+        while self.order.len() > KEPT {
+            let oldest = self.order.pop_front().expect("it is longer than nothing");
+            self.kept.remove(&oldest);
+        }
+    }
+}
+
+/// What came of a file.
+pub(super) struct Answer {
+    /// The length of the whole file, and what tells its states apart.
+    pub(super) len: u64,
+    pub(super) tag: u64,
+    pub(super) range: Range<u64>,
+    pub(super) bytes: Vec<u8>,
+}
+
+fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
+    of.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Server {
+    pub(super) fn pages(&self) -> MutexGuard<'_, Pages> {
+        lock(&self.pages)
+    }
+
+    /// The number of a file's pages, the same for the same state of it.
+    pub(super) fn number_of(&self, path: &Path, len: u64, tag: u64) -> u64 {
+        let mut numbers = lock(&self.numbers);
+        let next = numbers.len() as u64;
+        *numbers.entry((path.to_path_buf(), len, tag)).or_insert(next)
+    }
+
+    /// A range of a file, or all of it: at most `most` bytes.
+    pub(super) fn get(
+        &self,
+        path: &Path,
+        key: &Key,
+        range: Option<GetRange>,
+        most: u64,
+    ) -> io::Result<Answer> {
+        self.requests.fetch_add(1, Ordering::Relaxed);
+        let answer = wait(async {
+            let _room = self.room.acquire().await;
+            let got = self.store.get_opts(key, GetOptions { range, ..GetOptions::default() }).await;
+            let got = got.map_err(|e| self.failed(path, e))?;
+            let (len, tag, range) = (got.meta.size, tag_of(&got.meta), got.range.clone());
+            // A server's word about a length allocates nothing that was not expected.
+            if range.end.saturating_sub(range.start) > most {
+                return Err(io::Error::other(format!("{len} bytes, where at most {most} are expected")));
+            }
+            let bytes = got.bytes().await.map_err(|e| self.failed(path, e))?;
+            self.note(path, Some(len), tag);
+            Ok(Answer { len, tag, range, bytes: bytes.into() })
+        })??;
+        self.bytes.fetch_add(answer.bytes.len() as u64, Ordering::Relaxed);
+        Ok(answer)
+    }
+
+    /// Asks about a file, without its bytes.
+    async fn head(&self, path: &Path, key: &Key) -> io::Result<()> {
+        self.requests.fetch_add(1, Ordering::Relaxed);
+        let _room = self.room.acquire().await;
+        match self.store.get_opts(key, GetOptions { head: true, ..GetOptions::default() }).await {
+            Ok(got) => self.note(path, Some(got.meta.size), tag_of(&got.meta)),
+            Err(e) => {
+                let failed = self.failed(path, e);
+                if failed.kind() != io::ErrorKind::NotFound {
+                    return Err(failed);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn note(&self, path: &Path, len: Option<u64>, tag: u64) {
+        let mut seen = lock(&self.seen);
+        let now = seen.entry(hash_of(path)).or_insert(Seen { len, tag, changes: 0 });
+        if (now.len, now.tag) != (len, tag) {
+            *now = Seen { len, tag, changes: now.changes + 1 };
+        }
+    }
+
+    /// The reason of a failure, in one line. A file that is not there is noted.
+    fn failed(&self, path: &Path, error: object_store::Error) -> io::Error {
+        let text = one_line(&error);
+        let kind = match error {
+            // Nor a bucket that is missing, nor a request that is not answered, is a missing file.
+            object_store::Error::NotFound { .. }
+                if !text.contains("NoSuchBucket") && !text.contains("405 Method Not Allowed") =>
+            {
+                self.note(path, None, 0);
+                io::ErrorKind::NotFound
+            }
+            object_store::Error::PermissionDenied { .. } | object_store::Error::Unauthenticated { .. } => {
+                let text = format!(
+                    "the server denies it ({text}); S3 does so, too, for what is not there, unless the keys may \
+                     list the bucket: allow s3:ListBucket, or check the address and the keys"
+                );
+                return io::Error::new(io::ErrorKind::PermissionDenied, text);
+            }
+            _ => io::ErrorKind::Other,
+        };
+        io::Error::new(kind, text)
+    }
+}
+
+fn hash_of(path: &Path) -> u128 {
+    xxh3_128(path.as_os_str().as_encoded_bytes())
+}
+
+/// What differs between two states of a file.
+fn tag_of(about: &ObjectMeta) -> u64 {
+    match &about.e_tag {
+        Some(tag) => xxh3_64(tag.as_bytes()),
+        None => xxh3_64(about.last_modified.to_rfc3339().as_bytes()),
+    }
+}
+
+/// A message in one line (those of servers have line ends), with its first cause where the message
+/// does not include it.
+fn one_line(error: &dyn std::error::Error) -> String {
+    let line = |e: &dyn std::error::Error| e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    let first = std::iter::successors(error.source(), |e| e.source()).last().map(line);
+    let message = line(error);
+    match first {
+        Some(cause) if !message.contains(&cause) => format!("{message}: {cause}"),
+        _ => message,
+    }
+}
+
+/// Runs a request to its end.
+fn wait<T>(request: impl Future<Output = T>) -> io::Result<T> {
+    static RUNTIME: LazyLock<io::Result<Runtime>> = LazyLock::new(|| {
+        Builder::new_multi_thread().worker_threads(2).thread_name("isospan-net").enable_all().build()
+    });
+    match &*RUNTIME {
+        Ok(runtime) => Ok(runtime.block_on(request)),
+        Err(e) => Err(io::Error::new(e.kind(), e.to_string())),
+    }
+}
+
+pub(super) fn traffic(path: &Path) -> Traffic {
+    let Ok((server, _)) = server_of(path) else { return Traffic::default() };
+    Traffic { requests: server.requests.load(Ordering::Relaxed), bytes: server.bytes.load(Ordering::Relaxed) }
+}
+
+/// All bytes of a file, at most `most` of them, in one request; `None` where there is none.
+pub(crate) fn whole_if_there(path: &Path, most: u64) -> Result<Option<Vec<u8>>> {
+    let (server, key) = server_of(path)?;
+    match server.get(path, &key, None, most) {
+        Ok(answer) => Ok(Some(answer.bytes)),
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(e) => Err(Error::io("read", path, e)),
+    }
+}
+
+/// As [`whole_if_there`], of a file that is asked for several times within seconds.
+pub(crate) fn small_if_there(path: &Path, most: u64) -> Result<Option<Vec<u8>>> {
+    let (server, _) = server_of(path)?;
+    if let Some((at, known)) = lock(&server.small).get(path)
+        && at.elapsed() < SMALL_FOR
+    {
+        return Ok(known.as_ref().map(|bytes| bytes.to_vec()));
+    }
+    let found = whole_if_there(path, most)?;
+    if found.as_ref().is_none_or(|bytes| bytes.len() <= SMALL.1) {
+        let mut small = lock(&server.small);
+        if small.len() >= SMALL.0 {
+            small.retain(|_, (at, _)| at.elapsed() < SMALL_FOR);
+        }
+        if small.len() < SMALL.0 {
+            small.insert(path.to_path_buf(), (Instant::now(), found.as_deref().map(Arc::from)));
+        }
+    }
+    Ok(found)
+}
+
+/// The names of the folders in a folder of a store.
+pub(crate) fn folders_in(path: &Path) -> Result<Vec<String>> {
+    let (server, key) = server_of(path)?;
+    if !server.lists {
+        return Err(Error::bad_input(path, "folder", "a server that lists its folders", "a web server")
+            .with_help("name the array in it that is meant, or write the group's consolidated metadata"));
+    }
+    server.requests.fetch_add(1, Ordering::Relaxed);
+    let list = wait(server.store.list_with_delimiter(Some(&key)))
+        .and_then(|l| l.map_err(|e| server.failed(path, e)));
+    let folders = list.map_err(|e| Error::io("list", path, e))?.common_prefixes;
+    Ok(folders.iter().filter_map(|folder| folder.filename().map(str::to_owned)).collect())
+}
+
+/// Asks about files, many at a time.
+pub(crate) fn look_at(paths: &[PathBuf]) -> Result<()> {
+    if paths.is_empty() {
+        return Ok(());
+    }
+    let asked = wait(async {
+        let (mut tasks, mut left) = (JoinSet::new(), paths.iter().cloned());
+        loop {
+            while tasks.len() < AT_ONCE
+                && let Some(path) = left.next()
+            {
+                let (server, key) = server_of(&path)?;
+                tasks.spawn(async move {
+                    let asked = server.head(&path, &key).await;
+                    asked.map_err(|e| Error::io("look at", &path, e))
+                });
+            }
+            match tasks.join_next().await {
+                None => return Ok(()),
+                Some(Ok(asked)) => asked?,
+                Some(Err(e)) => {
+                    return Err(Error::io("ask a server", "files", io::Error::other(e.to_string())));
+                }
+            }
+        }
+    });
+    asked.map_err(|e| Error::io("ask a server", "files", e))?
+}
+
+/// What the server said last about a file, which is asked about where nothing was said.
+pub(crate) fn seen(path: &Path) -> Result<Seen> {
+    let (server, _) = server_of(path)?;
+    let known = || lock(&server.seen).get(&hash_of(path)).copied();
+    if known().is_none() {
+        look_at(&[path.to_path_buf()])?;
+    }
+    known().ok_or_else(|| Error::io("look at", path, io::Error::other("no answer")))
+}
+
+/// The server of a path, known from before or new, and the name of the object there.
+pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
+    static SERVERS: Mutex<BTreeMap<String, Arc<Server>>> = Mutex::new(BTreeMap::new());
+    let expected = "s3://BUCKET/NAME or https://HOST/NAME";
+    let bad = |got: String| Error::bad_input(path, "address", expected, got);
+    let text = path.to_str().ok_or_else(|| bad("no UTF-8".into()))?;
+    // What may be secret is not shown.
+    let parsed = Url::parse(text);
+    let is_open = |url: &Url| url.username().is_empty() && url.password().is_none();
+    if parsed.as_ref().map_or(text.contains('@'), |url| !is_open(url)) {
+        return Err(Error::usage(
+            "an address with a name and a password would be shown and stored: leave them out",
+        ));
+    }
+    let plain = text.split(['?', '#']).next().unwrap_or_default();
+    if plain != text {
+        let got = "an address with ? or #";
+        return Err(Error::bad_input(Path::new(plain), "address", expected, got));
+    }
+    let url = parsed.map_err(|e| bad(e.to_string()))?;
+    let (scheme, key) = ObjectStoreScheme::parse(&url).map_err(|e| bad(one_line(&e)))?;
+    // The rest of the address without the key: the first part of the path may name a bucket.
+    let mut origin = url.as_str().trim_end_matches('/');
+    for _ in key.parts() {
+        origin = origin.rsplit_once('/').map_or(origin, |(parent, _)| parent);
+    }
+    let origin = origin.to_owned();
+    let mut servers = lock(&SERVERS);
+    if let Some(server) = servers.get(&origin) {
+        return Ok((Arc::clone(server), key));
+    }
+    // Another library of the process may have chosen the cipher suites before.
+    let _ = rustls::crypto::ring::default_provider().install_default();
+    let server = Arc::new(Server {
+        store: client(&scheme, &url).map_err(|e| bad(one_line(&e)))?,
+        lists: matches!(scheme, ObjectStoreScheme::AmazonS3),
+        room: Semaphore::new(AT_ONCE),
+        requests: AtomicU64::new(0),
+        bytes: AtomicU64::new(0),
+        pages: Mutex::default(),
+        numbers: Mutex::default(),
+        seen: Mutex::default(),
+        small: Mutex::default(),
+    });
+    servers.insert(origin, Arc::clone(&server));
+    Ok((server, key))
+}
+
+/// Failed requests are tried again, but none is begun later than this. A request without an
+/// answer takes half a minute itself, one whose server cannot be reached five seconds: the
+/// defaults of the client.
+const TRIES_END: Duration = Duration::from_secs(15);
+const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+
+/// A client of the server of an address.
+fn client(scheme: &ObjectStoreScheme, url: &Url) -> object_store::Result<Arc<dyn ObjectStore>> {
+    let backoff = BackoffConfig { max_backoff: LONGEST_PAUSE, ..BackoffConfig::default() };
+    let retry = RetryConfig { backoff, retry_timeout: TRIES_END, ..RetryConfig::default() };
+    let options = options(url).into_iter();
+    if matches!(scheme, ObjectStoreScheme::AmazonS3) {
+        let builder = AmazonS3Builder::new().with_url(url.as_str()).with_retry(retry);
+        let builder = options.fold(builder, |builder, (key, value)| match key.parse() {
+            Ok(key) => builder.with_config(key, value),
+            Err(_) => builder,
+        });
+        return Ok(Arc::new(builder.build()?));
+    }
+    let builder = HttpBuilder::new().with_url(&url[..Position::BeforePath]).with_retry(retry);
+    let builder = options.fold(builder, |builder, (key, value)| match key.parse() {
+        Ok(key) => builder.with_config(key, value),
+        Err(_) => builder,
+    });
+    Ok(Arc::new(builder.build()?))
+}
+
+/// Keys and region from the environment. Plain HTTP only where the address itself says so.
+fn options(url: &Url) -> Vec<(String, String)> {
+    let mut options: Vec<_> = std::env::vars()
+        .filter(|(k, _)| k.starts_with("AWS_"))
+        .map(|(k, v)| (k.to_ascii_lowercase(), v))
+        .collect();
+    let plain = |address: &str| address.starts_with("http://");
+    if plain(url.as_str()) || options.iter().any(|(k, v)| k.starts_with("aws_endpoint") && plain(v)) {
+        options.push(("allow_http".into(), "true".into()));
+    }
+    options
+}
