@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-/// Measures the time since it was started. A machine without a clock (WebAssembly alone in a host) has
-/// a time of 0: it is reported, and decides nothing.
+/// Measures the time since it was started. A machine without a clock (WebAssembly alone in a host)
+/// has a time of 0: it is reported, and decides nothing.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Clock {
     #[cfg(not(all(target_family = "wasm", target_os = "unknown")))]

@@ -5,10 +5,11 @@
 //!  pieces ──▶ made, on any thread ──▶ held until those before are done ──▶ consumed, by one thread at a time, in order
 //! ```
 //!
-//! One thread makes and consumes piece after piece. Of several, a thread that has made a piece checks whether the next piece in order is ready. If so, and if no
-//! other thread is consuming, it consumes that piece. Then it begins a new one. So no thread waits
-//! while there is work: the last pieces are consumed while others are made, and a single thread
-//! consumes each piece at once, while it is in cache. Pieces are begun in order, as memory allows.
+//! One thread makes and consumes piece after piece. Of several, a thread that has made a piece
+//! checks whether the next piece in order is ready. If so, and if no other thread is consuming, it
+//! consumes that piece. Then it begins a new one. So no thread waits while there is work: the last
+//! pieces are consumed while others are made, and a single thread consumes each piece at once,
+//! while it is in cache. Pieces are begun in order, as memory allows.
 //!
 //! A piece that fails ends the pipeline at its turn, so the first error in order is reported.
 

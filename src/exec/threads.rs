@@ -4,8 +4,8 @@ use super::{available_threads, pool};
 use crate::error::Result;
 use rayon::ThreadPool;
 
-/// Threads that pieces of work are made on. One thread is the calling one: no other is started, so a
-/// question is answered where there are no threads, too.
+/// Threads that pieces of work are made on. One thread is the calling one: no other is started, so
+/// a question is answered where there are no threads, too.
 pub(crate) enum Threads {
     /// The calling thread alone.
     Calling,
