@@ -247,7 +247,7 @@ impl ByteSource {
     }
 
     fn read_into(&self, file: &File, offset: u64, out: &mut [u8]) -> Result<()> {
-        read_exact_at(file, out, offset).map_err(|e| match e.kind() {
+        store::read_at(file, out, offset).map_err(|e| match e.kind() {
             io::ErrorKind::UnexpectedEof => self.shrunk(file),
             _ => Error::io(format!("read {} bytes at {offset} of", out.len()), &self.path, e),
         })
@@ -453,23 +453,6 @@ fn advise(file: &File, range: &Range<u64>, advice: Advice) {
     }
     #[cfg(not(target_os = "linux"))]
     let _ = (file, range, advice);
-}
-
-#[cfg(unix)]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
-    std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
-}
-
-#[cfg(windows)]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
-    let mut done = 0;
-    while done < bytes.len() {
-        match std::os::windows::fs::FileExt::seek_read(file, &mut bytes[done..], offset + done as u64)? {
-            0 => return Err(io::ErrorKind::UnexpectedEof.into()),
-            n => done += n,
-        }
-    }
-    Ok(())
 }
 
 /// Opens a regular file with data.

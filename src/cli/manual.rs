@@ -31,7 +31,10 @@ pub(crate) struct ManArgs {
 /// The commands, in the order in which they are listed.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Make archives", &["reduce", "append", "unpack", "brick"]),
-    ("Ask files and archives", &["info", "spectrum", "count", "probe", "export", "measure", "view"]),
+    (
+        "Ask files and archives",
+        &["info", "spectrum", "count", "probe", "export", "measure", "view", "publish"],
+    ),
     ("Surfaces", &["surface", "check", "compare", "render"]),
     ("Clusters", &["plan", "work", "commit", "status", "gc", "slurm", "nightly"]),
     ("Other", &["completions", "man", "help"]),
@@ -226,7 +229,7 @@ mod tests {
     fn every_command_is_in_one_group_and_fits_a_line() {
         let cli = Cli::command();
         let mut listed: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
-        listed.retain(|name| cfg!(feature = "view") || *name != "view");
+        listed.retain(|name| cfg!(feature = "view") || !["view", "publish"].contains(name));
         let mut known: Vec<&str> = cli.get_subcommands().map(Command::get_name).collect();
         known.push("help");
         for names in [&mut listed, &mut known] {

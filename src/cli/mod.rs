@@ -26,6 +26,8 @@ mod output;
 mod plan;
 mod probe;
 pub(crate) mod progress;
+#[cfg(feature = "view")]
+mod publish;
 pub(crate) mod reduce;
 mod render;
 mod signals;
@@ -75,6 +77,8 @@ pub(crate) enum Command {
     Render(Box<render::Args>),
     #[cfg(feature = "view")]
     View(view::Args),
+    #[cfg(feature = "view")]
+    Publish(publish::Args),
     Brick(brick::Args),
     Check(check::Args),
     Plan(Box<plan::Args>),
@@ -165,6 +169,8 @@ fn run(cli: &Cli) -> Result<u8> {
         Command::Render(args) => render::run(args, &cli.talk),
         #[cfg(feature = "view")]
         Command::View(args) => view::run(args, &cli.talk),
+        #[cfg(feature = "view")]
+        Command::Publish(args) => publish::run(args, &cli.talk),
         Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args, &cli.talk),
         Command::Plan(args) => plan::run(args, &cli.talk),

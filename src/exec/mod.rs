@@ -9,22 +9,26 @@
 mod ahead;
 mod budget;
 mod cancel;
+mod clock;
 mod limits;
 mod ordered;
 mod progress;
 mod reorder;
 mod resources;
 mod room;
+mod threads;
 
 pub(crate) use ahead::will_read;
 pub use budget::{MemoryBudget, Permit};
 pub use cancel::CancelToken;
+pub(crate) use clock::Clock;
 pub use limits::usable_memory;
 pub(crate) use ordered::in_order;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
 pub use resources::Resources;
 pub use room::{Lent, Room};
+pub(crate) use threads::Threads;
 
 use crate::error::{Error, Result};
 

@@ -5,19 +5,20 @@
 //!  pieces ──▶ made, on any thread ──▶ held until those before are done ──▶ consumed, by one thread at a time, in order
 //! ```
 //!
-//! A thread that has made a piece checks whether the next piece in order is ready. If so, and if no
-//! other thread is consuming, it consumes that piece. Then it begins a new one. So no thread waits
-//! while there is work: the last pieces are consumed while others are made, and a single thread
-//! consumes each piece at once, while it is in cache. Pieces are begun in order, as memory allows.
+//! One thread makes and consumes piece after piece. Of several, a thread that has made a piece
+//! checks whether the next piece in order is ready. If so, and if no other thread is consuming, it
+//! consumes that piece. Then it begins a new one. So no thread waits while there is work: the last
+//! pieces are consumed while others are made, and a single thread consumes each piece at once,
+//! while it is in cache. Pieces are begun in order, as memory allows.
 //!
 //! A piece that fails ends the pipeline at its turn, so the first error in order is reported.
 
-use super::Reorder;
+use super::{Reorder, Threads};
 use crate::error::{Error, Result};
-use rayon::{Scope, ThreadPool};
+use rayon::Scope;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Makes pieces on the threads of a pool, as many as there are `bytes`, and consumes them in order.
+/// Makes as many pieces as there are `bytes`, on some threads, and consumes them in order.
 ///
 /// Piece `n` takes `bytes[n]` from its beginning until it was consumed. All at work take
 /// `most_bytes` together at most, but one alone is always begun.
@@ -27,14 +28,17 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 pub(crate) fn in_order<T: Send>(
     bytes: &[u64],
     most_bytes: u64,
-    pool: &ThreadPool,
+    threads: &Threads,
     make: impl Fn(usize) -> Result<T> + Sync,
-    consume: impl FnMut(usize, T) -> Result<()> + Send,
+    mut consume: impl FnMut(usize, T) -> Result<()> + Send,
 ) -> Result<()> {
+    let Threads::Pool(pool) = threads else {
+        return (0..bytes.len()).try_for_each(|n| consume(n, make(n)?));
+    };
     let (begun, making, consumed) = (0, 0, 0);
     let (made, consume) = (Reorder::new(0), Some(consume));
     let state = State { begun, making, consumed, bytes: 0, made, consume, failed: None };
-    let making = pool.current_num_threads();
+    let making = threads.count();
     let pipeline = Pipeline { make, bytes, most_bytes, making, held: 4 * making, state: Mutex::new(state) };
     pool.scope(|scope| pipeline.begin(scope));
     let state = pipeline.state.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -128,18 +132,17 @@ where
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exec::pool;
     use std::sync::atomic::{AtomicU64, Ordering};
 
     /// The squares that were consumed, in order.
     fn squares(
         bytes: &[u64],
         most_bytes: u64,
-        pool: &ThreadPool,
+        threads: &Threads,
         make: impl Fn(usize) -> Result<usize> + Sync,
     ) -> Result<Vec<usize>> {
         let mut consumed = vec![];
-        in_order(bytes, most_bytes, pool, make, |number, piece| {
+        in_order(bytes, most_bytes, threads, make, |number, piece| {
             assert_eq!(piece, number * number);
             consumed.push(number);
             Ok(())
@@ -159,7 +162,7 @@ mod tests {
     #[test]
     fn pieces_are_consumed_in_order_in_bounded_memory() {
         for threads in [1, 2, 5] {
-            let (pool, now, most) = (pool(threads).unwrap(), AtomicU64::new(0), AtomicU64::new(0));
+            let (pool, now, most) = (Threads::new(threads).unwrap(), AtomicU64::new(0), AtomicU64::new(0));
             let make = |n: usize| {
                 most.fetch_max(now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
                 spin(n);
@@ -177,14 +180,16 @@ mod tests {
 
     #[test]
     fn the_first_error_in_order_is_reported() {
-        let pool = pool(3).unwrap();
         let make = |n: usize| {
             spin(n);
             if n == 13 || n == 14 { Err(Error::usage(format!("piece {n}"))) } else { Ok(n * n) }
         };
-        for _ in 0..20 {
-            let error = squares(&[1; 100], 1000, &pool, make).unwrap_err();
-            assert!(error.to_string().contains("piece 13"), "{error}");
+        for threads in [1, 3] {
+            let threads = Threads::new(threads).unwrap();
+            for _ in 0..20 {
+                let error = squares(&[1; 100], 1000, &threads, make).unwrap_err();
+                assert!(error.to_string().contains("piece 13"), "{error}");
+            }
         }
     }
 }

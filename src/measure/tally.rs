@@ -24,8 +24,9 @@ const LOWER: u32 = (1 << BIN_SHIFT) - 1;
 const COUNT_SHIFT: u32 = 44;
 /// This many errors have room in a bin.
 const MOST_WAITING: usize = 1 << 20;
-const _: () =
-    assert!(MOST_WAITING << BIN_SHIFT <= 1 << COUNT_SHIFT && MOST_WAITING <= 1 << (64 - COUNT_SHIFT));
+const _: () = assert!(
+    (MOST_WAITING as u64) << BIN_SHIFT <= 1 << COUNT_SHIFT && MOST_WAITING as u64 <= 1 << (64 - COUNT_SHIFT)
+);
 
 /// Some samples at `N` steps: a row each.
 pub(crate) struct Compared<const N: usize> {

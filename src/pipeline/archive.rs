@@ -2,7 +2,7 @@
 
 use crate::bytes::remote::{Traffic, traffic, traffic_since};
 use crate::error::Result;
-use crate::exec::{CancelToken, Progress};
+use crate::exec::{CancelToken, Clock, Progress};
 use crate::formats::surface::SurfaceFormat;
 use crate::pipeline::check::{ArchiveCheck, check_archive};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
@@ -15,7 +15,6 @@ use serde::Serialize;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
 
 /// An archive opened for reading.
 ///
@@ -83,7 +82,7 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::BadInput`] when there is none, or its manifest is damaged.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        let (path, start) = (path.as_ref(), Instant::now());
+        let (path, start) = (path.as_ref(), Clock::start());
         let before = traffic(path);
         let open = OpenArchive::open(path)?;
         let opening = Opening {

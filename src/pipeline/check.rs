@@ -16,7 +16,7 @@ use crate::archive::segment::Segment;
 use crate::archive::tables::RepeatedReader;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, in_order, pool};
+use crate::exec::{CancelToken, Threads, in_order};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
 use crate::index::{Entry, EntryDigest, index_entries};
@@ -27,7 +27,6 @@ use crate::pipeline::read::{
 use crate::pipeline::reduce::strays;
 use crate::pipeline::surface::check_unpacked;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
-use rayon::ThreadPool;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -66,10 +65,10 @@ pub(super) fn check_archive(archive: &Arc<OpenArchive>, cancel: &CancelToken) ->
     if !is_remote(path) {
         check.strays = strays(path, &archive.manifest)?;
     }
-    let pool = pool(0)?;
+    let threads = Threads::new(0)?;
     for step in 0..archive.manifest.steps.len() {
         let view = archive.step_at(step);
-        check_step(&view, &pool, cancel, &mut check)?;
+        check_step(&view, &threads, cancel, &mut check)?;
         check.steps += 1;
     }
     if let Some(record) = &archive.manifest.plan.repeated {
@@ -102,7 +101,7 @@ impl ArchiveCheck {
 /// Verifies a step; with the first one of an archive also the mesh.
 fn check_step(
     archive: &StepView,
-    pool: &ThreadPool,
+    threads: &Threads,
     cancel: &CancelToken,
     check: &mut ArchiveCheck,
 ) -> Result<()> {
@@ -130,7 +129,7 @@ fn check_step(
     };
     // What is left of a chunk is small, so threads alone bound the memory.
     let bytes = vec![0; archive.layout.chunk_count() as usize];
-    in_order(&bytes, 0, pool, look, |n, CheckedChunk { summary, ranges, part }| {
+    in_order(&bytes, 0, threads, look, |n, CheckedChunk { summary, ranges, part }| {
         let chunk = ChunkId(n as u64);
         if archive.layout.begins_segment(chunk) {
             archive.close_before(chunk);

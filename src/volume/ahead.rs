@@ -238,15 +238,19 @@ mod tests {
             counted.fetch_add(1, Ordering::SeqCst);
             Ok(vec![at[0] as u8])
         });
-        ahead.will_need(places(10), false);
-        for at in places(3) {
+        let all_are_ready = || {
             while ahead.0.lock().ready.len() < 3 {
                 std::thread::yield_now();
             }
+        };
+        ahead.will_need(places(10), false);
+        for at in places(3) {
+            all_are_ready();
             assert_eq!(count.load(Ordering::SeqCst), 3 + at[0] as usize);
             assert_eq!(ahead.take(at).unwrap().unwrap(), [at[0] as u8]);
         }
         // What nobody takes gives way, and what will not be asked for is forgotten.
+        all_are_ready();
         assert!((20..60).all(|x| ahead.take([x, 0, 0]).is_none()));
         assert!(ahead.take([3, 0, 0]).is_none());
         ahead.forget(|_| true);

@@ -35,6 +35,7 @@ mod own_meshes;
 mod pictures;
 mod pipeline;
 mod programs;
+mod publish;
 mod queries;
 mod refine;
 mod reports;

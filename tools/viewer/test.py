@@ -1,10 +1,15 @@
 """Tests of the viewer: the page in a headless Chromium, and requests that the server must refuse.
 
-Usage: test.py PROGRAM CHROMIUM TOOTH BALL [FOLDER for screenshots]
+The page without a server is served by a few lines of Python, from a folder that `isospan publish` made.
+
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER [FOLDER for screenshots]
 """
 
 import concurrent.futures
+import functools
+import hashlib
 import http.client
+import http.server
 import io
 import json
 import pathlib
@@ -14,14 +19,15 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 
 import numpy
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-PROGRAM, CHROMIUM, TOOTH, BALL = sys.argv[1:5]
-PICTURES = pathlib.Path(sys.argv[5]) if sys.argv[5:] and sys.argv[5] else None
+PROGRAM, CHROMIUM, TOOTH, BALL, OTHER = sys.argv[1:6]
+PICTURES = pathlib.Path(sys.argv[6]) if sys.argv[6:] and sys.argv[6] else None
 MEMORY_MIB = 1536
 
 
@@ -29,7 +35,7 @@ class Server:
     """`isospan view`, until it is stopped."""
 
     def __enter__(self):
-        command = [PROGRAM, "view", TOOTH, BALL, "--json", "--memory", f"{MEMORY_MIB}MiB"]
+        command = [PROGRAM, "view", TOOTH, BALL, OTHER, "--json", "--memory", f"{MEMORY_MIB}MiB"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.url = json.loads(self.process.stdout.readline())["url"]
         self.port, self.token = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/", self.url).groups()
@@ -57,6 +63,63 @@ class Server:
         return int(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 1024
 
 
+class Whole(http.server.SimpleHTTPRequestHandler):
+    """Files, always whole."""
+
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, *_):
+        pass
+
+
+class Ranges(Whole):
+    """Files, and ranges of them."""
+
+    def do_GET(self):
+        wanted = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
+        path = pathlib.Path(self.translate_path(self.path))
+        if not wanted or not path.is_file() or (not wanted[1] and not self.server.knows_ends):
+            return super().do_GET()
+        length = path.stat().st_size
+        first, last = (int(n) if n else None for n in wanted.groups())
+        begin = max(0, length - last) if first is None else first
+        end = length if first is None or last is None else min(length, last + 1)
+        self.server.ranges += 1
+        self.send_response(206)
+        self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{length}")
+        self.send_header("Content-Length", str(end - begin))
+        self.end_headers()
+        with path.open("rb") as file:
+            file.seek(begin)
+            self.wfile.write(file.read(end - begin))
+
+
+class Published:
+    """A folder that `isospan publish` made, on a web server without programs, below some path."""
+
+    def __init__(self, handler=Ranges, knows_ends=True):
+        site = pathlib.Path("site/of somebody").absolute()
+        if not site.exists():
+            site.mkdir(parents=True)
+            command = [PROGRAM, "publish", "-q", TOOTH, BALL, OTHER, "-o", site / "viewer", "--json"]
+            report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+            assert report["archives"] == [TOOTH, BALL, OTHER]
+            files = [f for f in (site / "viewer").rglob("*") if f.is_file()]
+            assert (report["files"], report["bytes"]) == (len(files), sum(f.stat().st_size for f in files))
+        handler = functools.partial(handler, directory=site.parent)
+        self.http = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+        self.http.knows_ends, self.http.ranges = knows_ends, 0
+        self.url = f"http://127.0.0.1:{self.http.server_port}/of%20somebody/viewer/"
+
+    def __enter__(self):
+        threading.Thread(target=self.http.serve_forever, daemon=True).start()
+        return self
+
+    def __exit__(self, *_):
+        self.http.shutdown()
+        self.http.server_close()
+
+
 def surface_of(body):
     """The counts, vertices and triangles of an answer."""
     (length,) = struct.unpack_from("<I", body)
@@ -75,8 +138,8 @@ def requests(server):
     assert "default-src 'none'" in headers["content-security-policy"]
 
     archives = json.loads(server.ask("archives")[2])
-    assert [a["name"] for a in archives] == ["tooth.isospan", "ball.isospan"]
-    assert [len(a["steps"]) for a in archives] == [1, 4]
+    assert [a["name"] for a in archives] == [TOOTH, BALL, OTHER]
+    assert [len(a["steps"]) for a in archives] == [1, 4, 1]
 
     # The surface is that of the command line.
     report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
@@ -154,7 +217,7 @@ def crowds(server):
 class Page:
     """A page of the browser that must be silent, and ask nobody else."""
 
-    def __init__(self, browser, server, address="", **options):
+    def __init__(self, browser, server, address="", is_ready=True, **options):
         self.server, self.wrong = server, []
         self.context = browser.new_context(**options)
         self.page = self.context.new_page()
@@ -163,7 +226,8 @@ class Page:
         self.page.on("pageerror", lambda e: self.wrong.append(str(e)))
         self.page.on("request", lambda r: r.url.startswith((server.url, "data:", "blob:")) or self.wrong.append(r.url))
         self.page.goto(server.url + address)
-        self.page.wait_for_selector("body[data-ready='1']")
+        if is_ready:
+            self.page.wait_for_selector("body[data-ready='1']")
 
     def shown(self, name="shown"):
         return int(self.page.evaluate(f"document.body.dataset.{name} ?? 0"))
@@ -208,7 +272,7 @@ class Page:
         assert not self.wrong, self.wrong
 
 
-def wide(browser, server):
+def wide(browser, server, has_files=True):
     page = Page(browser, server, viewport={"width": 1280, "height": 800}, color_scheme="light", accept_downloads=True)
     # The tooth is seen: many pixels are neither paper nor lines.
     first = page.picture("wide")
@@ -248,7 +312,8 @@ def wide(browser, server):
     assert difference.mean() < 0.002, difference.mean()
     again.close()
     # What is seen is what is exported.
-    for form in ["glb", "stl"]:
+    assert page.page.is_visible("#glb") == has_files
+    for form in ["glb", "stl"] if has_files else []:
         with page.page.expect_download() as download:
             page.page.click(f"#{form}")
         file = pathlib.Path(download.value.path()).read_bytes()
@@ -284,6 +349,85 @@ def narrow(browser, server):
     page.close()
 
 
+# What the page gets, as a hash of its bytes.
+TRIANGLES = """async ([archive, parameters]) => {
+  const source = await import(new URL("source.js", location.href));
+  const { vertices, triangles } = await source.surface(archive, parameters);
+  const all = new Uint8Array(vertices.byteLength + triangles.byteLength);
+  all.set(new Uint8Array(vertices.buffer));
+  all.set(new Uint8Array(triangles.buffer), vertices.byteLength);
+  const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", all));
+  return [triangles.length, [...hash].map((b) => b.toString(16).padStart(2, "0")).join("")];
+}"""
+SLICE = """async ([archive, parameters]) => {
+  const source = await import(new URL("source.js", location.href));
+  const { values } = await source.slice(archive, parameters);
+  return [...new Uint8Array(values.buffer)];
+}"""
+ASK = """async (address) => {
+  const { connect } = await import(new URL("local.js", location.href));
+  const names = document.querySelector('meta[name="isospan-archives"]').content.split("\\n");
+  const response = await connect(names)(address);
+  return [response.status, await response.text()];
+}"""
+
+
+def same(page, server):
+    """What WebAssembly answers is what the program answers, byte for byte."""
+    cases = [(0, {"isovalues": v}) for v in [-5, 250.5, 600, 610, 1100, 600]]
+    cases += [(1, {"isovalues": v, "step": n}) for n in range(4) for v in [0, 0.123]]
+    cases += [(2, {"isovalues": v}) for v in [333, 900]]
+    cases += [(0, {"isovalues": "500,900"}), (0, {"isovalues": 600, "cap": "true"}),
+              (0, {"isovalues": 600, "roi": "world:10:70,:,20.5:100"}), (2, {"isovalues": 500, "roi": "0:50,0:50,0:99"}),
+              (1, {"isovalues": 0.2, "step": 2, "cap": "true"})]
+    for archive, parameters in cases:
+        query = "&".join(f"{k}={v}" for k, v in parameters.items())
+        status, _, body = server.ask(f"{archive}/surface?{query}")
+        assert status == 200, (query, body)
+        (length,) = struct.unpack_from("<I", body)
+        report = json.loads(body[4 : 4 + length])["report"]
+        found = page.evaluate(TRIANGLES, [archive, parameters])
+        expected = [3 * report["triangles"], hashlib.sha256(body[4 + length :]).hexdigest()]
+        assert found == expected, f"{archive} {parameters}: run tools/viewer/wasm; {found}, expected {expected}"
+    for archive in range(3):
+        parameters = {"step": 0, "origin": "1,2,11.5", "u": "0.7,0,0", "v": "0,0.7,0.1", "size": "31,27"}
+        query = "&".join(f"{k}={v}" for k, v in parameters.items())
+        body = server.ask(f"{archive}/slice?{query}")[2]
+        (length,) = struct.unpack_from("<I", body)
+        assert bytes(page.evaluate(SLICE, [archive, parameters])) == body[4 + length :], archive
+        status, text = page.evaluate(ASK, f"{archive}/spectrum")
+        assert status == 200 and json.loads(text)["knots"] == json.loads(server.ask(f"{archive}/spectrum")[2])["knots"]
+    for address in ["0/surface?isovalues=nan", "0/surface", "7/spectrum", "0/export?isovalues=0", "0/surface?isovalues=0&step=9"]:
+        status, text = page.evaluate(ASK, address)
+        assert status == 400 and text, (address, status, text)
+
+
+def without_a_server(browser, server):
+    """The published folder: the same page, the same answers."""
+    with Published() as published:
+        wide(browser, published, has_files=False)
+        narrow(browser, published)
+        page = Page(browser, published)
+        same(page.page, server)
+        page.close()
+        assert published.http.ranges > 20
+    # A server that knows no ends of files, as some stores do.
+    with Published(knows_ends=False) as published:
+        Page(browser, published).close()
+    # One that knows no ranges: it sends whole files, which are kept.
+    with Published(Whole) as published:
+        Page(browser, published).close()
+    # An archive that is not there.
+    with Published() as published:
+        ball = pathlib.Path("site/of somebody/viewer") / BALL / "manifest.json"
+        ball.rename(ball.with_name("gone"))
+        page = Page(browser, published, is_ready=False)
+        page.page.wait_for_selector("#message:not([hidden])")
+        assert "manifest.json" in page.page.inner_text("#message"), page.page.inner_text("#message")
+        page.wrong = [line for line in page.wrong if "404" not in line]
+        page.close()
+
+
 def main():
     with Server() as server, sync_playwright() as playwright:
         requests(server)
@@ -293,6 +437,7 @@ def main():
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         wide(browser, server)
         narrow(browser, server)
+        without_a_server(browser, server)
         browser.close()
         crowds(server)
     print("the viewer: all good")

@@ -5,17 +5,22 @@
 //! too. Pages are kept, a fixed number for each server, and found again when the same file, by its
 //! ETag, is opened anew. Many bytes are fetched as they are asked for, and not kept.
 
-use super::server::{Answer, KEPT, Server, server_of};
+use super::host::{Host, host_of};
+use super::pages::{KEPT, Kept};
+#[cfg(feature = "remote")]
+use super::server::{Server, server_of};
+use super::{Answer, Wanted};
 use crate::error::{Error, Result};
-use object_store::GetRange;
+#[cfg(feature = "remote")]
 use object_store::path::Path as Key;
+use std::fmt;
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Bytes of a page: a block of tetrahedra and its neighbours, or a few pages of an index.
-const PAGE: u64 = 16 << 10;
+pub(super) const PAGE: u64 = 16 << 10;
 /// Pages that are fetched too when a reader moves forward.
 const AHEAD: u64 = 8;
 /// A read of so many bytes passes the pages by.
@@ -23,12 +28,61 @@ const MANY: usize = 128 << 10;
 
 const _: () = assert!(KEPT as u64 * PAGE == super::PAGES_BYTES);
 
+/// Where a file lies.
+pub(super) enum Origin {
+    /// On a server, with the name of the object there.
+    #[cfg(feature = "remote")]
+    Server(Arc<Server>, Key),
+    /// With a host of the program, with its name there.
+    Host(Arc<Host>, String),
+}
+
+impl fmt::Debug for Origin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            #[cfg(feature = "remote")]
+            Self::Server(server, key) => write!(f, "{server:?}, {key}"),
+            Self::Host(_, name) => write!(f, "a host, {name}"),
+        }
+    }
+}
+
+impl Origin {
+    /// # Errors
+    /// [`Error::BadInput`] for an address that means nothing; [`Error::Usage`] where there is no
+    /// client.
+    pub(super) fn of(path: &Path) -> Result<Self> {
+        if let Some((host, name)) = host_of(path)? {
+            return Ok(Self::Host(host, name));
+        }
+        #[cfg(feature = "remote")]
+        return server_of(path).map(|(server, key)| Self::Server(server, key));
+        #[cfg(not(feature = "remote"))]
+        super::refused(path)
+    }
+
+    pub(super) fn kept(&self) -> &Kept {
+        match self {
+            #[cfg(feature = "remote")]
+            Self::Server(server, _) => &server.kept,
+            Self::Host(host, _) => &host.kept,
+        }
+    }
+
+    fn get(&self, _path: &Path, wanted: &Wanted) -> io::Result<Answer> {
+        match self {
+            #[cfg(feature = "remote")]
+            Self::Server(server, key) => server.get(_path, key, Some(wanted)),
+            Self::Host(host, name) => host.get(name, wanted),
+        }
+    }
+}
+
 /// An object that is read by ranges.
 #[derive(Debug)]
 pub(crate) struct RemoteFile {
-    server: Arc<Server>,
+    origin: Origin,
     path: PathBuf,
-    key: Key,
     number: u64,
     len: u64,
     tag: u64,
@@ -38,11 +92,10 @@ impl RemoteFile {
     /// Fetches the end of an object.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let failed = |e: io::Error| Error::io("open", path, e);
-        let (server, key) = server_of(path)?;
-        let Answer { len, tag, range, bytes } =
-            server.get(path, &key, Some(GetRange::Suffix(PAGE)), PAGE).map_err(failed)?;
-        let number = server.number_of(path, len, tag);
-        let file = Self { server, path: path.to_path_buf(), key, number, len, tag };
+        let origin = Origin::of(path)?;
+        let Answer { len, tag, range, bytes } = origin.get(path, &Wanted::Last(PAGE)).map_err(failed)?;
+        let number = origin.kept().number_of(path, len, tag);
+        let file = Self { origin, path: path.to_path_buf(), number, len, tag };
         if range.end == len {
             file.keep(range, &bytes);
         }
@@ -92,7 +145,7 @@ impl RemoteFile {
     }
 
     fn page(&self, n: u64) -> Option<Arc<[u8]>> {
-        self.server.pages().get((self.number, n))
+        self.origin.kept().pages().get((self.number, n))
     }
 
     /// Fetches pages, and some more if the page before is there; returns the offset of the first
@@ -108,9 +161,8 @@ impl RemoteFile {
     }
 
     fn fetch(&self, wanted: Range<u64>) -> io::Result<Vec<u8>> {
-        let bounds = Some(GetRange::Bounded(wanted.clone()));
         let count = wanted.end - wanted.start;
-        let Answer { len, tag, range, bytes } = self.server.get(&self.path, &self.key, bounds, count)?;
+        let Answer { len, tag, range, bytes } = self.origin.get(&self.path, &Wanted::At(wanted.clone()))?;
         if (len, tag) != (self.len, self.tag) || range != wanted || bytes.len() as u64 != count {
             let text = format!(
                 "asked for bytes {wanted:?} of {}, got {} bytes of {range:?} of {len}: it was changed meanwhile",
@@ -124,7 +176,7 @@ impl RemoteFile {
 
     /// Keeps the pages that lie whole in a range.
     fn keep(&self, range: Range<u64>, bytes: &[u8]) {
-        let mut pages = self.server.pages();
+        let mut pages = self.origin.kept().pages();
         for n in range.start.div_ceil(PAGE)..range.end.div_ceil(PAGE) {
             let (from, to) = (n * PAGE, ((n + 1) * PAGE).min(self.len));
             if to <= range.end {

@@ -1,4 +1,5 @@
-//! Files of an object store or a web server: `s3://bucket/name`, `https://host/name`.
+//! Files of an object store or a web server: `s3://bucket/name`, `https://host/name`; and those that
+//! a program itself gets by ranges, `host://name`.
 //!
 //! A file is read by ranges ([`RemoteFile`]), or whole where it is small or a chunk of a volume
 //! ([`whole_if_there`]). Opening a file for ranges fetches its end, which gives the length, and
@@ -23,20 +24,66 @@
 //! **Changes.** Each answer has the file's length and its ETag, or else its time of change. They
 //! are noted: what differs from the answer before has been changed ([`Seen`]).
 //!
-//! Without the feature `remote` there is no such file: opening one says so.
+//! Without the feature `remote` there is no such file: opening one says so. A program in which there
+//! is no client, as a web page's, gives ranges of its own ([`add_host`]).
 
-#[cfg(feature = "remote")]
 mod file;
+mod host;
+mod pages;
 #[cfg(feature = "remote")]
 mod server;
 
 use crate::error::{Error, Result};
 use serde::Serialize;
+use std::io;
+use std::ops::Range;
 use std::path::Path;
 
-/// Whether a path names an object of a store or web server.
+/// What the addresses of a program's own hosts begin with.
+const HOST: &str = "host://";
+
+/// Whether a path names an object of a store, a web server or a host of the program.
 pub fn is_remote(path: &Path) -> bool {
-    path.to_str().is_some_and(|p| ["s3://", "https://", "http://"].iter().any(|scheme| p.starts_with(scheme)))
+    let schemes = ["s3://", "https://", "http://", HOST];
+    path.to_str().is_some_and(|p| schemes.iter().any(|scheme| p.starts_with(scheme)))
+}
+
+/// Gets ranges of bytes of files that lie elsewhere.
+pub trait Ranges: Send + Sync {
+    /// Gets bytes of the file of a name.
+    ///
+    /// # Errors
+    /// When there is no such file, or it cannot be had.
+    fn get(&self, name: &str, wanted: &Wanted) -> io::Result<Fetched>;
+}
+
+/// Which bytes of a file are wanted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Wanted {
+    /// The last ones, so many, or all of a shorter file.
+    Last(u64),
+    /// Those at these offsets.
+    At(Range<u64>),
+}
+
+/// Bytes of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fetched {
+    /// Bytes of the whole file.
+    pub len: u64,
+    /// Where these lie in it.
+    pub range: Range<u64>,
+    /// These.
+    pub bytes: Vec<u8>,
+}
+
+/// What came of a file.
+struct Answer {
+    /// The length of the whole file, and what tells its states apart.
+    len: u64,
+    tag: u64,
+    range: Range<u64>,
+    bytes: Vec<u8>,
 }
 
 /// Bytes of pages that are kept of a server, at most.
@@ -74,16 +121,15 @@ pub(crate) fn read_all(path: &Path, most: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
+pub(crate) use file::RemoteFile;
+pub use host::add_host;
 #[cfg(feature = "remote")]
-pub(crate) use {
-    file::RemoteFile,
-    server::{folders_in, look_at, seen, small_if_there, whole_if_there},
-};
+pub(crate) use server::{folders_in, look_at, seen, small_if_there, whole_if_there};
 
 /// What this process has fetched from the server of a path; nothing for a local path.
-#[cfg(feature = "remote")]
 pub(crate) fn traffic(path: &Path) -> Option<Traffic> {
-    is_remote(path).then(|| server::traffic(path))
+    let fetched = || file::Origin::of(path).map_or_else(|_| Traffic::default(), |o| o.kept().traffic());
+    is_remote(path).then(fetched)
 }
 
 /// What was fetched from the server of a file since `before`.
@@ -97,39 +143,19 @@ pub(crate) fn traffic_since(path: &Path, before: Option<Traffic>) -> Option<Traf
 #[cfg(not(feature = "remote"))]
 pub(crate) use without_client::*;
 
+#[cfg(not(feature = "remote"))]
+fn refused<T>(path: &Path) -> Result<T> {
+    Err(Error::usage(format!(
+        "{}: this isospan was built without object stores; build it with the feature `remote`, which is a default one",
+        path.display()
+    )))
+}
+
 /// There is nothing on servers without the feature.
 #[cfg(not(feature = "remote"))]
 mod without_client {
-    use super::{Error, Result, Seen, Traffic};
+    use super::{Result, Seen, refused};
     use std::path::{Path, PathBuf};
-
-    fn refused<T>(path: &Path) -> Result<T> {
-        Err(Error::usage(format!(
-            "{}: this isospan was built without object stores; build it with the feature `remote`, which is a default one",
-            path.display()
-        )))
-    }
-
-    #[derive(Debug)]
-    pub(crate) enum RemoteFile {}
-
-    impl RemoteFile {
-        pub(crate) fn open(path: &Path) -> Result<Self> {
-            refused(path)
-        }
-
-        pub(crate) fn len(&self) -> u64 {
-            match *self {}
-        }
-
-        pub(crate) fn read_at(&self, _offset: u64, _out: &mut [u8]) -> std::io::Result<()> {
-            match *self {}
-        }
-    }
-
-    pub(crate) fn traffic(_path: &Path) -> Option<Traffic> {
-        None
-    }
 
     pub(crate) fn whole_if_there(path: &Path, _most: u64) -> Result<Option<Vec<u8>>> {
         refused(path)
@@ -163,6 +189,50 @@ mod tests {
         assert!(!remote("a.isospan") && !remote("/s3://b") && !remote("ftp://h/a"));
         let joined = Path::new("s3://b/a.isospan").join("mesh/000000.seg");
         assert_eq!(joined.to_str(), Some("s3://b/a.isospan/mesh/000000.seg"));
+    }
+
+    /// A file of these bytes, which is had by ranges.
+    struct File(Vec<u8>);
+
+    impl Ranges for File {
+        fn get(&self, name: &str, wanted: &Wanted) -> io::Result<Fetched> {
+            if name != "folder/file" {
+                return Err(io::ErrorKind::NotFound.into());
+            }
+            let len = self.0.len() as u64;
+            let range = match wanted {
+                Wanted::Last(count) => len.saturating_sub(*count)..len,
+                Wanted::At(range) => range.clone(),
+            };
+            let bytes = self.0[range.start as usize..range.end as usize].to_vec();
+            Ok(Fetched { len, range, bytes })
+        }
+    }
+
+    #[test]
+    fn a_host_of_the_program_is_asked_for_what_is_not_kept() {
+        let bytes: Vec<u8> = (0..10 * file::PAGE + 100).map(|i| (i * 7 / 5) as u8).collect();
+        add_host("one", File(bytes.clone()));
+        add_host("two", File(vec![7; 9]));
+        let path = Path::new("host://one/folder/file");
+        assert_eq!(read_all(Path::new("host://two/folder/file"), 9).unwrap(), [7; 9]);
+        let before = traffic(path);
+        let file = RemoteFile::open(path).unwrap();
+        assert_eq!(file.len(), bytes.len() as u64);
+        let mut out = vec![0; 3 * file::PAGE as usize];
+        for offset in [100, 50, 9 * file::PAGE - 2000] {
+            let n = (file.len() - offset).min(out.len() as u64) as usize;
+            file.read_at(offset, &mut out[..n]).unwrap();
+            assert_eq!(out[..n], bytes[offset as usize..][..n]);
+        }
+        let fetched = traffic_since(path, before).unwrap();
+        assert_eq!(fetched.requests, 3, "the end, and two of the reads");
+        assert!(file.read_at(file.len() - 1, &mut out[..2]).is_err());
+
+        let missing = RemoteFile::open(Path::new("host://one/other")).err().unwrap().to_string();
+        assert!(missing.contains("host://one/other"), "{missing}");
+        let unknown = RemoteFile::open(Path::new("host://three/file")).err().unwrap().to_string();
+        assert!(unknown.contains("'three'"), "{unknown}");
     }
 
     #[cfg(feature = "remote")]

@@ -1,6 +1,7 @@
 //! The servers that this process has talked to: requests, and what they said.
 
-use super::{Seen, Traffic};
+use super::pages::Kept;
+use super::{Answer, Seen, Wanted};
 use crate::error::{Error, Result};
 use object_store::aws::AmazonS3Builder;
 use object_store::http::HttpBuilder;
@@ -8,13 +9,11 @@ use object_store::path::Path as Key;
 use object_store::{
     BackoffConfig, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreScheme, RetryConfig,
 };
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::future::Future;
 use std::io;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Runtime};
@@ -23,8 +22,6 @@ use tokio::task::JoinSet;
 use url::{Position, Url};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
-/// Pages kept for each server: 32 MiB.
-pub(super) const KEPT: usize = 2048;
 /// Requests that are under way to a server, at most.
 const AT_ONCE: usize = 32;
 /// Small files are not asked for again so soon: metadata are needed several times when a volume is
@@ -39,11 +36,7 @@ pub(super) struct Server {
     /// Whether it lists what it has: a store, not a web server.
     lists: bool,
     room: Semaphore,
-    requests: AtomicU64,
-    bytes: AtomicU64,
-    pages: Mutex<Pages>,
-    /// The files that were opened, as they were then, and the numbers of their pages.
-    numbers: Mutex<HashMap<(PathBuf, u64, u64), u64>>,
+    pub(super) kept: Kept,
     /// By hashes of paths.
     seen: Mutex<HashMap<u128, Seen>>,
     small: Mutex<HashMap<PathBuf, Small>>,
@@ -58,63 +51,24 @@ impl fmt::Debug for Server {
     }
 }
 
-/// Pages by file and number, and the order in which they came.
-#[derive(Default)]
-pub(super) struct Pages {
-    kept: BTreeMap<(u64, u64), Arc<[u8]>>,
-    order: VecDeque<(u64, u64)>,
-}
-
-impl Pages {
-    pub(super) fn get(&self, at: (u64, u64)) -> Option<Arc<[u8]>> {
-        self.kept.get(&at).cloned()
-    }
-
-    pub(super) fn keep(&mut self, at: (u64, u64), page: Arc<[u8]>) {
-        if self.kept.insert(at, page).is_none() {
-            self.order.push_back(at);
-        }
-        while self.order.len() > KEPT {
-            let oldest = self.order.pop_front().expect("it is longer than nothing");
-            self.kept.remove(&oldest);
-        }
-    }
-}
-
-/// What came of a file.
-pub(super) struct Answer {
-    /// The length of the whole file, and what tells its states apart.
-    pub(super) len: u64,
-    pub(super) tag: u64,
-    pub(super) range: Range<u64>,
-    pub(super) bytes: Vec<u8>,
-}
-
 fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Server {
-    pub(super) fn pages(&self) -> MutexGuard<'_, Pages> {
-        lock(&self.pages)
+    /// A range of a file, or all of it.
+    pub(super) fn get(&self, path: &Path, key: &Key, wanted: Option<&Wanted>) -> io::Result<Answer> {
+        let (range, most) = match wanted {
+            Some(Wanted::Last(count)) => (Some(GetRange::Suffix(*count)), *count),
+            Some(Wanted::At(range)) => (Some(GetRange::Bounded(range.clone())), range.end - range.start),
+            None => (None, u64::MAX),
+        };
+        self.get_at_most(path, key, range, most)
     }
 
-    /// The number of a file's pages, the same for the same state of it.
-    pub(super) fn number_of(&self, path: &Path, len: u64, tag: u64) -> u64 {
-        let mut numbers = lock(&self.numbers);
-        let next = numbers.len() as u64;
-        *numbers.entry((path.to_path_buf(), len, tag)).or_insert(next)
-    }
-
-    /// A range of a file, or all of it: at most `most` bytes.
-    pub(super) fn get(
-        &self,
-        path: &Path,
-        key: &Key,
-        range: Option<GetRange>,
-        most: u64,
-    ) -> io::Result<Answer> {
-        self.requests.fetch_add(1, Ordering::Relaxed);
+    /// As [`Server::get`], at most `most` bytes.
+    fn get_at_most(&self, path: &Path, key: &Key, range: Option<GetRange>, most: u64) -> io::Result<Answer> {
+        self.kept.asked();
         let answer = wait(async {
             let _room = self.room.acquire().await;
             let got = self.store.get_opts(key, GetOptions { range, ..GetOptions::default() }).await;
@@ -128,13 +82,13 @@ impl Server {
             self.note(path, Some(len), tag);
             Ok(Answer { len, tag, range, bytes: bytes.into() })
         })??;
-        self.bytes.fetch_add(answer.bytes.len() as u64, Ordering::Relaxed);
+        self.kept.got(&answer.bytes);
         Ok(answer)
     }
 
     /// Asks about a file, without its bytes.
     async fn head(&self, path: &Path, key: &Key) -> io::Result<()> {
-        self.requests.fetch_add(1, Ordering::Relaxed);
+        self.kept.asked();
         let _room = self.room.acquire().await;
         match self.store.get_opts(key, GetOptions { head: true, ..GetOptions::default() }).await {
             Ok(got) => self.note(path, Some(got.meta.size), tag_of(&got.meta)),
@@ -215,15 +169,10 @@ fn wait<T>(request: impl Future<Output = T>) -> io::Result<T> {
     }
 }
 
-pub(super) fn traffic(path: &Path) -> Traffic {
-    let Ok((server, _)) = server_of(path) else { return Traffic::default() };
-    Traffic { requests: server.requests.load(Ordering::Relaxed), bytes: server.bytes.load(Ordering::Relaxed) }
-}
-
 /// All bytes of a file, at most `most` of them, in one request; `None` where there is none.
 pub(crate) fn whole_if_there(path: &Path, most: u64) -> Result<Option<Vec<u8>>> {
     let (server, key) = server_of(path)?;
-    match server.get(path, &key, None, most) {
+    match server.get_at_most(path, &key, None, most) {
         Ok(answer) => Ok(Some(answer.bytes)),
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(e) => Err(Error::io("read", path, e)),
@@ -258,7 +207,7 @@ pub(crate) fn folders_in(path: &Path) -> Result<Vec<String>> {
         return Err(Error::bad_input(path, "folder", "a server that lists its folders", "a web server")
             .with_help("name the array in it that is meant, or write the group's consolidated metadata"));
     }
-    server.requests.fetch_add(1, Ordering::Relaxed);
+    server.kept.asked();
     let list = wait(server.store.list_with_delimiter(Some(&key)))
         .and_then(|l| l.map_err(|e| server.failed(path, e)));
     let folders = list.map_err(|e| Error::io("list", path, e))?.common_prefixes;
@@ -341,10 +290,7 @@ pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
         store: client(&scheme, &url).map_err(|e| bad(one_line(&e)))?,
         lists: matches!(scheme, ObjectStoreScheme::AmazonS3),
         room: Semaphore::new(AT_ONCE),
-        requests: AtomicU64::new(0),
-        bytes: AtomicU64::new(0),
-        pages: Mutex::default(),
-        numbers: Mutex::default(),
+        kept: Kept::default(),
         seen: Mutex::default(),
         small: Mutex::default(),
     });

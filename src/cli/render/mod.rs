@@ -20,7 +20,7 @@ use film::{Film, Kind, Pace};
 use isospan::compare::{CompareSettings, distances};
 use isospan::exec::{CancelToken, Progress};
 use isospan::formats::surface::load_surface;
-use isospan::pipeline::StepRange;
+use isospan::pipeline::{StepRange, is_archive};
 use isospan::render::{Camera, ColourMap, Image, Paint, RenderSettings, Subject, Up, View, render};
 use isospan::surface::check::CheckSettings;
 use isospan::surface::{SurfaceSource, TriMesh};
@@ -341,7 +341,7 @@ impl Job<'_> {
             self.colour(&mut panels, colours, progress)?;
         }
         let views = self.views(&panels, args.turntable.map_or(1, |n| n as usize))?;
-        let legend = colours.as_ref().map(|c| (field_name(&inputs), c));
+        let legend = colours.as_ref().map(|c| (field_name(&inputs, args.colour_by.as_deref()), c));
         let stage = Stage { job: self, layout, inputs: inputs.len(), panels, views, end, legend };
         progress.begin("draw", (frames * count) as u64, "panels");
         publish(&args.output, |out| {
@@ -517,8 +517,12 @@ impl Job<'_> {
     }
 }
 
-/// What the bar of colours is of: the field of the archives, if it has one name.
-fn field_name(inputs: &[Input]) -> String {
+/// What the bar of colours is of: the archive that colours are asked of, or the field of the
+/// archives, if it has one name.
+fn field_name(inputs: &[Input], by: Option<&Path>) -> String {
+    if let Some(by) = by.filter(|by| is_archive(by)) {
+        return plain(&by.file_stem().unwrap_or_default().to_string_lossy());
+    }
     let mut names = inputs.iter().filter_map(|i| match i {
         Input::Archive(opened) => Some(opened.colour_field()),
         Input::Surface(_) => None,

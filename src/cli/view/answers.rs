@@ -1,18 +1,17 @@
 //! Answers the questions of the page by blocking work, as bytes that are streamed.
+//!
+//! The server of `isospan view` answers with these, and so does the page itself where there is no
+//! server: `tools/viewer/core` compiles this file to WebAssembly.
 
 use super::archives::Archives;
-use axum::body::Bytes;
-use isospan::exec::Silent;
-use isospan::formats::surface::SurfaceFormat;
+use super::now;
 use isospan::pipeline::{ProbeSettings, Roi, StepChoice, SurfaceSettings};
+use isospan::render::ColourMap;
 use isospan::{Error, Resources, Result};
 use serde::{Deserialize, Serialize};
-use std::io::Read as _;
-use std::time::Instant;
-use tokio::sync::mpsc::Sender;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 
-/// Bytes of a piece of an answer.
-const PIECE: usize = 256 << 10;
 /// Isovalues of one request.
 const MOST_ISOVALUES: usize = 16;
 /// Samples along a side of a slice.
@@ -41,7 +40,7 @@ pub(super) struct SurfaceQuery {
     #[serde(default)]
     cap: bool,
     /// Of an export: the ending of the file's name.
-    format: Option<String>,
+    pub(super) format: Option<String>,
 }
 
 impl SurfaceQuery {
@@ -49,7 +48,7 @@ impl SurfaceQuery {
         StepQuery { step: self.step }.choice()
     }
 
-    fn settings(&self, resources: &Resources) -> Result<SurfaceSettings> {
+    pub(super) fn settings(&self, resources: &Resources) -> Result<SurfaceSettings> {
         let wrong = |text: &str| Error::usage(format!("'{text}' is no isovalue"));
         let number = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong(text));
         let isovalues = self.isovalues.split(',').map(number).collect::<Result<Vec<_>>>()?;
@@ -105,51 +104,32 @@ impl SliceQuery {
     }
 }
 
-/// Takes the bytes of an answer, and hands them on in pieces. Waits for a slow reader, holding
-/// little.
-pub(super) struct Sink {
-    to: Sender<Result<Bytes>>,
-    piece: Vec<u8>,
+/// Takes the bytes of an answer.
+pub(super) trait Sink {
+    /// Takes some of them.
+    fn write(&mut self, bytes: &[u8]) -> Result<()>;
+
+    /// Hands on what was taken so far.
+    fn flush(&mut self) -> Result<()>;
 }
 
-impl Sink {
-    pub(super) fn new(to: Sender<Result<Bytes>>) -> Self {
-        Self { to, piece: Vec::with_capacity(PIECE) }
-    }
+/// A part of known length: its bytes in four, then the text.
+fn json_part(value: &impl Serialize, sink: &mut dyn Sink) -> Result<()> {
+    let text = text_of(value)?;
+    // Numbers that follow are at multiples of four.
+    let spaces = text.len().next_multiple_of(4) - text.len();
+    sink.write(&((text.len() + spaces) as u32).to_le_bytes())?;
+    sink.write(&text)?;
+    sink.write(&b"   "[..spaces])
+}
 
-    fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        bytes.chunks(PIECE).try_for_each(|part| {
-            self.piece.extend_from_slice(part);
-            if self.piece.len() >= PIECE { self.flush() } else { Ok(()) }
-        })
-    }
+/// A value as JSON.
+fn json(value: &impl Serialize, sink: &mut dyn Sink) -> Result<()> {
+    sink.write(&text_of(value)?)
+}
 
-    /// # Errors
-    /// [`Error::Cancelled`] when the reader is gone.
-    fn flush(&mut self) -> Result<()> {
-        let piece = std::mem::replace(&mut self.piece, Vec::with_capacity(PIECE));
-        self.to.blocking_send(Ok(piece.into())).map_err(|_| Error::Cancelled)
-    }
-
-    /// A part of known length: its bytes in four, then the text.
-    fn json(&mut self, value: &impl Serialize) -> Result<()> {
-        let text = serde_json::to_vec(value)
-            .map_err(|e| Error::io("write", "an answer", std::io::Error::other(e)))?;
-        // Numbers that follow are at multiples of four.
-        let spaces = text.len().next_multiple_of(4) - text.len();
-        self.write(&((text.len() + spaces) as u32).to_le_bytes())?;
-        self.write(&text)?;
-        self.write(&b"   "[..spaces])
-    }
-
-    /// Ends the answer with an error, or with what is left of its bytes.
-    pub(super) fn end(mut self, result: Result<()>) {
-        let result = result.and_then(|()| if self.piece.is_empty() { Ok(()) } else { self.flush() });
-        if let Err(e) = result {
-            // A reader that is gone needs no error.
-            let _ = self.to.blocking_send(Err(e));
-        }
-    }
+fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
+    serde_json::to_vec(value).map_err(|e| Error::io("write", "an answer", std::io::Error::other(e)))
 }
 
 /// A length and JSON with the counts; then of each surface its vertices (position and normal, 3 ×
@@ -159,20 +139,18 @@ pub(super) fn surface(
     archive: usize,
     query: &SurfaceQuery,
     resources: &Resources,
-    sink: &mut Sink,
+    sink: &mut dyn Sink,
 ) -> Result<()> {
-    let start = Instant::now();
+    let start = now();
     let settings = query.settings(resources)?;
     let archive = archives.at(archive, query.choice())?;
-    let sink = std::cell::RefCell::new(sink);
+    let sink = RefCell::new(sink);
     archive.stream_surfaces(
         &settings,
         |report| {
-            let answer = serde_json::json!({
-                "milliseconds": start.elapsed().as_secs_f64() * 1e3,
-                "report": report,
-            });
-            sink.borrow_mut().json(&answer)?;
+            let milliseconds = now() - start;
+            let answer = serde_json::json!({ "milliseconds": milliseconds, "report": report });
+            json_part(&answer, *sink.borrow_mut())?;
             // The page says what it waits for.
             sink.borrow_mut().flush()
         },
@@ -190,42 +168,14 @@ pub(super) fn slice(
     archive: usize,
     query: &SliceQuery,
     resources: &Resources,
-    sink: &mut Sink,
+    sink: &mut dyn Sink,
 ) -> Result<()> {
     let ([width, height], points) = query.points()?;
     let archive = archives.at(archive, query.choice())?;
     let settings = ProbeSettings { resources: resources.clone() };
     let values = archive.probe_with(&points, &settings)?;
-    sink.json(&serde_json::json!({ "size": [width, height] }))?;
+    json_part(&serde_json::json!({ "size": [width, height] }), sink)?;
     values.iter().try_for_each(|&v| sink.write(&(v as f32).to_le_bytes()))
-}
-
-/// A surface file, as `isospan surface` writes it.
-pub(super) fn export(
-    archives: &Archives,
-    archive: usize,
-    query: &SurfaceQuery,
-    resources: &Resources,
-    sink: &mut Sink,
-) -> Result<()> {
-    let settings = query.settings(resources)?;
-    let ending = query.format.as_deref().unwrap_or("glb");
-    let format = SurfaceFormat::from_path(format!("surface.{ending}").as_ref())?;
-    let archive = archives.at(archive, query.choice())?;
-    let scratch = resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let failed = |doing: &str, e| Error::io(doing, &scratch, e);
-    let folder = tempfile::tempdir_in(&scratch).map_err(|e| failed("write to", e))?;
-    let path = folder.path().join("surface");
-    archive.write_surface(&settings, &path, format, &Silent)?;
-    let mut file = std::fs::File::open(&path).map_err(|e| failed("read from", e))?;
-    let mut piece = vec![0; PIECE];
-    loop {
-        let bytes = file.read(&mut piece).map_err(|e| failed("read from", e))?;
-        if bytes == 0 {
-            return Ok(());
-        }
-        sink.write(&piece[..bytes])?;
-    }
 }
 
 /// The contour spectrum, as JSON.
@@ -234,14 +184,20 @@ pub(super) fn spectrum(
     archive: usize,
     query: &StepQuery,
     _resources: &Resources,
-    sink: &mut Sink,
+    sink: &mut dyn Sink,
 ) -> Result<()> {
     json(&archives.at(archive, query.choice())?.spectrum()?, sink)
 }
 
-/// A value as JSON.
-pub(super) fn json(value: &impl Serialize, sink: &mut Sink) -> Result<()> {
-    let text =
-        serde_json::to_vec(value).map_err(|e| Error::io("write", "an answer", std::io::Error::other(e)))?;
-    sink.write(&text)
+/// The archives, as JSON.
+pub(super) fn archives(archives: &Archives, sink: &mut dyn Sink) -> Result<()> {
+    json(&archives.describe()?, sink)
+}
+
+/// The colour maps, as JSON: name to 256 colours.
+pub(super) fn colours(sink: &mut dyn Sink) -> Result<()> {
+    let table =
+        |map: ColourMap| -> Vec<[u8; 3]> { (0..256).map(|n| map.colour(f64::from(n) / 255.0)).collect() };
+    let all: BTreeMap<&str, _> = ColourMap::ALL.into_iter().map(|m| (m.name(), table(m))).collect();
+    json(&all, sink)
 }

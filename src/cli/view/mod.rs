@@ -7,7 +7,8 @@
 
 mod answers;
 mod archives;
-mod page;
+mod export;
+pub(super) mod page;
 mod server;
 
 use super::grammar;
@@ -19,6 +20,8 @@ use std::io::Write as _;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use std::sync::LazyLock;
+use std::time::Instant;
 
 /// Show archives in a browser.
 ///
@@ -66,6 +69,12 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         if args.open { open_in_browser(&url) } else { Ok(()) }
     };
     server::serve(archives, means, address, &token, &stop, started)
+}
+
+/// Milliseconds on a clock that never goes back.
+fn now() -> f64 {
+    static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
+    BEGIN.elapsed().as_secs_f64() * 1e3
 }
 
 /// 128 random bits, in hexadecimal.

@@ -1,12 +1,12 @@
 //! The files of the page, compiled in: `tools/viewer/page`.
 
 /// A file of the page.
-pub(super) struct File {
-    pub(super) name: &'static str,
+pub(in crate::cli) struct File {
+    pub(in crate::cli) name: &'static str,
     pub(super) kind: &'static str,
-    pub(super) content: &'static [u8],
+    pub(in crate::cli) content: &'static [u8],
     /// Compressed by gzip; every browser takes it as it is.
-    pub(super) is_gzip: bool,
+    pub(in crate::cli) is_gzip: bool,
 }
 
 macro_rules! file {
@@ -24,15 +24,20 @@ macro_rules! file {
 }
 
 /// All files; the first is the page itself.
-pub(super) const FILES: &[File] = &[
+pub(in crate::cli) const FILES: &[File] = &[
     file!("index.html", "text/html"),
     file!("style.css", "text/css"),
     file!("main.js", "text/javascript"),
     file!("scene.js", "text/javascript"),
     file!("spectrum.js", "text/javascript"),
     file!("source.js", "text/javascript"),
+    file!("local.js", "text/javascript"),
     file!("three.js", "text/javascript", ".gz", true),
 ];
+
+/// What a page without a server has besides: a worker, and what it runs.
+pub(in crate::cli) const WORKER: &[u8] = include_bytes!("../../../tools/viewer/page/worker.js");
+pub(in crate::cli) const WASM_GZ: &[u8] = include_bytes!("../../../tools/viewer/page/isospan.wasm.gz");
 
 #[cfg(test)]
 mod tests {

@@ -7,7 +7,7 @@
 
 use super::answers::{self, Sink};
 use super::archives::Archives;
-use super::page;
+use super::{export, page};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, Request, State};
@@ -17,7 +17,6 @@ use axum::response::{AppendHeaders, IntoResponse, Response};
 use axum::routing::{MethodRouter, get};
 use axum::serve::Listener;
 use isospan::exec::CancelToken;
-use isospan::render::ColourMap;
 use isospan::{Error, Resources, Result};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -44,6 +43,8 @@ pub(super) const SHARE: u64 = 4;
 const PIECES: usize = 4;
 /// A connection on which nothing comes or goes for so long is closed.
 const QUIET: Duration = Duration::from_secs(60);
+/// Bytes of a piece of an answer.
+pub(super) const PIECE: usize = 256 << 10;
 /// How often the token of the signals is checked.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -153,7 +154,7 @@ fn router(server: Arc<Server>, token: &str) -> Router {
         .route(&format!("/{token}/{{archive}}/spectrum"), ask(JSON, answers::spectrum))
         .route(&format!("/{token}/{{archive}}/surface"), ask(NUMBERS, answers::surface))
         .route(&format!("/{token}/{{archive}}/slice"), ask(NUMBERS, answers::slice))
-        .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, answers::export))
+        .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, export::export))
         .layer(middleware::from_fn_with_state(server.clone(), guard))
         .with_state(server)
 }
@@ -201,21 +202,15 @@ const JSON: &str = "application/json";
 const NUMBERS: &str = "application/octet-stream";
 
 async fn archives(State(server): State<Arc<Server>>) -> Response {
-    answer(server, JSON, |server, _, sink| answers::json(&server.archives.describe()?, sink)).await
+    answer(server, JSON, |server, _, sink| answers::archives(&server.archives, sink)).await
 }
 
 async fn colours(State(server): State<Arc<Server>>) -> Response {
-    answer(server, JSON, |_, _, sink| {
-        let table =
-            |map: ColourMap| -> Vec<[u8; 3]> { (0..256).map(|n| map.colour(f64::from(n) / 255.0)).collect() };
-        let all: BTreeMap<&str, _> = ColourMap::ALL.into_iter().map(|m| (m.name(), table(m))).collect();
-        answers::json(&all, sink)
-    })
-    .await
+    answer(server, JSON, |_, _, sink| answers::colours(sink)).await
 }
 
 /// A question about an archive: the archives, which of them, the parameters, what may be used.
-type Question<Q> = fn(&Archives, usize, &Q, &Resources, &mut Sink) -> Result<()>;
+type Question<Q> = fn(&Archives, usize, &Q, &Resources, &mut dyn Sink) -> Result<()>;
 
 fn ask<Q: DeserializeOwned + Send + 'static>(
     kind: &'static str,
@@ -233,7 +228,7 @@ fn ask<Q: DeserializeOwned + Send + 'static>(
 async fn answer(
     server: Arc<Server>,
     kind: &'static str,
-    work: impl FnOnce(&Server, &Resources, &mut Sink) -> Result<()> + Send + 'static,
+    work: impl FnOnce(&Server, &Resources, &mut dyn Sink) -> Result<()> + Send + 'static,
 ) -> Response {
     // As many wait as there are connections.
     let Ok(slot) = server.slots.clone().acquire_owned().await else {
@@ -244,7 +239,7 @@ async fn answer(
     let resources = server.means.clone().with_cancel(job.token.clone());
     tokio::task::spawn_blocking(move || {
         let _slot = slot;
-        let mut sink = Sink::new(to);
+        let mut sink = Stream::new(to);
         let result = work(&server, &resources, &mut sink);
         sink.end(result.map_err(|e| e.of_share(resources.memory, resources.memory * SHARE)));
     });
@@ -261,6 +256,44 @@ async fn answer(
             ([(header::CONTENT_TYPE, kind)], Body::from_stream(all)).into_response()
         }
         None => ([(header::CONTENT_TYPE, kind)], Body::empty()).into_response(),
+    }
+}
+
+/// Takes the bytes of an answer, and hands them on in pieces. Waits for a slow reader, holding
+/// little.
+struct Stream {
+    to: mpsc::Sender<Result<Bytes>>,
+    piece: Vec<u8>,
+}
+
+impl Sink for Stream {
+    fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        bytes.chunks(PIECE).try_for_each(|part| {
+            self.piece.extend_from_slice(part);
+            if self.piece.len() >= PIECE { self.flush() } else { Ok(()) }
+        })
+    }
+
+    /// # Errors
+    /// [`Error::Cancelled`] when the reader is gone.
+    fn flush(&mut self) -> Result<()> {
+        let piece = std::mem::replace(&mut self.piece, Vec::with_capacity(PIECE));
+        self.to.blocking_send(Ok(piece.into())).map_err(|_| Error::Cancelled)
+    }
+}
+
+impl Stream {
+    fn new(to: mpsc::Sender<Result<Bytes>>) -> Self {
+        Self { to, piece: Vec::with_capacity(PIECE) }
+    }
+
+    /// Ends the answer with an error, or with what is left of its bytes.
+    fn end(mut self, result: Result<()>) {
+        let result = result.and_then(|()| if self.piece.is_empty() { Ok(()) } else { self.flush() });
+        if let Err(e) = result {
+            // A reader that is gone needs no error.
+            let _ = self.to.blocking_send(Err(e));
+        }
     }
 }
 

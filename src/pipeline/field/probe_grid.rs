@@ -14,7 +14,7 @@
 //! on one thread, chunk by chunk.
 
 use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, Silent};
+use crate::exec::{Clock, Progress, Resources, Silent};
 use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
 use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::plan::estimate;
@@ -24,7 +24,6 @@ use serde::Serialize;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 /// How a field is probed.
 #[derive(Clone, Debug, Default)]
@@ -72,7 +71,7 @@ pub(in crate::pipeline) fn probe_grid(
     progress: &dyn Progress,
 ) -> Result<ProbeReport> {
     archive.refuse_coordinates("a probe on a grid")?;
-    let (start, read_before) = (Instant::now(), archive.bytes_read());
+    let (start, read_before) = (Clock::start(), archive.bytes_read());
     let source = &archive.step().plan.source;
     let geometry = grid_geometry(&source.geometry, source.dims, dims)?;
     let meta = GridMeta { dims, geometry, field: source.field.clone(), offset: source.offset };

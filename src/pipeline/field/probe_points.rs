@@ -15,7 +15,7 @@ use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
 use crate::archive::manifest::Source;
 use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, Silent};
+use crate::exec::{Clock, Progress, Resources, Silent};
 use crate::formats::point_list::{PointReader, PointWriter};
 use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -28,7 +28,6 @@ use crate::raster::{PointLocator, interpolate};
 use glam::DVec3;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::time::Instant;
 
 /// Bytes for a point of a batch: position, place in the list, value, its copy while a chunk looks
 /// for it, and the nearest place.
@@ -172,7 +171,7 @@ pub(in crate::pipeline) fn probe_table(
     progress: &dyn Progress,
 ) -> Result<ProbeReport> {
     archive.refuse_coordinates("a probe at points")?;
-    let (start, read_before) = (Instant::now(), archive.bytes_read());
+    let (start, read_before) = (Clock::start(), archive.bytes_read());
     let mut reader = PointReader::open(points)?;
     let mut out = Out::create(out, points, &archive.step().plan.source)?;
     let rest = settings.resources.memory.saturating_sub(estimate::BASE);

@@ -5,10 +5,9 @@
 use super::block::Block;
 use super::reader_memory::ReaderMemory;
 use crate::error::Result;
-use crate::exec::{available_threads, pool};
+use crate::exec::{Threads, available_threads};
 use crate::mesh::tet::Tet;
 use crate::surface::extract::{ChunkSurface, Sides, Workbench};
-use rayon::ThreadPool;
 use std::ops::Deref;
 use std::sync::{Mutex, PoisonError};
 
@@ -31,13 +30,13 @@ pub(in crate::pipeline) struct Buffers {
 
 /// The threads of questions that were answered, for the next ones.
 #[derive(Default)]
-pub(in crate::pipeline) struct Pools(Mutex<Vec<ThreadPool>>);
+pub(in crate::pipeline) struct Pools(Mutex<Vec<Threads>>);
 
 /// Threads, until this is dropped. No other question has them meanwhile.
 pub(in crate::pipeline) struct LentPool<'a> {
     pools: &'a Pools,
     /// There until the end.
-    pool: Option<ThreadPool>,
+    pool: Option<Threads>,
 }
 
 impl Pools {
@@ -46,17 +45,17 @@ impl Pools {
         let count = if threads == 0 { available_threads() } else { threads };
         let mut pools = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         // Those of another number are of no use any more.
-        pools.retain(|pool| pool.current_num_threads() == count);
+        pools.retain(|pool| pool.count() == count);
         let found = pools.pop();
         drop(pools);
-        let pool = found.map_or_else(|| pool(count), Ok)?;
+        let pool = found.map_or_else(|| Threads::new(count), Ok)?;
         Ok(LentPool { pools: self, pool: Some(pool) })
     }
 }
 
 impl Deref for LentPool<'_> {
-    type Target = ThreadPool;
-    fn deref(&self) -> &ThreadPool {
+    type Target = Threads;
+    fn deref(&self) -> &Threads {
         self.pool.as_ref().expect("it is given back only when this is dropped")
     }
 }

@@ -11,7 +11,7 @@
 use super::decoded::DecodedChunk;
 use super::step_view::StepView;
 use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, in_order, pool};
+use crate::exec::{Progress, Resources, Threads, in_order};
 use crate::geom::LatticeBox;
 use crate::grid::ChunkId;
 use crate::index::Entry;
@@ -162,14 +162,14 @@ impl<'a> Visit<'a> {
         job: impl Fn(ChunkId, DecodedChunk) -> Result<T> + Sync,
         mut take: impl FnMut(usize, T) -> Result<()> + Send,
     ) -> Result<()> {
-        let (pool, memory) = (pool(self.threads)?, (self.share)(self.resources.memory));
+        let (threads, memory) = (Threads::new(self.threads)?, (self.share)(self.resources.memory));
         let bytes: Vec<u64> = self.chunks.iter().map(|&id| self.need(id).saturating_add(extra)).collect();
         let make = |n: usize| {
             self.resources.cancel.check()?;
             let id = self.chunks[n];
             job(id, self.archive.decode(id, &self.blocks_of(id)?)?)
         };
-        in_order(&bytes, memory, &pool, make, |n, result| {
+        in_order(&bytes, memory, &threads, make, |n, result| {
             self.archive.close_before(self.chunks[n]);
             take(n, result)?;
             progress.advance(1);

@@ -49,6 +49,20 @@ fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, u64)> {
     mesh.chain(manifest.steps.iter().flat_map(of_step)).collect()
 }
 
+/// The files of an archive in a folder, by their names in it, the manifest last; unpacked blocks,
+/// which are copies, are none.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no archive, or its manifest is damaged.
+pub fn archive_files(archive: &Path) -> Result<Vec<PathBuf>> {
+    let manifest = Manifest::read(archive)?;
+    let named = segments(archive, &manifest).into_iter().map(|(path, _)| path);
+    let files = named.chain(Attachments::files(archive, &manifest.plan)).chain([archive.join(MANIFEST_NAME)]);
+    Ok(files
+        .map(|file| file.strip_prefix(archive).map_or_else(|_| file.clone(), Path::to_path_buf))
+        .collect())
+}
+
 /// Whether a file that the manifest of an archive names is not there, or not as long as it was. The
 /// contents of files are not checked.
 pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {

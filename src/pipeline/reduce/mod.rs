@@ -44,6 +44,7 @@ use crate::pipeline::settings::{ReduceSettings, RunSettings};
 pub(super) use advice::look;
 pub use advice::{mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
+pub use existing::archive_files;
 pub(super) use existing::{Existing, lock_for_writing, replace_archive, strays, sweep};
 pub(super) use job::{Basis, Job};
 use plan_file::new_archive;

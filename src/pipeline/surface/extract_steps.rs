@@ -20,7 +20,7 @@ use super::query::{Effort, FinishedSurfaces, Prepared, make};
 use super::settings::SurfaceSettings;
 use super::worker::{ChunkSurfaces, ChunkWorker, Question};
 use crate::error::{Error, Result};
-use crate::exec::{Progress, in_order};
+use crate::exec::{Clock, Progress, in_order};
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::{SurfaceShares, estimate};
@@ -31,7 +31,6 @@ use crate::surface::TriMesh;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
 
 /// Steps that are extracted together, at most: what is done once for all of them is then a tenth of
 /// the work.
@@ -89,7 +88,7 @@ impl<'a> Pass<'a> {
     ) -> Result<Vec<FinishedSurfaces>> {
         let view = self.steps[0].view;
         while self.steps.len() > 1 {
-            let (start, read_before) = (Instant::now(), view.bytes_read());
+            let (start, read_before) = (Clock::start(), view.bytes_read());
             let work = Work::of(settings, &self.steps);
             let surfaces = match work.extract(settings, &self.scratch, reused, progress) {
                 Err(Error::Budget { .. }) => {

@@ -10,7 +10,7 @@ use super::settings::{
 use super::worker::{ChunkWork, Question, by_chunk};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent, pool};
+use crate::exec::{CancelToken, Clock, Progress, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
@@ -27,7 +27,7 @@ use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::AtomicU64;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored
 /// ([`crate::spectrum`]: at any isovalue of a few digits), else by decoding the active blocks.
@@ -111,7 +111,7 @@ pub(super) fn write_made(
     out: &Path,
     format: SurfaceFormat,
 ) -> Result<(SurfaceReport, Vec<Extracted>)> {
-    let start = Instant::now();
+    let start = Clock::start();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, format, &comment)?;
     made.seconds.push((Stage::Write, start.elapsed()));
@@ -202,7 +202,7 @@ pub(super) struct Effort {
 
 impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
-        let start = Instant::now();
+        let start = Clock::start();
         let cut = cut_of(archive, settings)?;
         if settings.cap {
             expect_full_box(archive)?;
@@ -244,12 +244,12 @@ impl<'a> Prepared<'a> {
         effort: Effort,
         scratch: &Path,
     ) -> Result<FinishedSurfaces> {
-        let start = Instant::now();
+        let start = Clock::start();
         if let Some(cut) = &self.cut {
             cut_all(&mut surfaces, cut, settings.resources.memory, scratch)?;
         }
         let extracted = effort.time + start.elapsed();
-        let start = Instant::now();
+        let start = Clock::start();
         let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
         Ok(FinishedSurfaces {
             surfaces,
@@ -276,7 +276,7 @@ pub(super) fn make(
     settings.check()?;
     let read_before = archive.bytes_read();
     let prepared = Prepared::new(archive, settings)?;
-    let (start, scratch) = (Instant::now(), storage.scratch.clone());
+    let (start, scratch) = (Clock::start(), storage.scratch.clone());
     let question = prepared.question(settings);
     let surfaces = extract_surfaces(&question, settings, storage, progress)?;
     let effort = Effort {

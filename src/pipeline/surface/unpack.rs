@@ -15,7 +15,7 @@ use crate::archive::mesh::{Unpacked, UnpackedChunk, UnpackedWriter};
 use crate::bytes::publish::sync_folders;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, in_order, pool};
+use crate::exec::{Progress, Resources, Threads, in_order};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
@@ -258,7 +258,7 @@ fn unpack_step(
     let mut writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
     let step = archive.step().plan.number;
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
-    let pool = pool(settings.resources.threads)?;
+    let threads = Threads::new(settings.resources.threads)?;
     let (spare, world) = (BufferPool::default(), world_map(archive));
     let make = |n: usize| {
         settings.resources.cancel.check()?;
@@ -269,7 +269,7 @@ fn unpack_step(
     };
     let mut file = UnpackedFile { step, file: path, ..UnpackedFile::default() };
     let memory = settings.resources.memory - estimate::BASE;
-    in_order(&bytes, memory, &pool, make, |n, made: MadeChunk| {
+    in_order(&bytes, memory, &threads, make, |n, made: MadeChunk| {
         archive.close_before(ChunkId(n as u64));
         writer.push(made.corners, made.edges, &made.blocks)?;
         for words in &made.blocks {

@@ -625,7 +625,10 @@ function listen() {
     }
   });
   on("png", "click", savePicture);
-  for (const format of ["glb", "stl", "ply"]) on(format, "click", () => saveSurfaces(format));
+  for (const format of ["glb", "stl", "ply"]) {
+    on(format, "click", () => saveSurfaces(format));
+    $(format).hidden = !source.hasFiles;
+  }
   addEventListener("keydown", key);
   addEventListener("resize", () => spectrum.draw());
 }

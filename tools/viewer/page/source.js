@@ -1,4 +1,12 @@
-// Where answers come from: the server that sent this page. Addresses are relative, so that its token stays in front.
+// Where answers come from: the server that sent this page, or a worker of the page, for archives beside it. Addresses
+// are relative, so that the server's token stays in front.
+import { connect } from "./local.js";
+
+const beside = document.querySelector('meta[name="isospan-archives"]');
+const ask = beside ? connect(beside.content.split("\n")) : fetch;
+
+/** Whether there are surface files: only a server writes them. */
+export const hasFiles = !beside;
 
 /** What went wrong, in the server's words. */
 async function refusal(response) {
@@ -7,7 +15,7 @@ async function refusal(response) {
 }
 
 async function json(address, signal) {
-  const response = await fetch(address, { signal });
+  const response = await ask(address, { signal });
   if (!response.ok) throw await refusal(response);
   return response.json();
 }
@@ -25,7 +33,7 @@ export const spectrum = (archive, step) => json(`${archive}/spectrum?${query({ s
 
 /** A surface file. */
 export async function file(archive, parameters) {
-  const response = await fetch(`${archive}/export?${query(parameters)}`);
+  const response = await ask(`${archive}/export?${query(parameters)}`);
   if (!response.ok) throw await refusal(response);
   return response.blob();
 }
@@ -68,7 +76,7 @@ class Pieces {
  * `part(surface, triangles)` is called while triangles arrive.
  */
 export async function surface(archive, parameters, signal, part) {
-  const response = await fetch(`${archive}/surface?${query(parameters)}`, { signal });
+  const response = await ask(`${archive}/surface?${query(parameters)}`, { signal });
   if (!response.ok) throw await refusal(response);
   const pieces = new Pieces(response);
   const { report, milliseconds } = await pieces.json();
@@ -85,7 +93,7 @@ export async function surface(archive, parameters, signal, part) {
 
 /** Values of the field on a plane: NaN outside of the domain. */
 export async function slice(archive, parameters, signal) {
-  const response = await fetch(`${archive}/slice?${query(parameters)}`, { signal });
+  const response = await ask(`${archive}/slice?${query(parameters)}`, { signal });
   if (!response.ok) throw await refusal(response);
   const pieces = new Pieces(response);
   const { size } = await pieces.json();

@@ -236,7 +236,8 @@ impl Truth {
                 let side = (n << 2) as u8 | i;
                 double |= std::mem::replace(&mut sides[edge(from, to)], side) ^ NOTHING;
             }
-            triangles[n % ROOM] = (a | b << 8 | c << 16 | a << 24 | b << 32) as u64;
+            let [a, b, c] = [a, b, c].map(|place| place as u64);
+            triangles[n % ROOM] = a | b << 8 | c << 16 | a << 24 | b << 32;
             n += 1;
         }
         (n <= MOST_HITS && double == 0 && places < PLACES as u32).then_some(n)

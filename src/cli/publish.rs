@@ -1,0 +1,290 @@
+//! `isospan publish`: a folder that is a viewer, on any web server.
+//!
+//! ```text
+//!  FOLDER: index.html, style.css, *.js      the page of `isospan view`
+//!          worker.js, isospan.wasm.gz       the queries, which a worker of the page runs
+//!          NAME.isospan/                    copies of the archives, read by ranges
+//! ```
+//!
+//! All is written beside the folder, which gets its name last.
+
+use super::output::{Force, exists, expect_no_input};
+use super::progress::Talk;
+use super::text;
+use super::view::page;
+use isospan::bytes::remote::is_remote;
+use isospan::exec::CancelToken;
+use isospan::pipeline::archive_files;
+use isospan::{Archive, Error, Result};
+use serde::Serialize;
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+/// Write a folder that shows archives on any web server.
+///
+/// The folder has the page of isospan view, the queries as WebAssembly and a copy of each archive.
+/// Put it on a web server or an object store: no program runs there, and the page asks no other
+/// host. The server must answer range requests, as most do. A page that is opened as a file shows
+/// nothing.
+#[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan publish scan.isospan -o viewer\n  isospan publish a.isospan b.isospan -o viewer --force"
+)]
+pub(crate) struct Args {
+    /// The archives, folders on this machine.
+    #[arg(required = true, value_name = "ARCHIVE")]
+    archives: Vec<PathBuf>,
+    /// The folder to write.
+    #[arg(short, long, value_name = "FOLDER")]
+    output: PathBuf,
+    #[command(flatten)]
+    force: Force,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was written.
+#[derive(Debug, Default, Serialize)]
+struct Report {
+    /// The folder.
+    folder: PathBuf,
+    /// The names of the archives in it.
+    archives: Vec<String>,
+    /// Files, and their bytes.
+    files: u64,
+    bytes: u64,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let out = &args.output;
+    let names = names_of(&args.archives)?;
+    expect_no_input(out, &args.archives)?;
+    expect_room(out, args.force)?;
+    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let work = tempfile::Builder::new()
+        .prefix(".isospan-publish-")
+        .tempdir_in(parent)
+        .map_err(|e| Error::io("write to", parent, e))?;
+    let mut folder = Folder {
+        // The temporary folder itself is for this user alone.
+        path: work.path().join("new"),
+        report: Report { folder: out.clone(), archives: names.clone(), ..Report::default() },
+        cancel: super::signals::cancel_token(),
+    };
+    folder.make("")?;
+    for (archive, name) in args.archives.iter().zip(&names) {
+        folder.copy_archive(archive, name)?;
+    }
+    folder.write_page(&names)?;
+    if out.exists() {
+        // Both names are in one folder: the old one is removed with the temporary folder.
+        fs::rename(out, work.path().join("old")).map_err(|e| Error::io("replace", out, e))?;
+    }
+    fs::rename(&folder.path, out).map_err(|e| Error::io("write", out, e))?;
+    let report = folder.report;
+    if args.json {
+        return super::print_json("publish", &report);
+    }
+    let (files, bytes) = (text::plural(report.files, "file"), text::bytes(report.bytes));
+    super::print(&format!("{}: {files}, {bytes}\n", out.display()))?;
+    talk.note("put the folder on any web server or object store that answers range requests");
+    talk.note(&format!("to look at it here: python3 -m http.server --directory {}", out.display()));
+    Ok(())
+}
+
+/// The names that archives have in the folder.
+fn names_of(archives: &[PathBuf]) -> Result<Vec<String>> {
+    let pages = page::FILES.iter().map(|file| file.name).chain(["worker.js", "isospan.wasm.gz"]);
+    let mut taken: Vec<String> = pages.map(str::to_owned).collect();
+    let mut names = vec![];
+    for archive in archives {
+        if is_remote(archive) {
+            let text = format!("{}: copy the archive to this machine first", archive.display());
+            return Err(Error::usage(text));
+        }
+        // Of `.` and the like, too; what is no archive is told here.
+        Archive::open(archive)?;
+        let place = archive.canonicalize().map_err(|e| Error::io("find", archive, e))?;
+        let name =
+            place.file_name().and_then(|name| name.to_str()).filter(|name| !name.contains(['\n', '\r']));
+        let Some(name) = name else {
+            let text = format!("{}: its name cannot be part of a web address", archive.display());
+            return Err(Error::usage(text));
+        };
+        // Some servers do not tell large letters from small ones.
+        if taken.iter().any(|other| other.eq_ignore_ascii_case(name)) {
+            let text = format!("{}: another file of the folder has this name", archive.display());
+            return Err(Error::usage(text));
+        }
+        taken.push(name.to_owned());
+        names.push(name.to_owned());
+    }
+    Ok(names)
+}
+
+/// Refuses a folder that exists, unless it is empty, or is to be replaced and was published.
+fn expect_room(out: &Path, force: Force) -> Result<()> {
+    let refuse = |why: String| Err(Error::usage(format!("cannot write {}: {why}", out.display())));
+    if out.file_name().is_none() {
+        return refuse("give the name of a folder".into());
+    }
+    let Ok(about) = fs::metadata(out) else {
+        return match out.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() && !parent.is_dir() => {
+                refuse(format!("there is no folder {}; create it first", parent.display()))
+            }
+            _ => Ok(()),
+        };
+    };
+    if !about.is_dir() {
+        return refuse("it is a file; give the name of a folder".into());
+    }
+    if fs::read_dir(out).map_err(|e| Error::io("list", out, e))?.next().is_none() {
+        return Ok(());
+    }
+    if !force.is_given() {
+        return Err(exists(out));
+    }
+    if !out.join("isospan.wasm.gz").is_file() {
+        return refuse("it is no folder that isospan publish made; choose another name".into());
+    }
+    Ok(())
+}
+
+/// A folder on its way.
+struct Folder {
+    path: PathBuf,
+    report: Report,
+    cancel: CancelToken,
+}
+
+impl Folder {
+    fn make(&self, name: &str) -> Result<()> {
+        let path = self.path.join(name);
+        fs::create_dir_all(&path).map_err(|e| Error::io("create the folder", path, e))
+    }
+
+    /// Writes a file. It may be read by whom this user's files may be read by.
+    fn write(&mut self, name: &Path, from: &mut dyn Read, read: &Path) -> Result<()> {
+        let path = self.path.join(name);
+        let mut file = File::create(&path).map_err(|e| Error::io("create", &path, e))?;
+        let mut piece = vec![0; 1 << 20];
+        loop {
+            self.cancel.check()?;
+            let count = from.read(&mut piece).map_err(|e| Error::io("read", read, e))?;
+            if count == 0 {
+                break;
+            }
+            file.write_all(&piece[..count]).map_err(|e| Error::io("write", &path, e))?;
+            self.report.bytes += count as u64;
+        }
+        self.report.files += 1;
+        Ok(())
+    }
+
+    fn copy_archive(&mut self, archive: &Path, name: &str) -> Result<()> {
+        for file in archive_files(archive)? {
+            let (from, to) = (archive.join(&file), Path::new(name).join(&file));
+            self.make(&to.parent().unwrap_or(Path::new("")).to_string_lossy())?;
+            let mut open = File::open(&from).map_err(|e| Error::io("open", &from, e))?;
+            self.write(&to, &mut open, &from)?;
+        }
+        // What was written to meanwhile, or is not whole, does not open.
+        Archive::open(self.path.join(name))?.info()?;
+        Ok(())
+    }
+
+    fn write_page(&mut self, names: &[String]) -> Result<()> {
+        for (n, file) in page::FILES.iter().enumerate() {
+            let mut content = vec![];
+            if file.is_gzip {
+                flate2::read::GzDecoder::new(file.content)
+                    .read_to_end(&mut content)
+                    .map_err(|e| Error::io("unpack", file.name, e))?;
+            } else {
+                content.extend_from_slice(file.content);
+            }
+            if n == 0 {
+                content = with_archives(&String::from_utf8_lossy(&content), names).into_bytes();
+            }
+            self.write(Path::new(file.name), &mut &content[..], Path::new(file.name))?;
+        }
+        for (name, mut content) in [("worker.js", page::WORKER), ("isospan.wasm.gz", page::WASM_GZ)] {
+            self.write(Path::new(name), &mut content, Path::new(name))?;
+        }
+        Ok(())
+    }
+}
+
+/// The page, which says where its archives are and what it may ask for.
+fn with_archives(page: &str, names: &[String]) -> String {
+    const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
+                          connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'";
+    const FIRST: &str = "<meta charset=\"utf-8\">\n";
+    let escaped = |text: &str| {
+        text.chars().fold(String::new(), |mut out, c| {
+            match c {
+                '&' => out += "&amp;",
+                '<' => out += "&lt;",
+                '"' => out += "&quot;",
+                '\n' => out += "&#10;",
+                c => out.push(c),
+            }
+            out
+        })
+    };
+    let archives = escaped(&names.join("\n"));
+    let more = format!(
+        "  <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n  \
+         <meta name=\"referrer\" content=\"no-referrer\">\n  \
+         <meta name=\"isospan-archives\" content=\"{archives}\">\n"
+    );
+    page.replacen(FIRST, &(FIRST.to_owned() + &more), 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isospan::archive::segment::FORMAT_VERSION;
+
+    /// A number of LEB128 at the beginning of some bytes, and the rest.
+    fn number(bytes: &[u8]) -> (usize, &[u8]) {
+        let length = 1 + bytes.iter().position(|b| b & 0x80 == 0).unwrap();
+        let digits = bytes[..length].iter().rev();
+        (digits.fold(0, |n, b| n << 7 | usize::from(b & 0x7f)), &bytes[length..])
+    }
+
+    /// The contents of the section `isospan` of a file of WebAssembly.
+    fn section(file: &[u8]) -> Option<&[u8]> {
+        let mut rest = file.strip_prefix(b"\0asm\x01\0\0\0").unwrap();
+        while let Some((&kind, after)) = rest.split_first() {
+            let (length, after) = number(after);
+            let (content, next) = after.split_at(length);
+            let (length, after) = number(content);
+            if kind == 0 && &after[..length] == b"isospan" {
+                return Some(&after[length..]);
+            }
+            rest = next;
+        }
+        None
+    }
+
+    #[test]
+    fn the_queries_read_what_this_program_writes() {
+        let mut file = vec![];
+        flate2::read::GzDecoder::new(page::WASM_GZ).read_to_end(&mut file).unwrap();
+        let format = section(&file).expect("tools/viewer/core names a format");
+        assert_eq!(format, FORMAT_VERSION.to_le_bytes(), "run tools/viewer/wasm");
+    }
+
+    #[test]
+    fn the_page_names_its_archives() {
+        let page = String::from_utf8_lossy(page::FILES[0].content).into_owned();
+        let found = with_archives(&page, &["a&b.isospan".into(), "\"c\" <d>.isospan".into()]);
+        assert!(found.contains("content=\"a&amp;b.isospan&#10;&quot;c&quot; &lt;d>.isospan\""), "{found}");
+        let policy = found.find("Content-Security-Policy").unwrap();
+        assert!(policy < found.find("<script").unwrap() && policy < found.find("<link").unwrap());
+    }
+}
