@@ -340,9 +340,10 @@ fn plan_and_work_take_addresses_and_see_another_input() {
     let server = Server::of(d);
     let input = server.url("v.zarr");
     reduce(d, &input, "whole.isospan", &[]);
-    let plan =
-        |out: &str| ok(d, &[&["plan", "-q", &input, "-o", out, "--shards", "2"], &REDUCE[..]].concat());
-    plan("parts.isospan");
+    let plan = |out: &str, shards: &str| {
+        ok(d, &[&["plan", "-q", &input, "-o", out, "--shards", shards], &REDUCE[..]].concat())
+    };
+    plan("parts.isospan", "2");
     for shard in ["0/2", "1/2"] {
         ok(d, &["work", "-q", "parts.isospan", "--shard", shard]);
     }

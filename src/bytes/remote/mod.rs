@@ -1,8 +1,8 @@
-//! Files of an object store or a web server: `s3://bucket/name`, `https://host/name`; and those that
-//! a program itself gets by ranges, `host://name`.
+//! Files of an object store or a web server: `s3://bucket/name`, `https://host/name`; and those
+//! that a program itself gets by ranges, `host://name`.
 //!
-//! A file is read by ranges ([`RemoteFile`]), or whole where it is small or a chunk of a volume
-//! ([`whole_if_there`]). Opening a file for ranges fetches its end, which gives the length, and
+//! A file is read by ranges (`RemoteFile`), or whole where it is small or a chunk of a volume
+//! (`whole_if_there`). Opening a file for ranges fetches its end, which gives the length, and
 //! where a segment has its directory.
 //!
 //! ```text
@@ -22,10 +22,10 @@
 //! also for one that they may not read, and a chunk that may not be read is not a missing chunk.
 //!
 //! **Changes.** Each answer has the file's length and its ETag, or else its time of change. They
-//! are noted: what differs from the answer before has been changed ([`Seen`]).
+//! are noted: what differs from the answer before has been changed (`Seen`).
 //!
-//! Without the feature `remote` there is no such file: opening one says so. A program in which there
-//! is no client, as a web page's, gives ranges of its own ([`add_host`]).
+//! Without the feature `remote` there is no such file: opening one says so. A program in which
+//! there is no client, as a web page's, gives ranges of its own ([`add_host`]).
 
 mod file;
 mod host;
