@@ -81,8 +81,8 @@ fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
     let head = head?;
     match found(&head) {
         Some(format) if !format.is_on_servers() => {
-            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF-4, TIFF, NRRD, NIfTI, NPY, NPZ, \
-                            MetaImage, raw), or a copy on a disk";
+            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF-4, TIFF, MRC, NRRD, NIfTI, NPY, \
+                            NPZ, MetaImage, raw), or a copy on a disk";
             Err(Error::bad_input(path, "kind of file", expected, format.name())
                 .with_help("copy it to a disk, and name that copy"))
         }

@@ -2,7 +2,7 @@
 
 The page without a server is served by a few lines of Python, from a folder that `isospan publish` made.
 
-Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER [FOLDER for screenshots]
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS [FOLDER for screenshots]
 """
 
 import concurrent.futures
@@ -26,8 +26,9 @@ import numpy
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-PROGRAM, CHROMIUM, TOOTH, BALL, OTHER = sys.argv[1:6]
-PICTURES = pathlib.Path(sys.argv[6]) if sys.argv[6:] and sys.argv[6] else None
+PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:7]
+TOOTH, BALL, OTHER, FIELDS = ARCHIVES
+PICTURES = pathlib.Path(sys.argv[7]) if sys.argv[7:] and sys.argv[7] else None
 MEMORY_MIB = 1536
 
 
@@ -35,7 +36,7 @@ class Server:
     """`isospan view`, until it is stopped."""
 
     def __enter__(self):
-        command = [PROGRAM, "view", TOOTH, BALL, OTHER, "--json", "--memory", f"{MEMORY_MIB}MiB"]
+        command = [PROGRAM, "view", *ARCHIVES, "--json", "--memory", f"{MEMORY_MIB}MiB"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.url = json.loads(self.process.stdout.readline())["url"]
         self.port, self.token = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/", self.url).groups()
@@ -101,9 +102,9 @@ class Published:
         site = pathlib.Path("site/of somebody").absolute()
         if not site.exists():
             site.mkdir(parents=True)
-            command = [PROGRAM, "publish", "-q", TOOTH, BALL, OTHER, "-o", site / "viewer", "--json"]
+            command = [PROGRAM, "publish", "-q", *ARCHIVES, "-o", site / "viewer", "--json"]
             report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
-            assert report["archives"] == [TOOTH, BALL, OTHER]
+            assert report["archives"] == ARCHIVES
             files = [f for f in (site / "viewer").rglob("*") if f.is_file()]
             assert (report["files"], report["bytes"]) == (len(files), sum(f.stat().st_size for f in files))
         handler = functools.partial(handler, directory=site.parent)
@@ -120,15 +121,18 @@ class Published:
         self.http.server_close()
 
 
-def surface_of(body):
-    """The counts, vertices and triangles of an answer."""
+def surface_of(body, coloured=False):
+    """The counts, vertices and triangles of an answer; and the values that colour the vertices, where there are some."""
     (length,) = struct.unpack_from("<I", body)
     report = json.loads(body[4 : 4 + length])["report"]
     at = 4 + length
     vertices = numpy.frombuffer(body, "<f4", 6 * report["vertices"], at).reshape(-1, 6)
-    triangles = numpy.frombuffer(body, "<u4", 3 * report["triangles"], at + vertices.nbytes).reshape(-1, 3)
-    assert at + vertices.nbytes + triangles.nbytes == len(body), "nothing follows the triangles"
-    return report, vertices, triangles
+    at += vertices.nbytes
+    values = numpy.frombuffer(body, "<f4", report["vertices"] if coloured else 0, at)
+    at += values.nbytes
+    triangles = numpy.frombuffer(body, "<u4", 3 * report["triangles"], at).reshape(-1, 3)
+    assert at + triangles.nbytes == len(body), "nothing follows the triangles"
+    return (report, vertices, triangles, values) if coloured else (report, vertices, triangles)
 
 
 def requests(server):
@@ -138,8 +142,8 @@ def requests(server):
     assert "default-src 'none'" in headers["content-security-policy"]
 
     archives = json.loads(server.ask("archives")[2])
-    assert [a["name"] for a in archives] == [TOOTH, BALL, OTHER]
-    assert [len(a["steps"]) for a in archives] == [1, 4, 1]
+    assert [a["name"] for a in archives] == ARCHIVES
+    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2]
 
     # The surface is that of the command line.
     report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
@@ -155,6 +159,16 @@ def requests(server):
         status, _, file = server.ask(f"1/export?isovalues=0&step=1&format={form}")
         assert status == 200 and len(file) > 1000, form
     assert server.ask("1/export?isovalues=0&step=1&format=ply")[2] == ply
+
+    # Another field at the vertices: the height.
+    report, vertices, _, values = surface_of(server.ask("3/surface?isovalues=0&step=0&colour=1")[2], coloured=True)
+    assert abs(values - (vertices[:, 2] * 2 / 23 - 1)).max() < 0.02 and values.max() - values.min() > 1
+    command = [PROGRAM, "surface", "-q", FIELDS, "-i", "0", "--step", "ball", "--colour-by", "height", "--colour-map", "grey",
+               "--colour-range", "0:1", "-o", "height.ply", "--force"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    export = "3/export?isovalues=0&step=0&colour=1&map=grey&range=0,1"
+    assert server.ask(f"{export}&format=ply")[2] == pathlib.Path("height.ply").read_bytes()
+    assert server.ask(f"{export}&format=stl")[0] == 200, "triangles of STL have no colours"
 
     # A plane through the middle: the distance from the centre is in the values.
     step = 23 / 32
@@ -184,6 +198,9 @@ def requests(server):
         (f"/{server.token}/1/slice?origin=0,0,0&u=1,0,0&v=0,1,0&size=100000,100000", 400),
         (f"/{server.token}/1/slice?origin=0,0,inf&u=1,0,0&v=0,1,0&size=4,4", 400),
         (f"/{server.token}/1/export?isovalues=0&format=exe", 400),
+        (f"/{server.token}/3/surface?isovalues=0&colour=2", 400),
+        (f"/{server.token}/3/export?isovalues=0&colour=1&map=jet&format=ply", 400),
+        (f"/{server.token}/3/export?isovalues=0&colour=1&range=1&format=ply", 400),
     ]:
         status, _, body = server.get(path)
         assert status == expected, (path, status, body)
@@ -329,6 +346,31 @@ def wide(browser, server, has_files=True):
     page.close()
 
 
+def coloured(browser, server):
+    """Surfaces show another field, and say so in the address."""
+    page = Page(browser, server, "#archive=3&iso=0_d8cbb4_1", viewport={"width": 900, "height": 700}, color_scheme="light")
+    plain = page.picture("plain")
+    assert page.page.eval_on_selector_all("#by option", "all => all.map(o => o.textContent)") == [
+        "their own colours", "ball", "height"]
+    page.after(lambda: page.page.select_option("#by", label="height"))
+    shown = page.picture("coloured")
+    rows = numpy.nonzero((abs(plain - plain[5, 5]).sum(axis=2) > 60).sum(axis=1) > 40)[0]
+    high, low = (shown[n, shown.shape[1] // 2] for n in (rows[len(rows) // 8], rows[-len(rows) // 8]))
+    # The ball reaches from the blue of viridis to its green; the top lies higher.
+    assert high[1] > high[2] and low[2] > low[1] and high[1] > low[1] + 40, (high, low)
+    page.page.select_option("#map", "grey")
+    grey = page.picture("grey")
+    assert abs(grey - shown).sum(axis=2).astype(bool).mean() > 0.02
+    again = Page(browser, server, "#" + page.page.url.split("#")[1], viewport={"width": 900, "height": 700},
+                 color_scheme="light")
+    again.page.wait_for_timeout(1000)
+    assert (abs(again.picture("grey again") - grey).sum(axis=2) > 30).mean() < 0.002
+    again.close()
+    page.after(lambda: page.page.select_option("#by", label="their own colours"))
+    assert (abs(page.picture("plain again") - plain).sum(axis=2) > 30).mean() < 0.002
+    page.close()
+
+
 def narrow(browser, server):
     page = Page(browser, server, "#archive=1", viewport={"width": 360, "height": 740}, color_scheme="dark",
                 has_touch=True)
@@ -352,10 +394,10 @@ def narrow(browser, server):
 # What the page gets, as a hash of its bytes.
 TRIANGLES = """async ([archive, parameters]) => {
   const source = await import(new URL("source.js", location.href));
-  const { vertices, triangles } = await source.surface(archive, parameters);
-  const all = new Uint8Array(vertices.byteLength + triangles.byteLength);
-  all.set(new Uint8Array(vertices.buffer));
-  all.set(new Uint8Array(triangles.buffer), vertices.byteLength);
+  const { vertices, values, triangles } = await source.surface(archive, parameters);
+  const parts = [vertices, values ?? new Float32Array(0), triangles].map((part) => new Uint8Array(part.buffer));
+  const all = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+  parts.reduce((at, part) => (all.set(part, at), at + part.length), 0);
   const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", all));
   return [triangles.length, [...hash].map((b) => b.toString(16).padStart(2, "0")).join("")];
 }"""
@@ -379,7 +421,7 @@ def same(page, server):
     cases += [(2, {"isovalues": v}) for v in [333, 900]]
     cases += [(0, {"isovalues": "500,900"}), (0, {"isovalues": 600, "cap": "true"}),
               (0, {"isovalues": 600, "roi": "world:10:70,:,20.5:100"}), (2, {"isovalues": 500, "roi": "0:50,0:50,0:99"}),
-              (1, {"isovalues": 0.2, "step": 2, "cap": "true"})]
+              (1, {"isovalues": 0.2, "step": 2, "cap": "true"}), (3, {"isovalues": 0.1, "step": 0, "colour": 1})]
     for archive, parameters in cases:
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         status, _, body = server.ask(f"{archive}/surface?{query}")
@@ -407,6 +449,7 @@ def without_a_server(browser, server):
     with Published() as published:
         wide(browser, published, has_files=False)
         narrow(browser, published)
+        coloured(browser, published)
         page = Page(browser, published)
         same(page.page, server)
         page.close()
@@ -437,6 +480,7 @@ def main():
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         wide(browser, server)
         narrow(browser, server)
+        coloured(browser, server)
         without_a_server(browser, server)
         browser.close()
         crowds(server)

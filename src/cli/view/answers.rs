@@ -39,13 +39,22 @@ pub(super) struct SurfaceQuery {
     roi: Option<String>,
     #[serde(default)]
     cap: bool,
-    /// Of an export: the ending of the file's name.
+    /// The step whose field colours the surface.
+    colour: Option<u64>,
+    /// Of an export: the ending of the file's name, the colour map, and the values at its ends.
     pub(super) format: Option<String>,
+    pub(super) map: Option<String>,
+    pub(super) range: Option<String>,
 }
 
 impl SurfaceQuery {
     pub(super) fn choice(&self) -> StepChoice {
         StepQuery { step: self.step }.choice()
+    }
+
+    /// The step whose field colours the surface.
+    pub(super) fn colour(&self) -> Option<StepChoice> {
+        self.colour.map(StepChoice::Number)
     }
 
     pub(super) fn settings(&self, resources: &Resources) -> Result<SurfaceSettings> {
@@ -66,6 +75,13 @@ impl SurfaceQuery {
     }
 }
 
+/// Some numbers with commas.
+pub(super) fn numbers<T: std::str::FromStr, const N: usize>(text: &str, what: &str) -> Result<[T; N]> {
+    let all: Option<Vec<T>> = text.split(',').map(|x| x.trim().parse().ok()).collect();
+    let wrong = || Error::usage(format!("{what} '{text}': expected {N} numbers with commas"));
+    all.and_then(|all| all.try_into().ok()).ok_or_else(wrong)
+}
+
 /// The field on a plane: the samples `origin + i u + j v`, in the world.
 #[derive(Debug, Deserialize)]
 pub(super) struct SliceQuery {
@@ -83,11 +99,6 @@ impl SliceQuery {
     }
 
     fn points(&self) -> Result<([u32; 2], Vec<[f64; 3]>)> {
-        fn numbers<T: std::str::FromStr, const N: usize>(text: &str, what: &str) -> Result<[T; N]> {
-            let all: Option<Vec<T>> = text.split(',').map(|x| x.trim().parse().ok()).collect();
-            let wrong = || Error::usage(format!("{what} '{text}': expected {N} numbers with commas"));
-            all.and_then(|all| all.try_into().ok()).ok_or_else(wrong)
-        }
         let vector = |text: &str, what| {
             let v: [f64; 3] = numbers(text, what)?;
             let finite = v.iter().all(|x| x.is_finite());
@@ -133,7 +144,8 @@ fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
 }
 
 /// A length and JSON with the counts; then of each surface its vertices (position and normal, 3 ×
-/// f32 each) and its triangles (3 × u32).
+/// f32 each), the values of the field that colours them (f32), where one does, and its triangles
+/// (3 × u32).
 pub(super) fn surface(
     archives: &Archives,
     archive: usize,
@@ -142,8 +154,13 @@ pub(super) fn surface(
     sink: &mut dyn Sink,
 ) -> Result<()> {
     let start = now();
-    let settings = query.settings(resources)?;
+    let field = query.colour().map(|choice| archives.at(archive, choice)).transpose()?;
+    // Half is for the colours, where there are some.
+    let share = resources.memory / if field.is_some() { 2 } else { 1 };
+    let resources = resources.clone().with_memory(share);
+    let settings = query.settings(&resources)?;
     let archive = archives.at(archive, query.choice())?;
+    let mut isovalues = settings.isovalues.iter();
     let sink = RefCell::new(sink);
     archive.stream_surfaces(
         &settings,
@@ -155,8 +172,12 @@ pub(super) fn surface(
             sink.borrow_mut().flush()
         },
         |surface| {
-            let mut sink = sink.borrow_mut();
+            let (mut sink, isovalue) = (sink.borrow_mut(), isovalues.next());
             surface.vertices(&mut |batch| sink.write(bytemuck::cast_slice(batch)))?;
+            if let (Some(field), Some(&isovalue)) = (&field, isovalue) {
+                let values = archive.values_on(field, surface, isovalue, &resources)?;
+                sink.write(bytemuck::cast_slice(&values))?;
+            }
             surface.triangles(&mut |batch| sink.write(bytemuck::cast_slice(batch)))
         },
     )

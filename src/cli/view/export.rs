@@ -1,10 +1,11 @@
 //! Surface files, for the server alone: a file is written to disk, then sent.
 
-use super::answers::{Sink, SurfaceQuery};
+use super::answers::{Sink, SurfaceQuery, numbers};
 use super::archives::Archives;
 use super::server::PIECE;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
+use isospan::render::ColourMap;
 use isospan::{Error, Resources, Result};
 use std::io::Read as _;
 
@@ -16,9 +17,16 @@ pub(super) fn export(
     resources: &Resources,
     sink: &mut dyn Sink,
 ) -> Result<()> {
-    let settings = query.settings(resources)?;
+    let mut settings = query.settings(resources)?;
     let ending = query.format.as_deref().unwrap_or("glb");
     let format = SurfaceFormat::from_path(format!("surface.{ending}").as_ref())?;
+    // Triangles of STL have no colours.
+    if let Some(choice) = query.colour().filter(|_| format != SurfaceFormat::Stl) {
+        let map = query.map.as_deref().map_or(Ok(ColourMap::default()), str::parse)?;
+        let mut colours = archives.alone(archive, choice)?.into_colours(map);
+        colours.range = query.range.as_deref().map(|text| numbers(text, "range")).transpose()?;
+        settings.colour_by = Some(colours);
+    }
     let archive = archives.at(archive, query.choice())?;
     let scratch = resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let failed = |doing: &str, e| Error::io(doing, &scratch, e);

@@ -58,6 +58,10 @@ impl Format for Mrc {
         has_magic(&head.bytes) || has_magic(&head.unzipped())
     }
 
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         open(path, options)
     }
@@ -111,8 +115,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         return Ok(VolumeSource::Stream(Box::new(slabs)));
     }
     let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
-    let volume = StridedVolume::new(info, source, offset, header.big_endian, strides)?;
-    Ok(VolumeSource::Random(Box::new(volume)))
+    Ok(StridedVolume::new(info, source, offset, header.big_endian, strides)?.source())
 }
 
 /// The header's bytes, and how to read them.

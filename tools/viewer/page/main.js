@@ -19,6 +19,7 @@ const state = {
   place: 0.5,
   flip: false,
   slice: true,
+  by: null,
   map: "viridis",
   range: null,
   region: null,
@@ -35,6 +36,13 @@ let nextName = 0;
 const archive = () => archives[state.archive];
 const steps = () => archive().steps;
 const stepInfo = () => steps().find((s) => s.number === state.step) ?? steps()[0];
+/** The step whose field colours show: that of the surfaces, or another field of the archive. */
+const colourInfo = () => steps().find((s) => s.number === state.by) ?? stepInfo();
+/** The steps that are fields of their own, where surfaces can have their colours. */
+function fields() {
+  const isField = new Set(steps().map((s) => s.field)).size === steps().length && steps().length > 1;
+  return isField && archive().corners ? steps() : [];
+}
 
 // ---- words
 
@@ -76,6 +84,7 @@ function toAddress() {
   if (state.active) p.set("active", state.active);
   if (state.cap) p.set("cap", 1);
   if (state.clip !== null) p.set("clip", ["xyz"[state.clip], state.place, state.flip ? 1 : 0, state.slice ? 1 : 0].join("_"));
+  if (state.by !== null) p.set("by", state.by);
   if (state.map !== "viridis") p.set("map", state.map);
   if (state.range) p.set("range", state.range.join("_"));
   if (state.region) p.set("region", state.region.flat().join("_"));
@@ -109,6 +118,8 @@ function fromAddress() {
   if (["x", "y", "z"].includes(axis) && Number(place) >= 0 && Number(place) <= 1) {
     Object.assign(state, { clip: "xyz".indexOf(axis), place: Number(place), flip: flip === "1", slice: slice !== "0" });
   }
+  const by = fields().find((s) => String(s.number) === p.get("by"));
+  state.by = by ? by.number : null;
   if (maps[p.get("map")]) state.map = p.get("map");
   state.range = numbers(p.get("range"), 2);
   const region = numbers(p.get("region"), 6);
@@ -128,7 +139,7 @@ function newSurface(isovalue, colour, opacity = 1) {
 /** What decides a surface, as the server takes it. */
 function parameters(isovalues) {
   const roi = roiOf(state.region);
-  return { isovalues, step: state.step, roi, cap: state.cap && !roi };
+  return { isovalues, step: state.step, roi, cap: state.cap && !roi, colour: state.by };
 }
 
 function roiOf(region) {
@@ -363,7 +374,7 @@ async function fetchSlice(most) {
   const lengths = [Math.hypot(...u), Math.hypot(...v)];
   const size = lengths.map((l) => Math.max(2, Math.round((most * l) / Math.max(...lengths))));
   const each = (vector, count) => vector.map((x) => x / (count - 1)).join(",");
-  const wish = { step: state.step, origin: origin.join(","), u: each(u, size[0]), v: each(v, size[1]), size: size.join(",") };
+  const wish = { step: colourInfo().number, origin: origin.join(","), u: each(u, size[0]), v: each(v, size[1]), size: size.join(",") };
   sliceRequest = new AbortController();
   try {
     const found = await source.slice(state.archive, wish, sliceRequest.signal);
@@ -387,7 +398,7 @@ let shownSlice = null;
 
 function showSlice(slice = shownSlice) {
   shownSlice = slice;
-  const range = state.range ?? stepInfo().range ?? [0, 1];
+  const range = state.range ?? colourInfo().range ?? [0, 1];
   if (slice && state.clip !== null && state.slice) view.setSlice({ ...slice, colours: maps[state.map], range });
 }
 
@@ -401,12 +412,22 @@ function setClip() {
     view.setClip(state.clip, lo + state.place * (hi - lo), state.flip);
     fetchSlice(COARSE);
   }
-  for (const id of ["flip", "slice", "place", "map", "low", "high", "bar"]) {
-    const off = state.clip === null;
-    $(id).disabled = off;
-    $(id).style.opacity = off ? 0.4 : 1;
-  }
+  const enable = (ids, on) => {
+    for (const id of ids) {
+      $(id).disabled = !on;
+      $(id).style.opacity = on ? 1 : 0.4;
+    }
+  };
+  enable(["flip", "slice", "place"], state.clip !== null);
+  enable(["map", "low", "high", "bar"], state.clip !== null || state.by !== null);
   drawControls();
+}
+
+/** Paints the surfaces by the colour map and its range, or each with its own colour. */
+function setColours() {
+  const range = state.range ?? colourInfo().range ?? [0, 1];
+  view.setField(state.by === null ? null : { colours: maps[state.map], range });
+  for (const s of state.surfaces) view.paint(s.name, s);
 }
 
 function drawBar() {
@@ -416,7 +437,7 @@ function drawBar() {
   const image = c.createImageData(256, 1);
   maps[state.map].forEach(([r, g, b], n) => image.data.set([r, g, b, 255], 4 * n));
   c.putImageData(image, 0, 0);
-  const [lo, hi] = state.range ?? stepInfo().range ?? [0, 1];
+  const [lo, hi] = state.range ?? colourInfo().range ?? [0, 1];
   if (document.activeElement !== $("low")) $("low").value = Number(lo.toPrecision(6));
   if (document.activeElement !== $("high")) $("high").value = Number(hi.toPrecision(6));
 }
@@ -476,7 +497,10 @@ async function setArchive(camera) {
   $("facts").textContent = `${it.dims.join(" × ")} ${it.scalar}, ${whole(it.points)} points, ${bytes(it.bytes)}`;
   document.title = `${it.name} – isospan`;
   view.setDomain(it.corners);
-  $("planes").hidden = $("region").hidden = !it.corners;
+  $("planes").hidden = $("region").hidden = $("colours").hidden = !it.corners;
+  $("coloured").hidden = !fields().length;
+  $("by").replaceChildren(new Option("their own colours", ""), ...fields().map((s) => new Option(s.field, s.number)));
+  $("by").value = state.by ?? "";
   $("time").hidden = steps().length < 2;
   $("step").max = steps().length - 1;
   if (it.corners) camera ? (view.camera6 = camera) : view.reset();
@@ -487,6 +511,7 @@ async function setArchive(camera) {
   }
   listSurfaces();
   drawRegion();
+  setColours();
   await setStep(state.step ?? steps()[0].number);
   setClip();
 }
@@ -525,7 +550,7 @@ function listen() {
   on("archive", "change", () => {
     state.surfaces.forEach((s) => (s.removed = true));
     state.surfaces.forEach((s) => view.remove(s.name));
-    Object.assign(state, { archive: Number($("archive").value), surfaces: [], active: 0, region: null, range: null, clip: null });
+    Object.assign(state, { archive: Number($("archive").value), surfaces: [], active: 0, region: null, range: null, clip: null, by: null });
     state.step = steps()[0].number;
     $("clip").value = "";
     setArchive();
@@ -572,10 +597,19 @@ function listen() {
     state.place = $("place").valueAsNumber;
     setClip();
   });
+  on("by", "change", () => {
+    state.by = $("by").value === "" ? null : Number($("by").value);
+    state.range = null;
+    setColours();
+    drawBar();
+    fetchAll();
+    setClip();
+  });
   on("map", "change", () => {
     state.map = $("map").value;
     drawBar();
     showSlice();
+    setColours();
     toAddress();
   });
   for (const id of ["low", "high"]) {
@@ -584,6 +618,7 @@ function listen() {
       state.range = range.every(Number.isFinite) && range[0] < range[1] ? range : null;
       drawBar();
       showSlice();
+      setColours();
       toAddress();
     });
   }
@@ -652,7 +687,9 @@ async function saveSurfaces(format) {
   const isovalues = [...new Set(state.surfaces.map((s) => s.isovalue))].join(",");
   $(format).disabled = true;
   try {
-    save(await source.file(state.archive, { isovalues, step: state.step, roi, cap: state.cap && !roi, format }), format);
+    const colours = state.by === null ? {} : { colour: state.by, map: state.map, range: state.range ?? undefined };
+    const wish = { isovalues, step: state.step, roi, cap: state.cap && !roi, format, ...colours };
+    save(await source.file(state.archive, wish), format);
     say("");
   } catch (error) {
     failed(error);

@@ -42,6 +42,19 @@ function round(most) {
   return power * (most >= 5 * power ? 5 : most >= 2 * power ? 2 : 1);
 }
 
+/** Gives vertices the colours of their values; grey where there is none. */
+function colourVertices(geometry, values, { colours, range: [lo, hi] }) {
+  const linear = (rgb) => new Color().setRGB(...rgb.map((c) => c / 255), SRGBColorSpace).toArray();
+  const [table, none] = [colours.map(linear), linear([128, 128, 128])];
+  const all = new Float32Array(3 * values.length);
+  const scale = 256 / Math.max(hi - lo, 1e-30);
+  for (let n = 0; n < values.length; n++) {
+    const place = (values[n] - lo) * scale;
+    all.set(Number.isNaN(place) ? none : table[Math.min(255, Math.max(0, Math.floor(place)))], 3 * n);
+  }
+  geometry.setAttribute("color", new BufferAttribute(all, 3));
+}
+
 export class View {
   /** `changed` is called after the camera moved. */
   constructor(canvas, overlay, changed) {
@@ -62,6 +75,7 @@ export class View {
     this.surfaces = new Map();
     this.bounds = new Box3();
     this.plane = null;
+    this.field = null;
     this.showBox = this.showAxes = true;
     this.waiting = false;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
@@ -175,7 +189,11 @@ export class View {
     const item = this.surfaces.get(name);
     if (!item) return;
     const { material } = item.mesh;
-    material.color = new Color(colour);
+    const field = item.found.values && this.field;
+    if (field && item.field !== field) colourVertices(item.mesh.geometry, item.found.values, field);
+    item.field = field;
+    material.vertexColors = Boolean(field);
+    material.color = new Color(field ? 0xffffff : colour);
     material.opacity = opacity;
     material.transparent = opacity < 1;
     material.depthWrite = opacity >= 1;
@@ -183,6 +201,11 @@ export class View {
     material.needsUpdate = true;
     item.mesh.renderOrder = opacity < 1 ? 1 : 0;
     this.draw();
+  }
+
+  /** The colours of values at vertices: a table of 256 colours, and the values at its ends; or none. */
+  setField(field) {
+    this.field = field;
   }
 
   remove(name) {

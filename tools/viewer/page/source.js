@@ -72,7 +72,8 @@ class Pieces {
 }
 
 /**
- * One isosurface: `vertices` (position and normal, six floats each) and `triangles` (three numbers each).
+ * One isosurface: `vertices` (position and normal, six floats each), `values` of the field that `colour` names (null
+ * without one), and `triangles` (three numbers each).
  * `part(surface, triangles)` is called while triangles arrive.
  */
 export async function surface(archive, parameters, signal, part) {
@@ -84,9 +85,11 @@ export async function surface(archive, parameters, signal, part) {
     report,
     milliseconds,
     vertices: new Float32Array(6 * report.vertices),
+    values: Number.isInteger(parameters.colour) ? new Float32Array(report.vertices) : null,
     triangles: new Uint32Array(3 * report.triangles),
   };
   await pieces.fill(new Uint8Array(found.vertices.buffer));
+  if (found.values) await pieces.fill(new Uint8Array(found.values.buffer));
   await pieces.fill(new Uint8Array(found.triangles.buffer), (bytes) => part?.(found, Math.floor(bytes / 12)));
   return found;
 }
