@@ -139,7 +139,7 @@ fn pictures_show_another_field() {
     render("plain.png", &["--slice", "z=50%"]);
     assert!(pixels(&d.join("cut.png")).1 != pixels(&d.join("plain.png")).1);
     let json = render("json.png", &["--colour-by", "heat", "--json"]);
-    assert!(json.contains("\"without_value\": 0") && json.contains("\"range\""), "{json}");
+    assert!(json.contains("\"without_value\":0") && json.contains("\"range\""), "{json}");
     // What cannot be had is refused, and nothing is left.
     for (more, words) in [
         (&["--colour-by", "cold"][..], "it has ball, heat"),
