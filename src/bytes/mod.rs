@@ -31,8 +31,8 @@
 //! been read ([`ByteSource::release`]); smaller files stay cached for the next run. Pages that
 //! follow are requested ahead ([`ByteSource::advise_will_need`]).
 
+mod borrowed;
 mod filesystem;
-mod kept;
 mod mmap;
 pub(crate) mod paged;
 pub(crate) mod place;
@@ -42,7 +42,8 @@ pub(crate) mod sorter;
 pub(crate) mod store;
 
 use crate::error::{Error, Fault, Place, Result};
-use kept::Kept;
+use borrowed::Borrowed;
+pub use publish::replace_folder;
 use remote::{RemoteFile, is_remote};
 use std::fmt;
 use std::fs::File;
@@ -94,7 +95,7 @@ enum Bytes {
     Read(File, OnceLock<mmap::Mapping>),
     Memory(InMemory),
     /// Slices that were borrowed are kept.
-    Remote(Box<RemoteFile>, Kept),
+    Remote(Box<RemoteFile>, Borrowed),
 }
 
 /// Bytes that something else owns.
@@ -137,7 +138,7 @@ impl ByteSource {
             if len == 0 {
                 return Err(not_regular(path, "an empty file"));
             }
-            let bytes = Bytes::Remote(Box::new(file), Kept::default());
+            let bytes = Bytes::Remote(Box::new(file), Borrowed::default());
             return Ok(Self { path: path.to_path_buf(), len, bytes, drop_behind: false });
         }
         Self::of_file(path, open_with_data(path)?, mode)

@@ -238,16 +238,21 @@ fn sync_folder(path: &Path) -> Result<()> {
 
 /// Puts the folder `new` in the place of `out`, and removes what was there. At any moment there is
 /// a whole folder under `out`; where the file system cannot exchange two names, but for the moment
-/// between two renames: then what was there is found under `aside`, and [`restore_folder`] puts it
-/// back.
-pub(crate) fn replace_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
+/// between two renames: what was there is found under `aside` then, for `restore_folder`.
+///
+/// # Errors
+/// [`Error::Io`]; what was there is in its place.
+pub fn replace_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
     let failed = |e| Error::io("replace", out, e);
     match () {
         () if !out.exists() => std::fs::rename(new, out).map_err(failed)?,
         () if exchange(new, out) => std::fs::rename(new, aside).map_err(failed)?,
         () => {
             std::fs::rename(out, aside).map_err(failed)?;
-            std::fs::rename(new, out).map_err(failed)?;
+            if let Err(e) = std::fs::rename(new, out) {
+                restore_folder(out, aside)?;
+                return Err(failed(e));
+            }
         }
     }
     sync_folder(out)?;

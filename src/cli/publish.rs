@@ -13,6 +13,7 @@ use super::progress::Talk;
 use super::text;
 use super::view::page;
 use isospan::bytes::remote::is_remote;
+use isospan::bytes::replace_folder;
 use isospan::exec::CancelToken;
 use isospan::pipeline::archive_files;
 use isospan::{Archive, Error, Result};
@@ -78,11 +79,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         folder.copy_archive(archive, name)?;
     }
     folder.write_page(&names)?;
-    if out.exists() {
-        // Both names are in one folder: the old one is removed with the temporary folder.
-        fs::rename(out, work.path().join("old")).map_err(|e| Error::io("replace", out, e))?;
-    }
-    fs::rename(&folder.path, out).map_err(|e| Error::io("write", out, e))?;
+    replace_folder(&folder.path, out, &work.path().join("old"))?;
     let report = folder.report;
     if args.json {
         return super::print_json("publish", &report);

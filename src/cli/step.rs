@@ -131,15 +131,21 @@ impl StepArgs {
     }
 }
 
-/// The field that `--colour-by` names: one of the archive, or of another archive, at the step that
-/// is asked where it has several.
-pub(crate) fn colour_field(by: &Path, archive: &Archive, choice: StepChoice) -> Result<Step> {
+/// The field that `--colour-by` names, for each of some steps of an archive: one of the archive
+/// itself, or that of another archive, at the same step where it has several.
+pub(crate) fn colour_fields(
+    by: &Path,
+    archive: &Archive,
+    steps: impl IntoIterator<Item = StepChoice>,
+) -> Result<Vec<Step>> {
+    let steps = steps.into_iter();
     if !is_archive(by) {
-        return archive.at(StepChoice::Field(by.display().to_string()));
+        let name = by.display().to_string();
+        return steps.map(|_| archive.at(StepChoice::Field(name.clone()))).collect();
     }
     let other = Archive::open(by)?;
     let is_one = other.info()?.steps.len() <= 1;
-    other.at(if is_one { StepChoice::First } else { choice })
+    steps.map(|step| other.at(if is_one { StepChoice::First } else { step })).collect()
 }
 
 /// The times of steps.

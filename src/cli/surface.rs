@@ -4,7 +4,7 @@ use super::grammar::{self, Length, Value};
 use super::machine::{Machine, OutputScratch};
 use super::output::Force;
 use super::progress::Talk;
-use super::step::{StepArgs, colour_field};
+use super::step::{StepArgs, colour_fields};
 use super::text;
 use clap::ValueEnum;
 use isospan::formats::surface::SurfaceFormat;
@@ -180,10 +180,9 @@ fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
 /// The field that colours the surface.
 fn colours(args: &Args, archive: &Archive) -> Result<Option<ColourBy>> {
     let Some(by) = &args.colour_by else { return Ok(None) };
-    let field = colour_field(by, archive, args.step.choice())?;
-    let range = args.colour_range.map(|asked| asked.within(field.value_range())).transpose()?;
-    let mut colours = field.into_colours(args.colour_map);
-    colours.range = range;
+    let field = colour_fields(by, archive, [args.step.choice()])?.swap_remove(0);
+    let mut colours = field.colours(args.colour_map);
+    colours.range = args.colour_range.map(|asked| asked.within(field.value_range())).transpose()?;
     Ok(Some(colours))
 }
 

@@ -91,7 +91,7 @@ impl Archive {
             remote: traffic_since(path, before),
         };
         let kept = Self::KEPT_BYTES;
-        let first = Step { view: open.step_at(0).keeping(kept) };
+        let first = Step::of(open.step_at(0).keeping(kept));
         Ok(Self { open, path: path.to_path_buf(), first, kept, opening })
     }
 
@@ -99,7 +99,7 @@ impl Archive {
     /// none.
     #[must_use]
     pub fn keeping(self, bytes: usize) -> Self {
-        Self { first: Step { view: self.open.step_at(0).keeping(bytes) }, kept: bytes, ..self }
+        Self { first: Step::of(self.open.step_at(0).keeping(bytes)), kept: bytes, ..self }
     }
 
     /// The step of a number.
@@ -115,7 +115,7 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::Usage`] for a step or a time that is not in the archive.
     pub fn at(&self, choice: StepChoice) -> Result<Step> {
-        Ok(Step { view: self.open.at(choice)?.keeping(self.kept) })
+        Ok(Step::of(self.open.at(choice)?.keeping(self.kept)))
     }
 
     /// What opening took: reports of questions do not count it.

@@ -40,7 +40,7 @@ use std::sync::Arc;
 /// little more than its triangles. For a step that was unpacked ([`unpack`](super::unpack)) all of
 /// that is on disk: its file is mapped and costs no memory of the process.
 pub struct Step {
-    pub(super) view: StepView,
+    pub(super) view: Arc<StepView>,
 }
 
 /// Tetrahedra of one chunk of an archive, with the points that they use.
@@ -58,6 +58,10 @@ pub struct Tetrahedra {
 }
 
 impl Step {
+    pub(super) fn of(view: StepView) -> Self {
+        Self { view: Arc::new(view) }
+    }
+
     /// The archive's folder or address.
     pub fn path(&self) -> &Path {
         self.view.path()
@@ -304,8 +308,8 @@ impl Step {
 
     /// This step as a field that colours surfaces, of this archive or another one in the same
     /// world: see [`SurfaceSettings::colour_by`].
-    pub fn into_colours(self, map: ColourMap) -> ColourBy {
-        ColourBy { view: Arc::new(self.view), range: None, map }
+    pub fn colours(&self, map: ColourMap) -> ColourBy {
+        ColourBy { view: Arc::clone(&self.view), range: None, map }
     }
 
     /// The values of a field, at a step of this archive or of another one in the same world, at the
@@ -314,8 +318,8 @@ impl Step {
     /// Memory: four bytes a vertex, besides what the resources allow.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] where the field has no value at any vertex, or lies on a grid with
-    /// coordinates; those of [`Step::probe_with`].
+    /// [`crate::Error::Usage`] where a field of another archive has no value at any vertex, or the
+    /// field lies on a grid with coordinates; those of [`Step::probe_with`].
     pub fn values_on(
         &self,
         field: &Self,

@@ -13,28 +13,34 @@ use std::process::Command;
 
 const DIMS: [usize; 3] = [20, 18, 16];
 
-/// A file with two fields: a ball, and a linear field, 2x + y.
-fn write_two_fields(path: &Path) {
+/// A name, and the value at a sample's place.
+type Field<'a> = (&'a str, &'a dyn Fn([f64; 3]) -> f64);
+
+/// A file with some fields.
+fn write_fields(path: &Path, fields: &[Field<'_>]) {
     let [nx, ny, nz] = DIMS;
     let mut text = format!(
         "# vtk DataFile Version 3.0\ntwo\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS {nx} {ny} {nz}\n\
          ORIGIN 0 0 0\nSPACING 1 1 1\nPOINT_DATA {}\n",
         nx * ny * nz
     );
-    for (name, is_ball) in [("ball", true), ("heat", false)] {
+    for (name, value) in fields {
         let _ = writeln!(text, "SCALARS {name} float 1\nLOOKUP_TABLE default");
-        for z in 0..nz {
-            for y in 0..ny {
-                for x in 0..nx {
-                    let [a, b, c] = [x as f64 - 9.5, y as f64 - 8.5, z as f64 - 7.5];
-                    let ball = 6.0 - (a * a + b * b + c * c).sqrt();
-                    let value = if is_ball { ball } else { 2.0 * x as f64 + y as f64 };
-                    let _ = writeln!(text, "{value:.6}");
-                }
-            }
+        for n in 0..nx * ny * nz {
+            let at = [n % nx, n / nx % ny, n / (nx * ny)].map(|i| i as f64);
+            let _ = writeln!(text, "{:.6}", value(at));
         }
     }
     fs::write(path, text).unwrap();
+}
+
+/// A file with two fields: a ball, and a linear field, 2x + y.
+fn write_two_fields(path: &Path) {
+    let ball = |p: [f64; 3]| {
+        let [a, b, c] = [p[0] - 9.5, p[1] - 8.5, p[2] - 7.5];
+        6.0 - (a * a + b * b + c * c).sqrt()
+    };
+    write_fields(path, &[("ball", &ball), ("heat", &|p| 2.0 * p[0] + p[1])]);
 }
 
 fn isospan(dir: &Path, args: &[&str]) -> String {
@@ -242,7 +248,7 @@ fn another_archive_in_little_memory() {
         let by = Archive::open(&slope_out).unwrap().at(StepChoice::First).unwrap();
         let settings = SurfaceSettings {
             isovalues: vec![0.1, -0.05],
-            colour_by: Some(by.into_colours(ColourMap::Grey)),
+            colour_by: Some(by.colours(ColourMap::Grey)),
             resources: Resources::default().with_memory(memory),
             ..SurfaceSettings::default()
         };
@@ -252,4 +258,21 @@ fn another_archive_in_little_memory() {
         files.push(fs::read(out).unwrap());
     }
     assert!(files[0] == files[1]);
+}
+
+#[test]
+fn a_field_that_is_void_at_a_surface_is_grey_there() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    // The second field has values where x is large, far from the plane.
+    let far = |p: [f64; 3]| if p[0] > 12.0 { p[0] } else { -1.0 };
+    write_fields(&d.join("two.vtk"), &[("plane", &|p| p[0]), ("far", &far)]);
+    let reduce = ["reduce", "two.vtk", "-o", "two.isospan", "--fields", "plane,far", "--fraction", "1/2"];
+    isospan(d, &[&reduce[..], &["--nan", "mask", "--missing=-1"]].concat());
+    let said = isospan(
+        d,
+        &["surface", "two.isospan", "--step", "plane", "-i", "4.5", "--colour-by", "far", "-o", "a.ply"],
+    );
+    let count = read(&d.join("a.ply")).vertices.len();
+    assert!(count > 100 && said.contains(&format!("colours       {count} of {count} vertices")), "{said}");
 }

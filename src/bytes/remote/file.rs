@@ -6,7 +6,7 @@
 //! ETag, is opened anew. Many bytes are fetched as they are asked for, and not kept.
 
 use super::host::{Host, host_of};
-use super::pages::{KEPT, Kept};
+use super::pages::{KEPT, ServerCache};
 #[cfg(feature = "remote")]
 use super::server::{Server, server_of};
 use super::{Answer, Wanted};
@@ -61,18 +61,19 @@ impl Origin {
         super::refused(path)
     }
 
-    pub(super) fn kept(&self) -> &Kept {
+    pub(super) fn cache(&self) -> &ServerCache {
         match self {
             #[cfg(feature = "remote")]
-            Self::Server(server, _) => &server.kept,
-            Self::Host(host, _) => &host.kept,
+            Self::Server(server, _) => &server.cache,
+            Self::Host(host, _) => &host.cache,
         }
     }
 
-    fn get(&self, _path: &Path, wanted: &Wanted) -> io::Result<Answer> {
+    #[cfg_attr(not(feature = "remote"), allow(unused_variables, reason = "a host knows its names"))]
+    fn get(&self, path: &Path, wanted: &Wanted) -> io::Result<Answer> {
         match self {
             #[cfg(feature = "remote")]
-            Self::Server(server, key) => server.get(_path, key, Some(wanted)),
+            Self::Server(server, key) => server.get(path, key, wanted),
             Self::Host(host, name) => host.get(name, wanted),
         }
     }
@@ -94,7 +95,7 @@ impl RemoteFile {
         let failed = |e: io::Error| Error::io("open", path, e);
         let origin = Origin::of(path)?;
         let Answer { len, tag, range, bytes } = origin.get(path, &Wanted::Last(PAGE)).map_err(failed)?;
-        let number = origin.kept().number_of(path, len, tag);
+        let number = origin.cache().number_of(path, len, tag);
         let file = Self { origin, path: path.to_path_buf(), number, len, tag };
         if range.end == len {
             file.keep(range, &bytes);
@@ -145,7 +146,7 @@ impl RemoteFile {
     }
 
     fn page(&self, n: u64) -> Option<Arc<[u8]>> {
-        self.origin.kept().pages().get((self.number, n))
+        self.origin.cache().pages().get((self.number, n))
     }
 
     /// Fetches pages, and some more if the page before is there; returns the offset of the first
@@ -176,7 +177,7 @@ impl RemoteFile {
 
     /// Keeps the pages that lie whole in a range.
     fn keep(&self, range: Range<u64>, bytes: &[u8]) {
-        let mut pages = self.origin.kept().pages();
+        let mut pages = self.origin.cache().pages();
         for n in range.start.div_ceil(PAGE)..range.end.div_ceil(PAGE) {
             let (from, to) = (n * PAGE, ((n + 1) * PAGE).min(self.len));
             if to <= range.end {

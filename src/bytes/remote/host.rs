@@ -1,6 +1,6 @@
 //! Files that a program itself gets by ranges: `host://NAME/…`.
 
-use super::pages::Kept;
+use super::pages::ServerCache;
 use super::{Answer, Fetched, HOST, Ranges, Wanted};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -11,21 +11,22 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// A host of the program, and what was fetched from it.
 pub(super) struct Host {
     ranges: Box<dyn Ranges>,
-    pub(super) kept: Kept,
+    pub(super) cache: ServerCache,
 }
 
 impl Host {
     pub(super) fn get(&self, name: &str, wanted: &Wanted) -> io::Result<Answer> {
-        self.kept.asked();
+        self.cache.asked();
         let Fetched { len, range, bytes } = self.ranges.get(name, wanted)?;
-        self.kept.got(&bytes);
+        self.cache.got(&bytes);
         Ok(Answer { len, tag: 0, range, bytes })
     }
 }
 
 /// Makes the files `host://NAME/…` those that `ranges` gets by the rest of their address.
 pub fn add_host(name: &str, ranges: impl Ranges + 'static) {
-    hosts().insert(name.to_owned(), Arc::new(Host { ranges: Box::new(ranges), kept: Kept::default() }));
+    hosts()
+        .insert(name.to_owned(), Arc::new(Host { ranges: Box::new(ranges), cache: ServerCache::default() }));
 }
 
 /// The hosts by their names.

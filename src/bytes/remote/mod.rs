@@ -128,7 +128,7 @@ pub(crate) use server::{folders_in, look_at, seen, small_if_there, whole_if_ther
 
 /// What this process has fetched from the server of a path; nothing for a local path.
 pub(crate) fn traffic(path: &Path) -> Option<Traffic> {
-    let fetched = || file::Origin::of(path).map_or_else(|_| Traffic::default(), |o| o.kept().traffic());
+    let fetched = || file::Origin::of(path).map_or_else(|_| Traffic::default(), |o| o.cache().traffic());
     is_remote(path).then(fetched)
 }
 

@@ -11,7 +11,7 @@ pub(super) const KEPT: usize = 2048;
 
 /// What is kept of a server.
 #[derive(Default)]
-pub(super) struct Kept {
+pub(super) struct ServerCache {
     requests: AtomicU64,
     bytes: AtomicU64,
     pages: Mutex<Pages>,
@@ -19,7 +19,7 @@ pub(super) struct Kept {
     numbers: Mutex<HashMap<(PathBuf, u64, u64), u64>>,
 }
 
-impl Kept {
+impl ServerCache {
     pub(super) fn pages(&self) -> MutexGuard<'_, Pages> {
         self.pages.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,6 +1,6 @@
 //! The servers that this process has talked to: requests, and what they said.
 
-use super::pages::Kept;
+use super::pages::ServerCache;
 use super::{Answer, Seen, Wanted};
 use crate::error::{Error, Result};
 use object_store::aws::AmazonS3Builder;
@@ -36,7 +36,7 @@ pub(super) struct Server {
     /// Whether it lists what it has: a store, not a web server.
     lists: bool,
     room: Semaphore,
-    pub(super) kept: Kept,
+    pub(super) cache: ServerCache,
     /// By hashes of paths.
     seen: Mutex<HashMap<u128, Seen>>,
     small: Mutex<HashMap<PathBuf, Small>>,
@@ -56,19 +56,18 @@ fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Server {
-    /// A range of a file, or all of it.
-    pub(super) fn get(&self, path: &Path, key: &Key, wanted: Option<&Wanted>) -> io::Result<Answer> {
+    /// Bytes of a file.
+    pub(super) fn get(&self, path: &Path, key: &Key, wanted: &Wanted) -> io::Result<Answer> {
         let (range, most) = match wanted {
-            Some(Wanted::Last(count)) => (Some(GetRange::Suffix(*count)), *count),
-            Some(Wanted::At(range)) => (Some(GetRange::Bounded(range.clone())), range.end - range.start),
-            None => (None, u64::MAX),
+            Wanted::Last(count) => (GetRange::Suffix(*count), *count),
+            Wanted::At(range) => (GetRange::Bounded(range.clone()), range.end - range.start),
         };
-        self.get_at_most(path, key, range, most)
+        self.get_at_most(path, key, Some(range), most)
     }
 
-    /// As [`Server::get`], at most `most` bytes.
+    /// A range of a file, or all of it: at most `most` bytes.
     fn get_at_most(&self, path: &Path, key: &Key, range: Option<GetRange>, most: u64) -> io::Result<Answer> {
-        self.kept.asked();
+        self.cache.asked();
         let answer = wait(async {
             let _room = self.room.acquire().await;
             let got = self.store.get_opts(key, GetOptions { range, ..GetOptions::default() }).await;
@@ -82,13 +81,13 @@ impl Server {
             self.note(path, Some(len), tag);
             Ok(Answer { len, tag, range, bytes: bytes.into() })
         })??;
-        self.kept.got(&answer.bytes);
+        self.cache.got(&answer.bytes);
         Ok(answer)
     }
 
     /// Asks about a file, without its bytes.
     async fn head(&self, path: &Path, key: &Key) -> io::Result<()> {
-        self.kept.asked();
+        self.cache.asked();
         let _room = self.room.acquire().await;
         match self.store.get_opts(key, GetOptions { head: true, ..GetOptions::default() }).await {
             Ok(got) => self.note(path, Some(got.meta.size), tag_of(&got.meta)),
@@ -207,7 +206,7 @@ pub(crate) fn folders_in(path: &Path) -> Result<Vec<String>> {
         return Err(Error::bad_input(path, "folder", "a server that lists its folders", "a web server")
             .with_help("name the array in it that is meant, or write the group's consolidated metadata"));
     }
-    server.kept.asked();
+    server.cache.asked();
     let list = wait(server.store.list_with_delimiter(Some(&key)))
         .and_then(|l| l.map_err(|e| server.failed(path, e)));
     let folders = list.map_err(|e| Error::io("list", path, e))?.common_prefixes;
@@ -290,7 +289,7 @@ pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
         store: client(&scheme, &url).map_err(|e| bad(one_line(&e)))?,
         lists: matches!(scheme, ObjectStoreScheme::AmazonS3),
         room: Semaphore::new(AT_ONCE),
-        kept: Kept::default(),
+        cache: ServerCache::default(),
         seen: Mutex::default(),
         small: Mutex::default(),
     });

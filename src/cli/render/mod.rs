@@ -415,7 +415,7 @@ impl Job<'_> {
         let paint = Paint::Map(colours.map, colours.range.map(|v| v as f32));
         progress.begin("colours", panels.len() as u64, "panels");
         for panel in panels {
-            let Some(moment) = &panel.step else { continue };
+            let Some(moment) = &panel.moment else { continue };
             for shape in &mut panel.shapes {
                 let (Some(surface), Some(isovalue)) = (&shape.surface, shape.isovalue) else { continue };
                 let found = moment.step.values_on(&moment.field, surface, isovalue, &self.resources(0));
@@ -590,7 +590,7 @@ impl Stage<'_> {
         let mut taken =
             self.layout.bytes() + self.panels.iter().flat_map(|p| &p.shapes).map(distances).sum::<u64>();
         let beside = |e: Error, taken: u64| job.whole(e.plus_held(taken), share);
-        let field = panel.step.as_ref().map(|m| &m.field).zip(self.legend.as_ref().map(|l| l.1));
+        let field = panel.moment.as_ref().map(|m| &m.field).zip(self.legend.as_ref().map(|l| l.1));
         if let (true, Some((step, colours)), [slice]) = (panel.flat, field, &panel.slices[..]) {
             let size = job.args.size.map(|s| s as usize);
             let drawn = slice.picture(step, colours, size, job.args.background, &job.resources(taken));
@@ -638,7 +638,8 @@ impl Stage<'_> {
         if let (true, [slice]) = (panel.flat, &panel.slices[..]) {
             parts.push(slice.words());
         }
-        parts.extend(panel.moment.iter().map(|(_, words)| words.clone()));
+        let name = panel.moment.as_ref().and_then(|moment| moment.name.as_ref());
+        parts.extend(name.map(|(_, words)| words.clone()));
         if parts.is_empty() { plain(&stem) } else { parts.join(", ") }
     }
 
@@ -654,7 +655,7 @@ impl Stage<'_> {
         };
         let panel = |p: &Panel| PanelReport {
             input: p.name.clone(),
-            step: p.moment.as_ref().map(|(number, _)| *number),
+            step: p.moment.as_ref().and_then(|moment| moment.name.as_ref()).map(|(number, _)| *number),
             surfaces: p.shapes.iter().map(shape).collect(),
             slices: p.slices.iter().map(|s| SliceReport { axis: AXES[s.axis], at: s.at }).collect(),
         };

@@ -1,7 +1,7 @@
 //! What is drawn: inputs are opened, surfaces extracted and cut, and shared out to panels.
 
 use super::super::grammar::{AXES, Slab};
-use super::super::step::colour_field;
+use super::super::step::colour_fields;
 use super::plane::{Hull, Slice};
 use super::{Args, Job};
 use isospan::exec::Progress;
@@ -42,23 +42,24 @@ impl Shape {
 pub(super) struct Panel {
     /// The input.
     pub(super) name: String,
-    /// Which step or time it shows, where there are several: its number, and words.
-    pub(super) moment: Option<(u64, String)>,
     /// The frame that it is in; none where it is in all of them.
     pub(super) frame: Option<usize>,
     pub(super) shapes: Vec<Shape>,
     /// Planes on which the field is shown.
     pub(super) slices: Vec<Slice>,
     /// The step of an archive.
-    pub(super) step: Option<Rc<Moment>>,
+    pub(super) moment: Option<Moment>,
     /// Whether it is a flat picture of a plane.
     pub(super) flat: bool,
 }
 
 /// A step of an archive, and the field that colours show: its own, or another one.
+#[derive(Clone)]
 pub(super) struct Moment {
-    pub(super) step: Step,
+    pub(super) step: Rc<Step>,
     pub(super) field: Rc<Step>,
+    /// Which it is, where there are several: its number, and words.
+    pub(super) name: Option<(u64, String)>,
 }
 
 /// An input, opened.
@@ -70,12 +71,9 @@ pub(super) enum Input {
 /// An archive, and what is asked of it.
 pub(super) struct Opened {
     name: PathBuf,
-    archive: Archive,
-    /// Steps or a time, with words where there are several.
-    moments: Vec<(StepChoice, Option<(u64, String)>)>,
+    /// Steps or a time.
+    moments: Vec<Moment>,
     isovalues: Vec<f64>,
-    /// The field that colours show, at each of the moments.
-    fields: Vec<Rc<Step>>,
     /// The box of the domain; none for a grid that has coordinates of its own.
     hull: Option<Hull>,
     slices: Vec<Slice>,
@@ -89,7 +87,7 @@ impl Input {
         let archive = Archive::open(path)?.keeping(0);
         let about = archive.info()?;
         let steps = args.step_range();
-        let moments = match steps {
+        let choices: Vec<(StepChoice, Option<(u64, String)>)> = match steps {
             None => vec![(args.step.choice(), None)],
             Some(range) => {
                 let words = |number: u64, time: Option<f64>| match time {
@@ -101,7 +99,7 @@ impl Input {
                 found.map(|s| of(s.number, s.time)).collect()
             }
         };
-        if moments.is_empty() {
+        if choices.is_empty() {
             let (first, last) = (about.steps.first(), about.steps.last());
             let number = |s: Option<&isospan::pipeline::StepSummary>| s.map_or(0, |s| s.number);
             return Err(Error::usage(format!(
@@ -143,13 +141,17 @@ impl Input {
             Ok(Slice { axis: plane.axis, at, hull })
         });
         let slices = slices.collect::<Result<Vec<_>>>()?;
-        let field = |(choice, _): &(StepChoice, _)| match &args.colour_by {
-            Some(by) => colour_field(by, &archive, choice.clone()),
-            None => archive.at(choice.clone()),
+        let asked = choices.iter().map(|(choice, _)| choice.clone());
+        let fields = args.colour_by.as_ref().map(|by| colour_fields(by, &archive, asked)).transpose()?;
+        let mut fields = fields.into_iter().flatten().map(Rc::new);
+        let moment = |(choice, name)| {
+            let step = Rc::new(archive.at(choice)?);
+            let field = fields.next().unwrap_or_else(|| step.clone());
+            Ok(Moment { step, field, name })
         };
-        let fields = moments.iter().map(|m| field(m).map(Rc::new)).collect::<Result<_>>()?;
+        let moments = choices.into_iter().map(moment).collect::<Result<_>>()?;
         let name = path.to_path_buf();
-        Ok(Self::Archive(Box::new(Opened { name, archive, moments, isovalues, fields, hull, slices })))
+        Ok(Self::Archive(Box::new(Opened { name, moments, isovalues, hull, slices })))
     }
 
     /// How many steps of it are drawn.
@@ -174,12 +176,12 @@ impl Input {
 impl Opened {
     /// The name of the field that colours show.
     pub(super) fn colour_field(&self) -> &str {
-        self.fields[0].field()
+        self.moments[0].field.field()
     }
 
     /// Least and largest value of the field that colours show.
     pub(super) fn colour_range(&self) -> Option<[f64; 2]> {
-        let ranges = self.fields.iter().filter_map(|field| field.value_range());
+        let ranges = self.moments.iter().filter_map(|moment| moment.field.value_range());
         ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
     }
 }
@@ -309,28 +311,20 @@ impl Job<'_> {
                         frame: None,
                         shapes: vec![shape],
                         slices: vec![],
-                        step: None,
                         flat: false,
                     });
                 }
                 Input::Archive(opened) => {
-                    for (n, ((choice, moment), field)) in
-                        opened.moments.iter().zip(&opened.fields).enumerate()
-                    {
+                    for (n, moment) in opened.moments.iter().enumerate() {
                         // Every step looks as the first does.
                         looks.next = first;
-                        let step = Rc::new(Moment {
-                            step: opened.archive.at(choice.clone())?,
-                            field: field.clone(),
-                        });
-                        let shapes = self.extract(opened, &step.step, &check, &mut looks, progress)?;
+                        let shapes = self.extract(opened, &moment.step, &check, &mut looks, progress)?;
                         let panel = |shapes, slices, flat| Panel {
                             name: opened.name.display().to_string(),
-                            moment: moment.clone(),
+                            moment: Some(moment.clone()),
                             frame: steps_are_frames.then_some(n),
                             shapes,
                             slices,
-                            step: Some(step.clone()),
                             flat,
                         };
                         if shapes.is_empty() {

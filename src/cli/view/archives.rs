@@ -45,28 +45,20 @@ impl Archives {
 
     /// A step of an archive: the same one as before, while it is among those used last.
     pub(super) fn at(&self, archive: usize, step: StepChoice) -> Result<Arc<Step>> {
+        let none =
+            || Error::usage(format!("there is no archive {archive}; there are {}", self.archives.len()));
         let key = Key { archive, step: step.clone() };
         let mut steps = self.steps.lock().unwrap_or_else(PoisonError::into_inner);
         let at = steps.iter().position(|(k, _)| *k == key);
         let found = match at.and_then(|at| steps.remove(at)) {
             Some((_, step)) => step,
-            None => Arc::new(self.archives.get(archive).ok_or_else(|| self.none(archive))?.at(step)?),
+            None => Arc::new(self.archives.get(archive).ok_or_else(none)?.at(step)?),
         };
         steps.push_back((key, found.clone()));
         while steps.len() > STEPS {
             steps.pop_front();
         }
         Ok(found)
-    }
-
-    /// A step of an archive that caches nothing.
-    pub(super) fn alone(&self, archive: usize, step: StepChoice) -> Result<Step> {
-        let path = self.archives.get(archive).ok_or_else(|| self.none(archive))?.path();
-        Archive::open(path)?.keeping(0).at(step)
-    }
-
-    fn none(&self, archive: usize) -> Error {
-        Error::usage(format!("there is no archive {archive}; there are {}", self.archives.len()))
     }
 
     pub(super) fn describe(&self) -> Result<Vec<Description>> {

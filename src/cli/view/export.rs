@@ -23,7 +23,7 @@ pub(super) fn export(
     // Triangles of STL have no colours.
     if let Some(choice) = query.colour().filter(|_| format != SurfaceFormat::Stl) {
         let map = query.map.as_deref().map_or(Ok(ColourMap::default()), str::parse)?;
-        let mut colours = archives.alone(archive, choice)?.into_colours(map);
+        let mut colours = archives.at(archive, choice)?.colours(map);
         colours.range = query.range.as_deref().map(|text| numbers(text, "range")).transpose()?;
         settings.colour_by = Some(colours);
     }

@@ -57,7 +57,7 @@ pub(in crate::pipeline) fn values_on(
 /// Hands on the values of a field at the vertices of surfaces of a step, in their order.
 ///
 /// # Errors
-/// [`Error::Usage`] where the field has a value at no vertex.
+/// [`Error::Usage`] where the field of another archive has a value at no vertex.
 fn each_value(
     archive: &StepView,
     field: &StepView,
@@ -71,10 +71,9 @@ fn each_value(
     let rest = |memory: u64| memory.saturating_sub(estimate::BASE + memory / 16);
     let most = (rest(memory) / 2 / VERTEX).clamp(1, MOST) as usize;
     let probe = ProbeSettings { resources: resources.clone() };
-    let may_overlap = archive.manifest.plan.own.is_some()
-        && Arc::ptr_eq(field.archive(), archive.archive())
-        && !field.is_between()
-        && !archive.is_between();
+    let is_one = Arc::ptr_eq(field.archive(), archive.archive());
+    let may_overlap =
+        archive.manifest.plan.own.is_some() && is_one && !field.is_between() && !archive.is_between();
     let kept = |isovalue: f64| archive.step().plan.source.kept(isovalue);
     let mut isovalues = parts.iter().flat_map(|&(v, count)| std::iter::repeat_n(kept(v), count as usize));
     let mut found_any = false;
@@ -101,7 +100,7 @@ fn each_value(
         Ok(())
     })?;
     ask(&mut points)?;
-    if !found_any && surface.vertex_count() > 0 {
+    if !(found_any || is_one) && surface.vertex_count() > 0 {
         return Err(Error::usage(format!(
             "{}: {} has no value at any vertex of the surface: do both lie in the same place of the world?",
             field.path().display(),

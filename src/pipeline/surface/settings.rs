@@ -32,7 +32,7 @@ pub struct SurfaceSettings {
     pub resources: Resources,
 }
 
-/// A field that colours surfaces: see [`Step::into_colours`](crate::pipeline::Step::into_colours).
+/// A field that colours surfaces: see [`Step::colours`](crate::pipeline::Step::colours).
 #[derive(Clone)]
 pub struct ColourBy {
     pub(in crate::pipeline) view: Arc<StepView>,

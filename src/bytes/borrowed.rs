@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A list of ranges that only grows, so that what it holds can be borrowed.
 #[derive(Debug, Default)]
-pub(super) struct Kept {
+pub(super) struct Borrowed {
     first: OnceLock<Box<Piece>>,
     bytes: AtomicU64,
 }
@@ -18,7 +18,7 @@ struct Piece {
     next: OnceLock<Box<Piece>>,
 }
 
-impl Kept {
+impl Borrowed {
     /// All bytes that are kept.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn what_is_kept_is_found_by_parts_of_it() {
-        let kept = Kept::default();
+        let kept = Borrowed::default();
         assert_eq!(kept.keep(10, vec![1, 2, 3]), [1, 2, 3]);
         kept.keep(100, vec![4, 5]);
         assert_eq!(kept.get(&(11..13)), Some(&[2, 3][..]));
