@@ -56,15 +56,16 @@ fn tetrahedra(c: &mut Criterion) {
     for kind in sets {
         let (name, (positions, tets)) = (kind.name(), mesh(kind));
         let (n, halo, mut encoder) = (positions.len(), vec![], ChunkEncoder::default());
-        let vertices = ChunkVertices { core_counts: vec![n as u32], halo, shared: vec![false; n] };
+        let vertices =
+            ChunkVertices { core_counts: vec![n as u32], halo, shared: vec![false; n], from_points: false };
         group.throughput(Throughput::Elements(tets.len() as u64));
         group.bench_function(format!("encode/{name}"), |b| {
             b.iter(|| {
                 let mut tets = black_box(&tets).clone();
-                encoder.encode(&vertices, &positions, &mut tets, BLOCK_TETS).tet_blocks()
+                encoder.encode(&vertices, &positions, &mut tets, BLOCK_TETS, 1).tet_blocks()
             });
         });
-        let blocks = encoder.encode(&vertices, &positions, &mut tets.clone(), BLOCK_TETS);
+        let blocks = encoder.encode(&vertices, &positions, &mut tets.clone(), BLOCK_TETS, 1);
         let blocks = blocks.blocks_of_tets();
         let bytes: usize = blocks.iter().map(Vec::len).sum();
         eprintln!("    {name}: {:.2} bits a tetrahedron", bytes as f64 * 8.0 / tets.len() as f64);

@@ -185,6 +185,22 @@ impl LatticeBox {
         }
     }
 
+    /// At most six boxes that tile this one without what another one has of it.
+    #[must_use]
+    pub fn without(&self, other: &Self) -> Vec<Self> {
+        let (mut rest, inner, mut boxes) = (*self, self.intersect(other), vec![]);
+        if inner.is_empty() {
+            return vec![rest];
+        }
+        for a in 0..3 {
+            let (mut below, mut above) = (rest, rest);
+            (below.hi[a], above.lo[a]) = (inner.lo[a], inner.hi[a]);
+            (rest.lo[a], rest.hi[a]) = (inner.lo[a], inner.hi[a]);
+            boxes.extend([below, above].into_iter().filter(|b| !b.is_empty()));
+        }
+        boxes
+    }
+
     /// The box grown by `by` steps on each side of each axis and clipped to `domain`.
     #[must_use]
     pub fn grow_within(&self, by: LatticePos, domain: &Self) -> Self {

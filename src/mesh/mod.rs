@@ -8,5 +8,5 @@ pub mod delaunay;
 mod late;
 pub mod list;
 mod owned;
-mod stars;
+pub(crate) mod stars;
 pub mod tet;

@@ -226,8 +226,12 @@ fn check_chunk(
         // All but the summary follows.
         Some(chunk) => blocks == 1 && chunk.brick_count() == summary.tet_blocks as usize,
         None => {
-            let header = ChunkHeader { core_counts: vec![summary.core], halo: summary.halo };
-            u64::from(summary.tet_blocks) + header.blocks() as u64 + 1 == blocks
+            let mut bytes = vec![];
+            segment.mesh.block(id, 0, &mut bytes)?;
+            let read = ChunkHeader::decode(&bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
+            let header = ChunkHeader { core_counts: vec![summary.core], halo: summary.halo, ..read };
+            let stored = if header.from_points { 0 } else { u64::from(summary.tet_blocks) };
+            stored + header.blocks() as u64 + 1 == blocks
         }
     };
     if !is_whole {

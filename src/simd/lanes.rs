@@ -47,6 +47,12 @@ pub(crate) trait Lanes: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Out
 pub(crate) trait Floats: Lanes + Div<Output = Self> {
     /// This times the factor, plus the other: rounded once.
     fn mul_add(self, factor: Self, more: Self) -> Self;
+    /// As [`Floats::mul_add`], rounded once or twice, as is faster on this machine: for guesses,
+    /// and for proofs whose error bounds hold for both.
+    #[inline(always)]
+    fn fast_mul_add(self, factor: Self, more: Self) -> Self {
+        self.mul_add(factor, more)
+    }
     /// The one number where a mask is set, else the other.
     fn select(mask: Self::Mask, set: Self, unset: Self) -> Self;
 }
@@ -97,6 +103,11 @@ pub(crate) trait F32s: Floats<Element = f32> + Compress {
     type U32s: Compress<Token = Self::Token, Element = u32>;
     /// The other, less this times the factor: rounded once.
     fn neg_mul_add(self, factor: Self, more: Self) -> Self;
+    /// As [`F32s::neg_mul_add`], rounded once or twice, as [`Floats::fast_mul_add`].
+    #[inline(always)]
+    fn fast_neg_mul_add(self, factor: Self, more: Self) -> Self {
+        self.neg_mul_add(factor, more)
+    }
     /// The least lane, in all lanes.
     fn reduce_min(self) -> Self;
 }

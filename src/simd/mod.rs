@@ -28,6 +28,15 @@ mod vec4;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+/// Whether one instruction of all machines for which this is compiled multiplies and adds.
+/// Elsewhere plain code has to call a function for that.
+const HAS_FMA: bool = cfg!(any(
+    target_arch = "aarch64",
+    target_arch = "powerpc64",
+    target_arch = "riscv64",
+    target_feature = "fma"
+));
+
 #[cfg(target_arch = "x86_64")]
 pub(crate) use features::may_use;
 #[cfg(target_arch = "x86_64")]

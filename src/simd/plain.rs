@@ -1,5 +1,6 @@
 //! Lanes everywhere.
 
+use super::HAS_FMA;
 use super::lanes::{Compress, F32x16s, F64s, F64x4s, Floats, Lanes, U32x16s};
 use std::ops::{Add, BitAnd, Div, Mul, Shl, Shr, Sub};
 
@@ -103,6 +104,10 @@ macro_rules! floats {
                     *a = a.mul_add(b, c);
                 }
                 self
+            }
+            #[inline(always)]
+            fn fast_mul_add(self, factor: Self, more: Self) -> Self {
+                if HAS_FMA { self.mul_add(factor, more) } else { self * factor + more }
             }
             #[inline(always)]
             fn select(mask: Self::Mask, set: Self, mut unset: Self) -> Self {

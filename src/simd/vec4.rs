@@ -1,7 +1,7 @@
 //! Vectors that all machines of a kind have: SSE's on x86-64, NEON's on aarch64.
 
 use super::lanes::{Compress, F32s, Floats, Lanes};
-use super::{PLACES, Plain};
+use super::{HAS_FMA, PLACES, Plain};
 use glam::{BVec4A, Vec4};
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -77,6 +77,10 @@ impl Floats for Vec4x2 {
         Self([a.mul_add(c, e), b.mul_add(d, f)])
     }
     #[inline(always)]
+    fn fast_mul_add(self, factor: Self, more: Self) -> Self {
+        if HAS_FMA { self.mul_add(factor, more) } else { self * factor + more }
+    }
+    #[inline(always)]
     fn select(mask: [BVec4A; 2], set: Self, unset: Self) -> Self {
         let ([a, b], [c, d]) = (set.0, unset.0);
         Self([Vec4::select(mask[0], a, c), Vec4::select(mask[1], b, d)])
@@ -97,6 +101,10 @@ impl F32s for Vec4x2 {
     fn neg_mul_add(self, factor: Self, more: Self) -> Self {
         let [a, b] = self.0;
         Self([-a, -b]).mul_add(factor, more)
+    }
+    #[inline(always)]
+    fn fast_neg_mul_add(self, factor: Self, more: Self) -> Self {
+        if HAS_FMA { self.neg_mul_add(factor, more) } else { more - self * factor }
     }
     #[inline(always)]
     fn reduce_min(self) -> Self {

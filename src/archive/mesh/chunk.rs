@@ -11,6 +11,7 @@
 //! takes their positions, which predict most of the tetrahedra.
 
 use super::connectivity;
+use super::from_points::StarRuns;
 use super::runs::block_starts;
 use super::tuples;
 use super::vertices::ChunkVertices;
@@ -26,7 +27,7 @@ pub(in crate::archive) const TETS_STARS: u8 = 1;
 /// A chunk ready to be written.
 #[derive(Clone, Debug, Default)]
 pub struct EncodedChunk {
-    /// The vertices' blocks, then the tetrahedra's.
+    /// The vertices' blocks, then the tetrahedra's, or the runs of these.
     pub blocks: Vec<Vec<u8>>,
     /// First tetrahedron of each block, and the number of all.
     starts: Vec<u32>,
@@ -38,12 +39,7 @@ impl EncodedChunk {
         self.starts.len() - 1
     }
 
-    /// The blocks of the vertices: the header, and its pages.
-    pub fn vertex_blocks(&self) -> &[Vec<u8>] {
-        &self.blocks[..self.blocks.len() - self.tet_blocks()]
-    }
-
-    /// The tetrahedron blocks.
+    /// The tetrahedron blocks, where they are stored.
     pub fn blocks_of_tets(&self) -> &[Vec<u8>] {
         &self.blocks[self.blocks.len() - self.tet_blocks()..]
     }
@@ -78,24 +74,33 @@ impl ChunkEncoder {
     /// how each is turned; least is to be done where the smallest vertex comes first in each, and
     /// they ascend by that. Leaves the tetrahedra block after block, as their decoders give them.
     ///
+    /// Where they follow from the points, their runs are encoded, with reaches in units of
+    /// `reach_unit` lattice steps.
+    ///
     /// # Panics
     /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, or
-    /// `block_tets` is 0.
+    /// `block_tets` or `reach_unit` is 0.
     pub fn encode(
         &mut self,
         vertices: &ChunkVertices,
         positions: &[LatticePos],
         tets: &mut [Tet],
         block_tets: u32,
+        reach_unit: u32,
     ) -> EncodedChunk {
         assert!(block_tets > 0, "a block holds at least one tetrahedron");
         assert_eq!(positions.len(), vertices.len() as usize, "one position a vertex");
         assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
         let largest = tets.iter().fold(0, |most, t| t.iter().fold(most, |most, &v| most.max(v)));
         assert!(tets.is_empty() || largest < vertices.len(), "every vertex is local");
+        let mut blocks = vertices.encode();
+        if vertices.from_points {
+            let (runs, starts) = StarRuns::of(tets, positions, vertices.core_len(), block_tets, reach_unit);
+            blocks.push(runs.encode());
+            return EncodedChunk { blocks, starts };
+        }
         by_vertex(tets);
         let starts = block_starts(tets, positions, block_tets);
-        let mut blocks = vertices.encode();
         for w in starts.windows(2) {
             let tets = &mut tets[w[0] as usize..w[1] as usize];
             blocks.push(encode_tets(&mut self.0, tets, positions));
@@ -253,7 +258,7 @@ pub(crate) mod tests {
         block_tets: u32,
     ) -> (EncodedChunk, Vec<Tet>) {
         let mut tets = tets.to_vec();
-        (ChunkEncoder::default().encode(vertices, positions, &mut tets, block_tets), tets)
+        (ChunkEncoder::default().encode(vertices, positions, &mut tets, block_tets, 1), tets)
     }
 
     fn vertices_of(n: u32) -> ChunkVertices {
@@ -262,6 +267,7 @@ pub(crate) mod tests {
             core_counts: vec![core / 3, 0, core - core / 3],
             halo: (0..u64::from(n - core)).map(|i| PointId(i * i * 977 + 5)).collect(),
             shared: (0..n).map(|i| i >= core || i % 5 == 0).collect(),
+            from_points: false,
         }
     }
 
@@ -298,7 +304,7 @@ pub(crate) mod tests {
         for block_tets in [1, 7, 100, 1000, 1_000_000] {
             let positions = corners([9, 7, 8]);
             let encoded = encode_chunk(&vertices, &positions, &tets, block_tets);
-            assert_eq!(encoded.0.vertex_blocks(), vertices.encode());
+            assert!(encoded.0.blocks.starts_with(&vertices.encode()));
             assert_eq!(sorted(&decode(&encoded, &positions)), sorted(&tets));
         }
     }

@@ -24,6 +24,8 @@ use std::ops::Range;
 
 /// Codec of a header block: one zstd frame.
 pub(in crate::archive) const HEADER_ZSTD: u8 = 0;
+/// The same, of a chunk whose tetrahedra are not stored.
+const HEADER_FROM_POINTS: u8 = 1;
 /// Core points of a page of flags.
 pub const PAGE_FLAGS: usize = 8192;
 /// Local vertices that a page of halo ids is about, from a multiple of it on.
@@ -48,6 +50,8 @@ pub struct ChunkVertices {
     pub halo: Vec<PointId>,
     /// For each local vertex, whether another chunk has it too; always true for halo points.
     pub shared: Vec<bool>,
+    /// Whether the tetrahedra follow from the points, and are not stored.
+    pub from_points: bool,
 }
 
 impl ChunkVertices {
@@ -68,7 +72,11 @@ impl ChunkVertices {
 
     /// The header, then the pages.
     pub(super) fn encode(&self) -> Vec<Vec<u8>> {
-        let header = ChunkHeader { core_counts: self.core_counts.clone(), halo: self.halo.len() as u32 };
+        let header = ChunkHeader {
+            core_counts: self.core_counts.clone(),
+            halo: self.halo.len() as u32,
+            from_points: self.from_points,
+        };
         let core = header.core_len();
         let flags = self.shared[..core].chunks(PAGE_FLAGS).map(|page| {
             let byte =
@@ -110,6 +118,8 @@ pub struct ChunkHeader {
     pub core_counts: Vec<u32>,
     /// Number of halo points.
     pub halo: u32,
+    /// Whether the tetrahedra follow from the points: behind the pages come their runs, not blocks.
+    pub from_points: bool,
 }
 
 impl ChunkHeader {
@@ -138,9 +148,10 @@ impl ChunkHeader {
         if self.halo == 0 { 0 } else { self.len().div_ceil(PAGE_IDS) - self.core_len() / PAGE_IDS }
     }
 
-    /// Blocks of a chunk that hold its vertices: this and the pages.
+    /// Blocks of a chunk before those of its tetrahedra: this, the pages, and the runs where there
+    /// are any.
     pub fn blocks(&self) -> usize {
-        1 + self.flag_pages() + self.id_pages()
+        1 + self.flag_pages() + self.id_pages() + usize::from(self.from_points)
     }
 
     /// The halo points of a page.
@@ -155,7 +166,8 @@ impl ChunkHeader {
         put_varint(&mut body, self.core_counts.len() as u64);
         self.core_counts.iter().for_each(|&n| put_varint(&mut body, u64::from(n)));
         put_varint(&mut body, u64::from(self.halo));
-        [vec![HEADER_ZSTD], to_zstd(&body, LEVEL)].concat()
+        let codec = if self.from_points { HEADER_FROM_POINTS } else { HEADER_ZSTD };
+        [vec![codec], to_zstd(&body, LEVEL)].concat()
     }
 
     /// Decodes block 0 of a chunk.
@@ -165,7 +177,7 @@ impl ChunkHeader {
     pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         let codec = c.u8("codec")?;
-        if codec != HEADER_ZSTD {
+        if ![HEADER_ZSTD, HEADER_FROM_POINTS].contains(&codec) {
             return Err(Malformed::new("codec", "a known header codec", codec.to_string()));
         }
         let body = unzstd(c.rest(), LARGEST_HEADER, "chunk header")?;
@@ -186,7 +198,7 @@ impl ChunkHeader {
         if all > u64::from(u32::MAX) {
             return Err(Malformed::new("vertices", "at most 2^32 - 1", all.to_string()));
         }
-        Ok(Self { core_counts, halo })
+        Ok(Self { core_counts, halo, from_points: codec == HEADER_FROM_POINTS })
     }
 }
 
@@ -234,7 +246,7 @@ mod tests {
             *last = PointId(u64::MAX);
         }
         let shared = (0..core + halo.len()).map(|i| i >= core || i % 7 == 0 && i % 1000 < 200).collect();
-        ChunkVertices { core_counts: core_counts.to_vec(), halo, shared }
+        ChunkVertices { core_counts: core_counts.to_vec(), halo, shared, from_points: false }
     }
 
     /// Reads all pages.
@@ -250,7 +262,7 @@ mod tests {
         for (n, page) in ids.iter().enumerate() {
             decode_ids(page, &mut halo[header.ids_of(n)])?;
         }
-        Ok(ChunkVertices { core_counts: header.core_counts, halo, shared })
+        Ok(ChunkVertices { core_counts: header.core_counts, halo, shared, from_points: header.from_points })
     }
 
     #[test]
@@ -266,7 +278,7 @@ mod tests {
     #[test]
     fn pages_are_those_of_the_values() {
         for (core, halo) in [(0, 1024), (1000, 24), (1000, 25), (1024, 2048), (5, 1)] {
-            let header = ChunkHeader { core_counts: vec![core], halo };
+            let header = ChunkHeader { core_counts: vec![core], halo, from_points: false };
             let blocks: Vec<usize> = (core..core + halo).map(|v| v as usize / BLOCK_VALUES).collect();
             let pages: Vec<usize> =
                 (0..header.id_pages()).flat_map(|n| header.ids_of(n).map(move |_| n)).collect();

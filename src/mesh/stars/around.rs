@@ -28,8 +28,7 @@ impl Stars {
         order: &Order,
         border: Border<'_>,
     ) -> Result<Option<Vec<Tet>>> {
-        let Some(vectors) = Vectors::found() else { return Ok(None) };
-        self.around_with(vectors, mesher, boxes, positions, order, border)
+        self.around_with(Vectors::found(), mesher, boxes, positions, order, border)
     }
 
     /// As [`Stars::around`], with these vectors.
@@ -45,6 +44,7 @@ impl Stars {
         let Some(mut chunk) = self.begin(vectors, boxes, positions, order) else { return Ok(None) };
         chunk.used = border.points.to_vec();
         chunk.turned = 0;
+        chunk.knows_owned = true;
         self.first.fill(END);
         for tet in border.tets {
             for place in 0..4 {

@@ -3,6 +3,9 @@
 use super::LANES;
 use crate::geom::{LatticeBox, LatticePos};
 
+/// So many cells are never too many.
+const FEW_CELLS: usize = 64;
+
 /// The points of a region by cells, row after row along x.
 #[derive(Debug, Default)]
 pub(super) struct Grid {
@@ -20,8 +23,8 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// `side`: of a cell, in lattice steps. False where there would be more cells than points, as
-    /// in a domain that is much thinner than a cell.
+    /// `side`: of a cell, in lattice steps. False where there would be more cells than points, but
+    /// for a few, as in a domain that is much thinner than a cell.
     pub(super) fn fill(
         &mut self,
         region: &LatticeBox,
@@ -34,7 +37,7 @@ impl Grid {
         self.scale = f32::exp2(-(spacing.log2().round() as f32));
         self.cells =
             std::array::from_fn(|a| (f64::from(region.hi[a] - region.lo[a]) * self.per_step) as usize + 1);
-        if self.cells.iter().map(|&n| n as f64).product::<f64>() > positions.len() as f64 {
+        if self.cells.iter().map(|&n| n as f64).product::<f64>() > positions.len().max(FEW_CELLS) as f64 {
             return false;
         }
         self.starts.clear();
@@ -63,6 +66,12 @@ impl Grid {
             self.ids[place] = id as u32;
         }
         true
+    }
+
+    /// Bytes of memory.
+    pub(super) fn bytes(&self) -> usize {
+        4 * (self.starts.capacity() + self.ids.capacity())
+            + self.at.iter().map(|at| 4 * at.capacity()).sum::<usize>()
     }
 
     #[inline]

@@ -7,15 +7,6 @@ use super::{Grid, Star};
 use crate::simd::{Avx2, Avx512, F32x8, F32x16, F64x4, F64x8, may_use_all};
 use crate::simd::{F32s, F64s, Plain, Vec4x2};
 
-/// Whether the vectors of all machines take less time than insertion: where one instruction
-/// multiplies and adds. Elsewhere that is a call.
-const PLAIN_PAYS: bool = cfg!(any(
-    target_arch = "aarch64",
-    target_arch = "powerpc64",
-    target_arch = "riscv64",
-    target_feature = "fma"
-));
-
 /// The vectors that a machine has.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Vectors {
@@ -27,10 +18,9 @@ pub(super) enum Vectors {
 }
 
 impl Vectors {
-    /// The widest ones; none where insertion takes less time.
-    pub(super) fn found() -> Option<Self> {
-        let pays = |vectors: &Self| !matches!(vectors, Self::Plain(_)) || PLAIN_PAYS;
-        Self::all().into_iter().flatten().find(pays)
+    /// The widest ones.
+    pub(super) fn found() -> Self {
+        Self::all().into_iter().flatten().next().expect("all machines have plain ones")
     }
 
     /// All that there are, the widest first.

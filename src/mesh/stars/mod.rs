@@ -43,6 +43,7 @@
 //! lattice, the chunk is left to insertion altogether. The outcome is the same.
 
 mod around;
+pub(crate) mod asked;
 mod grid;
 mod machine;
 mod wide;
@@ -149,8 +150,7 @@ impl Stars {
         order: &Order,
         around: bool,
     ) -> Result<Option<ChunkMesh>> {
-        let Some(vectors) = Vectors::found() else { return Ok(None) };
-        self.mesh_with(vectors, mesher, boxes, positions, order, around)
+        self.mesh_with(Vectors::found(), mesher, boxes, positions, order, around)
     }
 
     /// As [`Stars::mesh`], with these vectors.
@@ -181,16 +181,7 @@ impl Stars {
         if core < 64 || positions[core..].iter().any(|p| boxes.core.contains(*p)) {
             return None;
         }
-        let volume: f64 = (0..3).map(|a| f64::from(boxes.region.hi[a] - boxes.region.lo[a])).product();
-        let spacing = (volume / positions.len() as f64).cbrt();
-        if !self.grid.fill(&boxes.region, positions, REACHES[0] * spacing, spacing) {
-            return None;
-        }
-        self.first.clear();
-        self.first.resize(positions.len(), NEW);
-        self.waiting.clear();
-        self.free.clear();
-        self.slow.stars = 0;
+        let spacing = self.list(boxes, positions)?;
         Some(Chunk {
             vectors,
             boxes,
@@ -202,7 +193,36 @@ impl Stars {
             cell: [usize::MAX; 3],
             used: vec![],
             turned: core,
+            knows_owned: false,
         })
+    }
+
+    /// Lists the points of a region for the stars among them; their mean spacing, or `None` where
+    /// they are too few for it.
+    fn list(&mut self, boxes: &ChunkRegion, positions: &[LatticePos]) -> Option<f64> {
+        let volume: f64 = (0..3).map(|a| f64::from(boxes.region.hi[a] - boxes.region.lo[a])).product();
+        let spacing = (volume / positions.len() as f64).cbrt();
+        if !self.grid.fill(&boxes.region, positions, REACHES[0] * spacing, spacing) {
+            return None;
+        }
+        self.first.resize(positions.len(), NEW);
+        self.forget();
+        Some(spacing)
+    }
+
+    /// Forgets the tetrahedra that were found.
+    fn forget(&mut self) {
+        self.first.fill(NEW);
+        self.waiting.clear();
+        self.free.clear();
+        self.slow.stars = 0;
+    }
+
+    /// Bytes of memory.
+    fn bytes(&self) -> usize {
+        self.grid.bytes()
+            + 4 * (self.first.capacity() + self.free.capacity())
+            + self.waiting.capacity() * size_of::<Waiting>()
     }
 }
 
@@ -223,6 +243,8 @@ struct Chunk<'a> {
     used: Vec<bool>,
     /// The number of first positions that have their turn, used or not.
     turned: usize,
+    /// Whether the tetrahedra that the chunk owns are known.
+    knows_owned: bool,
 }
 
 impl Chunk<'_> {
@@ -460,8 +482,7 @@ impl Chunk<'_> {
                 return false;
             }
             let tet = ids.map(|v| v.unwrap_or(p));
-            // Without points that have their turn anyhow, those owned are known.
-            let is_known = self.turned == 0 && self.owns(tet);
+            let is_known = self.knows_owned && self.owns(tet);
             if !is_known && tet.iter().all(|&v| v == p || !self.had_turn(v, p)) {
                 let face = delaunay::face(place).map(|i| tet[i]);
                 // Seen from beyond the face the three are ordered; the point comes first, an even

@@ -6,25 +6,25 @@
 //! `f64`.
 //!
 //! # Error bounds
-//! They hold for all vectors: an operation has the same bits with each (every lane is rounded once,
-//! products that are added or taken away are fused), and so has the outcome. (In spheres,
-//! cross products alone are not fused: they are exact.)
+//! They hold for all vectors, whether products that are added or taken away are rounded by
+//! themselves or fused. (In spheres, cross products are never fused: they are exact.)
 //!
 //! Let u = 2^-24, v = 2^-53, and 0, a, b, c a tetrahedron relative to its point, |a|, |b|, |c| ≤ D;
 //! det = a·(b×c), and k = (|a|² b×c + |b|² c×a + |c|² a×b) / det twice the centre of its sphere; K
 //! the larger of |k| and D. A point q lies outside when S(q) = |q|² - k·q > 0.
 //!
 //! *The sphere.* Coordinates of the cross products are integers below 2^50, squared lengths too:
-//! exact in `f64`. det is a sum of three products, by fused steps: its error is below 4v·D³. We
-//! take only det > 2^-26·D³; so orientations are certain. A coordinate of k is a sum of three
-//! terms, each at most D⁴/det and with seven roundings at most, and has the relative error of det
-//! besides: it is off by less than e = 32v·D³K/det ≤ 2^-22·K.
+//! exact in `f64`. det is a sum of three products: its error is below 4v·D³, for those of the
+//! products are at most v·D³ together, and each of two sums adds as much. We take only det >
+//! 2^-26·D³; so orientations are certain. A coordinate of k is a sum of three terms, each at most
+//! D⁴/det and with seven roundings at most, and has the relative error of det besides: it is off by
+//! less than e = 32v·D³K/det ≤ 2^-22·K.
 //!
-//! *In `f32`.* For |q| ≤ D, |q|² is off by 3u·D², rounding k costs u·KD, the three fused steps
-//! 9u·KD, and e at most √3·2^-22·KD: in all less than 2^-19.6·KD. What is 2^-19·KD or more lies
-//! outside.
+//! *In `f32`.* For |q| ≤ D, |q|² is off by 4u·D², rounding k costs u·KD, three products u·KD, three
+//! sums 9u·KD, and e at most √3·2^-22·KD: in all less than 2^-19.4·KD. What is 2^-19·KD or more
+//! lies outside.
 //!
-//! *In `f64`.* |q|² is exact, the steps cost 9v·KD, e at most 56v·D⁴K/det; KD ≤ D⁴K/det. What is
+//! *In `f64`.* |q|² is exact, the steps cost 10v·KD, e at most 56v·D⁴K/det; KD ≤ D⁴K/det. What is
 //! more than 128v·D⁴K/det lies outside.
 //!
 //! *How far a sphere reaches.* No point lies outside of the domain, a box. Let k' be k, each
@@ -168,7 +168,7 @@ impl Neighbourhood {
                 let dy = B::load(token, &y[i..]) - py;
                 let dz = B::load(token, &z[i..]) - pz;
                 let id = B::U32s::load(token, &ids[i..]);
-                let square = dx.mul_add(dx, dy.mul_add(dy, dz * dz));
+                let square = dx.fast_mul_add(dx, dy.fast_mul_add(dy, dz * dz));
                 let lanes = (1u32 << (end - i).min(B::LANES)) - 1;
                 let near = B::bitmask(square.lt(within)) & lanes;
                 put(&mut self.at[0], count, dx.compress(near));
@@ -221,7 +221,7 @@ impl Neighbourhood {
         for place in (0..N * B::LANES).step_by(B::LANES) {
             let x = B::load(token, &x[place..]);
             let (y, z) = (B::load(token, &y[place..]), B::load(token, &z[place..]));
-            x.mul_add(x, y.mul_add(y, z * z)).store(&mut square[place..]);
+            x.fast_mul_add(x, y.fast_mul_add(y, z * z)).store(&mut square[place..]);
         }
     }
 
@@ -324,8 +324,9 @@ impl Neighbourhood {
             let (mut best, mut all) = (infinite, [infinite; N]);
             for (i, all) in all.iter_mut().enumerate() {
                 let [x, y, z, square] = self.batch(token, &held, i);
-                let height = x.mul_add(nx, y.mul_add(ny, z * nz));
-                let power = x.neg_mul_add(mx, y.neg_mul_add(my, z.neg_mul_add(mz, square * nn)));
+                let height = x.fast_mul_add(nx, y.fast_mul_add(ny, z * nz));
+                let power =
+                    x.fast_neg_mul_add(mx, y.fast_neg_mul_add(my, z.fast_neg_mul_add(mz, square * nn)));
                 *all = B::select(least.lt(height), power / height, infinite);
                 best = best.min(*all);
             }
@@ -409,7 +410,7 @@ impl Neighbourhood {
             let det = dot(u, vw);
             let by_det = splat(1.0) / det;
             let (uu, vv, ww) = (dot(u, u) * by_det, dot(v, v) * by_det, dot(w, w) * by_det);
-            let k = three(|a| vw[a].mul_add(uu, wu[a].mul_add(vv, uv[a] * ww)));
+            let k = three(|a| vw[a].fast_mul_add(uu, wu[a].fast_mul_add(vv, uv[a] * ww)));
             fat &= others | B::Doubles::bitmask(least.lt(det));
             let within = three(|a| k[a].max(domain[a][0]).min(domain[a][1]));
             let beyond = three(|a| k[a] + k[a] - within[a]);
@@ -440,7 +441,7 @@ impl Neighbourhood {
             let mut near = 0u128;
             for i in 0..N {
                 let [x, y, z, square] = self.batch(token, &held, i);
-                let power = x.neg_mul_add(kx, y.neg_mul_add(ky, z.neg_mul_add(kz, square)));
+                let power = x.fast_neg_mul_add(kx, y.fast_neg_mul_add(ky, z.fast_neg_mul_add(kz, square)));
                 near |= u128::from(B::bitmask(power.lt(outside))) << (i * B::LANES);
             }
             // The tetrahedron's own are always near.
@@ -496,7 +497,7 @@ fn cross<W: F64s>(a: [W; 3], b: [W; 3]) -> [W; 3] {
 
 #[inline(always)]
 fn dot<W: F64s>(a: [W; 3], b: [W; 3]) -> W {
-    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+    a[0].fast_mul_add(b[0], a[1].fast_mul_add(b[1], a[2] * b[2]))
 }
 
 /// Overwrites numbers of a list from a place on.

@@ -87,7 +87,7 @@ impl ChunkMesher {
             if bytes > limit {
                 return Ok(None);
             }
-            for b in shell(&narrow, &wide) {
+            for b in wide.without(&narrow) {
                 list_box(recipe.points, &b, one_box);
                 sites.extend_from_slice(one_box);
             }
@@ -206,7 +206,7 @@ impl ChunkMesher {
     /// Appends the sites of the region outside the chunk's core, those of its inner part first.
     fn list_halo(&mut self, recipe: &Recipe<'_>, boxes: &ChunkRegion) {
         let Self { sites, one_box, late, .. } = self;
-        for b in shell(&boxes.core, &boxes.region) {
+        for b in boxes.region.without(&boxes.core) {
             list_box(recipe.points, &b, one_box);
             for site in &*one_box {
                 if boxes.near.contains(site.pos) { sites.push(*site) } else { late.push(*site) }
@@ -221,19 +221,6 @@ impl ChunkMesher {
 fn list_box(points: &PointSet, b: &LatticeBox, sites: &mut Vec<Site>) {
     points.candidates_in(b, sites);
     sites.sort_unstable_by_key(|s| s.id);
-}
-
-/// Six boxes that tile `outer` without `inner`.
-fn shell(inner: &LatticeBox, outer: &LatticeBox) -> Vec<LatticeBox> {
-    let mut rest = *outer;
-    let mut boxes = vec![];
-    for a in 0..3 {
-        let (mut below, mut above) = (rest, rest);
-        (below.hi[a], above.lo[a]) = (inner.lo[a], inner.hi[a]);
-        (rest.lo[a], rest.hi[a]) = (inner.lo[a], inner.hi[a]);
-        boxes.extend([below, above].into_iter().filter(|b| !b.is_empty()));
-    }
-    boxes
 }
 
 /// Keeps only the halo points that tetrahedra use, ordered as they are stored; `positions` are

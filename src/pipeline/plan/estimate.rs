@@ -21,7 +21,7 @@
 //! does not fit is sorted in the scratch folder.
 
 use super::finding::Notice;
-use super::{BLOCK_TETS, MeshParts, Plan};
+use super::{BLOCK_TETS, MeshParts, Plan, is_made_again};
 use crate::archive::manifest::Plan as MeshPlan;
 use crate::error::{Error, Result};
 use crate::fit::window_edge;
@@ -70,6 +70,8 @@ const INDEX_ENTRY_ON_DISK: u64 = 48;
 const ARCHIVE_PER_POINT: u64 = 10;
 /// Where the mesh follows by formula: a value, its share of tables.
 const LATTICE_PER_POINT: u64 = 5;
+/// Where it is made again: the same, and ids of points of other chunks.
+const MADE_AGAIN_PER_POINT: u64 = 6;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
 const VALUES_PER_POINT: u64 = 4;
 /// The time of a further step, as a part of the first, and that of a further pass: the mesh is
@@ -217,6 +219,8 @@ pub(in crate::pipeline) struct Need {
     window: u64,
     /// Entries of the index.
     entries: u64,
+    /// Bytes of an archive of one step for a point.
+    archive_per_point: u64,
 }
 
 /// What is in memory besides the chunks at work.
@@ -262,6 +266,11 @@ impl Need {
                 Halo::Stars => window_edge(parts.chunks.bricks().voxels()).iter().product(),
             },
             entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
+            archive_per_point: match &parts.bcc {
+                Some(_) => LATTICE_PER_POINT,
+                None if is_made_again(&parts.points) => MADE_AGAIN_PER_POINT,
+                None => ARCHIVE_PER_POINT,
+            },
         }
     }
 
@@ -463,8 +472,6 @@ impl Estimate {
     pub(in crate::pipeline) fn new(q: &Question<'_>) -> Self {
         let workers = q.need.shares(q.memory, q.threads).map_or(0, |s| s.workers);
         let further = q.plan.steps.len() as u64 - 1;
-        let by_formula = q.plan.mesh.lattice_cells().is_some();
-        let first = if by_formula { LATTICE_PER_POINT } else { ARCHIVE_PER_POINT };
         Self {
             samples: q.plan.first().source.dims.iter().product(),
             points: q.need.points,
@@ -473,7 +480,10 @@ impl Estimate {
             memory_least: q.need.least().max(q.copying),
             memory_comfortable: q.need.comfortable(q.threads).max(q.copying),
             workers,
-            archive_bytes: q.need.points.saturating_mul(first + VALUES_PER_POINT * further)
+            archive_bytes: q
+                .need
+                .points
+                .saturating_mul(q.need.archive_per_point + VALUES_PER_POINT * further)
                 + (64 << 10) * (1 + further),
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
             // The copy of the input is gone when the index is built.
@@ -589,6 +599,7 @@ mod tests {
         held: Held { always: 0, by_step: 0, most: 0, by_worker: 0 },
         window: 0,
         entries: 1 << 15,
+        archive_per_point: ARCHIVE_PER_POINT,
     };
     const PRODUCT: u64 = 70_000 * 26 + (256 << 10);
 

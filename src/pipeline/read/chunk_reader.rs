@@ -14,19 +14,22 @@
 
 use super::block::{Block, BlockCorners};
 use super::chunk_mesh::{MeshedChunk, value_blocks};
+use super::damaged::damaged;
 use super::reader_memory::{ReaderMemory, UNPLACED};
 use super::region::Cut;
+use super::star_blocks::{ChunkBricks, StarBlocks};
 use super::step_view::{OpenSegment, StepView};
 use crate::archive::Malformed;
-use crate::archive::chunked::{ChunkSegment, ValueRange};
-use crate::archive::mesh::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, TetBlock, decode_flags, decode_ids};
+use crate::archive::chunked::ValueRange;
+use crate::archive::mesh::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, StarRuns, TetBlock, decode_flags, decode_ids};
 use crate::archive::values::ValueBlocks;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::geom::{LatticeBox, LatticePos, PointId};
 use crate::grid::{BrickId, Chunk, ChunkId};
 use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::{Tet, is_active, range};
-use crate::pipeline::plan::check_brick;
+use crate::pipeline::plan::{check_brick, is_made_again};
+use crate::points::PointSet;
 
 /// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
 pub(in crate::pipeline) struct ChunkReader<'a> {
@@ -35,6 +38,8 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     chunk: Chunk,
     /// The mesh, where it follows by formula: there is neither header nor page nor brick then.
     bcc: Option<BccChunk>,
+    /// The blocks, where their tetrahedra are made again from the points.
+    from_points: Option<StarBlocks>,
     bricks: Vec<BrickId>,
     /// First corner of each brick, and the number of core corners.
     starts: Vec<u32>,
@@ -62,8 +67,11 @@ struct Pages {
 }
 
 /// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are
-/// allocated once.
-pub(in crate::pipeline) const BYTES_PER_VERTEX: u64 = 40;
+/// allocated once. Where tetrahedra are made again, it holds the points around too, by cells, and
+/// the faces that wait.
+pub(in crate::pipeline) fn bytes_per_vertex(points: &PointSet) -> u64 {
+    if is_made_again(points) { 160 } else { 40 }
+}
 
 impl<'a> ChunkReader<'a> {
     /// Reads the header of a chunk.
@@ -88,9 +96,22 @@ impl<'a> ChunkReader<'a> {
             return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
         }
         let (vertices, pages) = (header.len(), header.flag_pages() + header.id_pages());
-        if (pages as u64) > blocks - 2 {
+        let least = header.blocks() as u64 + 1;
+        if blocks < least || header.from_points && blocks != least {
             return Err(damaged(&segment.mesh, id, "block count", &blocks));
         }
+        let from_points = match header.from_points {
+            true if !is_made_again(&archive.points) => {
+                return Err(damaged(&segment.mesh, id, "header", "it has no tetrahedra"));
+            }
+            true => {
+                let at = header.blocks() as u64 - 1;
+                segment.mesh.block(id, at, &mut memory.bytes)?;
+                let runs = StarRuns::decode(&memory.bytes, header.core_len() as u32);
+                Some(StarBlocks::new(runs.map_err(|m| segment.mesh.blame(id, at, m))?))
+            }
+            false => None,
+        };
         let value_blocks = ValueBlocks::even(vertices);
         expect_values(archive, &segment, id, &value_blocks)?;
         let mut starts = vec![0];
@@ -105,6 +126,7 @@ impl<'a> ChunkReader<'a> {
             archive,
             segment,
             bcc: None,
+            from_points,
             bricks: chunk.bricks(archive.chunks.bricks()).collect(),
             chunk,
             starts,
@@ -142,6 +164,7 @@ impl<'a> ChunkReader<'a> {
             bricks: vec![],
             starts: vec![0, bcc.core() as u32],
             bcc: Some(bcc),
+            from_points: None,
             shared: vec![true; vertices],
             pages: Pages { of_flags: 0, read: vec![] },
             value_bytes: vec![0; value_blocks.count()],
@@ -239,6 +262,114 @@ impl<'a> ChunkReader<'a> {
         Ok(())
     }
 
+    /// Says which blocks will be read, and what is wanted of them: to make tetrahedra again takes
+    /// less time then.
+    pub(in crate::pipeline) fn expect<'w>(
+        &mut self,
+        blocks: impl Iterator<Item = (u32, Wanted<'w>)>,
+    ) -> Result<()> {
+        let Some(mut made) = self.from_points.take() else { return Ok(()) };
+        let (of, mut expected) = (self.bricks(), vec![]);
+        for (number, wanted) in blocks {
+            if (number as usize) < made.len() && wanted.may_be(|| Ok(made.hull(&of, number)))? {
+                expected.push(number);
+            }
+        }
+        made.expect(expected);
+        self.from_points = Some(made);
+        Ok(())
+    }
+
+    /// The bricks of a chunk with core points.
+    fn bricks(&self) -> ChunkBricks<'_> {
+        ChunkBricks {
+            archive: self.archive,
+            mesh: &self.segment.mesh,
+            chunk: &self.chunk,
+            bricks: &self.bricks,
+            starts: &self.starts,
+        }
+    }
+
+    /// As [`ChunkReader::expect`], of whole blocks.
+    pub(in crate::pipeline) fn expect_all(&mut self, blocks: impl Iterator<Item = u32>) -> Result<()> {
+        self.expect(blocks.map(|number| (number, Wanted::All)))
+    }
+
+    /// Makes the tetrahedra of a block again, unless its box says that it is not wanted; they are
+    /// then in `memory.tets`, with positions and ids of their corners in place.
+    fn make_again(&mut self, number: u32, wanted: &Wanted<'_>) -> Result<bool> {
+        let mut made = self.from_points.take().expect("asked of such chunks alone");
+        let is_wanted = self.make_with(&mut made, number, wanted);
+        self.from_points = Some(made);
+        is_wanted
+    }
+
+    fn make_with(&mut self, made: &mut StarBlocks, number: u32, wanted: &Wanted<'_>) -> Result<bool> {
+        if number as usize >= made.len() {
+            let got = format!("block {number} of {}", made.len());
+            return Err(damaged(&self.segment.mesh, self.chunk.id, "index", &got));
+        }
+        if !wanted.may_be(|| Ok(made.hull(&self.bricks(), number)))? {
+            return Ok(false);
+        }
+        let mut memory = std::mem::take(&mut self.memory);
+        let has_others = made.make(&self.bricks(), number, &mut memory);
+        self.memory = memory;
+        if has_others? && self.memory.halo.is_empty() {
+            self.load_halo()?;
+        }
+        let mut memory = std::mem::take(&mut self.memory);
+        let taken = made.take(&self.bricks(), &mut memory);
+        self.memory = memory;
+        taken.map(|()| true)
+    }
+
+    /// Reads the ids of all halo points, for their numbers.
+    fn load_halo(&mut self) -> Result<()> {
+        (self.pages.of_flags..self.pages.read.len()).try_for_each(|page| self.load_page(page))?;
+        let core = self.core();
+        let ReaderMemory { ids, halo, .. } = &mut self.memory;
+        halo.extend((core as u32..).zip(&ids[core..self.shared.len()]).map(|(v, &id)| (id, v)));
+        Ok(())
+    }
+
+    /// As [`ChunkReader::shape`], of a chunk whose tetrahedra are made again.
+    fn shape_again(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+        out.tets.clear();
+        out.bytes = 0;
+        if !self.make_again(number, wanted)? {
+            return Ok(false);
+        }
+        let vertices = self.shared.len();
+        let ReaderMemory { positions, tets, places, .. } = &mut self.memory;
+        places.resize(vertices, u32::MAX);
+        let corners = &mut out.corners;
+        corners.numbers.clear();
+        for tet in &*tets {
+            out.tets.push(tet.map(|v| {
+                let place = &mut places[v as usize];
+                if *place == u32::MAX {
+                    *place = corners.numbers.len() as u32;
+                    corners.numbers.push(v);
+                }
+                *place
+            }));
+        }
+        corners.numbers.iter().for_each(|&v| places[v as usize] = u32::MAX);
+        gather(positions, &corners.numbers, &mut corners.positions);
+        if !wanted.is(&corners.positions) {
+            out.tets.clear();
+            return Ok(false);
+        }
+        self.load_flags(&corners.numbers)?;
+        gather(&self.memory.ids, &corners.numbers, &mut corners.ids);
+        gather(&self.shared, &corners.numbers, &mut corners.shared);
+        corners.values.resize(corners.numbers.len(), f32::NAN);
+        corners.of_chunk = vertices;
+        Ok(true)
+    }
+
     /// Corners that the chunk owns; the others are halo.
     pub(in crate::pipeline) fn core(&self) -> usize {
         self.starts[self.starts.len() - 1] as usize
@@ -297,6 +428,9 @@ impl<'a> ChunkReader<'a> {
         if self.bcc.is_some() {
             return self.shape_bcc(number, wanted, out);
         }
+        if self.from_points.is_some() {
+            return self.shape_again(number, wanted, out);
+        }
         out.tets.clear();
         out.bytes = self.read(number)?;
         let mut is_wanted = false;
@@ -319,6 +453,11 @@ impl<'a> ChunkReader<'a> {
     pub(super) fn tets(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
         if self.bcc.is_some() {
             return self.tets_bcc(number, out);
+        }
+        if self.from_points.is_some() {
+            self.make_again(number, &Wanted::All)?;
+            out.extend_from_slice(&self.memory.tets);
+            return Ok(());
         }
         self.read(number)?;
         self.decoded(number, |reader, bytes| reader.decode(bytes, out))
@@ -527,7 +666,7 @@ impl<'a> ChunkReader<'a> {
         self.archive.points.position(id).ok_or_else(wrong)
     }
 
-    /// Reads the flags of corners; the numbers of core corners come first.
+    /// Reads the flags of core corners.
     fn load_flags(&mut self, corners: &[u32]) -> Result<()> {
         let mut last = usize::MAX;
         for &v in corners {
@@ -536,7 +675,7 @@ impl<'a> ChunkReader<'a> {
                 continue;
             }
             if v as usize >= self.core() {
-                break;
+                continue;
             }
             last = page;
             self.load_page(page)?;
@@ -721,20 +860,4 @@ fn gather<T: Copy>(all: &[T], places: &[u32], out: &mut Vec<T>) {
     let run = places.iter().zip(first..).take_while(|&(&v, expected)| v == expected).count();
     out.extend_from_slice(&all[first as usize..first as usize + run]);
     out.extend(places[run..].iter().map(|&v| all[v as usize]));
-}
-
-/// A block that verifies but does not mean anything: written by a faulty program.
-pub(super) fn damaged(
-    segment: &ChunkSegment,
-    chunk: ChunkId,
-    at: &str,
-    what: &(impl std::fmt::Display + ?Sized),
-) -> Error {
-    Error::bad_input(
-        segment.segment().path(),
-        format!("chunk {}, {at}", chunk.0),
-        "a chunk as FORMAT.md says",
-        what.to_string(),
-    )
-    .with_help("reduce the source again")
 }

@@ -30,6 +30,7 @@ impl StepView {
     /// [`ChunkReader`].
     pub(in crate::pipeline) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
+        reader.expect_all(blocks.iter().copied())?;
         let (mut tets, mut block_ends) = (vec![], vec![]);
         for &block in blocks {
             reader.tets(block, &mut tets)?;

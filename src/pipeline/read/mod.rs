@@ -15,6 +15,7 @@ mod choice;
 mod chunk_mesh;
 pub(super) mod chunk_reader;
 mod coordinates;
+mod damaged;
 mod decoded;
 mod frontier;
 mod pools;
@@ -22,6 +23,8 @@ mod reader_memory;
 mod region;
 mod segments;
 pub(super) mod spectrum;
+mod star_blocks;
+mod star_memory;
 mod step_view;
 mod steps;
 mod summary;
@@ -34,7 +37,7 @@ pub(super) use block_cache::{CacheHit, CachedBlock, unpack_precomputed};
 pub(super) use choice::Moment;
 pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::MeshedChunk;
-pub(super) use chunk_reader::{BYTES_PER_VERTEX, ChunkReader, Needed, Wanted};
+pub(super) use chunk_reader::{ChunkReader, Needed, Wanted, bytes_per_vertex};
 pub(super) use coordinates::{
     IndexToWorld, coordinate_hash, in_memory, in_world, world_map, world_of, write_coordinates,
 };

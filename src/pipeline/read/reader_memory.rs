@@ -1,8 +1,11 @@
 //! The memory in which chunks are read, one after another.
 
+use super::star_memory::StarMemory;
 use crate::archive::mesh::TetScratch;
 use crate::geom::{LatticePos, PointId, Site};
 use crate::mesh::bcc::BccBlock;
+use crate::mesh::tet::Tet;
+use std::collections::HashMap;
 
 /// A position that no corner has: the lattice ends at 2^24.
 pub(super) const UNPLACED: LatticePos = [u32::MAX; 3];
@@ -22,6 +25,13 @@ pub(in crate::pipeline) struct ReaderMemory {
     pub(super) scratch: TetScratch,
     /// A block whose mesh follows by formula.
     pub(super) by_formula: BccBlock,
+    /// Blocks whose tetrahedra are made again: what makes them, the tetrahedra of one, the numbers
+    /// of a chunk's halo points.
+    pub(super) stars: StarMemory,
+    pub(super) tets: Vec<Tet>,
+    pub(super) halo: HashMap<PointId, u32>,
+    /// For each corner of the chunk, its place in the block at hand; else `u32::MAX`.
+    pub(super) places: Vec<u32>,
 }
 
 impl ReaderMemory {
@@ -30,6 +40,9 @@ impl ReaderMemory {
         self.positions.capacity() * size_of::<LatticePos>()
             + self.ids.capacity() * size_of::<PointId>()
             + self.values.capacity() * size_of::<f32>()
+            + self.stars.bytes()
+            + self.halo.capacity() * size_of::<(PointId, u32)>()
+            + self.places.capacity() * size_of::<u32>()
     }
 
     /// Prepares for a chunk. Ids of corners that are not placed, and values that are not loaded,
@@ -39,5 +52,6 @@ impl ReaderMemory {
         self.positions.resize(vertices, UNPLACED);
         self.ids.resize(vertices, PointId(0));
         self.values.resize(vertices, f32::NAN);
+        self.halo.clear();
     }
 }

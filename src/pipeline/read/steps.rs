@@ -16,7 +16,8 @@
 use super::archive::OpenArchive;
 use super::choice::Moment;
 use super::chunk_mesh::{MeshedChunk, value_blocks};
-use super::chunk_reader::{ChunkReader, damaged};
+use super::chunk_reader::ChunkReader;
+use super::damaged::damaged;
 use super::reader_memory::ReaderMemory;
 use super::step_view::StepView;
 use crate::archive::chunked::{BlockRange, ValueRange, decode_value_ranges};
@@ -210,6 +211,7 @@ impl StepView {
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut ends) = (vec![], vec![]);
         let blocks = self.segment_of(id)?.mesh.mesh_summary(id)?.tet_blocks;
+        reader.expect_all(0..blocks)?;
         for block in 0..blocks {
             reader.tets(block, &mut tets)?;
             ends.push(tets.len());

@@ -16,7 +16,7 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::is_active;
 use crate::pipeline::plan::{SurfaceShares, estimate};
-use crate::pipeline::read::{BufferPool, CacheHit, ChunkReader, Frontier, Needed, Wanted, chunk_reader};
+use crate::pipeline::read::{BufferPool, CacheHit, ChunkReader, Frontier, Needed, Wanted, bytes_per_vertex};
 use crate::surface::TriMesh;
 use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
@@ -75,8 +75,8 @@ impl Question<'_> {
     /// set, without reading.
     fn need(&self, work: &ChunkWork) -> u64 {
         let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
-        let per_vertex =
-            chunk_reader::BYTES_PER_VERTEX + estimate::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
+        let per_vertex = bytes_per_vertex(&self.archive.points)
+            + estimate::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
         estimate::extraction_bytes(self.vertices_near(work.chunk), per_vertex, tets)
     }
 
@@ -128,7 +128,9 @@ impl Question<'_> {
                 Some(reader) => reader,
                 None => {
                     let memory = std::mem::take(&mut buffers.reader);
-                    reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?)
+                    let reader = reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?);
+                    reader.expect(work.blocks[n..].iter().map(|b| (b.block, self.wanted(b))))?;
+                    reader
                 }
             };
             if !reader.block(block.block, &self.wanted(block), &self.needed(), &mut buffers.block)? {

@@ -25,7 +25,7 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
-    Block, BufferPool, Buffers, ChunkReader, NumberedShape, StepView, ValuesOverTime, chunk_reader,
+    Block, BufferPool, Buffers, ChunkReader, NumberedShape, StepView, ValuesOverTime, bytes_per_vertex,
 };
 use crate::surface::TriMesh;
 use std::collections::BTreeMap;
@@ -187,7 +187,7 @@ impl<'a> Work<'a> {
                 tets(&question.work[work].blocks, Some(question)),
             )
         };
-        let shared = (vertices * chunk_reader::BYTES_PER_VERTEX)
+        let shared = (vertices * bytes_per_vertex(&self.archive.points))
             .saturating_add(tets(&part.blocks, None) * NUMBERED_TET);
         part.asked.iter().map(surface).fold(shared, u64::saturating_add)
     }
@@ -230,6 +230,7 @@ impl<'a> Work<'a> {
         let (id, part) = &self.chunks[n];
         let mut buffers = spare.buffers();
         let mut reader = ChunkReader::open(self.archive, *id, std::mem::take(&mut buffers.reader))?;
+        reader.expect_all(part.blocks.iter().map(|b| b.block))?;
         let shapes = self.shapes(part, &mut reader, &mut buffers)?;
         let values = ValuesOverTime::new(self.archive, *id, reader.vertices());
         buffers.reader = reader.into_memory();

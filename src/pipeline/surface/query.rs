@@ -77,6 +77,7 @@ fn decoded_count(archive: &StepView, isovalue: f32, cancel: &CancelToken) -> Res
 
 fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result<u64> {
     let mut reader = ChunkReader::open(archive, work.chunk, ReaderMemory::default())?;
+    reader.expect_all(work.blocks.iter().map(|b| b.block))?;
     let (mut block, mut sides, mut active, mut count) = (Block::default(), Sides::default(), vec![], 0);
     for entry in &work.blocks {
         reader.block(entry.block, &Wanted::All, &Needed::ForActive(&[isovalue]), &mut block)?;

@@ -19,8 +19,8 @@ use crate::exec::{Progress, Resources, Threads, in_order};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    BYTES_PER_VERTEX, BufferPool, Buffers, ChunkReader, Moment, Needed, OpenArchive, StepChoice, StepRange,
-    StepView, Wanted, world_map,
+    BufferPool, Buffers, ChunkReader, Moment, Needed, OpenArchive, StepChoice, StepRange, StepView, Wanted,
+    bytes_per_vertex, world_map,
 };
 use crate::surface::WorldMap;
 use crate::surface::extract::{Joiner, PrecomputedBlock};
@@ -249,7 +249,8 @@ fn unpack_step(
 ) -> Result<UnpackedFile> {
     let range = settings.range.map(|v| archive.step().plan.source.kept(v));
     let parts = parts_of(archive, range)?;
-    let bytes: Vec<u64> = parts.iter().map(ChunkOutline::need).collect();
+    let per_vertex = bytes_per_vertex(&archive.points);
+    let bytes: Vec<u64> = parts.iter().map(|part| part.need(per_vertex)).collect();
     let largest = estimate::BASE + bytes.iter().copied().max().unwrap_or(0);
     if settings.resources.memory < largest {
         return Err(Error::memory("", largest, settings.resources.memory));
@@ -296,10 +297,10 @@ struct ChunkOutline {
 }
 
 impl ChunkOutline {
-    fn need(&self) -> u64 {
+    fn need(&self, per_vertex: u64) -> u64 {
         let vertices = u64::from(self.summary.core) + u64::from(self.summary.halo);
         let tets = self.wanted_tets.saturating_mul(BYTES_PER_TET);
-        PER_CHUNK.saturating_add(vertices.saturating_mul(BYTES_PER_VERTEX)).saturating_add(tets)
+        PER_CHUNK.saturating_add(vertices.saturating_mul(per_vertex)).saturating_add(tets)
     }
 }
 
@@ -346,6 +347,7 @@ impl MadeChunk {
         let (mut known, mut joiner) = (vec![], Joiner::default());
         let of_entries = archive.blocks_of(id);
         let blocks = (0..).zip(&ranges).flat_map(|(n, range)| of_entries.of(n).map(move |n| (n, range)));
+        reader.expect_all(blocks.clone().filter(|(_, range)| range.tets > 0).map(|(n, _)| n))?;
         for (n, of_block) in blocks {
             let mut found = None;
             // One without a value has no surface.
