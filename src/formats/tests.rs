@@ -126,7 +126,6 @@ fn unknown_kinds_are_told_what_is_read() {
     for (name, bytes, kind, help) in [
         ("a", &dicom[..], "a DICOM file", "dcm2niix"),
         ("a.czi", b"ZISRAWFILE\0", "a Zeiss CZI file", "bfconvert"),
-        ("a.nc", b"CDF\x01\0\0", "a classic NetCDF file", "nccopy -k nc4"),
         ("a.case", b"FORMAT\n", "an EnSight case", "ParaView"),
         ("p", b"\nFoamFile\n{", "an OpenFOAM file", "foamToVTK"),
         ("a.other", b"what", "none of these: it begins with 77 68 61 74", "--dims"),

@@ -10,6 +10,7 @@ pub(in crate::formats) mod hdf5;
 pub(in crate::formats) mod hdf5;
 pub(in crate::formats) mod metaimage;
 pub(in crate::formats) mod mrc;
+pub(in crate::formats) mod netcdf;
 pub(in crate::formats) mod nifti;
 pub(in crate::formats) mod npy;
 pub(in crate::formats) mod npz;
