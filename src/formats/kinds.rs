@@ -194,8 +194,9 @@ fn unknown_kind(head: &Head<'_>) -> Error {
         Error::bad_input(
             head.path,
             "kind of file",
-            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, MRC, HDF5, NetCDF, VTI, VTR, VTS, legacy VTK, \
-             .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, .pts and .tet)",
+            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, MRC, HDF5, NetCDF, VTI, VTR, VTS, PVTI, PVTR, PVTS, \
+             legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, \
+             .pts and .tet)",
             got,
         )
         .with_help(help)
