@@ -11,6 +11,7 @@ use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::formats::volume::{
     bricks::Bricks,
+    dicom::Dicom,
     folder,
     hdf5::Hdf5,
     metaimage::MetaImage,
@@ -30,8 +31,8 @@ use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
-    &Nrrd, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &Mrc, &MetaImage,
-    &Gmsh, &Tetgen, &Zarr,
+    &Nrrd, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &Dicom, &Mrc,
+    &MetaImage, &Gmsh, &Tetgen, &Zarr,
 ];
 
 /// What a file holds.
@@ -194,7 +195,7 @@ fn unknown_kind(head: &Head<'_>) -> Error {
         Error::bad_input(
             head.path,
             "kind of file",
-            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, MRC, HDF5, NetCDF, VTI, VTR, VTS, PVTI, PVTR, PVTS, \
+            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, HDF5, NetCDF, VTI, VTR, VTS, PVTI, PVTR, PVTS, \
              legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, \
              .pts and .tet)",
             got,

@@ -1,4 +1,4 @@
-//! Inputs of several files: Zarr arrays and images, a stack of TIFF slices, an index of VTK's
+//! Inputs of several files: Zarr arrays and images, slices of TIFF and of DICOM, an index of VTK's
 //! and the files that it lists. One of the files is damaged.
 
 use crate::mutate::{Random, mutate};
@@ -32,6 +32,7 @@ pub(crate) fn all() -> Vec<Folder> {
         image(plain),
         Folder { files: vec![("s_1.tif", tiff(1, 1)), ("s_2.tif", tiff(8, 1))], described_by: 2 },
         Folder { files: pieces(), described_by: 1 },
+        Folder { files: slices(), described_by: 5 },
     ]
 }
 
@@ -76,6 +77,16 @@ impl Folder {
         let name = self.files[0].0;
         if name.ends_with(".pvti") { folder.join(name) } else { folder.into() }
     }
+}
+
+/// A series of DICOM.
+fn slices() -> Vec<(&'static str, Vec<u8>)> {
+    macro_rules! file {
+        ($name:literal) => {
+            ($name, include_bytes!(concat!("../../tests/data/dicom/series/", $name)).to_vec())
+        };
+    }
+    vec![file!("a"), file!("b"), file!("c"), file!("d"), file!("e")]
 }
 
 /// An image in four pieces.

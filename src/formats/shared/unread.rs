@@ -12,12 +12,10 @@ pub(in crate::formats) struct Unread {
 
 const TO_TIFF: &str = "convert it to OME-TIFF or OME-Zarr, e.g. with bfconvert or bioformats2raw";
 const TO_VTK: &str = "convert it to .vtu or .vti, e.g. with ParaView";
-const TO_NIFTI: &str = "convert the series to NIfTI with dcm2niix, or to NRRD with 3D Slicer";
 
 /// Magic bytes, where they are, and what has them.
 #[rustfmt::skip]
-const BY_BYTES: [(usize, &[u8], &str, &str); 17] = [
-    (128, b"DICM", "a DICOM file", TO_NIFTI),
+const BY_BYTES: [(usize, &[u8], &str, &str); 16] = [
     (0, b"ZISRAWFILE", "a Zeiss CZI file", TO_TIFF),
     (0, b"\xda\xce\xbe\x0a", "a Nikon ND2 file", TO_TIFF),
     (0, b"\x70\0\0\0", "a Leica LIF file", TO_TIFF),
@@ -38,8 +36,7 @@ const BY_BYTES: [(usize, &[u8], &str, &str); 17] = [
 
 /// Ends of names, and what has them.
 #[rustfmt::skip]
-const BY_NAME: [(&[&str], &str, &str); 7] = [
-    (&[".dcm", ".ima"], "a DICOM file", TO_NIFTI),
+const BY_NAME: [(&[&str], &str, &str); 6] = [
     (&[".vgi", ".vgl", ".vol"], "a file of VGStudio, or a raw volume", "its samples are raw: give --dims and --type"),
     (&[".case", ".encas"], "an EnSight case", TO_VTK),
     (&[".exo", ".ex2", ".exii"], "an Exodus II file", TO_VTK),

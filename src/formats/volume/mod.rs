@@ -2,6 +2,7 @@
 
 pub(crate) mod brick_map;
 pub(in crate::formats) mod bricks;
+pub(in crate::formats) mod dicom;
 pub(in crate::formats) mod folder;
 #[cfg(feature = "hdf5")]
 pub(in crate::formats) mod hdf5;
