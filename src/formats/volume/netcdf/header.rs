@@ -168,8 +168,8 @@ impl Header {
 
     /// Bytes of a record of a variable, without what fills it up to a multiple of 4.
     fn bytes_of_part(&self, path: &Path, variable: &Variable) -> Result<u64> {
-        let sizes = variable.dims.iter().skip(1).map(|&dim| self.dims[dim].size);
-        let bytes = sizes.fold(Some(variable.kind.bytes()), |n, size| n?.checked_mul(size));
+        let mut sizes = variable.dims.iter().skip(1).map(|&dim| self.dims[dim].size);
+        let bytes = sizes.try_fold(variable.kind.bytes(), u64::checked_mul);
         bytes.ok_or_else(|| variable.too_large(path))
     }
 
@@ -340,7 +340,7 @@ impl<'a> Cursor<'a> {
             let name = self.name(what)?;
             let kind = self.kind(what)?;
             let length = self.size(what)?;
-            let size = length.checked_mul(kind.bytes()).unwrap_or(u64::MAX);
+            let size = length.saturating_mul(kind.bytes());
             let bytes = self.padded(what, size)?;
             if !USED.contains(&name.as_str()) {
                 continue;
