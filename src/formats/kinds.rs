@@ -11,10 +11,12 @@ use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::formats::volume::{
     bricks::Bricks,
+    dicom::Dicom,
     folder,
     hdf5::Hdf5,
     metaimage::MetaImage,
     mrc::Mrc,
+    netcdf::NetCdf,
     nifti::Nifti,
     npy::Npy,
     npz::Npz,
@@ -29,8 +31,8 @@ use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
-    &Nrrd, &Npy, &Npz, &Hdf5, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &Mrc, &MetaImage, &Gmsh,
-    &Tetgen, &Zarr,
+    &Nrrd, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &Dicom, &Mrc,
+    &MetaImage, &Gmsh, &Tetgen, &Zarr,
 ];
 
 /// What a file holds.
@@ -81,7 +83,7 @@ fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
     let head = head?;
     match found(&head) {
         Some(format) if !format.is_on_servers() => {
-            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF-4, TIFF, MRC, NRRD, NIfTI, NPY, \
+            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF, TIFF, MRC, NRRD, NIfTI, NPY, \
                             NPZ, MetaImage, raw), or a copy on a disk";
             Err(Error::bad_input(path, "kind of file", expected, format.name())
                 .with_help("copy it to a disk, and name that copy"))
@@ -193,8 +195,9 @@ fn unknown_kind(head: &Head<'_>) -> Error {
         Error::bad_input(
             head.path,
             "kind of file",
-            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, MRC, HDF5, NetCDF-4, VTI, VTR, VTS, legacy VTK, \
-             .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, .pts and .tet)",
+            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, HDF5, NetCDF, VTI, VTR, VTS, PVTI, PVTR, PVTS, \
+             legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, \
+             .pts and .tet)",
             got,
         )
         .with_help(help)

@@ -122,11 +122,8 @@ fn unknown_kinds_are_told_what_is_read() {
         open_volume(&write(&dir, name, bytes), &OpenOptions::default()).err().expect("refused")
     };
     assert!(open("a.png", b"\x89PNG").to_string().contains("MetaImage"));
-    let dicom = [&[0; 128][..], b"DICM"].concat();
     for (name, bytes, kind, help) in [
-        ("a", &dicom[..], "a DICOM file", "dcm2niix"),
-        ("a.czi", b"ZISRAWFILE\0", "a Zeiss CZI file", "bfconvert"),
-        ("a.nc", b"CDF\x01\0\0", "a classic NetCDF file", "nccopy -k nc4"),
+        ("a.czi", &b"ZISRAWFILE\0"[..], "a Zeiss CZI file", "bfconvert"),
         ("a.case", b"FORMAT\n", "an EnSight case", "ParaView"),
         ("p", b"\nFoamFile\n{", "an OpenFOAM file", "foamToVTK"),
         ("a.other", b"what", "none of these: it begins with 77 68 61 74", "--dims"),
@@ -135,9 +132,9 @@ fn unknown_kinds_are_told_what_is_read() {
         assert!(line.contains(kind) && line.contains(help), "{line}");
     }
     let scans = tempfile::tempdir().unwrap();
-    write(&scans, "IM0002", &dicom);
+    write(&scans, "IM0002", b"ZISRAWFILE\0");
     let line = open_volume(scans.path(), &OpenOptions::default()).err().expect("refused").to_string();
-    assert!(line.contains("a DICOM file") && line.contains("dcm2niix"), "{line}");
+    assert!(line.contains("a Zeiss CZI file") && line.contains("bfconvert"), "{line}");
     assert_eq!(open("a.raw", b"1234").exit_code(), 2);
     let layout = RawLayout { dims: [2; 3], scalar: ScalarType::U8, big_endian: false, offset: 0 };
     let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };

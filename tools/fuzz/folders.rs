@@ -1,5 +1,5 @@
-//! Inputs that are folders: Zarr arrays and images, a stack of TIFF slices. One of their files is
-//! damaged.
+//! Inputs of several files: Zarr arrays and images, slices of TIFF and of DICOM, an index of VTK's
+//! and the files that it lists. One of the files is damaged.
 
 use crate::mutate::{Random, mutate};
 use crate::seeds::{gzip, put, samples, tiff, zlib};
@@ -7,7 +7,7 @@ use crate::targets;
 use isospan::{Error, Result};
 use serde_json::{Value, json};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A good folder: files by their paths in it, those with metadata first.
 pub(crate) struct Folder {
@@ -31,6 +31,8 @@ pub(crate) fn all() -> Vec<Folder> {
         shards(&plain),
         image(plain),
         Folder { files: vec![("s_1.tif", tiff(1, 1)), ("s_2.tif", tiff(8, 1))], described_by: 2 },
+        Folder { files: pieces(), described_by: 1 },
+        Folder { files: slices(), described_by: 5 },
     ]
 }
 
@@ -57,7 +59,7 @@ impl Folder {
             fs::create_dir_all(parent).map_err(|e| Error::io("create", parent, e))?;
             put(&path, bytes)?;
         }
-        targets::volume(folder, &files[0].1)
+        targets::volume(&self.opened(folder), &files[0].1)
     }
 
     /// As it is.
@@ -67,8 +69,40 @@ impl Folder {
             fs::create_dir_all(folder.join(name).parent().expect("it lies in the folder")).expect("created");
             put(&folder.join(name), bytes)?;
         }
-        targets::volume(folder, b"")
+        targets::volume(&self.opened(folder), b"")
     }
+
+    /// What is named to open it: the folder, or an index in it.
+    fn opened(&self, folder: &Path) -> PathBuf {
+        let name = self.files[0].0;
+        if name.ends_with(".pvti") { folder.join(name) } else { folder.into() }
+    }
+}
+
+/// A series of DICOM.
+fn slices() -> Vec<(&'static str, Vec<u8>)> {
+    macro_rules! file {
+        ($name:literal) => {
+            ($name, include_bytes!(concat!("../../tests/data/dicom/series/", $name)).to_vec())
+        };
+    }
+    vec![file!("a"), file!("b"), file!("c"), file!("d"), file!("e")]
+}
+
+/// An image in four pieces.
+fn pieces() -> Vec<(&'static str, Vec<u8>)> {
+    macro_rules! file {
+        ($name:literal) => {
+            ($name, include_bytes!(concat!("../../tests/data/pieces/", $name)).to_vec())
+        };
+    }
+    vec![
+        file!("image.pvti"),
+        file!("image_0.vti"),
+        file!("image_1.vti"),
+        file!("image_2.vti"),
+        file!("image_3.vti"),
+    ]
 }
 
 fn file(value: &Value) -> Vec<u8> {

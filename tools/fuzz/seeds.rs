@@ -54,6 +54,20 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
                 include_bytes!("../../tests/data/filter_lzf.h5").to_vec(),
             ],
         ),
+        of(
+            "nc",
+            vec![
+                include_bytes!("../../tests/data/netcdf3_single.nc").to_vec(),
+                include_bytes!("../../tests/data/netcdf3_small.nc").to_vec(),
+            ],
+        ),
+        of(
+            "dcm",
+            vec![
+                include_bytes!("../../tests/data/dicom/enhanced.dcm").to_vec(),
+                include_bytes!("../../tests/data/dicom/slopes.dcm").to_vec(),
+            ],
+        ),
         // The first bytes choose the layout too: zeros stand for 4 x 4 x 4 bytes.
         of("raw", vec![[vec![0; 8], samples(1, 56)].concat()]),
         of("bricks", vec![bricks(folder)?]),

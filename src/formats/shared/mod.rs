@@ -1,6 +1,7 @@
 //! What several readers need: options, fields, headers, streams of bytes and of text.
 
 pub(in crate::formats) mod centers;
+pub(in crate::formats) mod cf;
 pub(in crate::formats) mod codec;
 pub mod coordinates;
 pub(in crate::formats) mod entries;

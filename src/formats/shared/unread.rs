@@ -12,20 +12,15 @@ pub(in crate::formats) struct Unread {
 
 const TO_TIFF: &str = "convert it to OME-TIFF or OME-Zarr, e.g. with bfconvert or bioformats2raw";
 const TO_VTK: &str = "convert it to .vtu or .vti, e.g. with ParaView";
-const TO_NIFTI: &str = "convert the series to NIfTI with dcm2niix, or to NRRD with 3D Slicer";
 
 /// Magic bytes, where they are, and what has them.
 #[rustfmt::skip]
-const BY_BYTES: [(usize, &[u8], &str, &str); 20] = [
-    (128, b"DICM", "a DICOM file", TO_NIFTI),
+const BY_BYTES: [(usize, &[u8], &str, &str); 16] = [
     (0, b"ZISRAWFILE", "a Zeiss CZI file", TO_TIFF),
     (0, b"\xda\xce\xbe\x0a", "a Nikon ND2 file", TO_TIFF),
     (0, b"\x70\0\0\0", "a Leica LIF file", TO_TIFF),
     (0, b"\0\0\0\x0cjP  \r\n\x87\n", "a JPEG 2000 or old ND2 file", TO_TIFF),
     (0, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a compound document (OIB, ZVI, VSI, TXM)", TO_TIFF),
-    (0, b"CDF\x01", "a classic NetCDF file", "convert it with nccopy -k nc4 IN.nc OUT.nc"),
-    (0, b"CDF\x02", "a classic NetCDF file (64-bit offsets)", "convert it with nccopy -k nc4 IN.nc OUT.nc"),
-    (0, b"CDF\x05", "a classic NetCDF file (64-bit data)", "convert it with nccopy -k nc4 IN.nc OUT.nc"),
     (0, b"GRIB", "a GRIB file", "convert it to NetCDF-4, e.g. with cdo -f nc4 copy"),
     (0, b"SIMPLE  =", "a FITS file", "save its array as .npy, with astropy and NumPy"),
     (0, b"# AmiraMesh", "an AmiraMesh file", "save it as NRRD or raw, in Amira or with 3D Slicer"),
@@ -41,8 +36,7 @@ const BY_BYTES: [(usize, &[u8], &str, &str); 20] = [
 
 /// Ends of names, and what has them.
 #[rustfmt::skip]
-const BY_NAME: [(&[&str], &str, &str); 7] = [
-    (&[".dcm", ".ima"], "a DICOM file", TO_NIFTI),
+const BY_NAME: [(&[&str], &str, &str); 6] = [
     (&[".vgi", ".vgl", ".vol"], "a file of VGStudio, or a raw volume", "its samples are raw: give --dims and --type"),
     (&[".case", ".encas"], "an EnSight case", TO_VTK),
     (&[".exo", ".ex2", ".exii"], "an Exodus II file", TO_VTK),

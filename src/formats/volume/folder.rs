@@ -1,5 +1,6 @@
 //! A folder, or a pattern for file names, as a volume: a stack of slices.
 
+use super::dicom;
 use super::stack;
 use super::tiff;
 use crate::bytes::IoMode;
@@ -21,10 +22,18 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
         return Err(Error::usage(format!("{} stands for several files: {message}", path.display())));
     }
     if stack::is_pattern(path) {
+        if let Some(source) = dicom::open_folder(path, options)? {
+            return Ok(source);
+        }
         let slices = stack::matching(path)?;
         if let Some(other) = slices.iter().find(|slice| !has_suffix(slice, &tiff::SUFFIXES)) {
-            return Err(Error::bad_input(path, "pattern", "slices (*.tif)", format!("{}", other.display()))
-                .with_help("other files are volumes, one each: name the one that is meant"));
+            return Err(Error::bad_input(
+                path,
+                "pattern",
+                "slices (*.tif) or DICOM",
+                format!("{}", other.display()),
+            )
+            .with_help("other files are volumes, one each: name the one that is meant"));
         }
         return tiff::open_stack(path, slices, options);
     }
@@ -40,11 +49,15 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
             "the reduce command that began it goes on with it; isospan status tells how far a planned one is",
         ));
     }
+    if let Some(source) = dicom::open_folder(path, options)? {
+        return Ok(source);
+    }
     let (got, help) = match unread_in(path) {
         Some(Unread { name, help }) => (format!("{name}, which isospan does not read"), help),
         None => ("none of these".into(), "name a file in it, or a pattern for its slices, in quotes"),
     };
-    Err(Error::bad_input(path, "folder", "slices (*.tif), or a Zarr array or group", got).with_help(help))
+    Err(Error::bad_input(path, "folder", "slices (*.tif), DICOM, or a Zarr array or group", got)
+        .with_help(help))
 }
 
 /// The kind of the first file of a folder, by its name, if it is one that is not read.

@@ -2,6 +2,7 @@
 
 pub(crate) mod brick_map;
 pub(in crate::formats) mod bricks;
+pub(in crate::formats) mod dicom;
 pub(in crate::formats) mod folder;
 #[cfg(feature = "hdf5")]
 pub(in crate::formats) mod hdf5;
@@ -10,6 +11,7 @@ pub(in crate::formats) mod hdf5;
 pub(in crate::formats) mod hdf5;
 pub(in crate::formats) mod metaimage;
 pub(in crate::formats) mod mrc;
+pub(in crate::formats) mod netcdf;
 pub(in crate::formats) mod nifti;
 pub(in crate::formats) mod npy;
 pub(in crate::formats) mod npz;

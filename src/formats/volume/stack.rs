@@ -35,6 +35,20 @@ pub(in crate::formats) fn matching(pattern: &Path) -> Result<Vec<PathBuf>> {
     Ok(in_order(pattern, names)?.into_iter().map(|n| pattern.with_file_name(n)).collect())
 }
 
+/// The visible files of a folder, or those that a pattern stands for, in the order of their names.
+pub(in crate::formats) fn files(path: &Path) -> Result<Vec<PathBuf>> {
+    let mut files: Vec<PathBuf> = if is_pattern(path) {
+        let pattern = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let names = names_in(folder_of(path))?.into_iter();
+        let found = names.filter(|n| matches(pattern.as_bytes(), n.as_bytes()));
+        found.map(|n| path.with_file_name(n)).collect()
+    } else {
+        names_in(path)?.into_iter().map(|n| path.join(n)).collect()
+    };
+    files.sort_unstable();
+    Ok(files)
+}
+
 /// The files of a folder whose names end in one of `suffixes`, in the order of their numbers; empty
 /// if there is none.
 pub(in crate::formats) fn in_folder(folder: &Path, suffixes: &[&str]) -> Result<Vec<PathBuf>> {

@@ -15,6 +15,7 @@ use super::{Field, Tree, attribute_numbers, attribute_text, damaged};
 use crate::cells::Center;
 use crate::error::{Error, Result};
 use crate::formats::shared::centers::{Picked, first_sample, pick, samples};
+use crate::formats::shared::cf::{Convert, Rules};
 use crate::formats::shared::header::geometry;
 use crate::grid::Geometry;
 use crate::volume::{FieldInfo, ScalarType};
@@ -79,6 +80,15 @@ impl Dialect {
         }
     }
 
+    /// How its arrays have frames, channels and components.
+    pub(super) fn rules(self) -> Rules {
+        match self {
+            Self::Plain => Rules::Plain,
+            Self::Minc => Rules::Volumes,
+            Self::Vtk | Self::Itk => Rules::Vectors,
+        }
+    }
+
     /// The group of the datasets that are fields; the whole file where it has no such group.
     pub(super) fn within(self) -> &'static str {
         match self {
@@ -105,32 +115,6 @@ pub(super) struct Placed {
     pub(super) geometry: Geometry,
     /// How stored numbers become values, where that is not one line for all.
     pub(super) convert: Option<Convert>,
-}
-
-/// How stored numbers become values. What is outside of `valid` has none.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Convert {
-    pub(super) valid: [f64; 2],
-    /// Stored number that means no data.
-    pub(super) missing: Option<f64>,
-    /// Slope and intercept of each slice along the slowest axes.
-    pub(super) lines: Vec<[f64; 2]>,
-    /// Slices of the lines along y and z: 1 where they do not differ along it.
-    pub(super) slices: [u64; 2],
-}
-
-impl Convert {
-    /// The value of a stored number of a row.
-    pub(super) fn value(&self, stored: f64, [y, z]: [u64; 2]) -> f64 {
-        let [lo, hi] = self.valid;
-        if !(lo..=hi).contains(&stored) || self.missing == Some(stored) {
-            return f64::NAN;
-        }
-        let at = |n: u64, count: u64| if count == 1 { 0 } else { n };
-        let [slope, intercept] =
-            self.lines[(at(z, self.slices[1]) * self.slices[0] + at(y, self.slices[0])) as usize];
-        slope * stored + intercept
-    }
 }
 
 /// Picks a field of a VTKHDF image.
@@ -170,15 +154,15 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
         let prefix = format!("VTKHDF/{group}/");
         let fields = tree.fields.iter().enumerate();
         let named = fields.filter_map(|(n, f)| {
-            let name = f.info.name.strip_prefix(&prefix)?;
-            Some((n, FieldInfo { name: name.into(), ..f.info.clone() }))
+            let name = f.part.info.name.strip_prefix(&prefix)?;
+            Some((n, FieldInfo { name: name.into(), ..f.part.info.clone() }))
         });
         named.filter(|(_, f)| f.name != "vtkGhostType").collect()
     };
     let (at_points, at_cells) = (names("PointData"), names("CellData"));
     for (group, name) in [("PointData", "points"), ("CellData", "cells")] {
-        let ghosts = tree.fields.iter().find(|f| f.info.name == format!("VTKHDF/{group}/vtkGhostType"));
-        if ghosts.is_some_and(|f| super::any_nonzero(&f.dataset, f.info.scalar)) {
+        let ghosts = tree.fields.iter().find(|f| f.part.info.name == format!("VTKHDF/{group}/vtkGhostType"));
+        if ghosts.is_some_and(|f| super::any_nonzero(&f.dataset, f.part.info.scalar)) {
             let got = format!("hidden or repeated {name}");
             let help = "blank the samples with NaN, or write them as an unstructured grid (.vtu)";
             return Err(
@@ -205,7 +189,7 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     if expected != got {
         let [expected, got] = [expected, got].map(|[x, y, z]| format!("{z} x {y} x {x}"));
         let expected = format!("{expected} samples, as WholeExtent tells");
-        return Err(Error::bad_input(path, tree.fields[number].info.name.clone(), expected, got));
+        return Err(Error::bad_input(path, tree.fields[number].part.info.name.clone(), expected, got));
     }
     let columns: [[f64; 3]; 3] =
         std::array::from_fn(|a| std::array::from_fn(|i| rows[3 * i + a] * spacing[a]));
@@ -240,7 +224,7 @@ pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     let rows: [f64; 9] = read("Directions")?.try_into().map_err(|_| wrong("Directions"))?;
     let columns = std::array::from_fn(|a| std::array::from_fn(|i| rows[3 * a + i] * spacing[a]));
     let geometry = geometry(path, "Origin, Spacing and Directions", origin, columns)?;
-    let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.info.clone()).collect();
+    let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
     Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert: None })
 }
@@ -248,7 +232,7 @@ pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
 /// The image of a MINC file: axes by `dimorder`, values scaled slice by slice.
 pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
     let at = "minc-2.0/image/0/image";
-    let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.info.clone()).collect();
+    let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
     let wanted = wanted.map(|w| if w == "image" { at } else { w });
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
     let field = &tree.fields[number];
@@ -275,7 +259,7 @@ pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&st
         }
     }
     let geometry = geometry(path, "start, step and direction_cosines", origin, columns)?;
-    let convert = match field.info.scalar {
+    let convert = match field.part.info.scalar {
         ScalarType::F32 | ScalarType::F64 => None,
         scalar => Some(slices(path, file, field, scalar, bad)?),
     };

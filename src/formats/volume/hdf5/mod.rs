@@ -51,16 +51,20 @@ mod filters;
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
-use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
+use crate::formats::shared::cf::{
+    self, Attributes, Convert, Line, MOST_COORDINATES, Numbers, Packing, Part, kind_of_coordinate,
+    kind_of_name,
+};
+use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
-use crate::formats::shared::header::{geometry, given_geometry, plain_info};
+use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, pick_field};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
-use dialect::{Convert, Dialect, Placed};
+use dialect::{Dialect, Placed};
 use filters::Limit;
 use half::f16;
 use hdf5_reader::attribute_api::Attribute;
@@ -125,10 +129,6 @@ const MOST_CHUNK: u64 = 256 << 20;
 /// Small chunks are read together up to this many bytes; datasets without chunks are read in pieces
 /// of this size.
 const PIECE: u64 = 128 << 10;
-/// Most frames of a dataset with four axes.
-const MOST_FRAMES: u64 = 1 << 16;
-/// The most samples of a coordinate variable that is read.
-const MOST_COORDINATES: u64 = 1 << 24;
 
 /// Opens a dataset of an HDF5 file.
 ///
@@ -151,17 +151,17 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let geometry = given_geometry(path, options, geometry)?;
     let mut info = field.volume_info(path, dialect, info, geometry)?;
     info.fields = fields;
+    let convert = match dialect {
+        Dialect::Plain => field.packing(path)?.into_info(&mut info),
+        _ => convert,
+    };
     let pieces = |info, convert| {
         let pieces = Pieces::new(info, field, convert)?;
         limit.set(pieces.chunk_bytes);
         Ok(VolumeSource::Chunked(Arc::new(pieces)))
     };
-    if let Some(convert) = convert {
-        return pieces(info, Some(convert));
-    }
-    if let Some(convert) = field.valid_range(path, &info)? {
-        (info.slope, info.intercept, info.missing) = (1.0, 0.0, None);
-        return pieces(info, Some(convert));
+    if convert.is_some() {
+        return pieces(info, convert);
     }
     if let Some((at, strides)) = field.in_place(path, &file)? {
         let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
@@ -185,18 +185,8 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
     let mut tree = Tree::of(path, &file, dialect)?;
     let number = tree.pick(path, &file, dialect, options)?.number;
     let field = &tree.fields[number];
-    let lines = field.lines(&tree);
-    if lines.iter().flatten().all(|l| l.regular.is_some()) {
-        return Ok(None);
-    }
-    if field.world != [0, 1, 2] {
-        let expected = "axes in the order z, y, x where coordinates are not evenly spaced";
-        let got = "another order";
-        return Err(Error::bad_input(path, field.at("axes"), expected, got)
-            .with_help("write the dataset again in the order z, y, x"));
-    }
-    let lines = lines.map(|l| l.map(|l| l.values));
-    rectilinear(path, &field.info.name, lines, field.dims()).map(Some)
+    let Part { info, world, .. } = &field.part;
+    cf::grid_of(path, &info.name, field.lines(&tree), *world, field.dims())
 }
 
 /// The frames of the dataset with four axes that is `wanted`, or of the file's only one, by the
@@ -211,17 +201,11 @@ pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions, wanted: Opt
     let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
     let number = match wanted {
         Some(name) => tree.first_frame(&file, name),
-        None => tree.fields.first().filter(|f| f.is_frame()).map(|_| 0),
+        None => tree.fields.first().filter(|f| f.part.is_frame).map(|_| 0),
     };
     let Some(first) = number.map(|n| &tree.fields[n]) else { return Ok(vec![]) };
-    let frames: Vec<&Field> =
-        tree.fields.iter().filter(|f| f.dataset.address() == first.dataset.address()).collect();
-    if wanted.is_none() && (frames.len() != tree.fields.len() || tree.fields.len() == 1) {
-        return Ok(vec![]);
-    }
-    let times = first.line(0, &tree).filter(|t| t.len() == frames.len() && t.iter().all(|t| t.is_finite()));
-    let time = |n: usize| times.as_ref().map(|t| t[n]);
-    Ok(frames.iter().enumerate().map(|(n, f)| (f.info.name.clone(), time(n))).collect())
+    let parts = tree.fields.iter().map(|f| &f.part);
+    Ok(cf::frames(parts, &first.part, wanted.is_some(), first.line(0, &tree)))
 }
 
 /// The times of frames by the names of their fields, where their datasets have them.
@@ -232,15 +216,7 @@ pub(in crate::formats) fn times(path: &Path, options: &OpenOptions) -> Result<Ha
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
     let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
-    let (mut out, mut last) = (HashMap::new(), (0, None));
-    for field in tree.fields.iter().filter(|f| f.is_frame()) {
-        if last.0 != field.dataset.address() {
-            last = (field.dataset.address(), field.line(0, &tree));
-        }
-        let time = last.1.as_ref().and_then(|t| t.get(field.before[0] as usize));
-        out.extend(time.filter(|t| t.is_finite()).map(|&t| (field.info.name.clone(), t)));
-    }
-    Ok(out)
+    Ok(cf::times(tree.fields.iter(), |field| field.line(0, &tree)))
 }
 
 fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
@@ -406,7 +382,7 @@ impl Tree {
         dialect: Dialect,
         options: &OpenOptions,
     ) -> Result<Placed> {
-        let wanted = self.with_channel(path, options)?;
+        let wanted = cf::with_channel(path, options, self.fields.iter().map(|f| &f.part))?;
         let wanted = wanted.map(|name| self.full_name(file, &name));
         if dialect != Dialect::Vtk {
             self.check_wanted(path, wanted.as_deref())?;
@@ -418,42 +394,16 @@ impl Tree {
             Dialect::Itk => return dialect::itk(path, file, self, wanted),
             Dialect::Plain => {}
         }
-        let fields: Vec<FieldInfo> = self.fields.iter().map(|f| f.info.clone()).collect();
+        let fields: Vec<FieldInfo> = self.fields.iter().map(|f| f.part.info.clone()).collect();
         let number = pick_field(path, &fields, wanted)?;
         let geometry = self.fields[number].placed(path, self)?;
         Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert: None })
     }
 
-    /// The field that is asked for, with the channel.
-    fn with_channel(&self, path: &Path, options: &OpenOptions) -> Result<Option<String>> {
-        let Some(channel) = &options.channel else { return Ok(options.field.clone()) };
-        let number = channel.strip_prefix('c').unwrap_or(channel);
-        let usage = |text: String| Err(Error::usage(format!("{}: {text}", path.display())));
-        if let Some(field) = &options.field {
-            return match field.rsplit_once(":c") {
-                Some((_, of_field)) if of_field != number => {
-                    usage(format!("{field} is another channel than --channel {channel}"))
-                }
-                Some(_) => Ok(Some(field.clone())),
-                None => Ok(Some(format!("{field}:c{number}"))),
-            };
-        }
-        let mut datasets: Vec<&str> = self.fields.iter().filter_map(Field::dataset_of_channels).collect();
-        datasets.dedup();
-        match datasets[..] {
-            [] => usage("no dataset has channels: leave out --channel".into()),
-            [dataset] => Ok(Some(format!("{dataset}:c{number}"))),
-            _ => usage(format!(
-                "several datasets have channels ({}): choose one with --field",
-                datasets.join(", ")
-            )),
-        }
-    }
-
     /// The first frame of the dataset with four axes that a user's word means.
     fn first_frame(&self, file: &Hdf5File, wanted: &str) -> Option<usize> {
         let first = self.full_name(file, &format!("{wanted}:t0"));
-        self.fields.iter().position(|f| f.is_frame() && f.info.name == first)
+        self.fields.iter().position(|f| f.part.is_frame && f.part.info.name == first)
     }
 
     /// The field that a user's word means: the path with or without its first "/", or that of
@@ -464,15 +414,15 @@ impl Tree {
             Some((path, frame)) => (path, Some(frame)),
             None => (wanted, None),
         };
-        let known = |name: &str| self.fields.iter().any(|f| f.info.name == name);
+        let known = |name: &str| self.fields.iter().any(|f| f.part.info.name == name);
         let linked = file.dataset(path).ok().filter(|_| !known(wanted)).map(|d| d.address());
         // The name of a dataset with frames is not the name of a frame.
         let found =
             self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| match frame {
-                None => !f.is_frame() && !f.has_channels,
-                Some(frame) => f.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame),
+                None => !f.part.is_frame && !f.part.is_channel,
+                Some(frame) => f.part.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame),
             });
-        found.map_or_else(|| wanted.to_string(), |f| f.info.name.clone())
+        found.map_or_else(|| wanted.to_string(), |f| f.part.info.name.clone())
     }
 
     /// Fails with the reason why the wanted dataset, or the only one, cannot be read.
@@ -494,42 +444,42 @@ impl Tree {
 
 /// A dataset of three axes, or one frame of a dataset with more.
 struct Field {
-    info: FieldInfo,
+    part: Part,
     dataset: Dataset,
     big_endian: bool,
-    /// The entry of each axis before the last three, and whether the first is one of channels.
-    before: Vec<u64>,
-    has_channels: bool,
-    /// The axis of the world along which each of the last three lies, the last one first.
-    world: [usize; 3],
 }
 
-/// The kind of an axis with this name.
-fn kind_of_name(name: &str) -> char {
-    match name.rsplit('/').next().unwrap_or(name).to_ascii_lowercase().as_str() {
-        "x" | "lon" | "longitude" => 'x',
-        "y" | "lat" | "latitude" => 'y',
-        "z" | "lev" | "level" | "depth" | "height" | "altitude" | "plev" => 'z',
-        "t" | "time" => 't',
-        "c" | "channel" | "channels" | "component" | "components" | "band" | "rgb" => 'c',
-        _ => '?',
+impl AsRef<Part> for Field {
+    fn as_ref(&self) -> &Part {
+        &self.part
     }
 }
 
-/// What an axis with a coordinate variable is, by CF's attributes of the variable, else by its
-/// name.
+/// What an axis with a coordinate variable is.
 fn kind_of_line(path: &str, line: &Dataset) -> char {
     let text = |name: &str| line.attribute(name).ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
-    let (axis, units) = (text("axis"), text("units"));
-    match axis.as_str() {
-        "X" => 'x',
-        "Y" => 'y',
-        "Z" => 'z',
-        "T" => 't',
-        _ if units.contains(" since ") => 't',
-        _ if ["degrees_east", "degree_east", "degrees_E"].contains(&units.as_str()) => 'x',
-        _ if ["degrees_north", "degree_north", "degrees_N"].contains(&units.as_str()) => 'y',
-        _ => kind_of_name(path),
+    kind_of_coordinate(path, &text("axis"), &text("units"))
+}
+
+/// A dataset's attributes.
+struct Named<'a> {
+    path: &'a Path,
+    name: &'a str,
+    dataset: &'a Dataset,
+}
+
+impl Attributes for Named<'_> {
+    fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
+        let Ok(attribute) = self.dataset.attribute(name) else { return Ok(None) };
+        let are_floats = matches!(attribute.datatype, Datatype::FloatingPoint { .. });
+        match attribute_numbers(&attribute) {
+            Some(values) => Ok(Some(Numbers { values, are_floats })),
+            None => Err(self.wrong(name, "numbers", kind(&attribute.datatype).into())),
+        }
+    }
+
+    fn wrong(&self, names: &str, expected: &str, got: String) -> Error {
+        Error::bad_input(self.path, format!("{}, {names}", self.name), expected, got)
     }
 }
 
@@ -577,54 +527,8 @@ fn fields_of(
     dialect: Dialect,
 ) -> Result<Vec<Field>> {
     let (scalar, big_endian) = scalar_of(path, name, dataset)?;
-    let (shape, rank) = (dataset.shape(), dataset.ndim());
-    let before = &shape[..rank - 3];
-    let last: [char; 3] = std::array::from_fn(|a| kinds[rank - 1 - a]);
-    let place = |kind: char| ['x', 'y', 'z'].iter().position(|&k| k == kind);
-    let world = last.map(place);
-    let all = (0..3).all(|a| world.contains(&Some(a)));
-    let world: [usize; 3] = if all { world.map(|w| w.unwrap_or(0)) } else { [0, 1, 2] };
-    let field = |name: String, before: Vec<u64>, components: u32| Field {
-        info: FieldInfo { name, scalar, components },
-        dataset: dataset.clone(),
-        big_endian,
-        before,
-        has_channels: kinds[0] == 'c' && shape[0] > 1,
-        world,
-    };
-    let refuse = |expected: &str, help: &str| {
-        let axis =
-            |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
-        let got: Vec<String> = shape.iter().zip(kinds).map(axis).collect();
-        Err(Error::bad_input(path, name, expected, got.join(" x ")).with_help(help))
-    };
-    let ours = "write the part that is wanted to a dataset of its own, its axes z, y, x";
-    let few = shape[rank - 1] <= 4 && rank == 4 && shape[1] > 4 && shape[2] > 4;
-    let unnamed = dialect != Dialect::Plain || kinds.iter().all(|&k| k == '?');
-    let vectors = few && unnamed || rank == 4 && matches!(dialect, Dialect::Vtk | Dialect::Itk);
-    if rank > 3 && shape[rank - 1] > 1 && (last[0] == 'c' || vectors) {
-        let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
-        return Ok(vec![field(name.into(), vec![0; before.len()], components)]);
-    }
-    let others = if rank == 4 { 1 } else { 0 };
-    if few && unnamed || kinds.iter().zip(shape).skip(others).any(|(&k, &n)| k == 'c' && n > 1) {
-        return refuse("one number a sample, or channels as the first of four axes", ours);
-    }
-    if rank > 3 && last.contains(&'t') || kinds.iter().zip(before).any(|(&k, &n)| place(k).is_some() && n > 1)
-    {
-        return refuse("time as the first axis, before z, y and x", "write the dataset again in this order");
-    }
-    match before {
-        &[entries] if entries != 1 && entries <= MOST_FRAMES && dialect == Dialect::Plain => {
-            let kind = if kinds[0] == 'c' { 'c' } else { 't' };
-            Ok((0..entries).map(|n| field(format!("{name}:{kind}{n}"), vec![n], 1)).collect())
-        }
-        _ if before.iter().all(|&n| n == 1) => Ok(vec![field(name.into(), vec![0; before.len()], 1)]),
-        _ => {
-            let expected = "three axes, one more of at most 65536 frames before them, others of one entry";
-            refuse(expected, "write the part that is wanted to a dataset of its own")
-        }
-    }
+    let parts = cf::parts_of(path, name, (dataset.shape(), kinds), scalar, dialect.rules())?;
+    Ok(parts.into_iter().map(|part| Field { part, dataset: dataset.clone(), big_endian }).collect())
 }
 
 /// The type of a dataset's samples, and whether they are big-endian.
@@ -696,20 +600,6 @@ impl Field {
         std::array::from_fn(|a| shape[shape.len() - 1 - a])
     }
 
-    /// Whether it is one of several frames of its dataset.
-    fn is_frame(&self) -> bool {
-        self.before.len() == 1
-            && self.dataset.shape()[0] > 1
-            && self.info.components == 1
-            && !self.has_channels
-    }
-
-    /// The name of its dataset, if it is one of several channels of that.
-    fn dataset_of_channels(&self) -> Option<&str> {
-        let (name, _) = self.info.name.rsplit_once(":c").filter(|_| self.has_channels)?;
-        Some(name)
-    }
-
     fn volume_info(
         &self,
         path: &Path,
@@ -718,88 +608,35 @@ impl Field {
         geometry: Geometry,
     ) -> Result<VolumeInfo> {
         let dims = self.dims();
-        sample_bytes(path, dims, self.info.scalar)?;
+        sample_bytes(path, dims, self.part.info.scalar)?;
         let is_netcdf = dialect == Dialect::Plain && has_suffix(path, &[".nc", ".nc4"]);
         let format = if is_netcdf { "NetCDF-4" } else { dialect.name() };
-        let mut info = plain_info(path, format, dims, self.info.scalar, geometry);
+        let mut info = plain_info(path, format, dims, self.part.info.scalar, geometry);
         if self.dataset.chunks().is_some() {
             info.format += " (chunked)";
         }
         info.field = field;
-        if dialect != Dialect::Plain {
-            return Ok(info);
-        }
-        info.slope = self.number(path, "scale_factor")?.unwrap_or(1.0);
-        info.intercept = self.number(path, "add_offset")?.unwrap_or(0.0);
-        let scaled = info.slope.is_finite() && info.slope != 0.0 && info.intercept.is_finite();
-        if !scaled {
-            let got = format!("{} and {}", info.slope, info.intercept);
-            let expected = "finite numbers, the first not 0";
-            return Err(Error::bad_input(path, self.at("scale_factor, add_offset"), expected, got));
-        }
-        info.missing = match [self.number(path, "_FillValue")?, self.number(path, "missing_value")?] {
-            [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
-                let got = format!("{a} and {b}");
-                return Err(Error::bad_input(path, self.at("_FillValue, missing_value"), "one value", got)
-                    .with_help("replace the one by the other, and delete its attribute"));
-            }
-            // What is not a number is missing anyway.
-            both => both.into_iter().flatten().find(|v| !v.is_nan()),
-        };
         Ok(info)
     }
 
     fn at(&self, what: &str) -> String {
-        format!("{}, {what}", self.info.name)
+        format!("{}, {what}", self.part.info.name)
     }
 
-    /// An attribute that is one number; `None` where there is none.
-    fn number(&self, path: &Path, name: &str) -> Result<Option<f64>> {
-        let Ok(attribute) = self.dataset.attribute(name) else { return Ok(None) };
-        let wrong = |got: String| Error::bad_input(path, self.at(name), "one number", got);
-        match attribute.num_elements() {
-            Ok(1) => {}
-            Ok(n) => return Err(wrong(format!("{n} values"))),
-            Err(e) => return Err(damaged(path, &self.at(name), &e)),
-        }
-        attribute.read_as_f64().map(Some).map_err(|_| wrong(kind(&attribute.datatype).into()))
-    }
-
-    /// The conversion that makes samples outside of the range in CF's attributes missing; `None`
-    /// where there is no such range.
-    fn valid_range(&self, path: &Path, info: &VolumeInfo) -> Result<Option<Convert>> {
-        let mut valid = [f64::NEG_INFINITY, f64::INFINITY];
-        let mut float = false;
-        for (name, at, count) in [("valid_range", 0, 2), ("valid_min", 0, 1), ("valid_max", 1, 1)] {
-            let Ok(attribute) = self.dataset.attribute(name) else { continue };
-            let numbers = attribute_numbers(&attribute).filter(|n| n.len() == count).ok_or_else(|| {
-                let expected = format!("{count} number(s)");
-                Error::bad_input(path, self.at(name), expected, kind(&attribute.datatype))
-            })?;
-            valid[at..at + count].copy_from_slice(&numbers);
-            float |= matches!(attribute.datatype, Datatype::FloatingPoint { .. });
-        }
-        if valid == [f64::NEG_INFINITY, f64::INFINITY] || info.field.scalar == ScalarType::I64 {
-            return Ok(None);
-        }
-        // Where packed integers have a range of floats, it is that of the values.
-        let packed = !info.field.scalar.is_float();
-        if packed && float {
-            valid = valid.map(|v| (v - info.intercept) / info.slope);
-            valid.sort_by(f64::total_cmp);
-        }
-        let lines = vec![[info.slope, info.intercept]];
-        Ok(Some(Convert { valid, missing: info.missing, lines, slices: [1, 1] }))
+    /// What the attributes say about stored numbers.
+    fn packing(&self, path: &Path) -> Result<Packing> {
+        let named = Named { path, name: &self.part.info.name, dataset: &self.dataset };
+        Packing::of(&named, self.part.info.scalar, |_| None)
     }
 
     /// The coordinates along x, y, z, where the file has them.
     fn lines(&self, tree: &Tree) -> [Option<Line>; 3] {
         let (rank, dims) = (self.dataset.ndim(), self.dims());
         std::array::from_fn(|a| {
-            let (_, line) = tree.line_of(&self.info.name, &self.dataset, rank - 1 - a)?;
+            let (_, line) = tree.line_of(&self.part.array, &self.dataset, rank - 1 - a)?;
             let single = matches!(line.dtype(), Datatype::FloatingPoint { size: 4, .. });
             let values = self.line(rank - 1 - a, tree).filter(|l| l.len() as u64 == dims[a])?;
-            Some(Line { regular: regular(&values, single), values })
+            Some(Line::new(values, single))
         })
     }
 
@@ -807,19 +644,9 @@ impl Field {
     /// say about the voxels.
     fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
         let lines = self.lines(tree);
-        if lines.iter().flatten().any(|l| l.regular.is_none()) {
-            // A rectilinear grid: see `coordinates`.
-            return Ok(Geometry::default());
-        }
         let none = lines.iter().all(Option::is_none);
         let sizes = if none { self.voxel_sizes(path)? } else { [1.0; 3] };
-        let (mut origin, mut columns) = ([0.0; 3], [[0.0; 3]; 3]);
-        for (a, line) in lines.iter().enumerate() {
-            let along = line.as_ref().and_then(|l| l.regular);
-            let (start, step) = along.unwrap_or((0.0, sizes[a]));
-            (origin[self.world[a]], columns[a][self.world[a]]) = (start, step);
-        }
-        geometry(path, "coordinate variables", origin, columns)
+        cf::placed(path, &lines, self.part.world, sizes)
     }
 
     /// The sizes of voxels along x, y, z: `element_size_um` of ilastik and Fiji, `axistags` of
@@ -844,10 +671,7 @@ impl Field {
 
     /// The numbers of the coordinate variable of an axis.
     fn line(&self, axis: usize, tree: &Tree) -> Option<Vec<f64>> {
-        let dataset_name = self.info.name.rsplit_once(":t").filter(|_| self.is_frame());
-        let name = dataset_name.map(|(name, _)| name).or(self.dataset_of_channels());
-        let name = name.unwrap_or(&self.info.name);
-        let (_, line) = tree.line_of(name, &self.dataset, axis)?;
+        let (path, line) = tree.line_of(&self.part.array, &self.dataset, axis)?;
         // A dimension without coordinates has a dataset too, of zeros.
         let name = line.attribute("NAME").ok().and_then(|a| a.read_string().ok()).unwrap_or_default();
         if name.starts_with("This is a netCDF dimension but not a netCDF variable") {
@@ -855,27 +679,31 @@ impl Field {
         }
         line.num_elements().ok().filter(|&n| n <= MOST_COORDINATES)?;
         let (scalar, _) = scalar_of(Path::new(""), "", line).ok()?;
-        all_f64(line, scalar).ok()
+        let named = Named { path: Path::new(""), name: path, dataset: line };
+        let packing = Packing::of(&named, scalar, |_| None).ok()?;
+        let mut values = all_f64(line, scalar).ok()?;
+        packing.unpack(&mut values);
+        Some(values)
     }
 
     /// Byte of the first sample, and bytes a step, where the samples lie in the file as they are.
     fn in_place(&self, path: &Path, file: &Hdf5File) -> Result<Option<(u64, [i64; 3])>> {
         let header = file
             .get_or_parse_header(self.dataset.address())
-            .map_err(|e| damaged(path, &self.info.name, &e))?;
+            .map_err(|e| damaged(path, &self.part.info.name, &e))?;
         let elsewhere = header.messages.iter().any(|m| matches!(m, HdfMessage::ExternalFiles(_)));
         let layout = header.messages.iter().find_map(|m| match m {
             HdfMessage::DataLayout(message) => Some(&message.layout),
             _ => None,
         });
-        let (d, bytes) = (self.dims(), self.info.scalar.bytes() as u64);
-        let frame = sample_bytes(path, d, self.info.scalar)?;
-        let frames = self.dataset.shape()[..self.before.len()].iter().product::<u64>();
+        let (d, bytes) = (self.dims(), self.part.info.scalar.bytes() as u64);
+        let frame = sample_bytes(path, d, self.part.info.scalar)?;
+        let frames = self.dataset.shape()[..self.part.before.len()].iter().product::<u64>();
         let Some(DataLayout::Contiguous { address, size }) = layout else { return Ok(None) };
         if elsewhere || frame.checked_mul(frames) != Some(*size) {
             return Ok(None);
         }
-        let number = self.before.first().copied().unwrap_or(0);
+        let number = self.part.before.first().copied().unwrap_or(0);
         if Cursor::is_undefined_offset(*address, file.superblock().offset_size) {
             return Ok(None);
         }
@@ -888,13 +716,6 @@ impl Field {
         let strides = [bytes, bytes * d[0], bytes * d[0] * d[1]].map(|s| s as i64);
         Ok(Some((at, strides)))
     }
-}
-
-/// The coordinates along an axis.
-struct Line {
-    values: Vec<f64>,
-    /// Start and step, where they are regular.
-    regular: Option<(f64, f64)>,
 }
 
 /// Runs `$body` with the samples `$samples`, in their own type, of a selection of a dataset.
@@ -1037,7 +858,7 @@ impl Pieces {
                 piece[a] = (2 * piece[a]).min(dims[a]);
             }
         }
-        let (dataset, before) = (field.dataset.clone(), field.before.clone());
+        let (dataset, before) = (field.dataset.clone(), field.part.before.clone());
         Ok(Self { info, dataset, before, piece, chunk_bytes, convert })
     }
 }

@@ -48,7 +48,8 @@ use crate::bytes::place::{above, folders_in, open_if_there, ranges_if_there};
 use crate::bytes::remote::is_remote;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Fault, Result};
-use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
+use crate::formats::shared::cf::{self, Attributes, Line, MOST_COORDINATES, Numbers, Packing};
+use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
@@ -118,8 +119,6 @@ const MOST_CHUNK: u64 = 1 << 30;
 /// Shards that are open at a time, and bytes of their indices, unless one has more.
 const MOST_OPEN: u64 = 32;
 const OPEN_INDICES: u64 = 4 << 20;
-/// Most numbers of coordinates along an axis.
-const MOST_COORDINATES: u64 = 1 << 24;
 /// Most frames of all channels of an array.
 const MOST_FRAMES: u64 = 1 << 16;
 /// If an array has more chunk files than this, this many of them, evenly spread, stand for all in
@@ -175,7 +174,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let geometry = match &image {
         Some(_) => placed(&array, image.as_ref(), axes)?,
-        None => given_geometry(path, options, spaced(&array, &lines)?)?,
+        None => given_geometry(path, options, cf::placed(&array.file, &lines, [0, 1, 2], [1.0; 3])?)?,
     };
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
     let compressor = if compressor.is_empty() { "raw" } else { &compressor };
@@ -183,7 +182,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
     let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
-    packing(&array, &mut info)?;
+    // No numbers are out of a valid range: see `packing`.
+    packing(&array)?.into_info(&mut info);
     info.field = field;
     info.fields = infos;
     info.data_files = files(&array, &fixed);
@@ -246,7 +246,7 @@ fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(&Field) -> bo
                 Some(shift + scale * frame.number as f64)
             }
             None => line(array, frame.axis, IoMode::Auto)?
-                .and_then(|(times, _)| times.get(frame.number as usize).copied()),
+                .and_then(|line| line.values.get(frame.number as usize).copied()),
         };
         out.push((field.info.name, time.filter(|t| t.is_finite())));
     }
@@ -267,19 +267,15 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
     let field = &fields[choose(path, options, None, &arrays, &fields)?];
     let array = &arrays[field.array].1;
     let lines = lines(array, field.axes, options.io)?;
-    if image_around(&array.folder)?.is_some() || lines.iter().flatten().all(|l| regular(&l.0, l.1).is_some())
-    {
+    if image_around(&array.folder)?.is_some() {
         return Ok(None);
     }
     let dims = field.axes.map(|a| a.map_or(1, |a| array.shape[a]));
-    rectilinear(path, &field.info.name, lines.map(|l| l.map(|l| l.0)), dims).map(Some)
+    cf::grid_of(path, &field.info.name, lines, [0, 1, 2], dims)
 }
 
-/// Coordinates along an axis, and whether they are of single precision.
-type Coordinates = (Vec<f64>, bool);
-
 /// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
-fn lines(array: &Array, axes: Axes, io: IoMode) -> Result<[Option<Coordinates>; 3]> {
+fn lines(array: &Array, axes: Axes, io: IoMode) -> Result<[Option<Line>; 3]> {
     let [x, y, z] = axes.map(|axis| axis.map_or(Ok(None), |axis| line(array, axis, io)));
     Ok([x?, y?, z?])
 }
@@ -289,14 +285,14 @@ fn lines(array: &Array, axes: Axes, io: IoMode) -> Result<[Option<Coordinates>; 
 ///
 /// # Errors
 /// When they cannot be read.
-fn line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Coordinates>> {
+fn line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
     match try_line(array, axis, io) {
         Err(e @ Error::Io { .. }) => Err(e),
         found => Ok(found.ok().flatten()),
     }
 }
 
-fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Coordinates>> {
+fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
     let names = array.names.as_ref().filter(|n| n.len() == array.shape.len());
     let Some(name) = names.and_then(|n| n.get(axis)).filter(|name| is_inside(name)) else { return Ok(None) };
     let Some(folder) = array.folder.parent().map(|group| group.join(name)) else { return Ok(None) };
@@ -306,36 +302,23 @@ fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Coordinates
     }
     check_chunks(&own)?;
     let single = own.scalar == crate::volume::ScalarType::F32;
-    let mut info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
-    packing(&own, &mut info)?;
-    let (slope, intercept, scalar) = (info.slope, info.intercept, own.scalar);
+    let packing = packing(&own)?;
+    let info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
+    let scalar = own.scalar;
     let chunks = Chunks::new(info, own, [Some(0), None, None], vec![], io);
     let (mut chunks, mut bytes, mut out) = (ChunkSlabs::new(Arc::new(chunks)), vec![], vec![]);
     while chunks.next_slab(&mut bytes)?.is_some() {
         let mut part = vec![0.0; bytes.len() / scalar.bytes()];
         to_f64(scalar, &bytes, &mut part);
-        out.extend(part.into_iter().map(|v| slope * v + intercept));
+        out.extend(part);
     }
-    Ok(Some((out, single)))
+    packing.unpack(&mut out);
+    Ok(Some(Line::new(out, single)))
 }
 
-/// Spacing and origin by coordinates, where those of all axes are regular.
-fn spaced(array: &Array, lines: &[Option<Coordinates>; 3]) -> Result<Geometry> {
-    let along: Option<Vec<(f64, f64)>> =
-        lines.iter().map(|l| l.as_ref().map_or(Some((0.0, 1.0)), |l| regular(&l.0, l.1))).collect();
-    let Some(along) = along else { return Ok(Geometry::default()) };
-    let columns = scaled_axes(std::array::from_fn(|a| along[a].1));
-    geometry(&array.file, "coordinates", std::array::from_fn(|a| along[a].0), columns)
-}
-
-/// Applies what CF's attributes say about stored numbers. A missing chunk reads as Zarr's own
-/// `fill_value`. This value means "no data" where numbers are packed and no attribute names such a
-/// value, as xarray writes them.
-fn packing(array: &Array, info: &mut VolumeInfo) -> Result<()> {
-    let file = attributes_file(array);
-    let bad = |at: &str, expected: &str, got: String| Error::bad_input(&file, at, expected, got);
-    let number = |name: &str| {
-        let value = &array.attributes[name];
+impl Attributes for Array {
+    fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
+        let value = &self.attributes[name];
         let found = match value {
             Value::Null => return Ok(None),
             // In version 3 xarray writes floats as base64 of a little-endian f64.
@@ -345,38 +328,32 @@ fn packing(array: &Array, info: &mut VolumeInfo) -> Result<()> {
             }
             value => value.as_f64(),
         };
-        found.map(Some).ok_or_else(|| bad(name, "a number", value.to_string()))
-    };
-    let (slope, intercept) = (number("scale_factor")?, number("add_offset")?);
-    let is_packed = slope.is_some() || intercept.is_some();
-    (info.slope, info.intercept) = (slope.unwrap_or(1.0), intercept.unwrap_or(0.0));
-    if !(info.slope.is_finite() && info.slope != 0.0 && info.intercept.is_finite()) {
-        let got = format!("{} and {}", info.slope, info.intercept);
-        return Err(bad("scale_factor, add_offset", "finite numbers, the first not 0", got));
+        let number = found.ok_or_else(|| self.wrong(name, "a number", value.to_string()))?;
+        Ok(Some(Numbers { values: vec![number], are_floats: !value.is_i64() && !value.is_u64() }))
     }
+
+    fn wrong(&self, names: &str, expected: &str, got: String) -> Error {
+        Error::bad_input(attributes_file(self), names, expected, got)
+    }
+}
+
+/// What CF's attributes say about stored numbers. A missing chunk reads as Zarr's own `fill_value`.
+/// This value means "no data" where numbers are packed and no attribute names such a value, as
+/// xarray writes them.
+fn packing(array: &Array) -> Result<Packing> {
     for name in ["valid_range", "valid_min", "valid_max"] {
         if !array.attributes[name].is_null() {
             let got = array.attributes[name].to_string();
-            return Err(bad(name, "no range of valid numbers", got)
+            return Err(array
+                .wrong(name, "no range of valid numbers", got)
                 .with_help("give samples outside of it the fill value, and delete the attribute"));
         }
     }
-    info.missing = match [number("_FillValue")?, number("missing_value")?] {
-        [None, None] => is_packed.then(|| {
-            let mut fill = [0.0];
-            to_f64(array.scalar, &array.fill, &mut fill);
-            fill[0]
-        }),
-        [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
-            let got = format!("{a} and {b}");
-            return Err(bad("_FillValue, missing_value", "one value", got)
-                .with_help("replace the one by the other, and delete its attribute"));
-        }
-        both => both.into_iter().flatten().find(|v| !v.is_nan()),
-    }
-    // What is not a number is missing anyway.
-    .filter(|v| !v.is_nan());
-    Ok(())
+    Packing::of(array, array.scalar, |is_packed| {
+        let mut fill = [0.0];
+        to_f64(array.scalar, &array.fill, &mut fill);
+        is_packed.then_some(fill[0])
+    })
 }
 
 /// The file that has the attributes of an array.

@@ -9,24 +9,34 @@
 
 use super::array::{ArrayStream, scalar_type};
 use super::head::{Document, Element};
-use super::image::{Extent, arrays, extent, name_of, pieces};
+use super::image::{Image, Joined, What, arrays, name_of, points_of};
+use crate::bytes::ByteSource;
 use crate::cells::NumberStream;
 use crate::error::Result;
 use crate::formats::shared::coordinates::GridCoordinates;
+use crate::formats::shared::header;
 use crate::formats::shared::numbers::to_f64;
 use crate::volume::ScalarType;
+use std::sync::Arc;
 
 /// The coordinates of a grid; `None` of an image.
-pub(super) fn coordinates(doc: &Document) -> Result<Option<GridCoordinates>> {
-    match doc.kind {
-        "RectilinearGrid" => axes(doc, &extent(doc, &doc.data, "WholeExtent")?).map(Some),
-        "StructuredGrid" => points(doc).map(Some),
+pub(super) fn coordinates(image: &Image) -> Result<Option<GridCoordinates>> {
+    match image.kind {
+        "RectilinearGrid" => axes(image).map(Some),
+        "StructuredGrid" => points(image).map(Some),
         _ => Ok(None),
     }
 }
 
-/// The number of the field data that is called `TimeValue`.
+/// The number of the field data that is called `TimeValue`; of an index that of its first file.
 pub(super) fn time(doc: &Document) -> Result<Option<f64>> {
+    if let Some(kind) = doc.kind.strip_prefix('P')
+        && let Some(name) = doc.data.child("Piece").and_then(|piece| piece.attribute("Source"))
+    {
+        let path = header::sibling(doc.source.path(), name);
+        let source = Arc::new(ByteSource::open(path, doc.source.mode())?);
+        return time(&Document::open(&source, kind)?);
+    }
     let array = arrays(doc.data.child("FieldData")).find(|a| name_of(a) == "TimeValue");
     let Some(array) = array else { return Ok(None) };
     let mut time = vec![];
@@ -35,38 +45,79 @@ pub(super) fn time(doc: &Document) -> Result<Option<f64>> {
 }
 
 /// The tables of all pieces, joined.
-fn axes(doc: &Document, whole: &Extent) -> Result<GridCoordinates> {
+fn axes(image: &Image) -> Result<GridCoordinates> {
     let mut out: [Vec<f64>; 3] = Default::default();
-    for piece in pieces(doc, whole)? {
-        let tables: Vec<&Element> = arrays(piece.element.child("Coordinates")).collect();
+    for piece in &image.pieces {
+        let doc = piece.document()?;
+        let element = piece.element(&doc)?;
+        let tables: Vec<&Element> = arrays(element.child("Coordinates")).collect();
         let [x, y, z] = tables[..] else {
-            return Err(doc.wrong(piece.element, "three arrays in Coordinates", tables.len().to_string()));
+            return Err(doc.wrong(element, "three arrays in Coordinates", tables.len().to_string()));
         };
         for (a, array) in [x, y, z].into_iter().enumerate() {
             let (lo, hi) = (piece.voxels.lo[a] as usize, piece.voxels.hi[a] as usize);
             let mut table = vec![];
-            Numbers::open(doc, array, (hi - lo) as u64)?.read_all((hi - lo) as u64, &mut table)?;
+            Numbers::open(&doc, array, (hi - lo) as u64)?.read_all((hi - lo) as u64, &mut table)?;
             if out[a].len() < hi {
                 out[a].resize(hi, f64::NAN);
             }
-            out[a][lo..hi].copy_from_slice(&table);
+            for (known, found) in out[a][lo..hi].iter_mut().zip(table) {
+                if !known.is_nan() && *known != found {
+                    let expected = format!("{known}, as a piece before has it");
+                    return Err(doc.wrong(array, expected, found.to_string()));
+                }
+                *known = found;
+            }
         }
     }
     Ok(GridCoordinates::Axes(out))
 }
 
-fn points(doc: &Document) -> Result<GridCoordinates> {
-    let all: Vec<&Element> = doc.data.all("Piece").collect();
-    let [piece] = all[..] else {
-        let error = doc.wrong(&doc.data, "a curvilinear grid in one piece", all.len().to_string());
-        return Err(error.with_help("write it in one piece"));
-    };
-    let array = piece.child("Points").and_then(|p| p.child("DataArray"));
-    let array = array.ok_or_else(|| doc.wrong(piece, "a DataArray in Points", "none"))?;
-    let dims = extent(doc, piece, "Extent")?.dims;
+fn points(image: &Image) -> Result<GridCoordinates> {
+    let dims = image.points();
+    let first = image.pieces[0].document()?;
+    let array = points_of(&first, &image.pieces[0], None)?;
+    let scalar = array.attribute("type").and_then(scalar_type);
+    let scalar = scalar.ok_or_else(|| first.wrong(array, "numbers", "another type"))?;
     let count = dims.iter().try_fold(3u64, |n, &d| n.checked_mul(d)).filter(|&n| n < 1 << 59);
-    let count = count.ok_or_else(|| doc.wrong(piece, "an Extent that can be counted", "a larger one"))?;
-    Ok(GridCoordinates::Points(Box::new(Numbers::open(doc, array, count)?)))
+    if count.is_none() {
+        let doc = &image.doc;
+        return Err(doc.wrong(&doc.data, "an Extent that can be counted", "a larger one"));
+    }
+    let joined = Joined::new(dims, scalar, What::Points, image.pieces.clone())?;
+    Ok(GridCoordinates::Points(Box::new(JoinedNumbers { joined, scalar, bytes: vec![], used: 0 })))
+}
+
+/// The numbers of all pieces, in the order of the samples.
+struct JoinedNumbers {
+    joined: Joined,
+    scalar: ScalarType,
+    /// A slab, and how much of it was given out.
+    bytes: Vec<u8>,
+    used: usize,
+}
+
+impl NumberStream for JoinedNumbers {
+    fn fill(&mut self, mut out: &mut [f64]) -> Result<()> {
+        let size = self.scalar.bytes();
+        while !out.is_empty() {
+            if self.used == self.bytes.len() {
+                self.joined.next_slab(&mut self.bytes)?.expect("as many numbers are asked for as there are");
+                self.used = 0;
+            }
+            let count = out.len().min((self.bytes.len() - self.used) / size);
+            let (now, later) = out.split_at_mut(count);
+            to_f64(self.scalar, &self.bytes[self.used..][..count * size], now);
+            self.used += count * size;
+            out = later;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<()> {
+        // Each piece was finished after its last sample.
+        Ok(())
+    }
 }
 
 /// The numbers of one array.
@@ -91,19 +142,15 @@ impl Numbers {
             out.resize(old + (count - old as u64).min(1 << 16) as usize, 0.0);
             self.fill(&mut out[old..])?;
         }
-        self.finish()
+        self.stream.finish()
     }
 }
 
-impl NumberStream for Numbers {
+impl Numbers {
     fn fill(&mut self, out: &mut [f64]) -> Result<()> {
         self.bytes.resize(out.len() * self.scalar.bytes(), 0);
         self.stream.fill(&mut self.bytes)?;
         to_f64(self.scalar, &self.bytes, out);
         Ok(())
-    }
-
-    fn finish(&mut self) -> Result<()> {
-        self.stream.finish()
     }
 }

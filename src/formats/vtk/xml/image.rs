@@ -1,74 +1,130 @@
-//! Reads images: extents, pieces, the choice of a field, and pieces as one stream of slabs.
+//! Reads images: extents, pieces of one file or of several, the choice of a field, and pieces as one
+//! stream of slabs.
 
 use super::array::{ArrayStream, BlockArray, in_place, scalar_type};
 use super::head::{Document, Element};
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::cells::{Center, GHOSTS, HIDDEN};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::formats::shared::centers::{Picked, first_sample, pick, samples};
 use crate::formats::shared::header;
+use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Pieces that are joined; the check that they cover the image is quadratic.
-const MOST_PIECES: usize = 1024;
+/// Pieces that are joined; the checks that they cover the image and agree are quadratic.
+const MOST_PIECES: usize = 1 << 13;
+/// Pairs of pieces that have samples in common: blocks that share their faces have 13 each.
+const MOST_OVERLAPS: usize = 1 << 19;
+
+/// An image or a grid: in one file, or in those that an index lists.
+pub(super) struct Image {
+    /// The file that was named.
+    pub(super) doc: Arc<Document>,
+    /// What it is: "ImageData" and so on.
+    pub(super) kind: &'static str,
+    whole: Extent,
+    pub(super) pieces: Vec<Piece>,
+    /// The files of an index.
+    files: Vec<PathBuf>,
+}
+
+impl Image {
+    /// Reads the head of a file, and those of all that it lists.
+    pub(super) fn open(source: &Arc<ByteSource>) -> Result<Self> {
+        let doc = Arc::new(Document::open_one_of(
+            source,
+            &[
+                "ImageData",
+                "RectilinearGrid",
+                "StructuredGrid",
+                "PImageData",
+                "PRectilinearGrid",
+                "PStructuredGrid",
+            ],
+        )?);
+        let whole = extent(&doc, &doc.data, "WholeExtent")?;
+        let (kind, pieces, files) = match doc.kind.strip_prefix('P') {
+            Some(kind) => {
+                let (pieces, files) = listed_pieces(&doc, kind, &whole)?;
+                (kind, pieces, files)
+            }
+            None => (doc.kind, pieces(&doc, &whole)?, vec![]),
+        };
+        let pieces = covering(&doc, whole.dims, pieces)?;
+        Ok(Self { doc, kind, whole, pieces, files })
+    }
+
+    /// The samples of all points along x, y, z.
+    pub(super) fn points(&self) -> [u64; 3] {
+        self.whole.dims
+    }
+}
 
 pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
-    let doc = Document::open_one_of(source, &["ImageData", "RectilinearGrid", "StructuredGrid"])?;
-    let whole = extent(&doc, &doc.data, "WholeExtent")?;
-    let pieces = pieces(&doc, &whole)?;
-    let first = pieces[0].element;
-    let Picked { field, fields, center, .. } = choose(&doc, first, wanted)?;
-    refuse_hidden(&doc, &whole, &pieces)?;
-    let pieces = centred(&doc, &whole, pieces, center)?;
-    let how = how_stored(&doc, arrays(data_of(first, center)).find(|a| name_of(a) == field.name));
+    let image = Image::open(source)?;
+    let whole = image.whole;
+    let of_first = image.pieces[0].document()?;
+    let first = image.pieces[0].element(&of_first)?;
+    let Picked { field, fields, center, .. } = choose(&image, (&of_first, first), wanted)?;
+    refuse_hidden(&image)?;
+    let how = how_stored(&of_first, arrays(data_of(first, center)).find(|a| name_of(a) == field.name));
     let how = if center == Center::Cell { format!("cell data, {how}") } else { how };
+    let count = image.files.len();
+    let how = if count > 0 { format!("{count} files, {how}") } else { how };
     let info = VolumeInfo {
         path: source.path().to_path_buf(),
-        format: format!("VTK XML {} ({how})", doc.kind),
+        format: format!("VTK XML {} ({how})", image.kind),
         dims: samples(whole.dims, center),
-        geometry: geometry(&doc, &whole, center)?,
+        geometry: geometry(&image, center)?,
         field,
         fields,
         slope: 1.0,
         intercept: 0.0,
         missing: None,
-        data_files: vec![],
+        data_files: image.files.clone(),
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;
+    let pieces = centred(&image, center)?;
     if let [only] = &pieces[..] {
+        let doc = only.document()?;
         let element = array(&doc, only, &info.field, center)?;
-        if let Some(offset) = in_place(&doc, element, only.bytes(&info.field))? {
+        let bytes = only.bytes(info.field.scalar.bytes());
+        if let Some(offset) = in_place(&doc, element, bytes)? {
             let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
             let strides = strides.expect("the size of the samples was checked");
-            let volume = StridedVolume::new(info, Arc::clone(source), offset, doc.big_endian, strides)?;
+            let source = Arc::clone(&doc.source);
+            let volume = StridedVolume::new(info, source, offset, doc.big_endian, strides)?;
             return Ok(VolumeSource::Random(Box::new(volume)));
         }
-        let blocks = BlockArray::open(&doc, element, info.field.scalar, only.bytes(&info.field))?;
+        let blocks = BlockArray::open(&doc, element, info.field.scalar, bytes)?;
         if let Some(array) = blocks {
             return Ok(VolumeSource::Chunked(Arc::new(BlockChunks::new(info, array))));
         }
     }
-    Ok(VolumeSource::Stream(Box::new(PieceSlabs::new(doc, info, &whole, center)?)))
+    Ok(VolumeSource::Stream(Box::new(PieceSlabs::new(info, pieces, center)?)))
 }
 
 /// Refuses points and cells that are marked as hidden: what is there would be taken for data.
-fn refuse_hidden(doc: &Document, whole: &Extent, pieces: &[Piece<'_>]) -> Result<()> {
-    for piece in pieces {
+fn refuse_hidden(image: &Image) -> Result<()> {
+    for piece in &image.pieces {
+        let doc = &*piece.document()?;
+        let element = piece.element(doc)?;
         for (place, hidden) in HIDDEN {
-            let Some(array) = arrays(piece.element.child(place)).find(|a| name_of(a) == GHOSTS) else {
+            let Some(array) = arrays(element.child(place)).find(|a| name_of(a) == GHOSTS) else {
                 continue;
             };
             let scalar = array.attribute("type").and_then(scalar_type);
             if scalar != Some(ScalarType::U8) {
                 return Err(doc.wrong(array, "marks of type UInt8", "another type"));
             }
-            let cells = |a: usize| if whole.dims[a] > 1 { piece.voxels.dims()[a] - 1 } else { 1 };
+            let cells = |a: usize| if image.whole.dims[a] > 1 { piece.voxels.dims()[a] - 1 } else { 1 };
             let count: u64 = match place {
                 "CellData" => (0..3).map(cells).product(),
                 _ => piece.voxels.dims().iter().product(),
@@ -92,13 +148,13 @@ fn refuse_hidden(doc: &Document, whole: &Extent, pieces: &[Piece<'_>]) -> Result
 }
 
 /// Inclusive bounds, as a first sample and numbers of samples.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Extent {
     lo: [i64; 3],
-    pub(super) dims: [u64; 3],
+    dims: [u64; 3],
 }
 
-pub(super) fn extent(doc: &Document, element: &Element, name: &str) -> Result<Extent> {
+fn extent(doc: &Document, element: &Element, name: &str) -> Result<Extent> {
     let bounds: Option<[i64; 6]> = doc.numbers(element, name)?;
     let b = bounds.ok_or_else(|| doc.wrong(element, format!("an attribute '{name}'"), "none"))?;
     let lo = [b[0], b[2], b[4]];
@@ -116,62 +172,172 @@ pub(super) fn extent(doc: &Document, element: &Element, name: &str) -> Result<Ex
 }
 
 /// A piece and the samples that it stores.
-pub(super) struct Piece<'a> {
-    /// Its number among the pieces of the document.
+#[derive(Clone)]
+pub(super) struct Piece {
+    place: PieceFile,
+    /// Its number among the pieces of its file.
     number: usize,
-    pub(super) element: &'a Element,
     pub(super) voxels: IndexBox,
 }
 
-impl Piece<'_> {
+/// The file of a piece.
+#[derive(Clone)]
+enum PieceFile {
+    Open(Arc<Document>),
+    /// One that an index lists: open only while it is read.
+    Listed {
+        path: PathBuf,
+        io: IoMode,
+        kind: &'static str,
+    },
+}
+
+impl Piece {
+    /// The head of its file.
+    pub(super) fn document(&self) -> Result<Arc<Document>> {
+        match &self.place {
+            PieceFile::Open(doc) => Ok(Arc::clone(doc)),
+            PieceFile::Listed { path, io, kind } => {
+                Document::open(&Arc::new(ByteSource::open(path, *io)?), kind).map(Arc::new)
+            }
+        }
+    }
+
+    /// Its element in that.
+    pub(super) fn element<'a>(&self, doc: &'a Document) -> Result<&'a Element> {
+        let element = doc.data.all("Piece").nth(self.number);
+        element.ok_or_else(|| doc.wrong(&doc.data, "the pieces that it had when it was opened", "fewer"))
+    }
+
     /// Bytes of its samples; the caller has seen that those of the whole image can be counted.
-    fn bytes(&self, field: &FieldInfo) -> u64 {
-        self.voxels.dims().iter().product::<u64>() * field.scalar.bytes() as u64
+    fn bytes(&self, sample: usize) -> u64 {
+        self.voxels.dims().iter().product::<u64>() * sample as u64
     }
 }
 
-/// The pieces, which together cover the whole extent.
-pub(super) fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<'a>>> {
+/// The samples of a piece, given its extent.
+fn voxels_of(doc: &Document, element: &Element, part: &Extent, whole: &Extent) -> Result<IndexBox> {
+    let lo = std::array::from_fn(|a| part.lo[a].wrapping_sub(whole.lo[a]) as u64);
+    let voxels = IndexBox { lo, hi: std::array::from_fn(|a| lo[a].wrapping_add(part.dims[a])) };
+    if (0..3).any(|a| part.lo[a] < whole.lo[a] || voxels.hi[a] > whole.dims[a]) {
+        let got = format!("'{}'", element.attribute("Extent").unwrap_or_default());
+        return Err(doc.wrong(element, "an Extent within WholeExtent", got));
+    }
+    Ok(voxels)
+}
+
+/// The pieces of one file.
+fn pieces(doc: &Arc<Document>, whole: &Extent) -> Result<Vec<Piece>> {
     let mut pieces = vec![];
     for (number, element) in doc.data.all("Piece").enumerate() {
-        let part = extent(doc, element, "Extent")?;
-        let lo = std::array::from_fn(|a| (part.lo[a] - whole.lo[a]) as u64);
-        let voxels = IndexBox { lo, hi: std::array::from_fn(|a| lo[a].wrapping_add(part.dims[a])) };
-        if (0..3).any(|a| part.lo[a] < whole.lo[a] || voxels.hi[a] > whole.dims[a]) {
-            let got = format!("'{}'", element.attribute("Extent").unwrap_or_default());
-            return Err(doc.wrong(element, "an Extent within WholeExtent", got));
-        }
-        pieces.push(Piece { number, element, voxels });
+        let voxels = voxels_of(doc, element, &extent(doc, element, "Extent")?, whole)?;
+        pieces.push(Piece { place: PieceFile::Open(Arc::clone(doc)), number, voxels });
     }
-    if pieces.is_empty() || pieces.len() > MOST_PIECES {
-        let expected = format!("1 to {MOST_PIECES} pieces");
-        return Err(doc.wrong(&doc.data, expected, format!("{}", pieces.len())));
-    }
-    covering(doc, whole.dims, pieces)
+    expect_some(doc, pieces.len())?;
+    Ok(pieces)
 }
+
+fn expect_some(doc: &Document, count: usize) -> Result<()> {
+    if count == 0 || count > MOST_PIECES {
+        return Err(doc.wrong(&doc.data, format!("1 to {MOST_PIECES} pieces"), format!("{count}")));
+    }
+    Ok(())
+}
+
+/// The pieces that an index lists, and their files. Each file has the piece that the index says, at
+/// the same place of the world.
+fn listed_pieces(doc: &Document, kind: &'static str, whole: &Extent) -> Result<(Vec<Piece>, Vec<PathBuf>)> {
+    // Processes without samples write an extent that ends before it begins.
+    let is_empty = |element: &&Element| {
+        let bounds: Option<[i64; 6]> = doc.numbers(element, "Extent").ok().flatten();
+        bounds.is_some_and(|b| (0..3).any(|a| b[2 * a + 1] < b[2 * a]))
+    };
+    let listed: Vec<&Element> = doc.data.all("Piece").filter(|e| !is_empty(e)).collect();
+    expect_some(doc, listed.len())?;
+    let (mut pieces, mut files) = (vec![], vec![]);
+    for element in listed {
+        let part = extent(doc, element, "Extent")?;
+        let voxels = voxels_of(doc, element, &part, whole)?;
+        let name = element.attribute("Source");
+        let name = name.ok_or_else(|| doc.wrong(element, "an attribute 'Source'", "none"))?;
+        let (path, io) = (header::sibling(doc.source.path(), name), doc.source.mode());
+        if !path.is_file() {
+            return Err(doc
+                .wrong(element, format!("a file {}", path.display()), "none")
+                .with_help("put the missing file there, or correct 'Source'"));
+        }
+        let own = Document::open(&Arc::new(ByteSource::open(&path, io)?), kind)?;
+        let found: Vec<&Element> = own.data.all("Piece").collect();
+        let [piece] = found[..] else {
+            return Err(own.wrong(
+                &own.data,
+                "one piece, as in each file of an index",
+                found.len().to_string(),
+            ));
+        };
+        if extent(&own, piece, "Extent")? != part {
+            let extent = |e: &Element| e.attribute("Extent").unwrap_or_default().to_string();
+            let expected = format!("the Extent '{}' of the index", extent(element));
+            return Err(own.wrong(piece, expected, format!("'{}'", extent(piece))));
+        }
+        if kind == "ImageData" {
+            expect_same_place(doc, &own)?;
+        }
+        pieces.push(Piece { place: PieceFile::Listed { path: path.clone(), io, kind }, number: 0, voxels });
+        files.push(path);
+    }
+    Ok((pieces, files))
+}
+
+/// Refuses a file whose samples lie elsewhere in the world than its index says.
+fn expect_same_place(index: &Document, own: &Document) -> Result<()> {
+    for (name, usual) in PLACE {
+        let text = |doc: &Document| doc.data.attribute(name).unwrap_or(usual).to_string();
+        let numbers = |text: &str| -> Vec<f64> {
+            text.split_ascii_whitespace().map(|w| w.parse().unwrap_or(f64::NAN)).collect()
+        };
+        let [of_index, of_file] = [text(index), text(own)];
+        let (a, b) = (numbers(&of_index), numbers(&of_file));
+        let is_same = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-9 * a.abs().max(b.abs());
+        if a.len() != b.len() || !a.iter().zip(&b).all(is_same) {
+            let expected = format!("the {name} '{of_index}' of the index");
+            return Err(own.wrong(&own.data, expected, format!("'{of_file}'")));
+        }
+    }
+    Ok(())
+}
+
+/// What places an image, and its defaults.
+const PLACE: [(&str, &str); 3] =
+    [("Origin", "0 0 0"), ("Spacing", "1 1 1"), ("Direction", "1 0 0 0 1 0 0 0 1")];
 
 /// The pieces with the samples that they have of a field: all of its points, or its cells, which
 /// lie between points of one piece.
-fn centred<'a>(
-    doc: &Document,
-    whole: &Extent,
-    mut pieces: Vec<Piece<'a>>,
-    center: Center,
-) -> Result<Vec<Piece<'a>>> {
+fn centred(image: &Image, center: Center) -> Result<Vec<Piece>> {
+    let (mut pieces, points) = (image.pieces.clone(), image.whole.dims);
     if center == Center::Cell {
         for piece in &mut pieces {
             let IndexBox { lo, hi } = piece.voxels;
             piece.voxels.hi =
-                std::array::from_fn(|a| if whole.dims[a] > 1 { hi[a] - 1 } else { hi[a] }.max(lo[a]));
+                std::array::from_fn(|a| if points[a] > 1 { hi[a] - 1 } else { hi[a] }.max(lo[a]));
         }
         pieces.retain(|p| !p.voxels.is_empty());
-        return covering(doc, samples(whole.dims, center), pieces);
+        return covering(&image.doc, samples(points, center), pieces);
     }
     Ok(pieces)
 }
 
-/// Checks that every sample is in some piece.
-fn covering<'a>(doc: &Document, dims: [u64; 3], pieces: Vec<Piece<'a>>) -> Result<Vec<Piece<'a>>> {
+/// Checks that every sample is in some piece, and few are in many.
+fn covering(doc: &Document, dims: [u64; 3], pieces: Vec<Piece>) -> Result<Vec<Piece>> {
+    let common = |a: &Piece, b: &Piece| !a.voxels.intersect(&b.voxels).is_empty();
+    let mut overlaps = 0;
+    for (n, piece) in pieces.iter().enumerate() {
+        overlaps += pieces[..n].iter().filter(|before| common(before, piece)).count();
+        if overlaps > MOST_OVERLAPS {
+            let expected = format!("at most {MOST_OVERLAPS} pairs of pieces with samples in common");
+            return Err(doc.wrong(&doc.data, expected, "more"));
+        }
+    }
     match uncovered(dims, &pieces) {
         None => Ok(pieces),
         Some(p) => {
@@ -183,8 +349,8 @@ fn covering<'a>(doc: &Document, dims: [u64; 3], pieces: Vec<Piece<'a>>) -> Resul
 
 /// A sample that no piece stores, if there is one. Pieces change only where one begins or ends, so
 /// a few samples stand for all: those are tried plane by plane, row by row.
-fn uncovered(dims: [u64; 3], pieces: &[Piece<'_>]) -> Option<[u64; 3]> {
-    let starts = |axis: usize, of: &[&Piece<'_>]| {
+fn uncovered(dims: [u64; 3], pieces: &[Piece]) -> Option<[u64; 3]> {
+    let starts = |axis: usize, of: &[&Piece]| {
         let mut at: Vec<u64> = of.iter().flat_map(|p| [p.voxels.lo[axis], p.voxels.hi[axis]]).collect();
         at.push(0);
         at.retain(|&x| x < dims[axis]);
@@ -192,15 +358,15 @@ fn uncovered(dims: [u64; 3], pieces: &[Piece<'_>]) -> Option<[u64; 3]> {
         at.dedup();
         at
     };
-    let across = |of: &[&Piece<'_>], axis: usize, at: u64| -> Vec<usize> {
-        let holds = |p: &&Piece<'_>| (p.voxels.lo[axis]..p.voxels.hi[axis]).contains(&at);
+    let across = |of: &[&Piece], axis: usize, at: u64| -> Vec<usize> {
+        let holds = |p: &&Piece| (p.voxels.lo[axis]..p.voxels.hi[axis]).contains(&at);
         (0..of.len()).filter(|&i| holds(&of[i])).collect()
     };
-    let all: Vec<&Piece<'_>> = pieces.iter().collect();
+    let all: Vec<&Piece> = pieces.iter().collect();
     for z in starts(2, &all) {
-        let plane: Vec<&Piece<'_>> = across(&all, 2, z).into_iter().map(|i| all[i]).collect();
+        let plane: Vec<&Piece> = across(&all, 2, z).into_iter().map(|i| all[i]).collect();
         for y in starts(1, &plane) {
-            let row: Vec<&Piece<'_>> = across(&plane, 1, y).into_iter().map(|i| plane[i]).collect();
+            let row: Vec<&Piece> = across(&plane, 1, y).into_iter().map(|i| plane[i]).collect();
             for x in starts(0, &row) {
                 if across(&row, 0, x).is_empty() {
                     return Some([x, y, z]);
@@ -212,8 +378,9 @@ fn uncovered(dims: [u64; 3], pieces: &[Piece<'_>]) -> Option<[u64; 3]> {
 }
 
 /// VTK's `Direction` is a matrix, row by row, whose columns are the directions of the axes.
-fn geometry(doc: &Document, whole: &Extent, center: Center) -> Result<Geometry> {
-    if doc.kind != "ImageData" {
+fn geometry(image: &Image, center: Center) -> Result<Geometry> {
+    let Image { doc, whole, kind, .. } = image;
+    if *kind != "ImageData" {
         // The grid's coordinates say where its samples are.
         return Ok(Geometry::default());
     }
@@ -239,7 +406,7 @@ fn data_of(piece: &Element, center: Center) -> Option<&Element> {
 }
 
 /// The field to read, and all that can be listed.
-fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<Picked> {
+fn choose(image: &Image, (doc, piece): (&Document, &Element), wanted: Option<&str>) -> Result<Picked> {
     let of = |center| fields(doc, data_of(piece, center));
     let (points, mut cells) = (of(Center::Point)?, of(Center::Cell)?);
     if doc.kind != "ImageData" {
@@ -256,7 +423,7 @@ fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<Picke
         }
     }
     let active = |center| data_of(piece, center).and_then(|d| d.attribute("Scalars"));
-    pick(doc.source.path(), points, cells, wanted, active)
+    pick(image.doc.source.path(), points, cells, wanted, active)
 }
 
 pub(super) fn arrays(data: Option<&Element>) -> impl Iterator<Item = &Element> {
@@ -282,15 +449,16 @@ pub(super) fn fields(doc: &Document, data: Option<&Element>) -> Result<Vec<Field
 }
 
 /// The array of the field in a piece.
-fn array<'a>(doc: &Document, piece: &Piece<'a>, field: &FieldInfo, center: Center) -> Result<&'a Element> {
+fn array<'a>(doc: &'a Document, piece: &Piece, field: &FieldInfo, center: Center) -> Result<&'a Element> {
+    let element = piece.element(doc)?;
     let same = |a: &&Element| {
         let components = doc.count(a, "NumberOfComponents", 1);
         let scalar = a.attribute("type").and_then(scalar_type);
         name_of(a) == field.name && scalar == Some(field.scalar) && components.is_ok_and(|n| n == 1)
     };
-    arrays(data_of(piece.element, center)).find(same).ok_or_else(|| {
+    arrays(data_of(element, center)).find(same).ok_or_else(|| {
         let expected = format!("an array '{}' of type {} in every piece", field.name, field.scalar.name());
-        doc.wrong(piece.element, expected, "none like it")
+        doc.wrong(element, expected, "none like it")
     })
 }
 
@@ -353,18 +521,94 @@ impl ChunkSource for BlockChunks {
     }
 }
 
-/// The samples of one or several pieces as slabs of the whole image, in its order. A piece is
-/// decoded front to back, and is open only while slabs pass through it: memory is that of a slab
-/// and of the decoders that are open together.
+/// The samples of one or several pieces as slabs of the whole image.
 struct PieceSlabs {
-    doc: Document,
     info: VolumeInfo,
-    center: Center,
+    joined: Joined,
+}
+
+impl PieceSlabs {
+    fn new(info: VolumeInfo, pieces: Vec<Piece>, center: Center) -> Result<Self> {
+        let what = What::Field(info.field.clone(), center);
+        Ok(Self { joined: Joined::new(info.dims, info.field.scalar, what, pieces)?, info })
+    }
+}
+
+impl SlabStream for PieceSlabs {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn working_bytes(&self) -> u64 {
+        self.joined.working_bytes.saturating_add(4 << 20)
+    }
+
+    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+        self.joined.next_slab(out)
+    }
+}
+
+/// What is read of each piece.
+pub(super) enum What {
+    Field(FieldInfo, Center),
+    /// The positions of its samples: x, y, z of each.
+    Points,
+}
+
+impl What {
+    /// The array in a piece, whose numbers are of a type.
+    fn open(&self, doc: &Document, piece: &Piece, scalar: ScalarType) -> Result<ArrayStream> {
+        let element = match self {
+            Self::Field(field, center) => array(doc, piece, field, *center)?,
+            Self::Points => points_of(doc, piece, Some(scalar))?,
+        };
+        ArrayStream::open(doc, element, scalar, piece.bytes(self.numbers() * scalar.bytes()))
+    }
+
+    /// Numbers a sample.
+    fn numbers(&self) -> usize {
+        match self {
+            Self::Field(..) => 1,
+            Self::Points => 3,
+        }
+    }
+}
+
+/// The array of the positions of a piece's samples, of this type or of any.
+pub(super) fn points_of<'a>(
+    doc: &'a Document,
+    piece: &Piece,
+    scalar: Option<ScalarType>,
+) -> Result<&'a Element> {
+    let element = piece.element(doc)?;
+    let array = element.child("Points").and_then(|p| p.child("DataArray"));
+    let array = array.ok_or_else(|| doc.wrong(element, "a DataArray in Points", "none"))?;
+    let found = array.attribute("type").and_then(scalar_type);
+    if found.is_none() || (scalar.is_some() && found != scalar) {
+        let expected = scalar.map_or("numbers".into(), |s| format!("numbers of type {}", s.name()));
+        return Err(doc.wrong(array, expected, array.attribute("type").unwrap_or("no type").to_string()));
+    }
+    Ok(array)
+}
+
+/// The numbers of all pieces as slabs of the whole image, in its order. A piece is decoded front to
+/// back, and is open only while slabs pass through it: memory is that of a slab and of the decoders
+/// that are open together. Samples that several pieces have must be the same in all of them.
+pub(super) struct Joined {
+    what: What,
+    scalar: ScalarType,
     walk: SlabWalk,
     /// Ordered by their first slices, so that pieces one above the other are not open together.
     pieces: Vec<OpenPiece>,
     row: Vec<u8>,
     working_bytes: u64,
+}
+
+struct OpenPiece {
+    piece: Piece,
+    /// The samples that pieces before it have too, and the numbers of those pieces.
+    shared: Vec<(IndexBox, usize)>,
+    stream: Option<ArrayStream>,
 }
 
 /// The most that pieces need together: those that some slice crosses are open at one time.
@@ -381,81 +625,119 @@ fn most_at_once(needs: &[(IndexBox, u64)]) -> u64 {
     most
 }
 
-struct OpenPiece {
-    number: usize,
-    voxels: IndexBox,
-    stream: Option<ArrayStream>,
-}
-
-impl PieceSlabs {
-    fn new(doc: Document, info: VolumeInfo, whole: &Extent, center: Center) -> Result<Self> {
-        let found = centred(&doc, whole, pieces(&doc, whole)?, center)?;
-        let mut needs = vec![];
-        for piece in &found {
-            // Every header is checked before the first slab.
-            let element = array(&doc, piece, &info.field, center)?;
-            let stream = ArrayStream::open(&doc, element, info.field.scalar, piece.bytes(&info.field))?;
-            needs.push((piece.voxels, stream.working_bytes()));
-        }
-        let open = |p: Piece<'_>| OpenPiece { number: p.number, voxels: p.voxels, stream: None };
-        let mut pieces: Vec<OpenPiece> = found.into_iter().map(open).collect();
+impl Joined {
+    /// The pieces of an image of so many samples, whose numbers are of a type.
+    pub(super) fn new(
+        dims: [u64; 3],
+        scalar: ScalarType,
+        what: What,
+        mut pieces: Vec<Piece>,
+    ) -> Result<Self> {
         pieces.sort_by_key(|p| p.voxels.lo[2]);
-        let walk = SlabWalk::new(info.dims, info.field.scalar.bytes());
-        Ok(Self { doc, info, center, walk, pieces, row: vec![], working_bytes: most_at_once(&needs) })
-    }
-
-    /// Copies what piece `number` has of the slab into `out`.
-    fn copy(&mut self, number: usize, slab: &IndexBox, out: &mut [u8]) -> Result<()> {
-        let size = self.info.field.scalar.bytes();
-        let piece = &mut self.pieces[number];
-        let common = piece.voxels.intersect(slab);
-        if piece.stream.is_none() {
-            let element = self.doc.data.all("Piece").nth(piece.number).expect("pieces were listed from it");
-            let found = Piece { number: piece.number, element, voxels: piece.voxels };
-            let element = array(&self.doc, &found, &self.info.field, self.center)?;
-            let bytes = found.bytes(&self.info.field);
-            piece.stream = Some(ArrayStream::open(&self.doc, element, self.info.field.scalar, bytes)?);
+        let (mut needs, mut open): (_, Vec<OpenPiece>) = (vec![], vec![]);
+        for piece in pieces {
+            // Every header is checked before the first slab.
+            let stream = what.open(&*piece.document()?, &piece, scalar)?;
+            needs.push((piece.voxels, stream.working_bytes()));
+            let common = |(n, before): (usize, &OpenPiece)| (piece.voxels.intersect(&before.piece.voxels), n);
+            let shared = open.iter().enumerate().map(common).filter(|(b, _)| !b.is_empty()).collect();
+            open.push(OpenPiece { piece, shared, stream: None });
         }
-        let stream = piece.stream.as_mut().expect("it was opened above");
-        if common == *slab {
-            // A piece as wide as the image: its part is one run.
-            stream.fill(out)?;
-        } else {
-            self.row.resize(piece.voxels.dims()[0] as usize * size, 0);
-            for z in common.lo[2]..common.hi[2] {
-                for y in common.lo[1]..common.hi[1] {
-                    stream.fill(&mut self.row)?;
-                    let at = slab.offset([common.lo[0], y, z]) * size;
-                    out[at..at + self.row.len()].copy_from_slice(&self.row);
-                }
-            }
-        }
-        if common.hi[1] == piece.voxels.hi[1] && common.hi[2] == piece.voxels.hi[2] {
-            stream.finish()?;
-            piece.stream = None;
-        }
-        Ok(())
-    }
-}
-
-impl SlabStream for PieceSlabs {
-    fn info(&self) -> &VolumeInfo {
-        &self.info
+        let walk = SlabWalk::new(dims, what.numbers() * scalar.bytes());
+        Ok(Self { what, scalar, walk, pieces: open, row: vec![], working_bytes: most_at_once(&needs) })
     }
 
-    fn working_bytes(&self) -> u64 {
-        self.working_bytes.saturating_add(4 << 20)
-    }
-
-    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+    /// The next slab of the image, in `out`; `None` after the last.
+    pub(super) fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
         out.clear();
         let Some(slab) = self.walk.next() else { return Ok(None) };
-        out.resize(slab.len() * self.info.field.scalar.bytes(), 0);
+        out.resize(slab.len() * self.what.numbers() * self.scalar.bytes(), 0);
         for number in 0..self.pieces.len() {
-            if !self.pieces[number].voxels.intersect(&slab).is_empty() {
+            if !self.pieces[number].piece.voxels.intersect(&slab).is_empty() {
                 self.copy(number, &slab, out)?;
             }
         }
         Ok(Some(slab))
     }
+
+    /// Copies what piece `number` has of the slab into `out`.
+    fn copy(&mut self, number: usize, slab: &IndexBox, out: &mut [u8]) -> Result<()> {
+        let size = self.what.numbers() * self.scalar.bytes();
+        let open = &mut self.pieces[number];
+        let voxels = open.piece.voxels;
+        let common = voxels.intersect(slab);
+        if open.stream.is_none() {
+            open.stream = Some(self.what.open(&*open.piece.document()?, &open.piece, self.scalar)?);
+        }
+        let stream = open.stream.as_mut().expect("it was opened above");
+        if common == *slab && open.shared.iter().all(|(b, _)| b.intersect(slab).is_empty()) {
+            // A piece as wide as the image: its part is one run.
+            stream.fill(out)?;
+        } else {
+            self.row.resize(voxels.dims()[0] as usize * size, 0);
+            for z in common.lo[2]..common.hi[2] {
+                for y in common.lo[1]..common.hi[1] {
+                    stream.fill(&mut self.row)?;
+                    let holds =
+                        |b: &IndexBox| (b.lo[1]..b.hi[1]).contains(&y) && (b.lo[2]..b.hi[2]).contains(&z);
+                    for (both, before) in open.shared.iter().filter(|(b, _)| holds(b)) {
+                        let count = both.dims()[0] as usize * size;
+                        let at = slab.offset([both.lo[0], y, z]) * size;
+                        let own = (both.lo[0] - voxels.lo[0]) as usize * size;
+                        let (a, b) = (&out[at..at + count], &self.row[own..own + count]);
+                        if let Some(n) = differing(self.scalar, a, b) {
+                            let sample = [both.lo[0] + n / self.what.numbers() as u64, y, z];
+                            let numbers = [a, b].map(|bytes| number_at(self.scalar, bytes, n));
+                            let pieces = [*before, number];
+                            return Err(self.disagree(pieces, sample, numbers));
+                        }
+                    }
+                    let at = slab.offset([common.lo[0], y, z]) * size;
+                    out[at..at + self.row.len()].copy_from_slice(&self.row);
+                }
+            }
+        }
+        if common.hi[1] == voxels.hi[1] && common.hi[2] == voxels.hi[2] {
+            stream.finish()?;
+            open.stream = None;
+        }
+        Ok(())
+    }
+
+    /// The error of two pieces that have different numbers for one sample.
+    fn disagree(&self, pieces: [usize; 2], [x, y, z]: [u64; 3], numbers: [f64; 2]) -> Error {
+        let name = |n: usize| match &self.pieces[n].piece.place {
+            PieceFile::Open(doc) => {
+                (doc.source.path().to_path_buf(), format!("piece {}", self.pieces[n].piece.number))
+            }
+            PieceFile::Listed { path, .. } => {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                (path.clone(), name)
+            }
+        };
+        let [(_, before), (path, own)] = pieces.map(name);
+        let at = format!("sample ({x}, {y}, {z}) of the image");
+        let expected = format!("{}, as {before} has it", numbers[0]);
+        Error::bad_input(path, at, expected, format!("{} in {own}", numbers[1]))
+            .with_help("pieces that overlap must agree: write them again, from one run")
+    }
+}
+
+/// The first of two rows' numbers that differ, as numbers: not a number is equal to itself.
+fn differing(scalar: ScalarType, a: &[u8], b: &[u8]) -> Option<u64> {
+    if a == b {
+        return None;
+    }
+    let count = (a.len() / scalar.bytes()) as u64;
+    (0..count).find(|&n| {
+        let part = |bytes: &[u8]| bytes[n as usize * scalar.bytes()..][..scalar.bytes()].to_vec();
+        let [x, y] = [a, b].map(|bytes| number_at(scalar, bytes, n));
+        part(a) != part(b) && !(scalar.is_float() && (x == y || x.is_nan() && y.is_nan()))
+    })
+}
+
+fn number_at(scalar: ScalarType, bytes: &[u8], n: u64) -> f64 {
+    let mut out = [0.0];
+    to_f64(scalar, &bytes[n as usize * scalar.bytes()..][..scalar.bytes()], &mut out);
+    out[0]
 }

@@ -25,6 +25,10 @@
 //! **Fields** are the arrays of the point data. Without `--field` the one that the file names as
 //! its active `Scalars` is read, else the only one with one component.
 //!
+//! **Indices** (`.pvti`, `.pvtr`, `.pvts`) list files of one piece each, which are joined like pieces
+//! of one file. A missing file, a part of the image in no file, and samples that two pieces have
+//! with different numbers are errors.
+//!
 //! **Cell data** of an image are samples in the middles of its cells: one fewer along each axis,
 //! the first half a step from the origin. They are read where there is no scalar point data, or by
 //! their name. Those of rectilinear and curvilinear grids are refused.
@@ -46,6 +50,8 @@ mod image;
 mod stored;
 
 #[cfg(test)]
+mod pieces_tests;
+#[cfg(test)]
 pub(in crate::formats) mod tests;
 
 use crate::bytes::ByteSource;
@@ -56,6 +62,7 @@ use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::volume::VolumeSource;
 use head::Document;
+use image::Image;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -68,7 +75,7 @@ impl Format for VtkXml {
     }
 
     fn suffixes(&self) -> &'static [&'static str] {
-        &[".vti", ".vtr", ".vts", ".vtu", ".pvtu"]
+        &[".vti", ".vtr", ".vts", ".vtu", ".pvti", ".pvtr", ".pvts", ".pvtu"]
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
@@ -110,17 +117,28 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 /// # Errors
 /// [`Error::BadInput`](crate::Error::BadInput) for a malformed file.
 pub(crate) fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> {
-    let doc = Document::open_one_of(source, &["ImageData", "RectilinearGrid", "StructuredGrid"])?;
-    grid::coordinates(&doc)
+    grid::coordinates(&Image::open(source)?)
 }
 
-/// The time that a file has in its field data, as `TimeValue`.
+/// The time that a file, or the first one that an index lists, has in its field data as
+/// `TimeValue`.
 ///
 /// # Errors
 /// [`Error::BadInput`](crate::Error::BadInput) for a malformed file.
 pub(in crate::formats) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> {
-    let kinds = ["ImageData", "RectilinearGrid", "StructuredGrid", "UnstructuredGrid"];
-    grid::time(&Document::open_one_of(source, &kinds)?)
+    grid::time(&Document::open_one_of(
+        source,
+        &[
+            "ImageData",
+            "RectilinearGrid",
+            "StructuredGrid",
+            "UnstructuredGrid",
+            "PImageData",
+            "PRectilinearGrid",
+            "PStructuredGrid",
+            "PUnstructuredGrid",
+        ],
+    )?)
 }
 
 /// Opens the mesh of a `.vtu` or `.pvtu` file.

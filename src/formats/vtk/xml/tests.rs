@@ -373,7 +373,7 @@ fn malformed_files_are_refused() {
     let good = String::from_utf8(image(every_encoding()[0], &ONE)).unwrap();
     for (from, to, says) in [
         ("type=\"ImageData\"", "type=\"RectilinearGrid\"", "an element 'RectilinearGrid'"),
-        ("type=\"ImageData\"", "type=\"PImageData\"", ".pvti"),
+        ("type=\"ImageData\"", "type=\"PImageData\"", "an element 'PImageData'"),
         ("type=\"ImageData\"", "type=\"UnstructuredGrid\"", ".vtu"),
         ("<VTKFile", "<File", "an element 'File'"),
         ("LittleEndian", "MiddleEndian", "byte_order"),

@@ -1,0 +1,225 @@
+//! DICOM (medical images): a folder of slices in files of their own, and files of many frames.
+//!
+//! ```text
+//!  | 128 bytes, "DICM" | group 2: transfer syntax | elements … | (7fe0,0010): samples of the frames |
+//! ```
+//!
+//! Each slice says where it lies: Image Position (the middle of its first sample, in mm, in the
+//! patient's coordinates), Image Orientation (the directions of rows and columns) and Pixel Spacing.
+//! Slices are ordered along the normal of their plane, whatever their names are. Files of many
+//! frames ("enhanced") say the same in functional groups, shared or of each frame.
+//!
+//! A volume that is not whole would be silently wrong. So these are errors that name the files: two
+//! series in one folder, two slices at one place (times or echoes), a gap, unequal spacing, slices
+//! of different sizes or directions. Also refused by name: compressed samples, colours, modality
+//! lookup tables, and frames without a position.
+//!
+//! Values are those of Rescale Slope and Intercept; where these differ from slice to slice (PET),
+//! they are computed as `f64`. The Pixel Padding Value means "no data". Bits above Bits Stored may
+//! be overlays, and are not part of a sample.
+//!
+//! Files are read where they lie, some rows at a time. Memory: what describes the frames.
+//!
+//! The reader is our own: a data dictionary is large, and some thirty elements say all that is needed.
+//! The format: the DICOM standard, parts PS3.3 (C.7.6) and PS3.5 (7).
+
+mod element;
+mod file;
+mod series;
+
+use super::stack;
+use crate::bytes::{ByteSource, IoMode};
+use crate::error::{Error, Result};
+use crate::formats::shared::cf::Convert;
+use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::header::plain_info;
+use crate::formats::shared::stream::sample_bytes;
+use crate::formats::shared::{OpenOptions, has_suffix, pick_field};
+use crate::grid::IndexBox;
+use crate::volume::chunked::ChunkSource;
+use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
+use file::{DicomFile, Layout};
+use series::Slice;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// DICOM.
+pub(in crate::formats) struct Dicom;
+
+const SUFFIXES: [&str; 2] = [".dcm", ".ima"];
+
+impl Format for Dicom {
+    fn name(&self) -> &'static str {
+        "a DICOM file"
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &SUFFIXES
+    }
+
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        has_magic(&head.bytes)
+    }
+
+    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+        let source = Arc::new(ByteSource::open(path, options.io)?);
+        let file = DicomFile::read(&source)?;
+        if file.frames.len() == 1 {
+            return Err(Error::bad_input(path, "Number of Frames", "frames of a volume", "one slice")
+                .with_help("name the folder of its series, or a pattern for the slices, in quotes"));
+        }
+        open(path, vec![file], Some(source), options)
+    }
+}
+
+fn has_magic(head: &[u8]) -> bool {
+    head.get(128..132) == Some(b"DICM")
+}
+
+/// Whether a file is DICOM, by its first bytes.
+fn is_dicom(path: &Path) -> Result<bool> {
+    let source = ByteSource::open(path, IoMode::Read)?;
+    let mut head = vec![0; source.len().min(132) as usize];
+    source.read_at(0, &mut head)?;
+    Ok(has_magic(&head))
+}
+
+/// The slices in a folder, or of a pattern; `None` where there is no DICOM file.
+///
+/// # Errors
+/// [`Error::BadInput`] for files that are no DICOM but are called so, or are damaged, and for slices
+/// that are not one volume.
+pub(super) fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<VolumeSource>> {
+    let is_pattern = stack::is_pattern(path);
+    let (mut files, mut others) = (vec![], vec![]);
+    for file in stack::files(path)? {
+        // The index of a medium lists its files, which are elsewhere.
+        let is_index = file.file_name().is_some_and(|name| name.eq_ignore_ascii_case("DICOMDIR"));
+        if !is_index && std::fs::metadata(&file).is_ok_and(|m| m.len() > 0) && is_dicom(&file)? {
+            files.push(file);
+        } else if !is_index && (is_pattern || has_suffix(&file, &SUFFIXES)) {
+            others.push(file);
+        }
+    }
+    if files.is_empty() && (is_pattern || others.is_empty()) {
+        return Ok(None);
+    }
+    if let Some(other) = others.first() {
+        let got = format!("{}, which has no 'DICM' at byte 128", other.display());
+        return Err(Error::bad_input(path, "slices", "DICOM files", got)
+            .with_help("fetch the file again, or choose the slices by a pattern, in quotes"));
+    }
+    options.refuse_geometry(path, "a DICOM series")?;
+    let read = |file: &PathBuf| DicomFile::read(&Arc::new(ByteSource::open(file, options.io)?));
+    let files = files.iter().map(read).collect::<Result<Vec<_>>>()?;
+    open(path, files, None, options).map(Some)
+}
+
+/// Opens the frames of all files as one volume.
+fn open(
+    path: &Path,
+    files: Vec<DicomFile>,
+    source: Option<Arc<ByteSource>>,
+    options: &OpenOptions,
+) -> Result<VolumeSource> {
+    let series = series::of(path, files)?;
+    let Layout { columns, rows, bits_stored, .. } = series.layout;
+    let stored = series.layout.scalar();
+    let first = &series.slices[0];
+    let varies = series.slices.iter().any(|s| (s.slope, s.intercept) != (first.slope, first.intercept));
+    let scalar = if varies { ScalarType::F64 } else { stored };
+    let dims = [columns.into(), rows.into(), series.slices.len() as u64];
+    sample_bytes(path, dims, scalar)?;
+    let count = series.paths.len();
+    let files = if source.is_some() { "frames".into() } else { format!("{count} files") };
+    let format = format!("DICOM ({files}, {} of {bits_stored} bits)", stored.name());
+    let mut info = plain_info(path, format, dims, scalar, series.geometry);
+    pick_field(path, &info.fields, options.field.as_deref())?;
+    let mut convert = None;
+    if varies {
+        let lines = series.slices.iter().map(|s| [s.slope, s.intercept]).collect();
+        let valid = [f64::NEG_INFINITY, f64::INFINITY];
+        convert = Some(Convert { valid, missing: series.layout.padding, lines, slices: [1, dims[2]] });
+    } else {
+        (info.slope, info.intercept, info.missing) = (first.slope, first.intercept, series.layout.padding);
+    }
+    if source.is_none() {
+        info.data_files.clone_from(&series.paths);
+    }
+    Ok(VolumeSource::Chunked(Arc::new(Rows {
+        rows: (ROWS_BYTES / (dims[0] * 8)).clamp(1, dims[1]),
+        info,
+        layout: series.layout,
+        slices: series.slices,
+        paths: series.paths,
+        io: options.io,
+        source,
+        convert,
+    })))
+}
+
+/// Bytes of the rows that are decoded together, at most, where one row is not more.
+const ROWS_BYTES: u64 = 256 << 10;
+
+/// Some rows of a slice each time.
+struct Rows {
+    info: VolumeInfo,
+    layout: Layout,
+    slices: Vec<Slice>,
+    paths: Vec<PathBuf>,
+    io: IoMode,
+    /// The file, where there is only one; a series may have more than can be open.
+    source: Option<Arc<ByteSource>>,
+    /// How stored numbers become values, where that differs between slices.
+    convert: Option<Convert>,
+    rows: u64,
+}
+
+impl ChunkSource for Rows {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        [self.info.dims[0], self.rows, 1]
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        // Stored, and given out.
+        16 * self.info.dims[0] * self.rows
+    }
+
+    fn decode(&self, [_, y, z]: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        let d = self.info.dims;
+        let lo = (y * self.rows).min(d[1]);
+        let part = IndexBox { lo: [0, lo, z], hi: [d[0], (lo + self.rows).min(d[1]), z + 1] };
+        let slice = &self.slices[z as usize];
+        let size = self.layout.scalar().bytes();
+        let opened;
+        let source = match &self.source {
+            Some(source) => &**source,
+            None => {
+                opened = ByteSource::open(&self.paths[slice.file], self.io)?;
+                &opened
+            }
+        };
+        let mut stored = vec![0; part.len() * size];
+        source.read_at(slice.at + lo * d[0] * size as u64, &mut stored)?;
+        out.clear();
+        out.reserve(part.len() * self.info.field.scalar.bytes());
+        for bytes in stored.chunks_exact_mut(size) {
+            if slice.big_endian {
+                bytes.reverse();
+            }
+            let number = self.layout.number(bytes);
+            match &self.convert {
+                Some(convert) => out.extend(convert.value(number as f64, [0, z]).to_le_bytes()),
+                None => out.extend(&number.to_le_bytes()[..size]),
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,135 @@
+use super::*;
+use crate::formats::open_volume;
+use crate::formats::tests::{read_all, torture, write};
+
+/// What `tools/make_golden_dicom.py` let pydicom write.
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dicom").join(name)
+}
+
+/// The files of the series, in order; their names are in another.
+const SERIES: [&str; 5] = ["b", "e", "a", "d", "c"];
+
+fn open_default(path: &Path) -> Result<VolumeSource> {
+    open_volume(path, &OpenOptions::default())
+}
+
+/// A copy of the series, one of its files changed.
+fn copy(name: &str, change: impl Fn(Vec<u8>) -> Vec<u8>) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for file in SERIES {
+        let bytes = std::fs::read(data("series").join(file)).unwrap();
+        write(&dir, file, &if file == name { change(bytes) } else { bytes });
+    }
+    dir
+}
+
+fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
+    assert_eq!(from.len(), to.len(), "lengths stay");
+    let at = bytes.windows(from.len()).position(|w| w == from).expect("it is there");
+    [&bytes[..at], to, &bytes[at + from.len()..]].concat()
+}
+
+fn refused(path: &Path) -> String {
+    let error = open_default(path).err().expect("refused");
+    assert_eq!(error.exit_code(), 5, "{error}");
+    error.to_string()
+}
+
+#[test]
+fn slices_are_ordered_by_their_places() {
+    let patterns = [data("series"), data("series").join("?")];
+    for (path, io) in patterns.iter().zip([IoMode::Map, IoMode::Read]) {
+        let (info, values) =
+            read_all(open_volume(path, &OpenOptions { io, ..OpenOptions::default() }).unwrap());
+        // Stored from -30 on, with other bits above the twelve: 2 · stored - 1024.
+        let expected: Vec<f32> = (0..100).map(|i| 2.0 * (i as f32 - 30.0) - 1024.0).collect();
+        assert_eq!((info.dims, values), ([5, 4, 5], expected));
+        assert_eq!(info.field.scalar, ScalarType::I16);
+        assert_eq!(info.format, "DICOM (5 files, int16 of 12 bits)");
+        assert_eq!(info.geometry.to_world([0.0; 3]), [100.0, -7.25, 30.5]);
+        // Rows go on along y, columns along -z, slices along -x.
+        assert_eq!(info.geometry.to_world([4.0, 3.0, 2.0]), [95.0, -4.25, 29.0]);
+        assert_eq!(info.files().len(), 5);
+    }
+}
+
+#[test]
+fn frames_of_one_file_are_a_volume() {
+    let (info, values) = read_all(open_default(&data("enhanced.dcm")).unwrap());
+    assert_eq!((info.dims, info.field.scalar, info.missing), ([5, 4, 3], ScalarType::U16, Some(59.0)));
+    let expected: Vec<f32> = (1..60).map(|i| i as f32).collect();
+    assert_eq!(values[..59], expected);
+    assert!(values[59].is_nan());
+    assert_eq!(info.geometry.to_world([4.0, 3.0, 2.0]), [95.0, -4.25, 29.0]);
+    // Slopes of 4, 2 and 1.
+    let (info, values) = read_all(open_default(&data("slopes.dcm")).unwrap());
+    assert_eq!((info.field.scalar, info.slope, info.missing), (ScalarType::F64, 1.0, None));
+    let slope = |i: usize| [4.0, 2.0, 1.0][i / 20];
+    let expected: Vec<f32> = (0..59).map(|i| slope(i) * i as f32 + 1.0).collect();
+    assert_eq!(values[..59], expected);
+    assert!(values[59].is_nan());
+    let line = refused(&write(&tempfile::tempdir().unwrap(), "one.dcm", b"what"));
+    assert!(line.contains("byte 128"), "{line}");
+    let line = refused(&data("series/a"));
+    assert!(line.contains("name the folder"), "{line}");
+}
+
+#[test]
+fn slices_that_are_not_one_volume_are_refused_by_name() {
+    let place = br"92.5\-7.25\30.5  ";
+    let direction = br"0.0\1.0\0.0\0.0\0.0\-1.0";
+    for (from, to, says) in [
+        (&place[..], &br"97.5\-7.25\30.5  "[..], "two at one: d and e"),
+        (place, br"80.5\-7.25\30.5  ", "1 missing between a and c"),
+        (place, br"93.3\-7.25\30.5  ", "mm between a and d"),
+        (place, br"92.5\-7.25\31.5  ", "along a line, this one at [92.5, -7.25, 30.5]"),
+        (place, br"92.5\-7.25       ", "3 numbers"),
+        (direction, br"0.0\1.0\0.0\0.0\0.1\-1.0", "one for all slices"),
+        (br"0.5\0.75", br"0.5\0.70", "Pixel Spacing"),
+        (b"1.2.3.4\0", b"1.2.3.5\0", "one series, got 2, as in a and d"),
+        (b"1.2.840.10008.1.2.1\0", b"1.2.840.10008.1.2.5\0", "RLE (1.2.840.10008.1.2.5)"),
+        (b"MONOCHROME2", b"RGB        ", "RGB"),
+        (b"\x02\x00\x0c\x00(", b"\x02\x00\x0d\x00(", "up to bit 11"),
+        (b"(\x00\x10\x00US\x02\x00\x04", b"(\x00\x10\x00US\x02\x00\x03", "samples as in the first slice"),
+        (b"(\x00\x10\x00US\x02\x00\x04", b"(\x00\x10\x00US\x02\x00\x05", "50 bytes for 1 x 5 x 5 samples"),
+        (b"2.0 ", b"0.0 ", "Rescale Slope"),
+        (b"DICM", b"DCIM", "MISSING"),
+    ] {
+        let dir = copy("d", |bytes| replaced(&bytes, from, to));
+        if says == "MISSING" {
+            // A file of another kind is no slice: so one is missing, and not only passed over.
+            assert!(refused(dir.path()).contains("1 missing between a and c"));
+            continue;
+        }
+        let line = refused(dir.path());
+        assert!(line.contains(says), "{says}: {line}");
+    }
+    let dir = copy("a", |bytes| bytes);
+    write(&dir, "f.dcm", b"no head");
+    assert!(refused(dir.path()).contains("f.dcm, which has no 'DICM'"));
+    // A part of the names.
+    let line = refused(&data("series").join("[ab]*"));
+    assert!(line.contains("none"), "{line}");
+}
+
+#[test]
+fn a_series_with_a_gap_is_refused() {
+    let dir = copy("a", |bytes| bytes);
+    std::fs::remove_file(dir.path().join("d")).unwrap();
+    let line = refused(dir.path());
+    assert!(line.contains("slices 2.5 mm apart, as most are, got 1 missing between a and c"), "{line}");
+}
+
+#[test]
+fn damaged_files_are_refused_or_read() {
+    let bytes = std::fs::read(data("enhanced.dcm")).unwrap();
+    torture("enhanced.dcm", &bytes, bytes.len());
+    // Sequences in one another, with and without an end.
+    let item = [&[0xfe, 0xff, 0x00, 0xe0][..], &[0xff; 4]].concat();
+    let sequence = [&[0x00, 0x52, 0x29, 0x92, b'S', b'Q', 0, 0][..], &[0xff; 4], &item].concat();
+    let deep = [&bytes[..bytes.len() - 132], &sequence.repeat(1000)].concat();
+    let dir = tempfile::tempdir().unwrap();
+    let line = refused(&write(&dir, "deep.dcm", &deep));
+    assert!(line.contains("sequences in one another"), "{line}");
+}

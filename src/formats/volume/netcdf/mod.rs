@@ -1,0 +1,349 @@
+//! NetCDF-3: the classic format, the one with offsets of 64 bits, and CDF-5.
+//!
+//! ```text
+//!  "CDF" 1|2|5                      then the number of records
+//!  dimensions, attributes           names and sizes; a size of 0 is that of the records
+//!  variables                        name, dimensions, attributes, type, first byte
+//!  …                                variables of fixed size, one after another
+//!  record 0, record 1, …            of each record a part of every variable with records
+//! ```
+//!
+//! All numbers are big-endian. Every variable lies in place at regular steps, so it is mapped as it
+//! is: a variable with records has the size of a record as the step of its first axis.
+//!
+//! Variables of three axes or more are the fields, as in NetCDF-4: see `hdf5` for frames and
+//! channels, and [`cf`] for attributes and coordinates. Where no attribute names a value that means
+//! "no data", it is the fill value of the library for that type, of bytes none. Memory: the
+//! header's attributes, and with a valid range a piece of 128 KiB.
+//!
+//! The reader is our own, since the format is small, and no scratch copy may be needed. The format:
+//! "NetCDF Classic Format Specification", Unidata.
+
+mod header;
+
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::formats::shared::cf::{self, Convert, Line, MOST_COORDINATES, Part, Rules};
+use crate::formats::shared::coordinates::GridCoordinates;
+use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::header::{given_geometry, plain_info};
+use crate::formats::shared::numbers::to_f64;
+use crate::formats::shared::stream::sample_bytes;
+use crate::formats::shared::{Frames, OpenOptions, pick_field};
+use crate::grid::{Geometry, IndexBox};
+use crate::volume::chunked::ChunkSource;
+use crate::volume::strided::StridedVolume;
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use header::{Header, Variable};
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// NetCDF-3.
+pub(in crate::formats) struct NetCdf;
+
+impl Format for NetCdf {
+    fn name(&self) -> &'static str {
+        "a NetCDF-3 file"
+    }
+
+    fn is_on_servers(&self) -> bool {
+        true
+    }
+
+    fn suffixes(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        [1, 2, 5].iter().any(|&version| head.bytes.starts_with(&[b'C', b'D', b'F', version]))
+    }
+
+    fn has_spacing(&self) -> bool {
+        false
+    }
+
+    fn has_channels(&self) -> bool {
+        true
+    }
+
+    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+        open(path, options)
+    }
+
+    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        let mut file = File::open(path, options)?;
+        let number = file.pick(options)?;
+        let field = &file.fields[number];
+        let lines = file.lines(field)?;
+        cf::grid_of(path, &field.part.info.name, lines, field.part.world, file.dims(field))
+    }
+
+    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+        let file = File::open(path, options)?;
+        let first = match &options.field {
+            Some(name) => {
+                let first = format!("{name}:t0");
+                file.fields.iter().find(|f| f.part.is_frame && f.part.info.name == first)
+            }
+            None => file.fields.first().filter(|f| f.part.is_frame),
+        };
+        let Some(first) = first else { return Ok(Some(vec![])) };
+        let times = file.line(first, 0)?.map(|line| line.values);
+        let parts = file.fields.iter().map(|f| &f.part);
+        Ok(Some(cf::frames(parts, &first.part, options.field.is_some(), times)))
+    }
+
+    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        let file = File::open(path, options)?;
+        let mut failed = Ok(());
+        let times = cf::times(file.fields.iter(), |field| match file.line(field, 0) {
+            Ok(line) => line.map(|line| line.values),
+            Err(e) => {
+                failed = Err(e);
+                None
+            }
+        });
+        failed.map(|()| times)
+    }
+}
+
+/// Most fields of a file: frames of all variables.
+const MOST_FIELDS: usize = 1 << 20;
+/// Bytes of a piece whose numbers are converted together.
+const PIECE: u64 = 128 << 10;
+
+fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let mut file = File::open(path, options)?;
+    let number = file.pick(options)?;
+    let field = &file.fields[number];
+    let lines = file.lines(field)?;
+    if lines.iter().any(Option::is_some) {
+        options.refuse_geometry(path, "a file with coordinates")?;
+    }
+    let geometry = cf::placed(path, &lines, field.part.world, [1.0; 3])?;
+    let geometry = given_geometry(path, options, geometry)?;
+    let variable = &file.header.variables[field.variable];
+    let mut info = plain_info(path, file.header.name(), file.dims(field), field.part.info.scalar, geometry);
+    info.field = field.part.info.clone();
+    info.fields = file.infos();
+    let convert = variable.packing(path, info.field.scalar)?.into_info(&mut info);
+    let (at, strides) = file.place(field)?;
+    let volume = StridedVolume::new(info, file.source.clone(), at, true, strides)?;
+    Ok(match convert {
+        None => volume.source(),
+        Some(convert) => VolumeSource::Chunked(Arc::new(Pieces::new(volume, convert))),
+    })
+}
+
+/// A file whose header was read.
+struct File<'a> {
+    path: &'a Path,
+    source: Arc<ByteSource>,
+    header: Header,
+    fields: Vec<Field>,
+    /// Variables of three axes or more that are not read, and why.
+    refused: Vec<(String, Error)>,
+}
+
+/// A variable of three axes, or a part of one with more.
+struct Field {
+    part: Part,
+    variable: usize,
+}
+
+impl AsRef<Part> for Field {
+    fn as_ref(&self) -> &Part {
+        &self.part
+    }
+}
+
+impl<'a> File<'a> {
+    fn open(path: &'a Path, options: &OpenOptions) -> Result<Self> {
+        let source = Arc::new(ByteSource::open(path, options.io)?);
+        let header = Header::parse(path, source.head_from(0)?, source.len())?;
+        source.check()?;
+        let mut file = Self { path, source, header, fields: vec![], refused: vec![] };
+        for (number, variable) in file.header.variables.iter().enumerate() {
+            if variable.dims.len() < 3 {
+                continue;
+            }
+            match file.parts(variable) {
+                Ok(parts) => {
+                    file.fields.extend(parts.into_iter().map(|part| Field { part, variable: number }));
+                }
+                Err(e) => file.refused.push((variable.name.clone(), e)),
+            }
+            if file.fields.len() > MOST_FIELDS {
+                let expected = format!("at most {MOST_FIELDS} frames of all variables");
+                return Err(Error::bad_input(path, "variables", expected, "more")
+                    .with_help("write the variable that is wanted to a file of its own (ncks -v)"));
+            }
+        }
+        Ok(file)
+    }
+
+    /// The fields of a variable.
+    fn parts(&self, variable: &Variable) -> Result<Vec<Part>> {
+        let scalar = variable.scalar(self.path)?;
+        let shape = self.header.shape(variable);
+        if shape.contains(&0) {
+            let got = format!("{shape:?} of them");
+            return Err(Error::bad_input(self.path, &*variable.name, "samples along each axis", got)
+                .with_help("the file has no records yet, or an empty dimension"));
+        }
+        let kinds: Vec<char> = variable.dims.iter().map(|&dim| self.kind(dim)).collect();
+        cf::parts_of(self.path, &variable.name, (&shape, &kinds), scalar, Rules::Plain)
+    }
+
+    /// What a dimension is: see [`cf::kind_of_name`].
+    fn kind(&self, dim: usize) -> char {
+        let name = &self.header.dims[dim].name;
+        match self.coordinate(dim) {
+            Some(line) => cf::kind_of_coordinate(name, &line.text("axis"), &line.text("units")),
+            None => cf::kind_of_name(name),
+        }
+    }
+
+    /// The coordinate variable of a dimension.
+    fn coordinate(&self, dim: usize) -> Option<&Variable> {
+        let name = &self.header.dims[dim].name;
+        self.header.variables.iter().find(|v| v.name == *name && v.dims == [dim])
+    }
+
+    fn infos(&self) -> Vec<FieldInfo> {
+        self.fields.iter().map(|f| f.part.info.clone()).collect()
+    }
+
+    /// The number of the field that is wanted.
+    fn pick(&mut self, options: &OpenOptions) -> Result<usize> {
+        let wanted = cf::with_channel(self.path, options, self.fields.iter().map(|f| &f.part))?;
+        let refused = match &wanted {
+            Some(wanted) => self.refused.iter().position(|(name, _)| name == wanted),
+            None if self.fields.is_empty() && !self.refused.is_empty() => Some(0),
+            None => None,
+        };
+        match refused {
+            Some(number) => Err(self.refused.swap_remove(number).1),
+            None if self.fields.is_empty() => {
+                Err(Error::bad_input(self.path, "variables", "a variable with three axes", "none"))
+            }
+            None => pick_field(self.path, &self.infos(), wanted.as_deref()),
+        }
+    }
+
+    /// Samples along x, y, z.
+    fn dims(&self, field: &Field) -> [u64; 3] {
+        let shape = self.header.shape(&self.header.variables[field.variable]);
+        std::array::from_fn(|a| shape[shape.len() - 1 - a])
+    }
+
+    /// Byte of the first sample, and bytes a step along x, y, z.
+    fn place(&self, field: &Field) -> Result<(u64, [i64; 3])> {
+        let variable = &self.header.variables[field.variable];
+        let steps = self.header.steps(self.path, variable)?;
+        sample_bytes(self.path, self.dims(field), field.part.info.scalar)?;
+        let large = || {
+            let got = "a number of more than 63 bits";
+            Error::bad_input(self.path, &*variable.name, "a place in the file", got)
+                .with_help("the header is damaged")
+        };
+        let mut at = variable.begin;
+        for (&entry, &step) in field.part.before.iter().zip(&steps) {
+            at = entry.checked_mul(step).and_then(|by| at.checked_add(by)).ok_or_else(large)?;
+        }
+        let mut strides = [0; 3];
+        for (a, stride) in strides.iter_mut().enumerate() {
+            *stride = i64::try_from(steps[steps.len() - 1 - a]).map_err(|_| large())?;
+        }
+        Ok((at, strides))
+    }
+
+    /// The coordinates along x, y, z, where the file has them.
+    fn lines(&self, field: &Field) -> Result<[Option<Line>; 3]> {
+        let rank = self.header.variables[field.variable].dims.len();
+        let [x, y, z] = [1, 2, 3].map(|back| self.line(field, rank - back));
+        Ok([x?, y?, z?])
+    }
+
+    /// The coordinates along an axis of a variable, where the file has them.
+    fn line(&self, field: &Field, axis: usize) -> Result<Option<Line>> {
+        let dim = self.header.variables[field.variable].dims[axis];
+        let Some(variable) = self.coordinate(dim) else { return Ok(None) };
+        // Names, for example, are no coordinates.
+        let Ok(scalar) = variable.scalar(self.path) else { return Ok(None) };
+        let count = self.header.size(dim);
+        if count > MOST_COORDINATES {
+            return Ok(None);
+        }
+        let step = self.header.steps(self.path, variable)?[0];
+        let stride = i64::try_from(step).unwrap_or(i64::MAX);
+        // Along y: those of records are far apart, and are read each by itself.
+        let dims = [1, count, 1];
+        let mut info = plain_info(self.path, self.header.name(), dims, scalar, Geometry::default());
+        info.field.name.clone_from(&variable.name);
+        let strides = [scalar.bytes() as i64, stride, stride];
+        let reader = StridedVolume::new(info, self.source.clone(), variable.begin, true, strides)?;
+        let mut bytes = vec![0; count as usize * scalar.bytes()];
+        reader.read_stored(IndexBox::whole(dims), &mut bytes)?;
+        let mut values = vec![0.0; count as usize];
+        to_f64(scalar, &bytes, &mut values);
+        variable.packing(self.path, scalar)?.unpack(&mut values);
+        Ok(Some(Line::new(values, scalar == ScalarType::F32)))
+    }
+}
+
+/// The values of a variable with a valid range, as `f64`, piece by piece.
+struct Pieces {
+    info: VolumeInfo,
+    volume: StridedVolume,
+    convert: Convert,
+    piece: [u64; 3],
+}
+
+impl Pieces {
+    fn new(volume: StridedVolume, convert: Convert) -> Self {
+        let mut info = volume.info().clone();
+        info.field.scalar = ScalarType::F64;
+        let (dims, mut piece) = (info.dims, [1; 3]);
+        for a in 0..3 {
+            while piece[a] < dims[a] && 16 * piece.iter().product::<u64>() <= PIECE {
+                piece[a] = (2 * piece[a]).min(dims[a]);
+            }
+        }
+        Self { info, volume, convert, piece }
+    }
+}
+
+impl ChunkSource for Pieces {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.piece
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        // Stored, as f64, and given out.
+        24 * self.piece.iter().product::<u64>()
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        let d = self.info.dims;
+        let lo: [u64; 3] = std::array::from_fn(|a| at[a].saturating_mul(self.piece[a]).min(d[a]));
+        let hi = std::array::from_fn(|a| lo[a].saturating_add(self.piece[a]).min(d[a]));
+        let voxels = IndexBox { lo, hi };
+        let scalar = self.volume.info().field.scalar;
+        let mut stored = vec![0; voxels.len() * scalar.bytes()];
+        self.volume.read_stored(voxels, &mut stored)?;
+        let mut numbers = vec![0.0; voxels.len()];
+        to_f64(scalar, &stored, &mut numbers);
+        out.clear();
+        out.extend(numbers.into_iter().flat_map(|v| self.convert.value(v, [0, 0]).to_le_bytes()));
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

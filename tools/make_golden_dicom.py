@@ -1,0 +1,100 @@
+#!/usr/bin/env python3
+"""Writes tests/data/dicom, small DICOM files of pydicom for the tests of src/formats/volume/dicom.
+
+Needs pydicom and numpy. Sample (z, y, x) is 20 z + 5 y + x, where z counts along the normal of the slices.
+Usage: tools/make_golden_dicom.py
+"""
+from pathlib import Path
+
+import numpy as np
+from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
+from pydicom.sequence import Sequence
+from pydicom.uid import ExplicitVRBigEndian, ExplicitVRLittleEndian, ImplicitVRLittleEndian
+
+OUT = Path(__file__).resolve().parent.parent / "tests" / "data" / "dicom"
+CT, ENHANCED = "1.2.840.10008.5.1.4.1.1.2", "1.2.840.10008.5.1.4.1.1.2.1"
+# Rows go along y of the patient, columns along -z: the normal is -x.
+ORIENTATION = [0, 1, 0, 0, 0, -1]
+SLICE = np.arange(20).reshape(4, 5)
+
+
+def position(z):
+    return [100 - 2.5 * z, -7.25, 30.5]
+
+
+def new(name, kind, syntax):
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID = kind
+    meta.MediaStorageSOPInstanceUID = "1.2.3." + str(sum(name.encode()))
+    meta.TransferSyntaxUID = syntax
+    data = FileDataset(
+        None,
+        {},
+        preamble=b"\0" * 128,
+        file_meta=meta,
+        is_implicit_VR=syntax == ImplicitVRLittleEndian,
+        is_little_endian=syntax != ExplicitVRBigEndian,
+    )
+    data.SOPClassUID, data.SOPInstanceUID = kind, meta.MediaStorageSOPInstanceUID
+    data.SeriesInstanceUID = "1.2.3.4"
+    data.PatientName = "Phantom"
+    data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
+    data.Rows, data.Columns = SLICE.shape
+    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 12, 11, 1
+    return data
+
+
+def save(data, name):
+    data.save_as(OUT / name, enforce_file_format=True)
+
+
+def series():
+    """Five slices, in an order that is not that of their names, each in another syntax."""
+    (OUT / "series").mkdir(exist_ok=True)
+    syntaxes = [ExplicitVRLittleEndian, ImplicitVRLittleEndian, ExplicitVRBigEndian]
+    for z, name in enumerate(["b", "e", "a", "d", "c"]):
+        data = new(name, CT, syntaxes[z % 3])
+        data.ImagePositionPatient, data.ImageOrientationPatient = position(z), ORIENTATION
+        data.PixelSpacing = [0.5, 0.75]
+        data.RescaleSlope, data.RescaleIntercept = 2, -1024
+        # A sequence whose items have the elements of an image too.
+        icon = Dataset()
+        icon.Rows, icon.Columns = 1, 2
+        data.IconImageSequence = Sequence([icon])
+        data["IconImageSequence"].is_undefined_length = z % 2 == 0
+        samples = (SLICE + 20 * z - 30).astype("i2")
+        # Bits above those that are stored belong to overlays.
+        samples = (samples.view("u2") & 0x0FFF | 0x5000).astype("<u2")
+        big = syntaxes[z % 3] == ExplicitVRBigEndian
+        data.PixelData = (samples.byteswap() if big else samples).tobytes()
+        data["PixelData"].VR = "OW"
+        save(data, "series/" + name)
+
+
+def enhanced(name, slopes):
+    """Frames in the reverse order, with functional groups."""
+    data = new(name, ENHANCED, ExplicitVRLittleEndian)
+    data.BitsStored, data.HighBit, data.PixelRepresentation, data.PixelPaddingValue = 16, 15, 0, 59
+    data.NumberOfFrames = 3
+    group, measures, plane = Dataset(), Dataset(), Dataset()
+    measures.PixelSpacing, plane.ImageOrientationPatient = [0.5, 0.75], ORIENTATION
+    group.PixelMeasuresSequence, group.PlaneOrientationSequence = Sequence([measures]), Sequence([plane])
+    data.SharedFunctionalGroupsSequence = Sequence([group])
+    frames = []
+    for z, slope in zip((2, 1, 0), slopes):
+        frame, place, values = Dataset(), Dataset(), Dataset()
+        place.ImagePositionPatient = position(z)
+        values.RescaleSlope, values.RescaleIntercept = slope, 1
+        frame.PlanePositionSequence, frame.PixelValueTransformationSequence = Sequence([place]), Sequence([values])
+        frames.append(frame)
+    data.PerFrameFunctionalGroupsSequence = Sequence(frames)
+    data.PixelData = np.stack([SLICE + 20 * z for z in (2, 1, 0)]).astype("<u2").tobytes()
+    data["PixelData"].VR = "OW"
+    save(data, name)
+
+
+if __name__ == "__main__":
+    OUT.mkdir(parents=True, exist_ok=True)
+    series()
+    enhanced("enhanced.dcm", (1, 1, 1))
+    enhanced("slopes.dcm", (1, 2, 4))
