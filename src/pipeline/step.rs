@@ -12,8 +12,8 @@ use crate::pipeline::field::{
 };
 use crate::pipeline::read::{ArchiveSummary, IndexToWorld, SpectrumReport, StepView, spectrum, summarize};
 use crate::pipeline::surface::{
-    ColourBy, CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, values_on,
-    with_surfaces, write_surfaces,
+    ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, stream_surfaces,
+    surfaces_in_memory, values_on, write_surfaces,
 };
 use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
@@ -335,18 +335,48 @@ impl Step {
         &self.view.step().plan.source.field
     }
 
-    /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their
-    /// sizes, then `each` has one surface after another, with world positions.
+    /// Streams isosurfaces, in bounded memory, with world positions: `part` gets each chunk's part
+    /// as soon as it is welded, in the order of the chunks; then `whole` gets each surface, in the
+    /// order of the isovalues.
+    ///
+    /// The parts of an isovalue, put together, are its surface. A surface that is cut at a region,
+    /// that is refined, or of a field with holes is one part. `part` is called on one thread at a
+    /// time; others wait while it takes long.
+    ///
+    /// ```
+    /// # use isospan::Archive;
+    /// # use isospan::pipeline::SurfaceSettings;
+    /// # use isospan::surface::TriMesh;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// let archive = Archive::open(&path)?;
+    /// let mut shown = TriMesh::default();
+    /// let mut part = |part: &isospan::pipeline::SurfacePart<'_>| {
+    ///     let added = TriMesh::from_source(part.added)?;
+    ///     shown.vertices.extend(added.vertices);
+    ///     shown.triangles.extend(added.triangles);
+    ///     for &(number, vertex) in part.changed {
+    ///         shown.vertices[number as usize] = vertex;
+    ///     }
+    ///     Ok(())
+    /// };
+    /// archive.stream_surfaces(&SurfaceSettings::of(100.0), &mut part, |_| Ok(()))?;
+    /// assert_eq!(shown, archive.surface(100.0)?);
+    /// # Ok(())
+    /// # }
+    /// ```
     ///
     /// # Errors
-    /// As [`Step::write_surface`], and those of `begin` and `each`.
+    /// As [`Step::write_surface`], and those of `part` and `whole`.
     pub fn stream_surfaces(
         &self,
         settings: &SurfaceSettings,
-        begin: impl FnOnce(&SurfaceReport) -> Result<()>,
-        each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
-    ) -> Result<()> {
-        with_surfaces(&self.view, settings, begin, each)
+        part: &mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+        whole: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+    ) -> Result<SurfaceReport> {
+        stream_surfaces(&self.view, settings, part, whole)
     }
 
     /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the

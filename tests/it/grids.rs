@@ -1,7 +1,7 @@
 //! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic
 //! maps say what must come out.
 
-use crate::common::{check_archive, contour_spectrum, extract_surface};
+use crate::common::{check_archive, contour_spectrum, extract_surface, streamed};
 use isospan::exec::Silent;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
@@ -87,7 +87,10 @@ fn make(input: &Path) -> Result<(PathBuf, ReduceReport)> {
 fn surface(archive: &Path, isovalue: f32) -> TriMesh {
     let out = archive.with_extension("ply");
     extract_surface(archive, &SurfaceSettings::of(isovalue), &out, SurfaceFormat::Ply, &Silent).unwrap();
-    read_surface(&out).unwrap()
+    let mesh = read_surface(&out).unwrap();
+    let (found, parts) = streamed(&Archive::open(archive).unwrap(), &SurfaceSettings::of(isovalue));
+    assert!(found == [mesh.clone()] && parts > 2, "{parts} parts are the file");
+    mesh
 }
 
 fn radius(p: [f64; 3]) -> f64 {

@@ -26,6 +26,8 @@ import numpy
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
+from folders import Ranges, Whole
+
 PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:7]
 TOOTH, BALL, OTHER, FIELDS = ARCHIVES
 PICTURES = pathlib.Path(sys.argv[7]) if sys.argv[7:] and sys.argv[7] else None
@@ -64,37 +66,6 @@ class Server:
         return int(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 1024
 
 
-class Whole(http.server.SimpleHTTPRequestHandler):
-    """Files, always whole."""
-
-    protocol_version = "HTTP/1.1"
-
-    def log_message(self, *_):
-        pass
-
-
-class Ranges(Whole):
-    """Files, and ranges of them."""
-
-    def do_GET(self):
-        wanted = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
-        path = pathlib.Path(self.translate_path(self.path))
-        if not wanted or not path.is_file() or (not wanted[1] and not self.server.knows_ends):
-            return super().do_GET()
-        length = path.stat().st_size
-        first, last = (int(n) if n else None for n in wanted.groups())
-        begin = max(0, length - last) if first is None else first
-        end = length if first is None or last is None else min(length, last + 1)
-        self.server.ranges += 1
-        self.send_response(206)
-        self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{length}")
-        self.send_header("Content-Length", str(end - begin))
-        self.end_headers()
-        with path.open("rb") as file:
-            file.seek(begin)
-            self.wfile.write(file.read(end - begin))
-
-
 class Published:
     """A folder that `isospan publish` made, on a web server without programs, below some path."""
 
@@ -121,17 +92,41 @@ class Published:
         self.http.server_close()
 
 
-def surface_of(body, coloured=False):
-    """The counts, vertices and triangles of an answer; and the values that colour the vertices, where there are some."""
-    (length,) = struct.unpack_from("<I", body)
-    report = json.loads(body[4 : 4 + length])["report"]
-    at = 4 + length
-    vertices = numpy.frombuffer(body, "<f4", 6 * report["vertices"], at).reshape(-1, 6)
-    at += vertices.nbytes
-    values = numpy.frombuffer(body, "<f4", report["vertices"] if coloured else 0, at)
-    at += values.nbytes
-    triangles = numpy.frombuffer(body, "<u4", 3 * report["triangles"], at).reshape(-1, 3)
-    assert at + triangles.nbytes == len(body), "nothing follows the triangles"
+def parts_of(body):
+    """The parts of an answer: what each says, and its bytes."""
+    at = 0
+    while at < len(body):
+        (length,) = struct.unpack_from("<I", body, at)
+        head = json.loads(body[at + 4 : at + 4 + length])
+        at += 4 + length
+        counts = [(24, "vertices"), (28, "changed"), (12, "triangles"), (4, "values")]
+        size = sum(bytes_each * head.get(name, 0) for bytes_each, name in counts)
+        yield head, body[at : at + size]
+        assert at + size <= len(body), "the part is whole"
+        at += size
+
+
+def surface_of(body, coloured=False, number=0):
+    """The report, vertices and triangles of one surface of an answer; and the values that colour it, where there are some."""
+    vertices, triangles, values, report = numpy.empty((0, 6), "<f4"), numpy.empty((0, 3), "<u4"), None, None
+    for head, content in parts_of(body):
+        assert report is None, "the report comes last"
+        if "report" in head:
+            report = head["report"]
+        elif head["surface"] != number:
+            pass
+        elif "values" in head:
+            values = numpy.frombuffer(content, "<f4")
+        else:
+            added = 24 * head["vertices"]
+            changes = added + 28 * head["changed"]
+            vertices = numpy.concatenate([vertices, numpy.frombuffer(content[:added], "<f4").reshape(-1, 6)])
+            numbers = numpy.frombuffer(content[added : added + 4 * head["changed"]], "<u4")
+            vertices[numbers] = numpy.frombuffer(content[added + 4 * head["changed"] : changes], "<f4").reshape(-1, 6)
+            triangles = numpy.concatenate([triangles, numpy.frombuffer(content[changes:], "<u4").reshape(-1, 3)])
+            assert not len(triangles) or triangles.max() < len(vertices), "triangles have vertices that have come"
+    counts = report["surfaces"][number]
+    assert (len(vertices), len(triangles)) == (counts["vertices"], counts["triangles"])
     return (report, vertices, triangles, values) if coloured else (report, vertices, triangles)
 
 
@@ -159,6 +154,14 @@ def requests(server):
         status, _, file = server.ask(f"1/export?isovalues=0&step=1&format={form}")
         assert status == 200 and len(file) > 1000, form
     assert server.ask("1/export?isovalues=0&step=1&format=ply")[2] == ply
+
+    # Surfaces come in parts, each with the triangles of some chunks; two of one answer are those of two answers.
+    both = server.ask("2/surface?isovalues=500,900")[2]
+    for number, isovalue in enumerate([500, 900]):
+        chunks = [h["chunks"] for h, _ in parts_of(both) if h.get("surface") == number]
+        assert len(chunks) > 3 and chunks == sorted(chunks), chunks
+        found, alone = surface_of(both, number=number), surface_of(server.ask(f"2/surface?isovalues={isovalue}")[2])
+        assert all((a == b).all() for a, b in zip(found[1:], alone[1:])), isovalue
 
     # Another field at the vertices: the height.
     report, vertices, _, values = surface_of(server.ask("3/surface?isovalues=0&step=0&colour=1")[2], coloured=True)
@@ -395,7 +398,8 @@ def narrow(browser, server):
 TRIANGLES = """async ([archive, parameters]) => {
   const source = await import(new URL("source.js", location.href));
   const { vertices, values, triangles } = await source.surface(archive, parameters);
-  const parts = [vertices, values ?? new Float32Array(0), triangles].map((part) => new Uint8Array(part.buffer));
+  const arrays = [vertices.used, values ?? new Float32Array(0), triangles.used];
+  const parts = arrays.map((a) => new Uint8Array(a.buffer, a.byteOffset, a.byteLength));
   const all = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
   parts.reduce((at, part) => (all.set(part, at), at + part.length), 0);
   const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", all));
@@ -419,17 +423,17 @@ def same(page, server):
     cases = [(0, {"isovalues": v}) for v in [-5, 250.5, 600, 610, 1100, 600]]
     cases += [(1, {"isovalues": v, "step": n}) for n in range(4) for v in [0, 0.123]]
     cases += [(2, {"isovalues": v}) for v in [333, 900]]
-    cases += [(0, {"isovalues": "500,900"}), (0, {"isovalues": 600, "cap": "true"}),
+    cases += [(0, {"isovalues": 600, "cap": "true"}),
               (0, {"isovalues": 600, "roi": "world:10:70,:,20.5:100"}), (2, {"isovalues": 500, "roi": "0:50,0:50,0:99"}),
               (1, {"isovalues": 0.2, "step": 2, "cap": "true"}), (3, {"isovalues": 0.1, "step": 0, "colour": 1})]
     for archive, parameters in cases:
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         status, _, body = server.ask(f"{archive}/surface?{query}")
         assert status == 200, (query, body)
-        (length,) = struct.unpack_from("<I", body)
-        report = json.loads(body[4 : 4 + length])["report"]
+        report, vertices, triangles, values = surface_of(body, coloured=True)
         found = page.evaluate(TRIANGLES, [archive, parameters])
-        expected = [3 * report["triangles"], hashlib.sha256(body[4 + length :]).hexdigest()]
+        content = vertices.tobytes() + (b"" if values is None else values.tobytes()) + triangles.tobytes()
+        expected = [3 * report["triangles"], hashlib.sha256(content).hexdigest()]
         assert found == expected, f"{archive} {parameters}: run tools/viewer/wasm; {found}, expected {expected}"
     for archive in range(3):
         parameters = {"step": 0, "origin": "1,2,11.5", "u": "0.7,0,0", "v": "0,0.7,0.1", "size": "31,27"}

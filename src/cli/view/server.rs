@@ -152,7 +152,7 @@ fn router(server: Arc<Server>, token: &str) -> Router {
         .route(&format!("/{token}/archives"), get(archives))
         .route(&format!("/{token}/colours"), get(colours))
         .route(&format!("/{token}/{{archive}}/spectrum"), ask(JSON, answers::spectrum))
-        .route(&format!("/{token}/{{archive}}/surface"), ask(NUMBERS, answers::surface))
+        .route(&format!("/{token}/{{archive}}/surface"), ask(PARTS, answers::surface))
         .route(&format!("/{token}/{{archive}}/slice"), ask(NUMBERS, answers::slice))
         .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, export::export))
         .layer(middleware::from_fn_with_state(server.clone(), guard))
@@ -195,11 +195,24 @@ fn refused(error: &Error) -> Response {
         Error::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
         _ => StatusCode::INTERNAL_SERVER_ERROR,
     };
-    refusal(status, &isospan::error::printable(&error.to_string()))
+    refusal(status, &words(error))
 }
 
-const JSON: &str = "application/json";
-const NUMBERS: &str = "application/octet-stream";
+fn words(error: &Error) -> String {
+    isospan::error::printable(&error.to_string()).into_owned()
+}
+
+/// What an answer is.
+#[derive(Clone, Copy)]
+struct Kind {
+    content: &'static str,
+    /// Whether the last part can say what went wrong.
+    in_parts: bool,
+}
+
+const JSON: Kind = Kind { content: "application/json", in_parts: false };
+const NUMBERS: Kind = Kind { content: "application/octet-stream", in_parts: false };
+const PARTS: Kind = Kind { in_parts: true, ..NUMBERS };
 
 async fn archives(State(server): State<Arc<Server>>) -> Response {
     answer(server, JSON, |server, _, sink| answers::archives(&server.archives, sink)).await
@@ -212,10 +225,7 @@ async fn colours(State(server): State<Arc<Server>>) -> Response {
 /// A question about an archive: the archives, which of them, the parameters, what may be used.
 type Question<Q> = fn(&Archives, usize, &Q, &Resources, &mut dyn Sink) -> Result<()>;
 
-fn ask<Q: DeserializeOwned + Send + 'static>(
-    kind: &'static str,
-    question: Question<Q>,
-) -> MethodRouter<Arc<Server>> {
+fn ask<Q: DeserializeOwned + Send + 'static>(kind: Kind, question: Question<Q>) -> MethodRouter<Arc<Server>> {
     get(move |State(server): State<Arc<Server>>, Path(archive): Path<usize>, Query(query): Query<Q>| {
         answer(server, kind, move |server, resources, sink| {
             question(&server.archives, archive, &query, resources, sink)
@@ -227,7 +237,7 @@ fn ask<Q: DeserializeOwned + Send + 'static>(
 /// gone.
 async fn answer(
     server: Arc<Server>,
-    kind: &'static str,
+    kind: Kind,
     work: impl FnOnce(&Server, &Resources, &mut dyn Sink) -> Result<()> + Send + 'static,
 ) -> Response {
     // As many wait as there are connections.
@@ -241,9 +251,10 @@ async fn answer(
         let _slot = slot;
         let mut sink = Stream::new(to);
         let result = work(&server, &resources, &mut sink);
-        sink.end(result.map_err(|e| e.of_share(resources.memory, resources.memory * SHARE)));
+        sink.end(result.map_err(|e| e.of_share(resources.memory, resources.memory * SHARE)), kind);
     });
     let first: Option<Result<Bytes>> = pieces.recv().await;
+    let content = [(header::CONTENT_TYPE, kind.content)];
     match first {
         Some(Err(e)) => refused(&e),
         Some(Ok(first)) => {
@@ -253,9 +264,9 @@ async fn answer(
                 let _ = &job;
                 piece
             });
-            ([(header::CONTENT_TYPE, kind)], Body::from_stream(all)).into_response()
+            (content, Body::from_stream(all)).into_response()
         }
-        None => ([(header::CONTENT_TYPE, kind)], Body::empty()).into_response(),
+        None => (content, Body::empty()).into_response(),
     }
 }
 
@@ -264,6 +275,7 @@ async fn answer(
 struct Stream {
     to: mpsc::Sender<Result<Bytes>>,
     piece: Vec<u8>,
+    has_begun: bool,
 }
 
 impl Sink for Stream {
@@ -278,17 +290,21 @@ impl Sink for Stream {
     /// [`Error::Cancelled`] when the reader is gone.
     fn flush(&mut self) -> Result<()> {
         let piece = std::mem::replace(&mut self.piece, Vec::with_capacity(PIECE));
+        self.has_begun = true;
         self.to.blocking_send(Ok(piece.into())).map_err(|_| Error::Cancelled)
     }
 }
 
 impl Stream {
     fn new(to: mpsc::Sender<Result<Bytes>>) -> Self {
-        Self { to, piece: Vec::with_capacity(PIECE) }
+        Self { to, piece: Vec::with_capacity(PIECE), has_begun: false }
     }
 
     /// Ends the answer with an error, or with what is left of its bytes.
-    fn end(mut self, result: Result<()>) {
+    fn end(mut self, mut result: Result<()>, kind: Kind) {
+        if self.has_begun && kind.in_parts {
+            result = result.or_else(|e| answers::failed_part(&words(&e), &mut self));
+        }
         let result = result.and_then(|()| if self.piece.is_empty() { Ok(()) } else { self.flush() });
         if let Err(e) = result {
             // A reader that is gone needs no error.

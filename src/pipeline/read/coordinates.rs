@@ -123,6 +123,26 @@ impl IndexToWorld {
         }
     }
 
+    /// Hands a surface that was extracted with [`world_map`] to `use_it`, in the world.
+    pub(in crate::pipeline) fn surface<T>(
+        &self,
+        surface: &dyn SurfaceSource,
+        use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
+    ) -> Result<T> {
+        match self {
+            Self::Geometry(_) => use_it(surface),
+            &Self::Grid { ref map, mirrored } => use_it(&WorldSurface { surface, map, mirrored }),
+        }
+    }
+
+    /// The same of one vertex.
+    pub(in crate::pipeline) fn vertex(&self, vertex: &Vertex) -> Result<Vertex> {
+        match self {
+            Self::Geometry(_) => Ok(*vertex),
+            Self::Grid { map, .. } => placed(map, vertex),
+        }
+    }
+
     /// Whether tetrahedra are turned over (most of them, where a grid folds).
     pub(in crate::pipeline) fn mirrors(&self) -> bool {
         match self {
@@ -146,35 +166,31 @@ pub(in crate::pipeline) fn in_world<T>(
     surface: &dyn SurfaceSource,
     use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
 ) -> Result<T> {
-    match IndexToWorld::of(archive)? {
-        IndexToWorld::Grid { map, mirrored } => use_it(&WorldSurface { surface, map, mirrored }),
-        IndexToWorld::Geometry(_) => use_it(surface),
-    }
+    IndexToWorld::of(archive)?.surface(surface, use_it)
+}
+
+/// A vertex of index space in the world.
+fn placed(map: &CoordinateMap, v: &Vertex) -> Result<Vertex> {
+    let placed = map.place(v.position.map(f64::from))?;
+    let w = placed.direction(v.normal.map(f64::from));
+    // Scaled by the largest component first, lest squares overflow or vanish.
+    let largest = w.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+    let normal = if largest > 0.0 && largest.is_finite() {
+        let w = w.map(|x| x / largest);
+        let length = w.iter().map(|x| x * x).sum::<f64>().sqrt();
+        w.map(|x| (x / length) as f32)
+    } else {
+        // A cell without a volume has no direction; a unit vector is what readers expect.
+        v.normal
+    };
+    Ok(Vertex { position: placed.position.map(|x| x as f32), normal })
 }
 
 /// A surface of index space in the world.
 struct WorldSurface<'a> {
     surface: &'a dyn SurfaceSource,
-    map: CoordinateMap,
+    map: &'a CoordinateMap,
     mirrored: bool,
-}
-
-impl WorldSurface<'_> {
-    fn vertex(&self, v: &Vertex) -> Result<Vertex> {
-        let placed = self.map.place(v.position.map(f64::from))?;
-        let w = placed.direction(v.normal.map(f64::from));
-        // Scaled by the largest component first, lest squares overflow or vanish.
-        let largest = w.iter().fold(0.0f64, |m, x| m.max(x.abs()));
-        let normal = if largest > 0.0 && largest.is_finite() {
-            let w = w.map(|x| x / largest);
-            let length = w.iter().map(|x| x * x).sum::<f64>().sqrt();
-            w.map(|x| (x / length) as f32)
-        } else {
-            // A cell without a volume has no direction; a unit vector is what readers expect.
-            v.normal
-        };
-        Ok(Vertex { position: placed.position.map(|x| x as f32), normal })
-    }
 }
 
 impl SurfaceSource for WorldSurface<'_> {
@@ -187,13 +203,13 @@ impl SurfaceSource for WorldSurface<'_> {
     }
 
     fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
-        let mut placed = vec![];
+        let mut moved = vec![];
         self.surface.vertices(&mut |batch| {
-            placed.clear();
+            moved.clear();
             for vertex in batch {
-                placed.push(self.vertex(vertex)?);
+                moved.push(placed(self.map, vertex)?);
             }
-            each(&placed)
+            each(&moved)
         })
     }
 

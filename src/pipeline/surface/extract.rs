@@ -7,6 +7,7 @@
 //! after another into the same small buffer, so the memory of a chunk is that of its corners and of
 //! its surfaces, not of its tetrahedra.
 
+use super::parts::Parts;
 use super::settings::SurfaceSettings;
 use super::unpacked::UnpackedChunk;
 use super::worker::{ChunkSurfaces, ChunkWork, ChunkWorker, Question};
@@ -38,11 +39,13 @@ pub(super) struct SurfaceStorage {
     pub(super) reused: Vec<TriMesh>,
 }
 
-/// Extracts all isovalues from the active blocks of all chunks.
+/// Extracts all isovalues from the active blocks of all chunks. What is finished goes to `parts`,
+/// too, where there are some.
 pub(super) fn extract_surfaces(
     question: &Question<'_>,
     settings: &SurfaceSettings,
     storage: SurfaceStorage,
+    mut parts: Option<&mut Parts<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<Extracted>> {
     let work = question.work;
@@ -61,8 +64,13 @@ pub(super) fn extract_surfaces(
     };
     in_order(&bytes, shares.batch, &pool, extract, |n, surfaces| {
         question.archive.close_before(work[n].chunk);
-        weld.push(surfaces, spare)
+        weld.push(surfaces, spare)?;
+        parts.as_mut().map_or(Ok(()), |parts| weld.hand_on(parts, work[n].chunk.0 + 1))
     })?;
+    if let Some(parts) = parts {
+        weld.close()?;
+        weld.hand_on(parts, question.archive.chunks.len())?;
+    }
     spare.trim(cache.most() / 4);
     weld.finish()
 }
@@ -265,10 +273,19 @@ impl<'a> Weld<'a> {
         Ok(())
     }
 
+    /// Hands on what chunks before a number have added.
+    fn hand_on(&mut self, parts: &mut Parts<'_>, chunks: u64) -> Result<()> {
+        let mut builders = self.builders.iter_mut().enumerate();
+        builders.try_for_each(|(isovalue, (builder, _))| parts.take(builder, isovalue, chunks))
+    }
+
+    /// Finishes all vertices: no chunk comes any more.
+    fn close(&mut self) -> Result<()> {
+        self.builders.iter_mut().try_for_each(|(builder, _)| builder.close())
+    }
+
     pub(super) fn finish(self) -> Result<Vec<Extracted>> {
-        let step = self.question.archive.step();
-        // Only where tetrahedra are missing does a surface touch itself.
-        let has_holes = step.void_points > 0 || step.plan.source.mesh.is_some();
+        let has_holes = self.question.archive.may_have_holes();
         let (place, memory) = (self.place, self.shares.batch);
         let extracted = |((builder, _), active_tetrahedra): ((SurfaceBuilder, _), u64)| {
             let surface = builder.finish()?;

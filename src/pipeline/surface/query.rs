@@ -3,6 +3,7 @@
 
 use super::colours::colours;
 use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
+use super::parts::{Parts, SurfacePart};
 use super::refine::{Means, RefineReport};
 use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
@@ -11,7 +12,7 @@ use super::worker::{ChunkWork, Question, by_chunk};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Clock, Progress, Silent, pool};
-use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
+use crate::formats::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
@@ -98,7 +99,7 @@ pub(in crate::pipeline) fn write_surfaces(
 ) -> Result<SurfaceReport> {
     settings.check_colours(format)?;
     let (scratch, before) = (settings.scratch_of(out), traffic(archive.path()));
-    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, progress)?;
+    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, None, progress)?;
     let report = write_made(archive, settings, made, out, format)?.0;
     Ok(SurfaceReport { remote: traffic_since(archive.path(), before), ..report })
 }
@@ -151,21 +152,28 @@ fn report_of(
     })
 }
 
-/// Hands the report to `begin`, then each surface to `each`, in the order of the isovalues, in the
-/// world.
+/// Hands on surfaces part by part while they are extracted, then each as a whole, in the order of
+/// the isovalues, in the world.
 ///
 /// Memory does not grow with the surfaces: what the settings do not allow for is in their scratch
 /// folder.
-pub(in crate::pipeline) fn with_surfaces(
+pub(in crate::pipeline) fn stream_surfaces(
     archive: &StepView,
     settings: &SurfaceSettings,
-    begin: impl FnOnce(&SurfaceReport) -> Result<()>,
-    mut each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
-) -> Result<()> {
+    part: &mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+    mut whole: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+) -> Result<SurfaceReport> {
     let scratch = settings.resources.scratch_folder();
-    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, &Silent)?;
-    begin(&report_of(archive, settings, &made, Path::new(""))?)?;
-    made.surfaces.iter().try_for_each(|found| in_world(archive, &found.surface, &mut each))
+    let mut parts = Parts::new(archive, settings, part)?;
+    let storage = SurfaceStorage { scratch, reused: vec![] };
+    let made = make(archive, settings, storage, Some(&mut parts), &Silent)?;
+    for (isovalue, found) in made.surfaces.iter().enumerate() {
+        in_world(archive, &found.surface, |surface| {
+            parts.take_whole(surface, isovalue, archive.chunks.len())?;
+            whole(surface)
+        })?;
+    }
+    report_of(archive, settings, &made, Path::new(""))
 }
 
 /// Surfaces, cut and refined, and what was read for them.
@@ -271,6 +279,7 @@ pub(super) fn make(
     archive: &StepView,
     settings: &SurfaceSettings,
     storage: SurfaceStorage,
+    parts: Option<&mut Parts<'_>>,
     progress: &dyn Progress,
 ) -> Result<FinishedSurfaces> {
     settings.check()?;
@@ -278,7 +287,7 @@ pub(super) fn make(
     let prepared = Prepared::new(archive, settings)?;
     let (start, scratch) = (Clock::start(), storage.scratch.clone());
     let question = prepared.question(settings);
-    let surfaces = extract_surfaces(&question, settings, storage, progress)?;
+    let surfaces = extract_surfaces(&question, settings, storage, parts, progress)?;
     let effort = Effort {
         bytes_read: archive.bytes_read() - read_before,
         active_bytes: question.active_bytes.into_inner(),
@@ -339,7 +348,7 @@ pub(in crate::pipeline) fn surfaces_in_memory(
     reused: Vec<TriMesh>,
 ) -> Result<Vec<TriMesh>> {
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let made = make(archive, settings, SurfaceStorage { scratch, reused }, &Silent)?;
+    let made = make(archive, settings, SurfaceStorage { scratch, reused }, None, &Silent)?;
     made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
 }
 
@@ -456,7 +465,7 @@ fn write_all(
         };
         surfaces.iter().zip(&counts).map(&mut write).sum::<Result<u64>>()?
     } else {
-        let part = |(s, &v): (&Extracted, &f64)| SurfacePart {
+        let part = |(s, &v): (&Extracted, &f64)| surface::SurfacePart {
             isovalue: v,
             vertices: s.surface.vertex_count(),
             triangles: s.surface.triangle_count(),

@@ -152,9 +152,18 @@ function roiOf(region) {
   return `world:${[0, 1, 2].map(range).join(",")}`;
 }
 
+/** A surface that takes this long, in ms, gives way to a newer wish. */
+const LONG = 150;
+
+/** Stops a surface for a newer wish, if it takes long, and part of it was seen: so something moves under a slider. */
+function giveWay(surface) {
+  const isLong = surface.seen && performance.now() - surface.start > LONG;
+  if (source.canStop && surface.wanted && isLong) surface.request.abort();
+}
+
 /**
- * Fetches a surface if what decides it has changed. While one request is under way, only the last wish waits:
- * each answer is shown, so a dragged slider shows surfaces as fast as they come.
+ * Fetches a surface if what decides it has changed, and shows its parts as they come. While one request is under way,
+ * only the last wish waits.
  */
 async function fetchSurface(surface) {
   const wish = parameters(surface.isovalue);
@@ -162,27 +171,32 @@ async function fetchSurface(surface) {
   if (surface.key === key) return;
   if (surface.request) {
     surface.wanted = true;
+    giveWay(surface);
     return;
   }
-  surface.key = key;
-  surface.request = new AbortController();
+  const request = new AbortController();
   const start = performance.now();
-  let first;
-  const part = (found, triangles) => {
-    if (surface.removed) return;
-    // Parts of a surface that replaces another would show holes: only the first one comes in parts.
-    if (surface.found && triangles < found.triangles.length / 3) return;
-    first ??= performance.now() - start;
-    view.show(surface.name, found, triangles, surface);
+  const times = {};
+  Object.assign(surface, { key, request, start, seen: false });
+  // The values of another field come last: surfaces without their colours do not replace those that have them.
+  const isShownWhole = wish.colour !== null && surface.found;
+  const part = (found) => {
+    if (surface.removed || isShownWhole || request.signal.aborted) return;
+    view.show(surface.name, found, surface);
+    if (!surface.seen) view.drawn().then(() => (times.first ??= performance.now() - start));
+    surface.seen = true;
+    giveWay(surface);
   };
   try {
-    const found = await source.surface(state.archive, wish, surface.request.signal, part);
+    const found = await source.surface(state.archive, wish, request.signal, part);
     if (surface.removed) return;
-    if (found.triangles.length === 0) view.show(surface.name, found, 0, surface);
-    surface.found = found;
-    const whole = performance.now() - start;
-    surface.times = { first: first ?? whole, whole };
-    surface.area = areaOf(found);
+    view.show(surface.name, found, surface);
+    view.drawn().then(() => {
+      times.whole = performance.now() - start;
+      times.first ??= times.whole;
+      if (state.surfaces[state.active] === surface) tellStatistics();
+    });
+    Object.assign(surface, { found, times, area: areaOf(found) });
     say(found.report.surfaces[0].outside_range ? `The isovalue ${digits(surface.isovalue)} is outside of the field's range.` : "");
     if (view.bounds.isEmpty()) {
       view.boundsOf(found);
@@ -207,7 +221,8 @@ function fetchAll() {
 }
 
 /** The area of the triangles. */
-function areaOf({ vertices: v, triangles: t }) {
+function areaOf({ vertices, triangles }) {
+  const [v, t] = [vertices.used, triangles.used];
   let sum = 0;
   for (let n = 0; n < t.length; n += 3) {
     const [a, b, c] = [6 * t[n], 6 * t[n + 1], 6 * t[n + 2]];
