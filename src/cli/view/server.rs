@@ -20,6 +20,8 @@ use isospan::exec::CancelToken;
 use isospan::{Error, Resources, Result};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
+use std::future::Future as _;
+use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,7 +31,7 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::Builder;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
-use tokio_io_timeout::TimeoutStream;
+use tokio::time::{Instant, Sleep};
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
 
@@ -42,7 +44,7 @@ pub(super) const SHARE: u64 = 4;
 /// Pieces of an answer that wait for a slow reader.
 const PIECES: usize = 4;
 /// A connection on which nothing comes or goes for so long is closed.
-const QUIET: Duration = Duration::from_secs(60);
+const QUIET: Duration = Duration::from_secs(300);
 /// Bytes of a piece of an answer.
 pub(super) const PIECE: usize = 256 << 10;
 /// How often the token of the signals is checked.
@@ -329,10 +331,8 @@ impl Listener for Limited {
             let Ok(permit) = self.open.clone().acquire_owned().await else { continue };
             match self.listener.accept().await {
                 Ok((stream, address)) => {
-                    let mut stream = TimeoutStream::new(stream);
-                    stream.set_read_timeout(Some(QUIET));
-                    stream.set_write_timeout(Some(QUIET));
-                    return (Connection { stream: Box::pin(stream), _permit: permit }, address);
+                    let quiet = Box::pin(tokio::time::sleep(QUIET));
+                    return (Connection { stream, quiet, _permit: permit }, address);
                 }
                 // Too many open files, or a connection that ended at once: others go on.
                 Err(_) => tokio::time::sleep(LOOK).await,
@@ -340,15 +340,28 @@ impl Listener for Limited {
         }
     }
 
-    fn local_addr(&self) -> std::io::Result<SocketAddr> {
+    fn local_addr(&self) -> io::Result<SocketAddr> {
         self.listener.local_addr()
     }
 }
 
-/// A connection, and its part of the limit.
+/// A connection, and its part of the limit. What goes out counts, too: an answer may take long.
 struct Connection {
-    stream: Pin<Box<TimeoutStream<TcpStream>>>,
+    stream: TcpStream,
+    /// Ends when nothing has come or gone for long.
+    quiet: Pin<Box<Sleep>>,
     _permit: OwnedSemaphorePermit,
+}
+
+impl Connection {
+    /// Looks at what was done: something, or nothing for how long.
+    fn timed<T>(&mut self, context: &mut Context<'_>, done: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        if done.is_ready() {
+            self.quiet.as_mut().reset(Instant::now() + QUIET);
+            return done;
+        }
+        self.quiet.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into()))
+    }
 }
 
 impl tokio::io::AsyncRead for Connection {
@@ -356,8 +369,9 @@ impl tokio::io::AsyncRead for Connection {
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
         buffer: &mut tokio::io::ReadBuf<'_>,
-    ) -> Poll<std::io::Result<()>> {
-        self.stream.as_mut().poll_read(context, buffer)
+    ) -> Poll<io::Result<()>> {
+        let done = Pin::new(&mut self.stream).poll_read(context, buffer);
+        self.timed(context, done)
     }
 }
 
@@ -366,15 +380,16 @@ impl tokio::io::AsyncWrite for Connection {
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
         bytes: &[u8],
-    ) -> Poll<std::io::Result<usize>> {
-        self.stream.as_mut().poll_write(context, bytes)
+    ) -> Poll<io::Result<usize>> {
+        let done = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.timed(context, done)
     }
 
-    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        self.stream.as_mut().poll_flush(context)
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
     }
 
-    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        self.stream.as_mut().poll_shutdown(context)
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
     }
 }
