@@ -10,7 +10,9 @@ use crate::pipeline::field::{
     ExportReport, ExportSettings, ProbeReport, ProbeSettings, edges_at_missing, export, probe_grid,
     probe_table, sample_grid, values_at,
 };
-use crate::pipeline::read::{ArchiveSummary, IndexToWorld, SpectrumReport, StepView, spectrum, summarize};
+use crate::pipeline::read::{
+    ArchiveSummary, IndexToWorld, SpectrumReport, StepView, bounds, spectrum, summarize,
+};
 use crate::pipeline::surface::{
     ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, stream_surfaces,
     surfaces_in_memory, values_on, write_surfaces,
@@ -111,6 +113,15 @@ impl Step {
     /// Samples of the source along x, y, z.
     pub fn dims(&self) -> [u64; 3] {
         self.view.step().plan.source.dims
+    }
+
+    /// The least box of the world that holds the domain: its lowest and its highest corner. For a
+    /// curvilinear grid this reads all coordinates, once for an open archive.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Cancelled`].
+    pub fn bounds(&self, cancel: &CancelToken) -> Result<[[f64; 3]; 2]> {
+        bounds(&self.view, cancel)
     }
 
     /// How many tetrahedra an isosurface crosses, exactly.
@@ -318,8 +329,8 @@ impl Step {
     /// Memory: four bytes a vertex, besides what the resources allow.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] where a field of another archive has no value at any vertex, or the
-    /// field lies on a grid with coordinates; those of [`Step::probe_with`].
+    /// [`crate::Error::Usage`] where a field of another archive has no value at any vertex; those
+    /// of [`Step::probe_with`].
     pub fn values_on(
         &self,
         field: &Self,
@@ -386,7 +397,8 @@ impl Step {
     /// always the same. Points are rounded to the lattice, 2^-24 of the domain's longest side. A
     /// point outside by no more than `f32` and the lattice round coordinates has the value of the
     /// nearest place: so vertices of a surface file have values. Few points cost as much as the
-    /// chunks that they lie in.
+    /// chunks that they lie in. On a curvilinear grid a point is found in a cell of the grid first:
+    /// that reads the coordinates around it, and all of them once for an open archive.
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or
@@ -409,8 +421,9 @@ impl Step {
     /// isosurface ends there, at faces of tetrahedra that have a corner without a value.
     ///
     /// # Errors
-    /// As [`Step::probe`].
+    /// As [`Step::probe`]; [`crate::Error::Usage`] for a rectilinear or curvilinear grid.
     pub fn edges_at_missing(&self, edges: &[[[f32; 3]; 2]]) -> Result<u64> {
+        self.view.refuse_coordinates("a search for missing samples")?;
         let source = &self.view.step().plan.source;
         edges_at_missing(edges, &source.geometry, source.dims, |points| self.probe(points))
     }

@@ -217,6 +217,17 @@ pub(super) fn slice(
     values.iter().try_for_each(|&v| sink.write(&(v as f32).to_le_bytes()))
 }
 
+/// The least box of the world that holds the domain, as JSON: two corners.
+pub(super) fn bounds(
+    archives: &Archives,
+    archive: usize,
+    query: &StepQuery,
+    resources: &Resources,
+    sink: &mut dyn Sink,
+) -> Result<()> {
+    json(&archives.at(archive, query.choice())?.bounds(&resources.cancel)?, sink)
+}
+
 /// The contour spectrum, as JSON.
 pub(super) fn spectrum(
     archives: &Archives,

@@ -154,6 +154,7 @@ fn router(server: Arc<Server>, token: &str) -> Router {
         .route(&format!("/{token}/archives"), get(archives))
         .route(&format!("/{token}/colours"), get(colours))
         .route(&format!("/{token}/{{archive}}/spectrum"), ask(JSON, answers::spectrum))
+        .route(&format!("/{token}/{{archive}}/bounds"), ask(JSON, answers::bounds))
         .route(&format!("/{token}/{{archive}}/surface"), ask(PARTS, answers::surface))
         .route(&format!("/{token}/{{archive}}/slice"), ask(NUMBERS, answers::slice))
         .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, export::export))

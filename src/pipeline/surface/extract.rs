@@ -17,10 +17,12 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::is_active;
 use crate::pipeline::plan::{SurfaceShares, estimate};
-use crate::pipeline::read::{BufferPool, CacheHit, ChunkReader, Frontier, Needed, Wanted, chunk_reader};
-use crate::surface::TriMesh;
+use crate::pipeline::read::{
+    BufferPool, CacheHit, ChunkReader, Frontier, Needed, StepView, Wanted, chunk_reader, in_world,
+};
 use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
+use crate::surface::{SurfaceSource, TriMesh};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
@@ -28,6 +30,20 @@ use std::sync::atomic::Ordering;
 pub(super) struct Extracted {
     pub(super) surface: StoredSurface,
     pub(super) active_tetrahedra: u64,
+    /// Whether it is in the world already, of a grid with coordinates.
+    pub(super) is_placed: bool,
+}
+
+impl Extracted {
+    /// Hands this surface, or one with others, to `use_it`, in the world.
+    pub(super) fn in_world<T>(
+        &self,
+        archive: &StepView,
+        surface: &dyn SurfaceSource,
+        use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
+    ) -> Result<T> {
+        if self.is_placed { use_it(surface) } else { in_world(archive, surface, use_it) }
+    }
 }
 
 /// Where surfaces are while they are made.
@@ -290,7 +306,7 @@ impl<'a> Weld<'a> {
         let extracted = |((builder, _), active_tetrahedra): ((SurfaceBuilder, _), u64)| {
             let surface = builder.finish()?;
             let surface = if has_holes { split_fans(surface, &place, memory)? } else { surface };
-            Ok(Extracted { surface, active_tetrahedra })
+            Ok(Extracted { surface, active_tetrahedra, is_placed: false })
         };
         self.builders.into_iter().zip(self.active_tetrahedra).map(extracted).collect()
     }

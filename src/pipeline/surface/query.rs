@@ -17,13 +17,13 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, in_memory, in_world,
-    world_map,
+    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox, in_memory,
+    in_world, world_box, world_map,
 };
 use crate::pipeline::stage::Stage;
-use crate::surface::edit::clip::clip;
+use crate::surface::edit::clip::{HalfSpace, clip};
 use crate::surface::extract::Sides;
-use crate::surface::weld::BuilderSettings;
+use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use std::path::Path;
@@ -168,7 +168,7 @@ pub(in crate::pipeline) fn stream_surfaces(
     let storage = SurfaceStorage { scratch, reused: vec![] };
     let made = make(archive, settings, storage, Some(&mut parts), &Silent)?;
     for (isovalue, found) in made.surfaces.iter().enumerate() {
-        in_world(archive, &found.surface, |surface| {
+        found.in_world(archive, &found.surface, |surface| {
             parts.take_whole(surface, isovalue, archive.chunks.len())?;
             whole(surface)
         })?;
@@ -194,6 +194,8 @@ pub(super) struct Prepared<'a> {
     /// The isovalues, as the archive has values.
     isovalues: Vec<f32>,
     cut: Option<Cut>,
+    /// Where surfaces are cut in the world, after they are placed.
+    half_spaces: Option<Vec<HalfSpace>>,
     world: WorldMap,
     /// Bytes of the index that were read, and the time that it took.
     index_bytes: u64,
@@ -211,7 +213,7 @@ pub(super) struct Effort {
 impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Clock::start();
-        let cut = cut_of(archive, settings)?;
+        let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {
             expect_full_box(archive)?;
         }
@@ -226,6 +228,7 @@ impl<'a> Prepared<'a> {
             work,
             isovalues: settings.kept(archive),
             cut,
+            half_spaces,
             world: world_map(archive),
             index_bytes: index.map_or(0, |i| i.bytes_read()),
             opened: start.elapsed(),
@@ -253,8 +256,12 @@ impl<'a> Prepared<'a> {
         scratch: &Path,
     ) -> Result<FinishedSurfaces> {
         let start = Clock::start();
-        if let Some(cut) = &self.cut {
-            cut_all(&mut surfaces, cut, settings.resources.memory, scratch)?;
+        let half_spaces = self.cut.as_ref().map(|cut| &cut.half_spaces).or(self.half_spaces.as_ref());
+        if let Some(half_spaces) = half_spaces {
+            if self.half_spaces.is_some() {
+                place_all(self.view, &mut surfaces, settings.resources.memory, scratch)?;
+            }
+            cut_all(&mut surfaces, half_spaces, settings.resources.memory, scratch)?;
         }
         let extracted = effort.time + start.elapsed();
         let start = Clock::start();
@@ -314,13 +321,19 @@ fn expect_full_box(archive: &StepView) -> Result<()> {
     )))
 }
 
-fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<Option<Cut>> {
-    let Some(roi) = settings.roi else { return Ok(None) };
+/// The cut of surfaces as they are extracted; or half-spaces of the world, for a curvilinear grid.
+fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<(Option<Cut>, Option<Vec<HalfSpace>>)> {
+    let Some(mut roi) = settings.roi else { return Ok((None, None)) };
     if roi.space == RoiSpace::World {
-        archive.refuse_coordinates("a cut at a box of the world")?;
+        match world_box(archive, &roi, &settings.resources.cancel)? {
+            Some(WorldBox::HalfSpaces(half_spaces)) => return Ok((None, Some(half_spaces))),
+            Some(WorldBox::Index(same)) => roi = same,
+            None => {}
+        }
     }
     let source = &archive.step().plan.source;
-    roi.cut(&source.geometry, source.dims, archive.manifest.plan.lattice.log2_steps).map(Some)
+    let cut = roi.cut(&source.geometry, source.dims, archive.manifest.plan.lattice.log2_steps)?;
+    Ok((Some(cut), None))
 }
 
 /// The blocks that are read.
@@ -349,7 +362,11 @@ pub(in crate::pipeline) fn surfaces_in_memory(
 ) -> Result<Vec<TriMesh>> {
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let made = make(archive, settings, SurfaceStorage { scratch, reused }, None, &Silent)?;
-    made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
+    let in_memory = |found: Extracted| match found.is_placed {
+        true => found.surface.into_mesh(),
+        false => in_memory(archive, found.surface),
+    };
+    made.surfaces.into_iter().map(in_memory).collect()
 }
 
 /// The blocks that are active, and those inside of chunks at the ends of the domain.
@@ -421,14 +438,29 @@ fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<C
     work.into_iter().filter_map(keep).collect()
 }
 
-/// Cuts the surfaces, one after another.
-fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -> Result<()> {
-    // An eighth holds finished surfaces, as while they were extracted; another those that are made
-    // from them.
-    let memory_bytes = usize::try_from(memory / 8 / surfaces.len() as u64).unwrap_or(usize::MAX);
-    let settings = BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() };
+/// Where surfaces are stored that are made from others. An eighth of the memory holds finished
+/// surfaces, as while they were extracted; another those that are made from them.
+fn beside(surfaces: usize, memory: u64, scratch: &Path) -> BuilderSettings {
+    let memory_bytes = usize::try_from(memory / 8 / surfaces as u64).unwrap_or(usize::MAX);
+    BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() }
+}
+
+/// Moves the surfaces of a grid with coordinates to the world, one after another.
+fn place_all(archive: &StepView, surfaces: &mut [Extracted], memory: u64, scratch: &Path) -> Result<()> {
+    let settings = beside(surfaces.len(), memory, scratch);
     for extracted in surfaces {
-        extracted.surface = clip(&extracted.surface, &cut.half_spaces, &settings, memory / 2)
+        extracted.surface =
+            in_world(archive, &extracted.surface, |surface| StoredSurface::of(surface, &settings))?;
+        extracted.is_placed = true;
+    }
+    Ok(())
+}
+
+/// Cuts the surfaces, one after another.
+fn cut_all(surfaces: &mut [Extracted], half_spaces: &[HalfSpace], memory: u64, scratch: &Path) -> Result<()> {
+    let settings = beside(surfaces.len(), memory, scratch);
+    for extracted in surfaces {
+        extracted.surface = clip(&extracted.surface, half_spaces, &settings, memory / 2)
             .map_err(|e| e.of_share(memory / 2, memory))?;
     }
     Ok(())
@@ -459,7 +491,7 @@ fn write_all(
     let bytes = if is_each_alone(out) || surfaces.len() == 1 {
         let mut write = |(s, count): (&Extracted, &(f64, u64))| {
             let (v, counts) = (count.0, std::slice::from_ref(count));
-            in_world(archive, &s.surface, |s| {
+            s.in_world(archive, &s.surface, |s| {
                 write_surface(s, &file_of(out, v), format, &meta(Some(v), s, counts)?)
             })
         };
@@ -472,7 +504,7 @@ fn write_all(
         };
         let parts = surfaces.iter().zip(isovalues).map(part).collect();
         let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
-        in_world(archive, &joined, |s| {
+        surfaces[0].in_world(archive, &joined, |s| {
             write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
         })?
     };

@@ -325,6 +325,17 @@ impl StoredSurface {
         }
     }
 
+    /// A copy of a surface.
+    ///
+    /// # Errors
+    /// Errors of reading it; [`Error::Io`] when the scratch file cannot be written.
+    pub fn of(source: &dyn SurfaceSource, settings: &BuilderSettings) -> Result<Self> {
+        let mut surface = Self::new(settings);
+        source.vertices(&mut |batch| surface.vertices.extend(batch))?;
+        source.triangles(&mut |batch| surface.triangles.extend(batch))?;
+        Ok(surface)
+    }
+
     /// Appends a vertex.
     ///
     /// # Errors
