@@ -14,7 +14,7 @@ use crate::pipeline::read::{
     ArchiveSummary, IndexToWorld, SpectrumReport, StepView, bounds, spectrum, summarize,
 };
 use crate::pipeline::surface::{
-    ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, stream_surfaces,
+    ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, stream_file, stream_surfaces,
     surfaces_in_memory, values_on, write_surfaces,
 };
 use crate::render::ColourMap;
@@ -315,6 +315,20 @@ impl Step {
         progress: &dyn Progress,
     ) -> Result<SurfaceReport> {
         write_surfaces(&self.view, settings, out, format, progress)
+    }
+
+    /// Hands the bytes of the file that [`Step::write_surface`] writes to `each`, in bounded
+    /// memory: for a program that sends a file, or has no disk.
+    ///
+    /// # Errors
+    /// As [`Step::write_surface`], but for those of a file, and those of `each`.
+    pub fn stream_surface_file(
+        &self,
+        settings: &SurfaceSettings,
+        format: SurfaceFormat,
+        each: &mut dyn FnMut(&[u8]) -> Result<()>,
+    ) -> Result<SurfaceReport> {
+        stream_file(&self.view, settings, format, each)
     }
 
     /// This step as a field that colours surfaces, of this archive or another one in the same

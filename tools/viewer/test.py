@@ -2,7 +2,7 @@
 
 The page without a server is served by a few lines of Python, from a folder that `isospan publish` made.
 
-Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS [FOLDER for screenshots]
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES [FOLDER for screenshots]
 """
 
 import concurrent.futures
@@ -28,9 +28,9 @@ from playwright.sync_api import sync_playwright
 
 from folders import Ranges, Whole
 
-PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:7]
-TOOTH, BALL, OTHER, FIELDS = ARCHIVES
-PICTURES = pathlib.Path(sys.argv[7]) if sys.argv[7:] and sys.argv[7] else None
+PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:9]
+TOOTH, BALL, OTHER, FIELDS, TUBE, AXES = ARCHIVES
+PICTURES = pathlib.Path(sys.argv[9]) if sys.argv[9:] and sys.argv[9] else None
 MEMORY_MIB = 1536
 
 
@@ -138,7 +138,7 @@ def requests(server):
 
     archives = json.loads(server.ask("archives")[2])
     assert [a["name"] for a in archives] == ARCHIVES
-    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2]
+    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2, 2, 1]
 
     # The surface is that of the command line.
     report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
@@ -181,6 +181,29 @@ def requests(server):
     assert status == 200 and abs(values[16, 16] - 0.5) < 0.1, values[16, 16]
     assert numpy.allclose(values[16, 20:31] , 0.5 - numpy.arange(4, 15) / 16, atol=0.05), values[16]
 
+    # Grids with coordinates: a plane, a region and colours are those of the world. The field is the radius.
+    for archive, radius in [(4, 1.5), (5, 5.0)]:
+        lo, hi = json.loads(server.ask(f"{archive}/bounds")[2])
+        report, vertices, _ = surface_of(server.ask(f"{archive}/surface?isovalues={radius}")[2])
+        assert report["triangles"] > 500
+        assert (vertices[:, :3] >= numpy.array(lo) - 1e-4).all() and (vertices[:, :3] <= numpy.array(hi) + 1e-4).all()
+        middle = (lo[2] + hi[2]) / 2
+        u, v = ((hi[a] - lo[a]) / 63 for a in (0, 1))
+        body = server.ask(f"{archive}/slice?origin={lo[0]},{lo[1]},{middle}&u={u},0,0&v=0,{v},0&size=64,64")[2]
+        values = numpy.frombuffer(body, "<f4", 64 * 64, len(body) - 4 * 64 * 64).reshape(64, 64)
+        x, y = numpy.meshgrid(lo[0] + u * numpy.arange(64), lo[1] + v * numpy.arange(64))
+        expected = numpy.hypot(x, y) if archive == 4 else numpy.sqrt(x**2 + y**2 + middle**2)
+        there = ~numpy.isnan(values)
+        assert there.mean() > 0.5 and abs(values - expected)[there].max() < (0.02 if archive == 4 else 0.6), archive
+        if archive == 4:
+            well_inside = (expected > 1.02) & (expected < 1.98)
+            assert there[well_inside].all() and not there[(expected < 0.98) | (expected > 2.02)].any()
+        roi = f"world:{(lo[0] + hi[0]) / 2}:,:,:"
+        _, cut, _ = surface_of(server.ask(f"{archive}/surface?isovalues={radius}&roi={roi}")[2])
+        assert 0 < len(cut) < len(vertices) and cut[:, 0].min() > (lo[0] + hi[0]) / 2 - 1e-4
+    _, vertices, _, values = surface_of(server.ask("4/surface?isovalues=1.5&step=0&colour=1")[2], coloured=True)
+    assert abs(values - vertices[:, 2]).max() < 0.02, "the height, of the tube"
+
     # Refusals.
     for path, expected in [
         ("/", 404),
@@ -188,7 +211,7 @@ def requests(server):
         (f"/{server.token}", 404),
         (f"/{server.token}/../../etc/passwd", 404),
         (f"/{server.token}/..%2f..%2fetc%2fpasswd", 404),
-        (f"/{server.token}/7/surface?isovalues=0", 400),
+        (f"/{server.token}/9/surface?isovalues=0", 400),
         (f"/{server.token}/x/surface?isovalues=0", 400),
         (f"/{server.token}/-1/surface?isovalues=0", 400),
         (f"/{server.token}/1/surface", 400),
@@ -200,6 +223,8 @@ def requests(server):
         (f"/{server.token}/1/surface?isovalues=0&roi=1:2", 400),
         (f"/{server.token}/1/slice?origin=0,0,0&u=1,0,0&v=0,1,0&size=100000,100000", 400),
         (f"/{server.token}/1/slice?origin=0,0,inf&u=1,0,0&v=0,1,0&size=4,4", 400),
+        (f"/{server.token}/4/surface?isovalues=1.5&roi=world:100:101,:,:", 400),
+        (f"/{server.token}/9/bounds", 400),
         (f"/{server.token}/1/export?isovalues=0&format=exe", 400),
         (f"/{server.token}/3/surface?isovalues=0&colour=2", 400),
         (f"/{server.token}/3/export?isovalues=0&colour=1&map=jet&format=ply", 400),
@@ -292,7 +317,7 @@ class Page:
         assert not self.wrong, self.wrong
 
 
-def wide(browser, server, has_files=True):
+def wide(browser, server):
     page = Page(browser, server, viewport={"width": 1280, "height": 800}, color_scheme="light", accept_downloads=True)
     # The tooth is seen: many pixels are neither paper nor lines.
     first = page.picture("wide")
@@ -332,8 +357,7 @@ def wide(browser, server, has_files=True):
     assert difference.mean() < 0.002, difference.mean()
     again.close()
     # What is seen is what is exported.
-    assert page.page.is_visible("#glb") == has_files
-    for form in ["glb", "stl"] if has_files else []:
+    for form in ["glb", "stl", "ply"]:
         with page.page.expect_download() as download:
             page.page.click(f"#{form}")
         file = pathlib.Path(download.value.path()).read_bytes()
@@ -374,6 +398,46 @@ def coloured(browser, server):
     page.close()
 
 
+def placed(browser, server):
+    """Grids with coordinates: the plane, its slice, the region, colours, and a link to them."""
+    page = Page(browser, server, "#archive=4", viewport={"width": 1000, "height": 700}, color_scheme="light")
+    assert page.page.inner_text("#now") == "radius" and page.page.inner_text("#time h2") == "Field"
+    assert not page.page.is_visible("#play"), "fields do not play"
+    plain = page.picture("tube")
+    page.after(lambda: page.page.select_option("#clip", "z"), "slices")
+    page.page.wait_for_timeout(500)
+    clipped = page.picture("tube plane")
+    assert abs(clipped - plain).sum(axis=2).astype(bool).mean() > 0.02
+    # The slice has the colours of viridis, from blue to yellow.
+    blue, yellow = clipped[..., 2] - clipped[..., 0] > 40, clipped[..., 0] - clipped[..., 2] > 80
+    assert blue.sum() > 500 and yellow.sum() > 500, (blue.sum(), yellow.sum())
+    whole = page.triangles()
+    page.after(lambda: page.set("#ranges input >> nth=0", 0.4))
+    assert 0 < page.triangles() < whole
+    slices = page.shown("slices")
+    page.after(lambda: page.page.select_option("#by", label="height"))
+    assert page.page.inner_text("#colours h2") == "Colours of height"
+    page.until(slices + 2, "slices")
+    page.page.fill("#high", "2")
+    page.page.keyboard.press("Tab")
+    page.page.wait_for_timeout(1000)
+    shown = page.picture("tube coloured")
+    again = Page(browser, server, "#" + page.page.url.split("#")[1], viewport={"width": 1000, "height": 700},
+                 color_scheme="light")
+    again.until(2, "slices")
+    assert again.page.input_value("#by") == "1" and again.page.input_value("#high") == "2"
+    difference = (abs(again.picture("tube again") - shown).sum(axis=2) > 30).mean()
+    assert difference < 0.002, difference
+    again.close()
+    page.close()
+    # A rectilinear grid, on a narrow page.
+    page = Page(browser, server, "#archive=5&clip=x_0.5_0_1", viewport={"width": 360, "height": 740}, color_scheme="dark")
+    page.page.wait_for_timeout(1000)
+    shown = page.picture("axes")
+    assert (abs(shown - shown[5, 5]).sum(axis=2) > 60).mean() > 0.03 and not page.page.is_visible("#time")
+    page.close()
+
+
 def narrow(browser, server):
     page = Page(browser, server, "#archive=1", viewport={"width": 360, "height": 740}, color_scheme="dark",
                 has_touch=True)
@@ -410,6 +474,12 @@ SLICE = """async ([archive, parameters]) => {
   const { values } = await source.slice(archive, parameters);
   return [...new Uint8Array(values.buffer)];
 }"""
+FILE = """async ([archive, parameters]) => {
+  const source = await import(new URL("source.js", location.href));
+  const file = await source.file(archive, parameters);
+  const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
+  return [...hash].map((b) => b.toString(16).padStart(2, "0")).join("");
+}"""
 ASK = """async (address) => {
   const { connect } = await import(new URL("local.js", location.href));
   const names = document.querySelector('meta[name="isospan-archives"]').content.split("\\n");
@@ -425,7 +495,8 @@ def same(page, server):
     cases += [(2, {"isovalues": v}) for v in [333, 900]]
     cases += [(0, {"isovalues": 600, "cap": "true"}),
               (0, {"isovalues": 600, "roi": "world:10:70,:,20.5:100"}), (2, {"isovalues": 500, "roi": "0:50,0:50,0:99"}),
-              (1, {"isovalues": 0.2, "step": 2, "cap": "true"}), (3, {"isovalues": 0.1, "step": 0, "colour": 1})]
+              (1, {"isovalues": 0.2, "step": 2, "cap": "true"}), (3, {"isovalues": 0.1, "step": 0, "colour": 1}), (4, {"isovalues": 1.5}), (5, {"isovalues": 5}),
+              (4, {"isovalues": 1.5, "step": 0, "colour": 1, "roi": "world:0.5:,:,:"})]
     for archive, parameters in cases:
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         status, _, body = server.ask(f"{archive}/surface?{query}")
@@ -435,7 +506,7 @@ def same(page, server):
         content = vertices.tobytes() + (b"" if values is None else values.tobytes()) + triangles.tobytes()
         expected = [3 * report["triangles"], hashlib.sha256(content).hexdigest()]
         assert found == expected, f"{archive} {parameters}: run tools/viewer/wasm; {found}, expected {expected}"
-    for archive in range(3):
+    for archive in range(len(ARCHIVES)):
         parameters = {"step": 0, "origin": "1,2,11.5", "u": "0.7,0,0", "v": "0,0.7,0.1", "size": "31,27"}
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         body = server.ask(f"{archive}/slice?{query}")[2]
@@ -443,7 +514,16 @@ def same(page, server):
         assert bytes(page.evaluate(SLICE, [archive, parameters])) == body[4 + length :], archive
         status, text = page.evaluate(ASK, f"{archive}/spectrum")
         assert status == 200 and json.loads(text)["knots"] == json.loads(server.ask(f"{archive}/spectrum")[2])["knots"]
-    for address in ["0/surface?isovalues=nan", "0/surface", "7/spectrum", "0/export?isovalues=0", "0/surface?isovalues=0&step=9"]:
+        status, text = page.evaluate(ASK, f"{archive}/bounds")
+        assert status == 200 and json.loads(text) == json.loads(server.ask(f"{archive}/bounds")[2])
+        for form in ["glb", "stl", "ply"]:
+            wish = {"isovalues": [600, 0.1, 600, 0.1, 1.5, 5][archive], "format": form}
+            expected = server.ask(f"{archive}/export?" + "&".join(f"{k}={v}" for k, v in wish.items()))[2]
+            assert page.evaluate(FILE, [archive, wish]) == hashlib.sha256(expected).hexdigest(), (archive, wish)
+    wish = {"isovalues": "0.1", "step": 0, "colour": 1, "map": "grey", "range": "0,1", "format": "glb"}
+    expected = server.ask("3/export?" + "&".join(f"{k}={v}" for k, v in wish.items()))[2]
+    assert page.evaluate(FILE, [3, wish]) == hashlib.sha256(expected).hexdigest()
+    for address in ["0/surface?isovalues=nan", "0/surface", "9/spectrum", "0/export?isovalues=0&format=exe", "0/surface?isovalues=0&step=9"]:
         status, text = page.evaluate(ASK, address)
         assert status == 400 and text, (address, status, text)
 
@@ -451,9 +531,10 @@ def same(page, server):
 def without_a_server(browser, server):
     """The published folder: the same page, the same answers."""
     with Published() as published:
-        wide(browser, published, has_files=False)
+        wide(browser, published)
         narrow(browser, published)
         coloured(browser, published)
+        placed(browser, published)
         page = Page(browser, published)
         same(page.page, server)
         page.close()
@@ -485,6 +566,7 @@ def main():
         wide(browser, server)
         narrow(browser, server)
         coloured(browser, server)
+        placed(browser, server)
         without_a_server(browser, server)
         browser.close()
         crowds(server)

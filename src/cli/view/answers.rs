@@ -5,6 +5,7 @@
 
 use super::archives::Archives;
 use super::now;
+use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{ProbeSettings, Roi, StepChoice, SurfacePart, SurfaceSettings};
 use isospan::render::ColourMap;
 use isospan::{Error, Resources, Result};
@@ -42,9 +43,9 @@ pub(super) struct SurfaceQuery {
     /// The step whose field colours the surface.
     colour: Option<u64>,
     /// Of an export: the ending of the file's name, the colour map, and the values at its ends.
-    pub(super) format: Option<String>,
-    pub(super) map: Option<String>,
-    pub(super) range: Option<String>,
+    format: Option<String>,
+    map: Option<String>,
+    range: Option<String>,
 }
 
 impl SurfaceQuery {
@@ -199,6 +200,28 @@ fn part_of_surface(part: &SurfacePart<'_>, sink: &mut dyn Sink) -> Result<()> {
 #[cfg(not(target_arch = "wasm32"))]
 pub(super) fn failed_part(text: &str, sink: &mut dyn Sink) -> Result<()> {
     json_part(&serde_json::json!({ "error": text }), sink)
+}
+
+/// A surface file, as `isospan surface` writes it.
+pub(super) fn export(
+    archives: &Archives,
+    archive: usize,
+    query: &SurfaceQuery,
+    resources: &Resources,
+    sink: &mut dyn Sink,
+) -> Result<()> {
+    let mut settings = query.settings(resources)?;
+    let ending = query.format.as_deref().unwrap_or("glb");
+    let format = SurfaceFormat::from_path(format!("surface.{ending}").as_ref())?;
+    // Triangles of STL have no colours.
+    if let Some(choice) = query.colour().filter(|_| format != SurfaceFormat::Stl) {
+        let map = query.map.as_deref().map_or(Ok(ColourMap::default()), str::parse)?;
+        let mut colours = archives.at(archive, choice)?.colours(map);
+        colours.range = query.range.as_deref().map(|text| numbers(text, "range")).transpose()?;
+        settings.colour_by = Some(colours);
+    }
+    let archive = archives.at(archive, query.choice())?;
+    archive.stream_surface_file(&settings, format, &mut |bytes| sink.write(bytes)).map(drop)
 }
 
 /// The values of a slice: f32, NaN outside of the domain, `u` fastest.

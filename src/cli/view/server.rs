@@ -7,7 +7,7 @@
 
 use super::answers::{self, Sink};
 use super::archives::Archives;
-use super::{export, page};
+use super::page;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, Request, State};
@@ -46,7 +46,7 @@ const PIECES: usize = 4;
 /// A connection on which nothing comes or goes for so long is closed.
 const QUIET: Duration = Duration::from_secs(300);
 /// Bytes of a piece of an answer.
-pub(super) const PIECE: usize = 256 << 10;
+const PIECE: usize = 256 << 10;
 /// How often the token of the signals is checked.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -157,7 +157,7 @@ fn router(server: Arc<Server>, token: &str) -> Router {
         .route(&format!("/{token}/{{archive}}/bounds"), ask(JSON, answers::bounds))
         .route(&format!("/{token}/{{archive}}/surface"), ask(PARTS, answers::surface))
         .route(&format!("/{token}/{{archive}}/slice"), ask(NUMBERS, answers::slice))
-        .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, export::export))
+        .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, answers::export))
         .layer(middleware::from_fn_with_state(server.clone(), guard))
         .with_state(server)
 }

@@ -21,7 +21,7 @@ mod worker;
 
 pub(super) use colours::values_on;
 pub use parts::SurfacePart;
-pub(super) use query::{count, stream_surfaces, surfaces_in_memory, write_surfaces};
+pub(super) use query::{count, stream_file, stream_surfaces, surfaces_in_memory, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};
 pub(super) use series::{series_files, surfaces_of_steps, write_series};

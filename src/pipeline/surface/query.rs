@@ -113,8 +113,9 @@ pub(super) fn write_made(
     format: SurfaceFormat,
 ) -> Result<(SurfaceReport, Vec<Extracted>)> {
     let start = Clock::start();
-    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
-    let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, format, &comment)?;
+    let mut write =
+        |s: &dyn SurfaceSource, path: &Path, meta: &SurfaceMeta| write_surface(s, path, format, meta);
+    let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, &mut write)?;
     made.seconds.push((Stage::Write, start.elapsed()));
     let report = SurfaceReport { file_bytes, without_value, ..report_of(archive, settings, &made, out)? };
     Ok((report, made.surfaces))
@@ -150,6 +151,29 @@ fn report_of(
         remote: None,
         seconds: made.seconds.iter().map(|&(stage, time)| (stage, time.as_secs_f64())).collect(),
     })
+}
+
+/// Hands on the bytes of the file that [`write_surfaces`] writes.
+pub(in crate::pipeline) fn stream_file(
+    archive: &StepView,
+    settings: &SurfaceSettings,
+    format: SurfaceFormat,
+    each: &mut dyn FnMut(&[u8]) -> Result<()>,
+) -> Result<SurfaceReport> {
+    settings.check_colours(format)?;
+    let scratch = settings.resources.scratch_folder();
+    let resources = settings.resources.clone().with_scratch(scratch.clone());
+    let settings = &SurfaceSettings { resources, ..settings.clone() };
+    let storage = SurfaceStorage { scratch: scratch.clone(), reused: vec![] };
+    let made = make(archive, settings, storage, None, &Silent)?;
+    let memory_bytes = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
+    let beside = BuilderSettings { memory_bytes, scratch };
+    let mut write = |s: &dyn SurfaceSource, _: &Path, meta: &SurfaceMeta| {
+        surface::stream_surface(s, format, meta, &beside, each)
+    };
+    let out = Path::new("");
+    let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, &mut write)?;
+    Ok(SurfaceReport { file_bytes, without_value, ..report_of(archive, settings, &made, out)? })
 }
 
 /// Hands on surfaces part by part while they are extracted, then each as a whole, in the order of
@@ -466,6 +490,9 @@ fn cut_all(surfaces: &mut [Extracted], half_spaces: &[HalfSpace], memory: u64, s
     Ok(())
 }
 
+/// Writes a surface to a file, and returns its bytes.
+type WriteFile<'a> = &'a mut dyn FnMut(&dyn SurfaceSource, &Path, &SurfaceMeta) -> Result<u64>;
+
 /// Writes one file, or a file each. Returns the bytes of all, and at how many vertices the field of
 /// the colours has no value, where there are colours.
 fn write_all(
@@ -473,15 +500,15 @@ fn write_all(
     surfaces: &[Extracted],
     settings: &SurfaceSettings,
     out: &Path,
-    format: SurfaceFormat,
-    comment: &str,
+    write: WriteFile<'_>,
 ) -> Result<(u64, Option<u64>)> {
+    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let (isovalues, scratch) = (&settings.isovalues, settings.scratch_of(out));
     let counts: Vec<(f64, u64)> =
         isovalues.iter().zip(surfaces).map(|(&v, s)| (v, s.surface.vertex_count())).collect();
     let mut without_value = settings.colour_by.as_ref().map(|_| 0);
     let mut meta = |isovalue: Option<f64>, surface: &dyn SurfaceSource, counts: &[(f64, u64)]| {
-        let comments = vec![comment.to_owned()];
+        let comments = vec![comment.clone()];
         let values = colours(archive, settings, surface, counts, &scratch)?;
         if let (Some(sum), Some(values)) = (&mut without_value, &values) {
             *sum += values.without_value();
@@ -489,13 +516,11 @@ fn write_all(
         Ok(SurfaceMeta { isovalue, comments, parts: vec![], values })
     };
     let bytes = if is_each_alone(out) || surfaces.len() == 1 {
-        let mut write = |(s, count): (&Extracted, &(f64, u64))| {
+        let mut one = |(s, count): (&Extracted, &(f64, u64))| {
             let (v, counts) = (count.0, std::slice::from_ref(count));
-            s.in_world(archive, &s.surface, |s| {
-                write_surface(s, &file_of(out, v), format, &meta(Some(v), s, counts)?)
-            })
+            s.in_world(archive, &s.surface, |s| write(s, &file_of(out, v), &meta(Some(v), s, counts)?))
         };
-        surfaces.iter().zip(&counts).map(&mut write).sum::<Result<u64>>()?
+        surfaces.iter().zip(&counts).map(&mut one).sum::<Result<u64>>()?
     } else {
         let part = |(s, &v): (&Extracted, &f64)| surface::SurfacePart {
             isovalue: v,
@@ -505,7 +530,7 @@ fn write_all(
         let parts = surfaces.iter().zip(isovalues).map(part).collect();
         let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
         surfaces[0].in_world(archive, &joined, |s| {
-            write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
+            write(s, out, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
         })?
     };
     Ok((bytes, without_value))

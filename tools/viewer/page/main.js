@@ -32,6 +32,8 @@ let maps = {};
 let view;
 let spectrum;
 let nextName = 0;
+/** Whether the address says where the camera is. */
+let isPlaced = false;
 
 const archive = () => archives[state.archive];
 const steps = () => archive().steps;
@@ -41,8 +43,11 @@ const colourInfo = () => steps().find((s) => s.number === state.by) ?? stepInfo(
 /** The steps that are fields of their own, where surfaces can have their colours. */
 function fields() {
   const isField = new Set(steps().map((s) => s.field)).size === steps().length && steps().length > 1;
-  return isField && archive().corners ? steps() : [];
+  return isField ? steps() : [];
 }
+
+/** Whether the steps follow each other in time. */
+const isSeries = () => steps().length > 1 && !fields().length;
 
 // ---- words
 
@@ -200,7 +205,7 @@ async function fetchSurface(surface) {
     say(found.report.surfaces[0].outside_range ? `The isovalue ${digits(surface.isovalue)} is outside of the field's range.` : "");
     if (view.bounds.isEmpty()) {
       view.boundsOf(found);
-      view.reset();
+      if (!isPlaced) view.reset();
     }
     if (state.surfaces[state.active] === surface) tellStatistics();
     document.body.dataset.shown = String(Number(document.body.dataset.shown ?? 0) + 1);
@@ -377,7 +382,7 @@ function rectangle() {
 
 /** Fetches the slice, coarse or fine; while one is under way only the last wish waits. */
 async function fetchSlice(most) {
-  if (state.clip === null || !state.slice || !archive().corners) {
+  if (state.clip === null || !state.slice || view.bounds.isEmpty()) {
     view.setSlice(null);
     return;
   }
@@ -417,7 +422,20 @@ function showSlice(slice = shownSlice) {
   if (slice && state.clip !== null && state.slice) view.setSlice({ ...slice, colours: maps[state.map], range });
 }
 
-function setClip() {
+/** A grid with coordinates has no corners: its bounds are asked for when a plane or a region needs them. */
+async function needBounds() {
+  const it = archive();
+  if (it.corners || it.bounds) return;
+  it.bounds = await source.bounds(state.archive);
+  if (archive() === it) view.setBounds(it.bounds);
+}
+
+async function setClip() {
+  try {
+    if (state.clip !== null) await needBounds();
+  } catch (error) {
+    failed(error);
+  }
   const { min, max } = view.bounds;
   if (state.clip === null || view.bounds.isEmpty()) {
     view.setClip(null);
@@ -446,6 +464,8 @@ function setColours() {
 }
 
 function drawBar() {
+  const { field } = colourInfo();
+  document.querySelector("#colours h2").textContent = field ? `Colours of ${field}` : "Colours of the field";
   const bar = $("bar");
   [bar.width, bar.height] = [256, 1];
   const c = bar.getContext("2d");
@@ -465,8 +485,10 @@ async function setStep(number) {
   state.step = number;
   const n = steps().findIndex((s) => s.number === number);
   $("step").value = n;
-  const { time } = stepInfo();
-  $("now").textContent = time === null || time === undefined ? `step ${number}` : `t = ${digits(time)}`;
+  const { time, field } = stepInfo();
+  const moment = time === null || time === undefined ? `step ${number}` : `t = ${digits(time)}`;
+  $("now").textContent = fields().length ? field : moment;
+  $("step").setAttribute("aria-valuetext", $("now").textContent);
   if (state.clip !== null) fetchSlice(COARSE);
   const surfaces = fetchAll();
   try {
@@ -512,13 +534,24 @@ async function setArchive(camera) {
   $("facts").textContent = `${it.dims.join(" × ")} ${it.scalar}, ${whole(it.points)} points, ${bytes(it.bytes)}`;
   document.title = `${it.name} – isospan`;
   view.setDomain(it.corners);
-  $("planes").hidden = $("region").hidden = $("colours").hidden = !it.corners;
+  it.bounds = undefined;
   $("coloured").hidden = !fields().length;
   $("by").replaceChildren(new Option("their own colours", ""), ...fields().map((s) => new Option(s.field, s.number)));
   $("by").value = state.by ?? "";
+  // Fields are chosen; only a series plays.
   $("time").hidden = steps().length < 2;
+  $("play").hidden = !isSeries();
+  $("time").querySelector("h2").textContent = isSeries() ? "Time" : "Field";
+  $("step").setAttribute("aria-label", isSeries() ? "Time step" : "Field");
   $("step").max = steps().length - 1;
-  if (it.corners) camera ? (view.camera6 = camera) : view.reset();
+  isPlaced = Boolean(camera);
+  try {
+    if (state.clip !== null || state.region) await needBounds();
+  } catch (error) {
+    failed(error);
+  }
+  if (camera) view.camera6 = camera;
+  else view.reset();
   if (!state.surfaces.length) {
     const [lo, hi] = stepInfo().range ?? [0, 1];
     const best = it.suggestions?.[0]?.isovalue ?? settle(lo + 0.5 * (hi - lo));
@@ -539,7 +572,13 @@ function drawRegion() {
       const input = Object.assign(document.createElement("input"), { type: "range", min: 0, max: 1, step: 0.01 });
       input.value = state.region?.[a][end] ?? end;
       input.setAttribute("aria-label", `${end ? "Highest" : "Lowest"} ${name} of the region`);
-      input.addEventListener("input", () => {
+      input.addEventListener("input", async () => {
+        try {
+          await needBounds();
+        } catch (error) {
+          failed(error);
+          return;
+        }
         const region = (state.region ?? [[0, 1], [0, 1], [0, 1]]).map((r) => [...r]);
         region[a][end] = input.valueAsNumber;
         if (region[a][1] - region[a][0] < 0.01) region[a][1 - end] = Math.min(1, Math.max(0, region[a][end] + (end ? -0.01 : 0.01)));
@@ -677,7 +716,6 @@ function listen() {
   on("png", "click", savePicture);
   for (const format of ["glb", "stl", "ply"]) {
     on(format, "click", () => saveSurfaces(format));
-    $(format).hidden = !source.hasFiles;
   }
   addEventListener("keydown", key);
   addEventListener("resize", () => spectrum.draw());
@@ -737,7 +775,7 @@ function key(event) {
     r: () => $("reset").click(),
     p: savePicture,
   };
-  if (event.key === " " && !event.target.matches?.("button, input, a") && steps().length > 1) acts[" "] = play;
+  if (event.key === " " && !event.target.matches?.("button, input, a") && isSeries()) acts[" "] = play;
   if (!acts[event.key]) return;
   event.preventDefault();
   acts[event.key]();

@@ -264,6 +264,12 @@ export class View {
     layer.dispose();
   }
 
+  /** The bounds of a domain that is no box: its lowest and its highest corner. */
+  setBounds([lo, hi]) {
+    this.bounds.set(new Vector3(...lo), new Vector3(...hi));
+    this.draw();
+  }
+
   /** Where a surface alone says how large the domain is. */
   boundsOf(found) {
     const vertices = found.vertices.used;

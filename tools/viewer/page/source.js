@@ -5,9 +5,6 @@ import { connect } from "./local.js";
 const beside = document.querySelector('meta[name="isospan-archives"]');
 const ask = beside ? connect(beside.content.split("\n")) : fetch;
 
-/** Whether there are surface files: only a server writes them. */
-export const hasFiles = !beside;
-
 /** Whether an answer that is no longer wanted stops: a worker goes on to its end. */
 export const canStop = !beside;
 
@@ -33,6 +30,9 @@ export const archives = () => json("archives");
 
 /** The contour spectrum of a step. */
 export const spectrum = (archive, step) => json(`${archive}/spectrum?${query({ step })}`);
+
+/** The least box of the world that holds the domain: two corners. */
+export const bounds = (archive) => json(`${archive}/bounds`);
 
 /** A surface file. */
 export async function file(archive, parameters) {

@@ -74,6 +74,7 @@ impl Viewer {
             "spectrum" => answers::spectrum(archives, archive, &parameters(query)?, means, sink),
             "bounds" => answers::bounds(archives, archive, &parameters(query)?, means, sink),
             "surface" => answers::surface(archives, archive, &parameters(query)?, means, sink),
+            "export" => answers::export(archives, archive, &parameters(query)?, means, sink),
             "slice" => answers::slice(archives, archive, &parameters(query)?, means, sink),
             _ => Err(unknown()),
         }
