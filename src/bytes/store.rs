@@ -86,15 +86,19 @@ impl<T: Pod> Store<T> {
 
     /// Hands out all records, in order, in batches.
     pub(crate) fn each(&self, each: &mut dyn FnMut(&[T]) -> Result<()>) -> Result<()> {
+        self.each_from(0, each)
+    }
+
+    /// Hands out the records from a number on, in order, in batches.
+    pub(crate) fn each_from(&self, mut first: u64, each: &mut dyn FnMut(&[T]) -> Result<()>) -> Result<()> {
         let mut batch = Vec::new();
-        let mut first = 0;
         while first < self.written {
             batch.resize((self.written - first).min(BATCH as u64) as usize, T::zeroed());
             self.read(first, &mut batch)?;
             each(&batch)?;
             first += batch.len() as u64;
         }
-        self.tail.chunks(BATCH).try_for_each(each)
+        self.tail[(first - self.written) as usize..].chunks(BATCH).try_for_each(each)
     }
 
     /// Appends records.
@@ -126,8 +130,12 @@ impl<T: Pod> Store<T> {
         self.tail
     }
 
-    /// Changes records in place. `patches` ascend by record number.
-    pub(crate) fn patch<P>(&mut self, patches: &[(u32, P)], apply: impl Fn(&mut T, &P)) -> Result<()> {
+    /// Changes records in place, each given with its number. `patches` ascend by record number.
+    pub(crate) fn patch<P>(
+        &mut self,
+        patches: &[(u32, P)],
+        mut apply: impl FnMut(u32, &mut T, &P),
+    ) -> Result<()> {
         let on_disk = patches.partition_point(|&(number, _)| u64::from(number) < self.written);
         let (mut on_disk, in_memory) = patches.split_at(on_disk);
         let mut batch = Vec::new();
@@ -143,14 +151,14 @@ impl<T: Pod> Store<T> {
             batch.resize((past - first) as usize, T::zeroed());
             self.read(first, &mut batch)?;
             for (n, p) in &on_disk[..here] {
-                apply(&mut batch[(u64::from(*n) - first) as usize], p);
+                apply(*n, &mut batch[(u64::from(*n) - first) as usize], p);
             }
             write_at(self.file(), bytemuck::cast_slice(&batch), first * size_of::<T>() as u64)
                 .map_err(|e| Error::io("write records to a temporary file in", &self.scratch, e))?;
             on_disk = &on_disk[here..];
         }
         for (n, p) in in_memory {
-            apply(&mut self.tail[(u64::from(*n) - self.written) as usize], p);
+            apply(*n, &mut self.tail[(u64::from(*n) - self.written) as usize], p);
         }
         Ok(())
     }
@@ -266,7 +274,7 @@ mod tests {
             (0..count).for_each(|i| store.push([i, 0, i / 2]).unwrap());
             assert_eq!(store.len(), u64::from(count));
             let patches: Vec<(u32, u32)> = (0..count).filter(|i| i % 7 < 2).map(|i| (i, i * 3)).collect();
-            store.patch(&patches, |record, &p| record[1] = p).unwrap();
+            store.patch(&patches, |_, record, &p| record[1] = p).unwrap();
             let wanted: Vec<[u32; 3]> =
                 (0..count).map(|i| [i, if i % 7 < 2 { i * 3 } else { 0 }, i / 2]).collect();
             assert_eq!(all(&store), wanted, "{memory} bytes of memory");

@@ -3,6 +3,7 @@
 //! ```text
 //!  FOLDER: index.html, style.css, *.js      the page of `isospan view`
 //!          worker.js, isospan.wasm.gz       the queries, which a worker of the page runs
+//!          licences.txt                     of all that is in these files
 //!          NAME.isospan/                    copies of the archives, read by ranges
 //! ```
 //!
@@ -93,7 +94,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 
 /// The names that archives have in the folder.
 fn names_of(archives: &[PathBuf]) -> Result<Vec<String>> {
-    let pages = page::FILES.iter().map(|file| file.name).chain(["worker.js", "isospan.wasm.gz"]);
+    let pages =
+        page::FILES.iter().map(|file| file.name).chain(["worker.js", "isospan.wasm.gz", "licences.txt"]);
     let mut taken: Vec<String> = pages.map(str::to_owned).collect();
     let mut names = vec![];
     for archive in archives {
@@ -195,24 +197,28 @@ impl Folder {
 
     fn write_page(&mut self, names: &[String]) -> Result<()> {
         for (n, file) in page::FILES.iter().enumerate() {
-            let mut content = vec![];
-            if file.is_gzip {
-                flate2::read::GzDecoder::new(file.content)
-                    .read_to_end(&mut content)
-                    .map_err(|e| Error::io("unpack", file.name, e))?;
-            } else {
-                content.extend_from_slice(file.content);
-            }
+            let mut content =
+                if file.is_gzip { unpacked(file.name, file.content)? } else { file.content.to_vec() };
             if n == 0 {
                 content = with_archives(&String::from_utf8_lossy(&content), names).into_bytes();
             }
             self.write(Path::new(file.name), &mut &content[..], Path::new(file.name))?;
         }
+        let licences = unpacked("licences.txt", page::LICENCES_GZ)?;
+        self.write(Path::new("licences.txt"), &mut &licences[..], Path::new("licences.txt"))?;
         for (name, mut content) in [("worker.js", page::WORKER), ("isospan.wasm.gz", page::WASM_GZ)] {
             self.write(Path::new(name), &mut content, Path::new(name))?;
         }
         Ok(())
     }
+}
+
+/// What was compressed by gzip.
+fn unpacked(name: &str, content: &[u8]) -> Result<Vec<u8>> {
+    let mut out = vec![];
+    let read = flate2::read::GzDecoder::new(content).read_to_end(&mut out);
+    read.map_err(|e| Error::io("unpack", name, e))?;
+    Ok(out)
 }
 
 /// The page, which says where its archives are and what it may ask for.
@@ -274,6 +280,15 @@ mod tests {
         flate2::read::GzDecoder::new(page::WASM_GZ).read_to_end(&mut file).unwrap();
         let format = section(&file).expect("tools/viewer/core names a format");
         assert_eq!(format, FORMAT_VERSION.to_le_bytes(), "run tools/viewer/wasm");
+    }
+
+    #[test]
+    fn the_licences_are_those_of_what_is_compiled_in() {
+        let text = String::from_utf8(unpacked("licences.txt", page::LICENCES_GZ).unwrap()).unwrap();
+        // What both the queries and this program have.
+        for name in ["three.js", "zstd-sys ", "serde_json ", "pco ", "glam ", "rayon "] {
+            assert!(text.lines().any(|line| line.starts_with(name)), "{name}: run tools/viewer/wasm");
+        }
     }
 
     #[test]

@@ -63,7 +63,7 @@ pub use shards::{
 pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};
 pub use surface::{
-    ColourBy, CountReport, OneSurface, Refine, RefineReport, SeriesReport, StepSurfaces, SurfaceReport,
-    SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack,
-    unpack_need,
+    ColourBy, CountReport, OneSurface, Refine, RefineReport, SeriesReport, StepSurfaces, SurfacePart,
+    SurfaceReport, SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked,
+    unpack, unpack_need,
 };

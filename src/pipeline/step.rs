@@ -10,10 +10,12 @@ use crate::pipeline::field::{
     ExportReport, ExportSettings, ProbeReport, ProbeSettings, edges_at_missing, export, probe_grid,
     probe_table, sample_grid, values_at,
 };
-use crate::pipeline::read::{ArchiveSummary, IndexToWorld, SpectrumReport, StepView, spectrum, summarize};
+use crate::pipeline::read::{
+    ArchiveSummary, IndexToWorld, SpectrumReport, StepView, bounds, spectrum, summarize,
+};
 use crate::pipeline::surface::{
-    ColourBy, CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, values_on,
-    with_surfaces, write_surfaces,
+    ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, stream_file, stream_surfaces,
+    surfaces_in_memory, values_on, write_surfaces,
 };
 use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
@@ -111,6 +113,15 @@ impl Step {
     /// Samples of the source along x, y, z.
     pub fn dims(&self) -> [u64; 3] {
         self.view.step().plan.source.dims
+    }
+
+    /// The least box of the world that holds the domain: its lowest and its highest corner. For a
+    /// curvilinear grid this reads all coordinates, once for an open archive.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Cancelled`].
+    pub fn bounds(&self, cancel: &CancelToken) -> Result<[[f64; 3]; 2]> {
+        bounds(&self.view, cancel)
     }
 
     /// How many tetrahedra an isosurface crosses, exactly.
@@ -306,6 +317,20 @@ impl Step {
         write_surfaces(&self.view, settings, out, format, progress)
     }
 
+    /// Hands the bytes of the file that [`Step::write_surface`] writes to `each`, in bounded
+    /// memory: for a program that sends a file, or has no disk.
+    ///
+    /// # Errors
+    /// As [`Step::write_surface`], but for those of a file, and those of `each`.
+    pub fn stream_surface_file(
+        &self,
+        settings: &SurfaceSettings,
+        format: SurfaceFormat,
+        each: &mut dyn FnMut(&[u8]) -> Result<()>,
+    ) -> Result<SurfaceReport> {
+        stream_file(&self.view, settings, format, each)
+    }
+
     /// This step as a field that colours surfaces, of this archive or another one in the same
     /// world: see [`SurfaceSettings::colour_by`].
     pub fn colours(&self, map: ColourMap) -> ColourBy {
@@ -318,8 +343,8 @@ impl Step {
     /// Memory: four bytes a vertex, besides what the resources allow.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] where a field of another archive has no value at any vertex, or the
-    /// field lies on a grid with coordinates; those of [`Step::probe_with`].
+    /// [`crate::Error::Usage`] where a field of another archive has no value at any vertex; those
+    /// of [`Step::probe_with`].
     pub fn values_on(
         &self,
         field: &Self,
@@ -335,18 +360,48 @@ impl Step {
         &self.view.step().plan.source.field
     }
 
-    /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their
-    /// sizes, then `each` has one surface after another, with world positions.
+    /// Streams isosurfaces, in bounded memory, with world positions: `part` gets each chunk's part
+    /// as soon as it is welded, in the order of the chunks; then `whole` gets each surface, in the
+    /// order of the isovalues.
+    ///
+    /// The parts of an isovalue, put together, are its surface. A surface that is cut at a region,
+    /// that is refined, or of a field with holes is one part. `part` is called on one thread at a
+    /// time; others wait while it takes long.
+    ///
+    /// ```
+    /// # use isospan::Archive;
+    /// # use isospan::pipeline::SurfaceSettings;
+    /// # use isospan::surface::TriMesh;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// let archive = Archive::open(&path)?;
+    /// let mut shown = TriMesh::default();
+    /// let mut part = |part: &isospan::pipeline::SurfacePart<'_>| {
+    ///     let added = TriMesh::from_source(part.added)?;
+    ///     shown.vertices.extend(added.vertices);
+    ///     shown.triangles.extend(added.triangles);
+    ///     for &(number, vertex) in part.changed {
+    ///         shown.vertices[number as usize] = vertex;
+    ///     }
+    ///     Ok(())
+    /// };
+    /// archive.stream_surfaces(&SurfaceSettings::of(100.0), &mut part, |_| Ok(()))?;
+    /// assert_eq!(shown, archive.surface(100.0)?);
+    /// # Ok(())
+    /// # }
+    /// ```
     ///
     /// # Errors
-    /// As [`Step::write_surface`], and those of `begin` and `each`.
+    /// As [`Step::write_surface`], and those of `part` and `whole`.
     pub fn stream_surfaces(
         &self,
         settings: &SurfaceSettings,
-        begin: impl FnOnce(&SurfaceReport) -> Result<()>,
-        each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
-    ) -> Result<()> {
-        with_surfaces(&self.view, settings, begin, each)
+        part: &mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+        whole: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+    ) -> Result<SurfaceReport> {
+        stream_surfaces(&self.view, settings, part, whole)
     }
 
     /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the
@@ -356,7 +411,8 @@ impl Step {
     /// always the same. Points are rounded to the lattice, 2^-24 of the domain's longest side. A
     /// point outside by no more than `f32` and the lattice round coordinates has the value of the
     /// nearest place: so vertices of a surface file have values. Few points cost as much as the
-    /// chunks that they lie in.
+    /// chunks that they lie in. On a curvilinear grid a point is found in a cell of the grid first:
+    /// that reads the coordinates around it, and all of them once for an open archive.
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or
@@ -379,8 +435,9 @@ impl Step {
     /// isosurface ends there, at faces of tetrahedra that have a corner without a value.
     ///
     /// # Errors
-    /// As [`Step::probe`].
+    /// As [`Step::probe`]; [`crate::Error::Usage`] for a rectilinear or curvilinear grid.
     pub fn edges_at_missing(&self, edges: &[[[f32; 3]; 2]]) -> Result<u64> {
+        self.view.refuse_coordinates("a search for missing samples")?;
         let source = &self.view.step().plan.source;
         edges_at_missing(edges, &source.geometry, source.dims, |points| self.probe(points))
     }

@@ -325,7 +325,7 @@ fn add_normals(surface: &dyn SurfaceSource, vertices: &mut Store<Placed>, memory
     for part in normals.chunks(BATCH) {
         let patches: Vec<(u32, [f32; 3])> =
             (first..).zip(part).map(|(n, v)| (n, unit(v.to_array()))).collect();
-        vertices.patch(&patches, |placed, normal| placed.normal = *normal)?;
+        vertices.patch(&patches, |_, placed, normal| placed.normal = *normal)?;
         first += part.len() as u32;
     }
     Ok(())

@@ -1,8 +1,8 @@
 //! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic
 //! maps say what must come out.
 
-use crate::common::{check_archive, contour_spectrum, extract_surface};
-use isospan::exec::Silent;
+use crate::common::{check_archive, contour_spectrum, extract_surface, streamed};
+use isospan::exec::{CancelToken, Silent};
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
@@ -87,7 +87,50 @@ fn make(input: &Path) -> Result<(PathBuf, ReduceReport)> {
 fn surface(archive: &Path, isovalue: f32) -> TriMesh {
     let out = archive.with_extension("ply");
     extract_surface(archive, &SurfaceSettings::of(isovalue), &out, SurfaceFormat::Ply, &Silent).unwrap();
-    read_surface(&out).unwrap()
+    let mesh = read_surface(&out).unwrap();
+    let (found, parts) = streamed(&Archive::open(archive).unwrap(), &SurfaceSettings::of(isovalue));
+    assert!(found == [mesh.clone()] && parts > 2, "{parts} parts are the file");
+    mesh
+}
+
+/// Probes at positions of the world, and surfaces that are cut at boxes of it.
+fn answers_in_the_world(archive: &Archive, isovalue: f64) {
+    let mesh = archive.surface(isovalue).unwrap();
+    let points: Vec<[f64; 3]> = mesh.vertices.iter().map(|v| v.position.map(f64::from)).collect();
+    let values = archive.probe(&points).unwrap();
+    for (p, value) in points.iter().zip(values) {
+        assert!((value - isovalue).abs() < 1e-4, "{value} at {p:?}");
+    }
+    let far = points[0].map(|x| x + 1e3);
+    assert!(archive.probe(&[far]).unwrap()[0].is_nan());
+    let [lo, hi] = archive.bounds(&CancelToken::new()).unwrap();
+    assert!(points.iter().all(|p| (0..3).all(|a| lo[a] - 1e-5 <= p[a] && p[a] <= hi[a] + 1e-5)));
+    // A box and what lies beyond one of its faces are the whole; the rim lies on the face.
+    for axis in 0..3 {
+        let middle = 0.5 * (lo[axis] + hi[axis]) + 0.01;
+        let cut = |range: String| {
+            let mut ranges = [":"; 3];
+            ranges[axis] = &range;
+            let roi = Some(format!("world:{}", ranges.join(",")).parse().unwrap());
+            let settings = SurfaceSettings { roi, ..SurfaceSettings::of(isovalue) };
+            let found = archive.surfaces(&settings).unwrap().remove(0);
+            assert!(streamed(archive, &settings).0 == [found.clone()]);
+            found
+        };
+        let (below, above) = (cut(format!(":{middle}")), cut(format!("{middle}:")));
+        let area = |mesh: &TriMesh| check(mesh).area;
+        assert!(area(&below) > 0.0 && area(&above) > 0.0);
+        let sum = area(&below) + area(&above);
+        assert!((sum / area(&mesh) - 1.0).abs() < 1e-3, "{sum}");
+        for (mesh, sign) in [(&below, 1.0), (&above, -1.0)] {
+            let beyond = |v: &isospan::surface::Vertex| sign * (f64::from(v.position[axis]) - middle);
+            assert!(mesh.vertices.iter().all(|v| beyond(v) < 1e-5), "axis {axis}");
+        }
+    }
+    let nowhere = Some("world:1000:1001,:,:".parse().unwrap());
+    let error =
+        archive.surfaces(&SurfaceSettings { roi: nowhere, ..SurfaceSettings::of(isovalue) }).unwrap_err();
+    assert!(error.to_string().contains("outside the volume"), "{error}");
 }
 
 fn radius(p: [f64; 3]) -> f64 {
@@ -202,6 +245,7 @@ fn a_tube_and_a_shell_have_their_areas_and_normals() {
             assert!(cosine < -0.97, "{name}: {cosine}");
         }
         assert_eq!(check(&mesh).non_manifold_edges, 0);
+        answers_in_the_world(&Archive::open(&archive).unwrap(), 1.52);
         let grid_volume =
             if name.starts_with("tube") { tube_area / 1.52 } else { shell_area / 1.52f64.powi(2) }
                 * if name.starts_with("tube") { (4.0 - 1.0) / 2.0 } else { (8.0 - 1.0) / 3.0 };
@@ -304,9 +348,8 @@ fn a_sphere_in_a_rectilinear_grid_is_a_sphere() {
             Archive::open(&out).unwrap().at(StepChoice::Number(1)).unwrap().surface(0.5).unwrap(),
             meshes[0]
         );
-        // What would be answered in index space is refused.
         let archive = Archive::open(&archive).unwrap();
-        assert!(archive.probe(&[[0.0; 3]]).is_err());
+        answers_in_the_world(&archive, 0.5);
     }
     assert_eq!(meshes[0], meshes[1], "VTR and legacy files of one grid");
 }

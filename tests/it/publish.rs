@@ -87,6 +87,7 @@ mod command {
         let expected = [
             "index.html",
             "isospan.wasm.gz",
+            "licences.txt",
             "local.js",
             "main.js",
             "scene.js",

@@ -58,6 +58,34 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
     }
 }
 
+#[test]
+fn parts_of_surfaces_put_together_are_the_surfaces() {
+    for kind in [SetKind::Bcc, SetKind::Halton] {
+        let dir = tempfile::tempdir().unwrap();
+        let archive = Archive::open(&archive(dir.path(), kind)).unwrap();
+        for threads in [1, 2] {
+            let all = SurfaceSettings {
+                isovalues: vec![0.9, 1e9, 0.0],
+                resources: Resources::default().with_threads(threads),
+                ..SurfaceSettings::default()
+            };
+            let (found, parts) = streamed(&archive, &all);
+            assert!(found == archive.surfaces(&all).unwrap(), "{kind:?}, {threads} threads");
+            assert!(parts > 4 && found[1] == TriMesh::default(), "{parts} parts");
+            let roi = "5:30,:,2.5:20".parse().unwrap();
+            for settings in
+                [SurfaceSettings { roi: Some(roi), ..all.clone() }, SurfaceSettings { cap: true, ..all }]
+            {
+                assert!(streamed(&archive, &settings).0 == archive.surfaces(&settings).unwrap());
+            }
+        }
+        // An error of whoever takes the parts ends it.
+        let mut refuse = |_: &isospan::pipeline::SurfacePart<'_>| Err(isospan::Error::Cancelled);
+        let ended = archive.stream_surfaces(&SurfaceSettings::of(0.0), &mut refuse, |_| Ok(()));
+        assert!(matches!(ended, Err(isospan::Error::Cancelled)));
+    }
+}
+
 /// Of a chunk that a surface touches but its header is read, and pages of what its blocks have.
 #[test]
 fn a_surface_reads_at_most_twice_the_bytes_of_its_blocks() {
@@ -320,6 +348,7 @@ fn a_surface_that_ends_at_missing_samples_is_sound() {
         check_within(mesh, &domain, &CheckSettings::default(), &mut at_missing).unwrap().1
     };
     let whole = asked.surface(0.3).unwrap();
+    assert_eq!(streamed(&asked, &SurfaceSettings::of(0.3)), (vec![whole.clone()], 1));
     let found = open(&whole);
     assert!(found.outside == 0 && found.at_missing > 100, "{found:?}");
     // Holes far from the boundary, each of one triangle.

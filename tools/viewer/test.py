@@ -2,7 +2,7 @@
 
 The page without a server is served by a few lines of Python, from a folder that `isospan publish` made.
 
-Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS [FOLDER for screenshots]
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES [FOLDER for screenshots]
 """
 
 import concurrent.futures
@@ -26,9 +26,11 @@ import numpy
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:7]
-TOOTH, BALL, OTHER, FIELDS = ARCHIVES
-PICTURES = pathlib.Path(sys.argv[7]) if sys.argv[7:] and sys.argv[7] else None
+from folders import Ranges, Whole
+
+PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:9]
+TOOTH, BALL, OTHER, FIELDS, TUBE, AXES = ARCHIVES
+PICTURES = pathlib.Path(sys.argv[9]) if sys.argv[9:] and sys.argv[9] else None
 MEMORY_MIB = 1536
 
 
@@ -64,37 +66,6 @@ class Server:
         return int(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 1024
 
 
-class Whole(http.server.SimpleHTTPRequestHandler):
-    """Files, always whole."""
-
-    protocol_version = "HTTP/1.1"
-
-    def log_message(self, *_):
-        pass
-
-
-class Ranges(Whole):
-    """Files, and ranges of them."""
-
-    def do_GET(self):
-        wanted = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
-        path = pathlib.Path(self.translate_path(self.path))
-        if not wanted or not path.is_file() or (not wanted[1] and not self.server.knows_ends):
-            return super().do_GET()
-        length = path.stat().st_size
-        first, last = (int(n) if n else None for n in wanted.groups())
-        begin = max(0, length - last) if first is None else first
-        end = length if first is None or last is None else min(length, last + 1)
-        self.server.ranges += 1
-        self.send_response(206)
-        self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{length}")
-        self.send_header("Content-Length", str(end - begin))
-        self.end_headers()
-        with path.open("rb") as file:
-            file.seek(begin)
-            self.wfile.write(file.read(end - begin))
-
-
 class Published:
     """A folder that `isospan publish` made, on a web server without programs, below some path."""
 
@@ -121,17 +92,41 @@ class Published:
         self.http.server_close()
 
 
-def surface_of(body, coloured=False):
-    """The counts, vertices and triangles of an answer; and the values that colour the vertices, where there are some."""
-    (length,) = struct.unpack_from("<I", body)
-    report = json.loads(body[4 : 4 + length])["report"]
-    at = 4 + length
-    vertices = numpy.frombuffer(body, "<f4", 6 * report["vertices"], at).reshape(-1, 6)
-    at += vertices.nbytes
-    values = numpy.frombuffer(body, "<f4", report["vertices"] if coloured else 0, at)
-    at += values.nbytes
-    triangles = numpy.frombuffer(body, "<u4", 3 * report["triangles"], at).reshape(-1, 3)
-    assert at + triangles.nbytes == len(body), "nothing follows the triangles"
+def parts_of(body):
+    """The parts of an answer: what each says, and its bytes."""
+    at = 0
+    while at < len(body):
+        (length,) = struct.unpack_from("<I", body, at)
+        head = json.loads(body[at + 4 : at + 4 + length])
+        at += 4 + length
+        counts = [(24, "vertices"), (28, "changed"), (12, "triangles"), (4, "values")]
+        size = sum(bytes_each * head.get(name, 0) for bytes_each, name in counts)
+        yield head, body[at : at + size]
+        assert at + size <= len(body), "the part is whole"
+        at += size
+
+
+def surface_of(body, coloured=False, number=0):
+    """The report, vertices and triangles of one surface of an answer; and the values that colour it, where there are some."""
+    vertices, triangles, values, report = numpy.empty((0, 6), "<f4"), numpy.empty((0, 3), "<u4"), None, None
+    for head, content in parts_of(body):
+        assert report is None, "the report comes last"
+        if "report" in head:
+            report = head["report"]
+        elif head["surface"] != number:
+            pass
+        elif "values" in head:
+            values = numpy.frombuffer(content, "<f4")
+        else:
+            added = 24 * head["vertices"]
+            changes = added + 28 * head["changed"]
+            vertices = numpy.concatenate([vertices, numpy.frombuffer(content[:added], "<f4").reshape(-1, 6)])
+            numbers = numpy.frombuffer(content[added : added + 4 * head["changed"]], "<u4")
+            vertices[numbers] = numpy.frombuffer(content[added + 4 * head["changed"] : changes], "<f4").reshape(-1, 6)
+            triangles = numpy.concatenate([triangles, numpy.frombuffer(content[changes:], "<u4").reshape(-1, 3)])
+            assert not len(triangles) or triangles.max() < len(vertices), "triangles have vertices that have come"
+    counts = report["surfaces"][number]
+    assert (len(vertices), len(triangles)) == (counts["vertices"], counts["triangles"])
     return (report, vertices, triangles, values) if coloured else (report, vertices, triangles)
 
 
@@ -143,7 +138,7 @@ def requests(server):
 
     archives = json.loads(server.ask("archives")[2])
     assert [a["name"] for a in archives] == ARCHIVES
-    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2]
+    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2, 2, 1]
 
     # The surface is that of the command line.
     report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
@@ -159,6 +154,14 @@ def requests(server):
         status, _, file = server.ask(f"1/export?isovalues=0&step=1&format={form}")
         assert status == 200 and len(file) > 1000, form
     assert server.ask("1/export?isovalues=0&step=1&format=ply")[2] == ply
+
+    # Surfaces come in parts, each with the triangles of some chunks; two of one answer are those of two answers.
+    both = server.ask("2/surface?isovalues=500,900")[2]
+    for number, isovalue in enumerate([500, 900]):
+        chunks = [h["chunks"] for h, _ in parts_of(both) if h.get("surface") == number]
+        assert len(chunks) > 3 and chunks == sorted(chunks), chunks
+        found, alone = surface_of(both, number=number), surface_of(server.ask(f"2/surface?isovalues={isovalue}")[2])
+        assert all((a == b).all() for a, b in zip(found[1:], alone[1:])), isovalue
 
     # Another field at the vertices: the height.
     report, vertices, _, values = surface_of(server.ask("3/surface?isovalues=0&step=0&colour=1")[2], coloured=True)
@@ -178,6 +181,29 @@ def requests(server):
     assert status == 200 and abs(values[16, 16] - 0.5) < 0.1, values[16, 16]
     assert numpy.allclose(values[16, 20:31] , 0.5 - numpy.arange(4, 15) / 16, atol=0.05), values[16]
 
+    # Grids with coordinates: a plane, a region and colours are those of the world. The field is the radius.
+    for archive, radius in [(4, 1.5), (5, 5.0)]:
+        lo, hi = json.loads(server.ask(f"{archive}/bounds")[2])
+        report, vertices, _ = surface_of(server.ask(f"{archive}/surface?isovalues={radius}")[2])
+        assert report["triangles"] > 500
+        assert (vertices[:, :3] >= numpy.array(lo) - 1e-4).all() and (vertices[:, :3] <= numpy.array(hi) + 1e-4).all()
+        middle = (lo[2] + hi[2]) / 2
+        u, v = ((hi[a] - lo[a]) / 63 for a in (0, 1))
+        body = server.ask(f"{archive}/slice?origin={lo[0]},{lo[1]},{middle}&u={u},0,0&v=0,{v},0&size=64,64")[2]
+        values = numpy.frombuffer(body, "<f4", 64 * 64, len(body) - 4 * 64 * 64).reshape(64, 64)
+        x, y = numpy.meshgrid(lo[0] + u * numpy.arange(64), lo[1] + v * numpy.arange(64))
+        expected = numpy.hypot(x, y) if archive == 4 else numpy.sqrt(x**2 + y**2 + middle**2)
+        there = ~numpy.isnan(values)
+        assert there.mean() > 0.5 and abs(values - expected)[there].max() < (0.02 if archive == 4 else 0.6), archive
+        if archive == 4:
+            well_inside = (expected > 1.02) & (expected < 1.98)
+            assert there[well_inside].all() and not there[(expected < 0.98) | (expected > 2.02)].any()
+        roi = f"world:{(lo[0] + hi[0]) / 2}:,:,:"
+        _, cut, _ = surface_of(server.ask(f"{archive}/surface?isovalues={radius}&roi={roi}")[2])
+        assert 0 < len(cut) < len(vertices) and cut[:, 0].min() > (lo[0] + hi[0]) / 2 - 1e-4
+    _, vertices, _, values = surface_of(server.ask("4/surface?isovalues=1.5&step=0&colour=1")[2], coloured=True)
+    assert abs(values - vertices[:, 2]).max() < 0.02, "the height, of the tube"
+
     # Refusals.
     for path, expected in [
         ("/", 404),
@@ -185,7 +211,7 @@ def requests(server):
         (f"/{server.token}", 404),
         (f"/{server.token}/../../etc/passwd", 404),
         (f"/{server.token}/..%2f..%2fetc%2fpasswd", 404),
-        (f"/{server.token}/7/surface?isovalues=0", 400),
+        (f"/{server.token}/9/surface?isovalues=0", 400),
         (f"/{server.token}/x/surface?isovalues=0", 400),
         (f"/{server.token}/-1/surface?isovalues=0", 400),
         (f"/{server.token}/1/surface", 400),
@@ -197,6 +223,8 @@ def requests(server):
         (f"/{server.token}/1/surface?isovalues=0&roi=1:2", 400),
         (f"/{server.token}/1/slice?origin=0,0,0&u=1,0,0&v=0,1,0&size=100000,100000", 400),
         (f"/{server.token}/1/slice?origin=0,0,inf&u=1,0,0&v=0,1,0&size=4,4", 400),
+        (f"/{server.token}/4/surface?isovalues=1.5&roi=world:100:101,:,:", 400),
+        (f"/{server.token}/9/bounds", 400),
         (f"/{server.token}/1/export?isovalues=0&format=exe", 400),
         (f"/{server.token}/3/surface?isovalues=0&colour=2", 400),
         (f"/{server.token}/3/export?isovalues=0&colour=1&map=jet&format=ply", 400),
@@ -289,7 +317,7 @@ class Page:
         assert not self.wrong, self.wrong
 
 
-def wide(browser, server, has_files=True):
+def wide(browser, server):
     page = Page(browser, server, viewport={"width": 1280, "height": 800}, color_scheme="light", accept_downloads=True)
     # The tooth is seen: many pixels are neither paper nor lines.
     first = page.picture("wide")
@@ -329,8 +357,7 @@ def wide(browser, server, has_files=True):
     assert difference.mean() < 0.002, difference.mean()
     again.close()
     # What is seen is what is exported.
-    assert page.page.is_visible("#glb") == has_files
-    for form in ["glb", "stl"] if has_files else []:
+    for form in ["glb", "stl", "ply"]:
         with page.page.expect_download() as download:
             page.page.click(f"#{form}")
         file = pathlib.Path(download.value.path()).read_bytes()
@@ -371,6 +398,46 @@ def coloured(browser, server):
     page.close()
 
 
+def placed(browser, server):
+    """Grids with coordinates: the plane, its slice, the region, colours, and a link to them."""
+    page = Page(browser, server, "#archive=4", viewport={"width": 1000, "height": 700}, color_scheme="light")
+    assert page.page.inner_text("#now") == "radius" and page.page.inner_text("#time h2") == "Field"
+    assert not page.page.is_visible("#play"), "fields do not play"
+    plain = page.picture("tube")
+    page.after(lambda: page.page.select_option("#clip", "z"), "slices")
+    page.page.wait_for_timeout(500)
+    clipped = page.picture("tube plane")
+    assert abs(clipped - plain).sum(axis=2).astype(bool).mean() > 0.02
+    # The slice has the colours of viridis, from blue to yellow.
+    blue, yellow = clipped[..., 2] - clipped[..., 0] > 40, clipped[..., 0] - clipped[..., 2] > 80
+    assert blue.sum() > 500 and yellow.sum() > 500, (blue.sum(), yellow.sum())
+    whole = page.triangles()
+    page.after(lambda: page.set("#ranges input >> nth=0", 0.4))
+    assert 0 < page.triangles() < whole
+    slices = page.shown("slices")
+    page.after(lambda: page.page.select_option("#by", label="height"))
+    assert page.page.inner_text("#colours h2") == "Colours of height"
+    page.until(slices + 2, "slices")
+    page.page.fill("#high", "2")
+    page.page.keyboard.press("Tab")
+    page.page.wait_for_timeout(1000)
+    shown = page.picture("tube coloured")
+    again = Page(browser, server, "#" + page.page.url.split("#")[1], viewport={"width": 1000, "height": 700},
+                 color_scheme="light")
+    again.until(2, "slices")
+    assert again.page.input_value("#by") == "1" and again.page.input_value("#high") == "2"
+    difference = (abs(again.picture("tube again") - shown).sum(axis=2) > 30).mean()
+    assert difference < 0.002, difference
+    again.close()
+    page.close()
+    # A rectilinear grid, on a narrow page.
+    page = Page(browser, server, "#archive=5&clip=x_0.5_0_1", viewport={"width": 360, "height": 740}, color_scheme="dark")
+    page.page.wait_for_timeout(1000)
+    shown = page.picture("axes")
+    assert (abs(shown - shown[5, 5]).sum(axis=2) > 60).mean() > 0.03 and not page.page.is_visible("#time")
+    page.close()
+
+
 def narrow(browser, server):
     page = Page(browser, server, "#archive=1", viewport={"width": 360, "height": 740}, color_scheme="dark",
                 has_touch=True)
@@ -395,7 +462,8 @@ def narrow(browser, server):
 TRIANGLES = """async ([archive, parameters]) => {
   const source = await import(new URL("source.js", location.href));
   const { vertices, values, triangles } = await source.surface(archive, parameters);
-  const parts = [vertices, values ?? new Float32Array(0), triangles].map((part) => new Uint8Array(part.buffer));
+  const arrays = [vertices.used, values ?? new Float32Array(0), triangles.used];
+  const parts = arrays.map((a) => new Uint8Array(a.buffer, a.byteOffset, a.byteLength));
   const all = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
   parts.reduce((at, part) => (all.set(part, at), at + part.length), 0);
   const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", all));
@@ -405,6 +473,12 @@ SLICE = """async ([archive, parameters]) => {
   const source = await import(new URL("source.js", location.href));
   const { values } = await source.slice(archive, parameters);
   return [...new Uint8Array(values.buffer)];
+}"""
+FILE = """async ([archive, parameters]) => {
+  const source = await import(new URL("source.js", location.href));
+  const file = await source.file(archive, parameters);
+  const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
+  return [...hash].map((b) => b.toString(16).padStart(2, "0")).join("");
 }"""
 ASK = """async (address) => {
   const { connect } = await import(new URL("local.js", location.href));
@@ -419,19 +493,20 @@ def same(page, server):
     cases = [(0, {"isovalues": v}) for v in [-5, 250.5, 600, 610, 1100, 600]]
     cases += [(1, {"isovalues": v, "step": n}) for n in range(4) for v in [0, 0.123]]
     cases += [(2, {"isovalues": v}) for v in [333, 900]]
-    cases += [(0, {"isovalues": "500,900"}), (0, {"isovalues": 600, "cap": "true"}),
+    cases += [(0, {"isovalues": 600, "cap": "true"}),
               (0, {"isovalues": 600, "roi": "world:10:70,:,20.5:100"}), (2, {"isovalues": 500, "roi": "0:50,0:50,0:99"}),
-              (1, {"isovalues": 0.2, "step": 2, "cap": "true"}), (3, {"isovalues": 0.1, "step": 0, "colour": 1})]
+              (1, {"isovalues": 0.2, "step": 2, "cap": "true"}), (3, {"isovalues": 0.1, "step": 0, "colour": 1}), (4, {"isovalues": 1.5}), (5, {"isovalues": 5}),
+              (4, {"isovalues": 1.5, "step": 0, "colour": 1, "roi": "world:0.5:,:,:"})]
     for archive, parameters in cases:
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         status, _, body = server.ask(f"{archive}/surface?{query}")
         assert status == 200, (query, body)
-        (length,) = struct.unpack_from("<I", body)
-        report = json.loads(body[4 : 4 + length])["report"]
+        report, vertices, triangles, values = surface_of(body, coloured=True)
         found = page.evaluate(TRIANGLES, [archive, parameters])
-        expected = [3 * report["triangles"], hashlib.sha256(body[4 + length :]).hexdigest()]
+        content = vertices.tobytes() + (b"" if values is None else values.tobytes()) + triangles.tobytes()
+        expected = [3 * report["triangles"], hashlib.sha256(content).hexdigest()]
         assert found == expected, f"{archive} {parameters}: run tools/viewer/wasm; {found}, expected {expected}"
-    for archive in range(3):
+    for archive in range(len(ARCHIVES)):
         parameters = {"step": 0, "origin": "1,2,11.5", "u": "0.7,0,0", "v": "0,0.7,0.1", "size": "31,27"}
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         body = server.ask(f"{archive}/slice?{query}")[2]
@@ -439,7 +514,16 @@ def same(page, server):
         assert bytes(page.evaluate(SLICE, [archive, parameters])) == body[4 + length :], archive
         status, text = page.evaluate(ASK, f"{archive}/spectrum")
         assert status == 200 and json.loads(text)["knots"] == json.loads(server.ask(f"{archive}/spectrum")[2])["knots"]
-    for address in ["0/surface?isovalues=nan", "0/surface", "7/spectrum", "0/export?isovalues=0", "0/surface?isovalues=0&step=9"]:
+        status, text = page.evaluate(ASK, f"{archive}/bounds")
+        assert status == 200 and json.loads(text) == json.loads(server.ask(f"{archive}/bounds")[2])
+        for form in ["glb", "stl", "ply"]:
+            wish = {"isovalues": [600, 0.1, 600, 0.1, 1.5, 5][archive], "format": form}
+            expected = server.ask(f"{archive}/export?" + "&".join(f"{k}={v}" for k, v in wish.items()))[2]
+            assert page.evaluate(FILE, [archive, wish]) == hashlib.sha256(expected).hexdigest(), (archive, wish)
+    wish = {"isovalues": "0.1", "step": 0, "colour": 1, "map": "grey", "range": "0,1", "format": "glb"}
+    expected = server.ask("3/export?" + "&".join(f"{k}={v}" for k, v in wish.items()))[2]
+    assert page.evaluate(FILE, [3, wish]) == hashlib.sha256(expected).hexdigest()
+    for address in ["0/surface?isovalues=nan", "0/surface", "9/spectrum", "0/export?isovalues=0&format=exe", "0/surface?isovalues=0&step=9"]:
         status, text = page.evaluate(ASK, address)
         assert status == 400 and text, (address, status, text)
 
@@ -447,9 +531,10 @@ def same(page, server):
 def without_a_server(browser, server):
     """The published folder: the same page, the same answers."""
     with Published() as published:
-        wide(browser, published, has_files=False)
+        wide(browser, published)
         narrow(browser, published)
         coloured(browser, published)
+        placed(browser, published)
         page = Page(browser, published)
         same(page.page, server)
         page.close()
@@ -481,6 +566,7 @@ def main():
         wide(browser, server)
         narrow(browser, server)
         coloured(browser, server)
+        placed(browser, server)
         without_a_server(browser, server)
         browser.close()
         crowds(server)

@@ -110,7 +110,7 @@ pub struct WorldPosition {
     /// The world position.
     pub position: [f64; 3],
     /// Columns: the derivatives along the three index axes.
-    jacobian: DMat3,
+    pub(super) jacobian: DMat3,
 }
 
 impl WorldPosition {
@@ -180,6 +180,49 @@ impl CoordinateMap {
         &self.segment
     }
 
+    /// Samples along x, y, z.
+    pub(super) fn dims(&self) -> [u64; 3] {
+        self.dims
+    }
+
+    /// The tables of x, y and z of a rectilinear grid.
+    pub fn axes(&self) -> Option<&[Vec<f64>; 3]> {
+        match &self.grid {
+            Grid::Axes(axes) => Some(axes),
+            Grid::Points(_) => None,
+        }
+    }
+
+    /// The positions of the samples from `lo` to `hi`, both included, x fastest.
+    pub(super) fn samples(&self, lo: [u64; 3], hi: [u64; 3], out: &mut Vec<DVec3>) -> Result<()> {
+        out.clear();
+        for z in lo[2]..=hi[2] {
+            for y in lo[1]..=hi[1] {
+                let row = (z * self.dims[1] + y) * self.dims[0];
+                let (mut next, past) = (row + lo[0], row + hi[0] + 1);
+                while next < past {
+                    match &self.grid {
+                        Grid::Axes(axes) => {
+                            let [x, y, z] = [next - row, y, z].map(|n| n as usize);
+                            out.push(DVec3::new(axes[0][x], axes[1][y], axes[2][z]));
+                            next += 1;
+                        }
+                        Grid::Points(runs) => {
+                            let (from, to) = (next % RUN, (next % RUN + past - next).min(RUN));
+                            self.with_run(runs, next / RUN, |run| {
+                                out.extend(
+                                    run[from as usize..to as usize].iter().copied().map(DVec3::from_array),
+                                );
+                            })?;
+                            next += to - from;
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// XXH3 (128 bits) of all numbers as little-endian f64: the tables of x, y and z, or x, y, z of
     /// each sample.
     ///
@@ -231,7 +274,15 @@ impl CoordinateMap {
     }
 
     fn point(&self, runs: &Mutex<Runs>, sample: u64) -> Result<DVec3> {
-        let (number, at) = (sample / RUN, (sample % RUN) as usize);
+        self.with_run(runs, sample / RUN, |run| DVec3::from_array(run[(sample % RUN) as usize]))
+    }
+
+    fn with_run<T>(
+        &self,
+        runs: &Mutex<Runs>,
+        number: u64,
+        use_it: impl FnOnce(&[[f64; 3]]) -> T,
+    ) -> Result<T> {
         let mut runs = runs.lock().unwrap_or_else(PoisonError::into_inner);
         let found = runs.kept.iter().position(|(n, _)| *n == number);
         match found {
@@ -246,7 +297,7 @@ impl CoordinateMap {
                 runs.kept.push_front((number, run));
             }
         }
-        Ok(DVec3::from_array(runs.kept[0].1[at]))
+        Ok(use_it(&runs.kept[0].1))
     }
 
     fn read_run(&self, number: u64) -> Result<Run> {
@@ -298,7 +349,7 @@ fn signs(corners: &[DVec3; 8]) -> (bool, bool) {
 }
 
 /// The trilinear map of a cell at `t`.
-fn trilinear(corners: &[DVec3; 8], t: DVec3) -> WorldPosition {
+pub(super) fn trilinear(corners: &[DVec3; 8], t: DVec3) -> WorldPosition {
     let mix = |a: DVec3, b: DVec3, t: f64| a + (b - a) * t;
     let c = corners;
     let rows: [DVec3; 4] = std::array::from_fn(|i| mix(c[2 * i], c[2 * i + 1], t.x));
@@ -338,18 +389,21 @@ fn numbers(segment: &Segment, block: u64, bytes: &[u8], count: usize) -> Result<
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     const PLAN: PlanHash = PlanHash(7);
 
     /// A shell of radii 1 to 2: angle, height, radius.
-    fn cylinder([x, y, z]: [f64; 3]) -> [f64; 3] {
+    pub(in super::super) fn cylinder([x, y, z]: [f64; 3]) -> [f64; 3] {
         let (angle, radius) = (x * 0.1, 1.0 + z * 0.1);
         [radius * libm::cos(angle), radius * libm::sin(angle), y]
     }
 
-    fn grid(dims: [u64; 3], place: impl Fn([f64; 3]) -> [f64; 3]) -> (tempfile::TempDir, CoordinateMap) {
+    pub(in super::super) fn grid(
+        dims: [u64; 3],
+        place: impl Fn([f64; 3]) -> [f64; 3],
+    ) -> (tempfile::TempDir, CoordinateMap) {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.seg");
         let mut sample = 0u64;

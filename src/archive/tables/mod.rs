@@ -9,12 +9,14 @@
 pub(super) mod coordinates;
 mod errors;
 mod explicit;
+mod find;
 pub(super) mod levels;
 mod repeated;
 
 pub use coordinates::{CellCount, CoordinateMap, Coordinates, write_coordinates};
 pub(crate) use errors::{ChunkErrors, decode_errors, encode_errors};
 pub use explicit::{ExplicitRecord, explicit_path, read_explicit, write_explicit};
+pub use find::CellBoxes;
 pub use levels::{LevelsRecord, levels_path, read_levels, write_levels};
 pub(crate) use repeated::{RepeatedReader, write_repeated};
 pub use repeated::{RepeatedRecord, repeated_path};

@@ -5,12 +5,13 @@
 
 use super::archives::Archives;
 use super::now;
-use isospan::pipeline::{ProbeSettings, Roi, StepChoice, SurfaceSettings};
+use isospan::formats::surface::SurfaceFormat;
+use isospan::pipeline::{ProbeSettings, Roi, StepChoice, SurfacePart, SurfaceSettings};
 use isospan::render::ColourMap;
 use isospan::{Error, Resources, Result};
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 
 /// Isovalues of one request.
 const MOST_ISOVALUES: usize = 16;
@@ -42,9 +43,9 @@ pub(super) struct SurfaceQuery {
     /// The step whose field colours the surface.
     colour: Option<u64>,
     /// Of an export: the ending of the file's name, the colour map, and the values at its ends.
-    pub(super) format: Option<String>,
-    pub(super) map: Option<String>,
-    pub(super) range: Option<String>,
+    format: Option<String>,
+    map: Option<String>,
+    range: Option<String>,
 }
 
 impl SurfaceQuery {
@@ -116,7 +117,7 @@ impl SliceQuery {
 }
 
 /// Takes the bytes of an answer.
-pub(super) trait Sink {
+pub(super) trait Sink: Send {
     /// Takes some of them.
     fn write(&mut self, bytes: &[u8]) -> Result<()>;
 
@@ -143,9 +144,10 @@ fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
     serde_json::to_vec(value).map_err(|e| Error::io("write", "an answer", std::io::Error::other(e)))
 }
 
-/// A length and JSON with the counts; then of each surface its vertices (position and normal, 3 ×
-/// f32 each), the values of the field that colours them (f32), where one does, and its triangles
-/// (3 × u32).
+/// Parts, each with a length and JSON in front. A part of a surface has counts; then vertices
+/// (position and normal, 3 × f32 each), numbers of earlier vertices that change (u32), what they
+/// become, and triangles (3 × u32). The values of the field that colours a surface (f32) are a part
+/// after its triangles. The last part has the report.
 pub(super) fn surface(
     archives: &Archives,
     archive: usize,
@@ -160,27 +162,66 @@ pub(super) fn surface(
     let resources = resources.clone().with_memory(share);
     let settings = query.settings(&resources)?;
     let archive = archives.at(archive, query.choice())?;
-    let mut isovalues = settings.isovalues.iter();
-    let sink = RefCell::new(sink);
-    archive.stream_surfaces(
-        &settings,
-        |report| {
-            let milliseconds = now() - start;
-            let answer = serde_json::json!({ "milliseconds": milliseconds, "report": report });
-            json_part(&answer, *sink.borrow_mut())?;
-            // The page says what it waits for.
-            sink.borrow_mut().flush()
-        },
-        |surface| {
-            let (mut sink, isovalue) = (sink.borrow_mut(), isovalues.next());
-            surface.vertices(&mut |batch| sink.write(bytemuck::cast_slice(batch)))?;
-            if let (Some(field), Some(&isovalue)) = (&field, isovalue) {
+    let mut isovalues = settings.isovalues.iter().enumerate();
+    let sink = Mutex::new(sink);
+    let sink = || sink.lock().unwrap_or_else(PoisonError::into_inner);
+    let report =
+        archive.stream_surfaces(&settings, &mut |part| part_of_surface(part, &mut **sink()), |surface| {
+            if let (Some(field), Some((n, &isovalue))) = (&field, isovalues.next()) {
                 let values = archive.values_on(field, surface, isovalue, &resources)?;
+                let mut sink = sink();
+                json_part(&serde_json::json!({ "surface": n, "values": values.len() }), &mut **sink)?;
                 sink.write(bytemuck::cast_slice(&values))?;
             }
-            surface.triangles(&mut |batch| sink.write(bytemuck::cast_slice(batch)))
-        },
-    )
+            Ok(())
+        })?;
+    let milliseconds = now() - start;
+    json_part(&serde_json::json!({ "milliseconds": milliseconds, "report": report }), &mut **sink())
+}
+
+fn part_of_surface(part: &SurfacePart<'_>, sink: &mut dyn Sink) -> Result<()> {
+    let head = serde_json::json!({
+        "surface": part.isovalue,
+        "vertices": part.added.vertex_count(),
+        "changed": part.changed.len(),
+        "triangles": part.added.triangle_count(),
+        "chunks": part.chunks,
+    });
+    json_part(&head, sink)?;
+    part.added.vertices(&mut |batch| sink.write(bytemuck::cast_slice(batch)))?;
+    part.changed.iter().try_for_each(|(number, _)| sink.write(&number.to_le_bytes()))?;
+    part.changed.iter().try_for_each(|(_, vertex)| sink.write(bytemuck::bytes_of(vertex)))?;
+    part.added.triangles(&mut |batch| sink.write(bytemuck::cast_slice(batch)))?;
+    // The page shows it at once.
+    sink.flush()
+}
+
+/// A part that ends an answer which has begun: what went wrong.
+#[cfg(not(target_arch = "wasm32"))]
+pub(super) fn failed_part(text: &str, sink: &mut dyn Sink) -> Result<()> {
+    json_part(&serde_json::json!({ "error": text }), sink)
+}
+
+/// A surface file, as `isospan surface` writes it.
+pub(super) fn export(
+    archives: &Archives,
+    archive: usize,
+    query: &SurfaceQuery,
+    resources: &Resources,
+    sink: &mut dyn Sink,
+) -> Result<()> {
+    let mut settings = query.settings(resources)?;
+    let ending = query.format.as_deref().unwrap_or("glb");
+    let format = SurfaceFormat::from_path(format!("surface.{ending}").as_ref())?;
+    // Triangles of STL have no colours.
+    if let Some(choice) = query.colour().filter(|_| format != SurfaceFormat::Stl) {
+        let map = query.map.as_deref().map_or(Ok(ColourMap::default()), str::parse)?;
+        let mut colours = archives.at(archive, choice)?.colours(map);
+        colours.range = query.range.as_deref().map(|text| numbers(text, "range")).transpose()?;
+        settings.colour_by = Some(colours);
+    }
+    let archive = archives.at(archive, query.choice())?;
+    archive.stream_surface_file(&settings, format, &mut |bytes| sink.write(bytes)).map(drop)
 }
 
 /// The values of a slice: f32, NaN outside of the domain, `u` fastest.
@@ -197,6 +238,17 @@ pub(super) fn slice(
     let values = archive.probe_with(&points, &settings)?;
     json_part(&serde_json::json!({ "size": [width, height] }), sink)?;
     values.iter().try_for_each(|&v| sink.write(&(v as f32).to_le_bytes()))
+}
+
+/// The least box of the world that holds the domain, as JSON: two corners.
+pub(super) fn bounds(
+    archives: &Archives,
+    archive: usize,
+    query: &StepQuery,
+    resources: &Resources,
+    sink: &mut dyn Sink,
+) -> Result<()> {
+    json(&archives.at(archive, query.choice())?.bounds(&resources.cancel)?, sink)
 }
 
 /// The contour spectrum, as JSON.

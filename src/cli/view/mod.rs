@@ -7,7 +7,6 @@
 
 mod answers;
 mod archives;
-mod export;
 pub(super) mod page;
 mod server;
 

@@ -37,6 +37,7 @@ pub(in crate::cli) const FILES: &[File] = &[
 
 /// What a page without a server has besides: a worker, and what it runs.
 pub(in crate::cli) const WORKER: &[u8] = include_bytes!("../../../tools/viewer/page/worker.js");
+pub(in crate::cli) const LICENCES_GZ: &[u8] = include_bytes!("../../../tools/viewer/page/licences.txt.gz");
 pub(in crate::cli) const WASM_GZ: &[u8] = include_bytes!("../../../tools/viewer/page/isospan.wasm.gz");
 
 #[cfg(test)]

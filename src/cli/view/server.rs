@@ -7,7 +7,7 @@
 
 use super::answers::{self, Sink};
 use super::archives::Archives;
-use super::{export, page};
+use super::page;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, Request, State};
@@ -20,6 +20,8 @@ use isospan::exec::CancelToken;
 use isospan::{Error, Resources, Result};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
+use std::future::Future as _;
+use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,7 +31,7 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::Builder;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
-use tokio_io_timeout::TimeoutStream;
+use tokio::time::{Instant, Sleep};
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
 
@@ -42,9 +44,9 @@ pub(super) const SHARE: u64 = 4;
 /// Pieces of an answer that wait for a slow reader.
 const PIECES: usize = 4;
 /// A connection on which nothing comes or goes for so long is closed.
-const QUIET: Duration = Duration::from_secs(60);
+const QUIET: Duration = Duration::from_secs(300);
 /// Bytes of a piece of an answer.
-pub(super) const PIECE: usize = 256 << 10;
+const PIECE: usize = 256 << 10;
 /// How often the token of the signals is checked.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -152,9 +154,10 @@ fn router(server: Arc<Server>, token: &str) -> Router {
         .route(&format!("/{token}/archives"), get(archives))
         .route(&format!("/{token}/colours"), get(colours))
         .route(&format!("/{token}/{{archive}}/spectrum"), ask(JSON, answers::spectrum))
-        .route(&format!("/{token}/{{archive}}/surface"), ask(NUMBERS, answers::surface))
+        .route(&format!("/{token}/{{archive}}/bounds"), ask(JSON, answers::bounds))
+        .route(&format!("/{token}/{{archive}}/surface"), ask(PARTS, answers::surface))
         .route(&format!("/{token}/{{archive}}/slice"), ask(NUMBERS, answers::slice))
-        .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, export::export))
+        .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, answers::export))
         .layer(middleware::from_fn_with_state(server.clone(), guard))
         .with_state(server)
 }
@@ -195,11 +198,24 @@ fn refused(error: &Error) -> Response {
         Error::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
         _ => StatusCode::INTERNAL_SERVER_ERROR,
     };
-    refusal(status, &isospan::error::printable(&error.to_string()))
+    refusal(status, &words(error))
 }
 
-const JSON: &str = "application/json";
-const NUMBERS: &str = "application/octet-stream";
+fn words(error: &Error) -> String {
+    isospan::error::printable(&error.to_string()).into_owned()
+}
+
+/// What an answer is.
+#[derive(Clone, Copy)]
+struct Kind {
+    content: &'static str,
+    /// Whether the last part can say what went wrong.
+    in_parts: bool,
+}
+
+const JSON: Kind = Kind { content: "application/json", in_parts: false };
+const NUMBERS: Kind = Kind { content: "application/octet-stream", in_parts: false };
+const PARTS: Kind = Kind { in_parts: true, ..NUMBERS };
 
 async fn archives(State(server): State<Arc<Server>>) -> Response {
     answer(server, JSON, |server, _, sink| answers::archives(&server.archives, sink)).await
@@ -212,10 +228,7 @@ async fn colours(State(server): State<Arc<Server>>) -> Response {
 /// A question about an archive: the archives, which of them, the parameters, what may be used.
 type Question<Q> = fn(&Archives, usize, &Q, &Resources, &mut dyn Sink) -> Result<()>;
 
-fn ask<Q: DeserializeOwned + Send + 'static>(
-    kind: &'static str,
-    question: Question<Q>,
-) -> MethodRouter<Arc<Server>> {
+fn ask<Q: DeserializeOwned + Send + 'static>(kind: Kind, question: Question<Q>) -> MethodRouter<Arc<Server>> {
     get(move |State(server): State<Arc<Server>>, Path(archive): Path<usize>, Query(query): Query<Q>| {
         answer(server, kind, move |server, resources, sink| {
             question(&server.archives, archive, &query, resources, sink)
@@ -227,7 +240,7 @@ fn ask<Q: DeserializeOwned + Send + 'static>(
 /// gone.
 async fn answer(
     server: Arc<Server>,
-    kind: &'static str,
+    kind: Kind,
     work: impl FnOnce(&Server, &Resources, &mut dyn Sink) -> Result<()> + Send + 'static,
 ) -> Response {
     // As many wait as there are connections.
@@ -241,9 +254,10 @@ async fn answer(
         let _slot = slot;
         let mut sink = Stream::new(to);
         let result = work(&server, &resources, &mut sink);
-        sink.end(result.map_err(|e| e.of_share(resources.memory, resources.memory * SHARE)));
+        sink.end(result.map_err(|e| e.of_share(resources.memory, resources.memory * SHARE)), kind);
     });
     let first: Option<Result<Bytes>> = pieces.recv().await;
+    let content = [(header::CONTENT_TYPE, kind.content)];
     match first {
         Some(Err(e)) => refused(&e),
         Some(Ok(first)) => {
@@ -253,9 +267,9 @@ async fn answer(
                 let _ = &job;
                 piece
             });
-            ([(header::CONTENT_TYPE, kind)], Body::from_stream(all)).into_response()
+            (content, Body::from_stream(all)).into_response()
         }
-        None => ([(header::CONTENT_TYPE, kind)], Body::empty()).into_response(),
+        None => (content, Body::empty()).into_response(),
     }
 }
 
@@ -264,6 +278,7 @@ async fn answer(
 struct Stream {
     to: mpsc::Sender<Result<Bytes>>,
     piece: Vec<u8>,
+    has_begun: bool,
 }
 
 impl Sink for Stream {
@@ -278,17 +293,21 @@ impl Sink for Stream {
     /// [`Error::Cancelled`] when the reader is gone.
     fn flush(&mut self) -> Result<()> {
         let piece = std::mem::replace(&mut self.piece, Vec::with_capacity(PIECE));
+        self.has_begun = true;
         self.to.blocking_send(Ok(piece.into())).map_err(|_| Error::Cancelled)
     }
 }
 
 impl Stream {
     fn new(to: mpsc::Sender<Result<Bytes>>) -> Self {
-        Self { to, piece: Vec::with_capacity(PIECE) }
+        Self { to, piece: Vec::with_capacity(PIECE), has_begun: false }
     }
 
     /// Ends the answer with an error, or with what is left of its bytes.
-    fn end(mut self, result: Result<()>) {
+    fn end(mut self, mut result: Result<()>, kind: Kind) {
+        if self.has_begun && kind.in_parts {
+            result = result.or_else(|e| answers::failed_part(&words(&e), &mut self));
+        }
         let result = result.and_then(|()| if self.piece.is_empty() { Ok(()) } else { self.flush() });
         if let Err(e) = result {
             // A reader that is gone needs no error.
@@ -313,10 +332,8 @@ impl Listener for Limited {
             let Ok(permit) = self.open.clone().acquire_owned().await else { continue };
             match self.listener.accept().await {
                 Ok((stream, address)) => {
-                    let mut stream = TimeoutStream::new(stream);
-                    stream.set_read_timeout(Some(QUIET));
-                    stream.set_write_timeout(Some(QUIET));
-                    return (Connection { stream: Box::pin(stream), _permit: permit }, address);
+                    let quiet = Box::pin(tokio::time::sleep(QUIET));
+                    return (Connection { stream, quiet, _permit: permit }, address);
                 }
                 // Too many open files, or a connection that ended at once: others go on.
                 Err(_) => tokio::time::sleep(LOOK).await,
@@ -324,15 +341,28 @@ impl Listener for Limited {
         }
     }
 
-    fn local_addr(&self) -> std::io::Result<SocketAddr> {
+    fn local_addr(&self) -> io::Result<SocketAddr> {
         self.listener.local_addr()
     }
 }
 
-/// A connection, and its part of the limit.
+/// A connection, and its part of the limit. What goes out counts, too: an answer may take long.
 struct Connection {
-    stream: Pin<Box<TimeoutStream<TcpStream>>>,
+    stream: TcpStream,
+    /// Ends when nothing has come or gone for long.
+    quiet: Pin<Box<Sleep>>,
     _permit: OwnedSemaphorePermit,
+}
+
+impl Connection {
+    /// Looks at what was done: something, or nothing for how long.
+    fn timed<T>(&mut self, context: &mut Context<'_>, done: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        if done.is_ready() {
+            self.quiet.as_mut().reset(Instant::now() + QUIET);
+            return done;
+        }
+        self.quiet.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into()))
+    }
 }
 
 impl tokio::io::AsyncRead for Connection {
@@ -340,8 +370,9 @@ impl tokio::io::AsyncRead for Connection {
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
         buffer: &mut tokio::io::ReadBuf<'_>,
-    ) -> Poll<std::io::Result<()>> {
-        self.stream.as_mut().poll_read(context, buffer)
+    ) -> Poll<io::Result<()>> {
+        let done = Pin::new(&mut self.stream).poll_read(context, buffer);
+        self.timed(context, done)
     }
 }
 
@@ -350,15 +381,16 @@ impl tokio::io::AsyncWrite for Connection {
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
         bytes: &[u8],
-    ) -> Poll<std::io::Result<usize>> {
-        self.stream.as_mut().poll_write(context, bytes)
+    ) -> Poll<io::Result<usize>> {
+        let done = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.timed(context, done)
     }
 
-    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        self.stream.as_mut().poll_flush(context)
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
     }
 
-    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        self.stream.as_mut().poll_shutdown(context)
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
     }
 }

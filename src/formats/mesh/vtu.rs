@@ -99,7 +99,7 @@ pub(crate) fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta<'_>) -> R
     sink.publish()
 }
 
-fn put_plain(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink) -> Result<()> {
+fn put_plain(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) -> Result<()> {
     let (points, tets) = (mesh.point_count(), mesh.tet_count());
     // Fewer than 2^59 of each: no product overflows.
     let lengths = [24 * points, meta.value_bytes() * points, 32 * tets, 8 * tets, tets];
@@ -115,9 +115,9 @@ fn put_compressed(
     mesh: &StoredTets,
     meta: &TetMeta<'_>,
     pool: &rayon::ThreadPool,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
 ) -> Result<()> {
-    let scratch = sink.scratch()?;
+    let scratch = sink.scratch()?.expect("meshes are written to files");
     let failed = |e| Error::io("write compressed arrays beside", sink.target(), e);
     let mut packer = Packer { pool, file: &scratch, at: 0, waiting: vec![], table: vec![] };
     let mut packed = vec![];

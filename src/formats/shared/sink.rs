@@ -1,4 +1,4 @@
-//! Files that are written and then published.
+//! Files that are written and then published, or handed on byte by byte.
 
 use crate::bytes::publish::{Unpublished, folder_of};
 use crate::error::{Error, Result};
@@ -6,15 +6,24 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A file being written under a temporary name next to its target.
-pub(in crate::formats) struct Sink {
-    out: Unpublished,
+/// Takes the bytes of a file, one after another.
+pub(in crate::formats) type EachByte<'a> = &'a mut dyn FnMut(&[u8]) -> Result<()>;
+
+/// A file being written.
+pub(in crate::formats) struct Sink<'a> {
+    out: Out<'a>,
     target: PathBuf,
-    parent: PathBuf,
     bytes: u64,
 }
 
-impl Sink {
+enum Out<'a> {
+    /// Under a temporary name next to its target.
+    File { out: Unpublished, parent: PathBuf },
+    /// To somebody who takes the bytes.
+    Stream(EachByte<'a>),
+}
+
+impl<'a> Sink<'a> {
     pub(in crate::formats) fn create(path: &Path) -> Result<Self> {
         let target = resolve(path)?;
         let parent = folder_of(&target).to_path_buf();
@@ -25,14 +34,22 @@ impl Sink {
                 parent.display()
             )));
         }
-        let out = Unpublished::create(&target)?;
-        Ok(Self { out, target, parent, bytes: 0 })
+        let out = Out::File { out: Unpublished::create(&target)?, parent };
+        Ok(Self { out, target, bytes: 0 })
+    }
+
+    /// Hands the bytes on.
+    pub(in crate::formats) fn stream(each: EachByte<'a>) -> Self {
+        Self { out: Out::Stream(each), target: PathBuf::from("a surface file"), bytes: 0 }
     }
 
     /// Appends bytes.
     pub(in crate::formats) fn put(&mut self, bytes: &[u8]) -> Result<()> {
         self.bytes += bytes.len() as u64;
-        self.out.write(bytes)
+        match &mut self.out {
+            Out::File { out, .. } => out.write(bytes),
+            Out::Stream(each) => each(bytes),
+        }
     }
 
     /// The file that will be written.
@@ -41,10 +58,11 @@ impl Sink {
     }
 
     /// A second file next to the target, for data that a format needs in another order. It has no
-    /// name, so it never stays behind.
-    pub(in crate::formats) fn scratch(&self) -> Result<File> {
-        tempfile::tempfile_in(&self.parent)
-            .map_err(|e| Error::io("create a scratch file beside", &self.target, e))
+    /// name, so it never stays behind. `None` where there is no target.
+    pub(in crate::formats) fn scratch(&self) -> Result<Option<File>> {
+        let Out::File { parent, .. } = &self.out else { return Ok(None) };
+        let made = tempfile::tempfile_in(parent);
+        made.map(Some).map_err(|e| Error::io("create a scratch file beside", &self.target, e))
     }
 
     /// The error of a surface store that does not hold what it announced.
@@ -54,7 +72,9 @@ impl Sink {
 
     /// Makes the file durable, then visible.
     pub(in crate::formats) fn publish(self) -> Result<u64> {
-        self.out.publish()?;
+        if let Out::File { out, .. } = self.out {
+            out.publish()?;
+        }
         Ok(self.bytes)
     }
 }

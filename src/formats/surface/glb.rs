@@ -81,7 +81,7 @@ pub(in crate::formats) fn check_limits(vertices: u64, triangles: u64, meta: &Sur
 /// Writes a surface as GLB.
 pub(in crate::formats) fn write(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
 ) -> Result<()> {
     let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
@@ -102,7 +102,7 @@ pub(in crate::formats) fn write(
     text.extend(std::iter::repeat_n(' ', text.len().next_multiple_of(4) - text.len()));
     let bin_chunk = if bin == 0 { 0 } else { CHUNK_HEAD + bin };
     let total = HEAD + CHUNK_HEAD + text.len() as u64 + bin_chunk;
-    let put = |sink: &mut Sink, n: u64| {
+    let put = |sink: &mut Sink<'_>, n: u64| {
         sink.put(&u32::try_from(n).expect("limits were checked before").to_le_bytes())
     };
     sink.put(MAGIC)?;

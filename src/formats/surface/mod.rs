@@ -179,6 +179,29 @@ pub fn write_surface(
     format: SurfaceFormat,
     meta: &SurfaceMeta,
 ) -> Result<u64> {
+    check_limits(source, format, meta)?;
+    write(source, Sink::create(path)?, format, meta, &BuilderSettings::default())
+}
+
+/// Hands the bytes of the file that [`write_surface`] writes to `each`, and returns their number.
+/// `scratch` is for the positions of STL: the memory that they take, and the folder beyond it.
+///
+/// # Errors
+/// [`Error::Usage`] when the surface is beyond the format's limits, before a byte; the source's
+/// own, and those of `each`.
+pub fn stream_surface(
+    source: &dyn SurfaceSource,
+    format: SurfaceFormat,
+    meta: &SurfaceMeta,
+    scratch: &BuilderSettings,
+    each: &mut dyn FnMut(&[u8]) -> Result<()>,
+) -> Result<u64> {
+    check_limits(source, format, meta)?;
+    write(source, Sink::stream(each), format, meta, scratch)
+}
+
+/// Refuses what a format cannot hold, before a byte is written.
+fn check_limits(source: &dyn SurfaceSource, format: SurfaceFormat, meta: &SurfaceMeta) -> Result<()> {
     // The source numbers vertices with 32 bits, so no format needs more; a store that announces
     // more is damaged.
     if source.vertex_count() > 1 << 32 {
@@ -197,10 +220,19 @@ pub fn write_surface(
     if format == SurfaceFormat::Glb {
         glb::check_limits(source.vertex_count(), source.triangle_count(), meta)?;
     }
-    let mut sink = Sink::create(path)?;
+    Ok(())
+}
+
+fn write(
+    source: &dyn SurfaceSource,
+    mut sink: Sink<'_>,
+    format: SurfaceFormat,
+    meta: &SurfaceMeta,
+    scratch: &BuilderSettings,
+) -> Result<u64> {
     match format {
         SurfaceFormat::Ply => ply::write(source, &mut sink, meta)?,
-        SurfaceFormat::Stl => stl::write(source, &mut sink, meta)?,
+        SurfaceFormat::Stl => stl::write(source, &mut sink, meta, scratch)?,
         SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
         SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
@@ -287,7 +319,7 @@ pub(in crate::formats) fn is_finite(p: &[f32; 3]) -> bool {
 /// Writes the value of every vertex.
 pub(in crate::formats) fn each_value(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     values: &VertexValues,
     mut each: impl FnMut(&mut Vec<u8>, f32),
 ) -> Result<()> {
@@ -308,7 +340,7 @@ pub(in crate::formats) fn each_value(
 /// the number of the vertex. There are exactly as many as announced, or it is an error.
 pub(in crate::formats) fn each_vertex(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     mut each: impl FnMut(&mut Vec<u8>, u64, &Vertex),
 ) -> Result<()> {
     each_vertex_with(source, sink, None, |buffer, number, vertex, _| each(buffer, number, vertex))
@@ -317,7 +349,7 @@ pub(in crate::formats) fn each_vertex(
 /// As [`each_vertex`], with the values at the vertices, where there are some.
 pub(in crate::formats) fn each_vertex_with(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     values: Option<&VertexValues>,
     mut each: impl FnMut(&mut Vec<u8>, u64, &Vertex, f32),
 ) -> Result<()> {
@@ -354,7 +386,7 @@ const RECORDS: usize = 1 << 14;
 /// Writes a record for every triangle, as [`each_vertex`] does; all are of vertices that exist.
 pub(in crate::formats) fn each_triangle(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     mut each: impl FnMut(&mut Vec<u8>, u64, [u32; 3]) -> Result<()>,
 ) -> Result<()> {
     let (mut count, announced, vertices) = (0u64, source.triangle_count(), source.vertex_count());
@@ -498,6 +530,17 @@ pub(in crate::formats) mod tests {
             for mesh in [tetrahedron(), TriMesh::default()] {
                 let bytes = write_surface(&source(mesh.clone()), &path, format, &meta()).unwrap();
                 assert_eq!(std::fs::metadata(&path).unwrap().len(), bytes);
+                let mut streamed = vec![];
+                for memory_bytes in [0, 1 << 20] {
+                    streamed.clear();
+                    let scratch = BuilderSettings { memory_bytes, scratch: dir.path().to_path_buf() };
+                    let mut take = |bytes: &[u8]| {
+                        streamed.extend_from_slice(bytes);
+                        Ok(())
+                    };
+                    stream_surface(&source(mesh.clone()), format, &meta(), &scratch, &mut take).unwrap();
+                    assert_eq!(streamed, std::fs::read(&path).unwrap(), "{format:?}");
+                }
                 let back = read_surface(&path).unwrap();
                 same_shape(&mesh, &back);
                 if matches!(format, SurfaceFormat::Ply | SurfaceFormat::Vtp | SurfaceFormat::Glb) {

@@ -65,7 +65,7 @@ const IGNORED: [&str; 39] = [
 /// Writes a surface as OBJ.
 pub(in crate::formats) fn write(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
 ) -> Result<()> {
     sink.put(b"# isospan surface\n")?;

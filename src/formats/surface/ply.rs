@@ -32,7 +32,7 @@ use std::path::Path;
 /// Writes a surface as binary little-endian PLY.
 pub(in crate::formats) fn write(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
 ) -> Result<()> {
     sink.put(header(source.vertex_count(), source.triangle_count(), meta).as_bytes())?;

@@ -24,13 +24,15 @@
 
 use super::{ReadLimits, SurfaceMeta, each_triangle, is_finite, put_floats};
 use crate::bytes::sorter::Sorter;
+use crate::bytes::store::{Cached, Store};
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::shared::sink::Sink;
 use crate::formats::shared::text::Words;
-use crate::surface::weld::StoredSurface;
+use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, Vertex};
 use byteorder::{ByteOrder, LE};
+use std::fs::File;
 use std::io::Write;
 use std::path::Path;
 
@@ -49,20 +51,49 @@ pub(in crate::formats) fn check_limits(triangles: u64) -> Result<()> {
 }
 
 /// Writes a surface as binary STL. Triangles name vertices in any order, so the positions go to a
-/// mapped scratch file first (12 bytes each): memory stays that of a buffer.
+/// mapped scratch file first (12 bytes each): memory stays that of a buffer. Where there is no file
+/// they are stored within the memory of `scratch`, and beyond it in its folder.
 pub(in crate::formats) fn write(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
+    scratch: &BuilderSettings,
 ) -> Result<()> {
-    let positions = Positions::store(source, sink)?;
-    sink.put(&header(meta))?;
-    sink.put(&(source.triangle_count() as u32).to_le_bytes())?;
+    let head = |sink: &mut Sink<'_>| {
+        sink.put(&header(meta))?;
+        sink.put(&(source.triangle_count() as u32).to_le_bytes())
+    };
+    if let Some(file) = sink.scratch()? {
+        let positions = Positions::store(source, sink, file)?;
+        head(sink)?;
+        return each_triangle(source, sink, |buffer, _, t| {
+            let corners = [positions.at(t[0])?, positions.at(t[1])?, positions.at(t[2])?];
+            buffer.extend_from_slice(&record(corners));
+            Ok(())
+        });
+    }
+    let mut positions = Store::new(scratch.memory_bytes, &scratch.scratch);
+    source.vertices(&mut |batch| batch.iter().try_for_each(|v| positions.push(v.position)))?;
+    check_count(positions.len(), source, sink)?;
+    let mut positions = Cached::new(&positions, CACHE);
+    head(sink)?;
     each_triangle(source, sink, |buffer, _, t| {
-        let corners = [positions.at(t[0])?, positions.at(t[1])?, positions.at(t[2])?];
+        let [a, b, c] = t.map(u64::from);
+        let corners = [positions.get(a)?, positions.get(b)?, positions.get(c)?];
         buffer.extend_from_slice(&record(corners));
         Ok(())
     })
+}
+
+/// Bytes of positions that are kept of those on disk.
+const CACHE: usize = 1 << 20;
+
+fn check_count(count: u64, source: &dyn SurfaceSource, sink: &Sink<'_>) -> Result<()> {
+    let announced = source.vertex_count();
+    if count == announced {
+        return Ok(());
+    }
+    Err(sink.broken_source(format!("{count} vertices instead of the {announced} announced")))
 }
 
 /// The comment: as many whole lines of it as there is limits for.
@@ -98,8 +129,7 @@ struct Positions {
 }
 
 impl Positions {
-    fn store(source: &dyn SurfaceSource, sink: &mut Sink) -> Result<Self> {
-        let file = sink.scratch()?;
+    fn store(source: &dyn SurfaceSource, sink: &Sink<'_>, file: File) -> Result<Self> {
         let target = sink.target().to_path_buf();
         let fail = |e| Error::io("write a scratch file beside", &target, e);
         let (mut buffer, mut out, mut count) = (vec![], &file, 0);
@@ -109,10 +139,7 @@ impl Positions {
             batch.iter().for_each(|v| put_floats(&mut buffer, v.position));
             out.write_all(&buffer).map_err(fail)
         })?;
-        if count != source.vertex_count() {
-            let announced = source.vertex_count();
-            return Err(sink.broken_source(format!("{count} vertices instead of the {announced} announced")));
-        }
+        check_count(count, source, sink)?;
         let any = source.vertex_count() > 0;
         let mapped = any.then(|| ByteSource::of_file(&target, file, IoMode::Map)).transpose()?;
         Ok(Self { mapped })

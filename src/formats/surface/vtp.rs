@@ -42,7 +42,7 @@ use std::sync::Arc;
 /// Writes a surface as VTP.
 pub(in crate::formats) fn write(
     source: &dyn SurfaceSource,
-    sink: &mut Sink,
+    sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
 ) -> Result<()> {
     let (vertices, triangles) = (source.vertex_count(), source.triangle_count());

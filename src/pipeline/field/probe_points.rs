@@ -15,7 +15,7 @@ use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
 use crate::archive::manifest::Source;
 use crate::error::{Error, Result};
-use crate::exec::{Clock, Progress, Resources, Silent};
+use crate::exec::{CancelToken, Clock, Progress, Resources, Silent};
 use crate::formats::point_list::{PointReader, PointWriter};
 use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -23,7 +23,7 @@ use crate::grid::{BrickGrid, ChunkId, Geometry};
 use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit, full_region};
+use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit, full_region, index_places};
 use crate::raster::{PointLocator, interpolate};
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -170,7 +170,6 @@ pub(in crate::pipeline) fn probe_table(
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<ProbeReport> {
-    archive.refuse_coordinates("a probe at points")?;
     let (start, read_before) = (Clock::start(), archive.bytes_read());
     let mut reader = PointReader::open(points)?;
     let mut out = Out::create(out, points, &archive.step().plan.source)?;
@@ -248,14 +247,13 @@ pub(in crate::pipeline) fn values_at(
     share: &(dyn Fn(u64) -> u64 + Sync),
     progress: &dyn Progress,
 ) -> Result<Probed> {
-    archive.refuse_coordinates("a probe at points")?;
     if points.len() as u64 > MOST {
         return Err(Error::usage(format!(
             "at most {MOST} points are probed at a time; not {}",
             points.len()
         )));
     }
-    let (placed, outside) = placed(archive, points);
+    let (placed, outside) = placed(archive, points, &settings.resources.cancel)?;
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
     let find = Find { resources: &settings.resources, share, outside, bodies: None, surface: None };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
@@ -266,12 +264,22 @@ pub(in crate::pipeline) fn values_at(
 }
 
 /// Points in the world on the lattice, with their numbers, and how far outside others count.
-fn placed(archive: &StepView, points: &[[f64; 3]]) -> (Vec<(LatticePos, u32)>, Outside) {
+fn placed(
+    archive: &StepView,
+    points: &[[f64; 3]],
+    cancel: &CancelToken,
+) -> Result<(Vec<(LatticePos, u32)>, Outside)> {
     let lattice = archive.manifest.plan.lattice;
+    if let Some(places) = index_places(archive, points, cancel)? {
+        let place = |(p, n): (Option<[f64; 3]>, u32)| {
+            Some((lattice_position(p?, &Geometry::default(), &lattice, 0)?, n))
+        };
+        return Ok((places.into_iter().zip(0u32..).filter_map(place).collect(), Outside::Within(1)));
+    }
     let geometry = &archive.step().plan.source.geometry;
     let tolerance = tolerance(geometry, &lattice);
     let place = |(&p, n)| Some((lattice_position(p, geometry, &lattice, tolerance)?, n));
-    (points.iter().zip(0u32..).filter_map(place).collect(), Outside::Within(tolerance))
+    Ok((points.iter().zip(0u32..).filter_map(place).collect(), Outside::Within(tolerance)))
 }
 
 /// Values of the field at vertices of surfaces of another step, by its position in the manifest,
@@ -290,7 +298,7 @@ pub(in crate::pipeline) fn values_on_surface(
     steps.dedup();
     let list_of = |step: usize| steps.iter().position(|&s| s == step).expect("one of both");
     let (list, of_field) = (list_of(step), list_of(archive.position()));
-    let (placed, outside) = placed(archive, vertices);
+    let (placed, outside) = placed(archive, vertices, &settings.resources.cancel)?;
     let surface = Some(OnSurface { list, isovalues });
     let find = Find { resources: &settings.resources, share, outside, bodies: None, surface };
     let (mut values, mut least) = (vec![f32::NAN; vertices.len()], vec![f32::INFINITY; vertices.len()]);

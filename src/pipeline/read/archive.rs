@@ -7,7 +7,7 @@ use super::pools::Pools;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, SegmentRecord};
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
-use crate::archive::tables::CoordinateMap;
+use crate::archive::tables::{CellBoxes, CoordinateMap};
 use crate::bytes::remote::is_remote;
 use crate::bytes::{IoMode, place};
 use crate::error::{Error, Result};
@@ -47,6 +47,8 @@ pub(in crate::pipeline) struct OpenArchive {
     read_before: AtomicU64,
     /// Bytes of all files, once they were asked for.
     bytes: OnceLock<u64>,
+    /// The bounds of the cells of a grid with coordinates, once they were asked for.
+    pub(super) cell_boxes: OnceLock<CellBoxes>,
     /// The threads of questions that were answered.
     pub(in crate::pipeline) pools: Pools,
 }
@@ -106,6 +108,7 @@ impl OpenArchive {
             meshes: Mutex::default(),
             read_before: AtomicU64::new(0),
             bytes: OnceLock::new(),
+            cell_boxes: OnceLock::new(),
             pools: Pools::default(),
         }))
     }

@@ -4,14 +4,17 @@
 //! follow the trilinear map of their cell, normals transform as covectors. Triangles are turned
 //! over where most cells mirror.
 
+use super::region::{Roi, RoiSpace, domain_hull};
 use super::step_view::StepView;
 use crate::archive::manifest::CoordinateRecord;
-use crate::archive::tables::{self, CoordinateMap, Coordinates};
+use crate::archive::tables::{self, CellBoxes, CoordinateMap, Coordinates};
 use crate::error::{Error, Result};
+use crate::exec::CancelToken;
 use crate::formats::coordinates::GridCoordinates;
 use crate::formats::{StepSource, open_coordinates};
 use crate::grid::Geometry;
 use crate::pipeline::plan::{Layout, Plan};
+use crate::surface::edit::clip::HalfSpace;
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap};
 use std::path::Path;
@@ -123,6 +126,26 @@ impl IndexToWorld {
         }
     }
 
+    /// Hands a surface that was extracted with [`world_map`] to `use_it`, in the world.
+    pub(in crate::pipeline) fn surface<T>(
+        &self,
+        surface: &dyn SurfaceSource,
+        use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
+    ) -> Result<T> {
+        match self {
+            Self::Geometry(_) => use_it(surface),
+            &Self::Grid { ref map, mirrored } => use_it(&WorldSurface { surface, map, mirrored }),
+        }
+    }
+
+    /// The same of one vertex.
+    pub(in crate::pipeline) fn vertex(&self, vertex: &Vertex) -> Result<Vertex> {
+        match self {
+            Self::Geometry(_) => Ok(*vertex),
+            Self::Grid { map, .. } => placed(map, vertex),
+        }
+    }
+
     /// Whether tetrahedra are turned over (most of them, where a grid folds).
     pub(in crate::pipeline) fn mirrors(&self) -> bool {
         match self {
@@ -140,41 +163,106 @@ pub(in crate::pipeline) fn world_of(archive: &StepView, ijk: [f64; 3]) -> Result
     }
 }
 
+/// Uses the coordinates of a grid and the bounds of its cells; `None` where it has no coordinates.
+fn with_cells<T>(
+    archive: &StepView,
+    cancel: &CancelToken,
+    use_them: impl FnOnce(&CoordinateMap, &CellBoxes) -> Result<T>,
+) -> Result<Option<T>> {
+    let Some(map) = archive.coordinates()? else { return Ok(None) };
+    let boxes = match archive.cell_boxes.get() {
+        Some(boxes) => boxes,
+        None => {
+            let boxes = map.cell_boxes(&|| cancel.check())?;
+            archive.cell_boxes.get_or_init(|| boxes)
+        }
+    };
+    use_them(&map, boxes).map(Some)
+}
+
+/// Where positions of the world are in the index space of a grid with coordinates: `None` for those
+/// outside of it. `None` for a volume with a spacing.
+pub(in crate::pipeline) fn index_places(
+    archive: &StepView,
+    positions: &[[f64; 3]],
+    cancel: &CancelToken,
+) -> Result<Option<Vec<Option<[f64; 3]>>>> {
+    with_cells(archive, cancel, |map, boxes| map.find(boxes, positions, &|| cancel.check()))
+}
+
+/// The least box of the world that holds the domain.
+pub(in crate::pipeline) fn bounds(archive: &StepView, cancel: &CancelToken) -> Result<[[f64; 3]; 2]> {
+    let source = &archive.step().plan.source;
+    let found = with_cells(archive, cancel, |map, boxes| Ok(map.bounds(boxes)))?;
+    Ok(found.unwrap_or_else(|| domain_hull(&source.geometry, source.dims)))
+}
+
+/// A box of the world on a grid with coordinates.
+pub(in crate::pipeline) enum WorldBox {
+    /// The same box in index space.
+    Index(Roi),
+    /// Half-spaces of the world.
+    HalfSpaces(Vec<HalfSpace>),
+}
+
+/// A box of the world on the grid of an archive that has coordinates.
+///
+/// # Errors
+/// [`Error::Usage`] for a box without volume, and for one outside of the grid.
+pub(in crate::pipeline) fn world_box(
+    archive: &StepView,
+    roi: &Roi,
+    cancel: &CancelToken,
+) -> Result<Option<WorldBox>> {
+    with_cells(archive, cancel, |map, boxes| {
+        let bounds = map.bounds(boxes);
+        roi.check_within(bounds)?;
+        let ranges = [0, 1, 2].map(|a| map.index_range(a, [roi.lo[a], roi.hi[a]]));
+        Ok(match ranges {
+            [Some(x), Some(y), Some(z)] => {
+                let ranges = [x, y, z];
+                let (lo, hi) = (ranges.map(|r| r[0]), ranges.map(|r| r[1]));
+                WorldBox::Index(Roi { space: RoiSpace::Index, lo, hi })
+            }
+            _ => {
+                let scale = std::array::from_fn(|a| bounds[0][a].abs().max(bounds[1][a].abs()));
+                WorldBox::HalfSpaces(roi.half_spaces_of(&Geometry::default(), scale))
+            }
+        })
+    })
+}
+
 /// Hands a surface that was extracted with [`world_map`] to `use_it`, in the world.
 pub(in crate::pipeline) fn in_world<T>(
     archive: &StepView,
     surface: &dyn SurfaceSource,
     use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
 ) -> Result<T> {
-    match IndexToWorld::of(archive)? {
-        IndexToWorld::Grid { map, mirrored } => use_it(&WorldSurface { surface, map, mirrored }),
-        IndexToWorld::Geometry(_) => use_it(surface),
-    }
+    IndexToWorld::of(archive)?.surface(surface, use_it)
+}
+
+/// A vertex of index space in the world.
+fn placed(map: &CoordinateMap, v: &Vertex) -> Result<Vertex> {
+    let placed = map.place(v.position.map(f64::from))?;
+    let w = placed.direction(v.normal.map(f64::from));
+    // Scaled by the largest component first, lest squares overflow or vanish.
+    let largest = w.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+    let normal = if largest > 0.0 && largest.is_finite() {
+        let w = w.map(|x| x / largest);
+        let length = w.iter().map(|x| x * x).sum::<f64>().sqrt();
+        w.map(|x| (x / length) as f32)
+    } else {
+        // A cell without a volume has no direction; a unit vector is what readers expect.
+        v.normal
+    };
+    Ok(Vertex { position: placed.position.map(|x| x as f32), normal })
 }
 
 /// A surface of index space in the world.
 struct WorldSurface<'a> {
     surface: &'a dyn SurfaceSource,
-    map: CoordinateMap,
+    map: &'a CoordinateMap,
     mirrored: bool,
-}
-
-impl WorldSurface<'_> {
-    fn vertex(&self, v: &Vertex) -> Result<Vertex> {
-        let placed = self.map.place(v.position.map(f64::from))?;
-        let w = placed.direction(v.normal.map(f64::from));
-        // Scaled by the largest component first, lest squares overflow or vanish.
-        let largest = w.iter().fold(0.0f64, |m, x| m.max(x.abs()));
-        let normal = if largest > 0.0 && largest.is_finite() {
-            let w = w.map(|x| x / largest);
-            let length = w.iter().map(|x| x * x).sum::<f64>().sqrt();
-            w.map(|x| (x / length) as f32)
-        } else {
-            // A cell without a volume has no direction; a unit vector is what readers expect.
-            v.normal
-        };
-        Ok(Vertex { position: placed.position.map(|x| x as f32), normal })
-    }
 }
 
 impl SurfaceSource for WorldSurface<'_> {
@@ -187,13 +275,13 @@ impl SurfaceSource for WorldSurface<'_> {
     }
 
     fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
-        let mut placed = vec![];
+        let mut moved = vec![];
         self.surface.vertices(&mut |batch| {
-            placed.clear();
+            moved.clear();
             for vertex in batch {
-                placed.push(self.vertex(vertex)?);
+                moved.push(placed(self.map, vertex)?);
             }
-            each(&placed)
+            each(&moved)
         })
     }
 

@@ -66,7 +66,11 @@ impl FromStr for Roi {
 impl Roi {
     /// The half-spaces, in the world, whose intersection is the box; an open end gives none.
     pub fn half_spaces(&self, geometry: &Geometry, dims: [u64; 3]) -> Vec<HalfSpace> {
-        let scale = scale(geometry, dims);
+        self.half_spaces_of(geometry, scale(geometry, dims))
+    }
+
+    /// The same for world positions of at most `scale` along each axis.
+    pub(super) fn half_spaces_of(&self, geometry: &Geometry, scale: [f64; 3]) -> Vec<HalfSpace> {
         let mut all = vec![];
         for a in 0..3 {
             let (normal, offset) = self.axis(a, geometry);
@@ -107,6 +111,34 @@ impl Roi {
         }))
     }
 
+    fn check_volume(&self) -> Result<()> {
+        // False for a NaN too.
+        if (0..3).all(|a| self.lo[a] < self.hi[a]) {
+            return Ok(());
+        }
+        Err(Error::usage(format!(
+            "the region of interest {} has no volume: give the lower end of each axis first",
+            in_words(self.lo, self.hi)
+        )))
+    }
+
+    fn outside(&self, [lo, hi]: [[f64; 3]; 2]) -> Error {
+        Error::usage(format!(
+            "the region of interest {} is outside the volume, which is {}",
+            in_words(self.lo, self.hi),
+            in_words(lo, hi)
+        ))
+    }
+
+    /// Refuses a box without volume, and one outside of a domain of these bounds.
+    pub(super) fn check_within(&self, [lo, hi]: [[f64; 3]; 2]) -> Result<()> {
+        self.check_volume()?;
+        if (0..3).any(|a| self.hi[a] < lo[a] || self.lo[a] > hi[a]) {
+            return Err(self.outside([lo, hi]));
+        }
+        Ok(())
+    }
+
     /// The cut of an archive's surfaces at this box.
     ///
     /// # Errors
@@ -117,28 +149,15 @@ impl Roi {
         dims: [u64; 3],
         log2_steps: [u32; 3],
     ) -> Result<Cut> {
-        let end = |v: f64| if v.is_infinite() { String::new() } else { v.to_string() };
-        let text = |lo: [f64; 3], hi: [f64; 3]| {
-            [0, 1, 2].map(|a| format!("{}:{}", end(lo[a]), end(hi[a]))).join(",")
-        };
-        // False for a NaN too.
-        if !(0..3).all(|a| self.lo[a] < self.hi[a]) {
-            return Err(Error::usage(format!(
-                "the region of interest {} has no volume: give the lower end of each axis first",
-                text(self.lo, self.hi)
-            )));
-        }
+        self.check_volume()?;
         let [lo, hi] = self.index_hull(geometry, dims);
-        if (0..3).any(|a| hi[a] < 0.0 || lo[a] > (dims[a] - 1) as f64) {
-            let domain = hull(corners([0.0; 3], dims.map(|d| (d - 1) as f64)).map(|p| match self.space {
-                RoiSpace::World => geometry.to_world(p),
-                RoiSpace::Index => p,
-            }));
-            return Err(Error::usage(format!(
-                "the region of interest {} is outside the volume, which is {}",
-                text(self.lo, self.hi),
-                text(domain[0], domain[1])
-            )));
+        let last = dims.map(|d| (d - 1) as f64);
+        let domain = match self.space {
+            RoiSpace::World => domain_hull(geometry, dims),
+            RoiSpace::Index => [[0.0; 3], last],
+        };
+        if (0..3).any(|a| hi[a] < 0.0 || lo[a] > last[a]) {
+            return Err(self.outside(domain));
         }
         let steps = log2_steps.map(|s| f64::from(1u32 << s));
         // One step more than rounding could lose; beyond the domain, casts saturate.
@@ -156,6 +175,17 @@ impl Roi {
     }
 }
 
+/// A box in words; an open end has none.
+fn in_words(lo: [f64; 3], hi: [f64; 3]) -> String {
+    let end = |v: f64| if v.is_infinite() { String::new() } else { v.to_string() };
+    [0, 1, 2].map(|a| format!("{}:{}", end(lo[a]), end(hi[a]))).join(",")
+}
+
+/// The least box of the world that holds a volume of `dims` samples.
+pub(super) fn domain_hull(geometry: &Geometry, dims: [u64; 3]) -> [[f64; 3]; 2] {
+    hull(corners([0.0; 3], dims.map(|d| (d - 1) as f64)).map(|p| geometry.to_world(p)))
+}
+
 fn corners(lo: [f64; 3], hi: [f64; 3]) -> [[f64; 3]; 8] {
     std::array::from_fn(|n| std::array::from_fn(|a| if n >> a & 1 == 0 { lo[a] } else { hi[a] }))
 }
@@ -169,7 +199,7 @@ fn hull(points: [[f64; 3]; 8]) -> [[f64; 3]; 2] {
 
 /// The largest world coordinate along each axis, in size.
 fn scale(geometry: &Geometry, dims: [u64; 3]) -> [f64; 3] {
-    let [lo, hi] = hull(corners([0.0; 3], dims.map(|d| (d - 1) as f64)).map(|p| geometry.to_world(p)));
+    let [lo, hi] = domain_hull(geometry, dims);
     std::array::from_fn(|a| lo[a].abs().max(hi[a].abs()))
 }
 

@@ -117,6 +117,12 @@ impl StepView {
         self.moment.beyond.is_some()
     }
 
+    /// Whether tetrahedra may be missing within the domain: only there does a surface touch itself.
+    pub(in crate::pipeline) fn may_have_holes(&self) -> bool {
+        let step = self.step();
+        step.void_points > 0 || step.plan.source.mesh.is_some()
+    }
+
     pub(super) fn step_hash(&self) -> PlanHash {
         self.step().plan.hash(self.manifest.plan_hash)
     }

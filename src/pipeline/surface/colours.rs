@@ -44,7 +44,6 @@ pub(in crate::pipeline) fn values_on(
     isovalue: f64,
     resources: &Resources,
 ) -> Result<Vec<f32>> {
-    field.refuse_coordinates("a probe for colours")?;
     let count = surface.vertex_count();
     let mut all = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
     each_value(archive, field, surface, &[(isovalue, count)], resources, |some| {

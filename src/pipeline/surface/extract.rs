@@ -7,6 +7,7 @@
 //! after another into the same small buffer, so the memory of a chunk is that of its corners and of
 //! its surfaces, not of its tetrahedra.
 
+use super::parts::Parts;
 use super::settings::SurfaceSettings;
 use super::unpacked::UnpackedChunk;
 use super::worker::{ChunkSurfaces, ChunkWork, ChunkWorker, Question};
@@ -16,10 +17,12 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::is_active;
 use crate::pipeline::plan::{SurfaceShares, estimate};
-use crate::pipeline::read::{BufferPool, CacheHit, ChunkReader, Frontier, Needed, Wanted, bytes_per_vertex};
-use crate::surface::TriMesh;
+use crate::pipeline::read::{
+    BufferPool, CacheHit, ChunkReader, Frontier, Needed, StepView, Wanted, bytes_per_vertex, in_world,
+};
 use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
+use crate::surface::{SurfaceSource, TriMesh};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
@@ -27,6 +30,20 @@ use std::sync::atomic::Ordering;
 pub(super) struct Extracted {
     pub(super) surface: StoredSurface,
     pub(super) active_tetrahedra: u64,
+    /// Whether it is in the world already, of a grid with coordinates.
+    pub(super) is_placed: bool,
+}
+
+impl Extracted {
+    /// Hands this surface, or one with others, to `use_it`, in the world.
+    pub(super) fn in_world<T>(
+        &self,
+        archive: &StepView,
+        surface: &dyn SurfaceSource,
+        use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
+    ) -> Result<T> {
+        if self.is_placed { use_it(surface) } else { in_world(archive, surface, use_it) }
+    }
 }
 
 /// Where surfaces are while they are made.
@@ -38,11 +55,13 @@ pub(super) struct SurfaceStorage {
     pub(super) reused: Vec<TriMesh>,
 }
 
-/// Extracts all isovalues from the active blocks of all chunks.
+/// Extracts all isovalues from the active blocks of all chunks. What is finished goes to `parts`,
+/// too, where there are some.
 pub(super) fn extract_surfaces(
     question: &Question<'_>,
     settings: &SurfaceSettings,
     storage: SurfaceStorage,
+    mut parts: Option<&mut Parts<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<Extracted>> {
     let work = question.work;
@@ -61,8 +80,13 @@ pub(super) fn extract_surfaces(
     };
     in_order(&bytes, shares.batch, &pool, extract, |n, surfaces| {
         question.archive.close_before(work[n].chunk);
-        weld.push(surfaces, spare)
+        weld.push(surfaces, spare)?;
+        parts.as_mut().map_or(Ok(()), |parts| weld.hand_on(parts, work[n].chunk.0 + 1))
     })?;
+    if let Some(parts) = parts {
+        weld.close()?;
+        weld.hand_on(parts, question.archive.chunks.len())?;
+    }
     spare.trim(cache.most() / 4);
     weld.finish()
 }
@@ -267,15 +291,24 @@ impl<'a> Weld<'a> {
         Ok(())
     }
 
+    /// Hands on what chunks before a number have added.
+    fn hand_on(&mut self, parts: &mut Parts<'_>, chunks: u64) -> Result<()> {
+        let mut builders = self.builders.iter_mut().enumerate();
+        builders.try_for_each(|(isovalue, (builder, _))| parts.take(builder, isovalue, chunks))
+    }
+
+    /// Finishes all vertices: no chunk comes any more.
+    fn close(&mut self) -> Result<()> {
+        self.builders.iter_mut().try_for_each(|(builder, _)| builder.close())
+    }
+
     pub(super) fn finish(self) -> Result<Vec<Extracted>> {
-        let step = self.question.archive.step();
-        // Only where tetrahedra are missing does a surface touch itself.
-        let has_holes = step.void_points > 0 || step.plan.source.mesh.is_some();
+        let has_holes = self.question.archive.may_have_holes();
         let (place, memory) = (self.place, self.shares.batch);
         let extracted = |((builder, _), active_tetrahedra): ((SurfaceBuilder, _), u64)| {
             let surface = builder.finish()?;
             let surface = if has_holes { split_fans(surface, &place, memory)? } else { surface };
-            Ok(Extracted { surface, active_tetrahedra })
+            Ok(Extracted { surface, active_tetrahedra, is_placed: false })
         };
         self.builders.into_iter().zip(self.active_tetrahedra).map(extracted).collect()
     }

@@ -110,7 +110,7 @@ impl<'a> Pass<'a> {
         let storage = SurfaceStorage { scratch: self.scratch, reused: reused.pop().unwrap_or_default() };
         // A view of its own, so that what is read of unpacked blocks is counted from the start.
         let alone = view.archive().step_at(view.position());
-        Ok(vec![make(&alone, settings, storage, progress)?])
+        Ok(vec![make(&alone, settings, storage, None, progress)?])
     }
 }
 

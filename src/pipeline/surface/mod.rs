@@ -10,6 +10,7 @@
 mod colours;
 mod extract;
 mod extract_steps;
+mod parts;
 mod query;
 mod refine;
 mod series;
@@ -19,7 +20,8 @@ mod unpacked;
 mod worker;
 
 pub(super) use colours::values_on;
-pub(super) use query::{count, surfaces_in_memory, with_surfaces, write_surfaces};
+pub use parts::SurfacePart;
+pub(super) use query::{count, stream_file, stream_surfaces, surfaces_in_memory, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};
 pub(super) use series::{series_files, surfaces_of_steps, write_series};

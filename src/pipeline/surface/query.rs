@@ -3,6 +3,7 @@
 
 use super::colours::colours;
 use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
+use super::parts::{Parts, SurfacePart};
 use super::refine::{Means, RefineReport};
 use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
@@ -11,18 +12,18 @@ use super::worker::{ChunkWork, Question, by_chunk};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Clock, Progress, Silent, pool};
-use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
+use crate::formats::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, in_memory, in_world,
-    world_map,
+    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox, in_memory,
+    in_world, world_box, world_map,
 };
 use crate::pipeline::stage::Stage;
-use crate::surface::edit::clip::clip;
+use crate::surface::edit::clip::{HalfSpace, clip};
 use crate::surface::extract::Sides;
-use crate::surface::weld::BuilderSettings;
+use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use std::path::Path;
@@ -99,7 +100,7 @@ pub(in crate::pipeline) fn write_surfaces(
 ) -> Result<SurfaceReport> {
     settings.check_colours(format)?;
     let (scratch, before) = (settings.scratch_of(out), traffic(archive.path()));
-    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, progress)?;
+    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, None, progress)?;
     let report = write_made(archive, settings, made, out, format)?.0;
     Ok(SurfaceReport { remote: traffic_since(archive.path(), before), ..report })
 }
@@ -113,8 +114,9 @@ pub(super) fn write_made(
     format: SurfaceFormat,
 ) -> Result<(SurfaceReport, Vec<Extracted>)> {
     let start = Clock::start();
-    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
-    let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, format, &comment)?;
+    let mut write =
+        |s: &dyn SurfaceSource, path: &Path, meta: &SurfaceMeta| write_surface(s, path, format, meta);
+    let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, &mut write)?;
     made.seconds.push((Stage::Write, start.elapsed()));
     let report = SurfaceReport { file_bytes, without_value, ..report_of(archive, settings, &made, out)? };
     Ok((report, made.surfaces))
@@ -152,21 +154,51 @@ fn report_of(
     })
 }
 
-/// Hands the report to `begin`, then each surface to `each`, in the order of the isovalues, in the
-/// world.
+/// Hands on the bytes of the file that [`write_surfaces`] writes.
+pub(in crate::pipeline) fn stream_file(
+    archive: &StepView,
+    settings: &SurfaceSettings,
+    format: SurfaceFormat,
+    each: &mut dyn FnMut(&[u8]) -> Result<()>,
+) -> Result<SurfaceReport> {
+    settings.check_colours(format)?;
+    let scratch = settings.resources.scratch_folder();
+    let resources = settings.resources.clone().with_scratch(scratch.clone());
+    let settings = &SurfaceSettings { resources, ..settings.clone() };
+    let storage = SurfaceStorage { scratch: scratch.clone(), reused: vec![] };
+    let made = make(archive, settings, storage, None, &Silent)?;
+    let memory_bytes = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
+    let beside = BuilderSettings { memory_bytes, scratch };
+    let mut write = |s: &dyn SurfaceSource, _: &Path, meta: &SurfaceMeta| {
+        surface::stream_surface(s, format, meta, &beside, each)
+    };
+    let out = Path::new("");
+    let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, &mut write)?;
+    Ok(SurfaceReport { file_bytes, without_value, ..report_of(archive, settings, &made, out)? })
+}
+
+/// Hands on surfaces part by part while they are extracted, then each as a whole, in the order of
+/// the isovalues, in the world.
 ///
 /// Memory does not grow with the surfaces: what the settings do not allow for is in their scratch
 /// folder.
-pub(in crate::pipeline) fn with_surfaces(
+pub(in crate::pipeline) fn stream_surfaces(
     archive: &StepView,
     settings: &SurfaceSettings,
-    begin: impl FnOnce(&SurfaceReport) -> Result<()>,
-    mut each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
-) -> Result<()> {
+    part: &mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+    mut whole: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+) -> Result<SurfaceReport> {
     let scratch = settings.resources.scratch_folder();
-    let made = make(archive, settings, SurfaceStorage { scratch, reused: vec![] }, &Silent)?;
-    begin(&report_of(archive, settings, &made, Path::new(""))?)?;
-    made.surfaces.iter().try_for_each(|found| in_world(archive, &found.surface, &mut each))
+    let mut parts = Parts::new(archive, settings, part)?;
+    let storage = SurfaceStorage { scratch, reused: vec![] };
+    let made = make(archive, settings, storage, Some(&mut parts), &Silent)?;
+    for (isovalue, found) in made.surfaces.iter().enumerate() {
+        found.in_world(archive, &found.surface, |surface| {
+            parts.take_whole(surface, isovalue, archive.chunks.len())?;
+            whole(surface)
+        })?;
+    }
+    report_of(archive, settings, &made, Path::new(""))
 }
 
 /// Surfaces, cut and refined, and what was read for them.
@@ -187,6 +219,8 @@ pub(super) struct Prepared<'a> {
     /// The isovalues, as the archive has values.
     isovalues: Vec<f32>,
     cut: Option<Cut>,
+    /// Where surfaces are cut in the world, after they are placed.
+    half_spaces: Option<Vec<HalfSpace>>,
     world: WorldMap,
     /// Bytes of the index that were read, and the time that it took.
     index_bytes: u64,
@@ -204,7 +238,7 @@ pub(super) struct Effort {
 impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Clock::start();
-        let cut = cut_of(archive, settings)?;
+        let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {
             expect_full_box(archive)?;
         }
@@ -219,6 +253,7 @@ impl<'a> Prepared<'a> {
             work,
             isovalues: settings.kept(archive),
             cut,
+            half_spaces,
             world: world_map(archive),
             index_bytes: index.map_or(0, |i| i.bytes_read()),
             opened: start.elapsed(),
@@ -246,8 +281,12 @@ impl<'a> Prepared<'a> {
         scratch: &Path,
     ) -> Result<FinishedSurfaces> {
         let start = Clock::start();
-        if let Some(cut) = &self.cut {
-            cut_all(&mut surfaces, cut, settings.resources.memory, scratch)?;
+        let half_spaces = self.cut.as_ref().map(|cut| &cut.half_spaces).or(self.half_spaces.as_ref());
+        if let Some(half_spaces) = half_spaces {
+            if self.half_spaces.is_some() {
+                place_all(self.view, &mut surfaces, settings.resources.memory, scratch)?;
+            }
+            cut_all(&mut surfaces, half_spaces, settings.resources.memory, scratch)?;
         }
         let extracted = effort.time + start.elapsed();
         let start = Clock::start();
@@ -272,6 +311,7 @@ pub(super) fn make(
     archive: &StepView,
     settings: &SurfaceSettings,
     storage: SurfaceStorage,
+    parts: Option<&mut Parts<'_>>,
     progress: &dyn Progress,
 ) -> Result<FinishedSurfaces> {
     settings.check()?;
@@ -279,7 +319,7 @@ pub(super) fn make(
     let prepared = Prepared::new(archive, settings)?;
     let (start, scratch) = (Clock::start(), storage.scratch.clone());
     let question = prepared.question(settings);
-    let surfaces = extract_surfaces(&question, settings, storage, progress)?;
+    let surfaces = extract_surfaces(&question, settings, storage, parts, progress)?;
     let effort = Effort {
         bytes_read: archive.bytes_read() - read_before,
         active_bytes: question.active_bytes.into_inner(),
@@ -306,13 +346,19 @@ fn expect_full_box(archive: &StepView) -> Result<()> {
     )))
 }
 
-fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<Option<Cut>> {
-    let Some(roi) = settings.roi else { return Ok(None) };
+/// The cut of surfaces as they are extracted; or half-spaces of the world, for a curvilinear grid.
+fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<(Option<Cut>, Option<Vec<HalfSpace>>)> {
+    let Some(mut roi) = settings.roi else { return Ok((None, None)) };
     if roi.space == RoiSpace::World {
-        archive.refuse_coordinates("a cut at a box of the world")?;
+        match world_box(archive, &roi, &settings.resources.cancel)? {
+            Some(WorldBox::HalfSpaces(half_spaces)) => return Ok((None, Some(half_spaces))),
+            Some(WorldBox::Index(same)) => roi = same,
+            None => {}
+        }
     }
     let source = &archive.step().plan.source;
-    roi.cut(&source.geometry, source.dims, archive.manifest.plan.lattice.log2_steps).map(Some)
+    let cut = roi.cut(&source.geometry, source.dims, archive.manifest.plan.lattice.log2_steps)?;
+    Ok((Some(cut), None))
 }
 
 /// The blocks that are read.
@@ -340,8 +386,12 @@ pub(in crate::pipeline) fn surfaces_in_memory(
     reused: Vec<TriMesh>,
 ) -> Result<Vec<TriMesh>> {
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let made = make(archive, settings, SurfaceStorage { scratch, reused }, &Silent)?;
-    made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
+    let made = make(archive, settings, SurfaceStorage { scratch, reused }, None, &Silent)?;
+    let in_memory = |found: Extracted| match found.is_placed {
+        true => found.surface.into_mesh(),
+        false => in_memory(archive, found.surface),
+    };
+    made.surfaces.into_iter().map(in_memory).collect()
 }
 
 /// The blocks that are active, and those inside of chunks at the ends of the domain.
@@ -413,18 +463,36 @@ fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<C
     work.into_iter().filter_map(keep).collect()
 }
 
-/// Cuts the surfaces, one after another.
-fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -> Result<()> {
-    // An eighth holds finished surfaces, as while they were extracted; another those that are made
-    // from them.
-    let memory_bytes = usize::try_from(memory / 8 / surfaces.len() as u64).unwrap_or(usize::MAX);
-    let settings = BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() };
+/// Where surfaces are stored that are made from others. An eighth of the memory holds finished
+/// surfaces, as while they were extracted; another those that are made from them.
+fn beside(surfaces: usize, memory: u64, scratch: &Path) -> BuilderSettings {
+    let memory_bytes = usize::try_from(memory / 8 / surfaces as u64).unwrap_or(usize::MAX);
+    BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() }
+}
+
+/// Moves the surfaces of a grid with coordinates to the world, one after another.
+fn place_all(archive: &StepView, surfaces: &mut [Extracted], memory: u64, scratch: &Path) -> Result<()> {
+    let settings = beside(surfaces.len(), memory, scratch);
     for extracted in surfaces {
-        extracted.surface = clip(&extracted.surface, &cut.half_spaces, &settings, memory / 2)
+        extracted.surface =
+            in_world(archive, &extracted.surface, |surface| StoredSurface::of(surface, &settings))?;
+        extracted.is_placed = true;
+    }
+    Ok(())
+}
+
+/// Cuts the surfaces, one after another.
+fn cut_all(surfaces: &mut [Extracted], half_spaces: &[HalfSpace], memory: u64, scratch: &Path) -> Result<()> {
+    let settings = beside(surfaces.len(), memory, scratch);
+    for extracted in surfaces {
+        extracted.surface = clip(&extracted.surface, half_spaces, &settings, memory / 2)
             .map_err(|e| e.of_share(memory / 2, memory))?;
     }
     Ok(())
 }
+
+/// Writes a surface to a file, and returns its bytes.
+type WriteFile<'a> = &'a mut dyn FnMut(&dyn SurfaceSource, &Path, &SurfaceMeta) -> Result<u64>;
 
 /// Writes one file, or a file each. Returns the bytes of all, and at how many vertices the field of
 /// the colours has no value, where there are colours.
@@ -433,15 +501,15 @@ fn write_all(
     surfaces: &[Extracted],
     settings: &SurfaceSettings,
     out: &Path,
-    format: SurfaceFormat,
-    comment: &str,
+    write: WriteFile<'_>,
 ) -> Result<(u64, Option<u64>)> {
+    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let (isovalues, scratch) = (&settings.isovalues, settings.scratch_of(out));
     let counts: Vec<(f64, u64)> =
         isovalues.iter().zip(surfaces).map(|(&v, s)| (v, s.surface.vertex_count())).collect();
     let mut without_value = settings.colour_by.as_ref().map(|_| 0);
     let mut meta = |isovalue: Option<f64>, surface: &dyn SurfaceSource, counts: &[(f64, u64)]| {
-        let comments = vec![comment.to_owned()];
+        let comments = vec![comment.clone()];
         let values = colours(archive, settings, surface, counts, &scratch)?;
         if let (Some(sum), Some(values)) = (&mut without_value, &values) {
             *sum += values.without_value();
@@ -449,23 +517,21 @@ fn write_all(
         Ok(SurfaceMeta { isovalue, comments, parts: vec![], values })
     };
     let bytes = if is_each_alone(out) || surfaces.len() == 1 {
-        let mut write = |(s, count): (&Extracted, &(f64, u64))| {
+        let mut one = |(s, count): (&Extracted, &(f64, u64))| {
             let (v, counts) = (count.0, std::slice::from_ref(count));
-            in_world(archive, &s.surface, |s| {
-                write_surface(s, &file_of(out, v), format, &meta(Some(v), s, counts)?)
-            })
+            s.in_world(archive, &s.surface, |s| write(s, &file_of(out, v), &meta(Some(v), s, counts)?))
         };
-        surfaces.iter().zip(&counts).map(&mut write).sum::<Result<u64>>()?
+        surfaces.iter().zip(&counts).map(&mut one).sum::<Result<u64>>()?
     } else {
-        let part = |(s, &v): (&Extracted, &f64)| SurfacePart {
+        let part = |(s, &v): (&Extracted, &f64)| surface::SurfacePart {
             isovalue: v,
             vertices: s.surface.vertex_count(),
             triangles: s.surface.triangle_count(),
         };
         let parts = surfaces.iter().zip(isovalues).map(part).collect();
         let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
-        in_world(archive, &joined, |s| {
-            write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
+        surfaces[0].in_world(archive, &joined, |s| {
+            write(s, out, &SurfaceMeta { parts, ..meta(None, s, &counts)? })
         })?
     };
     Ok((bytes, without_value))

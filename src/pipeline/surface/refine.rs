@@ -45,6 +45,11 @@ pub(super) struct Means<'a> {
 }
 
 impl Refine {
+    /// Whether a surface stays as it is.
+    pub(super) fn changes_nothing(&self) -> bool {
+        self.components.is_none() && self.decimate.is_none()
+    }
+
     /// Whether the settings can be carried out; before anything is read.
     pub(super) fn check(&self) -> Result<()> {
         if let Some(filter) = &self.components

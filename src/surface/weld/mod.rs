@@ -79,6 +79,13 @@ struct OpenEdge {
     gradient: [i64; 3],
 }
 
+impl OpenEdge {
+    /// The normal by the sum so far; `None` where that has no direction.
+    fn normal(&self, world: &WorldMap) -> Option<[f32; 3]> {
+        world.unit_normal(self.gradient.map(|x| x as f64))
+    }
+}
+
 /// Joins chunk surfaces, given in chunk order, into one surface.
 #[derive(Debug)]
 pub struct SurfaceBuilder {
@@ -90,6 +97,27 @@ pub struct SurfaceBuilder {
     world: WorldMap,
     /// Chunk-local vertex number to global one; a buffer.
     numbers: Vec<u32>,
+    /// Of a surface that is handed on while it is built.
+    handed_on: Option<HandedOn>,
+}
+
+/// What was handed on.
+#[derive(Debug, Default)]
+struct HandedOn {
+    vertices: u64,
+    triangles: u64,
+    /// Vertices among them whose normals were finished since.
+    changed: Vec<(u32, Vertex)>,
+}
+
+/// What was added to a surface since the part before: its new vertices and triangles. A triangle
+/// has numbers of vertices of this part and of earlier ones.
+pub struct SurfaceAddition<'a> {
+    builder: &'a SurfaceBuilder,
+    vertices: u64,
+    triangles: u64,
+    /// Earlier vertices that have their final normals now, by their numbers.
+    pub changed: &'a [(u32, Vertex)],
 }
 
 impl SurfaceBuilder {
@@ -108,7 +136,21 @@ impl SurfaceBuilder {
             by_key: FxHashMap::default(),
             world: *world,
             numbers: Vec::new(),
+            handed_on: None,
         }
+    }
+
+    /// Hands on what was added since the last call. Vertices that later chunks may have too get
+    /// the normals of the triangles so far; the final ones follow once their edges are closed.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be read; those of `each`.
+    pub fn hand_on<T>(&mut self, each: impl FnOnce(&SurfaceAddition<'_>) -> Result<T>) -> Result<T> {
+        let HandedOn { vertices, triangles, changed } = self.handed_on.take().unwrap_or_default();
+        let done = each(&SurfaceAddition { builder: self, vertices, triangles, changed: &changed })?;
+        let (vertices, triangles) = (self.vertices.len(), self.triangles.len());
+        self.handed_on = Some(HandedOn { vertices, triangles, changed: vec![] });
+        Ok(done)
     }
 
     /// Adds the (finished) surface of the next chunk.
@@ -164,13 +206,22 @@ impl SurfaceBuilder {
         self.open.len()
     }
 
+    /// Closes all edges: no chunk comes any more.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be read or written.
+    pub fn close(&mut self) -> Result<()> {
+        self.by_key.clear();
+        let open = std::mem::take(&mut self.open);
+        self.finish_normals(&open)
+    }
+
     /// The finished surface.
     ///
     /// # Errors
     /// [`Error::Io`] when the scratch file cannot be read or written.
     pub fn finish(mut self) -> Result<StoredSurface> {
-        let open = std::mem::take(&mut self.open);
-        self.finish_normals(&open)?;
+        self.close()?;
         Ok(StoredSurface { vertices: self.vertices, triangles: self.triangles })
     }
 
@@ -209,11 +260,46 @@ impl SurfaceBuilder {
     /// Writes the normals of edges whose gradient sums are complete. `edges` ascend by number, as
     /// `open` always does.
     fn finish_normals(&mut self, edges: &[OpenEdge]) -> Result<()> {
-        let normals: Vec<(u32, [f32; 3])> = edges
-            .iter()
-            .filter_map(|e| Some((e.number, self.world.unit_normal(e.gradient.map(|x| x as f64))?)))
-            .collect();
-        self.vertices.patch(&normals, |vertex, &normal| vertex.normal = normal)
+        let normals: Vec<_> = edges.iter().map(|e| (e.number, e.normal(&self.world))).collect();
+        let handed_on = &mut self.handed_on;
+        self.vertices.patch(&normals, |number, vertex, &normal| {
+            vertex.normal = normal.unwrap_or(vertex.normal);
+            if let Some(handed_on) = handed_on.as_mut().filter(|h| u64::from(number) < h.vertices) {
+                handed_on.changed.push((number, *vertex));
+            }
+        })
+    }
+}
+
+impl SurfaceSource for SurfaceAddition<'_> {
+    fn vertex_count(&self) -> u64 {
+        self.builder.vertices.len() - self.vertices
+    }
+
+    fn triangle_count(&self) -> u64 {
+        self.builder.triangles.len() - self.triangles
+    }
+
+    fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
+        let SurfaceBuilder { vertices, open, world, .. } = self.builder;
+        let mut first = self.vertices;
+        let mut open = open[open.partition_point(|e| u64::from(e.number) < first)..].iter().peekable();
+        let mut shown = vec![];
+        vertices.each_from(first, &mut |batch| {
+            shown.clear();
+            shown.extend_from_slice(batch);
+            let past = first + batch.len() as u64;
+            while let Some(edge) = open.next_if(|e| u64::from(e.number) < past) {
+                let vertex = &mut shown[(u64::from(edge.number) - first) as usize];
+                vertex.normal = edge.normal(world).unwrap_or(vertex.normal);
+            }
+            first = past;
+            each(&shown)
+        })
+    }
+
+    fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
+        self.builder.triangles.each_from(self.triangles, each)
     }
 }
 
@@ -237,6 +323,17 @@ impl StoredSurface {
             vertices: Store::reusing(half, &settings.scratch, memory.vertices),
             triangles: Store::reusing(half, &settings.scratch, memory.triangles),
         }
+    }
+
+    /// A copy of a surface.
+    ///
+    /// # Errors
+    /// Errors of reading it; [`Error::Io`] when the scratch file cannot be written.
+    pub fn of(source: &dyn SurfaceSource, settings: &BuilderSettings) -> Result<Self> {
+        let mut surface = Self::new(settings);
+        source.vertices(&mut |batch| surface.vertices.extend(batch))?;
+        source.triangles(&mut |batch| surface.triangles.extend(batch))?;
+        Ok(surface)
     }
 
     /// Appends a vertex.

@@ -100,3 +100,51 @@ fn too_many_vertices_are_refused_before_they_are_numbered() {
     assert_eq!(error.exit_code(), 2);
     assert!(error.to_string().contains("4294967295 vertices"), "{error}");
 }
+
+#[test]
+fn parts_put_together_are_the_surface() {
+    let grid = Grid::new([20, 18, 16]);
+    let world = WorldMap::new(&grid.lattice, &Geometry::default());
+    let chunks = slabs(&grid, &world);
+    let whole = build(&chunks, &world, &BuilderSettings::default());
+    let scratch = tempfile::tempdir().unwrap();
+    for (memory_bytes, every) in [(1 << 20, 1), (1 << 20, 4), (1000, 1), (0, 2)] {
+        let settings = BuilderSettings { memory_bytes, scratch: scratch.path().to_path_buf() };
+        let mut builder = SurfaceBuilder::new(&world, &settings);
+        let (mut shown, mut changes) = (TriMesh::default(), 0);
+        let mut take = |builder: &mut SurfaceBuilder| {
+            let take = |part: &SurfaceAddition<'_>| {
+                let added = TriMesh::from_source(part)?;
+                assert_eq!(added.vertices.len() as u64, part.vertex_count());
+                assert_eq!(added.triangles.len() as u64, part.triangle_count());
+                shown.vertices.extend(added.vertices);
+                shown.triangles.extend(added.triangles);
+                let count = shown.vertices.len() as u32;
+                assert!(shown.triangles.iter().flatten().all(|&v| v < count), "vertices come first");
+                for &(number, vertex) in part.changed {
+                    assert_eq!(shown.vertices[number as usize].position, vertex.position);
+                    shown.vertices[number as usize] = vertex;
+                    changes += 1;
+                }
+                Ok(())
+            };
+            builder.hand_on(take).unwrap();
+        };
+        for (n, chunk) in chunks.iter().enumerate() {
+            builder.push(chunk).unwrap();
+            if n == 3 {
+                // What was in the first two slabs alone is closed.
+                let lowest = chunk.shared_edges().iter().map(|e| e.key.0).min().unwrap();
+                builder.keep_open(|a, _| a >= lowest).unwrap();
+            }
+            if n % every == 0 {
+                take(&mut builder);
+            }
+        }
+        builder.close().unwrap();
+        take(&mut builder);
+        assert!(changes > 100, "{changes} vertices lie between slabs");
+        assert_eq!(shown, whole, "{memory_bytes} bytes");
+        assert_eq!(TriMesh::from_source(&builder.finish().unwrap()).unwrap(), whole);
+    }
+}

@@ -7,7 +7,7 @@ use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Amount, ArchiveCheck, ArchiveSummary, CountReport, ReduceReport, ReduceSettings, RunSettings,
-    SeriesReport, Shard, SpectrumReport, StepChoice, StepRange, SurfaceReport, SurfaceSettings,
+    SeriesReport, Shard, SpectrumReport, StepChoice, StepRange, SurfacePart, SurfaceReport, SurfaceSettings,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -349,4 +349,29 @@ pub(crate) fn reseal_all(
     });
     (step.values[0].info, step.index, step.spectrum) = (values.expect("values are there"), index, spectrum);
     manifest.write(archive).unwrap();
+}
+
+/// The surfaces of a step whose parts were put together, and the number of parts.
+pub(crate) fn streamed(archive: &Archive, settings: &SurfaceSettings) -> (Vec<TriMesh>, usize) {
+    let mut shown = vec![TriMesh::default(); settings.isovalues.len()];
+    let (mut parts, mut chunks, mut whole) = (0, 0, 0);
+    let mut take = |part: &SurfacePart<'_>| {
+        let (surface, added) = (&mut shown[part.isovalue], TriMesh::from_source(part.added)?);
+        surface.vertices.extend(added.vertices);
+        surface.triangles.extend(added.triangles);
+        let count = surface.vertices.len() as u32;
+        assert!(surface.triangles.iter().flatten().all(|&v| v < count), "vertices come first");
+        for &(number, vertex) in part.changed {
+            surface.vertices[number as usize] = vertex;
+        }
+        assert!(part.chunks >= chunks, "chunks come in order");
+        (parts, chunks) = (parts + 1, part.chunks);
+        Ok(())
+    };
+    let report = archive.stream_surfaces(settings, &mut take, |surface| {
+        whole += surface.triangle_count();
+        Ok(())
+    });
+    assert_eq!(report.unwrap().triangles, whole);
+    (shown, parts)
 }

@@ -32,6 +32,8 @@ let maps = {};
 let view;
 let spectrum;
 let nextName = 0;
+/** Whether the address says where the camera is. */
+let isPlaced = false;
 
 const archive = () => archives[state.archive];
 const steps = () => archive().steps;
@@ -41,8 +43,11 @@ const colourInfo = () => steps().find((s) => s.number === state.by) ?? stepInfo(
 /** The steps that are fields of their own, where surfaces can have their colours. */
 function fields() {
   const isField = new Set(steps().map((s) => s.field)).size === steps().length && steps().length > 1;
-  return isField && archive().corners ? steps() : [];
+  return isField ? steps() : [];
 }
+
+/** Whether the steps follow each other in time. */
+const isSeries = () => steps().length > 1 && !fields().length;
 
 // ---- words
 
@@ -152,9 +157,18 @@ function roiOf(region) {
   return `world:${[0, 1, 2].map(range).join(",")}`;
 }
 
+/** A surface that takes this long, in ms, gives way to a newer wish. */
+const LONG = 150;
+
+/** Stops a surface for a newer wish, if it takes long, and part of it was seen: so something moves under a slider. */
+function giveWay(surface) {
+  const isLong = surface.seen && performance.now() - surface.start > LONG;
+  if (source.canStop && surface.wanted && isLong) surface.request.abort();
+}
+
 /**
- * Fetches a surface if what decides it has changed. While one request is under way, only the last wish waits:
- * each answer is shown, so a dragged slider shows surfaces as fast as they come.
+ * Fetches a surface if what decides it has changed, and shows its parts as they come. While one request is under way,
+ * only the last wish waits.
  */
 async function fetchSurface(surface) {
   const wish = parameters(surface.isovalue);
@@ -162,31 +176,36 @@ async function fetchSurface(surface) {
   if (surface.key === key) return;
   if (surface.request) {
     surface.wanted = true;
+    giveWay(surface);
     return;
   }
-  surface.key = key;
-  surface.request = new AbortController();
+  const request = new AbortController();
   const start = performance.now();
-  let first;
-  const part = (found, triangles) => {
-    if (surface.removed) return;
-    // Parts of a surface that replaces another would show holes: only the first one comes in parts.
-    if (surface.found && triangles < found.triangles.length / 3) return;
-    first ??= performance.now() - start;
-    view.show(surface.name, found, triangles, surface);
+  const times = {};
+  Object.assign(surface, { key, request, start, seen: false });
+  // The values of another field come last: surfaces without their colours do not replace those that have them.
+  const isShownWhole = wish.colour !== null && surface.found;
+  const part = (found) => {
+    if (surface.removed || isShownWhole || request.signal.aborted) return;
+    view.show(surface.name, found, surface);
+    if (!surface.seen) view.drawn().then(() => (times.first ??= performance.now() - start));
+    surface.seen = true;
+    giveWay(surface);
   };
   try {
-    const found = await source.surface(state.archive, wish, surface.request.signal, part);
+    const found = await source.surface(state.archive, wish, request.signal, part);
     if (surface.removed) return;
-    if (found.triangles.length === 0) view.show(surface.name, found, 0, surface);
-    surface.found = found;
-    const whole = performance.now() - start;
-    surface.times = { first: first ?? whole, whole };
-    surface.area = areaOf(found);
+    view.show(surface.name, found, surface);
+    view.drawn().then(() => {
+      times.whole = performance.now() - start;
+      times.first ??= times.whole;
+      if (state.surfaces[state.active] === surface) tellStatistics();
+    });
+    Object.assign(surface, { found, times, area: areaOf(found) });
     say(found.report.surfaces[0].outside_range ? `The isovalue ${digits(surface.isovalue)} is outside of the field's range.` : "");
     if (view.bounds.isEmpty()) {
       view.boundsOf(found);
-      view.reset();
+      if (!isPlaced) view.reset();
     }
     if (state.surfaces[state.active] === surface) tellStatistics();
     document.body.dataset.shown = String(Number(document.body.dataset.shown ?? 0) + 1);
@@ -207,7 +226,8 @@ function fetchAll() {
 }
 
 /** The area of the triangles. */
-function areaOf({ vertices: v, triangles: t }) {
+function areaOf({ vertices, triangles }) {
+  const [v, t] = [vertices.used, triangles.used];
   let sum = 0;
   for (let n = 0; n < t.length; n += 3) {
     const [a, b, c] = [6 * t[n], 6 * t[n + 1], 6 * t[n + 2]];
@@ -362,7 +382,7 @@ function rectangle() {
 
 /** Fetches the slice, coarse or fine; while one is under way only the last wish waits. */
 async function fetchSlice(most) {
-  if (state.clip === null || !state.slice || !archive().corners) {
+  if (state.clip === null || !state.slice || view.bounds.isEmpty()) {
     view.setSlice(null);
     return;
   }
@@ -402,7 +422,20 @@ function showSlice(slice = shownSlice) {
   if (slice && state.clip !== null && state.slice) view.setSlice({ ...slice, colours: maps[state.map], range });
 }
 
-function setClip() {
+/** A grid with coordinates has no corners: its bounds are asked for when a plane or a region needs them. */
+async function needBounds() {
+  const it = archive();
+  if (it.corners || it.bounds) return;
+  it.bounds = await source.bounds(state.archive);
+  if (archive() === it) view.setBounds(it.bounds);
+}
+
+async function setClip() {
+  try {
+    if (state.clip !== null) await needBounds();
+  } catch (error) {
+    failed(error);
+  }
   const { min, max } = view.bounds;
   if (state.clip === null || view.bounds.isEmpty()) {
     view.setClip(null);
@@ -431,6 +464,8 @@ function setColours() {
 }
 
 function drawBar() {
+  const { field } = colourInfo();
+  document.querySelector("#colours h2").textContent = field ? `Colours of ${field}` : "Colours of the field";
   const bar = $("bar");
   [bar.width, bar.height] = [256, 1];
   const c = bar.getContext("2d");
@@ -450,8 +485,10 @@ async function setStep(number) {
   state.step = number;
   const n = steps().findIndex((s) => s.number === number);
   $("step").value = n;
-  const { time } = stepInfo();
-  $("now").textContent = time === null || time === undefined ? `step ${number}` : `t = ${digits(time)}`;
+  const { time, field } = stepInfo();
+  const moment = time === null || time === undefined ? `step ${number}` : `t = ${digits(time)}`;
+  $("now").textContent = fields().length ? field : moment;
+  $("step").setAttribute("aria-valuetext", $("now").textContent);
   if (state.clip !== null) fetchSlice(COARSE);
   const surfaces = fetchAll();
   try {
@@ -497,13 +534,24 @@ async function setArchive(camera) {
   $("facts").textContent = `${it.dims.join(" × ")} ${it.scalar}, ${whole(it.points)} points, ${bytes(it.bytes)}`;
   document.title = `${it.name} – isospan`;
   view.setDomain(it.corners);
-  $("planes").hidden = $("region").hidden = $("colours").hidden = !it.corners;
+  it.bounds = undefined;
   $("coloured").hidden = !fields().length;
   $("by").replaceChildren(new Option("their own colours", ""), ...fields().map((s) => new Option(s.field, s.number)));
   $("by").value = state.by ?? "";
+  // Fields are chosen; only a series plays.
   $("time").hidden = steps().length < 2;
+  $("play").hidden = !isSeries();
+  $("time").querySelector("h2").textContent = isSeries() ? "Time" : "Field";
+  $("step").setAttribute("aria-label", isSeries() ? "Time step" : "Field");
   $("step").max = steps().length - 1;
-  if (it.corners) camera ? (view.camera6 = camera) : view.reset();
+  isPlaced = Boolean(camera);
+  try {
+    if (state.clip !== null || state.region) await needBounds();
+  } catch (error) {
+    failed(error);
+  }
+  if (camera) view.camera6 = camera;
+  else view.reset();
   if (!state.surfaces.length) {
     const [lo, hi] = stepInfo().range ?? [0, 1];
     const best = it.suggestions?.[0]?.isovalue ?? settle(lo + 0.5 * (hi - lo));
@@ -524,7 +572,13 @@ function drawRegion() {
       const input = Object.assign(document.createElement("input"), { type: "range", min: 0, max: 1, step: 0.01 });
       input.value = state.region?.[a][end] ?? end;
       input.setAttribute("aria-label", `${end ? "Highest" : "Lowest"} ${name} of the region`);
-      input.addEventListener("input", () => {
+      input.addEventListener("input", async () => {
+        try {
+          await needBounds();
+        } catch (error) {
+          failed(error);
+          return;
+        }
         const region = (state.region ?? [[0, 1], [0, 1], [0, 1]]).map((r) => [...r]);
         region[a][end] = input.valueAsNumber;
         if (region[a][1] - region[a][0] < 0.01) region[a][1 - end] = Math.min(1, Math.max(0, region[a][end] + (end ? -0.01 : 0.01)));
@@ -662,7 +716,6 @@ function listen() {
   on("png", "click", savePicture);
   for (const format of ["glb", "stl", "ply"]) {
     on(format, "click", () => saveSurfaces(format));
-    $(format).hidden = !source.hasFiles;
   }
   addEventListener("keydown", key);
   addEventListener("resize", () => spectrum.draw());
@@ -722,7 +775,7 @@ function key(event) {
     r: () => $("reset").click(),
     p: savePicture,
   };
-  if (event.key === " " && !event.target.matches?.("button, input, a") && steps().length > 1) acts[" "] = play;
+  if (event.key === " " && !event.target.matches?.("button, input, a") && isSeries()) acts[" "] = play;
   if (!acts[event.key]) return;
   event.preventDefault();
   acts[event.key]();

@@ -42,6 +42,50 @@ function round(most) {
   return power * (most >= 5 * power ? 5 : most >= 2 * power ? 2 : 1);
 }
 
+/** A surface on the device, while it arrives and after. */
+class Layer {
+  constructor(found) {
+    this.found = found;
+    this.mesh = new Mesh(new BufferGeometry(), new MeshStandardMaterial({ side: DoubleSide, roughness: 0.65, metalness: 0 }));
+    this.mesh.frustumCulled = false;
+    this.sent = { vertices: 0, triangles: 0, changes: 0 };
+  }
+
+  /** Takes what has arrived since the last time. */
+  update() {
+    const { vertices, triangles, changes } = this.found;
+    const { geometry } = this.mesh;
+    if (this.buffer?.array !== vertices.all || geometry.index.array !== triangles.all) {
+      // They have moved to where there is more room.
+      geometry.dispose();
+      this.buffer = new InterleavedBuffer(vertices.all, 6);
+      geometry.setAttribute("position", new InterleavedBufferAttribute(this.buffer, 3, 0));
+      geometry.setAttribute("normal", new InterleavedBufferAttribute(this.buffer, 3, 3));
+      geometry.setIndex(new BufferAttribute(triangles.all, 1));
+    } else {
+      const renew = (buffer, from, to) => {
+        if (to > from) buffer.addUpdateRange(from, to - from);
+        buffer.needsUpdate = to > from;
+      };
+      renew(this.buffer, changes > this.sent.changes ? 0 : this.sent.vertices, vertices.length);
+      renew(geometry.index, this.sent.triangles, triangles.length);
+    }
+    this.sent = { vertices: vertices.length, triangles: triangles.length, changes };
+  }
+
+  /** Draws the triangles of the archive's chunks from this one on. Returns whether there are some. */
+  drawFrom(chunk) {
+    const before = this.found.parts.filter((part) => part.chunks <= chunk).at(-1)?.triangles ?? 0;
+    this.mesh.geometry.setDrawRange(3 * before, this.sent.triangles - 3 * before);
+    return this.sent.triangles > 3 * before;
+  }
+
+  dispose() {
+    this.mesh.geometry.dispose();
+    this.mesh.material.dispose();
+  }
+}
+
 /** Gives vertices the colours of their values; grey where there is none. */
 function colourVertices(geometry, values, { colours, range: [lo, hi] }) {
   const linear = (rgb) => new Color().setRGB(...rgb.map((c) => c / 255), SRGBColorSpace).toArray();
@@ -78,6 +122,7 @@ export class View {
     this.field = null;
     this.showBox = this.showAxes = true;
     this.waiting = false;
+    this.afterDrawing = [];
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.resize();
   }
@@ -110,6 +155,13 @@ export class View {
     this.camera.updateProjectionMatrix();
     this.renderer.render(this.scene, this.camera);
     this.drawOverlay();
+    for (const act of this.afterDrawing.splice(0)) act();
+  }
+
+  /** Waits until what is shown now was handed to the device. */
+  drawn() {
+    this.draw();
+    return new Promise((done) => this.afterDrawing.push(done));
   }
 
   /** The domain: eight corners, or none. */
@@ -156,50 +208,43 @@ export class View {
     this.draw();
   }
 
-  /** Shows so many triangles of a surface in place of what had its name. */
-  show(name, found, triangles, { colour, opacity }) {
-    let item = this.surfaces.get(name);
-    if (!item || item.found !== found) {
-      this.remove(name);
-      const geometry = new BufferGeometry();
-      const buffer = new InterleavedBuffer(found.vertices, 6);
-      geometry.setAttribute("position", new InterleavedBufferAttribute(buffer, 3, 0));
-      geometry.setAttribute("normal", new InterleavedBufferAttribute(buffer, 3, 3));
-      geometry.setIndex(new BufferAttribute(found.triangles, 1));
-      const material = new MeshStandardMaterial({ side: DoubleSide, roughness: 0.65, metalness: 0 });
-      const mesh = new Mesh(geometry, material);
-      mesh.frustumCulled = false;
-      item = { found, mesh };
-      this.surfaces.set(name, item);
-      this.scene.add(mesh);
-      this.paint(name, { colour, opacity });
+  /**
+   * Shows what has arrived of a surface in place of what had its name. Of that, the parts stay that are not yet
+   * replaced: chunks come in order.
+   */
+  show(name, found, style) {
+    const layers = this.surfaces.get(name) ?? [];
+    if (layers[0]?.found !== found) {
+      layers.unshift(new Layer(found));
+      this.scene.add(layers[0].mesh);
     }
-    // Triangles that came since the last time.
-    const before = item.shown ?? 0;
-    if (before > 0 && triangles > before) {
-      item.mesh.geometry.index.addUpdateRange(3 * before, 3 * (triangles - before));
-      item.mesh.geometry.index.needsUpdate = true;
-    }
-    item.shown = triangles;
-    item.mesh.geometry.setDrawRange(0, 3 * triangles);
-    this.draw();
+    layers[0].update();
+    let past = 0;
+    const kept = layers.filter((layer, n) => {
+      const isSeen = layer.drawFrom(past) || n === 0;
+      past = Math.max(past, layer.found.chunks);
+      if (!isSeen) this.drop(layer);
+      return isSeen;
+    });
+    this.surfaces.set(name, kept);
+    this.paint(name, style);
   }
 
   paint(name, { colour, opacity }) {
-    const item = this.surfaces.get(name);
-    if (!item) return;
-    const { material } = item.mesh;
-    const field = item.found.values && this.field;
-    if (field && item.field !== field) colourVertices(item.mesh.geometry, item.found.values, field);
-    item.field = field;
-    material.vertexColors = Boolean(field);
-    material.color = new Color(field ? 0xffffff : colour);
-    material.opacity = opacity;
-    material.transparent = opacity < 1;
-    material.depthWrite = opacity >= 1;
-    material.clippingPlanes = this.plane ? [this.plane] : [];
-    material.needsUpdate = true;
-    item.mesh.renderOrder = opacity < 1 ? 1 : 0;
+    for (const layer of this.surfaces.get(name) ?? []) {
+      const { geometry, material } = layer.mesh;
+      const field = layer.found.values && this.field;
+      if (field && layer.field !== field) colourVertices(geometry, layer.found.values, field);
+      layer.field = field;
+      material.vertexColors = Boolean(field);
+      material.color = new Color(field ? 0xffffff : colour);
+      material.opacity = opacity;
+      material.transparent = opacity < 1;
+      material.depthWrite = opacity >= 1;
+      material.clippingPlanes = this.plane ? [this.plane] : [];
+      material.needsUpdate = true;
+      layer.mesh.renderOrder = opacity < 1 ? 1 : 0;
+    }
     this.draw();
   }
 
@@ -209,18 +254,25 @@ export class View {
   }
 
   remove(name) {
-    const item = this.surfaces.get(name);
-    if (!item) return;
-    this.scene.remove(item.mesh);
-    item.mesh.geometry.dispose();
-    item.mesh.material.dispose();
+    for (const layer of this.surfaces.get(name) ?? []) this.drop(layer);
     this.surfaces.delete(name);
+    this.draw();
+  }
+
+  drop(layer) {
+    this.scene.remove(layer.mesh);
+    layer.dispose();
+  }
+
+  /** The bounds of a domain that is no box: its lowest and its highest corner. */
+  setBounds([lo, hi]) {
+    this.bounds.set(new Vector3(...lo), new Vector3(...hi));
     this.draw();
   }
 
   /** Where a surface alone says how large the domain is. */
   boundsOf(found) {
-    const { vertices } = found;
+    const vertices = found.vertices.used;
     const point = new Vector3();
     for (let n = 0; n < vertices.length; n += 6) this.bounds.expandByPoint(point.fromArray(vertices, n));
   }
@@ -234,7 +286,7 @@ export class View {
       const normal = new Vector3().setComponent(axis, -sign);
       this.plane = new Plane(normal, sign * place);
     }
-    for (const { mesh } of this.surfaces.values()) {
+    for (const { mesh } of [...this.surfaces.values()].flat()) {
       mesh.material.clippingPlanes = this.plane ? [this.plane] : [];
       mesh.material.needsUpdate = true;
     }

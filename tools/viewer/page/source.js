@@ -5,8 +5,8 @@ import { connect } from "./local.js";
 const beside = document.querySelector('meta[name="isospan-archives"]');
 const ask = beside ? connect(beside.content.split("\n")) : fetch;
 
-/** Whether there are surface files: only a server writes them. */
-export const hasFiles = !beside;
+/** Whether an answer that is no longer wanted stops: a worker goes on to its end. */
+export const canStop = !beside;
 
 /** What went wrong, in the server's words. */
 async function refusal(response) {
@@ -31,6 +31,9 @@ export const archives = () => json("archives");
 /** The contour spectrum of a step. */
 export const spectrum = (archive, step) => json(`${archive}/spectrum?${query({ step })}`);
 
+/** The least box of the world that holds the domain: two corners. */
+export const bounds = (archive) => json(`${archive}/bounds`);
+
 /** A surface file. */
 export async function file(archive, parameters) {
   const response = await ask(`${archive}/export?${query(parameters)}`);
@@ -45,8 +48,8 @@ class Pieces {
     this.left = new Uint8Array(0);
   }
 
-  /** Fills `bytes`; calls `grown` with the number of bytes there whenever some came. */
-  async fill(bytes, grown = () => {}) {
+  /** Fills `bytes`. */
+  async fill(bytes) {
     let at = 0;
     while (at < bytes.length) {
       if (this.left.length === 0) {
@@ -58,7 +61,6 @@ class Pieces {
       bytes.set(this.left.subarray(0, count), at);
       this.left = this.left.subarray(count);
       at += count;
-      grown(at);
     }
   }
 
@@ -71,26 +73,65 @@ class Pieces {
   }
 }
 
+/** Numbers that arrive part by part: the first `length` of `all`. */
+class Growing {
+  constructor(kind) {
+    this.all = new kind(6 << 14);
+    this.length = 0;
+  }
+
+  /** Room for so many more. */
+  more(count) {
+    const from = this.length;
+    this.length += count;
+    if (this.length > this.all.length) {
+      const larger = new this.all.constructor(6 * Math.ceil(this.length / 4));
+      larger.set(this.all.subarray(0, from));
+      this.all = larger;
+    }
+    return this.all.subarray(from, this.length);
+  }
+
+  get used() {
+    return this.all.subarray(0, this.length);
+  }
+}
+
+const bytesOf = ({ buffer, byteOffset, byteLength }) => new Uint8Array(buffer, byteOffset, byteLength);
+
 /**
- * One isosurface: `vertices` (position and normal, six floats each), `values` of the field that `colour` names (null
- * without one), and `triangles` (three numbers each).
- * `part(surface, triangles)` is called while triangles arrive.
+ * One isosurface: `vertices` (position and normal, six floats each), `triangles` (three numbers each), and `values` of
+ * the field that `colour` names (null without one). `part(surface)` is called whenever some triangles have come: those
+ * of the archive's chunks before `chunks`. `parts` has the number of triangles after each part; `changes` counts parts
+ * that changed earlier vertices.
  */
 export async function surface(archive, parameters, signal, part) {
   const response = await ask(`${archive}/surface?${query(parameters)}`, { signal });
   if (!response.ok) throw await refusal(response);
   const pieces = new Pieces(response);
-  const { report, milliseconds } = await pieces.json();
-  const found = {
-    report,
-    milliseconds,
-    vertices: new Float32Array(6 * report.vertices),
-    values: Number.isInteger(parameters.colour) ? new Float32Array(report.vertices) : null,
-    triangles: new Uint32Array(3 * report.triangles),
-  };
-  await pieces.fill(new Uint8Array(found.vertices.buffer));
-  if (found.values) await pieces.fill(new Uint8Array(found.values.buffer));
-  await pieces.fill(new Uint8Array(found.triangles.buffer), (bytes) => part?.(found, Math.floor(bytes / 12)));
+  const [vertices, triangles] = [new Growing(Float32Array), new Growing(Uint32Array)];
+  const found = { vertices, triangles, values: null, parts: [], chunks: 0, changes: 0, report: null, milliseconds: 0 };
+  while (!found.report) {
+    const head = await pieces.json();
+    if (head.error) throw new Error(head.error);
+    if (head.report) {
+      Object.assign(found, head, { chunks: Infinity });
+    } else if (head.values !== undefined) {
+      found.values = new Float32Array(head.values);
+      await pieces.fill(bytesOf(found.values));
+    } else {
+      await pieces.fill(bytesOf(vertices.more(6 * head.vertices)));
+      const [numbers, changed] = [new Uint32Array(head.changed), new Float32Array(6 * head.changed)];
+      await pieces.fill(bytesOf(numbers));
+      await pieces.fill(bytesOf(changed));
+      await pieces.fill(bytesOf(triangles.more(3 * head.triangles)));
+      numbers.forEach((number, n) => vertices.all.set(changed.subarray(6 * n, 6 * n + 6), 6 * number));
+      if (head.changed) found.changes += 1;
+      found.chunks = head.chunks;
+      found.parts.push({ chunks: head.chunks, triangles: triangles.length / 3 });
+      part?.(found);
+    }
+  }
   return found;
 }
 

@@ -72,7 +72,9 @@ impl Viewer {
         let (archives, means) = (&self.archives, &self.means);
         match question {
             "spectrum" => answers::spectrum(archives, archive, &parameters(query)?, means, sink),
+            "bounds" => answers::bounds(archives, archive, &parameters(query)?, means, sink),
             "surface" => answers::surface(archives, archive, &parameters(query)?, means, sink),
+            "export" => answers::export(archives, archive, &parameters(query)?, means, sink),
             "slice" => answers::slice(archives, archive, &parameters(query)?, means, sink),
             _ => Err(unknown()),
         }

@@ -1,0 +1,77 @@
+//! Surfaces that are handed on part by part while they are extracted: each chunk as soon as it is
+//! welded.
+//!
+//! A vertex on an edge that later chunks may have has its final normal last, so the last part has
+//! the normals of such vertices. What is cut, refined or has holes is changed as a whole, and is
+//! one part.
+
+use super::settings::SurfaceSettings;
+use crate::error::Result;
+use crate::pipeline::read::{IndexToWorld, StepView};
+use crate::surface::weld::SurfaceBuilder;
+use crate::surface::{SurfaceSource, Vertex};
+
+/// A part of a surface that is streamed: see
+/// [`Step::stream_surfaces`](crate::pipeline::Step::stream_surfaces).
+#[non_exhaustive]
+pub struct SurfacePart<'a> {
+    /// Which isovalue of the settings, from 0.
+    pub isovalue: usize,
+    /// The vertices and triangles that are new. A triangle has numbers of vertices of this part
+    /// and of earlier ones.
+    pub added: &'a dyn SurfaceSource,
+    /// Earlier vertices that have their final normals now, by their numbers.
+    pub changed: &'a [(u32, Vertex)],
+    /// Chunks of the archive before this number have no further triangles.
+    pub chunks: u64,
+}
+
+/// Takes the parts of surfaces.
+pub(super) struct Parts<'a> {
+    to_world: IndexToWorld,
+    /// Whether parts come before the surface is whole.
+    is_early: bool,
+    each: &'a mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+}
+
+impl<'a> Parts<'a> {
+    pub(super) fn new(
+        archive: &StepView,
+        settings: &SurfaceSettings,
+        each: &'a mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+    ) -> Result<Self> {
+        let is_early =
+            settings.roi.is_none() && settings.refine.changes_nothing() && !archive.may_have_holes();
+        Ok(Self { to_world: IndexToWorld::of(archive)?, is_early, each })
+    }
+
+    /// Hands on what chunks before a number have added to the surface of an isovalue.
+    pub(super) fn take(&mut self, builder: &mut SurfaceBuilder, isovalue: usize, chunks: u64) -> Result<()> {
+        if !self.is_early {
+            return Ok(());
+        }
+        let Self { to_world, each, .. } = self;
+        builder.hand_on(|added| {
+            let place = |&(number, vertex)| Ok((number, to_world.vertex(&vertex)?));
+            let changed = added.changed.iter().map(place).collect::<Result<Vec<_>>>()?;
+            let is_empty = added.vertex_count() == 0 && added.triangle_count() == 0 && changed.is_empty();
+            if is_empty {
+                return Ok(());
+            }
+            to_world.surface(added, |added| each(&SurfacePart { isovalue, added, changed: &changed, chunks }))
+        })
+    }
+
+    /// Hands on a finished surface in the world, unless its parts were.
+    pub(super) fn take_whole(
+        &mut self,
+        surface: &dyn SurfaceSource,
+        isovalue: usize,
+        chunks: u64,
+    ) -> Result<()> {
+        if self.is_early {
+            return Ok(());
+        }
+        (self.each)(&SurfacePart { isovalue, added: surface, changed: &[], chunks })
+    }
+}
