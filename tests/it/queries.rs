@@ -62,7 +62,7 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
 fn parts_of_surfaces_put_together_are_the_surfaces() {
     for kind in [SetKind::Bcc, SetKind::Halton] {
         let dir = tempfile::tempdir().unwrap();
-        let archive = Archive::open(&archive(dir.path(), kind)).unwrap();
+        let archive = Archive::open(archive(dir.path(), kind)).unwrap();
         for threads in [1, 2] {
             let all = SurfaceSettings {
                 isovalues: vec![0.9, 1e9, 0.0],
