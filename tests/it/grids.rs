@@ -6,8 +6,8 @@ use isospan::exec::{CancelToken, Silent};
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice,
-    StepRange, SurfaceSettings, reduce_series,
+    Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice, StepRange,
+    SurfaceSettings, reduce_series,
 };
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
