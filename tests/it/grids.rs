@@ -6,7 +6,7 @@ use isospan::exec::{CancelToken, Silent};
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice,
+    Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice, StepRange,
     SurfaceSettings, reduce_series,
 };
 use isospan::surface::TriMesh;
@@ -115,6 +115,11 @@ fn answers_in_the_world(archive: &Archive, isovalue: f64) {
             let settings = SurfaceSettings { roi, ..SurfaceSettings::of(isovalue) };
             let found = archive.surfaces(&settings).unwrap().remove(0);
             assert!(streamed(archive, &settings).0 == [found.clone()]);
+            let same = |_: u64, _: f64, of_step: &mut Vec<TriMesh>| {
+                assert!(of_step[..] == [found.clone()]);
+                Ok(())
+            };
+            archive.surfaces_of_steps(StepRange::default(), &settings, same).unwrap();
             found
         };
         let (below, above) = (cut(format!(":{middle}")), cut(format!("{middle}:")));

@@ -18,7 +18,8 @@ use crate::index::Entry;
 use crate::mesh::tet::is_active;
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
-    BufferPool, CacheHit, ChunkReader, Frontier, Needed, StepView, Wanted, bytes_per_vertex, in_world,
+    BufferPool, CacheHit, ChunkReader, Frontier, Needed, StepView, Wanted, bytes_per_vertex, in_memory,
+    in_world,
 };
 use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
@@ -43,6 +44,11 @@ impl Extracted {
         use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
     ) -> Result<T> {
         if self.is_placed { use_it(surface) } else { in_world(archive, surface, use_it) }
+    }
+
+    /// This surface in memory, in the world.
+    pub(super) fn into_mesh(self, archive: &StepView) -> Result<TriMesh> {
+        if self.is_placed { self.surface.into_mesh() } else { in_memory(archive, self.surface) }
     }
 }
 

@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
 use crate::formats::listed_files;
 use crate::formats::surface::SurfaceFormat;
-use crate::pipeline::read::{OpenArchive, StepRange, StepView, in_memory};
+use crate::pipeline::read::{OpenArchive, StepRange, StepView};
 use crate::surface::TriMesh;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -134,7 +134,7 @@ pub(in crate::pipeline) fn surfaces_of_steps(
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let mut hand_out = |archive: &StepView, made: FinishedSurfaces| {
         let plan = &archive.step().plan;
-        let surfaces = made.surfaces.into_iter().map(|found| in_memory(archive, found.surface));
+        let surfaces = made.surfaces.into_iter().map(|found| found.into_mesh(archive));
         let mut surfaces = surfaces.collect::<Result<Vec<_>>>()?;
         each(plan.number, plan.time_or_number(), &mut surfaces)?;
         Ok(surfaces)
