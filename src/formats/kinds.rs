@@ -31,7 +31,7 @@ use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
-    &Nrrd, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &TiffFile, &Nifti, &Dicom, &Mrc,
+    &Nrrd, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &Dicom, &TiffFile, &Nifti, &Mrc,
     &MetaImage, &Gmsh, &Tetgen, &Zarr,
 ];
 

@@ -61,7 +61,7 @@ mod tests {
     fn steps_are_regular_or_not() {
         assert_eq!(regular(&[1.0, 3.0, 5.0], false), Some((1.0, 2.0)));
         assert_eq!(regular(&[4.0], false), Some((4.0, 1.0)));
-        // Longitudes of single precision, a hundredth of a degree apart, are even as far as they go.
+        // Longitudes of single precision, 0.01 degrees apart, are even as far as they go.
         let fine: Vec<f64> = (0..36000).map(|i| f64::from(i as f32 * 0.01)).collect();
         assert!(regular(&fine, false).is_none() && regular(&fine, true).is_some());
         for bad in [&[][..], &[1.0, 1.0], &[1.0, 2.0, 4.0], &[f64::NAN, 1.0], &[0.0, f64::INFINITY]] {

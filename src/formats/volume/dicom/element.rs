@@ -280,7 +280,8 @@ impl<'a> Reader<'a> {
             .with_help("the file is cut short or damaged")
     }
 
-    /// The text of an element, without blanks at its ends; `None` where there is none, or it is empty.
+    /// The text of an element, without blanks at its ends; `None` where there is none, or an empty
+    /// one.
     pub(super) fn text(&self, of: &DataSet, tag: Tag) -> Option<String> {
         let text = String::from_utf8_lossy(&self.bytes[of.find(tag)?.value.clone()]);
         let text = text.trim_matches([' ', '\0']).to_string();

@@ -5,9 +5,9 @@
 //! ```
 //!
 //! Each slice says where it lies: Image Position (the middle of its first sample, in mm, in the
-//! patient's coordinates), Image Orientation (the directions of rows and columns) and Pixel Spacing.
-//! Slices are ordered along the normal of their plane, whatever their names are. Files of many
-//! frames ("enhanced") say the same in functional groups, shared or of each frame.
+//! patient's coordinates), Image Orientation (the directions of rows and columns) and Pixel
+//! Spacing. Slices are ordered along the normal of their plane, whatever their names are. Files of
+//! many frames ("enhanced") say the same in functional groups, shared or of each frame.
 //!
 //! A volume that is not whole would be silently wrong. So these are errors that name the files: two
 //! series in one folder, two slices at one place (times or echoes), a gap, unequal spacing, slices
@@ -20,7 +20,8 @@
 //!
 //! Files are read where they lie, some rows at a time. Memory: what describes the frames.
 //!
-//! The reader is our own: a data dictionary is large, and some thirty elements say all that is needed.
+//! The reader is our own: a data dictionary is large, and some thirty elements say all that is
+//! needed.
 //! The format: the DICOM standard, parts PS3.3 (C.7.6) and PS3.5 (7).
 
 mod element;
@@ -87,8 +88,8 @@ fn is_dicom(path: &Path) -> Result<bool> {
 /// The slices in a folder, or of a pattern; `None` where there is no DICOM file.
 ///
 /// # Errors
-/// [`Error::BadInput`] for files that are no DICOM but are called so, or are damaged, and for slices
-/// that are not one volume.
+/// [`Error::BadInput`] for files that are no DICOM but are called so, or are damaged, and for
+/// slices that are not one volume.
 pub(super) fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<VolumeSource>> {
     let is_pattern = stack::is_pattern(path);
     let (mut files, mut others) = (vec![], vec![]);

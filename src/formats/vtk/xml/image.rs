@@ -1,5 +1,5 @@
-//! Reads images: extents, pieces of one file or of several, the choice of a field, and pieces as one
-//! stream of slabs.
+//! Reads images: extents, pieces of one file or of several, the choice of a field, and pieces as
+//! one stream of slabs.
 
 use super::array::{ArrayStream, BlockArray, in_place, scalar_type};
 use super::head::{Document, Element};

@@ -25,9 +25,9 @@
 //! **Fields** are the arrays of the point data. Without `--field` the one that the file names as
 //! its active `Scalars` is read, else the only one with one component.
 //!
-//! **Indices** (`.pvti`, `.pvtr`, `.pvts`) list files of one piece each, which are joined like pieces
-//! of one file. A missing file, a part of the image in no file, and samples that two pieces have
-//! with different numbers are errors.
+//! **Indices** (`.pvti`, `.pvtr`, `.pvts`) list files of one piece each, which are joined like
+//! pieces of one file. A missing file, a part of the image in no file, and samples that two pieces
+//! have with different numbers are errors.
 //!
 //! **Cell data** of an image are samples in the middles of its cells: one fewer along each axis,
 //! the first half a step from the origin. They are read where there is no scalar point data, or by
