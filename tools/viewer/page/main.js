@@ -426,7 +426,9 @@ function showSlice(slice = shownSlice) {
 async function needBounds() {
   const it = archive();
   if (it.corners || it.bounds) return;
-  it.bounds = await source.bounds(state.archive);
+  // One question, for as many wishes as come meanwhile.
+  it.asked ??= source.bounds(state.archive).finally(() => (it.asked = undefined));
+  it.bounds = await it.asked;
   if (archive() === it) view.setBounds(it.bounds);
 }
 
