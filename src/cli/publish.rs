@@ -206,11 +206,17 @@ impl Folder {
         }
         let licences = unpacked("licences.txt", page::LICENCES_GZ)?;
         self.write(Path::new("licences.txt"), &mut &licences[..], Path::new("licences.txt"))?;
-        for (name, mut content) in [("worker.js", page::WORKER), ("isospan.wasm.gz", page::WASM_GZ)] {
-            self.write(Path::new(name), &mut content, Path::new(name))?;
-        }
-        Ok(())
+        let mut worker = page::WORKER;
+        self.write(Path::new("worker.js"), &mut worker, Path::new("worker.js"))?;
+        let (name, wasm) = (Path::new("isospan.wasm.gz"), queries()?);
+        let mut packed = flate2::read::GzEncoder::new(&wasm[..], flate2::Compression::best());
+        self.write(name, &mut packed, name)
     }
+}
+
+/// The queries as WebAssembly.
+fn queries() -> Result<Vec<u8>> {
+    zstd::decode_all(page::WASM_ZST).map_err(|e| Error::io("unpack", "isospan.wasm", e))
 }
 
 /// What was compressed by gzip.
@@ -276,8 +282,7 @@ mod tests {
 
     #[test]
     fn the_queries_read_what_this_program_writes() {
-        let mut file = vec![];
-        flate2::read::GzDecoder::new(page::WASM_GZ).read_to_end(&mut file).unwrap();
+        let file = queries().unwrap();
         let format = section(&file).expect("tools/viewer/core names a format");
         assert_eq!(format, FORMAT_VERSION.to_le_bytes(), "run tools/viewer/wasm");
     }
