@@ -216,7 +216,8 @@ pub(in crate::formats) struct Part {
 pub(in crate::formats) enum Rules {
     /// Nothing: names count, and the first of four axes has frames or channels.
     Plain,
-    /// Volumes of three axes alone.
+    /// Volumes of three axes alone, as those of MINC in HDF5.
+    #[cfg_attr(not(feature = "hdf5"), expect(dead_code, reason = "MINC is HDF5"))]
     Volumes,
     /// Volumes, and vectors whose components are the last of four axes.
     Vectors,
