@@ -91,8 +91,8 @@ pub struct Manner {
     /// sphere.
     pub around: bool,
     /// Whether the points are as dense everywhere, no more of them than by chance on a sphere, and
-    /// those of the core come first: then the chunk is meshed star by star, where the machine has
-    /// the instructions for it, to the same mesh in less time.
+    /// those of the core come first: then the chunk is meshed star by star, to the same mesh in
+    /// less time.
     pub even: bool,
 }
 

@@ -10,7 +10,8 @@
 //! lists its points again by formula). Each is read when a corner first needs it. A question about
 //! isovalues skips value blocks that lie on one side of all of them, unless a tetrahedron connects
 //! them to the other side. So a chunk whose surface is small costs a few bricks. For a lattice
-//! everything but the values follows by formula ([`BccChunk`]).
+//! everything but the values follows by formula ([`BccChunk`]). Tetrahedra that follow from the
+//! points are made again ([`StarBlocks`]).
 
 use super::block::{Block, BlockCorners};
 use super::chunk_mesh::{MeshedChunk, value_blocks};
