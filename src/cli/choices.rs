@@ -43,7 +43,7 @@ struct Targets {
 
 /// Point set, interpolation, missing values, numbers of points.
 #[derive(clap::Args, Debug)]
-pub(crate) struct PlanChoices {
+struct PlanChoices {
     /// The point set [default: lattice; hammersley for meshes; halton with --adapt].
     #[arg(help_heading = "Points", long, value_enum)]
     points: Option<Set>,
@@ -156,9 +156,10 @@ impl Choices {
     /// The settings that the flags say.
     ///
     /// # Errors
-    /// Those of [`PlanChoices::settings`].
+    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
+    /// is of.
     pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
-        self.plan.settings_for(first, self.targets.target())
+        self.plan.settings(first, self.targets.target())
     }
 }
 
@@ -174,17 +175,8 @@ impl Targets {
 }
 
 impl PlanChoices {
-    /// The settings that the flags say.
-    ///
-    /// # Errors
-    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
-    /// is of.
-    pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
-        self.settings_for(first, None)
-    }
-
     /// The settings, with which a target is met.
-    fn settings_for(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
+    fn settings(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
         let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
         let is_of_error = matches!(target, Some(Target::Rms(_) | Target::Max(_)));
         // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of

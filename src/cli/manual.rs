@@ -40,7 +40,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Other", &["completions", "man", "help"]),
 ];
 
-const EXIT_STATUS: [(&str, &str); 8] = [
+const EXIT_STATUS: [(&str, &str); 9] = [
     ("0", "All was done."),
     ("1", "The system refused something: a file is not there, or may not be read or written."),
     ("2", "The command line is wrong, or does not fit the input. Nothing was done."),
@@ -48,6 +48,7 @@ const EXIT_STATUS: [(&str, &str); 8] = [
     ("4", "There is not enough memory, or not enough space on a disk."),
     ("5", "An input is damaged, malformed or of a kind that cannot be used; a surface is not sound."),
     ("6", "The archive is written, but its error or size does not meet the target."),
+    ("7", "`commit` of a try for a target: the next try is planned, and takes `work` and `commit` again."),
     (
         "75",
         "The run was stopped by a signal, or another process writes the archive. The same command can succeed later.",

@@ -1,6 +1,6 @@
 //! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output,
 //! progress and errors to standard error; an error is one line; exit codes are those of
-//! [`isospan::Error::exit_code`], and [`TARGET_NOT_MET`].
+//! [`isospan::Error::exit_code`], [`TARGET_NOT_MET`] and [`NEXT_TRY`].
 
 pub(crate) mod append;
 mod brick;
@@ -150,6 +150,8 @@ pub(crate) fn one_line(error: &clap::Error, args: &[OsString]) -> String {
 
 /// The exit code of a reduction whose archive is there and does not meet its target.
 pub(crate) const TARGET_NOT_MET: u8 = 6;
+/// The exit code of a commit that has planned the next try for a target.
+pub(crate) const NEXT_TRY: u8 = 7;
 
 /// Runs a command; returns the exit code of one that did its work.
 fn run(cli: &Cli) -> Result<u8> {
@@ -175,7 +177,7 @@ fn run(cli: &Cli) -> Result<u8> {
         Command::Check(args) => check::run(args, &cli.talk),
         Command::Plan(args) => plan::run(args, &cli.talk),
         Command::Work(args) => work::run(args, &cli.talk),
-        Command::Commit(args) => commit::run(args, &cli.talk),
+        Command::Commit(args) => return commit::run(args, &cli.talk),
         Command::Status(args) => status::run(args),
         Command::Gc(args) => gc::run(args),
         Command::Slurm(args) => slurm::run(args, &cli.talk),

@@ -1,6 +1,6 @@
 //! `isospan plan`: a reduction in parts, for several processes or machines.
 
-use super::choices::PlanChoices;
+use super::choices::Choices;
 use super::grammar;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
@@ -11,19 +11,20 @@ use super::text;
 use isospan::Result;
 use isospan::pipeline::{PlanReport, RunSettings, plan_shards};
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Plan a reduction for several processes or machines.
 ///
 /// `work` makes shards of it, `commit` puts the archive together.
 /// The plan is written to ARCHIVE.work/plan.json and never changed. Any number of workers, in any
-/// order, make the same bytes as `reduce`. A worker decodes its part of a volume that is compressed
-/// in chunks. Every worker unpacks any other compressed volume, and sorts a mesh, for itself;
-/// `brick` such a volume first.
+/// order, make the same bytes as `reduce`. A target, as --target-rms, takes several tries: where
+/// `commit` ends with exit code 7, it has planned the next one. A worker decodes its part of a
+/// volume that is compressed in chunks. Every worker unpacks any other compressed volume, and sorts
+/// a mesh, for itself; `brick` such a volume first.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan plan scan.nrrd -o scan.isospan --shards 16\n  isospan plan 'step_*.vti' -o run.isospan --shards 64 --fraction 1/64"
+    after_help = "Examples:\n  isospan plan scan.nrrd -o scan.isospan --shards 16\n  isospan plan 'step_*.vti' -o run.isospan --shards 64 --target-rms 1%"
 )]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -35,7 +36,7 @@ pub(crate) struct Args {
     #[arg(help_heading = "Resources", long, value_name = "N", default_value = "1", value_parser = grammar::natural, allow_negative_numbers = true)]
     shards: u64,
     #[command(flatten)]
-    choices: PlanChoices,
+    choices: Choices,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -98,12 +99,15 @@ fn in_words(args: &Args, r: &PlanReport) -> String {
     if e.scratch_bytes > 0 {
         row("", format!("about {} of scratch", text::bytes(e.scratch_bytes)));
     }
-    let name = text::shell(&args.output);
-    let shard = match r.shards {
+    out + &next_commands(&args.output, r.shards)
+}
+
+/// The commands that come after a plan.
+pub(super) fn next_commands(archive: &Path, shards: u64) -> String {
+    let name = text::shell(archive);
+    let shard = match shards {
         1 => String::new(),
         n => format!(" --shard I/{n} (I = 0 .. {})", n - 1),
     };
-    let _ = writeln!(out, "next: isospan work {name}{shard}, then");
-    let _ = writeln!(out, "      isospan commit {name}");
-    out
+    format!("next: isospan work {name}{shard}, then\n      isospan commit {name}\n")
 }

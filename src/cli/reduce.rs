@@ -87,13 +87,14 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     bar.end();
     let report = report?;
     tell("reduce", &args.output, &report, args.json, talk)?;
-    Ok(match unmet(&report) {
-        Some(why) => {
-            super::print_error(&format!("{}: written, but {why}", args.output.display()));
-            super::TARGET_NOT_MET
-        }
-        None => 0,
-    })
+    Ok(code_of(&args.output, &report))
+}
+
+/// The exit code of an archive that is written; says so where a target was not met.
+pub(super) fn code_of(archive: &Path, report: &ReduceReport) -> u8 {
+    let Some(why) = unmet(report) else { return 0 };
+    super::print_error(&format!("{}: written, but {why}", archive.display()));
+    super::TARGET_NOT_MET
 }
 
 /// What a target lacks that was not met.
@@ -123,7 +124,7 @@ pub(super) fn tell(
 }
 
 /// What was reached, of what was wanted.
-fn reached_text(t: &TargetReport) -> String {
+pub(super) fn reached_text(t: &TargetReport) -> String {
     let four = |v: f64| text::value(text::figures(v, 4));
     match t.target {
         Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),

@@ -78,6 +78,9 @@ fn in_words(r: &StatusReport) -> String {
         (false, false) => "not finished",
     };
     let _ = writeln!(out, "  state      {state}");
+    if let Some(number) = r.try_number {
+        let _ = writeln!(out, "  try        {number}, for a target");
+    }
     let _ = writeln!(out, "  segments   {} of {} whole", text::count(r.done), text::count(r.segments));
     if !r.missing_shards.is_empty() {
         let (n, list) = (text::count(r.missing_shards.len() as u64), ranges(&r.missing_shards));

@@ -57,8 +57,8 @@ pub use reduce::{estimate_series, reduce_series};
 pub use reduction::Reduction;
 pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target, ValueBits};
 pub use shards::{
-    GcReport, PlanReport, Planned, StatusReport, WorkReport, collect_garbage, commit_shards, plan_shards,
-    planned, shard_status, work_shard,
+    Committed, GcReport, NextTry, PlanReport, Planned, StatusReport, WorkReport, collect_garbage,
+    commit_shards, plan_shards, planned, shard_status, work_shard,
 };
 pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};

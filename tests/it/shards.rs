@@ -178,6 +178,121 @@ fn a_series_is_done_in_shards() {
     }
 }
 
+/// Does the shards of a plan with a target and commits it, until the archive is there; returns how
+/// often, and the last exit code.
+fn tries(d: &Path, out: &str) -> (u32, i32) {
+    tries_from(d, out, 1)
+}
+
+fn tries_from(d: &Path, out: &str, first: u32) -> (u32, i32) {
+    for tries in first.. {
+        let status: serde_json::Value = serde_json::from_str(&ok(d, &["status", out, "--json"])).unwrap();
+        assert_eq!((&status["try"], &status["committed"]), (&tries.into(), &false.into()));
+        for n in status["missing_shards"].as_array().unwrap().iter().rev() {
+            work(d, out, &format!("{n}/{}", status["shards"]));
+        }
+        let (code, text, _) = run(d, &["commit", out]);
+        if code != 7 {
+            return (tries, code);
+        }
+        assert!(
+            text.contains(&format!("try {}", tries + 1)) && text.contains("next: isospan work"),
+            "{text}"
+        );
+        assert!(!d.join(out).exists());
+    }
+    unreachable!()
+}
+
+/// An error, a size, points that adapt, a mesh, a series, and what cannot be met.
+#[test]
+fn a_target_is_met_by_shards_as_by_one_process() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v0.npy"), [30, 24, 20], waves);
+    write_npy(&d.join("v1.npy"), [30, 24, 20], ball);
+    write_hexahedra(&d.join("m.vtk"), waves);
+    let cases: [(&str, &[&str], &[&str], i32); 7] = [
+        ("rms", &["v0.npy"], &["--target-rms", "2%"], 0),
+        ("max", &["v0.npy"], &["--target-max", "20%"], 0),
+        ("size", &["v0.npy"], &["--size", "8KiB"], 0),
+        ("adapted", &["v0.npy"], &["--target-rms", "3%", "--adapt"], 0),
+        ("mesh", &["m.vtk"], &["--target-rms", "8%"], 0),
+        ("series", &["v0.npy", "v1.npy"], &["--target-rms", "4%"], 0),
+        ("unmet", &["v0.npy"], &["--target-rms", "0.0001%", "--points", "hammersley"], 6),
+    ];
+    let mut most = 0;
+    for (name, inputs, target, expected) in cases {
+        let (whole, out) = (format!("{name}-whole.isospan"), format!("{name}.isospan"));
+        let rest = [target, &["--chunk-points", "120"]].concat();
+        let (code, ..) = run(d, &[&["reduce"], inputs, &["-o", &whole], &rest[..]].concat());
+        assert_eq!(code, expected, "{name}");
+        let args = [&["plan"], inputs, &["-o", &out, "--shards", "3"], &rest[..]].concat();
+        ok(d, &args);
+        let (tries, code) = tries(d, &out);
+        assert_eq!(code, expected, "{name}");
+        assert!(folder(&d.join(&out)) == folder(&d.join(&whole)), "{name}");
+        most = most.max(tries);
+        // The tries are gone; what is committed stays, and the same commands find it.
+        let work = fs::read_dir(d.join(format!("{out}.work"))).unwrap();
+        assert_eq!(work.map(|e| e.unwrap().file_name()).collect::<Vec<_>>(), ["plan.json"], "{name}");
+        run(d, &["commit", &out]);
+        assert!(folder(&d.join(&out)) == folder(&d.join(&whole)), "{name}");
+        ok(d, &["check", &out]);
+        assert!(ok(d, &["status", &out]).contains("committed"), "{name}");
+        let (code, error) = fails(d, &args);
+        assert!(code == 2 && error.contains("--force"), "{name}: {error}");
+    }
+    assert!(most > 2, "{most} tries");
+    let (code, error) = fails(d, &["plan", "v0.npy", "-o", "a.isospan", "--target-max", "9%", "--adapt"]);
+    assert!(code == 2 && error.contains("isospan reduce"), "{error}");
+}
+
+/// A commit that stops at any point goes on, and the same plan again leaves the search as it is.
+#[test]
+fn a_planned_search_goes_on_where_it_was() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [30, 24, 20], waves);
+    let target = ["--target-rms", "2%", "--chunk-points", "120"];
+    ok(d, &[&["reduce", "v.npy", "-o", "whole.isospan"], &target[..]].concat());
+    let planned = [&["plan", "v.npy", "-o", "a.isospan", "--shards", "2"], &target[..]].concat();
+    ok(d, &planned);
+    let plan_file = d.join("a.isospan.work/plan.json");
+    let first = fs::read(&plan_file).unwrap();
+    assert_eq!(fails(d, &["commit", "a.isospan"]).0, 3);
+    work(d, "a.isospan", "0/1");
+    assert_eq!(run(d, &["commit", "a.isospan"]).0, 7);
+    let second = fs::read(&plan_file).unwrap();
+    assert!(first != second);
+    // The same plan is no new beginning; another one is refused, and --force begins anew.
+    ok(d, &planned);
+    assert!(fs::read(&plan_file).unwrap() == second);
+    let other = [&planned[..3], &["a.isospan", "--target-rms", "3%"]].concat();
+    assert_eq!(fails(d, &other).0, 2);
+    ok(d, &[&planned[..], &["--force"]].concat());
+    assert!(fs::read(&plan_file).unwrap() == first);
+    work(d, "a.isospan", "0/1");
+    // As if the commit had been killed when the try was complete, but the next one not planned.
+    assert_eq!(run(d, &["commit", "a.isospan"]).0, 7);
+    fs::write(&plan_file, &first).unwrap();
+    work(d, "a.isospan", "0/1");
+    assert_eq!(run(d, &["commit", "a.isospan"]).0, 7);
+    assert!(fs::read(&plan_file).unwrap() == second);
+    let (_, code) = tries_from(d, "a.isospan", 2);
+    assert_eq!(code, 0);
+    assert!(folder(&d.join("a.isospan")) == folder(&d.join("whole.isospan")));
+    // As if it had been killed before the best try was moved.
+    fs::remove_file(d.join("a.isospan/manifest.json")).unwrap();
+    let number: serde_json::Value = serde_json::from_str(&ok(d, &["status", "a.isospan", "--json"])).unwrap();
+    let best = d.join(format!("a.isospan.work/planned-{}.isospan", number["try"]));
+    fs::rename(d.join("a.isospan"), &best).unwrap();
+    fs::copy(d.join("whole.isospan/manifest.json"), best.join("manifest.json")).unwrap();
+    assert!(ok(d, &["status", "a.isospan"]).contains("commit it"));
+    ok(d, &["commit", "a.isospan"]);
+    assert!(folder(&d.join("a.isospan")) == folder(&d.join("whole.isospan")));
+}
+
 fn write_vts(path: &Path) {
     let (n, mut points, mut values) = ([16, 14, 12], String::new(), String::new());
     for z in 0..n[2] {

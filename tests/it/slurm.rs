@@ -202,7 +202,7 @@ type Scene = (&'static str, fn(&Cluster));
 #[ignore = "starts a Slurm; tools/check runs it with ISOSPAN_SLURM_TESTS=1"]
 fn a_real_slurm_gives_the_bytes_of_reduce() {
     let cluster = Cluster::start();
-    let scenes: [Scene; 8] = [
+    let scenes: [Scene; 9] = [
         ("1, 3 and 16 shards", numbers_of_shards),
         ("a node without power", a_node_loses_power),
         ("a node without network", a_node_loses_the_network),
@@ -210,6 +210,7 @@ fn a_real_slurm_gives_the_bytes_of_reduce() {
         ("damage before the commit", commit_mends),
         ("nodes of different age", old_and_new_nodes),
         ("srun in an allocation", srun_in_an_allocation),
+        ("tries for a target", tries_for_a_target),
         ("nightly jobs", nightly_jobs),
     ];
     for (name, scene) in scenes {
@@ -227,6 +228,19 @@ fn numbers_of_shards(c: &Cluster) {
     }
     c.finish("shards");
     [1, 3, 16].iter().for_each(|n| c.same(&format!("s{n}.isospan")));
+}
+
+/// More tries than a commit submits missing shards: each try begins to count anew.
+fn tries_for_a_target(c: &Cluster) {
+    let target = ["--target-rms", "0.6%", "--chunk-points", "120", "--points", "hammersley"];
+    c.ok(&[&["reduce", "v.npy", "-o", "target-whole.isospan"], &target[..]].concat());
+    c.ok(&[&["plan", "v.npy", "-o", "target.isospan", "--shards", "3"], &target[..]].concat());
+    c.submit("target.isospan", &["--threads", "1", "--tries", "1"]);
+    c.finish("tries");
+    c.ok(&["gc", "target.isospan", "--older-than", "0s"]);
+    let [whole, made] = ["target-whole.isospan", "target.isospan"].map(|name| folder(&c.path().join(name)));
+    assert!(whole == made, "{:?}\n{}", made.keys(), c.logs("target.isospan"));
+    assert!(c.logs("target.isospan").contains("try 2"));
 }
 
 /// All that runs on the node ends at once; Slurm notices, and the tasks start again elsewhere.

@@ -10,7 +10,8 @@
 Each task is one `isospan work --shard I/N`. A shard may run twice at the same time, on any workers, so nothing has to be
 known of a worker that is gone: one that was killed is replaced at once, one that is frozen when the scheduler has not heard
 of it for `distributed.scheduler.worker-ttl` (set DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL=60s for a scheduler of your own).
-Exit code: that of `isospan commit`, 3 when shards are missing.
+A plan with a target takes several tries, each with a commit. Exit code: that of the last `isospan commit`, 3 when shards
+are missing.
 """
 
 import argparse
@@ -20,6 +21,10 @@ import sys
 
 import dask
 from dask.distributed import Client, LocalCluster, as_completed
+
+
+# The exit code of `isospan commit` when it has planned the next try for a target.
+NEXT_TRY = 7
 
 
 def arguments():
@@ -61,18 +66,21 @@ def main():
     machine += ["--scratch", args.scratch] if args.scratch else []
     status = [args.isospan, "status", args.archive, "--json"]
     status += ["--shards", str(args.shards)] if args.shards else []
-    state = json.loads(subprocess.run(status, check=True, capture_output=True, text=True).stdout)
-    shards, missing = state["shards"], state["missing_shards"]
-    print(f"{args.archive}: {len(missing)} of {shards} shards to do", flush=True)
     command = [args.isospan, "work", args.archive, "--quiet", *machine]
+    code = NEXT_TRY
     with connect(args) as client:
-        # Not pure: a shard that is asked for again is done again.
-        tasks = [client.submit(work, command, f"{i}/{shards}", retries=args.retries, pure=False) for i in missing]
-        for task in as_completed(tasks):
-            # A failure is told; commit finds out what it means.
-            text = task.result() if task.status == "finished" else f"failed: {task.exception()}"
-            print(text, flush=True)
-        return subprocess.run([args.isospan, "commit", args.archive, "--quiet", *machine]).returncode
+        while code == NEXT_TRY:
+            state = json.loads(subprocess.run(status, check=True, capture_output=True, text=True).stdout)
+            shards, missing = state["shards"], state["missing_shards"]
+            print(f"{args.archive}: {len(missing)} of {shards} shards to do", flush=True)
+            # Not pure: a shard that is asked for again is done again.
+            tasks = [client.submit(work, command, f"{i}/{shards}", retries=args.retries, pure=False) for i in missing]
+            for task in as_completed(tasks):
+                # A failure is told; commit finds out what it means.
+                text = task.result() if task.status == "finished" else f"failed: {task.exception()}"
+                print(text, flush=True)
+            code = subprocess.run([args.isospan, "commit", args.archive, "--quiet", *machine]).returncode
+    return code
 
 
 if __name__ == "__main__":

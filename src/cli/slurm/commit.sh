@@ -21,8 +21,8 @@ wait "$program"
 code=$?
 while kill -0 "$program" 2>/dev/null; do wait "$program"; code=$?; done
 
-# 3: segments are missing. 75: stopped before the time limit. Everything else is final.
-case $code in 3 | 75) ;; *) exit "$code" ;; esac
+# 3: segments are missing. 7: the next try for a target is planned. 75: stopped before the time limit. Everything else is final.
+case $code in 3 | 75) ;; 7) try=0 ;; *) exit "$code" ;; esac
 if [ "$try" -ge @TRIES@ ]; then
     echo "try $try of @TRIES@ was the last; isospan status tells what is missing" >&2
     exit "$code"
@@ -33,7 +33,7 @@ if [ -n "$missing" ]; then
     work=$(sbatch --parsable --array="$missing@THROTTLE@" @QUOTED_FOLDER@/work.sh) || exit
     after="afterany:${work%%;*},singleton"
 fi
-echo "try $try of @TRIES@: shards ${missing:-none} are missing and submitted again"
+echo "try $try of @TRIES@: shards ${missing:-none} are missing and submitted"
 sbatch --parsable --dependency="$after" --export="ALL,ISOSPAN_TRY=$((try + 1))" @QUOTED_FOLDER@/commit.sh || exit
 # Not committed yet: the job that was submitted will tell.
 exit "$code"

@@ -264,7 +264,7 @@ impl Plan {
     }
 
     /// The fingerprints of the sources, by the numbers of their steps.
-    pub(super) fn fingerprints(&self) -> BTreeMap<u64, &str> {
+    pub(in crate::pipeline) fn fingerprints(&self) -> BTreeMap<u64, &str> {
         self.steps.iter().map(|step| (step.number, &*step.source.fingerprint)).collect()
     }
 

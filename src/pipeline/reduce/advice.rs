@@ -113,9 +113,9 @@ impl Notice {
 
 /// How large a source is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct SourceSize {
+pub(in crate::pipeline) struct SourceSize {
     /// Its files, or its samples as they are stored, whichever is less.
-    pub(super) bytes: u64,
+    pub(in crate::pipeline) bytes: u64,
     /// Samples of all steps, or vertices.
     samples: u64,
     is_mesh: bool,
@@ -135,7 +135,7 @@ impl SourceSize {
 #[derive(Debug, Default)]
 pub(in crate::pipeline) struct Looked {
     pub(in crate::pipeline) notices: Vec<Notice>,
-    pub(super) size: Option<SourceSize>,
+    pub(in crate::pipeline) size: Option<SourceSize>,
 }
 
 impl Looked {

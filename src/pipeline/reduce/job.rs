@@ -32,6 +32,8 @@ pub(in crate::pipeline) enum Basis<'a> {
     New,
     /// The plan that was made before for all shards.
     Plan(&'a PlanFile),
+    /// The plan of the try before, of the same inputs, in a search for a target.
+    Try(&'a PlanFile),
     /// The archive to which the steps are added.
     Archive(&'a OpenArchive),
     /// The round before, in a search for a largest error.
@@ -72,7 +74,7 @@ impl<'a> Basis<'a> {
     /// The inputs: those that the plan was made from are not hashed again.
     pub(super) fn inputs(&self) -> Inputs<'a> {
         match *self {
-            Self::Plan(file) => Inputs::planned(&file.files, file.plan.fingerprints()),
+            Self::Plan(file) | Self::Try(file) => Inputs::planned(&file.files, file.plan.fingerprints()),
             _ => Inputs::default(),
         }
     }

@@ -27,6 +27,7 @@ mod planned;
 mod publish;
 mod report;
 mod reuse;
+mod search;
 mod series;
 mod sink;
 mod target;
@@ -48,14 +49,16 @@ pub use existing::archive_files;
 pub(super) use existing::{Existing, lock_for_writing, replace_archive, strays, sweep};
 pub(super) use job::{Basis, Job};
 use plan_file::new_archive;
-pub(super) use plan_file::{Cut, PlanFile};
+pub(super) use plan_file::{Cut, PlanFile, PlannedSearch, is_planned_try, planned_try};
 pub use plan_file::{plan_path, work_folder};
 use planned::make;
-pub(super) use planned::{Built, plan, publish, run};
+pub(super) use planned::{Built, Planned, plan, publish, run};
 pub use report::{ReduceReport, SourceChunks, TargetReport};
+pub(super) use search::TargetSearch;
 pub use series::SkippedStep;
 use std::path::Path;
 use std::time::Instant;
+pub(super) use target::publish_best;
 use target::reduce_to_target;
 
 /// Reduces a series of steps to the archive `out`: one mesh, and the values of each step.

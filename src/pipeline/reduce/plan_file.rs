@@ -5,6 +5,7 @@
 //!  tooth.isospan.work/          what makes it, and is no part of it
 //!      plan.json                this file
 //!      new.isospan/             the archive, where it replaces a finished one (--force)
+//!      planned-1.isospan/ …     a try, where a target is searched for
 //!      slurm/                   job scripts and logs, where Slurm runs it
 //! ```
 //!
@@ -18,7 +19,19 @@
 //!
 //! The file is written once and never changed: JSON, its last member a checksum of all bytes before
 //! it, as in a manifest.
+//!
+//! A target takes several tries, and each is a plan of its own, one after another:
+//!
+//! ```text
+//!  plan --target-rms ─▶ plan.json (try 1) ─▶ work ─▶ commit ─▶ plan.json (try 2) ─▶ work ─▶ …
+//!                                                      └─ the last one publishes the best try
+//! ```
+//!
+//! A try is made in `planned-1.isospan`, `planned-2.isospan`, … in the same folder. So a worker
+//! that is late writes nothing into the next try.
 
+use super::report::ReduceReport;
+use super::search::TargetSearch;
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::segment::PlanHash;
@@ -32,9 +45,11 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 const FORMAT: &str = "isospan plan";
-const FORMAT_VERSION: u16 = 2;
+const FORMAT_VERSION: u16 = 3;
 /// The most bytes of a plan: paths, settings, and a record for each step.
 const LARGEST_PLAN: u64 = 1 << 28;
+/// How the names of tries begin.
+const TRY: &str = "planned-";
 const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
 
 /// The folder of a plan, its job scripts and logs, next to the archive.
@@ -52,6 +67,18 @@ pub(super) fn new_archive(archive: &Path) -> PathBuf {
 /// Where the one that was replaced is until it is removed.
 pub(super) fn old_archive(archive: &Path) -> PathBuf {
     work_folder(archive).join("old.isospan")
+}
+
+/// Where a try of a planned search for a target is made.
+pub(in crate::pipeline) fn planned_try(archive: &Path, number: u32) -> PathBuf {
+    work_folder(archive).join(format!("{TRY}{number}.isospan"))
+}
+
+/// Whether a path in the folder of a plan is that of a try.
+pub(in crate::pipeline) fn is_planned_try(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let number = name.strip_prefix(TRY).and_then(|rest| rest.strip_suffix(".isospan"));
+    number.is_some_and(|number| number.parse::<u32>().is_ok())
 }
 
 /// Path of the plan of an archive.
@@ -81,7 +108,29 @@ pub(in crate::pipeline) struct PlanFile {
     /// The least memory of a worker.
     pub(in crate::pipeline) memory_least: u64,
     /// Whether a finished archive was there, which stays until this one is committed.
-    replaces: bool,
+    pub(in crate::pipeline) replaces: bool,
+    /// The search of which this plan is a try.
+    pub(in crate::pipeline) search: Option<PlannedSearch>,
+}
+
+/// A search for a target, a plan for each try.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(in crate::pipeline) struct PlannedSearch {
+    /// How far it is.
+    pub(in crate::pipeline) search: TargetSearch,
+    /// Shards that were asked for.
+    pub(in crate::pipeline) shards: u64,
+    /// Points of this try that are no samples of the boundary, or that a mesh was asked for.
+    pub(in crate::pipeline) inner_points: u64,
+    /// The error that is wanted, in units of the field, where it was predicted.
+    pub(in crate::pipeline) bound: Option<f64>,
+}
+
+impl PlannedSearch {
+    /// A search whose next try is planned, as its report says so far.
+    pub(in crate::pipeline) fn new(search: TargetSearch, shards: u64, planned: &ReduceReport) -> Self {
+        Self { search, shards, inner_points: planned.inner_points, bound: planned.bound }
+    }
 }
 
 /// How the work is cut.
@@ -91,6 +140,8 @@ pub(in crate::pipeline) struct Cut {
     pub(in crate::pipeline) memory_least: u64,
     /// Whether it replaces a finished archive.
     pub(in crate::pipeline) replaces: bool,
+    /// The search of which it is a try.
+    pub(in crate::pipeline) search: Option<PlannedSearch>,
 }
 
 impl PlanFile {
@@ -117,17 +168,45 @@ impl PlanFile {
             shards: cut.shards,
             memory_least: cut.memory_least,
             replaces: cut.replaces,
+            search: cut.search,
         })
     }
 
+    /// The plan of the best try, when the search is over; `settings` are those of that try.
+    pub(in crate::pipeline) fn of_best(
+        &self,
+        search: PlannedSearch,
+        settings: ReduceSettings,
+        best: &Manifest,
+    ) -> Self {
+        let steps = best.steps.iter().map(|step| step.plan.clone()).collect();
+        let plan = Plan { mesh: best.plan.clone(), steps };
+        Self {
+            mesh_hash: plan.mesh_hash(),
+            steps_hash: plan.steps_hash(),
+            plan,
+            chunks: best.counts.chunks,
+            settings,
+            search: Some(search),
+            ..self.clone()
+        }
+    }
+
     /// The folder in which the archive `out` is made: its own folder, or one next to it while its
-    /// own has a finished archive.
+    /// own has a finished archive, or while a target is searched for.
     pub(in crate::pipeline) fn root(&self, out: &Path) -> PathBuf {
-        let is_committed = || {
-            let manifest = Manifest::read(out);
-            manifest.is_ok_and(|manifest| self.plan.is_of(&manifest))
-        };
-        if self.replaces && !is_committed() { new_archive(out) } else { out.to_path_buf() }
+        match &self.search {
+            Some(PlannedSearch { search, .. }) => {
+                let made = planned_try(out, search.this_try());
+                if search.is_over() && !made.exists() { out.to_path_buf() } else { made }
+            }
+            None if self.replaces && !self.is_committed(out) => new_archive(out),
+            None => out.to_path_buf(),
+        }
+    }
+
+    fn is_committed(&self, out: &Path) -> bool {
+        Manifest::read(out).is_ok_and(|manifest| self.plan.is_of(&manifest))
     }
 
     /// The sources with the numbers of their steps.
@@ -195,8 +274,15 @@ impl PlanFile {
     }
 
     /// Whether two plans differ at most in the times of change of their files, which a copy has
-    /// anew.
-    fn is_alike(&self, other: &Self) -> bool {
+    /// anew, and in how far the search for a target is.
+    pub(in crate::pipeline) fn is_alike(&self, other: &Self) -> bool {
+        if let (Some(ours), Some(theirs)) = (&self.search, &other.search) {
+            let inputs = |plan: &Self| (plan.sources.clone(), plan.skipped.clone(), plan.replaces);
+            return ours.search.asks_as(&theirs.search)
+                && ours.shards == theirs.shards
+                && inputs(self) == inputs(other)
+                && self.plan.fingerprints() == other.plan.fingerprints();
+        }
         Self { files: self.files.clone(), ..other.clone() } == *self
     }
 

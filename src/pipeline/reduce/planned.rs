@@ -30,7 +30,7 @@ pub(in crate::pipeline) struct Planned {
     pub(super) need: Need,
     pub(super) input: PlannedInput,
     /// What there is to report so far.
-    pub(super) report: ReduceReport,
+    pub(in crate::pipeline) report: ReduceReport,
 }
 
 /// Where values come from.

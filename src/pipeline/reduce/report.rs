@@ -126,7 +126,12 @@ impl SourceChunks {
 impl ReduceReport {
     /// The report of the archive at `root`: all that its manifest says about the steps from
     /// position `first` on.
-    pub(super) fn of_archive(self, root: &Path, manifest: &Manifest, first: usize) -> Result<Self> {
+    pub(in crate::pipeline) fn of_archive(
+        self,
+        root: &Path,
+        manifest: &Manifest,
+        first: usize,
+    ) -> Result<Self> {
         let steps = &manifest.steps[first..];
         let counts = manifest.counts;
         let ranges = steps.iter().filter_map(Step::file_range);

@@ -32,7 +32,8 @@ use super::plan_file::work_folder;
 use super::planned::make;
 use super::report::{ReduceReport, TargetReport};
 use super::reuse::Round;
-use super::tries::{error_of, full_cells, publish, rename};
+use super::search::error_of;
+use super::tries::{full_cells, publish, rename};
 use crate::bytes::publish::remove_folder;
 use crate::cells::CellMesh;
 use crate::density::Choice;
@@ -88,7 +89,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
             continue;
         }
         let full_cells = Some(full_cells(&trying)?);
-        publish(job, &trying)?;
+        publish(job.settings, &trying, job.out)?;
         report.seconds = seconds;
         let reached = error;
         report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });

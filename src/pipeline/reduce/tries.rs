@@ -1,20 +1,12 @@
-//! Tries of a search for a target: their errors, and which one becomes the archive.
+//! The try that becomes the archive, when a target was searched for.
 
 use super::existing::replace_archive;
-use super::job::Job;
-use super::report::ReduceReport;
 use crate::archive::manifest::Manifest;
 use crate::error::{Error, Result};
 use crate::pipeline::plan::{Attachments, Plan};
-use crate::pipeline::settings::Target;
+use crate::pipeline::settings::ReduceSettings;
 use std::fs;
 use std::path::Path;
-
-/// The error of the worst step.
-pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
-    let which = usize::from(matches!(target, Target::Max(_)));
-    report.steps.iter().filter_map(|s| s.error).map(|e| e[which]).fold(0.0, f64::max)
-}
 
 /// Cells of an archive that have a point a sample or more, and all cells.
 pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
@@ -30,11 +22,11 @@ pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
 const FULL: f64 = 0.9;
 
 /// Puts a try in the place of the archive. One that is there is whole until then.
-pub(super) fn publish(job: &Job<'_>, best: &Path) -> Result<()> {
+pub(super) fn publish(settings: &ReduceSettings, best: &Path, out: &Path) -> Result<()> {
     let mut manifest = Manifest::read(best)?;
-    manifest.target = Some(job.settings.hash());
+    manifest.target = Some(settings.hash());
     manifest.write(best)?;
-    replace_archive(best, job.out)
+    replace_archive(best, out)
 }
 
 pub(super) fn rename(from: &Path, to: &Path) -> Result<()> {

@@ -207,7 +207,8 @@ impl Planner<'_> {
 
     /// Whether levels have to be found, and are not those of a plan or archive that is there.
     fn finds_levels(&self) -> bool {
-        self.job.settings.adapt.is_some() && matches!(self.job.basis, Basis::New | Basis::Archive(_))
+        self.job.settings.adapt.is_some()
+            && matches!(self.job.basis, Basis::New | Basis::Try(_) | Basis::Archive(_))
     }
 
     /// Makes points dense where that was found to be needed; or where it was when the plan was

@@ -20,6 +20,7 @@
 //! between machines but the archive. Where a source has chunks, each worker decodes those that it
 //! needs, if its memory holds them: see `inputs::access`.
 
+mod search;
 mod status;
 
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
@@ -32,7 +33,8 @@ use crate::pipeline::plan::{
 use crate::pipeline::read::{Depth, SegmentState};
 use crate::pipeline::reduce;
 use crate::pipeline::reduce::{
-    Basis, Built, Cut, Existing, Job, PlanFile, ReduceReport, SourceChunks, look, numbered, plan_path,
+    Basis, Built, Cut, Existing, Job, PlanFile, Planned as PlannedReduction, PlannedSearch, ReduceReport,
+    SourceChunks, TargetReport, TargetSearch, look, numbered, plan_path,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 use crate::pipeline::stage::{Stage, StageSeconds};
@@ -66,11 +68,11 @@ pub struct PlanReport {
 
 /// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and
 /// writes the plan next to it. With [`RunSettings::replace`] an existing archive and plan are
-/// replaced.
+/// replaced. Of a target it plans the first try: see [`Committed`].
 ///
 /// # Errors
 /// As [`Reduction::write`](crate::Reduction::write); [`Error::Usage`] when there is another plan
-/// already.
+/// already, and for a largest error with points that adapt.
 pub fn plan_shards(
     sources: &[StepSource],
     settings: &ReduceSettings,
@@ -82,42 +84,61 @@ pub fn plan_shards(
     if shards == 0 {
         return Err(Error::usage("at least one shard"));
     }
-    if settings.target.is_some() {
-        return Err(Error::usage(
-            "a target is met by trying: reduce does that; a plan has a count or a fraction",
-        ));
-    }
     let _lock = reduce::lock_for_writing(out)?;
     let existing = Existing::at(out)?;
     existing.refuse_overwriting(out, run.replace)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, basis: Basis::New };
-    let notices = look(&job)?.notices;
-    let planned = reduce::plan(&job, false)?;
-    let mut needs = planned.estimate.clone();
-    needs.notices = notices;
-    let (memory_least, replaces) = (needs.memory_least, existing.is_finished());
-    // A shard has whole segments: more shards than segments would have nothing to do.
-    let shards = shards.min(planned.layout(out).segment_count());
-    let cut = Cut { chunks: planned.parts.chunks.len(), shards, memory_least, replaces };
+    let looked = look(&job)?;
+    let search = search::begin_search(settings, looked.size.map(|size| size.bytes))?;
+    let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
+    let planned = reduce::plan(&Job { settings, ..job }, false)?;
+    let (needs, replaces) = (&planned.estimate, existing.is_finished());
+    let search = search.map(|search| PlannedSearch::new(search, shards, &planned.report));
+    let cut = Cut {
+        chunks: planned.parts.chunks.len(),
+        // A shard has whole segments: more shards than segments would have nothing to do.
+        shards: shards.min(planned.layout(out).segment_count()),
+        memory_least: needs.memory_least,
+        replaces,
+        search,
+    };
     let file = PlanFile::new(settings, &planned.series, cut)?;
+    let mut report = PlanReport::of(&file, &planned, out);
+    report.needs.notices = looked.notices;
+    if file.search.is_some() && !run.replace && PlanFile::read(out).is_ok_and(|there| file.is_alike(&there)) {
+        // The search may be at a later try.
+        return Ok(report);
+    }
+    search::remove_tries(out, &[])?;
+    begin(&file, &planned, out, run)?;
+    Ok(report)
+}
+
+/// Makes the place of an archive that is planned, and writes the plan.
+fn begin(file: &PlanFile, planned: &PlannedReduction, out: &Path, run: &RunSettings) -> Result<()> {
     let root = file.root(out);
     let layout = planned.layout(&root);
     // Before the plan is there: a worker finds no work of another one.
     Existing::at(&root)?.compare(&root, &file.plan, run)?.make_place(&layout)?;
     file.write(out, run.replace)?;
-    planned.begin(&layout)?;
-    let segments = layout.segment_count();
-    let shard_segments = segments.div_ceil(shards);
-    Ok(PlanReport {
-        plan: plan_path(out),
-        hash: [file.mesh_hash, file.steps_hash].map(|h| h.to_string()),
-        shards,
-        segments,
-        shard_segments,
-        shard_seconds: needs.seconds * shard_segments as f64 / segments.max(1) as f64,
-        needs,
-    })
+    planned.begin(&layout)
+}
+
+impl PlanReport {
+    fn of(file: &PlanFile, planned: &PlannedReduction, out: &Path) -> Self {
+        let (needs, segments) = (planned.estimate.clone(), planned.layout(out).segment_count());
+        let shard_segments = segments.div_ceil(file.shards);
+        Self {
+            plan: plan_path(out),
+            hash: [file.mesh_hash, file.steps_hash].map(|h| h.to_string()),
+            shards: file.shards,
+            segments,
+            shard_segments,
+            shard_seconds: needs.seconds * shard_segments as f64 / segments.max(1) as f64,
+            needs,
+        }
+    }
 }
 
 /// What of a plan a job script needs.
@@ -229,42 +250,93 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
     Err(Error::usage(format!("{} {text}", out.display())))
 }
 
+/// What a commit came to.
+#[derive(Clone, Debug, Serialize)]
+#[serde(untagged)]
+pub enum Committed {
+    /// The archive is there.
+    Archive(Box<ReduceReport>),
+    /// A try of a search for a target is complete, and the next one is planned: it takes workers
+    /// and a commit again.
+    NextTry(Box<NextTry>),
+}
+
+/// A try of a search for a target, and the one after it.
+#[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
+pub struct NextTry {
+    /// What the try came to.
+    pub target: TargetReport,
+    /// The plan of the next one.
+    pub next: PlanReport,
+}
+
 /// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes
-/// nothing but what dead processes of this machine have left unfinished.
+/// nothing but what dead processes of this machine have left unfinished. Where a target is searched
+/// for, it may plan the next try instead.
 ///
 /// # Errors
 /// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
-pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<ReduceReport> {
+pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<Committed> {
     let started = Instant::now();
     let _lock = reduce::lock_for_writing(out)?;
     let file = PlanFile::read(out)?;
     expect_no_other_archive(out, &file)?;
+    if let Some(planned) = file.search.as_ref().filter(|planned| planned.search.is_over()) {
+        let report = search::finish(&file, planned, None, out)?;
+        return Ok(Committed::Archive(Box::new(report.finished(started))));
+    }
     let root = file.root(out);
-    Inventory::new(&root, &file).expect_whole(run, progress)?;
+    let report = publish(&file, &root, run, progress, started)?;
+    if let Some(planned) = &file.search {
+        return search::next(
+            &file,
+            planned,
+            report.finished(started),
+            &search::Commit { out, run, progress },
+        );
+    }
+    if root != out {
+        reduce::replace_archive(&root, out)?;
+    }
+    Ok(Committed::Archive(Box::new(report.finished(started))))
+}
+
+/// Makes the segments in the folder `root` an archive.
+fn publish(
+    file: &PlanFile,
+    root: &Path,
+    run: &RunSettings,
+    progress: &dyn Progress,
+    started: Instant,
+) -> Result<ReduceReport> {
+    Inventory::new(root, file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
-    let parts = mesh_parts(&root, &file.plan)?;
+    let parts = mesh_parts(root, &file.plan)?;
     let shares = Need::of(&parts).shares(run.resources.memory, run.resources.worker_threads())?;
-    let layout = Layout::new(&root, parts.chunks.len(), 0);
-    let samples = match &file.plan.first().source.mesh {
-        Some(mesh) => mesh.vertices,
-        None => file.plan.first().source.dims.iter().product(),
-    };
-    let seconds = vec![(Stage::Verify, verified)];
-    let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
+    let layout = Layout::new(root, parts.chunks.len(), 0);
+    let report = ReduceReport { seconds: vec![(Stage::Verify, verified)], ..planned_report(file) };
     // The vertices of a mesh are read once more, to measure; for a volume, workers have done that.
     let is_read = file.settings.measure && file.plan.first().source.mesh.is_some();
     let watch = if is_read { file.expect_same_inputs(run)? } else { Watch::default() };
     let series = file.series(watch);
-    let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(&file));
-    let job = Job { sources, settings, out: &root, run, progress, basis };
+    let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(file));
+    let job = Job { sources, settings, out: root, run, progress, basis };
     let built = Built::of_shards(series, parts, shares, &layout, report)?;
     let report = reduce::publish(built, &job, &layout)?;
     // What commits and workers of this machine have left that were killed.
     reduce::sweep(&layout);
-    if root != out {
-        reduce::replace_archive(&root, out)?;
-    }
-    Ok(report.finished(started))
+    Ok(report)
+}
+
+/// What a plan says for the report of its archive.
+fn planned_report(file: &PlanFile) -> ReduceReport {
+    let samples = match &file.plan.first().source.mesh {
+        Some(mesh) => mesh.vertices,
+        None => file.plan.first().source.dims.iter().product(),
+    };
+    let (inner_points, bound) = file.search.as_ref().map_or((0, None), |s| (s.inner_points, s.bound));
+    ReduceReport { samples, inner_points, bound, ..ReduceReport::default() }
 }
 
 /// The parts of a plan, with what is stored in the archive.

@@ -114,6 +114,9 @@ pub struct StatusReport {
     pub archive: PathBuf,
     /// Whether it is committed: there is a manifest.
     pub committed: bool,
+    /// The number of the try that is planned, where a target is searched for: the first is 1.
+    #[serde(rename = "try", skip_serializing_if = "Option::is_none")]
+    pub try_number: Option<u32>,
     /// Segments of the plan.
     pub segments: u64,
     /// Those of them that are complete.
@@ -158,6 +161,7 @@ pub fn shard_status(
     Ok(StatusReport {
         archive: out.to_path_buf(),
         committed: root == out && out.join(MANIFEST_NAME).exists(),
+        try_number: file.search.as_ref().map(|planned| planned.search.this_try()),
         segments: inventory.segments(),
         done: inventory.segments() - faults.chunk_by(|a, b| a.segment == b.segment).count() as u64,
         shards,

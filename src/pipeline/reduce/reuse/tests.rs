@@ -125,8 +125,12 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
         watch: Default::default(),
     };
     let chunks = manifest.counts.chunks;
-    let file =
-        PlanFile::new(&settings, &series, Cut { chunks, shards, memory_least: 0, replaces: false }).unwrap();
+    let file = PlanFile::new(
+        &settings,
+        &series,
+        Cut { chunks, shards, memory_least: 0, replaces: false, search: None },
+    )
+    .unwrap();
     file.write(out, false).unwrap();
     Layout::new(out, chunks, 0).make_folders().unwrap();
     attachments.write(out, file.mesh_hash).unwrap();

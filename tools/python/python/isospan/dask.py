@@ -76,19 +76,22 @@ def reduce(
     )
     machine = _machine(threads, memory, scratch)
     with Reporter(progress) as callback:
-        _isospan.plan(arguments, shards, callback)
-        state = _isospan.status(out)
-        tasks = [
-            client.submit(
-                _isospan.work, out, f"{n}/{state['shards']}", machine, retries=retries, pure=False
-            )
-            for n in state["missing_shards"]
-        ]
-        try:
-            _wait(tasks, callback)
-        finally:
-            client.cancel(tasks)
-        report = _isospan.commit(out, _machine(0, None, scratch), callback)
+        report = _isospan.plan(arguments, shards, callback)
+        # A target takes several tries; a commit reports the plan of the next one.
+        while "plan" in report:
+            state = _isospan.status(out)
+            tasks = [
+                client.submit(
+                    _isospan.work, out, f"{n}/{state['shards']}", machine, retries=retries, pure=False
+                )
+                for n in state["missing_shards"]
+            ]
+            try:
+                _wait(tasks, callback)
+            finally:
+                client.cancel(tasks)
+            report = _isospan.commit(out, _machine(0, None, scratch), callback)
+            report = report.get("next", report)
     archive = Archive(out)
     archive.report = report
     return archive

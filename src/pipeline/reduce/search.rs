@@ -1,0 +1,418 @@
+//! The search for the number of points that has a wanted error or size: which try comes next.
+//!
+//! ```text
+//!  settings ─▶ next_settings ─▶ a reduction ─▶ its report ─▶ note ─▶ next_settings ─▶ … until it is over
+//! ```
+//!
+//! It knows nothing of how a try is made: one process makes all ([`super::target`]), or shards do,
+//! with a plan for each ([`super::plan_file`]), which stores the search between two tries.
+
+use super::report::{ReduceReport, TargetReport};
+use crate::error::{Error, Result};
+use crate::pipeline::settings::{Amount, Bound, ReduceSettings, Target, ValueBits};
+use crate::points::SetKind;
+use serde::{Deserialize, Serialize};
+
+impl Target {
+    /// The bound, in units of the field or in bytes, known from the first try.
+    fn limit(self, report: &ReduceReport, source: Option<u64>) -> Result<f64> {
+        match self {
+            Self::Rms(bound) | Self::Max(bound) => {
+                let range = source_range(report).map(|r| r.map(|v| v as f32)).unwrap_or_default();
+                Ok(report.bound.unwrap_or_else(|| bound.in_units(range)))
+            }
+            Self::Size(bytes) => Ok(bytes as f64),
+            Self::Ratio(ratio) => match source {
+                Some(source) => Ok(source as f64 / ratio),
+                None => Err(Error::usage("the bytes of the source are not known: give a size")),
+            },
+        }
+    }
+
+    /// The error or the size that an archive has; with several steps, that of the worst one.
+    fn reached(self, report: &ReduceReport) -> f64 {
+        match self {
+            Self::Rms(_) | Self::Max(_) => error_of(self, report),
+            Self::Size(_) | Self::Ratio(_) => (report.archive_bytes + RECORD) as f64,
+        }
+    }
+}
+
+/// Bytes of the manifest that state the target, at most.
+const RECORD: u64 = 64;
+
+/// The range of the samples, of all steps as far as it is known.
+fn source_range(report: &ReduceReport) -> Option<[f64; 2]> {
+    let of_steps = report.steps.iter().filter_map(|s| s.range);
+    let of_first = report.error.as_ref().and_then(|e| e.source_range);
+    of_first.into_iter().chain(of_steps).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+}
+
+/// Tries, at most.
+const MOST_TRIES: u32 = 10;
+/// The aim of a try, as a part of the bound; and the part that is good enough.
+const AIM: f64 = 0.985;
+const NEAR: f64 = 0.96;
+/// A number of points that is this close to one that does not suffice is the least.
+const LEAST_STEP: f64 = 1.03;
+
+/// A try: the number of points, or of samples a point where a size is wanted, and the error or the
+/// size with it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Try {
+    amount: f64,
+    reached: f64,
+}
+
+/// The tries so far.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Search {
+    bound: f64,
+    /// The amount is not less than the first of these, and not more than the second.
+    limits: [f64; 2],
+    /// The bounded quantity is about the amount to the negative of this power.
+    usual: f64,
+    tries: Vec<Try>,
+}
+
+impl Search {
+    /// The largest number that does not do, and the smallest that does.
+    fn bracket(&self) -> [Option<Try>; 2] {
+        let by_amount = |a: &&Try, b: &&Try| a.amount.total_cmp(&b.amount);
+        let does = self.tries.iter().filter(|t| t.reached <= self.bound).min_by(by_amount).copied();
+        let below = |t: &&Try| t.reached > self.bound && does.is_none_or(|d| t.amount < d.amount);
+        [self.tries.iter().filter(below).max_by(by_amount).copied(), does]
+    }
+
+    /// The next amount; `None` when the best one is found.
+    fn next(&self) -> Option<f64> {
+        let [least, cap] = self.limits;
+        let [low, high] = self.bracket();
+        if self.tries.len() as u32 >= MOST_TRIES && (high.is_some() || low.is_some_and(|l| l.amount >= cap)) {
+            return None;
+        }
+        let amount = match (low, high) {
+            (_, Some(h)) if h.reached >= NEAR * self.bound => return None,
+            (Some(l), Some(h)) if h.amount <= LEAST_STEP * l.amount => return None,
+            (Some(l), Some(h)) => {
+                let step = libm::sqrt(LEAST_STEP);
+                self.aimed(l).clamp(l.amount * step, (h.amount / step).max(l.amount * step))
+            }
+            (Some(l), None) if l.amount >= cap => return None,
+            // After many tries all that is possible.
+            (Some(l), None) if self.tries.len() as u32 + 1 >= MOST_TRIES => cap.max(l.amount),
+            (Some(l), None) => self.aimed(l).clamp(l.amount * 1.05, l.amount * 8.0),
+            (None, Some(h)) if h.amount <= least => return None,
+            (None, Some(h)) => self.aimed(h).clamp(h.amount / 8.0, h.amount * 0.95),
+            (None, None) => return None,
+        };
+        Some(amount.clamp(least, cap))
+    }
+
+    /// The amount at which the power law through a try has what is aimed at.
+    fn aimed(&self, from: Try) -> f64 {
+        let others = self.tries.iter().filter(|t| t.amount != from.amount && t.reached > 0.0);
+        let distance = |t: &&Try| libm::fabs(libm::log(t.amount / from.amount));
+        let nearest = others.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let power = nearest.map_or(self.usual, |t| {
+            let power = -libm::log(t.reached / from.reached) / libm::log(t.amount / from.amount);
+            if power.is_finite() { power.clamp(0.1, 2.0) } else { self.usual }
+        });
+        if from.reached <= 0.0 {
+            return from.amount / 8.0;
+        }
+        from.amount * libm::pow(from.reached / (AIM * self.bound), 1.0 / power)
+    }
+}
+
+/// The powers between errors and numbers of points, and between sizes and samples a point: archives
+/// have a manifest besides.
+const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
+
+/// A lattice's values are rounded to a step of this many times the RMS error.
+const STEP: f64 = 1.4;
+/// They have this many bits while nothing is known about the error, and bits in this range
+/// otherwise.
+const USUAL_BITS: u8 = 6;
+const BITS: [f64; 2] = [4.0, 16.0];
+/// Points a sample where a size is wanted, at most.
+const MOST_A_SAMPLE: f64 = 4.0;
+
+/// The bits of values of the tries.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Rounding {
+    /// Whether they are chosen here.
+    is_chosen: bool,
+    bits: ValueBits,
+    /// Tries whose results have been used to choose the bits.
+    learned: u32,
+}
+
+impl Rounding {
+    fn new(settings: &ReduceSettings, target: Target) -> Self {
+        let is_chosen = settings.points == Some(SetKind::Bcc) && settings.value_bits == ValueBits::Usual;
+        let mut rounding = Self { is_chosen, bits: settings.value_bits, learned: 0 };
+        if is_chosen {
+            rounding.bits = ValueBits::Bits(USUAL_BITS);
+            if let Some(Bound::OfRange(part)) = target.bound() {
+                rounding.choose(target, part);
+            }
+        }
+        rounding
+    }
+
+    /// For an error of this part of the range.
+    fn choose(&mut self, target: Target, part: f64) {
+        // The largest error is several times the RMS error.
+        let part = if let Target::Max(_) = target { part / 8.0 } else { part };
+        if part > 0.0 && part.is_finite() {
+            let bits = (-libm::log2(STEP * part)).round().clamp(BITS[0], BITS[1]);
+            self.bits = ValueBits::Bits(bits as u8);
+        }
+    }
+
+    /// Chooses the bits by the results of the first and the second try. Returns whether they have
+    /// changed: then earlier tries cannot be compared with later ones.
+    fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
+        let before = self.bits;
+        let range = source_range(report).filter(|_| self.is_chosen && self.learned < 2);
+        if let Some([lo, hi]) = range {
+            self.learned += 1;
+            let error = match target.bound() {
+                Some(_) => bound,
+                None => error_of(Target::Rms(Bound::Value(bound)), report),
+            };
+            self.choose(target, error / (hi - lo));
+        }
+        self.bits != before
+    }
+}
+
+/// The best try so far.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct BestTry {
+    number: u32,
+    made: Try,
+    settings: ReduceSettings,
+}
+
+/// A search between two tries: all that the next try follows from. One process makes all tries, or
+/// shards do, with a plan for each.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(in crate::pipeline) struct TargetSearch {
+    target: Target,
+    /// Bytes of the source, if known.
+    source: Option<u64>,
+    /// The settings that ask for the target.
+    settings: ReduceSettings,
+    rounding: Rounding,
+    search: Option<Search>,
+    /// Points of the next try; of the first they follow from the settings.
+    count: Option<u64>,
+    /// Tries that were made.
+    tries: u32,
+    /// Chunks of all these together.
+    chunks: u64,
+    best: Option<BestTry>,
+    is_over: bool,
+}
+
+impl TargetSearch {
+    /// A search that begins. `source` is the number of bytes of the source, if known.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a target that cannot be one.
+    pub(in crate::pipeline) fn new(
+        settings: &ReduceSettings,
+        target: Target,
+        source: Option<u64>,
+    ) -> Result<Self> {
+        target.check(settings)?;
+        Ok(Self {
+            target,
+            source,
+            settings: settings.clone(),
+            rounding: Rounding::new(settings, target),
+            search: None,
+            count: None,
+            tries: 0,
+            chunks: 0,
+            best: None,
+            is_over: false,
+        })
+    }
+
+    /// The number of the next try: the first is 1.
+    pub(in crate::pipeline) fn next_try(&self) -> u32 {
+        self.tries + 1
+    }
+
+    /// The number of the try that a plan is of: the next one, or the best when the search is over.
+    pub(in crate::pipeline) fn this_try(&self) -> u32 {
+        self.best_try().filter(|_| self.is_over).unwrap_or_else(|| self.next_try())
+    }
+
+    /// The number of the best try so far.
+    pub(in crate::pipeline) fn best_try(&self) -> Option<u32> {
+        self.best.as_ref().map(|best| best.number)
+    }
+
+    /// The settings of the best try so far.
+    pub(in crate::pipeline) fn best_settings(&self) -> Option<&ReduceSettings> {
+        self.best.as_ref().map(|best| &best.settings)
+    }
+
+    /// Whether the best try is what was searched for.
+    pub(in crate::pipeline) fn is_over(&self) -> bool {
+        self.is_over
+    }
+
+    /// Whether it began with the same question.
+    pub(in crate::pipeline) fn asks_as(&self, other: &Self) -> bool {
+        (self.target, self.source, &self.settings) == (other.target, other.source, &other.settings)
+    }
+
+    /// The settings of the next try.
+    pub(in crate::pipeline) fn next_settings(&self) -> ReduceSettings {
+        // For adapted points, the number of points that an error asks for is predicted.
+        let adapts = self.settings.adapt.is_some();
+        let predicted = self.settings.target.filter(|t| adapts && t.bound().is_some());
+        let settings = ReduceSettings { value_bits: self.rounding.bits, ..self.settings.clone() };
+        match self.count {
+            None => ReduceSettings { target: predicted, ..settings },
+            Some(count) => ReduceSettings { target: None, amount: Amount::Count(count), ..settings },
+        }
+    }
+
+    /// Notes the result of a try, and returns it. The try may be the best one now, and the last.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where the bytes of the source must be known.
+    pub(in crate::pipeline) fn note(&mut self, report: &ReduceReport) -> Result<TargetReport> {
+        let (target, samples, settings) = (self.target, report.samples as f64, self.next_settings());
+        let bound = match &self.search {
+            Some(search) => search.bound,
+            None => target.limit(report, self.source)?,
+        };
+        let is_size = target.bound().is_none();
+        let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, samples] };
+        let usual = USUAL_POWERS[usize::from(is_size)];
+        let search = self.search.get_or_insert_with(|| Search { bound, limits, usual, tries: vec![] });
+        // This is the number that was asked for, because the resulting number is rounded: the limit
+        // must be reached.
+        let points = self.count.unwrap_or(report.inner_points).max(1) as f64;
+        let amount = if is_size { samples / points } else { points };
+        let made = Try { amount, reached: target.reached(report) };
+        search.tries.push(made);
+        self.tries += 1;
+        self.chunks += report.chunks;
+        let mut next = search.next();
+        let changes = self.rounding.learn(target, bound, report);
+        if changes {
+            next = next.or(Some(amount));
+            search.tries.clear();
+            self.best = None;
+        }
+        let better = self.best.as_ref().is_none_or(|best| made.amount < best.made.amount);
+        // The try at the cap is all that is possible.
+        if !changes && (made.reached <= bound && better || next.is_none() && self.best.is_none()) {
+            self.best = Some(BestTry { number: self.tries, made, settings });
+        }
+        self.count = next
+            .map(|amount| if is_size { samples / amount } else { amount })
+            .map(|count| count.round().max(1.0) as u64);
+        self.is_over = next.is_none();
+        Ok(self.report(made, bound, None))
+    }
+
+    /// What one of the tries came to.
+    fn report(&self, made: Try, bound: f64, full_cells: Option<[u64; 2]>) -> TargetReport {
+        TargetReport {
+            target: self.target,
+            bound,
+            reached: made.reached,
+            met: made.reached <= bound,
+            tries: self.tries,
+            meshed_chunks: [self.chunks; 2],
+            full_cells,
+        }
+    }
+
+    /// What the best try came to. `full_cells` are those of adapted points.
+    pub(super) fn best_report(&self, full_cells: Option<[u64; 2]>) -> TargetReport {
+        let (Some(BestTry { made, .. }), Some(search)) = (&self.best, &self.search) else {
+            unreachable!("the last try is the best if no other is")
+        };
+        self.report(*made, search.bound, full_cells)
+    }
+
+    /// Whether its points adapt.
+    pub(super) fn adapts(&self) -> bool {
+        self.settings.adapt.is_some()
+    }
+
+    /// The settings that ask for the target.
+    pub(super) fn settings(&self) -> &ReduceSettings {
+        &self.settings
+    }
+}
+
+/// The error of the worst step.
+pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
+    let which = usize::from(matches!(target, Target::Max(_)));
+    report.steps.iter().filter_map(|s| s.error).map(|e| e[which]).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// How many tries a field takes, and the number of points that is kept; the second is the least
+    /// one.
+    fn look(bound: f64, cap: f64, first: f64, error: impl Fn(f64) -> f64) -> (usize, Option<f64>) {
+        let tries = vec![Try { amount: first, reached: error(first) }];
+        let usual = USUAL_POWERS[0];
+        let mut search = Search { bound, limits: [1.0, cap], usual, tries };
+        while let Some(n) = search.next() {
+            search.tries.push(Try { amount: n.round(), reached: error(n.round()) });
+        }
+        (search.tries.len(), search.bracket()[1].map(|t| t.amount))
+    }
+
+    #[test]
+    fn power_laws_are_met_by_the_third_try() {
+        for power in [0.25, 0.5, 1.0, 1.4] {
+            for first in [30.0, 1e4, 3e5] {
+                let (tries, points) = look(0.01, 1e9, first, |n| n.powf(-power));
+                let least = 0.01f64.powf(-1.0 / power);
+                if least < 1e9 {
+                    let points = points.unwrap();
+                    assert!(
+                        points >= least * 0.999 && points <= least * 1.2,
+                        "{power} {first}: {points} {least}"
+                    );
+                    assert!(tries <= 9, "{power} {first}: {tries} tries");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn uneven_errors_end_as_well() {
+        // Steps: there is no number of points near the bound.
+        let (tries, points) = look(1.0, 1e6, 100.0, |n| if n < 5000.0 { 7.0 } else { 0.2 });
+        assert!(tries <= 10 && points.is_some_and(|n| (5000.0..20_000.0).contains(&n)), "{tries} {points:?}");
+        // Up and down.
+        let (tries, points) = look(1.0, 1e6, 100.0, |n| (2e3 / n) * (1.0 + 0.3 * (n / 50.0).sin()));
+        assert!(tries <= 10 && points.is_some_and(|n| n < 4000.0), "{tries} {points:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_met_ends_at_the_cap() {
+        let (tries, points) = look(0.1, 5e4, 100.0, |_| 3.0);
+        assert!(tries <= 10 && points.is_none(), "{tries} {points:?}");
+        // And what is exact, with nearly no point.
+        let (tries, points) = look(0.1, 5e4, 1e4, |_| 0.0);
+        assert!(tries <= 10 && points.is_some_and(|n| n < 10.0), "{tries} {points:?}");
+    }
+}

@@ -1,0 +1,121 @@
+//! A search for a target by shards: each try is a plan of its own. The commit of a try plans the
+//! next one, or publishes the best of all.
+
+use super::{Committed, NextTry, PlanReport, begin, planned_report};
+use crate::archive::manifest::Manifest;
+use crate::bytes::publish::remove_folder;
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::pipeline::reduce::{
+    self, Basis, Cut, Existing, Job, PlanFile, PlannedSearch, ReduceReport, TargetSearch, is_planned_try,
+    planned_try, work_folder,
+};
+use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The search that some settings ask for, if they do. `source` is the number of bytes of the
+/// source, if known.
+///
+/// # Errors
+/// [`Error::Usage`] for a target that shards do not meet.
+pub(super) fn begin_search(settings: &ReduceSettings, source: Option<u64>) -> Result<Option<TargetSearch>> {
+    let Some(target) = settings.target else { return Ok(None) };
+    if let (Target::Max(_), true) = (target, settings.adapt.is_some()) {
+        return Err(Error::usage(
+            "a largest error with points that adapt is met by one process: use isospan reduce",
+        ));
+    }
+    TargetSearch::new(settings, target, source).map(Some)
+}
+
+/// How a commit is made.
+pub(super) struct Commit<'a> {
+    pub(super) out: &'a Path,
+    pub(super) run: &'a RunSettings,
+    pub(super) progress: &'a dyn Progress,
+}
+
+/// Notes the report of a try that is complete. Plans the next one, or publishes the best.
+pub(super) fn next(
+    file: &PlanFile,
+    planned: &PlannedSearch,
+    report: ReduceReport,
+    commit: &Commit<'_>,
+) -> Result<Committed> {
+    let &Commit { out, run, progress } = commit;
+    let (mut search, made) = (planned.search.clone(), planned.search.next_try());
+    let target = search.note(&report)?;
+    let best = search.best_try();
+    if search.is_over() {
+        let number = best.expect("the last try is the best if no other is");
+        let manifest = Manifest::read(&planned_try(out, number))?;
+        let settings = search.best_settings().expect("there is a best try").clone();
+        let planned = PlannedSearch { search, ..planned.clone() };
+        let file = file.of_best(planned.clone(), settings, &manifest);
+        // From now on the same commit goes on here.
+        file.write(out, true)?;
+        let report = Some(report).filter(|_| number == made);
+        return finish(&file, &planned, report, out).map(|report| Committed::Archive(Box::new(report)));
+    }
+    let (settings, sources) = (&search.next_settings(), &file.numbered());
+    let run = &RunSettings { replace: true, keep_going: false, ..run.clone() };
+    let root = &planned_try(out, search.next_try());
+    let job = Job { sources, settings, out: root, run, progress, basis: Basis::Try(file) };
+    let reduction = reduce::plan(&job, false)?;
+    let shards = planned.shards;
+    let cut = Cut {
+        chunks: reduction.parts.chunks.len(),
+        shards: shards.min(reduction.layout(root).segment_count()),
+        memory_least: reduction.estimate.memory_least,
+        replaces: file.replaces,
+        search: Some(PlannedSearch::new(search, shards, &reduction.report)),
+    };
+    let file = PlanFile::new(settings, &reduction.series, cut)?;
+    let next = PlanReport::of(&file, &reduction, out);
+    begin(&file, &reduction, out, run)?;
+    remove_tries(out, &[Some(made + 1), best])?;
+    Ok(Committed::NextTry(Box::new(NextTry { target, next })))
+}
+
+/// Makes the best try the archive. `report` is of that try, where it was the last.
+pub(super) fn finish(
+    file: &PlanFile,
+    planned: &PlannedSearch,
+    report: Option<ReduceReport>,
+    out: &Path,
+) -> Result<ReduceReport> {
+    let number = planned.search.best_try().expect("the last try is the best if no other is");
+    let best = planned_try(out, number);
+    if !best.exists() {
+        let manifest = Manifest::read(out)?;
+        let report = ReduceReport { made_before: true, ..planned_report(file) };
+        return report.of_archive(out, &manifest, 0);
+    }
+    Existing::at(out)?.refuse_overwriting(out, file.replaces)?;
+    let report = match report {
+        Some(report) => report,
+        None => planned_report(file).of_archive(&best, &Manifest::read(&best)?, 0)?,
+    };
+    let report = reduce::publish_best(&planned.search, &best, out, report)?;
+    remove_tries(out, &[])?;
+    Ok(report)
+}
+
+/// Removes the tries of a planned search, all but some.
+pub(super) fn remove_tries(out: &Path, kept: &[Option<u32>]) -> Result<()> {
+    let kept: Vec<PathBuf> = kept.iter().flatten().map(|n| planned_try(out, *n)).collect();
+    let folder = work_folder(out);
+    let list = |e| Error::io("list", &folder, e);
+    let entries = match fs::read_dir(&folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(list)?,
+    };
+    for entry in entries {
+        let path = entry.map_err(list)?.path();
+        if is_planned_try(&path) && !kept.contains(&path) {
+            remove_folder(&path)?;
+        }
+    }
+    Ok(())
+}
