@@ -313,10 +313,14 @@ fn nearest_counts(count: u64, dims: [u64; 3]) -> [u64; 3] {
 }
 
 /// The cells of a lattice with nearly `count` points, whose edges are in proportion to `spacing`,
-/// in voxels.
+/// in voxels. No edge is shorter than a voxel: then nodes are at the samples along that axis, and
+/// more would add nothing.
 fn nearest_cells(count: u64, lattice: &Lattice, spacing: [f64; 3]) -> [u32; 3] {
     let voxels: [f64; 3] = std::array::from_fn(|a| (lattice.dims[a] - 1) as f64 / spacing[a]);
-    let most = lattice.max().map(|max| (max / 2).max(1));
+    let most: [u32; 3] = std::array::from_fn(|a| {
+        let of_voxels = u32::try_from(lattice.dims[a] - 1).unwrap_or(u32::MAX);
+        of_voxels.min(lattice.max()[a] / 2).max(1)
+    });
     let at = |edge: f64| -> [u32; 3] {
         std::array::from_fn(|a| ((voxels[a] / edge).round() as u32).clamp(1, most[a]))
     };
@@ -357,6 +361,12 @@ mod tests {
         let all =
             PointSpec::with_count(SetKind::Regular, &l, u64::MAX >> 6, &SetSettings::default()).unwrap();
         assert_eq!(all, PointSpec::Regular { counts: l.dims });
+        // Nodes at all samples, whatever the spacing.
+        for spacing in [None, Some([1.0, 0.5, 2.0])] {
+            let settings = SetSettings { spacing, ..SetSettings::default() };
+            let all = PointSpec::with_count(SetKind::Bcc, &l, 4_000_000, &settings).unwrap();
+            assert_eq!(all, PointSpec::Bcc { cells: [102, 93, 160] });
+        }
     }
 
     #[test]

@@ -189,6 +189,28 @@ fn errors_and_sizes_are_met_by_even_sets() {
     }
 }
 
+/// Noise has no fewer points than samples: nodes at all of them leave the error of rounding.
+#[test]
+fn an_error_below_noise_takes_nodes_at_all_samples() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("noise.npy");
+    let noise = |x: f64, y: f64, z: f64| (1e4 * (x + 3.7 * y + 9.1 * z).sin()).rem_euclid(1.0);
+    write_npy(&input, [20, 18, 16], noise);
+    for (n, target) in
+        [Target::Rms(Bound::OfRange(0.02)), Target::Max(Bound::Value(0.01))].into_iter().enumerate()
+    {
+        let out = dir.path().join(format!("{n}.isospan"));
+        let settings = ReduceSettings { target: Some(target), ..lattice(Amount::Fraction(0.125), 5_000) };
+        let settings = ReduceSettings { value_bits: ValueBits::Usual, ..settings };
+        let report = reduce(&input, &settings, &out, 2);
+        let told = report.target.unwrap();
+        assert!(told.met && told.reached > 0.4 * told.bound, "{told:?}");
+        let cells = Manifest::read(&out).unwrap().plan.lattice_cells();
+        assert_eq!(cells, Some([19, 17, 15]));
+        check_archive(&out).unwrap();
+    }
+}
+
 #[test]
 fn a_size_below_any_archive_is_not_met_and_says_so() {
     let dir = tempfile::tempdir().unwrap();

@@ -8,6 +8,7 @@
 //! with a plan for each ([`super::plan_file`]), which stores the search between two tries.
 
 use super::report::{ReduceReport, TargetReport};
+use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::pipeline::settings::{Amount, Bound, ReduceSettings, Target, ValueBits};
 use crate::points::SetKind;
@@ -148,6 +149,10 @@ struct Rounding {
     learned: u32,
 }
 
+/// Points a sample, at least, that a lattice has whose nodes are at all samples. It has centres
+/// between them, and points on its faces.
+const MOST_OF_LATTICE: f64 = 2.5;
+
 impl Rounding {
     fn new(settings: &ReduceSettings, target: Target) -> Self {
         let is_chosen = settings.points == Some(SetKind::Bcc) && settings.value_bits == ValueBits::Usual;
@@ -168,6 +173,18 @@ impl Rounding {
         if part > 0.0 && part.is_finite() {
             let bits = (-libm::log2(STEP * part)).round().clamp(BITS[0], BITS[1]);
             self.bits = ValueBits::Bits(bits as u8);
+        }
+    }
+
+    /// For a lattice with nodes at all samples: its errors are those of rounding alone.
+    fn choose_for_all_samples(&mut self, target: Target, bound: f64, report: &ReduceReport) {
+        let Some([lo, hi]) = source_range(report).filter(|_| self.is_chosen) else { return };
+        // Rounding to a step is off by half of it at most, by 1/√12 of it in the mean square.
+        let steps = if let Target::Max(_) = target { 2.0 } else { 12f64.sqrt() };
+        let bits = libm::log2((hi - lo) / (AIM * bound * steps) + 1.0).ceil();
+        if bits.is_finite() {
+            let [least, most] = [Quantiser::BITS.start(), Quantiser::BITS.end()];
+            self.bits = ValueBits::Bits((bits as u8).clamp(*least, *most));
         }
     }
 
@@ -214,6 +231,8 @@ pub(in crate::pipeline) struct TargetSearch {
     /// Chunks of all these together.
     chunks: u64,
     best: Option<BestTry>,
+    /// Whether the next try has nodes at all samples: nothing else has met an error.
+    takes_all: bool,
     is_over: bool,
 }
 
@@ -238,6 +257,7 @@ impl TargetSearch {
             tries: 0,
             chunks: 0,
             best: None,
+            takes_all: false,
             is_over: false,
         })
     }
@@ -306,17 +326,29 @@ impl TargetSearch {
         search.tries.push(made);
         self.tries += 1;
         self.chunks += report.chunks;
-        let mut next = search.next();
-        let changes = self.rounding.learn(target, bound, report);
+        let mut next = search.next().filter(|_| !self.takes_all);
+        let changes = !self.takes_all && self.rounding.learn(target, bound, report);
         if changes {
             next = next.or(Some(amount));
             search.tries.clear();
             self.best = None;
         }
-        let better = self.best.as_ref().is_none_or(|best| made.amount < best.made.amount);
+        let best = self.best.as_ref().map(|best| best.made);
         // The try at the cap is all that is possible.
-        if !changes && (made.reached <= bound && better || next.is_none() && self.best.is_none()) {
+        let is_best = match best {
+            Some(best) if self.takes_all => made.reached < best.reached,
+            Some(best) => made.reached <= bound && made.amount < best.amount,
+            None => made.reached <= bound || next.is_none(),
+        };
+        if !changes && is_best {
             self.best = Some(BestTry { number: self.tries, made, settings });
+        }
+        let met = self.best.as_ref().is_some_and(|best| best.made.reached <= bound);
+        let is_lattice = self.settings.points == Some(SetKind::Bcc) && !is_size;
+        if next.is_none() && !met && is_lattice && !self.takes_all {
+            self.takes_all = true;
+            self.rounding.choose_for_all_samples(target, bound, report);
+            next = Some(MOST_OF_LATTICE * samples);
         }
         self.count = next
             .map(|amount| if is_size { samples / amount } else { amount })
