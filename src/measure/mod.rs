@@ -6,9 +6,10 @@
 //!
 //! **Every sum is an integer.** A float is `mantissa · 2^exponent` with a mantissa of 24 bits.
 //! Mantissas, and their squares, are added up for each of the 256 exponents in 128 bits, which
-//! cannot overflow; only at the end is each sum multiplied by its power of two, and all are added
-//! from the largest exponent down. So the figures are exact but for that last rounding, and depend
-//! neither on the order of the samples nor on threads or chunks.
+//! cannot overflow. In the end these are digits of three long integers
+//! ([`ErrorSums`]'s `digits`), each multiplied by its power of two, and added from the highest
+//! down. So the figures are exact but for that last rounding, and depend neither on the order of
+//! the samples nor on threads or chunks.
 //!
 //! **Percentiles** come from counts: the upper 12 bits of an absolute error (8 of the exponent, 4
 //! of the mantissa) are its bin, so a bin's ends are at most 1/16 apart, relatively. The reported
@@ -35,7 +36,7 @@ mod tally;
 
 pub(crate) use bricks::{BrickErrors, BrickRecord, merged};
 pub use sums::ErrorSums;
-pub(crate) use sums::{BINS, EXPONENTS, Largest, Mantissas};
+pub(crate) use sums::{BINS, EXPONENTS, LAST_DIGIT, Largest, Mantissas};
 pub(crate) use tally::{Compared, ComparedAt, TOGETHER, Tally};
 
 use serde::{Deserialize, Serialize};

@@ -10,6 +10,11 @@ pub(super) const ABSOLUTE: u32 = 0x7fff_ffff;
 /// Exponents of floats.
 pub(crate) const EXPONENTS: usize = 256;
 
+/// Bits of a digit of the sums.
+const DIGIT_BITS: usize = 24;
+/// The exponent of the last digit, which has all that is left.
+pub(crate) const LAST_DIGIT: usize = (EXPONENTS - 2) / DIGIT_BITS * DIGIT_BITS + 1;
+
 /// Mantissas of errors of one exponent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Mantissas {
@@ -79,6 +84,42 @@ pub(crate) fn error_of(original: f32, reduced: f32) -> f32 {
 impl ErrorSums {
     /// Bytes that they take.
     pub(crate) const BYTES: u64 = (BINS * size_of::<u64>() + EXPONENTS * size_of::<Mantissas>()) as u64 + 128;
+
+    /// The same sums of mantissas, as few of them as possible: of every 24th exponent, each below
+    /// 2^24, and squares below 2^48. Equal sums have equal ones, however they were added up.
+    pub(crate) fn digits(&self) -> Vec<Mantissas> {
+        const BITS: usize = DIGIT_BITS;
+        const COUNT: usize = LAST_DIGIT / BITS + 1;
+        let (mut parts, mut squares) = ([[0u128; 2]; COUNT], [0u128; COUNT + 2]);
+        for (e, m) in self.mantissas.iter().enumerate() {
+            // Denormal floats have the exponent of the least normal ones.
+            let (k, shift) = ((e.max(1) - 1) / BITS, (e.max(1) - 1) % BITS);
+            let negative = m.sum.wrapping_sub(m.signed as u128) / 2;
+            parts[k][0] += (m.sum - negative) << shift;
+            parts[k][1] += negative << shift;
+            for (n, digit) in squares[k..k + 3].iter_mut().enumerate() {
+                *digit += (m.squares >> (2 * BITS * n) & ((1 << (2 * BITS)) - 1)) << (2 * shift);
+            }
+        }
+        let mut digits = vec![Mantissas::default(); EXPONENTS];
+        let (mut carry, mut carried) = ([0u128; 2], 0u128);
+        for k in 0..COUNT {
+            let mut of = [parts[k][0] + carry[0], parts[k][1] + carry[1]];
+            let mut square = squares[k] + carried;
+            if k + 1 < COUNT {
+                carry = of.map(|v| v >> BITS);
+                of = of.map(|v| v & ((1 << BITS) - 1));
+                carried = square >> (2 * BITS);
+                square &= (1 << (2 * BITS)) - 1;
+            } else {
+                let [second, third] = [squares[k + 1] << (2 * BITS), squares[k + 2] << (4 * BITS)];
+                square = square.saturating_add(second).saturating_add(third);
+            }
+            let signed = of[0] as i128 - of[1] as i128;
+            digits[1 + BITS * k] = Mantissas { sum: of[0] + of[1], signed, squares: square };
+        }
+        digits
+    }
 
     /// What is reported of the cells of a level.
     pub(crate) fn level_error(&self) -> LevelError {
@@ -155,7 +196,10 @@ impl ErrorSums {
         self.widen(other.range);
         self.bins.iter_mut().zip(&other.bins).for_each(|(a, b)| *a += b);
         for (a, b) in self.mantissas.iter_mut().zip(&other.mantissas) {
-            (a.sum, a.signed, a.squares) = (a.sum + b.sum, a.signed + b.signed, a.squares + b.squares);
+            // Only forged sums are that large.
+            a.sum = a.sum.saturating_add(b.sum);
+            a.signed = a.signed.saturating_add(b.signed);
+            a.squares = a.squares.saturating_add(b.squares);
         }
         if let Some(largest) = other.largest {
             self.candidate(largest);
@@ -176,11 +220,13 @@ impl ErrorSums {
         self.largest
     }
 
-    /// Sum over exponents, the largest first, of an integer times a power of two.
+    /// Sum over exponents, the largest first, of an integer times a power of two: the same bits
+    /// for equal sums, however they were added up.
     fn total(&self, of: impl Fn(&Mantissas) -> f64, power: impl Fn(i32) -> i32) -> f64 {
         // Denormal floats have the exponent of the least normal ones.
         let exponent = |e: usize| e.max(1) as i32 - 150;
-        let terms = self.mantissas.iter().enumerate().rev();
+        let digits = self.digits();
+        let terms = digits.iter().enumerate().rev();
         terms.map(|(e, m)| of(m) * power_of_two(power(exponent(e)))).sum()
     }
 
@@ -308,6 +354,29 @@ pub(super) mod tests {
             order.iter().for_each(|&i: &usize| merged.merge(&parts[i]));
             assert_eq!(merged, whole);
         }
+    }
+
+    #[test]
+    fn digits_are_the_same_sums() {
+        let mut whole = sums(&pairs(3_000), 0);
+        whole.add(0.0, f32::MAX, || 3_000);
+        whole.add(0.0, -f32::MAX, || 3_001);
+        whole.add(0.0, f32::from_bits(1), || 3_002);
+        for _ in 0..36 {
+            // As of more samples than there ever are.
+            whole.merge(&whole.clone());
+        }
+        let digits = ErrorSums { mantissas: whole.digits(), ..whole.clone() };
+        let filled = digits.mantissas.iter().filter(|m| m.sum > 0).count();
+        assert!(filled <= 11 && digits.digits() == digits.mantissas, "{filled}");
+        assert_eq!([digits.mean(), digits.rms(), digits.bias()], [whole.mean(), whole.rms(), whole.bias()]);
+        let plain = |of: fn(&Mantissas) -> f64, power: i32| {
+            let terms = whole.mantissas.iter().enumerate();
+            let exponent = |e: usize| power * (e.max(1) as i32 - 150);
+            terms.map(|(e, m)| of(m) * 2f64.powi(exponent(e))).sum::<f64>() / whole.measured as f64
+        };
+        assert!((digits.mean() / plain(|m| m.sum as f64, 1) - 1.0).abs() < 1e-12);
+        assert!((digits.rms() / plain(|m| m.squares as f64, 2).sqrt() - 1.0).abs() < 1e-12);
     }
 
     #[test]

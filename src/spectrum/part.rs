@@ -3,9 +3,12 @@
 use super::design::{Design, Limits};
 use super::measure::{ChunkPart, Measured};
 use super::store::{PAGE_LEVEL, f64_of, put_differences};
+use super::sums::CUT_BITS;
 use crate::archive::Malformed;
 use crate::archive::wire::{Cursor, to_zstd, unzstd};
 
+/// The lowest bytes of a sum, which are 0.
+const CUT_BYTES: usize = CUT_BITS as usize / 8;
 /// The most tetrahedra of a chunk that a reader takes.
 const MOST_TETRAHEDRA: u64 = 1 << 40;
 
@@ -19,7 +22,8 @@ impl ChunkPart {
         out.extend(self.volume.to_le_bytes());
         if let Some(measured) = &self.measured {
             for column in 0..3 {
-                measured.sums.iter().for_each(|sum| out.extend(sum[column].to_le_bytes()));
+                let bytes = |sum: &[f64; 3]| sum[column].to_le_bytes();
+                measured.sums.iter().for_each(|sum| out.extend(&bytes(sum)[CUT_BYTES..]));
             }
             let mut body = vec![];
             put_differences(&mut body, 0, &measured.active);
@@ -50,7 +54,9 @@ impl ChunkPart {
         let mut sums = vec![[0.0; 3]; knots];
         for column in 0..3 {
             for sum in &mut sums {
-                sum[column] = f64_of(&mut c, "sums")?;
+                let mut bytes = [0; 8];
+                bytes[CUT_BYTES..].copy_from_slice(c.take(8 - CUT_BYTES, "sums")?);
+                sum[column] = f64::from_le_bytes(bytes);
             }
         }
         let body = unzstd(c.rest(), (knots + levels) * 10, "active tetrahedra")?;

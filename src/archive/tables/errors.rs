@@ -1,7 +1,7 @@
 //! The errors of a chunk as a block of its values' segment: see `FORMAT.md`.
 
 use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::measure::{BINS, BrickErrors, EXPONENTS, ErrorSums, Largest, Mantissas};
+use crate::measure::{BINS, BrickErrors, EXPONENTS, ErrorSums, LAST_DIGIT, Largest, Mantissas};
 use crate::points::Levels;
 
 const LEVEL: i32 = 9;
@@ -28,8 +28,8 @@ pub(crate) fn encode_errors(errors: &ChunkErrors) -> Vec<u8> {
     put_filled(&mut body, &sums.bins, |n| *n > 0, |body, &n| put_varint(body, n));
     put_filled(
         &mut body,
-        &sums.mantissas,
-        |m| m.sum > 0,
+        &sums.digits(),
+        |m| *m != Mantissas::default(),
         |body, m| {
             put_wide(body, m.sum);
             put_wide(body, zigzag(m.signed));
@@ -166,8 +166,10 @@ pub(crate) fn decode_errors(bytes: &[u8]) -> Result<ChunkErrors, Malformed> {
     each_filled(&mut c, EXPONENTS, |c, n| {
         let [sum, signed, squares] = [wide(c)?, wide(c)?, wide(c)?];
         let signed = (signed >> 1) as i128 ^ -((signed & 1) as i128);
-        let most = u128::from(sums.measured) << 24;
-        if sum > most || signed.unsigned_abs() > sum || squares > most << 24 {
+        // The last digit has all that is left of the largest floats.
+        let left = if n == LAST_DIGIT { 13 } else { 0 };
+        let most = u128::from(sums.measured) << (24 + left);
+        if sum > most || signed.unsigned_abs() > sum || squares > most << (24 + left) {
             let got = format!("{sum}, {signed}, {squares}");
             return Err(Malformed::new("sums", format!("those of {} errors", sums.measured), got));
         }
@@ -204,6 +206,7 @@ mod tests {
             sums.add(original, reduced, || u64::from(i) << 20);
             levels[i as usize % 3].add(original, reduced);
         }
+        sums.mantissas = sums.digits();
         ChunkErrors { sums, levels }
     }
 
