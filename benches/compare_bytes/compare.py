@@ -8,7 +8,7 @@ Targets are RMS errors over all samples in percent of the range of values. Each 
 until the target lies between two answers; bits a sample are interpolated between these (both in logarithms).
 
 * *isospan*: `reduce --points lattice --target-rms`. All files of the archive count. Its error is that of the values that
-  `probe` finds at all samples; where it is not met with a point a sample, there is no answer.
+  `probe` finds at all samples.
 * *hammersley*: `reduce --points hammersley`, exact values, at 4, 2, 1, 1/2, ... of the samples.
 * *SZ3*, *SPERR*: HDF5 filters of hdf5plugin, whole and in chunks of 32^3 (what lets them read a part).
 * *ZFP*: zfpy, with an absolute tolerance. *TTHRESH*: numcodecs-wasm-tthresh, with a relative error.

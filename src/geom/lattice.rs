@@ -165,6 +165,17 @@ pub struct LatticeBox {
 }
 
 impl LatticeBox {
+    /// The box that holds nothing: its hull with another box is that box.
+    pub const NOTHING: Self = Self { lo: [u32::MAX; 3], hi: [0; 3] };
+
+    /// The least box that holds both.
+    pub fn hull(&self, other: &Self) -> Self {
+        Self {
+            lo: std::array::from_fn(|a| self.lo[a].min(other.lo[a])),
+            hi: std::array::from_fn(|a| self.hi[a].max(other.hi[a])),
+        }
+    }
+
     /// Whether `p` lies in the box.
     #[inline]
     pub fn contains(&self, p: LatticePos) -> bool {

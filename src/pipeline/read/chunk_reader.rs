@@ -29,7 +29,7 @@ use crate::geom::{LatticeBox, LatticePos, PointId};
 use crate::grid::{BrickId, Chunk, ChunkId};
 use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::{Tet, is_active, range};
-use crate::pipeline::plan::{check_brick, is_made_again};
+use crate::pipeline::plan::is_made_again;
 use crate::points::PointSet;
 
 /// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
@@ -641,7 +641,7 @@ impl<'a> ChunkReader<'a> {
     /// bricks.
     fn hull_of(&mut self, corners: &[u32]) -> Result<LatticeBox> {
         let (core, bricks) = (self.core(), self.archive.chunks.bricks());
-        let mut hull = LatticeBox { lo: UNPLACED, hi: [0; 3] };
+        let mut hull = LatticeBox::NOTHING;
         let mut brick_end = 0;
         for &v in corners {
             let here = if v as usize >= core {
@@ -654,8 +654,7 @@ impl<'a> ChunkReader<'a> {
                 brick_end = self.starts[brick + 1];
                 bricks.brick(self.bricks[brick])
             };
-            hull.lo = std::array::from_fn(|a| hull.lo[a].min(here.lo[a]));
-            hull.hi = std::array::from_fn(|a| hull.hi[a].max(here.hi[a]));
+            hull = hull.hull(&here);
         }
         Ok(hull)
     }
@@ -744,23 +743,11 @@ impl<'a> ChunkReader<'a> {
     }
 
     fn place_brick(&mut self, n: usize) -> Result<()> {
-        let (first, end) = (self.starts[n] as usize, self.starts[n + 1] as usize);
-        let brick = self.archive.chunks.bricks().brick(self.bricks[n]);
-        let wrong = |what: &str| damaged(&self.segment.mesh, self.chunk.id, "header", what);
-        check_brick(&self.archive.points, &brick).map_err(|e| wrong(&e.to_string()))?;
-        let ReaderMemory { positions, ids, sites, .. } = &mut self.memory;
-        self.archive.points.sites_in(&brick, sites);
-        if sites.len() != end - first {
-            let (got, said) = (sites.len(), end - first);
-            return Err(wrong(&format!(
-                "brick {} has {got} points, not the {said} recorded",
-                self.bricks[n].0
-            )));
-        }
-        for (i, site) in (first..).zip(&*sites) {
-            (positions[i], ids[i]) = (site.pos, site.id);
-        }
-        Ok(())
+        let mut memory = std::mem::take(&mut self.memory);
+        let ReaderMemory { positions, ids, sites, .. } = &mut memory;
+        let placed = self.bricks().place(n, positions, ids, sites);
+        self.memory = memory;
+        placed
     }
 
     /// Reads the flags of all corners.

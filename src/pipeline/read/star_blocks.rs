@@ -19,7 +19,7 @@ use crate::archive::chunked::ChunkSegment;
 use crate::archive::mesh::{StarRuns, sort_star};
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
-use crate::geom::{LatticeBox, LatticePos};
+use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickId, Chunk};
 use crate::mesh::chunk::ChunkRegion;
 use crate::pipeline::plan::{check_brick, reach_unit};
@@ -63,18 +63,35 @@ impl ChunkBricks<'_> {
 
     /// A box around the bricks of some vertices.
     fn hull(&self, vertices: &Range<u32>, hull: LatticeBox) -> LatticeBox {
-        self.of(vertices).map(|n| self.brick(n)).fold(hull, |a, b| LatticeBox {
-            lo: std::array::from_fn(|k| a.lo[k].min(b.lo[k])),
-            hi: std::array::from_fn(|k| a.hi[k].max(b.hi[k])),
-        })
+        self.of(vertices).map(|n| self.brick(n)).fold(hull, |a, b| a.hull(&b))
+    }
+
+    /// Lists the points of a brick, and notes positions and ids of its vertices.
+    pub(super) fn place(
+        &self,
+        n: usize,
+        positions: &mut [LatticePos],
+        ids: &mut [PointId],
+        sites: &mut Vec<Site>,
+    ) -> Result<()> {
+        let (points, brick, first) = (&self.archive.points, self.brick(n), self.starts[n]);
+        check_brick(points, &brick).map_err(|e| self.wrong(&e.to_string()))?;
+        points.sites_in(&brick, sites);
+        let (got, said) = (sites.len(), self.starts[n + 1] - first);
+        if got != said as usize {
+            let what = format!("brick {} has {got} points, not the {said} recorded", self.bricks[n].0);
+            return Err(self.wrong(&what));
+        }
+        for (v, site) in (first as usize..).zip(&*sites) {
+            (positions[v], ids[v]) = (site.pos, site.id);
+        }
+        Ok(())
     }
 
     fn wrong(&self, what: &str) -> Error {
         damaged(self.mesh, self.chunk.id, "header", what)
     }
 }
-
-const NOTHING: LatticeBox = LatticeBox { lo: [u32::MAX; 3], hi: [0; 3] };
 
 impl StarBlocks {
     pub(super) fn new(runs: StarRuns) -> Self {
@@ -98,7 +115,8 @@ impl StarBlocks {
         let run = self.runs.run(number as usize);
         let unit = reach_unit(&of.archive.points);
         let reach = self.runs.reach(number as usize).saturating_mul(unit);
-        of.hull(&run, NOTHING).grow_within([reach; 3], &of.archive.chunks.bricks().lattice.domain())
+        of.hull(&run, LatticeBox::NOTHING)
+            .grow_within([reach; 3], &of.archive.chunks.bricks().lattice.domain())
     }
 
     /// Lists the points around a block and the expected ones that follow.
@@ -112,7 +130,7 @@ impl StarBlocks {
             self.expected = vec![number];
         }
         let runs = || self.expected.iter().map(|&b| self.runs.run(b as usize));
-        let hull = runs().fold(NOTHING, |hull, run| of.hull(&run, hull));
+        let hull = runs().fold(LatticeBox::NOTHING, |hull, run| of.hull(&run, hull));
         let region = hull.grow_within([self.margin; 3], &domain);
         self.is_all = region == domain;
         let ReaderMemory { positions: at, ids, sites, stars: memory, .. } = memory;
@@ -127,15 +145,8 @@ impl StarBlocks {
                 if brick.intersect(&region).is_empty() {
                     continue;
                 }
-                check_brick(points, &brick).map_err(|e| of.wrong(&e.to_string()))?;
-                points.sites_in(&brick, sites);
-                let (got, said) = (sites.len(), of.starts[n + 1] - first);
-                if got != said as usize {
-                    let what = format!("brick {} has {got} points, not the {said} recorded", of.bricks[n].0);
-                    return Err(of.wrong(&what));
-                }
+                of.place(n, at, ids, sites)?;
                 for (v, site) in (first..).zip(&*sites) {
-                    (at[v as usize], ids[v as usize]) = (site.pos, site.id);
                     if region.contains(site.pos) {
                         positions.push(site.pos);
                         numbers.push(v);
