@@ -373,6 +373,14 @@ def wide(browser, server):
     page.close()
 
 
+def hostile_unit(browser, server):
+    """The unit of an archive is text, whatever is in it."""
+    page = Page(browser, server, "#archive=2", viewport={"width": 900, "height": 700}, color_scheme="light")
+    assert page.page.text_content("section h2") == "Isovalue in <b>HU</b>"
+    assert page.page.locator("b").count() == 0
+    page.close()
+
+
 def coloured(browser, server):
     """Surfaces show another field, and say so in the address."""
     page = Page(browser, server, "#archive=3&iso=0_d8cbb4_1", viewport={"width": 900, "height": 700}, color_scheme="light")
@@ -448,7 +456,15 @@ def narrow(browser, server):
     # Time: another step, then playing.
     area = page.statistics()["area"]
     page.after(lambda: page.set("#step", 3))
-    assert page.statistics()["area"] != area
+    statistics = page.statistics()
+    assert statistics["area"] != area
+    # Everything has its unit.
+    assert statistics["area"].endswith(" µm²") and statistics["volume inside"].endswith(" µm³"), statistics
+    assert statistics["error of the field, RMS"].endswith(" K") and statistics["error, largest"].endswith(" K"), statistics
+    assert page.page.inner_text("#now") == "t = 1.5 s"
+    assert page.page.text_content("section h2") == "Isovalue in K"
+    assert page.page.get_attribute("#isovalue", "aria-valuetext").endswith(" K")
+    assert page.page.text_content("#colours h2").endswith(" in K")
     page.page.eval_on_selector("#time", "e => e.scrollIntoView()")
     page.after(lambda: page.page.tap("#play"))
     before = page.shown()
@@ -533,6 +549,7 @@ def without_a_server(browser, server):
     with Published() as published:
         wide(browser, published)
         narrow(browser, published)
+        hostile_unit(browser, published)
         coloured(browser, published)
         placed(browser, published)
         page = Page(browser, published)
@@ -565,6 +582,7 @@ def main():
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         wide(browser, server)
         narrow(browser, server)
+        hostile_unit(browser, server)
         coloured(browser, server)
         placed(browser, server)
         without_a_server(browser, server)
