@@ -147,8 +147,8 @@ fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
 /// Parts, each with a length and JSON in front. A part of a surface has counts; then vertices
 /// (position and normal, 3 × f32 each), numbers of earlier vertices that change (u32), what they
 /// become, and triangles (3 × u32). Parts of a preview come first where the surface is cut or has
-/// holes; the first other one replaces them. The values of the field that colours a surface (f32) are a part
-/// after its triangles. The last part has the report.
+/// holes; the first other one replaces them. The values of the field that colours a surface (f32)
+/// are a part after its triangles. The last part has the report.
 pub(super) fn surface(
     archives: &Archives,
     archive: usize,

@@ -280,8 +280,8 @@ impl Plan {
         manifest.plan_hash == self.mesh_hash() && manifest.steps.iter().map(|s| &s.plan).eq(&self.steps)
     }
 
-    /// Whether a manifest is that of this plan, but for the units of its steps, on which no file but
-    /// the manifest depends.
+    /// Whether a manifest is that of this plan, but for the units of its steps, on which no other
+    /// file depends.
     pub(super) fn is_but_for_units(&self, manifest: &Manifest) -> bool {
         let mut unlike = self.clone();
         for (step, theirs) in unlike.steps.iter_mut().zip(&manifest.steps) {

@@ -41,8 +41,8 @@ mod page {
         pub(super) fn piece(bytes: *const u8, len: usize);
         /// Takes what went wrong.
         pub(super) fn failed(text: *const u8, len: usize);
-        /// Lets the page's wishes in, where the browser can wait here; says whether the answer is no
-        /// longer wanted, as a number other than 0.
+        /// Lets the page's wishes in, where the browser can wait here. Returns a number other than
+        /// 0 if the answer is no longer wanted.
         pub(super) safe fn stopped() -> u32;
         /// Milliseconds on a clock that never goes back.
         pub(crate) safe fn now() -> f64;
