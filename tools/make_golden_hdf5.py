@@ -203,6 +203,33 @@ def dialects():
         w[:] = RAMP
 
 
+def units():
+    """Units of values, coordinates and times; and a name that would colour a terminal."""
+    with netCDF4.Dataset(OUT / "units.nc", "w") as f:
+        for axis, values in (("time", [0, 6]), ("z", [0, 10, 20]), ("y", [0, 1, 2, 3]), ("x", [0, 2, 4, 6, 8]), ("lat", [0, 1, 2, 3])):
+            f.createDimension(axis, len(values))
+            f.createVariable(axis, "f4", (axis,))[:] = values
+        f["time"].units, f["lat"].units = "hours since 2000-01-01", "degrees_north"
+        f["x"].units, f["y"].units, f["z"].units = "m", "meters", "metre"
+        temp = f.createVariable("temp", "f4", ("time", "z", "y", "x"))
+        temp.units = "K"
+        temp[:] = np.stack([RAMP, RAMP + 100])
+        odd = f.createVariable("odd", "f4", ("z", "lat", "x"))
+        odd.units = "\x1b[31m kg  m-3"
+        odd[:] = RAMP
+        f.createVariable("share", "f4", ("z", "y", "x")).units = "1"
+        f["share"][:] = RAMP
+    with h5py.File(OUT / "units.h5", "w", libver="latest") as f:
+        f.create_dataset("sized", data=RAMP.astype("<i2")).attrs["element_size_um"] = np.array([2.0, 0.5, 0.25])
+        g = f.create_group("entry")
+        g.attrs["NX_class"], g.attrs["signal"], g.attrs["axes"] = "NXdata", "counts", ["z", "y", "x"]
+        g["counts"], g["z"] = RAMP.astype("<i2"), np.arange(3) * 2.0 + 1
+        g["y"], g["x"] = np.arange(4) * 0.5, np.arange(5) * 0.25
+        g["counts"].attrs["units"] = "counts"
+        for axis in "xyz":
+            g[axis].attrs["units"] = "um"
+
+
 if __name__ == "__main__":
     OUT.mkdir(parents=True, exist_ok=True)
     for version in ("earliest", "latest"):
@@ -213,3 +240,4 @@ if __name__ == "__main__":
     netcdf()
     small()
     dialects()
+    units()

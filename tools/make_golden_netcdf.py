@@ -72,6 +72,24 @@ def small():
         v[:] = RAMP
 
 
+def units():
+    """Units of values, coordinates and times; and a name that would colour a terminal."""
+    with netCDF4.Dataset(OUT / "netcdf3_units.nc", "w", format="NETCDF3_CLASSIC") as f:
+        for axis, values in (("time", [0, 6]), ("z", [0, 10, 20, 30]), ("y", [0, 1, 2]), ("x", [0, 2, 4, 6, 8]), ("lat", [0, 1, 2])):
+            f.createDimension(axis, len(values))
+            f.createVariable(axis, "f4", (axis,))[:] = values
+        f["time"].units, f["lat"].units = "hours since 2000-01-01", "degrees_north"
+        f["x"].units, f["y"].units, f["z"].units = "m", "meters", "metre"
+        temp = f.createVariable("temp", "f4", ("time", "z", "y", "x"))
+        temp.units = "K"
+        temp[:] = np.stack([RAMP, RAMP + 100])
+        odd = f.createVariable("odd", "f4", ("z", "lat", "x"))
+        odd.units = "\x1b[31m kg  m-3"
+        odd[:] = RAMP
+        f.createVariable("share", "f4", ("z", "y", "x")).units = "1"
+        f["share"][:] = RAMP
+
+
 if __name__ == "__main__":
     classic = ("i1", "i2", "i4", "f4", "f8")
     variables("netcdf3_classic.nc", "NETCDF3_CLASSIC", classic)
@@ -79,3 +97,4 @@ if __name__ == "__main__":
     variables("netcdf3_cdf5.nc", "NETCDF3_64BIT_DATA", classic + ("u1", "u2", "u4", "i8", "u8"))
     one_variable()
     small()
+    units()

@@ -7,7 +7,7 @@
 //! Two hashes tie the files together. The *plan hash* covers what decides the mesh (lattice,
 //! points, cuts, block size): every mesh segment carries it. A *step hash* covers that and what
 //! decides the values of a step (source, field, interpolation): the step's value and index segments
-//! carry it. Neither covers the path of a source, nor threads or memory.
+//! carry it. Neither covers the path of a source or its units, nor threads or memory.
 
 use crate::archive::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo};
 use crate::archive::tables::{CellCount, ExplicitRecord, LevelsRecord, RepeatedRecord};
@@ -21,6 +21,7 @@ use crate::grid::{BrickGrid, ChunkCuts, Geometry};
 use crate::measure::{FieldError, LevelError};
 use crate::points::PointSpec;
 use crate::sample::{Interpolation, Values};
+use crate::volume::units::Units;
 use crate::volume::{ScalarType, shifted::shortest};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -239,6 +240,10 @@ pub struct Source {
     /// The vertices and tetrahedra of a tetrahedral mesh.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<MeshSource>,
+    /// The units of values, lengths and times, as far as they are known. No other byte of an
+    /// archive depends on them, so no hash covers them.
+    #[serde(default, skip_serializing_if = "Units::are_unknown")]
+    pub units: Units,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
@@ -363,6 +368,7 @@ impl StepPlan {
     pub fn hash(&self, plan: PlanHash) -> PlanHash {
         let mut part = self.clone();
         part.source.path.clear();
+        part.source.units = Units::default();
         let mut canonical = plan.to_string().into_bytes();
         canonical.extend(serde_json::to_vec(&part).expect("a step plan is plain data"));
         PlanHash::of(&canonical)
@@ -731,6 +737,7 @@ pub(crate) mod tests {
             offset: 0.0,
             rounding: 0.0,
             mesh: None,
+            units: Units::default(),
         };
         let interpolation = Interpolation::Linear;
         StepPlan {

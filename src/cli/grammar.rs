@@ -21,6 +21,7 @@ use isospan::formats::raw::SampleType;
 use isospan::pipeline::{Bound, NanPolicy, Roi, Shard, StepRange, ValueBits};
 use isospan::render::{ColourMap, Paint, Up, parse_colour};
 use isospan::volume::ScalarType;
+use isospan::volume::units::Unit;
 use isospan::{Error, Result};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -261,6 +262,23 @@ pub(crate) fn opacity(text: &str) -> Parsed<f32> {
 pub(crate) fn colour_map(text: &str) -> Parsed<ColourMap> {
     let names = ColourMap::ALL.map(ColourMap::name).join(", ");
     expected(text.parse().ok(), &format!("a colour map: {names}"))
+}
+
+const NO_UNIT: &str = "the name of a unit, as in K or mm";
+
+/// `K`.
+pub(crate) fn unit(text: &str) -> Parsed<Unit> {
+    expected(Unit::new(text), NO_UNIT)
+}
+
+/// `mm`.
+pub(crate) fn length_unit(text: &str) -> Parsed<Unit> {
+    expected(Unit::length(text), NO_UNIT)
+}
+
+/// `s`.
+pub(crate) fn time_unit(text: &str) -> Parsed<Unit> {
+    expected(Unit::time(text), NO_UNIT)
 }
 
 /// A number of pictures in a second: `15`, `0.5`.

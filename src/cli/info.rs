@@ -9,6 +9,7 @@ use isospan::pipeline::{self, ArchiveSummary, Scan, StepChoice};
 use isospan::points::PointSpec;
 use isospan::sample::Values;
 use isospan::volume::VolumeInfo;
+use isospan::volume::units::{Unit, common};
 use isospan::{Archive, Error, Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -78,7 +79,10 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
         let which = if shown == 0 { "the first".into() } else { format!("number {shown}") };
         let _ = write!(out, "  steps      {}, of which this is {which}", text::count(steps.len() as u64));
         let _ = match (first.time, last.time) {
-            (Some(lo), Some(hi)) => writeln!(out, "; times {}", text::range([lo, hi])),
+            (Some(lo), Some(hi)) => {
+                let unit = text::unit(info.units.time.as_ref());
+                writeln!(out, "; times {}{unit}", text::range([lo, hi]))
+            }
             _ => writeln!(out),
         };
     } else if several {
@@ -166,8 +170,9 @@ fn volume_text(info: &VolumeInfo, scan: Option<&Scan>, own: bool) -> String {
     if own {
         let _ = writeln!(out, "  placed     by the grid's coordinates");
     } else {
-        let _ = writeln!(out, "  spacing    {}", triple(g.spacing));
-        let _ = writeln!(out, "  origin     {}", triple(g.origin));
+        let unit = text::unit(info.units.length.as_ref());
+        let _ = writeln!(out, "  spacing    {}{unit}", triple(g.spacing));
+        let _ = writeln!(out, "  origin     {}{unit}", triple(g.origin));
     }
     if g.direction != isospan::grid::Geometry::default().direction {
         let _ = writeln!(out, "  direction  {}", g.direction.map(triple).join("  |  "));
@@ -186,7 +191,8 @@ fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
     match (scan.min, scan.max, scan.mean) {
         (Some(lo), Some(hi), Some(mean)) => {
             let (range, mean) = (text::range([lo, hi]), text::in_range(mean, [lo, hi]));
-            let _ = writeln!(out, "  range      {range}  (mean {mean})");
+            let unit = text::unit(info.units.value.as_ref());
+            let _ = writeln!(out, "  range      {range}{unit}  (mean {mean})");
         }
         _ => {
             let _ = writeln!(out, "  range      none: there is no finite sample");
@@ -327,7 +333,11 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         let _ = writeln!(out, "  values      {} bits, within {bound}", q.bits);
     }
     if let Some(range) = s.range {
-        let _ = writeln!(out, "  range       {}", text::range(range));
+        let unit = text::unit(s.units.value.as_ref());
+        let _ = writeln!(out, "  range       {}{unit}", text::range(range));
+    }
+    if let Some(line) = units_line(s) {
+        let _ = writeln!(out, "  units       {line}");
     }
     out += &text::rounding(s.rounding);
     if !s.areas.is_empty() {
@@ -357,6 +367,23 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     }
     let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
     out
+}
+
+/// The units that are known, of what.
+fn units_line(s: &ArchiveSummary) -> Option<String> {
+    let mut values: Vec<String> = vec![];
+    for step in &s.steps {
+        let named = step.unit.as_ref().map(|unit| format!("{unit} of {}", text::name(&step.field)));
+        values.extend(named.filter(|text| !values.contains(text)));
+    }
+    // Those of the frames of a series are one.
+    let of_values = |unit: &Unit| vec![format!("{unit} of values")];
+    let one = common(s.steps.iter().map(|step| step.unit.clone()));
+    let values = one.as_ref().map_or(values, of_values);
+    let [length, time] = [(&s.units.length, "lengths"), (&s.units.time, "times")]
+        .map(|(unit, of)| unit.as_ref().map(|unit| format!("{unit} of {of}")));
+    let all: Vec<String> = values.into_iter().take(8).chain(length).chain(time).collect();
+    (!all.is_empty()).then(|| all.join(", "))
 }
 
 /// A point set, in words.

@@ -5,6 +5,7 @@ use clap::ValueEnum;
 use isospan::bytes::{ByteSource, IoMode};
 use isospan::formats::raw::SampleType;
 use isospan::formats::{OpenOptions, RawLayout};
+use isospan::volume::units::Units;
 use isospan::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -108,6 +109,7 @@ impl InputArgs {
             origin: self.origin,
             io: self.io.mode(),
             values: self.value_file.clone(),
+            units: Units::default(),
         })
     }
 }

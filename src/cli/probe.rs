@@ -8,6 +8,7 @@ use super::step::StepArgs;
 use super::text;
 use isospan::formats::samples::SampleFormat;
 use isospan::pipeline::{ProbeReport, ProbeSettings};
+use isospan::volume::units::Unit;
 use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -59,12 +60,13 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.json {
         return super::print_json("probe", &report);
     }
-    super::print(&report_text(&args.output, &report))
+    super::print(&report_text(&args.output, &report, archive.units().value.as_ref()))
 }
 
-fn report_text(file: &Path, report: &ProbeReport) -> String {
+fn report_text(file: &Path, report: &ProbeReport, unit: Option<&Unit>) -> String {
     let (samples, size) = (text::count(report.samples), text::bytes(report.file_bytes));
-    let mut out = format!("{}: {samples} samples, {size}\n", file.display());
+    let unit = unit.map_or_else(String::new, |unit| format!(", values in {unit}"));
+    let mut out = format!("{}: {samples} samples, {size}{unit}\n", file.display());
     for (count, why) in
         [(report.void, "where the source has no data"), (report.outside, "outside the domain")]
     {

@@ -5,6 +5,7 @@ use super::output::Force;
 use super::step::StepArgs;
 use super::{figure, text};
 use isospan::pipeline::{SpectrumReport, StepRange, StepSpectrum};
+use isospan::volume::units::Units;
 use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -51,7 +52,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {
         let steps = archive.spectra(steps)?;
         if let Some((file, format)) = args.plot.as_deref().zip(format) {
-            figure::write_figure(&figure::OverTime { steps: &steps, name: &name }, file, format)?;
+            let units = archive.info()?.units;
+            let drawn = figure::OverTime { steps: &steps, name: &name, units: &units };
+            figure::write_figure(&drawn, file, format)?;
         }
         return if args.json {
             super::print_json("spectrum.series", &serde_json::json!({ "steps": steps }))
@@ -59,11 +62,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             super::print(&lines(&steps))
         };
     }
-    let report = archive.at(args.step.choice())?.spectrum()?;
+    let step = archive.at(args.step.choice())?;
+    let (report, units) = (step.spectrum()?, step.units());
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
-        figure::write(&report, &name, file, format)?;
+        figure::write(&report, (&name, units), file, format)?;
     }
-    if args.json { super::print_json("spectrum", &report) } else { super::print(&table(&report)) }
+    if args.json { super::print_json("spectrum", &report) } else { super::print(&table(&report, units)) }
 }
 
 /// A line for each step: its range, the isovalue of the largest area, and what is worth a look.
@@ -95,15 +99,20 @@ fn isovalue_text(report: &SpectrumReport, isovalue: f64) -> String {
     report.range.map_or_else(|| text::number(isovalue), |range| text::in_range(isovalue, range))
 }
 
-fn table(report: &SpectrumReport) -> String {
+fn table(report: &SpectrumReport, units: &Units) -> String {
     let Some(range) = report.range else { return "there is no value: every point is void\n".into() };
     let mut out = String::new();
     let _ = writeln!(
         out,
-        "{} tetrahedra, volume {} cubic world units, values {}",
+        "{} tetrahedra, volume {}{}, values {}{}",
         text::count(report.tetrahedra),
         text::number(report.volume),
-        text::range(range)
+        match &units.length {
+            Some(unit) => text::unit_to_the(3, Some(unit)),
+            None => " cubic world units".into(),
+        },
+        text::range(range),
+        text::unit(units.value.as_ref())
     );
     if report.straight_edges {
         let _ = writeln!(

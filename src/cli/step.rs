@@ -5,6 +5,7 @@ use super::input::InputArgs;
 use super::progress::Talk;
 use isospan::formats::{OpenOptions, StepSource, order_in_doubt, steps_of};
 use isospan::pipeline::{Step, StepChoice, StepRange, is_archive};
+use isospan::volume::units::{Unit, Units};
 use isospan::{Archive, Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -31,6 +32,15 @@ pub(crate) struct StepInputs {
         conflicts_with = "field"
     )]
     fields: Vec<String>,
+    /// Unit of the values, as in K or kg/m3 [default: that in the file, if it has one].
+    #[arg(help_heading = "Units", long, value_name = "UNIT", value_parser = grammar::unit, conflicts_with = "fields")]
+    unit: Option<Unit>,
+    /// Unit of lengths in the world, as in mm [default: that in the file, if it has one].
+    #[arg(help_heading = "Units", long, value_name = "UNIT", value_parser = grammar::length_unit)]
+    length_unit: Option<Unit>,
+    /// Unit of the times of steps, as in s [default: that in the file, if it has one].
+    #[arg(help_heading = "Units", long, value_name = "UNIT", value_parser = grammar::time_unit)]
+    time_unit: Option<Unit>,
     /// Leave out steps that cannot be used, and report them.
     #[arg(help_heading = "Series", long)]
     pub(crate) keep_going: bool,
@@ -48,7 +58,7 @@ impl StepInputs {
             let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, --times tells the times";
             talk.note(&format!("warning: {doubt}: {help}"));
         }
-        self.set_times(&mut steps)?;
+        self.tell(&mut steps)?;
         Ok(steps)
     }
 
@@ -77,8 +87,14 @@ impl StepInputs {
         fields.iter().map(step).collect()
     }
 
-    /// Gives steps the times that the user gave.
-    pub(crate) fn set_times(&self, steps: &mut [StepSource]) -> Result<()> {
+    /// Gives steps the units and the times that the user gave.
+    pub(crate) fn tell(&self, steps: &mut [StepSource]) -> Result<()> {
+        let units = Units {
+            value: self.unit.clone(),
+            length: self.length_unit.clone(),
+            time: self.time_unit.clone(),
+        };
+        steps.iter_mut().for_each(|step| step.options.units.clone_from(&units));
         self.times.as_ref().map_or(Ok(()), |times| times.apply(steps))
     }
 }

@@ -1,6 +1,7 @@
 //! Numbers and sizes, for a person.
 
 use isospan::pipeline::SourceChunks;
+use isospan::volume::units::Unit;
 use std::path::Path;
 use std::time::Duration;
 
@@ -48,6 +49,20 @@ pub(crate) fn range(range: [f64; 2]) -> String {
 pub(crate) fn share_of(v: f64, range: Option<[f64; 2]>) -> String {
     let length = range.map(|[lo, hi]| hi - lo).filter(|length| *length > 0.0);
     length.map_or(String::new(), |length| format!(" ({} %)", value(figures(100.0 * v / length, 3))))
+}
+
+/// ` K`, to stand behind a number; nothing where no unit is known.
+pub(crate) fn unit(unit: Option<&Unit>) -> String {
+    unit.map_or_else(String::new, |unit| format!(" {unit}"))
+}
+
+/// A unit of area or volume, to stand behind a number: ` mm^3`; of a unit of several words
+/// ` (m s-1)^3`, without one nothing.
+pub(crate) fn unit_to_the(power: u32, unit: Option<&Unit>) -> String {
+    let is_word = |unit: &Unit| unit.as_str().chars().all(char::is_alphabetic);
+    unit.map_or_else(String::new, |unit| {
+        if is_word(unit) { format!(" {unit}^{power}") } else { format!(" ({unit})^{power}") }
+    })
 }
 
 /// `1 chunk`, `2 chunks`.

@@ -25,6 +25,7 @@ use crate::formats::volume::stack::{by_numbers, rise};
 use crate::formats::volume::tiff;
 use crate::volume::chunked::DecodeCount;
 use crate::volume::slabs::ReaderSlabs;
+use crate::volume::units::Units;
 use crate::volume::{SharedVolume, SlabStream, VolumeReader, VolumeSource};
 use quick_xml::Reader;
 use quick_xml::events::Event;
@@ -44,6 +45,9 @@ pub struct StepSource {
     pub options: OpenOptions,
     /// Its time, where it is known.
     pub time: Option<f64>,
+    /// The time that the file states, which has the file's unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    stated: Option<f64>,
     /// The volume itself, where a program gives that and no file.
     #[serde(skip)]
     given: Option<Given>,
@@ -63,7 +67,7 @@ impl StepSource {
     /// A step that is alone.
     pub fn new(path: &Path, options: &OpenOptions) -> Self {
         let (path, options) = (path.to_path_buf(), options.clone());
-        Self { path, options, time: None, given: None, decodes: DecodeCount::default() }
+        Self { path, options, time: None, stated: None, given: None, decodes: DecodeCount::default() }
     }
 
     /// A volume that a program gives: samples in memory
@@ -78,6 +82,25 @@ impl StepSource {
     #[must_use]
     pub fn at(self, time: Option<f64>) -> Self {
         Self { time, ..self }
+    }
+
+    /// The same step at the time that its file states, else at another one.
+    fn at_stated(self, stated: Option<f64>, time: Option<f64>) -> Self {
+        Self { stated, time: stated.or(time), ..self }
+    }
+
+    /// The same moment in another field of the file.
+    pub(crate) fn in_field(&self, options: &OpenOptions) -> Self {
+        Self { stated: self.stated, time: self.time, ..Self::new(&self.path, options) }
+    }
+
+    /// The units of the step: those that the user names, else those of its file. A time that the
+    /// file does not state has no unit of the file.
+    pub(crate) fn units(&self, of_file: &Units) -> Units {
+        let time = of_file.time.clone().filter(|_| self.time == self.stated);
+        let mut units = self.options.units.clone().or(Units { time, ..of_file.clone() });
+        units.time = units.time.filter(|_| self.time.is_some());
+        units
     }
 
     /// Opens the file, or the volume that was given.
@@ -288,12 +311,15 @@ fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSo
             .into_iter()
             .map(|(name, own)| {
                 let options = OpenOptions { field: Some(name), ..options.clone() };
-                StepSource::new(path, &options).at(own.or(time))
+                StepSource::new(path, &options).at_stated(own, time)
             })
             .collect(),
         _ => {
-            let time = time.or_else(|| time_of(path, options).ok().flatten());
-            vec![StepSource { time, ..StepSource::new(path, options) }]
+            let step = StepSource::new(path, options);
+            vec![match time {
+                Some(_) => step.at(time),
+                None => step.at_stated(time_of(path, options).ok().flatten(), None),
+            }]
         }
     }
 }

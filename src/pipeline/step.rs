@@ -19,6 +19,7 @@ use crate::pipeline::surface::{
 };
 use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
+use crate::volume::units::Units;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -103,6 +104,11 @@ impl Step {
     /// values less the offset.
     pub fn offset(&self) -> f64 {
         self.view.step().plan.source.offset
+    }
+
+    /// The units of values, lengths and times, as far as they are known.
+    pub fn units(&self) -> &Units {
+        &self.view.step().plan.source.units
     }
 
     /// From numbers of samples of the source to the world.
@@ -365,8 +371,9 @@ impl Step {
     /// order of the isovalues.
     ///
     /// The parts of an isovalue, put together, are its surface. A surface that is cut at a region,
-    /// that is refined, or of a field with holes is one part. `part` is called on one thread at a
-    /// time; others wait while it takes long.
+    /// or of a field with holes, is one part, and so is one that is refined. Before the former come
+    /// the parts of a preview, [`SurfacePart::is_preview`]: of the surface as it was extracted.
+    /// `part` is called on one thread at a time; others wait while it takes long.
     ///
     /// ```
     /// # use isospan::Archive;

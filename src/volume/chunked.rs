@@ -533,6 +533,7 @@ impl VolumeReader for ChunkedVolume {
 mod tests {
     use super::*;
     use crate::grid::Geometry;
+    use crate::volume::units::Units;
     use crate::volume::{FieldInfo, ScalarType};
 
     /// The sample (x, y, z) of 7 x 5 x 6 is x + 10 y + 100 z, in chunks of 4 x 3 x 2.
@@ -585,6 +586,7 @@ mod tests {
             slope: 0.5,
             intercept: 1.0,
             missing: Some(203.0),
+            units: Units::default(),
             data_files: vec![],
         }))
     }

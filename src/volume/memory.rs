@@ -11,6 +11,7 @@
 //! ```
 
 use super::strided::StridedVolume;
+use super::units::Units;
 use super::{FieldInfo, ScalarType, VolumeInfo};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
@@ -64,6 +65,7 @@ pub fn info_of(name: &str, dims: [u64; 3], scalar: ScalarType) -> VolumeInfo {
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        units: Units::default(),
         data_files: vec![],
     }
 }

@@ -12,6 +12,7 @@ pub mod memory;
 pub(crate) mod shifted;
 pub mod slabs;
 pub mod strided;
+pub mod units;
 pub(crate) mod unpacked;
 
 use crate::bytes::remote::is_remote;
@@ -23,6 +24,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
+use units::Units;
 
 /// The type of a stored sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -165,6 +167,9 @@ pub struct VolumeInfo {
     pub intercept: f64,
     /// The stored value that the file declares to mean "no data".
     pub missing: Option<f64>,
+    /// The units that the file names.
+    #[serde(default, skip_serializing_if = "Units::are_unknown")]
+    pub units: Units,
     /// The files that hold the samples, where that is not the file that was named.
     #[serde(default)]
     pub data_files: Vec<PathBuf>,

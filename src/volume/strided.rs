@@ -505,6 +505,7 @@ mod tests {
     use super::*;
     use crate::grid::Geometry;
     use crate::volume::FieldInfo;
+    use crate::volume::units::Units;
 
     fn info(dims: [u64; 3], scalar: ScalarType) -> VolumeInfo {
         let field = FieldInfo { name: "data".into(), scalar, components: 1 };
@@ -518,6 +519,7 @@ mod tests {
             slope: 1.0,
             intercept: 0.0,
             missing: None,
+            units: Units::default(),
             data_files: vec![],
         }
     }

@@ -48,5 +48,6 @@ mod shared_data;
 mod slurm;
 mod spectrum;
 mod stretched;
+mod units;
 mod unpack;
 mod writers;

@@ -109,6 +109,7 @@ def parts_of(body):
 def surface_of(body, coloured=False, number=0):
     """The report, vertices and triangles of one surface of an answer; and the values that colour it, where there are some."""
     vertices, triangles, values, report = numpy.empty((0, 6), "<f4"), numpy.empty((0, 3), "<u4"), None, None
+    is_preview = False
     for head, content in parts_of(body):
         assert report is None, "the report comes last"
         if "report" in head:
@@ -118,6 +119,10 @@ def surface_of(body, coloured=False, number=0):
         elif "values" in head:
             values = numpy.frombuffer(content, "<f4")
         else:
+            if is_preview and not head["preview"]:
+                # The finished surface takes the place of its preview.
+                vertices, triangles = vertices[:0], triangles[:0]
+            is_preview = head["preview"]
             added = 24 * head["vertices"]
             changes = added + 28 * head["changed"]
             vertices = numpy.concatenate([vertices, numpy.frombuffer(content[:added], "<f4").reshape(-1, 6)])
@@ -125,6 +130,7 @@ def surface_of(body, coloured=False, number=0):
             vertices[numbers] = numpy.frombuffer(content[added + 4 * head["changed"] : changes], "<f4").reshape(-1, 6)
             triangles = numpy.concatenate([triangles, numpy.frombuffer(content[changes:], "<u4").reshape(-1, 3)])
             assert not len(triangles) or triangles.max() < len(vertices), "triangles have vertices that have come"
+    assert not is_preview, "what comes last is no preview"
     counts = report["surfaces"][number]
     assert (len(vertices), len(triangles)) == (counts["vertices"], counts["triangles"])
     return (report, vertices, triangles, values) if coloured else (report, vertices, triangles)
@@ -162,6 +168,12 @@ def requests(server):
         assert len(chunks) > 3 and chunks == sorted(chunks), chunks
         found, alone = surface_of(both, number=number), surface_of(server.ask(f"2/surface?isovalues={isovalue}")[2])
         assert all((a == b).all() for a, b in zip(found[1:], alone[1:])), isovalue
+
+    # Where a region cuts them, the parts are a preview, and the surface comes last.
+    cut = server.ask("2/surface?isovalues=500&roi=0:50,0:50,0:99")[2]
+    previews = [h["preview"] for h, _ in parts_of(cut) if "preview" in h]
+    assert len(previews) > 3 and previews == [True] * (len(previews) - 1) + [False], previews
+    surface_of(cut)
 
     # Another field at the vertices: the height.
     report, vertices, _, values = surface_of(server.ask("3/surface?isovalues=0&step=0&colour=1")[2], coloured=True)
@@ -373,6 +385,14 @@ def wide(browser, server):
     page.close()
 
 
+def hostile_unit(browser, server):
+    """The unit of an archive is text, whatever is in it."""
+    page = Page(browser, server, "#archive=2", viewport={"width": 900, "height": 700}, color_scheme="light")
+    assert page.page.text_content("section h2") == "Isovalue in <b>HU</b>"
+    assert page.page.locator("b").count() == 0
+    page.close()
+
+
 def coloured(browser, server):
     """Surfaces show another field, and say so in the address."""
     page = Page(browser, server, "#archive=3&iso=0_d8cbb4_1", viewport={"width": 900, "height": 700}, color_scheme="light")
@@ -448,7 +468,15 @@ def narrow(browser, server):
     # Time: another step, then playing.
     area = page.statistics()["area"]
     page.after(lambda: page.set("#step", 3))
-    assert page.statistics()["area"] != area
+    statistics = page.statistics()
+    assert statistics["area"] != area
+    # Everything has its unit.
+    assert statistics["area"].endswith(" µm²") and statistics["volume inside"].endswith(" µm³"), statistics
+    assert statistics["error of the field, RMS"].endswith(" K") and statistics["error, largest"].endswith(" K"), statistics
+    assert page.page.inner_text("#now") == "t = 1.5 s"
+    assert page.page.text_content("section h2") == "Isovalue in K"
+    assert page.page.get_attribute("#isovalue", "aria-valuetext").endswith(" K")
+    assert page.page.text_content("#colours h2").endswith(" in K")
     page.page.eval_on_selector("#time", "e => e.scrollIntoView()")
     page.after(lambda: page.page.tap("#play"))
     before = page.shown()
@@ -479,6 +507,22 @@ FILE = """async ([archive, parameters]) => {
   const file = await source.file(archive, parameters);
   const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
   return [...hash].map((b) => b.toString(16).padStart(2, "0")).join("");
+}"""
+STOP = """async ([address, stops]) => {
+  const names = document.querySelector('meta[name="isospan-archives"]').content.split("\\n");
+  const worker = new Worker(new URL("worker.js", location.href));
+  let pieces = 0;
+  const ended = new Promise((done) => {
+    worker.onmessage = ({ data }) => {
+      if (!data.piece) return done(data);
+      if (stops && pieces++ === 0) worker.postMessage({ stop: true });
+    };
+  });
+  worker.postMessage({ names });
+  worker.postMessage({ address });
+  const { status, text } = await ended;
+  worker.terminate();
+  return [status, text];
 }"""
 ASK = """async (address) => {
   const { connect } = await import(new URL("local.js", location.href));
@@ -528,15 +572,26 @@ def same(page, server):
         assert status == 400 and text, (address, status, text)
 
 
+def stopped(page):
+    """The worker ends an answer that is no longer wanted, where it can wait for the wish."""
+    address = "2/surface?isovalues=500"
+    assert page.evaluate(STOP, [address, False])[0] == 200
+    status, text = page.evaluate(STOP, [address, True])
+    waits = page.evaluate("typeof WebAssembly.Suspending === 'function'")
+    assert (status != 200) == waits, (status, text, waits)
+
+
 def without_a_server(browser, server):
     """The published folder: the same page, the same answers."""
     with Published() as published:
         wide(browser, published)
         narrow(browser, published)
+        hostile_unit(browser, published)
         coloured(browser, published)
         placed(browser, published)
         page = Page(browser, published)
         same(page.page, server)
+        stopped(page.page)
         page.close()
         assert published.http.ranges > 20
     # A server that knows no ends of files, as some stores do.
@@ -565,6 +620,7 @@ def main():
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         wide(browser, server)
         narrow(browser, server)
+        hostile_unit(browser, server)
         coloured(browser, server)
         placed(browser, server)
         without_a_server(browser, server)

@@ -4,6 +4,12 @@ use super::FONT;
 use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
 use isospan::{Error, Result};
 
+/// Words that were not typed: what the font lacks is no reason to fail, and is "_".
+pub(crate) fn drawable(text: &str) -> String {
+    let font = FontRef::try_from_slice(FONT).expect("the font is part of the program, and sound");
+    text.chars().map(|c| if font.glyph_id(c).0 == 0 { '_' } else { c }).collect()
+}
+
 /// Pixels of red, green, blue, opacity, row by row from the top.
 pub(crate) struct Canvas {
     pub(crate) size: [usize; 2],

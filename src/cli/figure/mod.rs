@@ -10,6 +10,7 @@ mod over_time;
 pub(crate) use over_time::OverTime;
 
 use isospan::pipeline::SpectrumReport;
+use isospan::volume::units::{Unit, Units};
 use isospan::{Error, Result};
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -62,6 +63,7 @@ pub(crate) trait Figure {
 struct Curves<'a> {
     report: &'a SpectrumReport,
     name: &'a str,
+    units: &'a Units,
 }
 
 impl Figure for Curves<'_> {
@@ -70,13 +72,23 @@ impl Figure for Curves<'_> {
         root: &DrawingArea<B, Shift>,
         scale: u32,
     ) -> std::result::Result<(), DrawingAreaErrorKind<B::ErrorType>> {
-        draw(root, scale, self.report, self.name)
+        draw(root, scale, self)
     }
 }
 
 /// Draws the curves of a spectrum into a file.
-pub(crate) fn write(report: &SpectrumReport, name: &str, file: &Path, format: Format) -> Result<()> {
-    write_figure(&Curves { report, name }, file, format)
+pub(crate) fn write(
+    report: &SpectrumReport,
+    (name, units): (&str, &Units),
+    file: &Path,
+    format: Format,
+) -> Result<()> {
+    write_figure(&Curves { report, name, units }, file, format)
+}
+
+/// A unit behind the title of an axis.
+fn in_brackets(unit: Option<&Unit>) -> String {
+    unit.map_or_else(String::new, |unit| canvas::drawable(&format!(" ({unit})")))
 }
 
 /// Draws a figure into a file.
@@ -139,6 +151,8 @@ fn png(figure: &impl Figure) -> Vec<u8> {
 /// One curve.
 struct Panel<'a> {
     title: &'a str,
+    /// What stands behind a number on the axis; may be empty.
+    unit: String,
     points: Vec<(f64, f64)>,
     colour: RGBColor,
     /// Whether the marked isovalues are named.
@@ -148,8 +162,7 @@ struct Panel<'a> {
 fn draw<B: DrawingBackend>(
     root: &DrawingArea<B, Shift>,
     scale: u32,
-    report: &SpectrumReport,
-    name: &str,
+    &Curves { report, name, units }: &Curves<'_>,
 ) -> std::result::Result<(), DrawingAreaErrorKind<B::ErrorType>> {
     root.fill(&WHITE)?;
     let [lo, hi] = report.range.unwrap_or([0.0, 1.0]);
@@ -157,10 +170,11 @@ fn draw<B: DrawingBackend>(
     let curve = |y: fn(&isospan::pipeline::Knot) -> f64| {
         report.knots.iter().map(|k| (k.isovalue, y(k))).collect::<Vec<_>>()
     };
+    let unit_of = |power| canvas::drawable(&super::text::unit_to_the(power, units.length.as_ref()));
     let panels = [
-        ("active tetrahedra", curve(|k| k.active_tetrahedra as f64)),
-        ("area", curve(|k| k.area)),
-        ("enclosed volume", curve(|k| k.volume)),
+        ("active tetrahedra", String::new(), curve(|k| k.active_tetrahedra as f64)),
+        ("area", unit_of(2), curve(|k| k.area)),
+        ("enclosed volume", unit_of(3), curve(|k| k.volume)),
     ];
     let font = |size: u32| ("sans-serif", size * scale).into_font().color(&INK);
     let (head, rest) = root.split_vertically(40 * scale);
@@ -172,10 +186,11 @@ fn draw<B: DrawingBackend>(
     ));
     let title = TextStyle { font: ("sans-serif", 20 * scale).into_font(), ..centred.clone() };
     head.draw_text(&format!("Contour spectrum of {name}"), &title, (middle, 14 * scale as i32))?;
-    foot.draw_text("isovalue  (dashed: worth a look)", &centred, (middle, 0))?;
-    for ((area, (title, points)), colour) in body.split_evenly((3, 1)).iter().zip(panels).zip(COLOURS) {
+    let foot_text = format!("isovalue{}  (dashed: worth a look)", in_brackets(units.value.as_ref()));
+    foot.draw_text(&foot_text, &centred, (middle, 0))?;
+    for ((area, (title, unit, points)), colour) in body.split_evenly((3, 1)).iter().zip(panels).zip(COLOURS) {
         let names = colour == COLOURS[0];
-        panel(area, scale, [lo, hi], &Panel { title, points, colour, names }, report)?;
+        panel(area, scale, [lo, hi], &Panel { title, unit, points, colour, names }, report)?;
     }
     root.present()
 }
@@ -189,7 +204,7 @@ fn panel<B: DrawingBackend>(
 ) -> std::result::Result<(), DrawingAreaErrorKind<B::ErrorType>> {
     let most = panel.points.iter().map(|p| p.1).fold(0.0, f64::max);
     let most = if most > 0.0 && most.is_finite() { most } else { 1.0 };
-    let (power, factor) = engineering(most);
+    let (power, factor) = engineering(most, &panel.unit);
     let top = most / factor * 1.08;
     let font = |size: u32| ("sans-serif", size * scale).into_font().color(&INK);
     let mut chart = ChartBuilder::on(area)
@@ -230,14 +245,16 @@ fn panel<B: DrawingBackend>(
     Ok(())
 }
 
-/// The power of 1000 that a number is written with: as words behind an axis title, and as a factor.
-fn engineering(most: f64) -> (String, f64) {
+/// The power of 1000 that a number is written with: as words behind an axis title, with its unit,
+/// and as a factor.
+fn engineering(most: f64, unit: &str) -> (String, f64) {
     let exponent = (most.log10() / 3.0).floor() as i32 * 3;
     if (0..3).contains(&exponent) {
-        return (String::new(), 1.0);
+        let unit = unit.trim_start();
+        return (if unit.is_empty() { String::new() } else { format!("  ({unit})") }, 1.0);
     }
     let digits: String = exponent.to_string().chars().map(superscript).collect();
-    (format!("  (10{digits})"), 10f64.powi(exponent))
+    (format!("  (10{digits}{unit})"), 10f64.powi(exponent))
 }
 
 fn superscript(c: char) -> char {
@@ -263,8 +280,10 @@ mod tests {
 
     #[test]
     fn axes_are_labelled_as_a_person_would() {
-        assert_eq!((engineering(2_345_678.0).0.as_str(), engineering(2_345_678.0).1), ("  (10⁶)", 1e6));
-        assert_eq!((engineering(23.0).0.as_str(), engineering(2e-5).0.as_str()), ("", "  (10⁻⁶)"));
+        let words = |most, unit| engineering(most, unit).0;
+        assert_eq!(engineering(2_345_678.0, ""), ("  (10⁶)".into(), 1e6));
+        assert_eq!((words(23.0, ""), words(2e-5, "")), (String::new(), "  (10⁻⁶)".into()));
+        assert_eq!((&*words(23.0, " mm^2"), &*words(2e4, " mm^2")), ("  (mm^2)", "  (10³ mm^2)"));
         assert_eq!(
             (label(0.1 + 0.2, 1.0), label(1e-17, 1.0), label(-300.0, 1e3)),
             ("0.3".into(), "0".into(), "−300".into())
@@ -291,11 +310,16 @@ mod tests {
         };
         let dir = tempfile::tempdir().unwrap();
         let files = ["a.svg", "a.png"].map(|f| dir.path().join(f));
-        files.iter().for_each(|f| write(&report, "tooth", f, Format::of(f).unwrap()).unwrap());
+        let units = Units { value: Unit::new("K"), ..Units::of_length(Unit::length("mm")) };
+        files.iter().for_each(|f| write(&report, ("tooth", &units), f, Format::of(f).unwrap()).unwrap());
         let svg = std::fs::read_to_string(&files[0]).unwrap();
-        for words in
-            ["Contour spectrum of tooth", "active tetrahedra", "area  (10³)", "enclosed volume", "isovalue"]
-        {
+        for words in [
+            "Contour spectrum of tooth",
+            "active tetrahedra",
+            "area  (10³ mm^2)",
+            "enclosed volume",
+            "isovalue (K)",
+        ] {
             assert!(svg.contains(words), "{words}");
         }
         let png = std::fs::read(&files[1]).unwrap();

@@ -1,7 +1,10 @@
 //! Draws how the isosurfaces of a series change: the area as a map of time and isovalue.
 
-use super::{Figure, INK, TRANSPARENT, label};
+use super::super::text::unit_to_the;
+use super::canvas::drawable;
+use super::{Figure, INK, TRANSPARENT, in_brackets, label};
 use isospan::pipeline::StepSpectrum;
+use isospan::volume::units::Units;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
@@ -16,6 +19,7 @@ const MAP: [[f64; 3]; 5] =
 pub(crate) struct OverTime<'a> {
     pub(crate) steps: &'a [StepSpectrum],
     pub(crate) name: &'a str,
+    pub(crate) units: &'a Units,
 }
 
 impl Figure for OverTime<'_> {
@@ -48,6 +52,8 @@ impl Figure for OverTime<'_> {
             chart.draw_series(cells)?;
         }
         let figures = super::super::text::figures(most, 4);
+        let in_units = in_brackets(self.units.time.as_ref());
+        let square = drawable(&unit_to_the(2, self.units.length.as_ref()));
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
@@ -56,9 +62,9 @@ impl Figure for OverTime<'_> {
             .label_style(font(14))
             .axis_desc_style(font(15))
             .x_desc(format!(
-                "time  (dark: no surface; yellow: area {figures}; colours by the square root of the area)"
+                "time{in_units}  (dark: no surface; yellow: area {figures}{square}; colours by the square root of the area)"
             ))
-            .y_desc("isovalue")
+            .y_desc(format!("isovalue{}", in_brackets(self.units.value.as_ref())))
             .x_label_formatter(&|v| label(*v, edges[edges.len() - 1] - edges[0]))
             .y_label_formatter(&|v| label(*v, hi - lo))
             .set_all_tick_mark_size(4 * scale)
@@ -152,8 +158,8 @@ mod tests {
         let (dir, steps) = (tempfile::tempdir().unwrap(), [step(0.0, 1.0), step(0.5, 7.0)]);
         for name in ["a.svg", "a.png"] {
             let file = dir.path().join(name);
-            write_figure(&OverTime { steps: &steps, name: "waves" }, &file, Format::of(&file).unwrap())
-                .unwrap();
+            let drawn = OverTime { steps: &steps, name: "waves", units: &Units::default() };
+            write_figure(&drawn, &file, Format::of(&file).unwrap()).unwrap();
             assert!(std::fs::metadata(&file).unwrap().len() > 1000);
         }
         let svg = std::fs::read_to_string(dir.path().join("a.svg")).unwrap();

@@ -1,9 +1,10 @@
 //! Where everything is on the canvas: panels, words below them, legends, scales.
 
-use super::super::figure::canvas::{Canvas, ticks};
+use super::super::figure::canvas::{Canvas, drawable, ticks};
 use super::super::text;
 use super::{Args, Colours};
 use isospan::render::{Image, scale_colour};
+use isospan::volume::units::Unit;
 use isospan::{Error, Result};
 
 /// Pixels of a picture, at most.
@@ -127,13 +128,14 @@ impl Layout {
     }
 
     /// A bar of a round length; `pixel` is the length of a pixel in the world.
-    pub(super) fn scale_bar(&self, canvas: &mut Canvas, pixel: f64) {
+    pub(super) fn scale_bar(&self, canvas: &mut Canvas, pixel: f64, unit: Option<&Unit>) {
         let most = 0.3 * self.panel[0].min(self.size[0]) as f64;
         let power = libm::pow(10.0, libm::log10(most * pixel).floor());
         let length = [5.0, 2.0, 1.0].map(|m| m * power).into_iter().find(|l| l / pixel <= most);
         let length = length.unwrap_or(power);
         let wide = (length / pixel).round().max(1.0) as usize;
-        let words = format!("{} world units", text::number(length));
+        let unit = unit.map_or("world units".into(), |unit| drawable(unit.as_str()));
+        let words = format!("{} {unit}", text::number(length));
         let letters = 0.85 * self.letters;
         let (gap, written) = (0.6 * letters, canvas.width(&words, letters));
         let left = ((self.size[0] as f32 - wide as f32 - gap - written) / 2.0).max(0.0);
@@ -146,8 +148,9 @@ impl Layout {
     }
 
     /// The colours of distances, with numbers.
-    pub(super) fn distances(&self, canvas: &mut Canvas, end: f32, largest: f32) {
-        let title = format!("distance (largest {})", short(f64::from(largest)));
+    pub(super) fn distances(&self, canvas: &mut Canvas, end: f32, largest: f32, unit: Option<&Unit>) {
+        let unit = drawable(&text::unit(unit));
+        let title = format!("distance (largest {}{unit})", short(f64::from(largest)));
         let numbers = ticks(0.0, f64::from(end)).into_iter().map(|t| (t, short(t))).collect();
         self.bar(canvas, &title, [0.0, f64::from(end)], numbers, |share| scale_colour(share as f32));
     }

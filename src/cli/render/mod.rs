@@ -8,7 +8,7 @@ mod layout;
 mod plane;
 mod scene;
 
-use super::figure::canvas::Canvas;
+use super::figure::canvas::{Canvas, drawable};
 use super::figure::publish;
 use super::grammar::{self, AXES, Plane, Range, Slab, Value};
 use super::machine::Machine;
@@ -24,6 +24,7 @@ use isospan::pipeline::{StepRange, is_archive};
 use isospan::render::{Camera, ColourMap, Image, Paint, RenderSettings, Subject, Up, View, render};
 use isospan::surface::check::CheckSettings;
 use isospan::surface::{SurfaceSource, TriMesh};
+use isospan::volume::units::{Unit, common};
 use isospan::{Error, Resources, Result};
 use layout::{Layout, Parts};
 use scene::{Input, Panel, Shape};
@@ -217,6 +218,9 @@ impl Colours {
 struct PanelReport {
     input: String,
     step: Option<u64>,
+    /// The unit of its isovalues.
+    #[serde(skip)]
+    unit: Option<Unit>,
     surfaces: Vec<ShapeReport>,
     slices: Vec<SliceReport>,
 }
@@ -245,6 +249,8 @@ struct SliceReport {
 struct Drawn {
     size: [usize; 2],
     frames: usize,
+    /// The unit of lengths.
+    length_unit: Option<Unit>,
     /// Values at the ends of the colours of a field.
     range: Option<[f64; 2]>,
     panels: Vec<PanelReport>,
@@ -279,9 +285,11 @@ fn in_words(file: &Path, drawn: &Drawn) -> String {
     for p in &drawn.panels {
         let step = p.step.map_or(String::new(), |n| format!(", step {n}"));
         for s in &p.surfaces {
-            let isovalue = s.isovalue.map_or(String::new(), |v| format!(", isovalue {v}"));
+            let unit = text::unit(p.unit.as_ref());
+            let isovalue = s.isovalue.map_or(String::new(), |v| format!(", isovalue {v}{unit}"));
             let far = s.largest_distance.map_or(String::new(), |d| {
-                format!(", at most {} world units away", text::number(f64::from(d)))
+                let length = drawn.length_unit.as_ref().map_or("world units", Unit::as_str);
+                format!(", at most {} {length} away", text::number(f64::from(d)))
             });
             let triangles = text::plural(s.triangles, "triangle");
             let without = s.without_value.filter(|&n| n > 0).map_or(String::new(), |n| {
@@ -290,7 +298,8 @@ fn in_words(file: &Path, drawn: &Drawn) -> String {
             out += &format!("  {}{step}{isovalue}: {triangles}{far}{without}\n", p.input);
         }
         for s in &p.slices {
-            out += &format!("  {}{step}: the plane {} = {}\n", p.input, s.axis, text::number(s.at));
+            let unit = text::unit(drawn.length_unit.as_ref());
+            out += &format!("  {}{step}: the plane {} = {}{unit}\n", p.input, s.axis, text::number(s.at));
         }
     }
     out
@@ -299,6 +308,11 @@ fn in_words(file: &Path, drawn: &Drawn) -> String {
 /// A number in a caption.
 fn words_of(v: f64) -> String {
     text::number(v).replace('-', "−")
+}
+
+/// A number in a caption, with its unit.
+fn with_unit(v: f64, unit: Option<&Unit>) -> String {
+    words_of(v) + &drawable(&text::unit(unit))
 }
 
 struct Job<'a> {
@@ -341,8 +355,10 @@ impl Job<'_> {
             self.colour(&mut panels, colours, progress)?;
         }
         let views = self.views(&panels, args.turntable.map_or(1, |n| n as usize))?;
-        let legend = colours.as_ref().map(|c| (field_name(&inputs, args.colour_by.as_deref()), c));
-        let stage = Stage { job: self, layout, inputs: inputs.len(), panels, views, end, legend };
+        let legend = colours.as_ref().map(|c| (bar_title(&inputs, args.colour_by.as_deref()), c));
+        let length_unit = common(inputs.iter().map(Input::length_unit));
+        let stage =
+            Stage { job: self, layout, inputs: inputs.len(), panels, views, end, legend, length_unit };
         progress.begin("draw", (frames * count) as u64, "panels");
         publish(&args.output, |out| {
             let failed = |e| Error::io("write", &args.output, e);
@@ -517,6 +533,16 @@ impl Job<'_> {
     }
 }
 
+/// What the bar of colours is of, and its unit, where all archives have the same.
+fn bar_title(inputs: &[Input], by: Option<&Path>) -> String {
+    let units = inputs.iter().filter_map(|i| match i {
+        Input::Archive(opened) => Some(opened.colour_unit()),
+        Input::Surface(_) => None,
+    });
+    let unit = common(units).map_or_else(String::new, |unit| drawable(&format!(" ({unit})")));
+    field_name(inputs, by) + &unit
+}
+
 /// What the bar of colours is of: the archive that colours are asked of, or the field of the
 /// archives, if it has one name.
 fn field_name(inputs: &[Input], by: Option<&Path>) -> String {
@@ -549,6 +575,8 @@ struct Stage<'a> {
     end: Option<f32>,
     /// What the bar of colours is of, and its colours.
     legend: Option<(String, &'a Colours)>,
+    /// The unit of lengths, where all inputs have the same.
+    length_unit: Option<Unit>,
 }
 
 impl Stage<'_> {
@@ -564,7 +592,9 @@ impl Stage<'_> {
                 self.layout.caption(&mut canvas, n, &caption);
             }
             if panel.shapes.len() > 1 {
-                let entries: Vec<([u8; 3], String)> = panel.shapes.iter().filter_map(entry).collect();
+                let unit = panel.value_unit();
+                let entries = panel.shapes.iter().filter_map(|shape| entry(shape, unit));
+                let entries: Vec<([u8; 3], String)> = entries.collect();
                 self.layout.legend(&mut canvas, n, &entries);
             }
             progress.advance(1);
@@ -572,14 +602,15 @@ impl Stage<'_> {
         if args.scale_bar
             && let Some(view) = self.views.first()
         {
-            self.layout.scale_bar(&mut canvas, view.pixel());
+            self.layout.scale_bar(&mut canvas, view.pixel(), self.length_unit.as_ref());
         }
         if let Some((name, colours)) = &self.legend {
             self.layout.colours(&mut canvas, name, colours);
         }
         if let Some(end) = self.end {
             let all = self.panels.iter().flat_map(|p| &p.shapes).flat_map(|s| &s.values);
-            self.layout.distances(&mut canvas, end, all.copied().fold(0.0, f32::max));
+            let largest = all.copied().fold(0.0, f32::max);
+            self.layout.distances(&mut canvas, end, largest, self.length_unit.as_ref());
         }
         Ok(canvas)
     }
@@ -593,7 +624,8 @@ impl Stage<'_> {
         let field = panel.moment.as_ref().map(|m| &m.field).zip(self.legend.as_ref().map(|l| l.1));
         if let (true, Some((step, colours)), [slice]) = (panel.flat, field, &panel.slices[..]) {
             let size = job.args.size.map(|s| s as usize);
-            let drawn = slice.picture(step, colours, size, job.args.background, &job.resources(taken));
+            let unit = panel.length_unit();
+            let drawn = slice.picture(step, colours, size, job.args.background, unit, &job.resources(taken));
             let canvas = drawn.map_err(|e| beside(e, taken))?;
             return Ok(Image { size: job.args.size, pixels: canvas.pixels });
         }
@@ -633,10 +665,10 @@ impl Stage<'_> {
             parts.push(plain(&stem));
         }
         if let ([Shape { isovalue: Some(v), .. }], false) = (&panel.shapes[..], self.job.args.together) {
-            parts.push(format!("isovalue {}", words_of(*v)));
+            parts.push(format!("isovalue {}", with_unit(*v, panel.value_unit())));
         }
         if let (true, [slice]) = (panel.flat, &panel.slices[..]) {
-            parts.push(slice.words());
+            parts.push(slice.words(panel.length_unit()));
         }
         let name = panel.moment.as_ref().and_then(|moment| moment.name.as_ref());
         parts.extend(name.map(|(_, words)| words.clone()));
@@ -656,12 +688,14 @@ impl Stage<'_> {
         let panel = |p: &Panel| PanelReport {
             input: p.name.clone(),
             step: p.moment.as_ref().and_then(|moment| moment.name.as_ref()).map(|(number, _)| *number),
+            unit: p.value_unit().cloned(),
             surfaces: p.shapes.iter().map(shape).collect(),
             slices: p.slices.iter().map(|s| SliceReport { axis: AXES[s.axis], at: s.at }).collect(),
         };
         Drawn {
             size: self.layout.size,
             frames,
+            length_unit: self.length_unit.clone(),
             range: self.legend.as_ref().map(|(_, colours)| colours.range),
             panels: self.panels.iter().map(panel).collect(),
         }
@@ -669,10 +703,10 @@ impl Stage<'_> {
 }
 
 /// A surface in a legend.
-fn entry(shape: &Shape) -> Option<([u8; 3], String)> {
+fn entry(shape: &Shape, unit: Option<&Unit>) -> Option<([u8; 3], String)> {
     let colour = match shape.paint {
         Paint::Plain(colour) => colour,
         _ => return None,
     };
-    Some((colour, words_of(shape.isovalue?)))
+    Some((colour, with_unit(shape.isovalue?, unit)))
 }

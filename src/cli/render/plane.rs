@@ -1,11 +1,12 @@
 //! The field on a plane across an axis: samples of it, a surface that shows it, a flat picture.
 
-use super::super::figure::canvas::{Canvas, ticks};
+use super::super::figure::canvas::{Canvas, drawable, ticks};
 use super::super::grammar::AXES;
 use super::super::text;
 use super::Colours;
 use isospan::pipeline::{ProbeSettings, Step};
 use isospan::surface::{TriMesh, Vertex};
+use isospan::volume::units::Unit;
 use isospan::{Error, Resources, Result};
 
 /// A box in the world: its least and its largest corner.
@@ -45,9 +46,9 @@ impl Slice {
         p
     }
 
-    /// `z = 40`.
-    pub(super) fn words(&self) -> String {
-        format!("{} = {}", AXES[self.axis], text::number(self.at).replace('-', "−"))
+    /// `z = 40 mm`.
+    pub(super) fn words(&self, unit: Option<&Unit>) -> String {
+        format!("{} = {}", AXES[self.axis], super::with_unit(self.at, unit))
     }
 
     /// Its rectangle, as a surface.
@@ -107,17 +108,19 @@ impl Slice {
         Ok((TriMesh { vertices, triangles }, shares))
     }
 
-    /// A picture of the field on it, with axes in world units: so wide and high at most.
+    /// A picture of the field on it, with axes in world units, which may have a name: so wide and
+    /// high at most.
     pub(super) fn picture(
         &self,
         step: &Step,
         colours: &Colours,
         size: [usize; 2],
         background: [u8; 4],
+        unit: Option<&Unit>,
         resources: &Resources,
     ) -> Result<Canvas> {
         let mut canvas = Canvas::new(size, background);
-        let frame = Frame::new(&canvas, self, size)?;
+        let frame = Frame::new(&canvas, self, size, unit)?;
         let [left, top, width, height] = frame.place;
         let middle = |n: usize, side: usize| (n as f64 + 0.5) / side as f64;
         let share = |n: usize| [middle(n % width, width), 1.0 - middle(n / width, height)];
@@ -139,11 +142,11 @@ struct Frame {
     /// The ends of both axes, their ticks and their names.
     ends: [[f64; 2]; 2],
     ticks: [Vec<f64>; 2],
-    names: [&'static str; 2],
+    names: [String; 2],
 }
 
 impl Frame {
-    fn new(canvas: &Canvas, slice: &Slice, size: [usize; 2]) -> Result<Self> {
+    fn new(canvas: &Canvas, slice: &Slice, size: [usize; 2], unit: Option<&Unit>) -> Result<Self> {
         let across = slice.across();
         let ends = across.map(|a| [slice.hull[0][a], slice.hull[1][a]]);
         let least = size[0].min(size[1]) as f32;
@@ -179,7 +182,8 @@ impl Frame {
         while ticks[1].len() > 2 && ticks[1].len() as f32 * 1.4 * letters > height as f32 {
             ticks[1] = ticks[1].iter().copied().step_by(2).collect();
         }
-        Ok(Self { place, letters, ends, ticks, names: across.map(|a| AXES[a]) })
+        let unit = unit.map_or_else(String::new, |unit| drawable(&format!(" ({unit})")));
+        Ok(Self { place, letters, ends, ticks, names: across.map(|a| format!("{}{unit}", AXES[a])) })
     }
 
     fn axes(&self, canvas: &mut Canvas, ink: [u8; 3]) {
@@ -202,8 +206,11 @@ impl Frame {
             canvas.write(&text, letters, [middle, y as f32 + 0.5 + 0.35 * letters], ink);
         }
         let middle = left as f32 + width as f32 / 2.0;
-        canvas.write(self.names[0], letters, [middle, bottom as f32 + mark as f32 + 2.2 * letters], ink);
-        canvas.write(self.names[1], letters, [left as f32, top as f32 - 0.6 * letters], ink);
+        canvas.write(&self.names[0], letters, [middle, bottom as f32 + mark as f32 + 2.2 * letters], ink);
+        // Its first letter stands above the axis.
+        let name = &self.names[1];
+        let shift = (canvas.width(name, letters) - canvas.width(&name[..1], letters)) / 2.0;
+        canvas.write(name, letters, [left as f32 + shift, top as f32 - 0.6 * letters], ink);
     }
 }
 

@@ -12,6 +12,7 @@ use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
 use isospan::surface::edit::clip::{HalfSpace, clip};
 use isospan::surface::weld::{BuilderSettings, StoredSurface};
+use isospan::volume::units::{Unit, common};
 use isospan::{Archive, Error, Resources, Result};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -53,6 +54,18 @@ pub(super) struct Panel {
     pub(super) flat: bool,
 }
 
+impl Panel {
+    /// The unit of the isovalues.
+    pub(super) fn value_unit(&self) -> Option<&Unit> {
+        self.moment.as_ref()?.step.units().value.as_ref()
+    }
+
+    /// The unit of lengths.
+    pub(super) fn length_unit(&self) -> Option<&Unit> {
+        self.moment.as_ref()?.step.units().length.as_ref()
+    }
+}
+
 /// A step of an archive, and the field that colours show: its own, or another one.
 #[derive(Clone)]
 pub(super) struct Moment {
@@ -91,7 +104,7 @@ impl Input {
             None => vec![(args.step.choice(), None)],
             Some(range) => {
                 let words = |number: u64, time: Option<f64>| match time {
-                    Some(time) => format!("time {}", super::words_of(time)),
+                    Some(time) => format!("time {}", super::with_unit(time, about.units.time.as_ref())),
                     None => format!("step {number}"),
                 };
                 let of = |number, time| (StepChoice::Number(number), Some((number, words(number, time))));
@@ -154,6 +167,14 @@ impl Input {
         Ok(Self::Archive(Box::new(Opened { name, moments, isovalues, hull, slices })))
     }
 
+    /// The unit of its lengths; files of surfaces name none.
+    pub(super) fn length_unit(&self) -> Option<Unit> {
+        match self {
+            Self::Surface(_) => None,
+            Self::Archive(opened) => opened.moments[0].step.units().length.clone(),
+        }
+    }
+
     /// How many steps of it are drawn.
     pub(super) fn moments(&self) -> usize {
         match self {
@@ -177,6 +198,11 @@ impl Opened {
     /// The name of the field that colours show.
     pub(super) fn colour_field(&self) -> &str {
         self.moments[0].field.field()
+    }
+
+    /// The unit of the field that colours show, where all its steps have the same.
+    pub(super) fn colour_unit(&self) -> Option<Unit> {
+        common(self.moments.iter().map(|moment| moment.field.units().value.clone()))
     }
 
     /// Least and largest value of the field that colours show.

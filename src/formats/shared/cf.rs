@@ -14,6 +14,7 @@ use super::header::geometry;
 use super::{Frames, OpenOptions};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
+use crate::volume::units::{Unit, Units, common};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
 use std::collections::HashMap;
 use std::path::Path;
@@ -194,6 +195,14 @@ pub(in crate::formats) fn kind_of_coordinate(name: &str, axis: &str, units: &str
         _ if ["degrees_north", "degree_north", "degrees_N"].contains(&units) => 'y',
         _ => kind_of_name(name),
     }
+}
+
+/// What the units of a variable and of its coordinates along x, y, z and t say. A length has a unit
+/// where those of the three axes agree; degrees are no lengths.
+pub(in crate::formats) fn units(value: &str, space: [Option<String>; 3], time: Option<String>) -> Units {
+    let along = |unit: Option<String>| unit.and_then(|unit| Unit::length(&unit));
+    let length = common(space.map(along)).filter(|unit| !unit.as_str().starts_with("degree"));
+    Units { value: Unit::new(value), length, time: time.and_then(|unit| Unit::time(&unit)) }
 }
 
 /// A volume of an array: the last three axes, at one entry of each axis before.

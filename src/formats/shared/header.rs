@@ -6,6 +6,7 @@ use crate::bytes::remote::is_remote;
 use crate::bytes::{ByteSource, IoMode, place};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
+use crate::volume::units::Units;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -125,6 +126,7 @@ pub(in crate::formats) fn plain_info(
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        units: Units::default(),
         data_files: vec![],
     }
 }

@@ -3,6 +3,7 @@
 use crate::bytes::IoMode;
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
+use crate::volume::units::Units;
 use std::path::{Path, PathBuf};
 
 /// How to open a volume.
@@ -26,6 +27,9 @@ pub struct OpenOptions {
     /// A text file of one number a point, for meshes whose format keeps values apart: TetGen,
     /// points and tetrahedra as text.
     pub values: Option<PathBuf>,
+    /// Units that the user names; each counts in place of the file's.
+    #[serde(default, skip_serializing_if = "Units::are_unknown")]
+    pub units: Units,
 }
 
 impl OpenOptions {

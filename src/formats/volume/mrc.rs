@@ -36,6 +36,7 @@ use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use std::io::Read;
@@ -105,6 +106,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        units: Units::of_length(header.unit()),
         data_files: vec![],
     };
     let offset = HEADER as u64 + header.extended()? + number as u64 * bytes;
@@ -258,6 +260,13 @@ impl Header {
         geometry(&self.path, "the cell and its origin", origin, columns)
     }
 
+    /// Ångström, where the header has the edges of the cell in them.
+    fn unit(&self) -> Option<Unit> {
+        let is_given =
+            self.integers(8).into_iter().zip(self.floats(11)).all(|(n, edge)| n != 0 && edge != 0.0);
+        is_given.then(|| Unit::length("Å")).flatten()
+    }
+
     /// The directions of the edges of the cell.
     fn directions(&self) -> Result<[[f64; 3]; 3]> {
         let angles = self.floats(14);
@@ -353,10 +362,11 @@ mod tests {
     #[test]
     fn cells_are_placed() {
         let dir = tempfile::tempdir().unwrap();
-        let place = |words: &[(usize, u32)]| {
+        let info = |words: &[(usize, u32)]| {
             let file = map(false, words, &shorts(false));
-            open_volume(&write(&dir, "a.mrc", &file), &OpenOptions::default()).unwrap().info().geometry
+            open_volume(&write(&dir, "a.mrc", &file), &OpenOptions::default()).unwrap().info().clone()
         };
+        let place = |words: &[(usize, u32)]| info(words).geometry;
         let cell = [
             (11, float(8.0)),
             (12, float(4.5)),
@@ -367,6 +377,8 @@ mod tests {
         ];
         let g = place(&cell);
         assert_eq!((g.spacing, g.origin), ([2.0, 1.5, 0.5], [0.0; 3]));
+        assert_eq!(info(&cell).units, Units::of_length(Unit::length("Å")));
+        assert_eq!(info(&[]).units, Units::default(), "there is no cell");
         // From the numbers of the first samples, unless there is an origin.
         let starts = [&cell[..], &[(5, 10), (6, -2i32 as u32), (7, 3)]].concat();
         assert_eq!(place(&starts).origin, [20.0, -3.0, 1.5]);

@@ -280,6 +280,16 @@ impl Plan {
         manifest.plan_hash == self.mesh_hash() && manifest.steps.iter().map(|s| &s.plan).eq(&self.steps)
     }
 
+    /// Whether a manifest is that of this plan, but for the units of its steps, on which no other
+    /// file depends.
+    pub(super) fn is_but_for_units(&self, manifest: &Manifest) -> bool {
+        let mut unlike = self.clone();
+        for (step, theirs) in unlike.steps.iter_mut().zip(&manifest.steps) {
+            step.source.units.clone_from(&theirs.plan.source.units);
+        }
+        unlike.is_of(manifest)
+    }
+
     /// Gives each step its base: the one before it, unless a keyframe is due. `before` is the last
     /// step that an archive has already.
     ///
@@ -338,6 +348,7 @@ pub(super) fn source_of(info: &VolumeInfo, fingerprint: String) -> Source {
         offset: 0.0,
         rounding: 0.0,
         mesh: None,
+        units: info.units.clone(),
     }
 }
 

@@ -13,6 +13,7 @@ use crate::pipeline::plan::Plan;
 use crate::points::{Levels, PointSpec};
 use crate::sample::{Interpolation, Values};
 use crate::volume::ScalarType;
+use crate::volume::units::{Unit, Units};
 use serde::Serialize;
 
 /// A level of density.
@@ -89,6 +90,8 @@ pub struct ArchiveSummary {
     pub field: String,
     /// Index space to world.
     pub geometry: Geometry,
+    /// The units of values, lengths and times, as far as they are known.
+    pub units: Units,
     /// The bad cells of a rectilinear or curvilinear grid, whose coordinates are in the archive.
     pub grid_cells: Option<CellCount>,
     /// What the source had, if it is a tetrahedral mesh.
@@ -148,6 +151,9 @@ pub struct StepSummary {
     pub source: String,
     /// Name of the field.
     pub field: String,
+    /// The unit of its values, where it is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<Unit>,
     /// The step that its values refer to; none of a keyframe.
     pub base: Option<u64>,
     /// Least and largest value.
@@ -178,6 +184,7 @@ impl StepSummary {
             time: plan.time,
             source: plan.source.path.clone(),
             field: plan.source.field.clone(),
+            unit: plan.source.units.value.clone(),
             base: plan.base.map(|b| b.number),
             range: step.file_range(),
             rounding: step.notable_rounding(),
@@ -204,6 +211,7 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
         scalar: source.scalar,
         field: source.field.clone(),
         geometry: source.geometry,
+        units: source.units.clone(),
         grid_cells: archive.coordinate_record().map(|c| c.cells),
         mesh: source.mesh,
         own: archive.manifest.plan.own.is_some(),

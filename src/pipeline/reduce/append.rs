@@ -99,7 +99,7 @@ fn with_field(source: &StepSource, field: &str) -> StepSource {
     // planned.
     let is_named = source.options.field.is_some() || source.is_given();
     match !is_named && formats::open_input(&source.path, &options).is_ok() {
-        true => StepSource::new(&source.path, &options).at(source.time),
+        true => source.in_field(&options),
         false => source.clone(),
     }
 }

@@ -211,6 +211,8 @@ impl Existing {
                 let is_complete = !lacks_files(out, manifest);
                 return Ok(if is_complete { State::Complete(manifest.clone()) } else { State::Begun });
             }
+            // Its files stay, and a manifest with other units takes the place of its own.
+            Self::Finished(manifest) if plan.is_but_for_units(manifest) => return Ok(State::Begun),
             Self::Finished(manifest) if lacks_files(out, manifest) => {
                 let text = "lacks files, and was not made by this reduction alone; \
                             choose another name, or --force to replace it";

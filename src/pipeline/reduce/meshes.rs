@@ -35,6 +35,7 @@ use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{Amount, ReduceSettings};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::Interpolation;
+use crate::volume::units::Units;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -500,6 +501,7 @@ fn plan_steps(
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
     }
     series.watch = planner.inputs.watch;
+    series.share_units(archive)?;
     if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
         series.connect()?;
     }
@@ -567,6 +569,7 @@ impl StepPlanner<'_> {
             scalar: found.scalar,
             field: found.field,
             rounding: self.rounding(number, &mesh)?,
+            units: source.units(&found.units),
             ..self.template.source.clone()
         };
         let settings = self.job.settings;
@@ -609,5 +612,7 @@ fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
         offset: 0.0,
         rounding: 0.0,
         mesh: None,
+        // Formats of meshes name none.
+        units: Units::default(),
     })
 }

@@ -6,8 +6,9 @@ use crate::formats::StepSource;
 use crate::pipeline::plan::{Attachments, Layout, Plan, Watch};
 use crate::pipeline::read::OpenArchive;
 use crate::volume::chunked::ChunkShape;
+use crate::volume::units::Unit;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// A step that was left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -105,6 +106,22 @@ pub(in crate::pipeline) struct SeriesPlan {
 }
 
 impl SeriesPlan {
+    /// Gives steps whose files name no unit those of the steps before, also of an archive that they
+    /// are added to: of lengths and times those of any step, of values those of the same field.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where a step has another unit.
+    pub(super) fn share_units(&mut self, archive: Option<&OpenArchive>) -> Result<()> {
+        let mut known = KnownUnits::default();
+        let old = archive.into_iter().flat_map(|archive| &archive.manifest.steps);
+        old.for_each(|step| known.learn(&step.plan));
+        for (step, from) in self.plan.steps.iter_mut().zip(&self.sources) {
+            known.agree(step, &from.source)?;
+            known.learn(step);
+        }
+        Ok(())
+    }
+
     /// Gives each step its base, and checks that times ascend.
     pub(super) fn connect(&mut self) -> Result<()> {
         self.plan.set_bases(self.before.as_ref(), self.keyframes);
@@ -141,6 +158,56 @@ impl SeriesPlan {
             layout.at(step.number).remove_step()?;
         }
         self.connect()
+    }
+}
+
+/// The units of the steps so far, and which step has each.
+#[derive(Default)]
+struct KnownUnits {
+    length: Option<(Unit, u64)>,
+    time: Option<(Unit, u64)>,
+    values: HashMap<String, (Unit, u64)>,
+}
+
+/// The field that a frame is one of: "temp" of "temp:t5".
+fn without_frame(field: &str) -> &str {
+    let is_frame = |end: &str| !end.is_empty() && end.bytes().all(|b| b.is_ascii_digit());
+    field.rsplit_once(":t").filter(|(_, end)| is_frame(end)).map_or(field, |(name, _)| name)
+}
+
+impl KnownUnits {
+    fn learn(&mut self, step: &StepPlan) {
+        let (units, number) = (&step.source.units, step.number);
+        let with_step = |unit: &Option<Unit>| unit.clone().map(|unit| (unit, number));
+        self.length = self.length.take().or(with_step(&units.length));
+        self.time = self.time.take().or(with_step(&units.time));
+        if let Some(value) = with_step(&units.value) {
+            self.values.entry(without_frame(&step.source.field).to_owned()).or_insert(value);
+        }
+    }
+
+    fn agree(&self, step: &mut StepPlan, from: &StepSource) -> Result<()> {
+        let units = &mut step.source.units;
+        let same = |own: &mut Option<Unit>, known: Option<&(Unit, u64)>, of: &str, flag: &str| {
+            let Some((known, number)) = known else { return Ok(()) };
+            match own {
+                Some(unit) if unit != known => Err(Error::usage(format!(
+                    "{}: the unit of its {of} is {unit}, that of step {number} is {known}: \
+                     convert the file, or name the unit with {flag} if both mean the same",
+                    from.path.display()
+                ))),
+                _ => {
+                    *own = Some(known.clone());
+                    Ok(())
+                }
+            }
+        };
+        same(&mut units.length, self.length.as_ref(), "lengths", "--length-unit")?;
+        if step.time.is_some() {
+            same(&mut units.time, self.time.as_ref(), "times", "--time-unit")?;
+        }
+        let value = self.values.get(without_frame(&step.source.field));
+        same(&mut units.value, value, "values", "--unit")
     }
 }
 

@@ -146,6 +146,7 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
     };
     skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
     share_copies(&mut series)?;
+    series.share_units(archive)?;
     if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
         series.connect()?;
     }
@@ -282,6 +283,7 @@ impl Planner<'_> {
             source: Source {
                 offset: shift.offset,
                 rounding: shift.rounding,
+                units: source.units(&info.units),
                 ..source_of(&info, fingerprint)
             },
             interpolation: self.job.settings.interpolation,

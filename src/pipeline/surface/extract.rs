@@ -87,9 +87,12 @@ pub(super) fn extract_surfaces(
     in_order(&bytes, shares.batch, &pool, extract, |n, surfaces| {
         question.archive.close_before(work[n].chunk);
         weld.push(surfaces, spare)?;
-        parts.as_mut().map_or(Ok(()), |parts| weld.hand_on(parts, work[n].chunk.0 + 1))
+        // After the last chunk comes the surface of which others are previews.
+        let has_more = n + 1 < work.len();
+        let parts = parts.as_mut().filter(|parts| has_more || !parts.are_previews());
+        parts.map_or(Ok(()), |parts| weld.hand_on(parts, work[n].chunk.0 + 1))
     })?;
-    if let Some(parts) = parts {
+    if let Some(parts) = parts.filter(|parts| !parts.are_previews()) {
         weld.close()?;
         weld.hand_on(parts, question.archive.chunks.len())?;
     }

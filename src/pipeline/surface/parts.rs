@@ -2,8 +2,9 @@
 //! welded.
 //!
 //! A vertex on an edge that later chunks may have has its final normal last, so the last part has
-//! the normals of such vertices. What is cut, refined or has holes is changed as a whole, and is
-//! one part.
+//! the normals of such vertices. What is cut or has holes is changed as a whole in the end: its
+//! parts are a preview, and the last part is all of the surface. What is refined is that part
+//! alone.
 
 use super::settings::SurfaceSettings;
 use crate::error::Result;
@@ -24,12 +25,18 @@ pub struct SurfacePart<'a> {
     pub changed: &'a [(u32, Vertex)],
     /// Chunks of the archive before this number have no further triangles.
     pub chunks: u64,
+    /// Whether the part is of a preview: of the surface before it is cut at the region of interest,
+    /// or along the edges of holes. The first part without this mark takes the place of all with
+    /// it.
+    pub is_preview: bool,
 }
 
 /// Takes the parts of surfaces.
 pub(super) struct Parts<'a> {
     to_world: IndexToWorld,
-    /// Whether parts come before the surface is whole.
+    /// Whether the surface is changed as a whole, when all chunks have added to it.
+    changes: bool,
+    /// Whether parts come before that.
     is_early: bool,
     each: &'a mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
 }
@@ -40,9 +47,14 @@ impl<'a> Parts<'a> {
         settings: &SurfaceSettings,
         each: &'a mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
     ) -> Result<Self> {
-        let is_early =
-            settings.roi.is_none() && settings.refine.changes_nothing() && !archive.may_have_holes();
-        Ok(Self { to_world: IndexToWorld::of(archive)?, is_early, each })
+        let is_early = settings.refine.changes_nothing();
+        let changes = !is_early || settings.roi.is_some() || archive.may_have_holes();
+        Ok(Self { to_world: IndexToWorld::of(archive)?, changes, is_early, each })
+    }
+
+    /// Whether the parts are those of a preview, whose last normals nobody needs.
+    pub(super) fn are_previews(&self) -> bool {
+        self.changes
     }
 
     /// Hands on what chunks before a number have added to the surface of an isovalue.
@@ -50,7 +62,8 @@ impl<'a> Parts<'a> {
         if !self.is_early {
             return Ok(());
         }
-        let Self { to_world, each, .. } = self;
+        let Self { to_world, each, changes: is_preview, .. } = self;
+        let is_preview = *is_preview;
         builder.hand_on(|added| {
             let place = |&(number, vertex)| Ok((number, to_world.vertex(&vertex)?));
             let changed = added.changed.iter().map(place).collect::<Result<Vec<_>>>()?;
@@ -58,7 +71,9 @@ impl<'a> Parts<'a> {
             if is_empty {
                 return Ok(());
             }
-            to_world.surface(added, |added| each(&SurfacePart { isovalue, added, changed: &changed, chunks }))
+            to_world.surface(added, |added| {
+                each(&SurfacePart { isovalue, added, changed: &changed, chunks, is_preview })
+            })
         })
     }
 
@@ -69,9 +84,9 @@ impl<'a> Parts<'a> {
         isovalue: usize,
         chunks: u64,
     ) -> Result<()> {
-        if self.is_early {
+        if !self.changes {
             return Ok(());
         }
-        (self.each)(&SurfacePart { isovalue, added: surface, changed: &[], chunks })
+        (self.each)(&SurfacePart { isovalue, added: surface, changed: &[], chunks, is_preview: false })
     }
 }

@@ -71,6 +71,7 @@ pub(super) fn header_of(info: &VolumeInfo) -> Header {
         missing: info.missing.filter(|m| m.is_finite()),
         source: name.unwrap_or_default(),
         source_format: info.format.clone(),
+        units: info.units.clone(),
     }
 }
 

@@ -37,6 +37,7 @@ use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Fault, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::convert_row;
+use crate::volume::units::Units;
 use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeReader};
 use byteorder::{ByteOrder, LE};
 use serde::{Deserialize, Serialize};
@@ -70,6 +71,8 @@ struct Header {
     /// File name, without folder, and format of what was copied.
     source: String,
     source_format: String,
+    #[serde(default, skip_serializing_if = "Units::are_unknown")]
+    units: Units,
 }
 
 /// Sizes and places, all derived from dimensions and sample size.
@@ -221,6 +224,7 @@ impl BrickedVolume {
             slope: header.slope,
             intercept: header.intercept,
             missing: header.missing,
+            units: header.units,
             data_files: vec![],
         };
         Ok(Self { info, source, layout })

@@ -27,6 +27,7 @@ fn boxes(dims: [u64; 3], boxes: Vec<IndexBox>) -> Box<dyn SlabStream> {
         slope: 0.3,
         intercept: -1.1,
         missing: Some(203.0),
+        units: Units::default(),
         data_files: vec![],
     };
     Box::new(Boxes { info, boxes: boxes.into_iter() })

@@ -351,11 +351,18 @@ pub(crate) fn reseal_all(
     manifest.write(archive).unwrap();
 }
 
-/// The surfaces of a step whose parts were put together, and the number of parts.
+/// The surfaces of a step whose parts were put together, in place of those of a preview, and the
+/// number of all parts.
 pub(crate) fn streamed(archive: &Archive, settings: &SurfaceSettings) -> (Vec<TriMesh>, usize) {
     let mut shown = vec![TriMesh::default(); settings.isovalues.len()];
     let (mut parts, mut chunks, mut whole) = (0, 0, 0);
+    let mut are_previews = vec![false; settings.isovalues.len()];
     let mut take = |part: &SurfacePart<'_>| {
+        let was_preview = std::mem::replace(&mut are_previews[part.isovalue], part.is_preview);
+        assert!(was_preview || !part.is_preview || shown[part.isovalue] == TriMesh::default());
+        if was_preview && !part.is_preview {
+            shown[part.isovalue] = TriMesh::default();
+        }
         let (surface, added) = (&mut shown[part.isovalue], TriMesh::from_source(part.added)?);
         surface.vertices.extend(added.vertices);
         surface.triangles.extend(added.triangles);
@@ -373,5 +380,6 @@ pub(crate) fn streamed(archive: &Archive, settings: &SurfaceSettings) -> (Vec<Tr
         Ok(())
     });
     assert_eq!(report.unwrap().triangles, whole);
+    assert!(!are_previews.contains(&true), "surfaces end as they are");
     (shown, parts)
 }

@@ -214,6 +214,11 @@ impl Archive {
         to_python(py, &self.here.geometry())
     }
 
+    #[getter]
+    fn units<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, self.here.units())
+    }
+
     fn value_range(&self, py: Python<'_>, when: When) -> PyResult<Option<[f64; 2]>> {
         Ok(self.at(py, when)?.value_range())
     }

@@ -52,7 +52,7 @@ pub(crate) fn reduce<'py>(
             None => args.request(&talk)?,
             Some(volumes) => {
                 let mut steps = steps(volumes, &run, progress)?;
-                args.steps.set_times(&mut steps)?;
+                args.steps.tell(&mut steps)?;
                 let settings = args.choices.settings(&steps[0])?;
                 (steps, settings)
             }
@@ -77,7 +77,7 @@ pub(crate) fn append<'py>(
             None => args.sources(&talk)?,
             Some(volumes) => {
                 let mut steps = steps(volumes, &run, progress)?;
-                args.steps.set_times(&mut steps)?;
+                args.steps.tell(&mut steps)?;
                 steps
             }
         };

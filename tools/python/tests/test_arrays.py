@@ -223,6 +223,36 @@ def test_xarray(expected, tmp_path):
     expect_same(made(xarray.DataArray(field()), tmp_path, "none"), expected)
 
 
+def test_units(tmp_path):
+    plain = made(field(), tmp_path, "plain")
+    assert (plain.unit, plain.length_unit, plain.time_unit) == (None, None, None)
+    named = made(field(), tmp_path, "named", unit="K", length_unit="micrometer")
+    assert (named.unit, named.length_unit, named.time_unit) == ("K", "µm", None)
+    assert named.info["units"] == {"value": "K", "length": "µm"}
+    assert named.steps[0]["unit"] == "K"
+    # An xarray tells them in its attributes, as CF has them; what is given counts in their place.
+    coords = {
+        along: (along, np.arange(n), {"units": "m"}) for along, n in zip("zyx", field().shape)
+    }
+    steps = np.stack([field(time=n / 4) for n in range(2)])
+    coords["time"] = ("time", [0.0, 6.0], {"units": "hours since 2000-01-01"})
+    data = xarray.DataArray(
+        steps, dims=("time", "z", "y", "x"), coords=coords, attrs={"units": "kg m-3"}
+    )
+    of_array = made(data, tmp_path, "a")
+    assert (of_array.unit, of_array.length_unit) == ("kg m-3", "m")
+    assert of_array.time_unit == "hours since 2000-01-01"
+    assert made(data[0], tmp_path, "b", unit="g/l").unit == "g/l"
+    # Times that are given have no unit of the coordinate, and degrees are no lengths.
+    assert made(data, tmp_path, "c", times=[1, 2]).time_unit is None
+    data.x.attrs["units"] = data.y.attrs["units"] = data.z.attrs["units"] = "degrees"
+    assert made(data[0], tmp_path, "d").length_unit is None
+    with pytest.raises(isospan.UsageError, match="the unit of its values is Pa"):
+        isospan.append(of_array, field(), times=[9], unit="Pa")
+    longer = isospan.append(of_array, field(), times=[9])
+    assert [step["unit"] for step in longer.steps] == ["kg m-3"] * 3
+
+
 def test_series_of_arrays(series, tmp_path):
     steps = [field(time=n / 4) for n in range(3)]
     archive = made(steps, tmp_path, "a", fraction="1/2", times=(0, 0.5, 2))

@@ -56,6 +56,8 @@ export function connect(names) {
       signal?.addEventListener("abort", () => {
         gone = true;
         if (waiting.includes(job)) waiting.splice(waiting.indexOf(job), 1);
+        // The next one is asked when the worker says that this one has ended.
+        if (running === job) worker.postMessage({ stop: true });
         if (begun) stream.error(signal.reason);
         failed(signal.reason);
       });

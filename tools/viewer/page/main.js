@@ -58,6 +58,15 @@ function digits(value, count = 4) {
   if (size !== 0 && (size < 1e-3 || size >= 1e7)) return value.toExponential(count - 1).replace(/\.?0+e/, "e");
   return Number(value.toPrecision(count)).toLocaleString("en", { maximumFractionDigits: 8 });
 }
+
+/** A number with the unit behind it, where that is known. */
+const withUnit = (text, unit) => (unit ? `${text} ${unit}` : text);
+
+/** The unit of an area ("²") or a volume ("³"). */
+function power(unit, exponent) {
+  if (!unit) return undefined;
+  return /^\p{L}+$/u.test(unit) ? unit + exponent : `(${unit})${exponent}`;
+}
 const whole = (value) => Math.round(value).toLocaleString("en");
 
 function bytes(value) {
@@ -148,13 +157,19 @@ function parameters(isovalues) {
 }
 
 function roiOf(region) {
+  const box = boxOf(region);
+  const end = (x) => (Number.isFinite(x) ? x : "");
+  return box && `world:${box.map(([lo, hi]) => `${end(lo)}:${end(hi)}`).join(",")}`;
+}
+
+/** The box of a region in the world, without an end where it reaches that of the domain. */
+function boxOf(region) {
   if (!region || view.bounds.isEmpty()) return undefined;
   const { min, max } = view.bounds;
-  const range = (a) => {
-    const [lo, hi] = region[a].map((t) => min.getComponent(a) + t * (max.getComponent(a) - min.getComponent(a)));
-    return `${region[a][0] > 0 ? lo : ""}:${region[a][1] < 1 ? hi : ""}`;
-  };
-  return `world:${[0, 1, 2].map(range).join(",")}`;
+  return region.map((ends, a) => {
+    const [lo, hi] = ends.map((t) => min.getComponent(a) + t * (max.getComponent(a) - min.getComponent(a)));
+    return [ends[0] > 0 ? lo : -Infinity, ends[1] < 1 ? hi : Infinity];
+  });
 }
 
 /** A surface that takes this long, in ms, gives way to a newer wish. */
@@ -185,8 +200,10 @@ async function fetchSurface(surface) {
   Object.assign(surface, { key, request, start, seen: false });
   // The values of another field come last: surfaces without their colours do not replace those that have them.
   const isShownWhole = wish.colour !== null && surface.found;
+  const box = boxOf(state.region);
   const part = (found) => {
     if (surface.removed || isShownWhole || request.signal.aborted) return;
+    found.box = box;
     view.show(surface.name, found, surface);
     if (!surface.seen) view.drawn().then(() => (times.first ??= performance.now() - start));
     surface.seen = true;
@@ -315,7 +332,8 @@ function drawControls() {
   const surface = state.surfaces[state.active];
   const [lo, hi] = stepInfo().range ?? [0, 1];
   $("isovalue").value = hi > lo ? (surface.isovalue - lo) / (hi - lo) : 0;
-  $("isovalue").setAttribute("aria-valuetext", digits(surface.isovalue));
+  $("isovalue").setAttribute("aria-valuetext", withUnit(digits(surface.isovalue), stepInfo().unit));
+  $("of-values").textContent = stepInfo().unit ? ` in ${stepInfo().unit}` : "";
   const numbers = document.querySelectorAll("#surfaces input[type=number]");
   state.surfaces.forEach((s, n) => {
     if (numbers[n] && document.activeElement !== numbers[n]) numbers[n].value = s.isovalue;
@@ -339,11 +357,12 @@ function tellStatistics() {
   const lines = [];
   if (surface?.found) {
     const { report, milliseconds } = surface.found;
+    const { length } = archive().units;
     lines.push(
       ["triangles", whole(report.triangles)],
       ["vertices", whole(report.vertices)],
-      ["area", digits(surface.area)],
-      ["volume inside", `≈ ${digits(spectrum.at(surface.isovalue, "volume"))}`],
+      ["area", withUnit(digits(surface.area), power(length, "²"))],
+      ["volume inside", `≈ ${withUnit(digits(spectrum.at(surface.isovalue, "volume")), power(length, "³"))}`],
       ["extraction", `${digits(milliseconds, 3)} ms`],
       ["until drawn", `${digits(surface.times.whole, 3)} ms`],
       ["first part", `${digits(surface.times.first, 3)} ms`],
@@ -352,7 +371,9 @@ function tellStatistics() {
   }
   const error = stepInfo().error ?? archive().error;
   if (error) {
-    lines.push(["error of the field, RMS", digits(error.rms)], ["error, largest", digits(error.max)]);
+    const [rms, max] = Array.isArray(error) ? error : [error.rms, error.max];
+    const { unit } = stepInfo();
+    lines.push(["error of the field, RMS", withUnit(digits(rms), unit)], ["error, largest", withUnit(digits(max), unit)]);
   }
   $("statistics").replaceChildren(
     ...lines.flatMap(([name, value]) => [
@@ -466,8 +487,9 @@ function setColours() {
 }
 
 function drawBar() {
-  const { field } = colourInfo();
-  document.querySelector("#colours h2").textContent = field ? `Colours of ${field}` : "Colours of the field";
+  const { field, unit } = colourInfo();
+  const title = field ? `Colours of ${field}` : "Colours of the field";
+  document.querySelector("#colours h2").textContent = unit ? `${title} in ${unit}` : title;
   const bar = $("bar");
   [bar.width, bar.height] = [256, 1];
   const c = bar.getContext("2d");
@@ -488,7 +510,7 @@ async function setStep(number) {
   const n = steps().findIndex((s) => s.number === number);
   $("step").value = n;
   const { time, field } = stepInfo();
-  const moment = time === null || time === undefined ? `step ${number}` : `t = ${digits(time)}`;
+  const moment = time === null || time === undefined ? `step ${number}` : `t = ${withUnit(digits(time), archive().units.time)}`;
   $("now").textContent = fields().length ? field : moment;
   $("step").setAttribute("aria-valuetext", $("now").textContent);
   if (state.clip !== null) fetchSlice(COARSE);
@@ -535,6 +557,7 @@ async function setArchive(camera) {
   $("archive").value = state.archive;
   $("facts").textContent = `${it.dims.join(" × ")} ${it.scalar}, ${whole(it.points)} points, ${bytes(it.bytes)}`;
   document.title = `${it.name} – isospan`;
+  view.lengthUnit = it.units.length;
   view.setDomain(it.corners);
   it.bounds = undefined;
   $("coloured").hidden = !fields().length;

@@ -121,6 +121,7 @@ export class View {
     this.plane = null;
     this.field = null;
     this.showBox = this.showAxes = true;
+    this.lengthUnit = undefined;
     this.waiting = false;
     this.afterDrawing = [];
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
@@ -241,11 +242,22 @@ export class View {
       material.opacity = opacity;
       material.transparent = opacity < 1;
       material.depthWrite = opacity >= 1;
-      material.clippingPlanes = this.plane ? [this.plane] : [];
+      material.clippingPlanes = this.planesOf(layer);
       material.needsUpdate = true;
       layer.mesh.renderOrder = opacity < 1 ? 1 : 0;
     }
     this.draw();
+  }
+
+  /** The planes that cut a surface; a preview is cut at the region of interest here, which the finished one ends at. */
+  planesOf({ found }) {
+    const planes = this.plane ? [this.plane] : [];
+    if (!found.preview || !found.box) return planes;
+    found.box.forEach(([lo, hi], a) => {
+      if (lo > -Infinity) planes.push(new Plane(new Vector3().setComponent(a, 1), -lo));
+      if (hi < Infinity) planes.push(new Plane(new Vector3().setComponent(a, -1), hi));
+    });
+    return planes;
   }
 
   /** The colours of values at vertices: a table of 256 colours, and the values at its ends; or none. */
@@ -286,9 +298,9 @@ export class View {
       const normal = new Vector3().setComponent(axis, -sign);
       this.plane = new Plane(normal, sign * place);
     }
-    for (const { mesh } of [...this.surfaces.values()].flat()) {
-      mesh.material.clippingPlanes = this.plane ? [this.plane] : [];
-      mesh.material.needsUpdate = true;
+    for (const layer of [...this.surfaces.values()].flat()) {
+      layer.mesh.material.clippingPlanes = this.planesOf(layer);
+      layer.mesh.material.needsUpdate = true;
     }
     this.draw();
   }
@@ -386,7 +398,8 @@ export class View {
     c.lineTo(right, bottom - 5);
     c.stroke();
     c.textAlign = "right";
-    c.fillText(Number(bar.toPrecision(1)).toString(), right, bottom - 9);
+    const words = Number(bar.toPrecision(1)).toString();
+    c.fillText(this.lengthUnit ? `${words} ${this.lengthUnit}` : words, right, bottom - 9);
   }
 
   /** The picture, with axes and scale, on the page's background. */

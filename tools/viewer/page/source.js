@@ -5,8 +5,8 @@ import { connect } from "./local.js";
 const beside = document.querySelector('meta[name="isospan-archives"]');
 const ask = beside ? connect(beside.content.split("\n")) : fetch;
 
-/** Whether an answer that is no longer wanted stops: a worker goes on to its end. */
-export const canStop = !beside;
+/** Whether an answer that is no longer wanted stops: a worker must be able to wait for messages meanwhile. */
+export const canStop = !beside || typeof WebAssembly.Suspending === "function";
 
 /** What went wrong, in the server's words. */
 async function refusal(response) {
@@ -103,14 +103,16 @@ const bytesOf = ({ buffer, byteOffset, byteLength }) => new Uint8Array(buffer, b
  * One isosurface: `vertices` (position and normal, six floats each), `triangles` (three numbers each), and `values` of
  * the field that `colour` names (null without one). `part(surface)` is called whenever some triangles have come: those
  * of the archive's chunks before `chunks`. `parts` has the number of triangles after each part; `changes` counts parts
- * that changed earlier vertices.
+ * that changed earlier vertices. While `preview` is true, what has come is not yet cut at the region, and is replaced as
+ * a whole.
  */
 export async function surface(archive, parameters, signal, part) {
   const response = await ask(`${archive}/surface?${query(parameters)}`, { signal });
   if (!response.ok) throw await refusal(response);
   const pieces = new Pieces(response);
-  const [vertices, triangles] = [new Growing(Float32Array), new Growing(Uint32Array)];
-  const found = { vertices, triangles, values: null, parts: [], chunks: 0, changes: 0, report: null, milliseconds: 0 };
+  const found = { values: null, preview: false, changes: 0, report: null, milliseconds: 0 };
+  const empty = () => ({ vertices: new Growing(Float32Array), triangles: new Growing(Uint32Array), parts: [], chunks: 0 });
+  Object.assign(found, empty());
   while (!found.report) {
     const head = await pieces.json();
     if (head.error) throw new Error(head.error);
@@ -120,6 +122,9 @@ export async function surface(archive, parameters, signal, part) {
       found.values = new Float32Array(head.values);
       await pieces.fill(bytesOf(found.values));
     } else {
+      if (found.preview && !head.preview) Object.assign(found, empty());
+      found.preview = head.preview;
+      const { vertices, triangles } = found;
       await pieces.fill(bytesOf(vertices.more(6 * head.vertices)));
       const [numbers, changed] = [new Uint32Array(head.changed), new Float32Array(6 * head.changed)];
       await pieces.fill(bytesOf(numbers));

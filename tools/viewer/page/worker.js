@@ -73,6 +73,20 @@ function range(name, from, to) {
   return part(bytes);
 }
 
+/** Whether WebAssembly can wait for a promise. */
+const canWait = typeof WebAssembly.Suspending === "function" && typeof WebAssembly.promising === "function";
+/** Whether the page no longer wants the answer that is under way. */
+let stopped = false;
+const turn = new MessageChannel();
+
+/** Lets messages in, then says whether one of them asked to stop. */
+function pause() {
+  return new Promise((done) => {
+    turn.port1.onmessage = () => done(Number(stopped));
+    turn.port2.postMessage(null);
+  });
+}
+
 /** What WebAssembly asks of the page: see tools/viewer/core/src/host.rs. */
 const page = {
   fetch(nameAt, nameLength, from, to, out, room, place) {
@@ -92,28 +106,34 @@ const page = {
     const { buffer } = bytesAt(at, length).slice();
     postMessage({ piece: buffer }, [buffer]);
   },
+  // A promise: other messages come meanwhile. Where the browser cannot wait for it, an answer goes on to its end.
+  stopped: canWait ? new WebAssembly.Suspending(pause) : () => 0,
   failed(at, length) {
     wrong = textAt(at, length);
   },
   now: () => performance.now(),
 };
 
-/** Calls a function that takes a text; returns its status. */
+/** Calls a function that takes a text; returns its status, maybe later. */
 function call(name, text) {
-  wrong = "";
+  [wrong, stopped] = ["", false];
   const bytes = encoder.encode(text);
   const at = wasm.room(bytes.length);
   bytesAt(at, bytes.length).set(bytes);
-  return wasm[name]();
+  return canWait ? WebAssembly.promising(wasm[name])() : wasm[name]();
 }
 
 async function start() {
   code ??= await load();
   wasm = (await WebAssembly.instantiate(code, { page })).exports;
-  if (call("open", names.join("\n")) !== 200) throw new Error(wrong);
+  if ((await call("open", names.join("\n"))) !== 200) throw new Error(wrong);
 }
 
 onmessage = async ({ data }) => {
+  if (data.stop) {
+    stopped = true;
+    return;
+  }
   if (data.names) {
     names = data.names;
     ready = start();
@@ -123,7 +143,8 @@ onmessage = async ({ data }) => {
   }
   try {
     await ready;
-    postMessage({ status: call("answer", data.address), text: wrong });
+    const status = await call("answer", data.address);
+    postMessage({ status, text: wrong });
   } catch (error) {
     const trap = error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
     const text = trap ? wrong || `this takes more memory than a page has (${error.message})` : error.message;

@@ -36,9 +36,11 @@ pub(super) const PADDING: Tag = 0x0028_0120;
 pub(super) const PADDING_LIMIT: Tag = 0x0028_0121;
 pub(super) const INTERCEPT: Tag = 0x0028_1052;
 pub(super) const SLOPE: Tag = 0x0028_1053;
+pub(super) const RESCALE_TYPE: Tag = 0x0028_1054;
 pub(super) const LOOKUP: Tag = 0x0028_3000;
 pub(super) const MEASURES: Tag = 0x0028_9110;
 pub(super) const TRANSFORMATION: Tag = 0x0028_9145;
+pub(super) const PET_UNITS: Tag = 0x0054_1001;
 pub(super) const SHARED: Tag = 0x5200_9229;
 pub(super) const PER_FRAME: Tag = 0x5200_9230;
 pub(super) const FLOATS: Tag = 0x7fe0_0008;
@@ -47,12 +49,12 @@ pub(super) const PIXELS: Tag = 0x7fe0_0010;
 
 /// What is kept, and whether it is a sequence.
 #[rustfmt::skip]
-const WANTED: [(Tag, bool); 28] = [
+const WANTED: [(Tag, bool); 30] = [
     (TRANSFER_SYNTAX, false), (SERIES, false), (POSITION, false),
     (ORIENTATION, false), (PLANE_POSITION, true), (PLANE_ORIENTATION, true), (SAMPLES, false), (COLOURS, false),
     (FRAMES, false), (ROWS, false), (COLUMNS, false), (PIXEL_SPACING, false), (ALLOCATED, false), (STORED, false),
     (HIGH_BIT, false), (SIGNED, false), (PADDING, false), (PADDING_LIMIT, false), (INTERCEPT, false),
-    (SLOPE, false), (LOOKUP, true), (MEASURES, true), (TRANSFORMATION, true), (SHARED, true), (PER_FRAME, true),
+    (SLOPE, false), (RESCALE_TYPE, false), (LOOKUP, true), (MEASURES, true), (TRANSFORMATION, true), (PET_UNITS, false), (SHARED, true), (PER_FRAME, true),
     (FLOATS, false), (DOUBLES, false), (PIXELS, false),
 ];
 

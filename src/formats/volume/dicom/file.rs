@@ -5,6 +5,7 @@ use super::has_magic;
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
+use crate::volume::units::Unit;
 use std::path::{Path, PathBuf};
 
 /// Most frames of a file.
@@ -45,6 +46,8 @@ pub(super) struct Frame {
     pub(super) spacing: [f64; 2],
     pub(super) slope: f64,
     pub(super) intercept: f64,
+    /// The unit of values.
+    pub(super) unit: Option<Unit>,
 }
 
 impl Layout {
@@ -250,7 +253,18 @@ fn frame(
         spacing: spacing.ok_or_else(|| missing(path, "Pixel Spacing", PIXEL_SPACING))?,
         slope,
         intercept,
+        unit: unit(reader, all, values),
     })
+}
+
+/// The unit of values: Rescale Type, or Units of PET. "US" means that it is not specified.
+fn unit(reader: &Reader<'_>, all: &DataSet, values: &DataSet) -> Option<Unit> {
+    match (&*reader.text(all, PET_UNITS).unwrap_or_default(), reader.text(values, RESCALE_TYPE)) {
+        ("BQML", _) => Unit::new("Bq/mL"),
+        ("CNTS", _) => Unit::new("counts"),
+        ("", Some(of_scale)) if of_scale != "US" => Unit::new(&of_scale),
+        _ => None,
+    }
 }
 
 fn missing(path: &Path, name: &str, tag: Tag) -> Error {

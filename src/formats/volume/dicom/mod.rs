@@ -38,6 +38,7 @@ use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{OpenOptions, has_suffix, pick_field};
 use crate::grid::IndexBox;
 use crate::volume::chunked::ChunkSource;
+use crate::volume::units::{Unit, Units};
 use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
 use file::{DicomFile, Layout};
 use series::Slice;
@@ -135,6 +136,7 @@ fn open(
     let files = if source.is_some() { "frames".into() } else { format!("{count} files") };
     let format = format!("DICOM ({files}, {} of {bits_stored} bits)", stored.name());
     let mut info = plain_info(path, format, dims, scalar, series.geometry);
+    info.units = Units { value: series.unit, ..Units::of_length(Unit::length("mm")) };
     pick_field(path, &info.fields, options.field.as_deref())?;
     let mut convert = None;
     if varies {

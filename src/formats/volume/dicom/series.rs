@@ -5,6 +5,7 @@ use crate::error::{Error, Result};
 use crate::formats::shared::header::geometry;
 use crate::geom::vec3::{cross, dot, minus};
 use crate::grid::Geometry;
+use crate::volume::units::{Unit, common};
 use std::path::{Path, PathBuf};
 
 /// How far a place may be from where it should be, in steps between slices: places are written with
@@ -19,6 +20,8 @@ pub(super) struct Series {
     pub(super) slices: Vec<Slice>,
     pub(super) paths: Vec<PathBuf>,
     pub(super) geometry: Geometry,
+    /// The unit of values, where all slices have the same one.
+    pub(super) unit: Option<Unit>,
 }
 
 /// A slice: where its samples are, and what they mean.
@@ -97,6 +100,7 @@ pub(super) fn of(path: &Path, files: Vec<DicomFile>) -> Result<Series> {
         layout: files[0].layout,
         slices,
         geometry,
+        unit: common(all.iter().map(|placed| placed.frame.unit.clone())),
         paths: files.iter().map(|f| f.path.clone()).collect(),
     })
 }

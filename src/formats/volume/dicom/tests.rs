@@ -136,3 +136,35 @@ fn damaged_files_are_refused_or_read() {
     let line = refused(&write(&dir, "deep.dcm", &deep));
     assert!(line.contains("sequences in one another"), "{line}");
 }
+
+#[test]
+fn lengths_are_millimetres_and_values_what_the_file_says() {
+    let units = |path: &Path| {
+        let units = open_default(path).unwrap().info().units.clone();
+        [units.value, units.length].map(|unit| unit.map(|unit| unit.to_string()))
+    };
+    let text = |t: &str| Some(t.to_string());
+    assert_eq!(units(&data("series")), [None, text("mm")]);
+    assert_eq!(units(&data("enhanced.dcm"))[1], text("mm"));
+    // Rescale Type, or Units of PET, before the samples; the files have three syntaxes.
+    let with = |tag: [u16; 2], value: &str, count: usize| {
+        let dir = tempfile::tempdir().unwrap();
+        for (n, file) in SERIES.into_iter().enumerate() {
+            let bytes = std::fs::read(data("series").join(file)).unwrap();
+            let (implicit, big) = (n % 3 == 1, n % 3 == 2);
+            let word = |w: u16| if big { w.to_be_bytes() } else { w.to_le_bytes() };
+            let pixels = [word(0x7fe0), word(0x0010)].concat();
+            let at = bytes.windows(4).rposition(|w| w == pixels).unwrap();
+            let kind = [*b"LO", word(value.len() as u16)].concat();
+            let length = if implicit { (value.len() as u32).to_le_bytes().to_vec() } else { kind };
+            let own = [&word(tag[0]), &word(tag[1]), &length[..], value.as_bytes()].concat();
+            let own = if n < count { own } else { vec![] };
+            write(&dir, file, &[&bytes[..at], &own, &bytes[at..]].concat());
+        }
+        units(dir.path())[0].clone()
+    };
+    assert_eq!(with([0x0028, 0x1054], "HU", 5), text("HU"));
+    assert_eq!(with([0x0028, 0x1054], "HU", 4), None, "not of all slices");
+    assert_eq!(with([0x0028, 0x1054], "US", 5), None, "not specified");
+    assert_eq!(with([0x0054, 0x1001], "BQML", 5), text("Bq/mL"));
+}

@@ -18,6 +18,7 @@ use crate::formats::shared::centers::{Picked, first_sample, pick, samples};
 use crate::formats::shared::cf::{Convert, Rules};
 use crate::formats::shared::header::geometry;
 use crate::grid::Geometry;
+use crate::volume::units::{Unit, Units, common};
 use crate::volume::{FieldInfo, ScalarType};
 use hdf5_reader::group::Group;
 use hdf5_reader::{Hdf5File, messages::datatype::Datatype};
@@ -115,6 +116,7 @@ pub(super) struct Placed {
     pub(super) geometry: Geometry,
     /// How stored numbers become values, where that is not one line for all.
     pub(super) convert: Option<Convert>,
+    pub(super) units: Units,
 }
 
 /// Picks a field of a VTKHDF image.
@@ -198,7 +200,7 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     let step = |i: usize| -> f64 { (0..3).map(|a| columns[a][i] * first[a]).sum() };
     let origin = std::array::from_fn(|i| origin[i] + step(i));
     let geometry = geometry(path, "Origin, Spacing and Direction", origin, columns)?;
-    Ok(Placed { number, fields, field, geometry, convert: None })
+    Ok(Placed { number, fields, field, geometry, convert: None, units: Units::default() })
 }
 
 /// The image of a file of ITK: `Origin`, `Spacing`, and in each row of `Directions` the direction
@@ -226,7 +228,14 @@ pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     let geometry = geometry(path, "Origin, Spacing and Directions", origin, columns)?;
     let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
-    Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert: None })
+    Ok(Placed {
+        number,
+        field: fields[number].clone(),
+        fields,
+        geometry,
+        convert: None,
+        units: Units::default(),
+    })
 }
 
 /// The image of a MINC file: axes by `dimorder`, values scaled slice by slice.
@@ -249,11 +258,12 @@ pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&st
         let got = format!("'{order}'");
         return Err(bad("dimorder", "xspace, yspace and zspace in some order", got));
     }
-    let (mut columns, mut origin) = ([[0.0; 3]; 3], [0.0; 3]);
+    let (mut columns, mut origin, mut lengths) = ([[0.0; 3]; 3], [0.0; 3], vec![]);
     for (n, name) in names.iter().enumerate() {
         let axis = dimension(path, file, name)?;
         // The last name is the fastest axis, our x.
         columns[2 - n] = axis.direction.map(|d| d * axis.step);
+        lengths.push(axis.unit);
         for (o, d) in origin.iter_mut().zip(axis.direction) {
             *o += d * axis.start;
         }
@@ -265,13 +275,17 @@ pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&st
     };
     let name = |f: FieldInfo| FieldInfo { name: "image".into(), ..f };
     let fields: Vec<FieldInfo> = fields.into_iter().map(name).collect();
-    Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert })
+    let value = field.dataset.attribute("units").ok().and_then(|a| attribute_text(&a));
+    let value = value.and_then(|unit| Unit::new(&unit));
+    let units = Units { value, ..Units::of_length(common(lengths)) };
+    Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert, units })
 }
 
 struct Dimension {
     start: f64,
     step: f64,
     direction: [f64; 3],
+    unit: Option<Unit>,
 }
 
 /// An axis of a MINC file.
@@ -293,7 +307,9 @@ fn dimension(path: &Path, file: &Hdf5File, name: &str) -> Result<Dimension> {
             Error::bad_input(path, format!("{full}, direction_cosines"), "three numbers", got)
         })
     })?;
-    Ok(Dimension { start: one("start", 0.0), step: one("step", 1.0), direction })
+    let unit = dataset.attribute("units").ok().and_then(|a| attribute_text(&a));
+    let unit = unit.and_then(|unit| Unit::length(&unit));
+    Ok(Dimension { start: one("start", 0.0), step: one("step", 1.0), direction, unit })
 }
 
 /// The lines from stored integers to values: `valid_range` is stretched to `image-min` …

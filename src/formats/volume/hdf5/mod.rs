@@ -63,6 +63,7 @@ use crate::formats::shared::{Frames, OpenOptions, has_suffix, pick_field};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 use dialect::{Dialect, Placed};
 use filters::Limit;
@@ -141,7 +142,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let file = open_limited(path, &source, &limit)?;
     let dialect = Dialect::of(path, &file)?;
     let mut tree = Tree::of(path, &file, dialect)?;
-    let Placed { number, fields, field: info, geometry, convert } =
+    let Placed { number, fields, field: info, geometry, convert, units } =
         tree.pick(path, &file, dialect, options)?;
     let field = &tree.fields[number];
     let has_place = dialect != Dialect::Plain || field.lines(&tree).iter().any(Option::is_some);
@@ -151,6 +152,10 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let geometry = given_geometry(path, options, geometry)?;
     let mut info = field.volume_info(path, dialect, info, geometry)?;
     info.fields = fields;
+    info.units = match dialect {
+        Dialect::Plain => field.units(&tree),
+        _ => units,
+    };
     let convert = match dialect {
         Dialect::Plain => field.packing(path)?.into_info(&mut info),
         _ => convert,
@@ -397,7 +402,14 @@ impl Tree {
         let fields: Vec<FieldInfo> = self.fields.iter().map(|f| f.part.info.clone()).collect();
         let number = pick_field(path, &fields, wanted)?;
         let geometry = self.fields[number].placed(path, self)?;
-        Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert: None })
+        Ok(Placed {
+            number,
+            field: fields[number].clone(),
+            fields,
+            geometry,
+            convert: None,
+            units: Units::default(),
+        })
     }
 
     /// The first frame of the dataset with four axes that a user's word means.
@@ -667,6 +679,21 @@ impl Field {
         let rank = self.dataset.ndim();
         let size = |a: usize| tags["axes"][rank - 1 - a]["resolution"].as_f64();
         Ok(std::array::from_fn(|a| size(a).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(1.0)))
+    }
+
+    /// What the attributes say of units.
+    fn units(&self, tree: &Tree) -> Units {
+        let text = |of: &Dataset| of.attribute("units").ok().and_then(|a| attribute_text(&a));
+        let of_axis = |axis: usize| text(tree.line_of(&self.part.array, &self.dataset, axis)?.1);
+        let rank = self.dataset.ndim();
+        let space = [1, 2, 3].map(|back| of_axis(rank - back));
+        let time = (rank > 3).then(|| of_axis(0)).flatten();
+        let mut units = cf::units(&text(&self.dataset).unwrap_or_default(), space, time);
+        let has_lines = self.lines(tree).iter().any(Option::is_some);
+        if !has_lines && self.dataset.attribute("element_size_um").is_ok() {
+            units.length = Unit::length("µm");
+        }
+        units
     }
 
     /// The numbers of the coordinate variable of an axis.

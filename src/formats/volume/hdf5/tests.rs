@@ -398,3 +398,18 @@ fn damaged_samples_are_found_by_their_checksum() {
     }
     assert!(refused > 20, "{refused}");
 }
+
+#[test]
+fn units_are_those_of_attributes() {
+    let units = |name: &str, field: &str| {
+        let units = open(name, field).unwrap().info().units.clone();
+        [units.value, units.length, units.time].map(|unit| unit.map(|unit| unit.to_string()))
+    };
+    let text = |t: &str| Some(t.to_string());
+    assert_eq!(units("units.nc", "temp:t1"), [text("K"), text("m"), text("hours since 2000-01-01")]);
+    assert_eq!(units("units.nc", "odd"), [text("[31m kg m-3"), None, None]);
+    assert_eq!(units("units.nc", "share"), [None, text("m"), None]);
+    assert_eq!(units("units.h5", "sized"), [None, text("µm"), None]);
+    assert_eq!(units("units.h5", "entry/counts"), [text("counts"), text("µm"), None]);
+    assert_eq!(units("axes.h5", "fortran"), [None, None, None]);
+}

@@ -33,6 +33,7 @@ use crate::formats::shared::{Frames, OpenOptions, pick_field};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::Units;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use header::{Header, Variable};
 use std::collections::HashMap;
@@ -128,6 +129,7 @@ fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     info.field = field.part.info.clone();
     info.fields = file.infos();
     let convert = variable.packing(path, info.field.scalar)?.into_info(&mut info);
+    info.units = file.units(field);
     let (at, strides) = file.place(field)?;
     let volume = StridedVolume::new(info, file.source.clone(), at, true, strides)?;
     Ok(match convert {
@@ -209,6 +211,15 @@ impl<'a> File<'a> {
     fn coordinate(&self, dim: usize) -> Option<&Variable> {
         let name = &self.header.dims[dim].name;
         self.header.variables.iter().find(|v| v.name == *name && v.dims == [dim])
+    }
+
+    /// What the attributes say of units.
+    fn units(&self, field: &Field) -> Units {
+        let variable = &self.header.variables[field.variable];
+        let of_axis = |axis: usize| Some(self.coordinate(variable.dims[axis])?.text("units"));
+        let rank = variable.dims.len();
+        let space = [1, 2, 3].map(|back| of_axis(rank - back));
+        cf::units(&variable.text("units"), space, (rank > 3).then(|| of_axis(0)).flatten())
     }
 
     fn infos(&self) -> Vec<FieldInfo> {

@@ -152,3 +152,16 @@ fn damage_is_refused() {
         }
     }
 }
+
+#[test]
+fn units_are_those_of_the_variable_and_its_axes() {
+    let units = |field: &str| {
+        let units = open_field("netcdf3_units.nc", field).unwrap().info().units.clone();
+        [units.value, units.length, units.time].map(|unit| unit.map(|unit| unit.to_string()))
+    };
+    let text = |t: &str| Some(t.to_string());
+    assert_eq!(units("temp:t1"), [text("K"), text("m"), text("hours since 2000-01-01")]);
+    // Degrees are no lengths, and what a terminal would obey is left out.
+    assert_eq!(units("odd"), [text("[31m kg m-3"), None, None]);
+    assert_eq!(units("share"), [None, text("m"), None]);
+}

@@ -37,6 +37,7 @@ use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, known_times, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use std::collections::HashMap;
@@ -113,6 +114,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         slope,
         intercept,
         missing: None,
+        units: header.units(),
         data_files: vec![data.path().to_path_buf()],
     };
     let offset = offset + frame * frame_bytes;
@@ -371,6 +373,24 @@ impl Header {
                 .bad("magic", "n+1, ni1, n+2 or ni2", String::from_utf8_lossy(magic))
                 .with_help("an Analyze 7.5 file? write it as NIfTI: it does not tell its orientation")),
         }
+    }
+
+    /// The units of `xyzt_units`: of space in the lowest three bits, of time in the next three.
+    fn units(&self) -> Units {
+        let code = self.integer((123, 1), (500, 4));
+        let length = match code & 7 {
+            1 => Unit::length("m"),
+            2 => Unit::length("mm"),
+            3 => Unit::length("µm"),
+            _ => None,
+        };
+        let time = match code & 0x38 {
+            8 => Unit::time("s"),
+            16 => Unit::time("ms"),
+            24 => Unit::time("µs"),
+            _ => None,
+        };
+        Units { value: None, length, time }
     }
 
     fn dim(&self, axis: usize) -> i64 {

@@ -226,3 +226,29 @@ fn damage_is_refused() {
     let file = Maker::new(true, false, b"n+2\0", &DIM).with(&ramp(false));
     torture("a.nii", &file, file.len());
 }
+
+#[test]
+fn units_of_space_and_time() {
+    let dir = tempfile::tempdir().unwrap();
+    for (v2, big) in [(false, false), (false, true), (true, false), (true, true)] {
+        for (code, length, time) in [
+            (0, None, None),
+            (2 + 8, Some("mm"), Some("s")),
+            (3 + 16, Some("µm"), Some("ms")),
+            (1 + 24, Some("m"), Some("µs")),
+            (4 + 32, None, None),
+        ] {
+            let mut m = Maker::new(v2, big, magic(v2, false), &DIM);
+            if v2 {
+                m.put(500, &i32::from(code).to_le_bytes())
+            } else {
+                m.put(123, &[code])
+            }
+            let path = write(&dir, "a.nii", &m.with(&ramp(big)));
+            let units = open_volume(&path, &OpenOptions::default()).unwrap().info().units.clone();
+            let found =
+                [&units.value, &units.length, &units.time].map(|unit| unit.as_ref().map(Unit::as_str));
+            assert_eq!(found, [None, length, time], "{code}");
+        }
+    }
+}

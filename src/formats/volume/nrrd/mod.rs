@@ -34,6 +34,7 @@ use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_b
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::{Unit, Units, common};
 use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
 use std::io;
 use std::path::Path;
@@ -76,7 +77,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let encoding = header.encoding()?;
     let place = if header.get("datafile").is_some() { "detached" } else { "attached" };
     let format = format!("NRRD ({place}, {})", encoding.name());
-    let info = plain_info(path, format, dims, scalar, header.geometry(dims)?);
+    let mut info = plain_info(path, format, dims, scalar, header.geometry(dims)?);
+    info.units = header.units();
     pick_field(path, &info.fields, options.field.as_deref())?;
     header.samples(info, data, encoding)
 }
@@ -255,6 +257,23 @@ impl<'a> Header<'a> {
         let (spacing, start) = self.per_axis(dims)?;
         let origin = if self.get("spaceorigin").is_some() { origin } else { start };
         geometry(self.path, "spacings", origin, scaled_axes(spacing))
+    }
+
+    /// The units of values, and of lengths where all axes have the same one.
+    fn units(&self) -> Units {
+        let names = |name: &str| {
+            let text = self.get(name).unwrap_or_default();
+            // Each in quotes.
+            let quoted: Vec<&str> = text.split('"').skip(1).step_by(2).collect();
+            if quoted.len() == 3 { common(quoted.into_iter().map(Unit::length)) } else { None }
+        };
+        let length = names(if self.get("space").or(self.get("spacedimension")).is_some() {
+            "spaceunits"
+        } else {
+            "units"
+        });
+        let value = self.get("sampleunits").and_then(|text| Unit::new(text.trim_matches('"')));
+        Units { value, length, time: None }
     }
 
     /// Spacing and first position of each axis from `spacings`, `axis mins`, `axis maxs`; NaN means

@@ -127,3 +127,22 @@ fn damage_is_refused() {
     // A number may lose its last digits, and the last its line end.
     torture("a.nrrd", &file, file.len() - 5);
 }
+
+#[test]
+fn units_of_axes_and_samples() {
+    let dir = tempfile::tempdir().unwrap();
+    let units = |fields: &str| {
+        let file =
+            write(&dir, "a.nrrd", &with(&format!("{fields}endian: little\nencoding: raw\n"), &ramp(false)));
+        let units = open(&file, &OpenOptions::default()).unwrap().info().units.clone();
+        [units.value, units.length].map(|unit| unit.map(|unit| unit.to_string()))
+    };
+    let text = |t: &str| Some(t.to_string());
+    let space = "space: left-posterior-superior\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n";
+    let of_space = format!("{space}space units: \"mm\" \"mm\" \"mm\"\nsample units: Hounsfield\n");
+    assert_eq!(units(&of_space), [text("Hounsfield"), text("mm")]);
+    assert_eq!(units("units: \"um\" \"um\" \"um\"\n"), [None, text("µm")]);
+    for unknown in ["units: \"mm\" \"mm\" \"m\"\n", "units: \"mm\" \"\" \"mm\"\n", "units: mm\n", "", space] {
+        assert_eq!(units(unknown), [None, None], "{unknown}");
+    }
+}

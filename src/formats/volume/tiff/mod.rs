@@ -45,6 +45,7 @@ use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, pick_field};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::{Unit, Units};
 use crate::volume::{VolumeInfo, VolumeSource};
 use ifd::Tiff;
 pub(in crate::formats) use ifd::has_magic;
@@ -268,7 +269,9 @@ fn info(
     let spacing = spacing(page).filter(|s| s.iter().all(|v| v.is_finite() && *v > 0.0)).unwrap_or([1.0; 3]);
     let geometry = geometry(path, "spacing", [0.0; 3], scaled_axes(spacing))?;
     let geometry = given_geometry(path, options, geometry)?;
-    let info = plain_info(path, format, dims, scalar, geometry);
+    let mut info = plain_info(path, format, dims, scalar, geometry);
+    // What a user gives has no unit of the file.
+    info.units = Units::of_length(length_unit(page).filter(|_| options.spacing.is_none()));
     pick_field(path, &info.fields, options.field.as_deref())?;
     Ok(info)
 }
@@ -340,6 +343,18 @@ fn spacing(page: &Page) -> Option<[f64; 3]> {
     }
     let sizes = axes.map(|a| ome(text, &format!("PhysicalSize{a}")).and_then(|v| v.parse::<f64>().ok()));
     Some([sizes[0]?, sizes[1]?, sizes[2]?])
+}
+
+/// The unit of the spacing: ImageJ's "unit=", in which "µ" is escaped; that of OME-XML, which has
+/// µm where it names none.
+fn length_unit(page: &Page) -> Option<Unit> {
+    let text = &page.description;
+    spacing(page)?;
+    if text.starts_with("ImageJ=") {
+        return Unit::length(&imagej(text, "unit")?.replace("\\u00B5", "µ"));
+    }
+    let unit = ome(text, "PhysicalSizeXUnit").unwrap_or("µm");
+    Unit::length(&unit.replace("&#181;", "µ").replace("&#xB5;", "µ").replace("&#xb5;", "µ"))
 }
 
 /// All pages of a file, read where they lie.

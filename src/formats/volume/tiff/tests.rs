@@ -492,6 +492,7 @@ fn imagej_stacks_of_one_page() {
     let (info, values) = open_ok(&write(&dir, "a.tif", &w.bytes));
     assert_eq!((info.dims, values), ([7, 5, 4], expected(4)));
     assert_eq!(info.geometry.spacing, [0.5, 0.25, 2.5]);
+    assert_eq!(info.units, Units::of_length(Unit::length("µm")));
     let line = refusal(&write(&dir, "a.tif", &one));
     assert!(line.contains("among 4 images"), "{line}");
 }
@@ -507,7 +508,32 @@ fn ome_spacing_needs_one_unit() {
         let more = [(270, 2, text.into_bytes())];
         let (info, _) = open_ok(&write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 2, &more)));
         assert_eq!(info.geometry.spacing, expected);
+        let found = Units::of_length(Unit::length("µm").filter(|_| unit == "µm"));
+        assert_eq!(info.units, found, "{unit}");
     }
+}
+
+#[test]
+fn units_of_descriptions() {
+    let dir = tempfile::tempdir().unwrap();
+    let read = |text: &str, options: &OpenOptions| {
+        let more = [(270, 2, format!("{text}\0").into_bytes())];
+        let path = write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 2, &more));
+        let units = crate::formats::open_volume(&path, options).unwrap().info().units.clone();
+        units.length.map(|unit| unit.to_string())
+    };
+    let length = |text: &str| read(text, &OpenOptions::default());
+    let imagej = "ImageJ=1.53t\nimages=2\nslices=2\nspacing=2.5\n";
+    assert_eq!(length(&format!("{imagej}unit=\\u00B5m\n")).as_deref(), Some("µm"));
+    assert_eq!(length(&format!("{imagej}unit=pixel\n")), None);
+    assert_eq!(length(imagej), None);
+    let ome = "<OME><Image><Pixels SizeC=\"1\" SizeT=\"1\" PhysicalSizeX=\"1\" PhysicalSizeY=\"1\" PhysicalSizeZ=\"2\"";
+    assert_eq!(length(&format!("{ome}>")).as_deref(), Some("µm"), "as OME's schema says");
+    let nano: String = ["X", "Y", "Z"].iter().map(|a| format!(" PhysicalSize{a}Unit=\"nm\"")).collect();
+    assert_eq!(length(&format!("{ome}{nano}>")).as_deref(), Some("nm"));
+    // A spacing that the user gives is not in the file's unit.
+    let given = OpenOptions { spacing: Some([1.0; 3]), ..OpenOptions::default() };
+    assert_eq!(read(&format!("{ome}{nano}>"), &given), None);
 }
 
 #[test]

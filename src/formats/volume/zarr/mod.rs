@@ -59,6 +59,7 @@ use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::grid::Geometry;
 use crate::volume::chunked::{ChunkSlabs, ChunkSource};
 use crate::volume::strided::swap_bytes;
+use crate::volume::units::{Unit, Units, common};
 use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
@@ -159,12 +160,14 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let fields = fields(image.as_ref(), &arrays)?;
     let number = choose(path, options, image.as_ref(), &arrays, &fields)?;
     let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
-    let Field { info: field, array, axes, fixed, .. } = fields.into_iter().nth(number).expect("one of them");
+    let Field { info: field, array, axes, fixed, frame, .. } =
+        fields.into_iter().nth(number).expect("one of them");
     let array = arrays.into_iter().nth(array).expect("a field's array").1;
     let image = match image {
         Some(image) => Some(image),
         None => image_around(&array.folder)?,
     };
+    let time = frame.map(|frame| frame.axis);
     let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
     sample_bytes(&array.file, dims, array.scalar)?;
     check_chunks(&array)?;
@@ -184,6 +187,10 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
     // No numbers are out of a valid range: see `packing`.
     packing(&array)?.into_info(&mut info);
+    info.units = match &image {
+        Some(image) => image.units(&array, axes, time),
+        None => cf::units(text(&array, "units"), axes.map(|a| line_unit(&array, a)), line_unit(&array, time)),
+    };
     info.field = field;
     info.fields = infos;
     info.data_files = files(&array, &fixed);
@@ -292,14 +299,17 @@ fn line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
     }
 }
 
-fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
+/// The array that is named like an axis of an array.
+fn line_array(array: &Array, axis: usize) -> Result<Option<Array>> {
     let names = array.names.as_ref().filter(|n| n.len() == array.shape.len());
     let Some(name) = names.and_then(|n| n.get(axis)).filter(|name| is_inside(name)) else { return Ok(None) };
     let Some(folder) = array.folder.parent().map(|group| group.join(name)) else { return Ok(None) };
-    let Some(own) = meta::array(&folder)? else { return Ok(None) };
-    if own.shape != [array.shape[axis]] || own.shape[0] > MOST_COORDINATES {
-        return Ok(None);
-    }
+    let own = meta::array(&folder)?;
+    Ok(own.filter(|own| own.shape == [array.shape[axis]] && own.shape[0] <= MOST_COORDINATES))
+}
+
+fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
+    let Some(own) = line_array(array, axis)? else { return Ok(None) };
     check_chunks(&own)?;
     let single = own.scalar == crate::volume::ScalarType::F32;
     let packing = packing(&own)?;
@@ -314,6 +324,17 @@ fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
     }
     packing.unpack(&mut out);
     Ok(Some(Line::new(out, single)))
+}
+
+/// An attribute that is text, else "".
+fn text<'a>(array: &'a Array, name: &str) -> &'a str {
+    array.attributes[name].as_str().unwrap_or_default()
+}
+
+/// The unit of the coordinates along an axis.
+fn line_unit(array: &Array, axis: Option<usize>) -> Option<String> {
+    let own = line_array(array, axis?).ok()??;
+    Some(text(&own, "units").to_owned())
 }
 
 impl Attributes for Array {
@@ -513,6 +534,18 @@ fn path_of(level: &Value) -> &str {
 impl Image {
     fn levels(&self) -> impl Iterator<Item = &Value> {
         self.multiscale["datasets"].as_array().into_iter().flatten()
+    }
+
+    /// The units of the axes, and of values where the array has them. An axis that the image does
+    /// not have is no obstacle.
+    fn units(&self, array: &Array, space: Axes, time: Option<usize>) -> Units {
+        let of_axis = |axis: usize| self.multiscale["axes"][axis]["unit"].as_str();
+        let along = space.into_iter().flatten().map(|axis| of_axis(axis).and_then(Unit::length));
+        Units {
+            value: Unit::new(text(array, "units")),
+            length: common(along),
+            time: time.and_then(of_axis).and_then(Unit::time),
+        }
     }
 
     /// Scale and translation of an array's entries along one of its axes.

@@ -302,7 +302,11 @@ fn ome(folder: &Path) {
             { "type": "scale", "scale": [1.0, 4.0 * s, 3.0 * s, 2.0 * s] },
             { "type": "translation", "translation": [0.0, 30.0, 20.0, 10.0] } ] })
     };
-    let axes: Vec<Value> = ["c", "z", "y", "x"].iter().map(|n| json!({ "name": n })).collect();
+    let axis = |n: &&str| match *n {
+        "c" => json!({ "name": n }),
+        _ => json!({ "name": n, "type": "space", "unit": "micrometer" }),
+    };
+    let axes: Vec<Value> = ["c", "z", "y", "x"].iter().map(axis).collect();
     let multiscales = json!([{ "axes": axes, "datasets": [level("0", 1.0), level("s1/image", 2.0)],
         "coordinateTransformations": [{ "type": "scale", "scale": [1.0, 10.0, 10.0, 10.0] }] }]);
     put(folder, ".zattrs", &json!({ "multiscales": multiscales }));
@@ -329,6 +333,7 @@ fn levels_of_an_image() {
     let info = check(dir.path());
     assert_eq!((info.geometry.spacing, info.geometry.origin), ([20.0, 30.0, 40.0], [100.0, 200.0, 300.0]));
     assert_eq!(info.fields.len(), 2);
+    assert_eq!(info.units, Units::of_length(Unit::length("µm")));
     for wanted in ["s1", "s1/image", "scale1"] {
         let (info, values) = read(dir.path(), Some(wanted)).unwrap();
         assert_eq!((info.field.name.as_str(), info.geometry.spacing), ("s1/image", [40.0, 60.0, 80.0]));
@@ -734,8 +739,16 @@ fn arrays_of_xarray_have_coordinates_packing_and_times() {
     let doubles = |v: &[f64]| v.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
     let names = json!(["time", "lev", "lat", "lon"]);
     let all: Vec<u8> = (0..2 * 3 * 4 * 5u8).flat_map(|i| i16::from(i).to_le_bytes()).collect();
-    array("temp", json!([2, 3, 4, 5]), "<i2", names, json!({ "scale_factor": 0.5, "add_offset": 10.0 }), all);
-    array("time", json!([2]), "<f8", json!(["time"]), json!({}), doubles(&[6.0, 18.0]));
+    array(
+        "temp",
+        json!([2, 3, 4, 5]),
+        "<i2",
+        names,
+        json!({ "scale_factor": 0.5, "add_offset": 10.0, "units": "K" }),
+        all,
+    );
+    let since = json!({ "units": "days since 2000-01-01" });
+    array("time", json!([2]), "<f8", json!(["time"]), since, doubles(&[6.0, 18.0]));
     array("lev", json!([3]), "<f8", json!(["lev"]), json!({}), doubles(&[1000.0, 925.0, 700.0]));
     array("lat", json!([4]), "<f8", json!(["lat"]), json!({}), doubles(&[30.0, 20.0, 10.0, 0.0]));
     let named = |field: &str| OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
@@ -754,6 +767,18 @@ fn arrays_of_xarray_have_coordinates_packing_and_times() {
     assert!(coordinates(d, &named("temp:t1")).unwrap().is_none());
     let (info, _) = read(d, Some("temp:t1")).unwrap();
     assert_eq!((info.geometry.spacing, info.geometry.origin), ([1.0, 10.0, 2.0], [0.0, 30.0, 10.0]));
+    let units = || {
+        let (info, _) = read(d, Some("temp:t1")).unwrap();
+        [info.units.value, info.units.length, info.units.time].map(|unit| unit.map(|unit| unit.to_string()))
+    };
+    let text = |t: &str| Some(t.to_string());
+    assert_eq!(units(), [text("K"), None, text("days since 2000-01-01")]);
+    let metres = || json!({ "units": "m" });
+    array("lev", json!([3]), "<f8", json!(["lev"]), metres(), doubles(&[10.0, 12.0, 14.0]));
+    array("lat", json!([4]), "<f8", json!(["lat"]), metres(), doubles(&[30.0, 20.0, 10.0, 0.0]));
+    assert_eq!(units()[1], None, "one axis has no coordinates");
+    array("lon", json!([5]), "<f8", json!(["lon"]), metres(), doubles(&[0.0, 1.0, 2.0, 3.0, 4.0]));
+    assert_eq!(units()[1], text("m"));
 }
 
 #[test]

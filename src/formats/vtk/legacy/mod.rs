@@ -53,6 +53,7 @@ use crate::formats::shared::header;
 use crate::formats::shared::ranges::RangeNumbers;
 use crate::formats::shared::stream::{TextSlabs, sample_bytes};
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::Units;
 use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
 use scan::{Array, Dataset, Scanned, Scanner, Type};
 use std::ops::Range;
@@ -134,6 +135,7 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        units: Units::default(),
         data_files: vec![],
     };
     let data = chosen.data.clone();

@@ -14,6 +14,7 @@ use crate::grid::{Geometry, IndexBox};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::Units;
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -88,6 +89,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        units: Units::default(),
         data_files: image.files.clone(),
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;

@@ -210,6 +210,21 @@ class Archive:
         return np.array(self._core.geometry["direction"], dtype=np.float64).reshape(3, 3).T
 
     @property
+    def unit(self) -> str | None:
+        """Unit of the values, as the source or the user named it; None if neither did."""
+        return self._core.units.get("value")
+
+    @property
+    def length_unit(self) -> str | None:
+        """Unit of lengths in the world; None if neither the source nor the user named one."""
+        return self._core.units.get("length")
+
+    @property
+    def time_unit(self) -> str | None:
+        """Unit of the times of steps; None if neither the source nor the user named one."""
+        return self._core.units.get("time")
+
+    @property
     def range(self) -> tuple[float, float] | None:
         """Least and largest value of the step; None when no point has one."""
         found = self._core.value_range((None, None))

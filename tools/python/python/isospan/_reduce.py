@@ -102,6 +102,9 @@ def reduce(
     offset: int | None = None,
     spacing: Sequence[float] | None = None,
     origin: Sequence[float] | None = None,
+    unit: str | None = None,
+    length_unit: str | None = None,
+    time_unit: str | None = None,
     name: str | None = None,
     io: str | None = None,
     force: bool = False,
@@ -138,6 +141,8 @@ def reduce(
     spacing, origin: of an array, distance of its samples and place of the first one, x, y, z, in
         world units; 1 and 0 if not given. An xarray tells them itself. They are also those of a
         file without its own: raw, TIFF, NPY, NPZ.
+    unit, length_unit, time_unit: units of the values, of lengths in the world and of times, as they
+        are shown; those that a file, or the attributes of an xarray, name if not given.
     name: of an array, what it is called in messages and in the archive.
     force: replace an archive that is there already.
     threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or "50%";
@@ -178,6 +183,9 @@ def append(
     offset: int | None = None,
     spacing: Sequence[float] | None = None,
     origin: Sequence[float] | None = None,
+    unit: str | None = None,
+    length_unit: str | None = None,
+    time_unit: str | None = None,
     name: str | None = None,
     io: str | None = None,
     threads: int = 0,
@@ -220,6 +228,11 @@ def _asked(
         given = sources(found.source, name=name, **place)
         if given.times is not None and choices["times"] is None:
             choices["times"] = given.times
+            if choices["time_unit"] is None:
+                choices["time_unit"] = given.time_unit
+        for key, unit in (("unit", given.unit), ("length_unit", given.length_unit)):
+            if choices[key] is None:
+                choices[key] = unit
         yield _arguments(command, before, [*inputs, *given.names], choices), given.volumes
 
 

@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 from dataclasses import dataclass
-from typing import Any, Iterator, Sequence
+from typing import Any, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -29,11 +29,14 @@ _BOX_BYTES = 32 << 20
 
 @dataclass
 class Given:
-    """Volumes, a name for each, and their times where the source tells them."""
+    """Volumes, a name for each, and their times and units where the source tells them."""
 
     volumes: list[_isospan.Volume]
     names: list[str]
     times: list[float] | None = None
+    unit: str | None = None
+    length_unit: str | None = None
+    time_unit: str | None = None
 
 
 def sources(
@@ -56,7 +59,31 @@ def sources(
         called = called if len(listed) == 1 else f"{called}_{number}"
         given.volumes.append(_volume(array, spacing, origin, called))
         given.names.append(called)
+    given.unit = _common(_unit_of(array) for array in listed)
+    given.length_unit = _common(_length_unit_of(array) for array in listed)
     return given
+
+
+def _common(units: Iterable[str | None]) -> str | None:
+    """The unit that all have, if all have one and the same."""
+    found = set(units)
+    return found.pop() if len(found) == 1 else None
+
+
+def _unit_of(array: Any) -> str | None:
+    """The unit that the attributes of an xarray name; "1" says that there is none."""
+    unit = array.attrs.get("units") if _is_xarray(array) else None
+    if not isinstance(unit, str) or unit.strip() == "1":
+        return None
+    return unit if any(c.isprintable() and not c.isspace() for c in unit) else None
+
+
+def _length_unit_of(array: Any) -> str | None:
+    """The unit of the coordinates of an xarray, where all have the same; degrees are no lengths."""
+    if not _is_xarray(array) or not all(along in array.coords for along in array.dims):
+        return None
+    unit = _common(_unit_of(array.coords[along]) for along in array.dims)
+    return None if unit is None or unit.startswith("degree") else unit
 
 
 def volume_or_path(found: Plain) -> _isospan.Volume | str:
@@ -97,11 +124,15 @@ def _series(array: Any, spacing: Any, origin: Any, name: str | None) -> Given:
     """The steps along the first dimension of an xarray of four."""
     along = array.dims[0]
     times = None
+    time_unit = None
     if along in array.coords:
         times = _times(array.coords[along].values, along)
+        # Dates and spans of time become seconds.
+        in_seconds = array.coords[along].dtype.kind in "mM"
+        time_unit = "s" if in_seconds else _unit_of(array.coords[along])
     steps = [array.isel({along: n}) for n in range(array.shape[0])]
     given = sources(steps, spacing=spacing, origin=origin, name=name)
-    given.times = times
+    given.times, given.time_unit = times, time_unit
     return given
 
 

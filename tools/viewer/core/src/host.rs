@@ -12,7 +12,7 @@ use crate::{Viewer, refusal};
 use isospan::archive::segment::FORMAT_VERSION;
 use isospan::bytes::remote::{Fetched, Ranges, Wanted, add_host};
 use isospan::{Error, Result};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::io;
 
 /// The newest format of archives that is read: a section of the file, for those who have the file
@@ -41,11 +41,33 @@ mod page {
         pub(super) fn piece(bytes: *const u8, len: usize);
         /// Takes what went wrong.
         pub(super) fn failed(text: *const u8, len: usize);
+        /// Lets the page's wishes in, where the browser can wait here. Returns a number other than
+        /// 0 if the answer is no longer wanted.
+        pub(super) safe fn stopped() -> u32;
         /// Milliseconds on a clock that never goes back.
         pub(crate) safe fn now() -> f64;
     }
 }
 pub(crate) use page::now;
+
+/// Milliseconds between two questions whether the answer is still wanted.
+const PATIENCE: f64 = 30.0;
+
+thread_local! {
+    /// When the page was asked last, and what it said.
+    static ASKED: Cell<(f64, bool)> = const { Cell::new((0.0, false)) };
+}
+
+/// Whether the page no longer wants the answer.
+pub(crate) fn is_stopped() -> bool {
+    let (last, is_stopped) = ASKED.get();
+    if is_stopped || now() - last < PATIENCE {
+        return is_stopped;
+    }
+    let is_stopped = page::stopped() != 0;
+    ASKED.set((now(), is_stopped));
+    is_stopped
+}
 
 /// Bytes of a piece of an answer.
 const PIECE: usize = 1 << 20;
@@ -123,9 +145,23 @@ pub extern "C" fn open() -> u32 {
     })
 }
 
+/// Bytes that are free when an answer begins. A browser takes half a millisecond for each growth of
+/// memory, however small, and the allocator asks for little at a time: a large surface would wait
+/// seconds. Memory that is not used costs the reader's machine nothing.
+const FREE: usize = 256 << 20;
+
+/// Lets memory grow at once, where it has not so much that is free.
+fn grow() {
+    let mut room: Vec<u8> = vec![];
+    let _ = std::hint::black_box(room.try_reserve_exact(FREE));
+    std::hint::black_box(&room);
+}
+
 /// Answers the question whose address is the text.
 #[unsafe(no_mangle)]
 pub extern "C" fn answer() -> u32 {
+    ASKED.set((now(), false));
+    grow();
     STATE.with_borrow(|state| {
         let mut pieces = Pieces(Vec::with_capacity(PIECE));
         let viewer = state.viewer.as_ref().ok_or_else(|| Error::usage("no archive is open"));

@@ -22,7 +22,8 @@ mod host;
 use answers::Sink;
 use archives::Archives;
 #[cfg(target_arch = "wasm32")]
-use host::now;
+use host::{is_stopped, now};
+use isospan::exec::CancelToken;
 use isospan::{Error, Resources, Result};
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;
@@ -31,6 +32,12 @@ use std::path::PathBuf;
 #[cfg(not(target_arch = "wasm32"))]
 fn now() -> f64 {
     0.0
+}
+
+/// Nor for what it no longer wants.
+#[cfg(not(target_arch = "wasm32"))]
+fn is_stopped() -> bool {
+    false
 }
 
 /// Bytes for one answer. A page has 4 GiB at most.
@@ -53,7 +60,7 @@ impl Viewer {
     /// When one cannot be opened.
     pub fn open(addresses: &[PathBuf]) -> Result<Self> {
         let means = Resources::default().with_threads(1).with_memory(MEMORY);
-        let means = means.with_scratch(PathBuf::from(SCRATCH));
+        let means = means.with_scratch(PathBuf::from(SCRATCH)).with_cancel(CancelToken::asking(is_stopped));
         Ok(Self { archives: Archives::open(addresses, KEPT)?, means })
     }
 

@@ -1,0 +1,190 @@
+//! Units: those that files and users name reach the archive, its steps and what is printed, and no
+//! byte but those of the manifest.
+#![cfg(unix)]
+
+use crate::common::{folder, waves, write_hexahedra, write_npy};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+fn run(dir: &Path, args: &[&str]) -> (i32, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_isospan"));
+    let out = command.current_dir(dir).args(args).arg("-q").stdin(Stdio::null()).output().unwrap();
+    let text = |b| String::from_utf8(b).unwrap();
+    (out.status.code().expect("ended by itself"), text(out.stdout), text(out.stderr))
+}
+
+fn ok(dir: &Path, args: &[&str]) -> String {
+    let (code, out, err) = run(dir, args);
+    assert!(code == 0 && err.is_empty(), "{args:?}: {code}: {err}");
+    out
+}
+
+fn fails(dir: &Path, args: &[&str], why: &str) {
+    let (code, out, err) = run(dir, args);
+    assert!(code == 2 && out.is_empty() && err.lines().count() == 1, "{args:?}: {code}: {out}{err}");
+    assert!(err.contains(why), "{err}");
+}
+
+fn info(dir: &Path, archive: &str) -> Value {
+    serde_json::from_str(&ok(dir, &["info", archive, "--json"])).unwrap()
+}
+
+fn volumes(dir: &Path, count: usize) {
+    for n in 0..count {
+        write_npy(&dir.join(format!("v{n}.npy")), [20, 18, 16], |x, y, z| waves(x, y, z) + 0.1 * n as f64);
+    }
+}
+
+fn data(name: &str) -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name).to_str().unwrap().to_owned()
+}
+
+const THREE: [&str; 6] = ["--unit", "K", "--length-unit", "micrometer", "--time-unit", "seconds"];
+
+#[test]
+fn named_units_are_in_the_manifest_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    volumes(d, 1);
+    ok(d, &["reduce", "v0.npy", "-o", "a.isospan"]);
+    let plain = folder(&d.join("a.isospan"));
+    assert_eq!(info(d, "a.isospan")["units"], json!({}));
+    ok(d, &[&["reduce", "v0.npy", "-o", "b.isospan"], &THREE[..]].concat());
+    let named = folder(&d.join("b.isospan"));
+    // A step without a time has no unit of one.
+    assert_eq!(info(d, "b.isospan")["units"], json!({ "value": "K", "length": "µm" }));
+    assert_eq!(info(d, "b.isospan")["steps"][0]["unit"], "K");
+    let but_for_manifest = |files: &std::collections::BTreeMap<PathBuf, Vec<u8>>| {
+        let mut files = files.clone();
+        files.retain(|name, _| !name.ends_with("manifest.json"));
+        files
+    };
+    assert!(plain.len() > 1 && plain != named && but_for_manifest(&plain) == but_for_manifest(&named));
+    // The same reduction with other names is the same archive with another manifest; --force is not
+    // needed.
+    ok(d, &[&["reduce", "v0.npy", "-o", "a.isospan"], &THREE[..]].concat());
+    assert!(folder(&d.join("a.isospan")) == named);
+    let told = ok(d, &["info", "a.isospan"]);
+    assert!(told.contains("K of values, µm of lengths") && told.contains(" K\n"), "{told}");
+    ok(d, &["check", "a.isospan"]);
+    fails(d, &["reduce", "v0.npy", "-o", "c.isospan", "--unit", " "], "a unit");
+    fails(d, &["reduce", "v0.npy", "-o", "c.isospan", "--unit", "K", "--fields", "a,b"], "--fields");
+}
+
+#[test]
+fn shards_have_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    volumes(d, 1);
+    let how = [&["--points", "halton", "--chunk-points", "300"], &THREE[..]].concat();
+    ok(d, &[&["reduce", "v0.npy", "-o", "a.isospan"], &how[..]].concat());
+    ok(d, &[&["plan", "v0.npy", "-o", "b.isospan", "--shards", "2"], &how[..]].concat());
+    ok(d, &["work", "b.isospan", "--shard", "1/2"]);
+    ok(d, &["work", "b.isospan", "--shard", "0/2"]);
+    ok(d, &["commit", "b.isospan"]);
+    assert!(folder(&d.join("a.isospan")) == folder(&d.join("b.isospan")));
+}
+
+#[test]
+fn further_steps_take_over_units_and_have_no_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    volumes(d, 3);
+    ok(d, &[&["reduce", "v?.npy", "-o", "all.isospan", "--times", "0,0.5,..."], &THREE[..]].concat());
+    ok(d, &[&["reduce", "v[01].npy", "-o", "a.isospan", "--times", "0,0.5,..."], &THREE[..]].concat());
+    for (flag, unit) in [("--unit", "degC"), ("--length-unit", "mm"), ("--time-unit", "ms")] {
+        let before = folder(&d.join("a.isospan"));
+        let wrong = ["append", "a.isospan", "v2.npy", "--times", "1", flag, unit];
+        fails(d, &wrong, &format!("is {unit}, that of step 0 is"));
+        assert!(folder(&d.join("a.isospan")) == before);
+    }
+    ok(d, &["append", "a.isospan", "v2.npy", "--times", "1"]);
+    assert!(folder(&d.join("a.isospan")) == folder(&d.join("all.isospan")));
+    // What was added is there.
+    let again = ok(d, &["append", "a.isospan", "v2.npy", "--times", "1"]);
+    assert!(again.contains("none added"), "{again}");
+    let found = info(d, "a.isospan");
+    assert_eq!(found["units"], json!({ "value": "K", "length": "µm", "time": "s" }));
+    assert_eq!(found["steps"][2]["unit"], "K");
+}
+
+#[test]
+fn fields_of_a_file_have_their_own_units() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let input = data("netcdf3_units.nc");
+    let told = ok(d, &["info", &input, "--field", "temp:t1"]);
+    assert!(told.contains(" K  (mean"), "{told}");
+    let how = ["--fraction", "1", "--points", "halton"];
+    ok(d, &[&["reduce", &input, "-o", "f.isospan", "--fields", "temp:t0,share"], &how[..]].concat());
+    let found = info(d, "f.isospan");
+    assert_eq!(found["units"], json!({ "value": "K", "length": "m" }));
+    assert_eq!((&found["steps"][0]["unit"], &found["steps"][1]["unit"]), (&json!("K"), &Value::Null));
+    // A series of frames has the unit of its times; times that the user gives have none.
+    ok(d, &[&["reduce", &input, "-o", "s.isospan", "--field", "temp"], &how[..]].concat());
+    let units = info(d, "s.isospan")["units"].clone();
+    assert_eq!(units, json!({ "value": "K", "length": "m", "time": "hours since 2000-01-01" }));
+    ok(d, &[&["reduce", &input, "-o", "t.isospan", "--field", "temp", "--times", "1,2"], &how[..]].concat());
+    assert_eq!(info(d, "t.isospan")["units"], json!({ "value": "K", "length": "m" }));
+    // No text of a file commands a terminal.
+    ok(d, &[&["reduce", &input, "-o", "o.isospan", "--field", "odd"], &how[..]].concat());
+    for command in [&["info", "o.isospan"][..], &["spectrum", "o.isospan"]] {
+        let told = ok(d, command);
+        assert!(told.contains("kg m-3") && !told.contains('\u{1b}'), "{told}");
+    }
+}
+
+#[test]
+fn meshes_get_units_from_the_user() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_hexahedra(&d.join("m.vtk"), waves);
+    for (name, fraction) in [("own.isospan", "1"), ("few.isospan", "1/2")] {
+        ok(d, &[&["reduce", "m.vtk", "-o", name, "--fraction", fraction], &THREE[..]].concat());
+        assert_eq!(info(d, name)["units"], json!({ "value": "K", "length": "µm" }));
+    }
+}
+
+#[test]
+fn pictures_and_texts_have_units() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    volumes(d, 2);
+    for (name, units) in [("none.isospan", &[][..]), ("units.isospan", &THREE)] {
+        ok(d, &[&["reduce", "v?.npy", "-o", name, "--times", "0,0.5,..."], units].concat());
+    }
+    let small = ["--size", "240,200", "--lights", "0", "--antialias", "1"];
+    let pictures: [&[&str]; 5] = [
+        &["-i", "0,0.2"],
+        &["-i", "0,0.2", "--together"],
+        &["-i", "0", "--scale-bar"],
+        &["--slice", "z=50%"],
+        &["-i", "0", "--steps", "0:1"],
+    ];
+    for how in pictures {
+        let draw = |archive: &str, out: &str| {
+            let told = ok(d, &[&["render", archive, "-o", out, "--force"], how, &small[..]].concat());
+            (told, std::fs::read(d.join(out)).unwrap())
+        };
+        let (plain, without) = draw("none.isospan", "a.png");
+        let (told, with) = draw("units.isospan", "b.png");
+        assert!(with != without, "{how:?}: the unit is in the picture");
+        let named = told.contains(" K:") || told.contains(" µm\n");
+        assert!(named && !plain.contains(" K:") && !plain.contains("µm"), "{told}");
+    }
+    // Characters that the font lacks are no reason to fail.
+    ok(d, &["reduce", "v0.npy", "-o", "odd.isospan", "--unit", "雪", "--length-unit", "雪"]);
+    ok(d, &[&["render", "odd.isospan", "-i", "0,0.2", "-o", "c.png", "--scale-bar"], &small[..]].concat());
+
+    ok(d, &["spectrum", "units.isospan", "--plot", "one.svg"]);
+    let svg = std::fs::read_to_string(d.join("one.svg")).unwrap();
+    assert!(svg.contains("isovalue (K)") && svg.contains("µm^2"), "{svg}");
+    ok(d, &["spectrum", "units.isospan", "--all-steps", "--plot", "all.svg"]);
+    let svg = std::fs::read_to_string(d.join("all.svg")).unwrap();
+    assert!(svg.contains("isovalue (K)") && svg.contains("time (s)"), "{svg}");
+    let told = ok(d, &["spectrum", "units.isospan"]);
+    assert!(told.contains("µm^3, values"), "{told}");
+    let told = ok(d, &["probe", "units.isospan", "--grid", "3,3,3", "-o", "p.npy"]);
+    assert!(told.contains("values in K"), "{told}");
+}
