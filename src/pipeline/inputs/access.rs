@@ -8,8 +8,8 @@
 //!
 //! * the chunks of two layers, if they take at most a quarter of the memory, because some threads
 //!   work on the next layer already;
-//! * else those of a layer, or of two rows, or of a row; rows only if they decode a chunk 2.5 times
-//!   at most;
+//! * else those of a layer, or of two rows, or of a row, or of the boxes that are at work in a row;
+//!   the last three only if they decode a chunk 2.5 times at most;
 //! * if none of these fit, the source is copied into bricks, as a stream is.
 
 use super::bricked_copy::{Scratch, copied};
@@ -25,6 +25,8 @@ use crate::volume::{VolumeReader, VolumeSource};
 
 /// The part of the memory that decoded chunks may take.
 const PART: u64 = 4;
+/// The sizes that a cache may have.
+pub(in crate::pipeline) const CACHES: usize = 5;
 /// How often a chunk may be decoded in one pass, on average.
 const MOST_DECODES: f64 = 2.5;
 
@@ -66,16 +68,20 @@ pub(in crate::pipeline) fn boxes_of_chunks<'a>(
 }
 
 /// Useful sizes of a cache, from the largest to the least: for the chunks that meet two layers of
-/// boxes, a layer, two rows, a row. Rows have no size where they would decode chunks too often.
+/// boxes, a layer, two rows, a row, and the boxes of a row that `workers` are at work on. Rows have
+/// no size where they would decode chunks too often; boxes have none where no worker takes them in
+/// their order.
 pub(in crate::pipeline) fn cache_sizes(
     shape: &ChunkShape,
     boxes: impl Iterator<Item = ReadBox>,
-) -> [Option<u64>; 4] {
+    workers: usize,
+) -> [Option<u64>; CACHES] {
     let (dims, edge) = (shape.dims, shape.chunk);
     // Chunks along each axis that meet one of the boxes, at most, and the largest step from one box
     // to the next; and how many times more samples those chunks hold than the box has itself, on
     // average.
     let (mut one, mut step, mut more, mut count) = ([1u64; 3], [1u64; 3], [0.0; 3], 0.0);
+    let mut width = 1;
     for ReadBox { samples, own } in boxes {
         for a in 0..3 {
             let met = samples.hi[a].div_ceil(edge[a]).saturating_sub(samples.lo[a] / edge[a]);
@@ -83,14 +89,19 @@ pub(in crate::pipeline) fn cache_sizes(
             (one[a], step[a]) = (one[a].max(met), step[a].max(own.dims()[a]));
             more[a] += held as f64 / own.dims()[a].max(1) as f64;
         }
+        width = width.max(samples.dims()[0]);
         count += 1.0;
     }
     let grid = shape.grid();
     let two: [u64; 3] = std::array::from_fn(|a| (one[a] + step[a].div_ceil(edge[a])).min(grid[a]));
     let rows = more[1] / count * (more[2] / count) <= MOST_DECODES;
     let [x, y, _] = grid;
-    let counts = [[x, y, two[2]], [x, y, one[2]], [x, two[1], one[2]], [x, one[1], one[2]]];
-    std::array::from_fn(|n| (n < 2 || rows).then(|| shape.cached_bytes(counts[n])))
+    // The boxes at work, and the next one, which shares chunks with them.
+    let at_work = width.saturating_add(step[0].saturating_mul(workers as u64)).div_ceil(edge[0]) + 1;
+    let [_, b, c] = one;
+    let counts = [[x, y, two[2]], [x, y, c], [x, two[1], c], [x, b, c], [at_work.min(x), b, c]];
+    let is_of_use = |n| n < 2 || rows && (n < 4 || workers > 0);
+    std::array::from_fn(|n| is_of_use(n).then(|| shape.cached_bytes(counts[n])))
 }
 
 /// A cache of decoded chunks for one pass over a source.
@@ -104,18 +115,21 @@ pub(in crate::pipeline) struct ChunkCache {
 
 impl ChunkCache {
     /// The cache for a pass that reads these boxes and needs `least` bytes itself; `None` where the
-    /// memory does not hold both, or the source has no chunks.
+    /// memory does not hold both, or the source has no chunks. The workers of the pass take one box
+    /// after the other if `in_order`.
     pub(in crate::pipeline) fn fitting(
         source: &VolumeSource,
         boxes: impl Iterator<Item = ReadBox>,
+        in_order: bool,
         least: u64,
         run: &RunSettings,
     ) -> Option<Self> {
         let VolumeSource::Chunked(chunks) = source else { return None };
         let shape = ChunkShape::of(&**chunks);
-        let decoding = shape.decoding_bytes.saturating_mul(run.resources.worker_threads() as u64);
+        let threads = run.resources.worker_threads();
+        let decoding = shape.decoding_bytes.saturating_mul(threads as u64);
         let held = decoding.saturating_add(shape.ahead_bytes());
-        let caches = cache_sizes(&shape, boxes).into_iter().flatten();
+        let caches = cache_sizes(&shape, boxes, if in_order { threads } else { 0 }).into_iter().flatten();
         let mut caches = caches.map(|size| Self { size, held: size.saturating_add(held) });
         let fits = |cache: &Self| {
             cache.size <= most_cached(run.resources.memory)
@@ -200,20 +214,27 @@ mod tests {
         let bytes = |count| Some(shape().cached_bytes(count));
         assert!(bytes([1; 3]) > Some(64 * 64 * 64 * 2));
         // A box of 256 meets 5 chunks along each axis, and both meet 8.
-        let all = [[8, 8, 8], [8, 8, 5], [8, 8, 5], [8, 5, 5]].map(bytes);
-        assert_eq!(cache_sizes(&shape(), boxes(256)), all);
+        let all = [[8, 8, 8], [8, 8, 5], [8, 8, 5], [8, 5, 5], [8, 5, 5]].map(bytes);
+        assert_eq!(cache_sizes(&shape(), boxes(256), 2), all);
+        // Of a long row, the boxes that two workers are at, and the next one.
+        let mut long = shape();
+        long.dims[0] = 4096;
+        let of = |workers| cache_sizes(&long, boxes(256), workers)[3..].to_vec();
+        assert_eq!(of(2), [[64, 5, 5], [14, 5, 5]].map(bytes));
+        assert_eq!(of(0), [bytes([64, 5, 5]), None], "not in their order");
         // Small boxes in rows would decode a chunk again and again.
         let layers = [[8, 8, 3], [8, 8, 2]].map(bytes);
-        assert_eq!(cache_sizes(&shape(), boxes(32)), [layers[0], layers[1], None, None]);
+        assert_eq!(cache_sizes(&shape(), boxes(32), 2), [layers[0], layers[1], None, None, None]);
     }
 
     #[test]
     fn a_cache_takes_a_quarter_of_the_memory_and_leaves_what_else_is_needed() {
         let resources = |memory| Resources::default().with_threads(2).with_memory(memory);
         let run = |memory| RunSettings { resources: resources(memory), ..RunSettings::default() };
-        let cache = |least, memory| ChunkCache::fitting(&made(), boxes(256), least, &run(memory));
+        let cache = |least, memory| ChunkCache::fitting(&made(), boxes(256), false, least, &run(memory));
         let size = |memory| cache(0, memory).map(|c| c.size);
-        let [layers, layer, rows, row] = cache_sizes(&shape(), boxes(256)).map(|bytes| bytes.unwrap());
+        let sizes = cache_sizes(&shape(), boxes(256), 2).map(|bytes| bytes.unwrap());
+        let [layers, layer, rows, row, _] = sizes;
         assert_eq!((size(4 * layers), size(4 * layers - 1)), (Some(layers), Some(layer)));
         assert_eq!((size(4 * rows - 1), size(4 * row - 1)), (Some(row), None));
         let held = layers + (2 << 20);

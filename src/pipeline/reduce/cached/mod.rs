@@ -6,7 +6,7 @@
 //! equal ones, the largest is chosen.
 
 use super::series::PlannedSource;
-use crate::pipeline::inputs::{boxes_of_chunks, cache_sizes, most_cached};
+use crate::pipeline::inputs::{CACHES, boxes_of_chunks, cache_sizes, most_cached};
 use crate::pipeline::plan::{Held, MeshParts, Need, estimate, need_of};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::chunked::ChunkShape;
@@ -17,16 +17,16 @@ pub(super) fn need_with_caches(sources: &mut [PlannedSource], parts: &MeshParts,
     let (steps, threads, most) =
         (sources.len(), run.resources.worker_threads(), most_cached(run.resources.memory));
     let need = |held| need_of(parts, held, steps, run.resources.memory, run);
-    let mut shapes: Vec<(ChunkShape, [Option<u64>; 4])> = vec![];
+    let mut shapes: Vec<(ChunkShape, [Option<u64>; CACHES])> = vec![];
     for shape in sources.iter().filter_map(|s| s.chunks) {
         if shapes.iter().all(|(known, _)| *known != shape) {
             let boxes = boxes_of_chunks(&parts.points, &parts.chunks, parts.halo);
-            shapes.push((shape, cache_sizes(&shape, boxes)));
+            shapes.push((shape, cache_sizes(&shape, boxes, threads)));
         }
     }
     let ahead = shapes.iter().map(|(shape, _)| shape.ahead_bytes()).max().unwrap_or(0);
     let by_worker = shapes.iter().map(|(shape, _)| shape.decoding_bytes).max().unwrap_or(0);
-    let found = (0..4).filter_map(|n| {
+    let found = (0..CACHES).filter_map(|n| {
         let sizes: Vec<u64> = shapes.iter().map(|(_, bytes)| bytes[n]).collect::<Option<_>>()?;
         let by_step = sizes.iter().copied().max().filter(|&largest| largest <= most)?;
         let by_step = by_step.saturating_add(ahead);
