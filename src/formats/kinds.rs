@@ -10,6 +10,7 @@ use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::formats::volume::{
+    amira::Amira,
     bricks::Bricks,
     dicom::Dicom,
     folder,
@@ -31,7 +32,7 @@ use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
-    &Nrrd, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &Dicom, &TiffFile, &Nifti, &Mrc,
+    &Nrrd, &Amira, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &Dicom, &TiffFile, &Nifti, &Mrc,
     &MetaImage, &Gmsh, &Tetgen, &Zarr,
 ];
 
@@ -84,7 +85,7 @@ fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
     let head = head?;
     match found(&head) {
         Some(format) if !format.is_on_servers() => {
-            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF, TIFF, MRC, NRRD, NIfTI, \
+            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF, TIFF, MRC, AmiraMesh, NRRD, NIfTI, \
                             NPY, NPZ, MetaImage, raw), or a copy on a disk";
             Err(Error::bad_input(path, "kind of file", expected, format.name())
                 .with_help("copy it to a disk, and name that copy"))
@@ -201,7 +202,7 @@ fn unknown_kind(head: &Head<'_>) -> Error {
         Error::bad_input(
             head.path,
             "kind of file",
-            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, HDF5, NetCDF, VTI, VTR, VTS, \
+            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, AmiraMesh, HDF5, NetCDF, VTI, VTR, VTS, \
              PVTI, PVTR, PVTS, legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, \
              .pts and .tet)",
             got,

@@ -41,6 +41,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         of("hdr", vec![nifti(4, 2)]),
         of("mrc", vec![mrc(1, 2), mrc(12, 2), mrc(2, 4)]),
         of("map.gz", vec![gzip(&mrc(6, 2))]),
+        of("am", amira()),
         of("vti", vti()),
         of("vtk", legacy()),
         of("tif", vec![tiff(1, 2), tiff(8, 2)]),
@@ -199,6 +200,23 @@ fn zarr_zip() -> Vec<u8> {
         "fill_value":0,"order":"C","filters":null}"#;
     let chunk = |first: u8| samples(2, 12).iter().map(|b| b ^ first).collect();
     zip(&[(".zarray", about.to_vec()), ("0.0.0", chunk(0)), ("1.0.0", chunk(1))])
+}
+
+fn amira() -> Vec<Vec<u8>> {
+    let file = |lattice: &str, stored: &[u8]| {
+        let head = format!(
+            "# AmiraMesh BINARY-LITTLE-ENDIAN 2.1\ndefine Lattice 4 3 2\ndefine Coordinates 9\nParameters {{\n    \
+             BoundingBox 0 3 0 2 0 1,\n    CoordType \"uniform\"\n}}\nLattice {{ {lattice}\nCoordinates {{ float \
+             xyz }} @2\n# Data section follows\n@1\n"
+        );
+        [head.as_bytes(), stored, b"\n@2\n", &samples(4, 9), b"\n"].concat()
+    };
+    let packed = zlib(&samples(2, 24));
+    vec![
+        file("short Data } @1", &samples(2, 24)),
+        file(&format!("short Data }} @1(HxZip,{})", packed.len()), &packed),
+        file("byte Labels } @1(HxByteRLE,4)", &[20, 1, 4, 2]),
+    ]
 }
 
 fn mrc(mode: i32, size: usize) -> Vec<u8> {
