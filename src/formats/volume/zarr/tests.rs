@@ -396,7 +396,19 @@ fn damaged_archives_are_refused() {
     files.sort();
     for deflate in [false, true] {
         let file = fs::read(zipped(&dir, "", &files[..4], [deflate, false])).unwrap();
-        crate::formats::tests::torture("a.zarr.zip", &file, file.len() - 2);
+        let read = |bytes: &[u8]| read(&write(&dir, "a.zarr.zip", bytes), None);
+        assert!(read(&file).is_ok());
+        // The last two bytes are the archive's comment.
+        for cut in 1..file.len() - 2 {
+            assert!(read(&file[..cut]).is_err(), "cut to {cut} bytes");
+        }
+        for (at, flip) in (0..file.len()).flat_map(|at| [0x01, 0x10, 0x80, 0xff].map(|flip| (at, flip))) {
+            let mut damaged = file.clone();
+            damaged[at] ^= flip;
+            if let Err(e) = read(&damaged) {
+                assert!(!e.to_string().contains('\n'), "{e}");
+            }
+        }
     }
 }
 
