@@ -58,8 +58,8 @@ pub(super) fn machine_memory() -> u64 {
 #[cfg(unix)]
 const OTHER_FILES: u64 = 64;
 
-/// Raises the process's own limit of open files, where so many are opened together. The error is the
-/// most that can be.
+/// Raises the process's own limit of open files, where so many are opened together. The error is
+/// the most that can be.
 #[cfg(unix)]
 pub(crate) fn allow_open_files(count: u64) -> Result<(), u64> {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
