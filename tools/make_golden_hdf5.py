@@ -132,6 +132,15 @@ def netcdf():
         f.createVariable("plain", "f4", ("lev", "lat", "bare"))[:] = RAMP
 
 
+def fills():
+    # Samples that were never written, of variables that name no fill value of their own.
+    with netCDF4.Dataset(OUT / "netcdf4_fill.h5", "w") as f:
+        for name, size in (("z", 4), ("y", 3), ("x", 2)):
+            f.createDimension(name, size)
+        for name, kind in (("single", "f4"), ("short", "i2"), ("byte", "i1")):
+            f.createVariable(name, kind, ("z", "y", "x"))[:2] = np.arange(12).reshape(2, 3, 2)
+
+
 def small():
     """One field, so that it is read without a choice: what tools/fuzz damages."""
     with h5py.File(OUT / "hdf5_small.h5", "w", libver="latest") as f:
@@ -238,6 +247,7 @@ if __name__ == "__main__":
     chunks()
     filters()
     netcdf()
+    fills()
     small()
     dialects()
     units()

@@ -1,5 +1,5 @@
 //! Finds which file systems are shared over a network, and how much memory the machine has. The I/O
-//! mode and the dropping of pages depend on both.
+//! mode and the dropping of pages depend on both. And how many files may be open at one time.
 
 use std::fs::File;
 
@@ -54,9 +54,47 @@ pub(super) fn machine_memory() -> u64 {
     u64::MAX
 }
 
+/// Files that are open besides those that a reader opens together.
+#[cfg(unix)]
+const OTHER_FILES: u64 = 64;
+
+/// Raises the process's own limit of open files, where so many are opened together. The error is
+/// the most that can be.
+#[cfg(unix)]
+pub(crate) fn allow_open_files(count: u64) -> Result<(), u64> {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let (limit, needed) = (getrlimit(Resource::Nofile), count.saturating_add(OTHER_FILES));
+    let fits = |limit: Option<u64>| limit.is_none_or(|most| most >= needed);
+    let raised = Rlimit { current: Some(needed), maximum: limit.maximum };
+    if fits(limit.current) || fits(limit.maximum) && setrlimit(Resource::Nofile, raised).is_ok() {
+        return Ok(());
+    }
+    let most = limit.maximum.or(limit.current).unwrap_or(needed).min(needed);
+    Err(most.saturating_sub(OTHER_FILES))
+}
+
+/// Other systems have no limit that a program meets so soon.
+#[cfg(not(unix))]
+pub(crate) fn allow_open_files(_: u64) -> Result<(), u64> {
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn a_limit_of_open_files_is_raised_as_far_as_it_may_be() {
+        use rustix::process::{Resource, getrlimit};
+        let before = getrlimit(Resource::Nofile);
+        assert_eq!(allow_open_files(1), Ok(()));
+        assert_eq!(getrlimit(Resource::Nofile).current, before.current, "not without need");
+        let Some(most) = before.maximum else { return };
+        assert_eq!(allow_open_files(most - OTHER_FILES), Ok(()));
+        assert_eq!(getrlimit(Resource::Nofile).current, Some(most));
+        assert_eq!(allow_open_files(most), Err(most - OTHER_FILES));
+    }
 
     #[test]
     fn network_file_systems_are_known_by_number() {

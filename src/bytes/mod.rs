@@ -32,7 +32,7 @@
 //! follow are requested ahead ([`ByteSource::advise_will_need`]).
 
 mod borrowed;
-mod filesystem;
+pub(crate) mod filesystem;
 mod mmap;
 pub(crate) mod paged;
 pub(crate) mod place;

@@ -10,6 +10,7 @@ use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::formats::volume::{
+    amira::Amira,
     bricks::Bricks,
     dicom::Dicom,
     folder,
@@ -23,7 +24,7 @@ use crate::formats::volume::{
     nrrd::Nrrd,
     raw, stack,
     tiff::TiffFile,
-    zarr::{Zarr, is_zarr},
+    zarr::{Zarr, is_in_archive, is_zarr},
 };
 use crate::formats::vtk::{legacy::VtkLegacy, xml::VtkXml};
 use crate::volume::VolumeSource;
@@ -31,7 +32,7 @@ use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
-    &Nrrd, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &Dicom, &TiffFile, &Nifti, &Mrc,
+    &Nrrd, &Amira, &Npy, &Npz, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &Dicom, &TiffFile, &Nifti, &Mrc,
     &MetaImage, &Gmsh, &Tetgen, &Zarr,
 ];
 
@@ -65,7 +66,8 @@ fn found(head: &Head<'_>) -> Option<&'static dyn Format> {
 /// [`Error::BadInput`] for a format that is not read from servers.
 fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
     if !is_remote(path) {
-        return Head::of(path, options.io);
+        let is_zarr = options.raw.is_none() && is_in_archive(path)?;
+        return if is_zarr { Ok(Head::of_folder(path)) } else { Head::of(path, options.io) };
     }
     if stack::has_wildcard(path) {
         return Err(Error::bad_input(path, "address", "one file, or a Zarr array or group", "a pattern")
@@ -83,8 +85,8 @@ fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
     let head = head?;
     match found(&head) {
         Some(format) if !format.is_on_servers() => {
-            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF, TIFF, MRC, NRRD, NIfTI, NPY, \
-                            NPZ, MetaImage, raw), or a copy on a disk";
+            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF, TIFF, MRC, AmiraMesh, NRRD, NIfTI, \
+                            NPY, NPZ, MetaImage, raw), or a copy on a disk";
             Err(Error::bad_input(path, "kind of file", expected, format.name())
                 .with_help("copy it to a disk, and name that copy"))
         }
@@ -105,11 +107,15 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     if stack::is_pattern(path) {
         options.refuse_channel(path)?;
+        options.refuse_scale(path)?;
         return folder::open(path, options);
     }
     let head = head_of(path, options)?;
     if found(&head).is_none_or(|format| !format.has_channels()) {
         options.refuse_channel(path)?;
+    }
+    if found(&head).is_none_or(|format| !format.has_scales()) {
+        options.refuse_scale(path)?;
     }
     match (found(&head), &options.raw) {
         (Some(format), Some(_)) => Err(Error::usage(format!(
@@ -168,6 +174,7 @@ fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<Ce
     }
     options.refuse_geometry(path, "a mesh")?;
     options.refuse_channel(path)?;
+    options.refuse_scale(path)?;
     format.mesh(path, options)
 }
 
@@ -195,8 +202,8 @@ fn unknown_kind(head: &Head<'_>) -> Error {
         Error::bad_input(
             head.path,
             "kind of file",
-            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, HDF5, NetCDF, VTI, VTR, VTS, PVTI, PVTR, PVTS, \
-             legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, \
+            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, AmiraMesh, HDF5, NetCDF, VTI, VTR, VTS, \
+             PVTI, PVTR, PVTS, legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, \
              .pts and .tet)",
             got,
         )

@@ -34,12 +34,14 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         of("mha", metaimage("LOCAL")),
         of("mhd", metaimage("samples.raw")),
         of("npy", vec![npy("<f4", 4), npy(">i2", 2), npy("|u1", 1)]),
-        of("npz", vec![npz()]),
+        of("npz", vec![zip(&[("a.npy", npy("<f4", 4))])]),
+        of("zarr.zip", vec![zarr_zip()]),
         of("nii", vec![nifti(16, 4), nifti(4, 2)]),
         of("nii.gz", vec![gzip(&nifti(4, 2))]),
         of("hdr", vec![nifti(4, 2)]),
         of("mrc", vec![mrc(1, 2), mrc(12, 2), mrc(2, 4)]),
         of("map.gz", vec![gzip(&mrc(6, 2))]),
+        of("am", amira()),
         of("vti", vti()),
         of("vtk", legacy()),
         of("tif", vec![tiff(1, 2), tiff(8, 2)]),
@@ -171,21 +173,50 @@ fn npy(descr: &str, size: usize) -> Vec<u8> {
 }
 
 /// A zip archive of one deflated member.
-fn npz() -> Vec<u8> {
-    let (name, bytes) = (b"a.npy", npy("<f4", 4));
-    // zlib without its two bytes at the start and four at the end is plain deflate.
-    let packed = zlib(&bytes);
-    let packed = &packed[2..packed.len() - 4];
-    let mut crc = flate2::Crc::new();
-    crc.update(&bytes);
-    let sizes = [crc.sum(), packed.len() as u32, bytes.len() as u32].map(u32::to_le_bytes).concat();
-    let common =
-        [[0u16, 8, 0, 0].map(u16::to_le_bytes).concat(), sizes, [5u16, 0].map(u16::to_le_bytes).concat()]
-            .concat();
-    let file = [b"PK\x03\x04\x14\0", &common[..], name, packed].concat();
-    let entry = [b"PK\x01\x02\x14\0\x14\0", &common[..], &[0; 14], name].concat();
-    let places = [entry.len() as u32, file.len() as u32].map(u32::to_le_bytes).concat();
-    [file, entry, [b"PK\x05\x06\0\0\0\0\x01\0\x01\0", &places[..], b"\0\0"].concat()].concat()
+/// A zip archive of members, deflated or stored in turn.
+fn zip(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    let (mut file, mut directory) = (vec![], vec![]);
+    for (number, (name, bytes)) in members.iter().enumerate() {
+        // zlib without its two bytes at the start and four at the end is plain deflate.
+        let packed = zlib(bytes);
+        let deflated = number % 2 == 0;
+        let stored = if deflated { &packed[2..packed.len() - 4] } else { &bytes[..] };
+        let mut crc = flate2::Crc::new();
+        crc.update(bytes);
+        let sizes = [crc.sum(), stored.len() as u32, bytes.len() as u32].map(u32::to_le_bytes).concat();
+        let method = [0u16, if deflated { 8 } else { 0 }, 0, 0].map(u16::to_le_bytes).concat();
+        let common = [method, sizes, [name.len() as u16, 0].map(u16::to_le_bytes).concat()].concat();
+        let at = (file.len() as u32).to_le_bytes();
+        directory.extend([b"PK\x01\x02\x14\0\x14\0", &common[..], &[0; 10], &at, name.as_bytes()].concat());
+        file.extend([b"PK\x03\x04\x14\0", &common[..], name.as_bytes(), stored].concat());
+    }
+    let count = (members.len() as u16).to_le_bytes();
+    let places = [directory.len() as u32, file.len() as u32].map(u32::to_le_bytes).concat();
+    [file, directory, [b"PK\x05\x06\0\0\0\0", &count[..], &count, &places, b"\0\0"].concat()].concat()
+}
+
+fn zarr_zip() -> Vec<u8> {
+    let about = br#"{"zarr_format":2,"shape":[2,3,4],"chunks":[1,3,4],"dtype":"<u2","compressor":null,
+        "fill_value":0,"order":"C","filters":null}"#;
+    let chunk = |first: u8| samples(2, 12).iter().map(|b| b ^ first).collect();
+    zip(&[(".zarray", about.to_vec()), ("0.0.0", chunk(0)), ("1.0.0", chunk(1))])
+}
+
+fn amira() -> Vec<Vec<u8>> {
+    let file = |lattice: &str, stored: &[u8]| {
+        let head = format!(
+            "# AmiraMesh BINARY-LITTLE-ENDIAN 2.1\ndefine Lattice 4 3 2\ndefine Coordinates 9\nParameters {{\n    \
+             BoundingBox 0 3 0 2 0 1,\n    CoordType \"uniform\"\n}}\nLattice {{ {lattice}\nCoordinates {{ float \
+             xyz }} @2\n# Data section follows\n@1\n"
+        );
+        [head.as_bytes(), stored, b"\n@2\n", &samples(4, 9), b"\n"].concat()
+    };
+    let packed = zlib(&samples(2, 24));
+    vec![
+        file("short Data } @1", &samples(2, 24)),
+        file(&format!("short Data }} @1(HxZip,{})", packed.len()), &packed),
+        file("byte Labels } @1(HxByteRLE,4)", &[20, 1, 4, 2]),
+    ]
 }
 
 fn mrc(mode: i32, size: usize) -> Vec<u8> {

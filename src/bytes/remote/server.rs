@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
+use tokio_stream::StreamExt;
 use url::{Position, Url};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
@@ -27,6 +28,10 @@ const AT_ONCE: usize = 32;
 /// Small files are not asked for again so soon: metadata are needed several times when a volume is
 /// opened.
 const SMALL_FOR: Duration = Duration::from_secs(5);
+/// Files of which a listing costs less than a request for each.
+const MANY: usize = 16;
+/// Files in each answer of a listing.
+const IN_ANSWER: usize = 1000;
 /// Small files that are kept for that long, and the most bytes of one.
 const SMALL: (usize, usize) = (256, 256 << 10);
 
@@ -101,6 +106,42 @@ impl Server {
         Ok(())
     }
 
+    /// Notes what a listing of their folder says about files, and takes those out of `files`. What
+    /// it does not name stays, and all do where it is refused, or the folder has many more files.
+    async fn look_in_listing(&self, files: &mut Listed<'_>) {
+        let room = self.room.acquire().await;
+        let (mut listing, mut count) = (self.store.list(folder_of(files.keys()).as_ref()), 0);
+        while let Some(about) = listing.next().await {
+            if count % IN_ANSWER == 0 {
+                self.cache.asked();
+            }
+            count += 1;
+            let Ok(about) = about else { return };
+            if count > 4 * files.len() + IN_ANSWER {
+                return;
+            }
+            if let Some((_, said)) = files.get_mut(&about.location).filter(|_| about.e_tag.is_some()) {
+                *said = Some((about.size, tag_of(&about)));
+            }
+        }
+        drop(room);
+        // A server may write the state of a file in two ways: one file shows whether it does.
+        let listed = files.iter().find_map(|(key, &(path, said))| Some((key, path, said?)));
+        let Some((key, path, said)) = listed else { return };
+        let asked = self.head(path, key).await.is_ok();
+        let known = lock(&self.seen).get(&hash_of(path)).copied();
+        if !asked || known.is_none_or(|known| (known.len, known.tag) != (Some(said.0), said.1)) {
+            return;
+        }
+        files.retain(|_, &mut (path, said)| match said {
+            Some((len, tag)) => {
+                self.note(path, Some(len), tag);
+                false
+            }
+            None => true,
+        });
+    }
+
     fn note(&self, path: &Path, len: Option<u64>, tag: u64) {
         let mut seen = lock(&self.seen);
         let now = seen.entry(hash_of(path)).or_insert(Seen { len, tag, changes: 0 });
@@ -131,6 +172,38 @@ impl Server {
         };
         io::Error::new(kind, text)
     }
+}
+
+/// The folder that all files are in; `None` for all of a store.
+fn folder_of<'a>(mut files: impl Iterator<Item = &'a Key>) -> Option<Key> {
+    let mut folder = files.next()?.parent()?;
+    for file in files {
+        while !file.prefix_matches(&folder) {
+            folder = folder.parent()?;
+        }
+    }
+    Some(folder).filter(|folder| !folder.is_root())
+}
+
+/// Files by their keys, and the length and the tag that a listing says.
+type Listed<'a> = HashMap<Key, (&'a Path, Option<(u64, u64)>)>;
+
+/// The files that no listing tells of: all but those of one store with many.
+fn not_listed(paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    if paths.len() < MANY {
+        return Ok(paths.to_vec());
+    }
+    let (server, _) = server_of(&paths[0])?;
+    let mut files = Listed::new();
+    for path in paths {
+        let (of, key) = server_of(path)?;
+        if !of.lists || !Arc::ptr_eq(&of, &server) {
+            return Ok(paths.to_vec());
+        }
+        files.insert(key, (path.as_path(), None));
+    }
+    wait(server.look_in_listing(&mut files)).map_err(|e| Error::io("ask a server", &paths[0], e))?;
+    Ok(files.into_values().map(|(path, _)| path.to_path_buf()).collect())
 }
 
 fn hash_of(path: &Path) -> u128 {
@@ -213,13 +286,14 @@ pub(crate) fn folders_in(path: &Path) -> Result<Vec<String>> {
     Ok(folders.iter().filter_map(|folder| folder.filename().map(str::to_owned)).collect())
 }
 
-/// Asks about files, many at a time.
+/// Asks about files, by a listing or many at a time.
 pub(crate) fn look_at(paths: &[PathBuf]) -> Result<()> {
     if paths.is_empty() {
         return Ok(());
     }
+    let paths = not_listed(paths)?;
     let asked = wait(async {
-        let (mut tasks, mut left) = (JoinSet::new(), paths.iter().cloned());
+        let (mut tasks, mut left) = (JoinSet::new(), paths.into_iter());
         loop {
             while tasks.len() < AT_ONCE
                 && let Some(path) = left.next()
@@ -335,4 +409,76 @@ fn options(url: &Url) -> Vec<(String, String)> {
         options.push(("allow_http".into(), "true".into()));
     }
     options
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use object_store::ObjectStoreExt;
+    use object_store::memory::InMemory;
+
+    /// A store in memory with so many files `a/c/N`, and as many others beside them.
+    fn store(count: usize, others: usize) -> Server {
+        let store = InMemory::new();
+        let put = |key: String| wait(store.put(&Key::from(key), "bytes".into())).unwrap().unwrap();
+        (0..count).for_each(|n| drop(put(format!("a/c/{n}"))));
+        (0..others).for_each(|n| drop(put(format!("a/other/{n}"))));
+        Server {
+            store: Arc::new(store),
+            lists: true,
+            room: Semaphore::new(AT_ONCE),
+            cache: ServerCache::default(),
+            seen: Mutex::default(),
+            small: Mutex::default(),
+        }
+    }
+
+    fn paths(count: usize) -> Vec<PathBuf> {
+        (0..count).map(|n| PathBuf::from(format!("s3://b/a/c/{n}"))).collect()
+    }
+
+    fn files(paths: &[PathBuf]) -> Listed<'_> {
+        let file = |(n, path)| (Key::from(format!("a/c/{n}")), (path, None));
+        paths.iter().map(PathBuf::as_path).enumerate().map(file).collect()
+    }
+
+    #[test]
+    fn a_listing_says_what_each_answer_would() {
+        let server = store(40, 3);
+        // Two files are missing: nothing is said of them.
+        let paths = paths(42);
+        let mut left = files(&paths);
+        wait(server.look_in_listing(&mut left)).unwrap();
+        assert_eq!(left.len(), 2);
+        assert_eq!(server.cache.traffic().requests, 2);
+        let listed = lock(&server.seen).clone();
+        for (key, (path, _)) in files(&paths[..40]) {
+            wait(server.head(path, &key)).unwrap().unwrap();
+            assert_eq!(listed[&hash_of(path)].len, Some(5));
+            assert_eq!(lock(&server.seen)[&hash_of(path)].changes, 0, "the same length and tag");
+        }
+    }
+
+    #[test]
+    fn a_folder_with_many_other_files_is_not_listed_to_its_end() {
+        let server = store(20, 3 * IN_ANSWER);
+        let paths = paths(20);
+        let mut left = files(&paths);
+        left.insert(Key::from("a/d"), (Path::new("s3://b/a/d"), None));
+        wait(server.look_in_listing(&mut left)).unwrap();
+        assert_eq!(left.len(), 21);
+        assert!(server.cache.traffic().requests <= 3);
+    }
+
+    #[test]
+    fn the_folder_of_files_is_the_nearest() {
+        let of = |names: &[&str]| {
+            let keys: Vec<Key> = names.iter().map(|&n| Key::from(n)).collect();
+            folder_of(keys.iter()).map(|key| key.to_string())
+        };
+        assert_eq!(of(&["a/b/c/0", "a/b/c/1"]).as_deref(), Some("a/b/c"));
+        assert_eq!(of(&["a/b/c/0", "a/bc/1"]).as_deref(), Some("a"));
+        assert_eq!(of(&["a/0", "b/0"]), None);
+        assert_eq!(of(&["0", "1"]), None);
+    }
 }

@@ -117,6 +117,22 @@ impl Packing {
     }
 }
 
+/// The value of samples that were never written, in the library of NetCDF.
+#[allow(clippy::excessive_precision)]
+pub(in crate::formats) fn netcdf_fill(scalar: ScalarType) -> Option<f64> {
+    Some(match scalar {
+        // Every byte may be a value.
+        ScalarType::I8 | ScalarType::U8 => return None,
+        ScalarType::I16 => -32767.0,
+        ScalarType::U16 => 65535.0,
+        ScalarType::I32 => -2_147_483_647.0,
+        ScalarType::U32 => 4_294_967_295.0,
+        ScalarType::I64 => -9_223_372_036_854_775_806.0,
+        ScalarType::U64 => 18_446_744_073_709_551_614.0,
+        ScalarType::F16 | ScalarType::F32 | ScalarType::F64 => 9.969_209_968_386_869_047e36,
+    })
+}
+
 /// The range of stored numbers that have values.
 fn valid_range(
     attributes: &impl Attributes,

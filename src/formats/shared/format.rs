@@ -100,6 +100,11 @@ pub(in crate::formats) trait Format: Sync {
         false
     }
 
+    /// Whether its images may have levels, of which the user chooses one.
+    fn has_scales(&self) -> bool {
+        false
+    }
+
     /// Whether a mesh has its values in a file of their own.
     fn has_value_file(&self) -> bool {
         false

@@ -15,6 +15,7 @@ pub(in crate::formats) mod sink;
 pub(in crate::formats) mod stream;
 pub(in crate::formats) mod text;
 pub(in crate::formats) mod unread;
+pub(in crate::formats) mod zip;
 
 pub use fields::pick_field;
 pub(in crate::formats) use fields::{field_matches, is_pattern};

@@ -14,6 +14,9 @@ pub struct OpenOptions {
     /// The channel to read, where an array has an axis of them: a label or a number from 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channel: Option<String>,
+    /// The level to read, where an image has several: its name or its number, 0 for the finest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<String>,
     /// The layout of a headerless file; required for those, refused for others.
     pub raw: Option<RawLayout>,
     /// World lengths of a voxel's edges along x, y and z, for a format without spacing.
@@ -42,6 +45,15 @@ impl OpenOptions {
                 Err(Error::usage(format!("{}: {text}", path.display())))
             }
         }
+    }
+
+    /// Refuses a level for a file that has one alone.
+    pub(in crate::formats) fn refuse_scale(&self, path: &Path) -> Result<()> {
+        if self.scale.is_none() {
+            return Ok(());
+        }
+        let text = "it has no levels to choose from: leave out --scale";
+        Err(Error::usage(format!("{}: {text}", path.display())))
     }
 
     /// Refuses a spacing and an origin for a file that has its own.

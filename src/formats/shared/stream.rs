@@ -32,6 +32,9 @@ pub(crate) enum Codec {
         /// The checksum of the decoded bytes.
         crc32: u32,
     },
+    /// Runs of AmiraMesh: a byte below 128 repeats the one that follows so often, another one is
+    /// followed by that many bytes, less 128, as they are.
+    ByteRuns,
 }
 
 impl Codec {
@@ -47,6 +50,7 @@ impl Codec {
             Self::Deflate { crc32 } => {
                 Box::new(Checked { decoded: CrcReader::new(DeflateDecoder::new(stored)), crc32 })
             }
+            Self::ByteRuns => Box::new(ByteRuns { stored, left: 0, repeated: None }),
         })
     }
 
@@ -55,7 +59,44 @@ impl Codec {
             Self::Gzip => "gzip",
             Self::Zlib => "zlib",
             Self::Deflate { .. } => "deflate",
+            Self::ByteRuns => "run-length",
         }
+    }
+}
+
+/// Decodes [`Codec::ByteRuns`].
+struct ByteRuns<R> {
+    stored: R,
+    /// Bytes left of a run, and the byte that it repeats, if it does.
+    left: usize,
+    repeated: Option<u8>,
+}
+
+impl<R: BufRead> ByteRuns<R> {
+    fn byte(&mut self) -> io::Result<Option<u8>> {
+        let byte = self.stored.fill_buf()?.first().copied();
+        self.stored.consume(usize::from(byte.is_some()));
+        Ok(byte)
+    }
+}
+
+impl<R: BufRead> Read for ByteRuns<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        while self.left == 0 && !out.is_empty() {
+            let Some(count) = self.byte()? else { return Ok(0) };
+            self.left = usize::from(count & 127);
+            self.repeated = None;
+            if count < 128 {
+                self.repeated = Some(self.byte()?.ok_or(io::ErrorKind::UnexpectedEof)?);
+            }
+        }
+        let n = out.len().min(self.left);
+        match self.repeated {
+            Some(byte) => out[..n].fill(byte),
+            None => self.stored.read_exact(&mut out[..n])?,
+        }
+        self.left -= n;
+        Ok(n)
     }
 }
 

@@ -15,7 +15,7 @@ const TO_VTK: &str = "convert it to .vtu or .vti, e.g. with ParaView";
 
 /// Magic bytes, where they are, and what has them.
 #[rustfmt::skip]
-const BY_BYTES: [(usize, &[u8], &str, &str); 16] = [
+const BY_BYTES: [(usize, &[u8], &str, &str); 14] = [
     (0, b"ZISRAWFILE", "a Zeiss CZI file", TO_TIFF),
     (0, b"\xda\xce\xbe\x0a", "a Nikon ND2 file", TO_TIFF),
     (0, b"\x70\0\0\0", "a Leica LIF file", TO_TIFF),
@@ -23,8 +23,6 @@ const BY_BYTES: [(usize, &[u8], &str, &str); 16] = [
     (0, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a compound document (OIB, ZVI, VSI, TXM)", TO_TIFF),
     (0, b"GRIB", "a GRIB file", "convert it to NetCDF-4, e.g. with cdo -f nc4 copy"),
     (0, b"SIMPLE  =", "a FITS file", "save its array as .npy, with astropy and NumPy"),
-    (0, b"# AmiraMesh", "an AmiraMesh file", "save it as NRRD or raw, in Amira or with 3D Slicer"),
-    (0, b"# Avizo", "an Avizo file", "save it as NRRD or raw, in Avizo"),
     (0, b" BDV", "an OpenVDB file", "sample it on a grid, and save that as .npy"),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file before version 7.3", "save it with the option '-v7.3', which writes HDF5"),
     (0, b"@(#)ADF", "a CGNS file", TO_VTK),

@@ -1,5 +1,6 @@
 //! Formats of volumes, one file or folder each, and the writers of samples.
 
+pub(in crate::formats) mod amira;
 pub(crate) mod brick_map;
 pub(in crate::formats) mod bricks;
 pub(in crate::formats) mod dicom;

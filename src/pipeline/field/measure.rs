@@ -220,7 +220,7 @@ fn against_volume(
     let visit = Visit::new(archive, Blocks::All, resources, |_| 0)?;
     let least = visit.least(EXTRA) + estimate::BASE + of_map;
     let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
-    let cache = ChunkCache::fitting(&volume, boxes, least, &run);
+    let cache = ChunkCache::fitting(&volume, boxes, true, least, &run);
     let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), &run, progress)?;
     let held = cache.map_or(0, |c| c.held);
     let resources = resources.clone().with_memory(resources.memory - held);

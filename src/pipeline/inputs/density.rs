@@ -67,7 +67,7 @@ impl<'a> Errors<'a> {
     /// Adds the errors of a step.
     pub(in crate::pipeline) fn add(&mut self, source: VolumeSource, reading: Reading) -> Result<()> {
         let blocks = BlockErrors::blocks(self.curves.cells());
-        let cache = ChunkCache::fitting(&source, boxes_of(&blocks), needed(blocks.lattice), self.run);
+        let cache = ChunkCache::fitting(&source, boxes_of(&blocks), false, needed(blocks.lattice), self.run);
         let (reader, _copy) = random_access(source, cache.map(|c| c.size), self.run, &Silent)?;
         let reader = reading.reader(reader);
         let pool = pool(self.run.resources.worker_threads())?;

@@ -12,7 +12,7 @@ mod scan;
 mod shift;
 mod survey;
 
-pub(super) use access::{ChunkCache, boxes_of_chunks, cache_sizes, most_cached, random_access};
+pub(super) use access::{ChunkCache, Met, boxes_of_chunks, most_at_work, most_cached, random_access};
 pub(super) use bricked_copy::{Scratch, copy_bytes};
 pub use bricked_copy::{brick, is_bricked};
 pub(super) use density::Errors;

@@ -32,7 +32,8 @@ const NO_FILE: u64 = u64::MAX;
 /// XXH3 (128 bits), in hexadecimal, of the files that make up an input. It hashes, for each file in
 /// order, its length as a little-endian u64, then all its bytes. A file that does not exist counts
 /// as the length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB. Of a file on a
-/// server it hashes the length, the address and what the server says of its state: a request each.
+/// server it hashes the length, the address and what the server says of its state: a request each,
+/// or a listing of many.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read; [`Error::BadInput`] for what is no regular file.

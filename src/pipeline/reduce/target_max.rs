@@ -167,7 +167,7 @@ impl Measuring<'_> {
         let extra = estimate::error_bytes(1);
         let least = Visit::new(archive, Blocks::All, &run.resources, |_| 0)?.least(extra) + base;
         let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
-        let cache = ChunkCache::fitting(&volume, boxes, least, run);
+        let cache = ChunkCache::fitting(&volume, boxes, true, least, run);
         let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), run, job.progress)?;
         let reading = Reading::of(&self.archive.step().plan);
         let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());

@@ -150,14 +150,15 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         options.refuse_geometry(path, "a file with coordinates")?;
     }
     let geometry = given_geometry(path, options, geometry)?;
-    let mut info = field.volume_info(path, dialect, info, geometry)?;
+    let is_netcdf = dialect == Dialect::Plain && is_netcdf(path, &file);
+    let mut info = field.volume_info(path, dialect, is_netcdf, info, geometry)?;
     info.fields = fields;
     info.units = match dialect {
         Dialect::Plain => field.units(&tree),
         _ => units,
     };
     let convert = match dialect {
-        Dialect::Plain => field.packing(path)?.into_info(&mut info),
+        Dialect::Plain => field.packing(path, is_netcdf)?.into_info(&mut info),
         _ => convert,
     };
     let pieces = |info, convert| {
@@ -173,6 +174,12 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         return Ok(volume.source());
     }
     pieces(info, None)
+}
+
+/// Whether a file was written by the library of NetCDF, which says so, or is called that.
+fn is_netcdf(path: &Path, file: &Hdf5File) -> bool {
+    let says_so = || file.root_group().is_ok_and(|root| root.attribute("_NCProperties").is_ok());
+    has_suffix(path, &[".nc", ".nc4"]) || says_so()
 }
 
 /// The coordinates of a dataset along its axes, where those of one of them are not regular; else
@@ -616,12 +623,12 @@ impl Field {
         &self,
         path: &Path,
         dialect: Dialect,
+        is_netcdf: bool,
         field: FieldInfo,
         geometry: Geometry,
     ) -> Result<VolumeInfo> {
         let dims = self.dims();
         sample_bytes(path, dims, self.part.info.scalar)?;
-        let is_netcdf = dialect == Dialect::Plain && has_suffix(path, &[".nc", ".nc4"]);
         let format = if is_netcdf { "NetCDF-4" } else { dialect.name() };
         let mut info = plain_info(path, format, dims, self.part.info.scalar, geometry);
         if self.dataset.chunks().is_some() {
@@ -636,9 +643,10 @@ impl Field {
     }
 
     /// What the attributes say about stored numbers.
-    fn packing(&self, path: &Path) -> Result<Packing> {
+    fn packing(&self, path: &Path, is_netcdf: bool) -> Result<Packing> {
         let named = Named { path, name: &self.part.info.name, dataset: &self.dataset };
-        Packing::of(&named, self.part.info.scalar, |_| None)
+        let scalar = self.part.info.scalar;
+        Packing::of(&named, scalar, |_| if is_netcdf { cf::netcdf_fill(scalar) } else { None })
     }
 
     /// The coordinates along x, y, z, where the file has them.

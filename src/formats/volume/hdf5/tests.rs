@@ -296,6 +296,18 @@ fn axes_are_what_they_are_called() {
 }
 
 #[test]
+fn what_netcdf_never_wrote_is_missing() {
+    // Its name does not say that it is NetCDF. The library's fill value of bytes may be a value.
+    for (name, unwritten) in [("single", f32::NAN), ("short", f32::NAN), ("byte", -127.0)] {
+        let found = values(open("netcdf4_fill.h5", name).unwrap());
+        for (n, value) in found.into_iter().enumerate() {
+            let expected = if n < 12 { n as f32 } else { unwritten };
+            assert!(value == expected || value.is_nan() && expected.is_nan(), "{name}, {n}: {value}");
+        }
+    }
+}
+
+#[test]
 fn levels_are_a_grid_and_steps_have_their_times() {
     let axes = axes_of("levels.nc", "temp:t1").unwrap().unwrap();
     assert_eq!((&axes[1][..], &axes[2][..]), (&[30.0, 20.0, 10.0, 0.0][..], &[1000.0, 925.0, 700.0][..]));

@@ -1,7 +1,7 @@
 //! The header of a NetCDF-3 file.
 
 use crate::error::{Error, Result};
-use crate::formats::shared::cf::{Attributes, Numbers, Packing};
+use crate::formats::shared::cf::{Attributes, Numbers, Packing, netcdf_fill};
 use crate::formats::shared::numbers::to_f64;
 use crate::volume::ScalarType;
 use crate::volume::strided::swap_bytes;
@@ -223,29 +223,13 @@ impl Variable {
 
     /// What the attributes say about stored numbers.
     pub(super) fn packing(&self, path: &Path, scalar: ScalarType) -> Result<Packing> {
-        Packing::of(&OfVariable { path, variable: self }, scalar, |_| fill_value(scalar))
+        Packing::of(&OfVariable { path, variable: self }, scalar, |_| netcdf_fill(scalar))
     }
 
     fn too_large(&self, path: &Path) -> Error {
         Error::bad_input(path, &*self.name, "fewer than 2^64 bytes", "more")
             .with_help("the header is damaged")
     }
-}
-
-/// The value of samples that were never written, in the library of NetCDF.
-#[allow(clippy::excessive_precision)]
-fn fill_value(scalar: ScalarType) -> Option<f64> {
-    Some(match scalar {
-        // Every byte may be a value.
-        ScalarType::I8 | ScalarType::U8 => return None,
-        ScalarType::I16 => -32767.0,
-        ScalarType::U16 => 65535.0,
-        ScalarType::I32 => -2_147_483_647.0,
-        ScalarType::U32 => 4_294_967_295.0,
-        ScalarType::I64 => -9_223_372_036_854_775_806.0,
-        ScalarType::U64 => 18_446_744_073_709_551_614.0,
-        ScalarType::F16 | ScalarType::F32 | ScalarType::F64 => 9.969_209_968_386_869_047e36,
-    })
 }
 
 /// A variable's attributes.

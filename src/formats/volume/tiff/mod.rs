@@ -129,7 +129,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     options.refuse_channel(path)?;
     let images = images(&first.description);
     if places.len() == 1 && images > 1 {
-        return imagej_stack(&tiff, places[0], &first, images, options);
+        let info = info(path, "TIFF (ImageJ stack", &tiff, &first, images, options)?;
+        return imagej_stack(&tiff, places[0], &first, images, info, [0, 1]);
     }
     if places.len() == 1 {
         let help = "for a stack of slices name their folder, or a pattern in quotes: \"slice_*.tif\"";
@@ -157,7 +158,8 @@ fn of_planes(
     options: &OpenOptions,
 ) -> Result<VolumeSource> {
     let path = tiff.source.path();
-    if places.len() as u64 != planes.count() {
+    let is_one_page = places.len() == 1 && images(&first.description) == planes.count();
+    if !is_one_page && places.len() as u64 != planes.count() {
         let got = places.len().to_string();
         return Err(tiff
             .wrong("pages", &format!("{} images of {planes}, as the description says", planes.count()), got)
@@ -168,11 +170,22 @@ fn of_planes(
     }
     let scalar = first.shape.scalar;
     let (field, channel, moment) = planes.choose(path, scalar, options)?;
-    let pages: Vec<u64> =
-        (0..planes.slices).map(|z| places[planes.number(channel, z, moment) as usize]).collect();
     let all = OpenOptions { field: None, ..options.clone() };
-    let mut info = info(path, "TIFF (pages", tiff, first, planes.slices, &all)?;
+    let kind = if is_one_page { "TIFF (ImageJ stack" } else { "TIFF (pages" };
+    let mut info = info(path, kind, tiff, first, planes.slices, &all)?;
     (info.field, info.fields) = (field, planes.fields(scalar));
+    let number = |z| planes.number(channel, z, moment);
+    if is_one_page {
+        return imagej_stack(
+            tiff,
+            places[0],
+            first,
+            planes.count(),
+            info,
+            [number(0), number(1) - number(0)],
+        );
+    }
+    let pages: Vec<u64> = (0..planes.slices).map(|z| places[number(z) as usize]).collect();
     if in_place {
         mapped(info, tiff, &pages)
     } else {
@@ -276,27 +289,31 @@ fn info(
     Ok(info)
 }
 
-/// ImageJ writes stacks of more than 4 GiB as one page and the images one after the other.
+/// ImageJ writes stacks of more than 4 GiB as one page and the images one after the other. Of these
+/// a volume has one as its first slice, and each `step`-th after it.
 fn imagej_stack(
     tiff: &Tiff,
     place: u64,
     page: &Page,
     images: u64,
-    options: &OpenOptions,
+    info: VolumeInfo,
+    [first, step]: [u64; 2],
 ) -> Result<VolumeSource> {
-    let info = info(tiff.source.path(), "TIFF (ImageJ stack", tiff, page, images, options)?;
     let Some(at) = page.in_place() else {
         let expected = "uncompressed images one after the other, as ImageJ writes them";
         let got = format!("one page of {} data for {images} images", page.compression.name());
         return Err(tiff.wrong("pages", expected, got));
     };
-    let end = at.saturating_add(sample_bytes(&info.path, info.dims, info.field.scalar)?);
+    let [x, y, _] = info.dims;
+    let end = at.saturating_add(sample_bytes(&info.path, [x, y, images], info.field.scalar)?);
     if (at..end).contains(&place) {
         let got = format!("the directory at byte {place} among {images} images from byte {at} to {end}");
         return Err(tiff.wrong("description", "images that follow each other", got));
     }
-    let strides = packed(&info)?;
-    let volume = StridedVolume::new(info, Arc::clone(&tiff.source), at, tiff.big_endian, strides)?;
+    // All images together were counted.
+    let [along_x, along_y, image] = packed(&info)?;
+    let (start, strides) = (at + first * image as u64, [along_x, along_y, step as i64 * image]);
+    let volume = StridedVolume::new(info, Arc::clone(&tiff.source), start, tiff.big_endian, strides)?;
     Ok(volume.source())
 }
 

@@ -498,6 +498,25 @@ fn imagej_stacks_of_one_page() {
 }
 
 #[test]
+fn channels_of_imagej_stacks_of_one_page() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = b"ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\n\0".to_vec();
+    let mut w = Writer::new(Style { rows_per_strip: 5, ..PLAIN });
+    (0..12).for_each(|n| w.bytes.extend(slice(DIMS, ScalarType::U16, n)));
+    let more = [(270, 2, text), (273, 4, 8u32.to_le_bytes().to_vec())];
+    w.page(DIMS, ScalarType::U16, &slice(DIMS, ScalarType::U16, 0), &more);
+    let path = write(&dir, "a.tif", &w.bytes);
+    for (c, t) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+        let options = OpenOptions { field: Some(format!("data:c{c}:t{t}")), ..OpenOptions::default() };
+        let (info, values) = read_all(open_volume(&path, &options).unwrap());
+        let image = |n: usize| expected(12)[n * DIMS[0] * DIMS[1]..][..DIMS[0] * DIMS[1]].to_vec();
+        let wanted: Vec<f32> = (0..3).flat_map(|z| image(c + 2 * z + 6 * t)).collect();
+        assert_eq!((info.dims, info.fields.len()), ([7, 5, 3], 4));
+        assert_eq!(values, wanted, "channel {c}, moment {t}");
+    }
+}
+
+#[test]
 fn ome_spacing_needs_one_unit() {
     let dir = tempfile::tempdir().unwrap();
     for (unit, expected) in [("µm", [0.5, 0.5, 2.0]), ("mm", [1.0; 3])] {

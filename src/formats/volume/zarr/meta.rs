@@ -2,7 +2,7 @@
 //! structure.
 
 use super::codec::Codec;
-use crate::bytes::place::read_if_there;
+use super::store::read_if_there;
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use serde_json::Value;

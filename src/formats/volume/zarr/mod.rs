@@ -43,12 +43,13 @@
 
 mod codec;
 mod meta;
+mod store;
 
-use crate::bytes::place::{above, folders_in, open_if_there, ranges_if_there};
+use crate::bytes::IoMode;
+use crate::bytes::place::above;
 use crate::bytes::remote::is_remote;
-use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Fault, Result};
-use crate::formats::shared::cf::{self, Attributes, Line, MOST_COORDINATES, Numbers, Packing};
+use crate::formats::shared::cf::{self, Attributes, Convert, Line, MOST_COORDINATES, Numbers, Packing};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
 use crate::formats::shared::format::{Format, Head};
@@ -60,7 +61,7 @@ use crate::grid::Geometry;
 use crate::volume::chunked::{ChunkSlabs, ChunkSource};
 use crate::volume::strided::swap_bytes;
 use crate::volume::units::{Unit, Units, common};
-use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
 use meta::Array;
@@ -69,6 +70,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use store::{Part, Zip, folders_in, open_if_there, ranges_if_there};
 
 /// A folder with a Zarr array or a group of them.
 pub(in crate::formats) struct Zarr;
@@ -95,6 +97,10 @@ impl Format for Zarr {
     }
 
     fn has_channels(&self) -> bool {
+        true
+    }
+
+    fn has_scales(&self) -> bool {
         true
     }
 
@@ -131,6 +137,17 @@ const LISTED: u64 = 1 << 20;
 /// # Errors
 /// When a server fails.
 pub(in crate::formats) fn is_zarr(folder: &Path) -> Result<bool> {
+    if let Some((archive, name)) = store::archive_in(folder) {
+        for file in METADATA {
+            if store::exists(&folder.join(file))? {
+                return Ok(true);
+            }
+        }
+        if name.as_os_str().is_empty() {
+            store::refuse_folder(archive, &METADATA)?;
+        }
+        return Ok(false);
+    }
     if !is_remote(folder) {
         return Ok(METADATA.iter().any(|f| folder.join(f).is_file()));
     }
@@ -147,6 +164,11 @@ pub(in crate::formats) fn is_zarr(folder: &Path) -> Result<bool> {
     denied
 }
 
+/// Whether a path on this machine is an array or group in a zip archive.
+pub(in crate::formats) fn is_in_archive(path: &Path) -> Result<bool> {
+    Ok(!is_remote(path) && store::archive_in(path).is_some() && is_zarr(path)?)
+}
+
 /// Names of metadata: one of them is in each array and group.
 const METADATA: [&str; 4] = ["zarr.json", ".zattrs", ".zarray", ".zgroup"];
 
@@ -156,6 +178,7 @@ const METADATA: [&str; 4] = ["zarr.json", ".zattrs", ".zarray", ".zgroup"];
 /// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several
 /// arrays ask for a choice.
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let archive = store::held(path, options.io)?;
     let (image, arrays) = arrays(path)?;
     let fields = fields(image.as_ref(), &arrays)?;
     let number = choose(path, options, image.as_ref(), &arrays, &fields)?;
@@ -185,16 +208,21 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
     let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
-    // No numbers are out of a valid range: see `packing`.
-    packing(&array)?.into_info(&mut info);
+    let convert = packing(&array)?.into_info(&mut info);
     info.units = match &image {
         Some(image) => image.units(&array, axes, time),
         None => cf::units(text(&array, "units"), axes.map(|a| line_unit(&array, a)), line_unit(&array, time)),
     };
     info.field = field;
+    if convert.is_some() {
+        info.field.scalar = ScalarType::F64;
+    }
     info.fields = infos;
-    info.data_files = files(&array, &fixed);
-    let chunks = Chunks::new(info, array, axes, fixed, options.io);
+    info.data_files = match store::archive_in(path) {
+        Some((archive, _)) => vec![archive.to_path_buf()],
+        None => files(&array, &fixed),
+    };
+    let chunks = Chunks { archive, convert, ..Chunks::new(info, array, axes, fixed, options.io) };
     Ok(VolumeSource::Chunked(Arc::new(chunks)))
 }
 
@@ -206,7 +234,7 @@ fn choose(
     arrays: &Named,
     fields: &[Field],
 ) -> Result<usize> {
-    if let Some(wanted) = Wanted::of(options, image, arrays) {
+    if let Some(wanted) = Wanted::of(path, options, image, arrays)? {
         if let Some(number) = fields.iter().position(|f| wanted.is(f)) {
             return Ok(number);
         }
@@ -227,13 +255,16 @@ fn choose(
 /// # Errors
 /// As [`open`].
 pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
+    let _archive = store::held(path, options.io)?;
     let (image, arrays) = arrays(path)?;
-    let wanted = Wanted::of(options, image.as_ref(), &arrays).filter(|wanted| wanted.entries.frame.is_none());
+    let wanted = Wanted::of(path, options, image.as_ref(), &arrays)?;
+    let wanted = wanted.filter(|wanted| wanted.entries.frame.is_none());
     wanted.map_or(Ok(vec![]), |wanted| frames_of(image.as_ref(), &arrays, |f| wanted.is_series(f)))
 }
 
 /// The frames of all arrays.
 pub(in crate::formats) fn all_frames(path: &Path) -> Result<Frames> {
+    let _archive = store::held(path, IoMode::Auto)?;
     let (image, arrays) = arrays(path)?;
     frames_of(image.as_ref(), &arrays, |_| true)
 }
@@ -266,6 +297,7 @@ fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(&Field) -> bo
 /// # Errors
 /// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
 pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+    let _archive = store::held(path, options.io)?;
     let (image, arrays) = arrays(path)?;
     if image.is_some() {
         return Ok(None);
@@ -311,7 +343,7 @@ fn line_array(array: &Array, axis: usize) -> Result<Option<Array>> {
 fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
     let Some(own) = line_array(array, axis)? else { return Ok(None) };
     check_chunks(&own)?;
-    let single = own.scalar == crate::volume::ScalarType::F32;
+    let single = own.scalar == ScalarType::F32;
     let packing = packing(&own)?;
     let info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
     let scalar = own.scalar;
@@ -340,8 +372,12 @@ fn line_unit(array: &Array, axis: Option<usize>) -> Option<String> {
 impl Attributes for Array {
     fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
         let value = &self.attributes[name];
-        let found = match value {
+        let list = match value {
             Value::Null => return Ok(None),
+            Value::Array(list) => &list[..],
+            one => std::slice::from_ref(one),
+        };
+        let number = |value: &Value| match value {
             // In version 3 xarray writes floats as base64 of a little-endian f64.
             Value::String(text) => {
                 let bytes = BASE64_STANDARD.decode(text).ok().and_then(|b| <[u8; 8]>::try_from(b).ok());
@@ -349,8 +385,9 @@ impl Attributes for Array {
             }
             value => value.as_f64(),
         };
-        let number = found.ok_or_else(|| self.wrong(name, "a number", value.to_string()))?;
-        Ok(Some(Numbers { values: vec![number], are_floats: !value.is_i64() && !value.is_u64() }))
+        let values = list.iter().map(number).collect::<Option<Vec<f64>>>();
+        let values = values.ok_or_else(|| self.wrong(name, "numbers", value.to_string()))?;
+        Ok(Some(Numbers { values, are_floats: list.iter().any(|v| !v.is_i64() && !v.is_u64()) }))
     }
 
     fn wrong(&self, names: &str, expected: &str, got: String) -> Error {
@@ -362,14 +399,6 @@ impl Attributes for Array {
 /// This value means "no data" where numbers are packed and no attribute names such a value, as
 /// xarray writes them.
 fn packing(array: &Array) -> Result<Packing> {
-    for name in ["valid_range", "valid_min", "valid_max"] {
-        if !array.attributes[name].is_null() {
-            let got = array.attributes[name].to_string();
-            return Err(array
-                .wrong(name, "no range of valid numbers", got)
-                .with_help("give samples outside of it the fill value, and delete the attribute"));
-        }
-    }
     Packing::of(array, array.scalar, |is_packed| {
         let mut fill = [0.0];
         to_f64(array.scalar, &array.fill, &mut fill);
@@ -460,14 +489,28 @@ impl Wanted {
     /// That of a word: an array (itself, the one whose path starts with it, or "scaleN" the one at
     /// that level), and with colons its channel and frame. Without a word the first level of an
     /// image, or the only array.
-    fn of(options: &OpenOptions, image: Option<&Image>, arrays: &Named) -> Option<Self> {
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a level that there is not.
+    fn of(path: &Path, options: &OpenOptions, image: Option<&Image>, arrays: &Named) -> Result<Option<Self>> {
+        let level = level(path, options, image, arrays)?;
         let Some(wanted) = &options.field else {
-            let is_clear = image.is_some() || arrays.len() == 1;
-            return is_clear.then(|| Self { array: 0, entries: Entries::of("", options) });
+            let array = level.or((image.is_some() || arrays.len() == 1).then_some(0));
+            return Ok(array.map(|array| Self { array, entries: Entries::of("", options) }));
         };
+        let named = Self::named(wanted, options, arrays);
+        match (&named, level) {
+            (Some(field), Some(level)) if field.array != level => {
+                Err(Error::usage("--field is of another level than --scale: leave out one of them"))
+            }
+            _ => Ok(named),
+        }
+    }
+
+    fn named(wanted: &str, options: &OpenOptions, arrays: &Named) -> Option<Self> {
         let position = |is: &dyn Fn(&str) -> bool| arrays.iter().position(|(name, _)| is(name));
         let (word, rest) = match position(&|name| name == wanted) {
-            Some(_) => (wanted.as_str(), ""),
+            Some(_) => (wanted, ""),
             None => wanted.split_once(':').unwrap_or((wanted, "")),
         };
         let level = || word.strip_prefix("scale")?.parse::<usize>().ok().filter(|n| *n < arrays.len());
@@ -485,6 +528,26 @@ impl Wanted {
     fn is_series(&self, field: &Field) -> bool {
         self.array == field.array && self.entries.are_of(field.channel.as_ref())
     }
+}
+
+/// The number of the level that a user asks for.
+fn level(path: &Path, options: &OpenOptions, image: Option<&Image>, arrays: &Named) -> Result<Option<usize>> {
+    let Some(scale) = &options.scale else { return Ok(None) };
+    if image.is_none() {
+        options.refuse_scale(path)?;
+    }
+    let by_name = arrays.iter().position(|(name, _)| name == scale);
+    let by_number = || scale.parse().ok().filter(|n| *n < arrays.len());
+    if let Some(found) = by_name.or_else(by_number) {
+        return Ok(Some(found));
+    }
+    let level = |(name, array): &(String, Array)| {
+        let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
+        format!("{name} ({})", shape.join(" x "))
+    };
+    let levels: Vec<String> = arrays.iter().map(level).collect();
+    let text = format!("there is no level '{scale}'; --scale takes one of {}", levels.join(", "));
+    Err(Error::usage(format!("{}: {text}", path.display())))
 }
 
 /// An image of an OME-Zarr group: its `multiscales` entry.
@@ -736,16 +799,21 @@ struct Chunks {
     /// The entries of the axes of time and channels, if the array has them.
     fixed: Vec<Entry>,
     io: IoMode,
+    /// The archive that they are in, which stays open.
+    #[allow(dead_code, reason = "what counts is that it is there")]
+    archive: Option<Arc<Zip>>,
+    /// How stored numbers become values, where `info` does not say that. Values are `f64` then.
+    convert: Option<Convert>,
     /// Shards that were opened last, by their places in the grid of files.
     shards: Mutex<Vec<([u64; 3], Arc<OpenShard>)>>,
 }
 
 /// A shard's file and index; `None`: it is not there.
-type OpenShard = Option<(ByteSource, Vec<u8>)>;
+type OpenShard = Option<(Part, Vec<u8>)>;
 
 impl Chunks {
     fn new(info: VolumeInfo, array: Array, axes: Axes, fixed: Vec<Entry>, io: IoMode) -> Self {
-        Self { info, array, axes, fixed, io, shards: Mutex::default() }
+        Self { info, array, axes, fixed, io, archive: None, convert: None, shards: Mutex::default() }
     }
 
     /// Sizes along x, y, z of a list along the array's axes.
@@ -783,7 +851,7 @@ impl Chunks {
         }
     }
 
-    fn decoded(&self, source: &ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
+    fn decoded(&self, source: &Part, range: Range<u64>) -> Result<Vec<u8>> {
         let needed = self.array.unit().iter().product::<u64>() * self.array.scalar.bytes() as u64;
         let mut buffer = vec![];
         let at = format!("chunk at byte {}", range.start);
@@ -850,12 +918,7 @@ impl Chunks {
     }
 
     /// Where a chunk is in its shard; `None` where it is not.
-    fn range_in_shard(
-        &self,
-        inner: [u64; 3],
-        source: &ByteSource,
-        index: &[u8],
-    ) -> Result<Option<Range<u64>>> {
+    fn range_in_shard(&self, inner: [u64; 3], source: &Part, index: &[u8]) -> Result<Option<Range<u64>>> {
         let (chunk, unit) = (&self.array.chunk, self.array.unit());
         let place = self.place(inner, |f| f.number % chunk[f.axis] / unit[f.axis]);
         let number = place.iter().zip(chunk.iter().zip(unit)).fold(0, |n, (p, (c, u))| n * (c / u) + p);
@@ -907,10 +970,26 @@ impl ChunkSource for Chunks {
         // Stored, between two codecs, decoded; the first two are gone when samples are given out.
         // And the indices of shards.
         let indices = self.index_bytes().saturating_mul(self.open_shards() + 1);
-        decoded.saturating_mul(3).saturating_add(indices)
+        // The values, if they are others.
+        let values = if self.convert.is_some() { all.saturating_mul(16) } else { 0 };
+        decoded.saturating_mul(3).saturating_add(indices).saturating_add(values)
     }
 
     fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        self.decode_stored(at, out)?;
+        if let Some(convert) = &self.convert {
+            let mut numbers = vec![0.0; out.len() / self.array.scalar.bytes()];
+            to_f64(self.array.scalar, out, &mut numbers);
+            out.clear();
+            out.extend(numbers.into_iter().flat_map(|v| convert.value(v, [0, 0]).to_le_bytes()));
+        }
+        Ok(())
+    }
+}
+
+impl Chunks {
+    /// The samples of a chunk as they are stored, little-endian.
+    fn decode_stored(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
         out.clear();
         let (size, d, unit, together) =
             (self.array.scalar.bytes(), self.info.dims, self.chunk_dims(), self.together());

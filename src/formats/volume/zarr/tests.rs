@@ -1,6 +1,7 @@
 use super::*;
 use crate::formats::open_volume;
 use crate::formats::shared::codec::blosc;
+use crate::formats::shared::zip::tests::zip;
 use crate::formats::tests::{gzip, write};
 use crate::grid::IndexBox;
 use crate::volume::ScalarType;
@@ -278,6 +279,9 @@ fn shards() {
             write_in(dir.path(), &format!("c/{z}/0/0"), &shard([0, 0, z], at_end));
         }
         assert_eq!(check(dir.path()).format, "Zarr (version 3, gzip, shards)");
+        let (files, archives) = (files_in(dir.path()), tempfile::tempdir().unwrap());
+        check(&zipped(&archives, "", &files, [false, true]));
+        assert!(refusal(&zipped(&archives, "", &files, [true, false])).contains("a deflated one"));
         let good = shard([0, 0, 1], at_end);
         for cut in 1..good.len() {
             write_in(dir.path(), "c/1/0/0", &good[..cut]);
@@ -324,6 +328,92 @@ fn ome(folder: &Path) {
         |at| format!("0/{}", at.map(|n| n.to_string()).join("/")),
         |b| b,
     );
+}
+
+/// All files of a folder, with their names in it.
+fn files_in(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let (mut files, mut folders) = (vec![], vec![folder.to_path_buf()]);
+    while let Some(at) = folders.pop() {
+        for entry in fs::read_dir(at).unwrap().map(|e| e.unwrap().path()) {
+            if entry.is_dir() {
+                folders.push(entry);
+            } else {
+                let name = entry.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
+                files.push((name, fs::read(&entry).unwrap()));
+            }
+        }
+    }
+    files
+}
+
+/// The files of a folder in an archive, their names after `prefix`.
+fn zipped(dir: &tempfile::TempDir, prefix: &str, files: &[(String, Vec<u8>)], kind: [bool; 2]) -> PathBuf {
+    let names: Vec<String> = files.iter().map(|(name, _)| format!("{prefix}{name}")).collect();
+    let members: Vec<_> =
+        names.iter().map(String::as_str).zip(files.iter().map(|(_, b)| b.clone())).collect();
+    write(dir, "a.zarr.zip", &zip(&members, kind[0], kind[1]))
+}
+
+#[test]
+fn stores_in_archives() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("a.zarr");
+    ome(&folder);
+    let mut files = files_in(&folder);
+    for kind in [[false, false], [true, false], [false, true], [true, true]] {
+        let path = zipped(&dir, "", &files, kind);
+        let info = check(&path);
+        assert_eq!((info.geometry.spacing, info.fields.len()), ([20.0, 30.0, 40.0], 2));
+        assert_eq!(info.data_files, [path.clone()]);
+        let scale = |scale: &str| OpenOptions { scale: Some(scale.into()), ..OpenOptions::default() };
+        for wanted in ["1", "s1/image"] {
+            let (info, values) = read_with(&path, &scale(wanted)).unwrap();
+            assert_eq!(info.geometry.spacing, [40.0, 60.0, 80.0]);
+            assert!(values.iter().all(|&v| v == 5.0));
+            assert_eq!(read_with(&folder, &scale(wanted)).unwrap().0.field, info.field);
+        }
+        assert_eq!(read(&path.join("s1/image"), None).unwrap().0.geometry.spacing, [40.0, 60.0, 80.0]);
+        let error = read_with(&path, &scale("2")).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains("0 (1 x 6 x 5 x 7), s1/image (1 x 6 x 5 x 7)"), "{error}");
+        let both = OpenOptions { field: Some("0".into()), ..scale("1") };
+        assert_eq!(read_with(&path, &both).unwrap_err().exit_code(), 2);
+        let help = refusal(&zipped(&dir, "a.zarr/", &files, kind));
+        assert!(help.contains("at the top of the archive"), "{help}");
+    }
+    // A chunk that was written again lies there twice.
+    let chunk = files.iter().position(|(name, _)| name == "0/0/0/0/0").unwrap();
+    let (good, other) = (files[chunk].clone(), vec![1; files[chunk].1.len()]);
+    files[chunk].1 = other;
+    files.push(good);
+    check(&zipped(&dir, "", &files, [true, false]));
+}
+
+#[test]
+fn damaged_archives_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("a.zarr");
+    put(&folder, ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+    chunks(&folder, ZYX, ZYX, false, dots, |b| b);
+    let mut files = files_in(&folder);
+    // The metadata and some chunks: others have the fill value.
+    files.sort();
+    for deflate in [false, true] {
+        let file = fs::read(zipped(&dir, "", &files[..4], [deflate, false])).unwrap();
+        let read = |bytes: &[u8]| read(&write(&dir, "a.zarr.zip", bytes), None);
+        assert!(read(&file).is_ok());
+        // The last two bytes are the archive's comment.
+        for cut in 1..file.len() - 2 {
+            assert!(read(&file[..cut]).is_err(), "cut to {cut} bytes");
+        }
+        for (at, flip) in (0..file.len()).flat_map(|at| [0x01, 0x10, 0x80, 0xff].map(|flip| (at, flip))) {
+            let mut damaged = file.clone();
+            damaged[at] ^= flip;
+            if let Err(e) = read(&damaged) {
+                assert!(!e.to_string().contains('\n'), "{e}");
+            }
+        }
+    }
 }
 
 #[test]
@@ -416,7 +506,9 @@ fn attributes_of_cf_are_followed() {
         assert_eq!((info.slope, info.intercept, info.missing), (0.5, -3.0, missing));
     }
     for (bad, reason) in [
-        (json!({ "_FillValue": [1] }), "_FillValue: expected a number, got [1]"),
+        (json!({ "_FillValue": [1, 2] }), "_FillValue: expected one number, got 2 values"),
+        (json!({ "_FillValue": [{}] }), "_FillValue: expected numbers, got [{}]"),
+        (json!({ "valid_range": [1] }), "valid_range: expected 2 number(s), got 1 of them"),
         (
             json!({ "scale_factor": 0 }),
             "scale_factor, add_offset: expected finite numbers, the first not 0, got 0 and 0",
@@ -428,6 +520,26 @@ fn attributes_of_cf_are_followed() {
         put(dir.path(), ".zattrs", &bad);
         let line = refusal(dir.path());
         assert!(line.contains(reason) && line.contains(".zattrs"), "{line}");
+    }
+}
+
+#[test]
+fn samples_outside_of_the_valid_range_are_missing() {
+    // Of packed integers a range of floats is one of values.
+    for attributes in [
+        json!({ "valid_range": [100, 400], "scale_factor": 0.5, "missing_value": 203 }),
+        json!({ "valid_min": 50.0, "valid_max": 200.0, "scale_factor": 0.5, "missing_value": [203] }),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+        put(dir.path(), ".zattrs", &attributes);
+        chunks(dir.path(), ZYX, ZYX, false, dots, |b| b);
+        let (info, values) = read(dir.path(), None).unwrap();
+        assert_eq!((info.field.scalar, info.slope, info.missing), (ScalarType::F64, 1.0, None));
+        for (found, stored) in values.into_iter().zip(expected()) {
+            let is_valid = (100.0..=400.0).contains(&stored) && stored != 203.0;
+            assert!(if is_valid { found == 0.5 * stored } else { found.is_nan() }, "{found}, {stored}");
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 
 use super::array::{ArrayStream, BlockArray, in_place, scalar_type};
 use super::head::{Document, Element};
+use crate::bytes::filesystem::allow_open_files;
 use crate::bytes::{ByteSource, IoMode};
 use crate::cells::{Center, GHOSTS, HIDDEN};
 use crate::error::{Error, Result};
@@ -16,7 +17,7 @@ use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Pieces that are joined; the checks that they cover the image and agree are quadratic.
@@ -195,6 +196,14 @@ enum PieceFile {
 }
 
 impl Piece {
+    /// The file that it is in.
+    fn path(&self) -> &Path {
+        match &self.place {
+            PieceFile::Open(doc) => doc.source.path(),
+            PieceFile::Listed { path, .. } => path,
+        }
+    }
+
     /// The head of its file.
     pub(super) fn document(&self) -> Result<Arc<Document>> {
         match &self.place {
@@ -627,6 +636,12 @@ fn most_at_once(needs: &[(IndexBox, u64)]) -> u64 {
     most
 }
 
+/// The pieces that are files of their own, each counted as one.
+fn files(pieces: &[OpenPiece]) -> Vec<(IndexBox, u64)> {
+    let listed = pieces.iter().filter(|o| matches!(o.piece.place, PieceFile::Listed { .. }));
+    listed.map(|o| (o.piece.voxels, 1)).collect()
+}
+
 impl Joined {
     /// The pieces of an image of so many samples, whose numbers are of a type.
     pub(super) fn new(
@@ -645,6 +660,13 @@ impl Joined {
             let shared = open.iter().enumerate().map(common).filter(|(b, _)| !b.is_empty()).collect();
             open.push(OpenPiece { piece, shared, stream: None });
         }
+        let at_once = most_at_once(&files(&open));
+        allow_open_files(at_once).map_err(|most| {
+            let got = format!("{at_once} files in one");
+            let first = open.first().map_or(Path::new(""), |o| o.piece.path());
+            Error::bad_input(first, "pieces", format!("slices through at most {most} files"), got)
+                .with_help("allow more open files (ulimit -n), or write fewer pieces beside each other")
+        })?;
         let walk = SlabWalk::new(dims, what.numbers() * scalar.bytes());
         Ok(Self { what, scalar, walk, pieces: open, row: vec![], working_bytes: most_at_once(&needs) })
     }
@@ -708,14 +730,16 @@ impl Joined {
 
     /// The error of two pieces that have different numbers for one sample.
     fn disagree(&self, pieces: [usize; 2], [x, y, z]: [u64; 3], numbers: [f64; 2]) -> Error {
-        let name = |n: usize| match &self.pieces[n].piece.place {
-            PieceFile::Open(doc) => {
-                (doc.source.path().to_path_buf(), format!("piece {}", self.pieces[n].piece.number))
-            }
-            PieceFile::Listed { path, .. } => {
-                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                (path.clone(), name)
-            }
+        let name = |n: usize| {
+            let piece = &self.pieces[n].piece;
+            let path = piece.path().to_path_buf();
+            let own = match piece.place {
+                PieceFile::Open(_) => format!("piece {}", piece.number),
+                PieceFile::Listed { .. } => {
+                    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+                }
+            };
+            (path, own)
         };
         let [(_, before), (path, own)] = pieces.map(name);
         let at = format!("sample ({x}, {y}, {z}) of the image");

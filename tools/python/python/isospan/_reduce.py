@@ -95,6 +95,7 @@ def reduce(
     keep_going: bool = False,
     field: str | None = None,
     channel: int | str | None = None,
+    scale: int | str | None = None,
     value_file: PathLike | None = None,
     dims: Sequence[int] | str | None = None,
     type: str | None = None,
@@ -134,8 +135,8 @@ def reduce(
         Without any of these six, fraction is 1/8.
     points: "lattice", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt, focus=(lo,
         hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
-        chunk_points, and for files field, channel, value_file, dims, type, endian, offset, io: as
-        the flags of ``isospan reduce``.
+        chunk_points, and for files field, channel, scale, value_file, dims, type, endian, offset,
+        io: as the flags of ``isospan reduce``.
     measure: whether the error at all samples is measured in the end.
     times: of a series, the times of its steps. keep_going: leave out steps that cannot be used.
     spacing, origin: of an array, distance of its samples and place of the first one, x, y, z, in
@@ -176,6 +177,7 @@ def append(
     keep_going: bool = False,
     field: str | None = None,
     channel: int | str | None = None,
+    scale: int | str | None = None,
     value_file: PathLike | None = None,
     dims: Sequence[int] | str | None = None,
     type: str | None = None,
@@ -255,6 +257,6 @@ def _only_arrays(**given: Any) -> None:
 
 
 def _only_files(choices: dict[str, Any]) -> None:
-    for name in ("field", "channel", "value_file", "dims", "type", "endian", "offset", "io"):
+    for name in ("field", "channel", "scale", "value_file", "dims", "type", "endian", "offset", "io"):
         if choices[name] is not None:
             raise UsageError(f"{name} is for files, not for arrays")
