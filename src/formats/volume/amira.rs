@@ -608,7 +608,7 @@ mod tests {
         }
         let even = write(&dir, "a.am", &file([1.0, 2.0, 3.0, 4.0]));
         assert!(crate::formats::open_coordinates(&even, &options).unwrap().is_none());
-        let place = open_volume(&even, &options).unwrap().info().geometry.clone();
+        let place = open_volume(&even, &options).unwrap().info().geometry;
         assert_eq!((place.origin, place.spacing), ([1.0, 0.0, 5.0], [1.0, 2.0, 1.0]));
 
         // A quarter turn around z, then a shift.
@@ -619,7 +619,7 @@ mod tests {
         );
         let head = header("BINARY-LITTLE-ENDIAN", &more);
         let turned = write(&dir, "a.am", &[head.as_bytes(), b"@1\n", &samples(false)].concat());
-        let place = open_volume(&turned, &options).unwrap().info().geometry.clone();
+        let place = open_volume(&turned, &options).unwrap().info().geometry;
         assert_eq!(place.to_world([0.0; 3]), [8.0, 21.0, 33.0]);
         assert_eq!(place.to_world([1.0, 1.0, 1.0]), [6.0, 23.0, 38.0]);
     }

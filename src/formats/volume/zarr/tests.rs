@@ -364,7 +364,7 @@ fn stores_in_archives() {
         let path = zipped(&dir, "", &files, kind);
         let info = check(&path);
         assert_eq!((info.geometry.spacing, info.fields.len()), ([20.0, 30.0, 40.0], 2));
-        assert_eq!(info.data_files, [path.clone()]);
+        assert_eq!(info.data_files, std::slice::from_ref(&path));
         let scale = |scale: &str| OpenOptions { scale: Some(scale.into()), ..OpenOptions::default() };
         for wanted in ["1", "s1/image"] {
             let (info, values) = read_with(&path, &scale(wanted)).unwrap();
