@@ -225,6 +225,7 @@ fn roff(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isospan::volume::units::Unit;
 
     #[test]
     fn every_command_is_in_one_group_and_fits_a_line() {
@@ -262,7 +263,7 @@ mod tests {
     #[test]
     fn values_have_one_kind_of_message() {
         use std::any::TypeId;
-        let texts = [TypeId::of::<PathBuf>(), TypeId::of::<String>()];
+        let texts = [TypeId::of::<PathBuf>(), TypeId::of::<String>(), TypeId::of::<Unit>()];
         let cli = Cli::command();
         for command in cli.get_subcommands() {
             for arg in command.get_arguments().filter(|a| a.get_action().takes_values()) {
@@ -285,11 +286,12 @@ mod tests {
     /// A negative number is a value: its flag says what it expects.
     #[test]
     fn negative_numbers_are_values() {
+        use std::any::TypeId;
         let cli = Cli::command();
         for command in cli.get_subcommands() {
             for arg in command.get_arguments().filter(|a| a.get_action().takes_values()) {
-                let is_text = arg.get_value_parser().type_id() == std::any::TypeId::of::<PathBuf>()
-                    || arg.get_value_parser().type_id() == std::any::TypeId::of::<String>();
+                let texts = [TypeId::of::<PathBuf>(), TypeId::of::<String>(), TypeId::of::<Unit>()];
+                let is_text = texts.iter().any(|text| arg.get_value_parser().type_id() == *text);
                 let Some(flag) = arg.get_long().filter(|_| !is_text && arg.get_possible_values().is_empty())
                 else {
                     continue;
