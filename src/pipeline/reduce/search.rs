@@ -188,6 +188,18 @@ impl Rounding {
         }
     }
 
+    /// Takes one more bit, if there is one. Rounded values stay within the samples around them, so
+    /// some are off by more than half a step.
+    fn add_bit(&mut self) -> bool {
+        match self.bits {
+            ValueBits::Bits(bits) if self.is_chosen && bits < *Quantiser::BITS.end() => {
+                self.bits = ValueBits::Bits(bits + 1);
+                true
+            }
+            _ => false,
+        }
+    }
+
     /// Chooses the bits by the results of the first and the second try. Returns whether they have
     /// changed: then earlier tries cannot be compared with later ones.
     fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
@@ -345,9 +357,11 @@ impl TargetSearch {
         }
         let met = self.best.as_ref().is_some_and(|best| best.made.reached <= bound);
         let is_lattice = self.settings.points == Some(SetKind::Bcc) && !is_size;
-        if next.is_none() && !met && is_lattice && !self.takes_all {
-            self.takes_all = true;
-            self.rounding.choose_for_all_samples(target, bound, report);
+        if next.is_none() && !met && is_lattice && (!self.takes_all || self.rounding.add_bit()) {
+            if !self.takes_all {
+                self.takes_all = true;
+                self.rounding.choose_for_all_samples(target, bound, report);
+            }
             next = Some(MOST_OF_LATTICE * samples);
         }
         self.count = next
