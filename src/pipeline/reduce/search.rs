@@ -245,7 +245,6 @@ pub(in crate::pipeline) struct TargetSearch {
     best: Option<BestTry>,
     /// Whether the next try has nodes at all samples: nothing else has met an error.
     takes_all: bool,
-    is_over: bool,
 }
 
 impl TargetSearch {
@@ -270,7 +269,6 @@ impl TargetSearch {
             chunks: 0,
             best: None,
             takes_all: false,
-            is_over: false,
         })
     }
 
@@ -281,7 +279,7 @@ impl TargetSearch {
 
     /// The number of the try that a plan is of: the next one, or the best when the search is over.
     pub(in crate::pipeline) fn this_try(&self) -> u32 {
-        self.best_try().filter(|_| self.is_over).unwrap_or_else(|| self.next_try())
+        self.best_try().filter(|_| self.is_over()).unwrap_or_else(|| self.next_try())
     }
 
     /// The number of the best try so far.
@@ -296,7 +294,7 @@ impl TargetSearch {
 
     /// Whether the best try is what was searched for.
     pub(in crate::pipeline) fn is_over(&self) -> bool {
-        self.is_over
+        self.best.is_some() && self.count.is_none()
     }
 
     /// Whether it began with the same question.
@@ -367,7 +365,6 @@ impl TargetSearch {
         self.count = next
             .map(|amount| if is_size { samples / amount } else { amount })
             .map(|count| count.round().max(1.0) as u64);
-        self.is_over = next.is_none();
         Ok(self.report(made, bound, None))
     }
 

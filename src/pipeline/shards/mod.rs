@@ -93,17 +93,8 @@ pub fn plan_shards(
     let search = search::begin_search(settings, looked.size.map(|size| size.bytes))?;
     let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
     let planned = reduce::plan(&Job { settings, ..job }, false)?;
-    let (needs, replaces) = (&planned.estimate, existing.is_finished());
     let search = search.map(|search| PlannedSearch::new(search, shards, &planned.report));
-    let cut = Cut {
-        chunks: planned.parts.chunks.len(),
-        // A shard has whole segments: more shards than segments would have nothing to do.
-        shards: shards.min(planned.layout(out).segment_count()),
-        memory_least: needs.memory_least,
-        replaces,
-        search,
-    };
-    let file = PlanFile::new(settings, &planned.series, cut)?;
+    let file = plan_file(settings, &planned, shards, existing.is_finished(), search)?;
     let mut report = PlanReport::of(&file, &planned, out);
     report.needs.notices = looked.notices;
     if file.search.is_some() && !run.replace && PlanFile::read(out).is_ok_and(|there| file.is_alike(&there)) {
@@ -113,6 +104,26 @@ pub fn plan_shards(
     search::remove_tries(out, &[])?;
     begin(&file, &planned, out, run)?;
     Ok(report)
+}
+
+/// The plan of a reduction in at most `shards` parts. `replaces` says whether a finished archive
+/// is there.
+fn plan_file(
+    settings: &ReduceSettings,
+    planned: &PlannedReduction,
+    shards: u64,
+    replaces: bool,
+    search: Option<PlannedSearch>,
+) -> Result<PlanFile> {
+    let cut = Cut {
+        chunks: planned.parts.chunks.len(),
+        // A shard has whole segments: more shards than segments would have nothing to do.
+        shards: shards.min(planned.layout(Path::new("")).segment_count()),
+        memory_least: planned.estimate.memory_least,
+        replaces,
+        search,
+    };
+    PlanFile::new(settings, &planned.series, cut)
 }
 
 /// Makes the place of an archive that is planned, and writes the plan.

@@ -1,13 +1,13 @@
 //! A search for a target by shards: each try is a plan of its own. The commit of a try plans the
 //! next one, or publishes the best of all.
 
-use super::{Committed, NextTry, PlanReport, begin, planned_report};
+use super::{Committed, NextTry, PlanReport, begin, plan_file, planned_report};
 use crate::archive::manifest::Manifest;
 use crate::bytes::publish::remove_folder;
 use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::pipeline::reduce::{
-    self, Basis, Cut, Existing, Job, PlanFile, PlannedSearch, ReduceReport, TargetSearch, is_planned_try,
+    self, Basis, Existing, Job, PlanFile, PlannedSearch, ReduceReport, TargetSearch, is_planned_try,
     planned_try, work_folder,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
@@ -63,15 +63,8 @@ pub(super) fn next(
     let root = &planned_try(out, search.next_try());
     let job = Job { sources, settings, out: root, run, progress, basis: Basis::Try(file) };
     let reduction = reduce::plan(&job, false)?;
-    let shards = planned.shards;
-    let cut = Cut {
-        chunks: reduction.parts.chunks.len(),
-        shards: shards.min(reduction.layout(root).segment_count()),
-        memory_least: reduction.estimate.memory_least,
-        replaces: file.replaces,
-        search: Some(PlannedSearch::new(search, shards, &reduction.report)),
-    };
-    let file = PlanFile::new(settings, &reduction.series, cut)?;
+    let search = PlannedSearch::new(search, planned.shards, &reduction.report);
+    let file = plan_file(settings, &reduction, planned.shards, file.replaces, Some(search))?;
     let next = PlanReport::of(&file, &reduction, out);
     begin(&file, &reduction, out, run)?;
     remove_tries(out, &[Some(made + 1), best])?;

@@ -119,6 +119,14 @@ pub(super) struct Placed {
     pub(super) units: Units,
 }
 
+impl Placed {
+    /// A field whose numbers are its values, in units that are not known.
+    pub(super) fn plain(number: usize, fields: Vec<FieldInfo>, geometry: Geometry) -> Self {
+        let field = fields[number].clone();
+        Self { number, fields, field, geometry, convert: None, units: Units::default() }
+    }
+}
+
 /// Picks a field of a VTKHDF image.
 pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
     let at = "/VTKHDF";
@@ -228,14 +236,7 @@ pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     let geometry = geometry(path, "Origin, Spacing and Directions", origin, columns)?;
     let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
-    Ok(Placed {
-        number,
-        field: fields[number].clone(),
-        fields,
-        geometry,
-        convert: None,
-        units: Units::default(),
-    })
+    Ok(Placed::plain(number, fields, geometry))
 }
 
 /// The image of a MINC file: axes by `dimorder`, values scaled slice by slice.

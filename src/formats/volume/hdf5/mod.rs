@@ -409,14 +409,7 @@ impl Tree {
         let fields: Vec<FieldInfo> = self.fields.iter().map(|f| f.part.info.clone()).collect();
         let number = pick_field(path, &fields, wanted)?;
         let geometry = self.fields[number].placed(path, self)?;
-        Ok(Placed {
-            number,
-            field: fields[number].clone(),
-            fields,
-            geometry,
-            convert: None,
-            units: Units::default(),
-        })
+        Ok(Placed::plain(number, fields, geometry))
     }
 
     /// The first frame of the dataset with four axes that a user's word means.
