@@ -43,6 +43,11 @@ pub trait ChunkSource: Send + Sync {
     /// Bytes that decoding takes, at most, what comes out included.
     fn decoding_bytes(&self) -> u64;
 
+    /// Bytes of what all threads share, at most: where chunks lie in the file.
+    fn index_bytes(&self) -> u64 {
+        0
+    }
+
     /// Gives the samples of the chunk at this place of the grid, as far as they lie in the volume:
     /// stored ones, little-endian, x fastest, in `out` (cleared first).
     ///
@@ -61,6 +66,8 @@ pub(crate) struct ChunkShape {
     sample_bytes: u64,
     /// See [`ChunkSource::decoding_bytes`].
     pub(crate) decoding_bytes: u64,
+    /// See [`ChunkSource::index_bytes`].
+    index_bytes: u64,
     /// Whether it is on a server.
     is_remote: bool,
 }
@@ -73,6 +80,7 @@ impl ChunkShape {
             chunk: std::array::from_fn(|a| chunk[a].min(info.dims[a])),
             sample_bytes: info.field.scalar.bytes() as u64,
             decoding_bytes: source.decoding_bytes(),
+            index_bytes: source.index_bytes(),
             is_remote: is_remote(&info.path),
         }
     }
@@ -87,10 +95,11 @@ impl ChunkShape {
         self.decoding_bytes.saturating_add(self.cached_bytes([1; 3]))
     }
 
-    /// Bytes of the chunks that are decoded ahead, and what is kept of their file.
-    pub(crate) fn ahead_bytes(&self) -> u64 {
+    /// Bytes that all threads share: chunks that are decoded ahead, pages of their file, its index.
+    pub(crate) fn shared_bytes(&self) -> u64 {
         let pages = if self.is_remote { PAGES_BYTES } else { 0 };
-        self.ahead().saturating_mul(self.bytes_ahead()).saturating_add(pages)
+        let ahead = self.ahead().saturating_mul(self.bytes_ahead());
+        ahead.saturating_add(pages).saturating_add(self.index_bytes)
     }
 
     /// Chunks along x, y, z.
@@ -106,7 +115,7 @@ impl ChunkShape {
 
     /// Bytes that reading chunk after chunk takes.
     pub(crate) fn stream_bytes(&self) -> u64 {
-        self.decoding_bytes.saturating_add(2 * CHUNK_SLAB_BYTES).saturating_add(self.ahead_bytes())
+        self.decoding_bytes.saturating_add(2 * CHUNK_SLAB_BYTES).saturating_add(self.shared_bytes())
     }
 }
 
@@ -160,6 +169,10 @@ impl ChunkSource for Counted {
 
     fn decoding_bytes(&self) -> u64 {
         self.source.decoding_bytes()
+    }
+
+    fn index_bytes(&self) -> u64 {
+        self.source.index_bytes()
     }
 
     fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {

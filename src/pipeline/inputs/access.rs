@@ -151,7 +151,7 @@ impl ChunkCache {
         let shape = ChunkShape::of(&**chunks);
         let threads = run.resources.worker_threads();
         let decoding = shape.decoding_bytes.saturating_mul(threads as u64);
-        let held = decoding.saturating_add(shape.ahead_bytes());
+        let held = decoding.saturating_add(shape.shared_bytes());
         let (met, memory) = (Met::of(&shape, boxes), run.resources.memory);
         let at_work = if in_order { met.at_work(threads) } else { None };
         let caches = met.sizes().map(|size| (size, most_cached(memory)));

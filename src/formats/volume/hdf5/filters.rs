@@ -3,13 +3,10 @@
 //! The registry:
 //! <https://github.com/HDFGroup/hdf5_plugins/blob/master/docs/RegisteredFilterPlugins.md>.
 
-use super::MOST_CHUNK;
 use crate::formats::shared::codec::{bitshuffle, blosc, blosc2, lz4, lzf, read_to_end, unzstd};
 use flate2::bufread::ZlibDecoder;
 use hdf5_reader::error::Error;
 use hdf5_reader::{FilterRegistry, filters::FILTER_DEFLATE};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What is read, for messages.
 pub(super) const READ: &str =
@@ -37,35 +34,16 @@ const FILTERS: [(u16, &str, Decode); 7] = [
     (32026, "Blosc2", |stored, _, limit| blosc2::decode(stored, limit)),
 ];
 
-/// The most bytes of a decoded chunk, which is set once the dataset is known.
-#[derive(Clone)]
-pub(super) struct Limit(Arc<AtomicU64>);
-
-impl Limit {
-    pub(super) fn new() -> Self {
-        Self(Arc::new(AtomicU64::new(MOST_CHUNK)))
-    }
-
-    pub(super) fn set(&self, chunk_bytes: u64) {
-        self.0.store(chunk_bytes, Ordering::Relaxed);
-    }
-
-    /// That of one filter: what is compressed a second time may be a little longer than a chunk.
-    fn of_filter(&self) -> usize {
-        let bytes = self.0.load(Ordering::Relaxed);
-        usize::try_from(bytes + bytes / 8 + (1 << 16)).unwrap_or(usize::MAX)
-    }
-}
-
-/// The filters of the reader, and ours.
-pub(super) fn registry(limit: &Limit) -> FilterRegistry {
+/// The filters of the reader, and ours, for chunks of at most so many bytes.
+pub(super) fn registry(chunk_bytes: u64) -> FilterRegistry {
+    // What is compressed a second time may be a little longer than a chunk.
+    let limit = usize::try_from(chunk_bytes + chunk_bytes / 8 + (1 << 16)).unwrap_or(usize::MAX);
     let mut registry = FilterRegistry::new();
     for (number, name, decode) in FILTERS {
-        let limit = limit.clone();
         registry.register(
             number,
             Box::new(move |filter, stored, _| {
-                decode(stored, &filter.client_data, limit.of_filter())
+                decode(stored, &filter.client_data, limit)
                     .map_err(|why| Error::DecompressionError(format!("{name}: {why}")))
             }),
         );

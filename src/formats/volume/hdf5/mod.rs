@@ -46,6 +46,7 @@
 //!
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
+mod chunks;
 mod dialect;
 mod filters;
 
@@ -58,6 +59,7 @@ use crate::formats::shared::cf::{
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
+use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, pick_field};
 use crate::grid::{Geometry, IndexBox};
@@ -65,8 +67,8 @@ use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
+use chunks::Chunks;
 use dialect::{Dialect, Placed};
-use filters::Limit;
 use half::f16;
 use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
@@ -138,8 +140,7 @@ const PIECE: u64 = 128 << 10;
 /// [`Error::Usage`] when it has several and none is chosen.
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
-    let limit = Limit::new();
-    let file = open_limited(path, &source, &limit)?;
+    let file = open_file(path, &source)?;
     let dialect = Dialect::of(path, &file)?;
     let mut tree = Tree::of(path, &file, dialect)?;
     let Placed { number, fields, field: info, geometry, convert, units } =
@@ -161,11 +162,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         Dialect::Plain => field.packing(path, is_netcdf)?.into_info(&mut info),
         _ => convert,
     };
-    let pieces = |info, convert| {
-        let pieces = Pieces::new(info, field, convert)?;
-        limit.set(pieces.chunk_bytes);
-        Ok(VolumeSource::Chunked(Arc::new(pieces)))
-    };
+    let pieces =
+        |info, convert| Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, &file, field, convert)?)));
     if convert.is_some() {
         return pieces(info, convert);
     }
@@ -232,15 +230,11 @@ pub(in crate::formats) fn times(path: &Path, options: &OpenOptions) -> Result<Ha
 }
 
 fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
-    open_limited(path, source, &Limit::new())
-}
-
-fn open_limited(path: &Path, source: &Arc<ByteSource>, limit: &Limit) -> Result<Hdf5File> {
     let limits = hdf5_reader::OpenOptions::default()
         .with_chunk_cache_bytes(0)
         .with_max_chunk_bytes(MOST_CHUNK as usize)
         .with_max_read_bytes(MOST_CHUNK as usize)
-        .with_filter_registry(filters::registry(limit));
+        .with_filter_registry(filters::registry(MOST_CHUNK));
     Hdf5File::from_storage_with_options(Arc::new(Bytes(source.clone())), limits)
         .map_err(|e| damaged(path, "superblock", &e))
 }
@@ -824,70 +818,54 @@ fn little_endian(
     Ok(())
 }
 
-/// A box of a dataset as little-endian bytes of the `f64` that its numbers become.
-fn converted(
-    dataset: &Dataset,
-    scalar: ScalarType,
-    selection: &SliceInfo,
-    out: &mut Vec<u8>,
-    mut of: impl FnMut(f64) -> f64,
-) -> hdf5_reader::error::Result<()> {
-    with_samples!(dataset, selection, scalar, samples, {
-        out.reserve(8 * samples.len());
-        samples.iter().for_each(|&v| out.extend_from_slice(&of(v as f64).to_le_bytes()));
-    });
-    Ok(())
-}
-
 /// The samples of a dataset in pieces: a chunk each, or some small ones.
 struct Pieces {
     info: VolumeInfo,
     dataset: Dataset,
+    /// How it is stored, unless it is in one part.
+    chunks: Option<Chunks>,
     before: Vec<u64>,
     /// Size of a piece: a multiple of the chunks', or all along an axis.
     piece: [u64; 3],
-    /// Bytes of a chunk.
-    chunk_bytes: u64,
-    /// The type in the file, and how its numbers become values, where `info` does not say that.
-    /// Values are `f64` then.
-    convert: Option<(ScalarType, Convert)>,
+    /// The type in the file.
+    scalar: ScalarType,
+    /// How its numbers become values, where `info` does not say that. Values are `f64` then.
+    convert: Option<Convert>,
 }
 
 impl Pieces {
-    fn new(mut info: VolumeInfo, field: &Field, convert: Option<Convert>) -> Result<Self> {
-        let convert = convert.map(|convert| (info.field.scalar, convert));
+    fn new(mut info: VolumeInfo, file: &Hdf5File, field: &Field, convert: Option<Convert>) -> Result<Self> {
+        let scalar = info.field.scalar;
+        let chunks = Chunks::of(file, &field.dataset, scalar.bytes(), field.big_endian).map_err(|e| {
+            let expected = "chunks of the dataset's axes and at most 256 MiB";
+            Error::bad_input(&info.path, &info.field.name, expected, e.to_string())
+                .with_help("write the dataset again in smaller chunks (h5repack -l)")
+        })?;
         if convert.is_some() {
             info.field.scalar = ScalarType::F64;
         }
         let (dims, size) = (info.dims, info.field.scalar.bytes() as u64);
-        let wrong = |got: String| {
-            Error::bad_input(
-                &info.path,
-                &info.field.name,
-                "chunks of the dataset's axes and at most 256 MiB",
-                got,
-            )
-            .with_help("write the dataset again in smaller chunks (h5repack -l)")
-        };
-        let (mut piece, mut chunk_bytes) = ([1; 3], 0);
-        if let Some(chunk) = field.dataset.chunks() {
-            let shown = format!("{chunk:?} samples of {size} bytes");
-            let bytes = chunk.iter().try_fold(size, |n, &c| n.checked_mul(u64::from(c)));
-            let good = bytes.is_some_and(|b| b > 0 && b <= MOST_CHUNK) && chunk.len() == field.dataset.ndim();
-            if !good {
-                return Err(wrong(shown));
-            }
-            chunk_bytes = bytes.unwrap_or(0);
-            piece = std::array::from_fn(|a| u64::from(chunk[chunk.len() - 1 - a]).min(dims[a]));
-        }
+        let mut piece = chunks.as_ref().map_or([1; 3], Chunks::dims);
         for a in 0..3 {
+            piece[a] = piece[a].min(dims[a]);
             // Either the whole axis, or doubled as often as there is room.
             while piece[a] < dims[a] && 2 * size * piece.iter().product::<u64>() <= PIECE {
                 piece[a] = (2 * piece[a]).min(dims[a]);
             }
         }
         let (dataset, before) = (field.dataset.clone(), field.part.before.clone());
-        Ok(Self { info, dataset, before, piece, chunk_bytes, convert })
+        Ok(Self { info, dataset, chunks, before, piece, scalar, convert })
+    }
+
+    /// The samples of a box as little-endian bytes of the type in the file.
+    fn stored(&self, part: IndexBox, out: &mut Vec<u8>) -> hdf5_reader::error::Result<()> {
+        if let Some(chunks) = &self.chunks {
+            return chunks.read(&self.before, part, out);
+        }
+        let range = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
+        let before = self.before.iter().map(|&at| range(at, at + 1));
+        let selections = before.chain([2, 1, 0].map(|a| range(part.lo[a], part.hi[a]))).collect();
+        little_endian(&self.dataset, self.scalar, &SliceInfo { selections }, out)
     }
 }
 
@@ -903,33 +881,34 @@ impl ChunkSource for Pieces {
     fn decoding_bytes(&self) -> u64 {
         let size = self.info.field.scalar.bytes() as u64;
         let piece = self.piece.iter().fold(size, |n, &d| n.saturating_mul(d));
-        self.chunk_bytes.max(piece).saturating_mul(3)
+        self.chunks.as_ref().map_or(0, Chunks::chunk_bytes).max(piece).saturating_mul(3)
+    }
+
+    fn index_bytes(&self) -> u64 {
+        self.chunks.as_ref().map_or(0, Chunks::index_bytes)
     }
 
     fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
-        out.clear();
         let d = self.info.dims;
         let lo: [u64; 3] = std::array::from_fn(|a| at[a].saturating_mul(self.piece[a]).min(d[a]));
         let part =
             IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(self.piece[a]).min(d[a])) };
-        let range = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
-        let before = self.before.iter().map(|&at| range(at, at + 1));
-        let selections = before.chain([2, 1, 0].map(|a| range(part.lo[a], part.hi[a]))).collect();
-        let selection = SliceInfo { selections };
-        match &self.convert {
-            None => little_endian(&self.dataset, self.info.field.scalar, &selection, out),
-            Some((scalar, convert)) => {
-                let ([nx, ny, _], mut i) = (part.dims(), 0u64);
-                converted(&self.dataset, *scalar, &selection, out, |stored| {
-                    let at = [lo[1] + i / nx % ny, lo[2] + i / (nx * ny)];
-                    i += 1;
-                    convert.value(stored, at)
-                })
-            }
-        }
-        .map_err(|e| {
+        out.clear();
+        self.stored(part, out).map_err(|e| {
             damaged(&self.info.path, &format!("{}, samples from {lo:?} on", self.info.field.name), &e)
-        })
+        })?;
+        if let Some(convert) = &self.convert {
+            let mut numbers = vec![0.0; part.len()];
+            to_f64(self.scalar, out, &mut numbers);
+            let ([nx, ny, _], mut i) = (part.dims(), 0u64);
+            out.clear();
+            out.extend(numbers.into_iter().flat_map(|stored| {
+                let at = [lo[1] + i / nx % ny, lo[2] + i / (nx * ny)];
+                i += 1;
+                convert.value(stored, at).to_le_bytes()
+            }));
+        }
+        Ok(())
     }
 }
 

@@ -23,13 +23,13 @@ pub(super) fn need_with_caches(sources: &mut [PlannedSource], parts: &MeshParts,
             shapes.push((shape, Met::of(&shape, boxes)));
         }
     }
-    let ahead = shapes.iter().map(|(shape, _)| shape.ahead_bytes()).max().unwrap_or(0);
+    let shared = shapes.iter().map(|(shape, _)| shape.shared_bytes()).max().unwrap_or(0);
     let by_worker = shapes.iter().map(|(shape, _)| shape.decoding_bytes).max().unwrap_or(0);
     // What is needed with such caches, and how many workers fit then.
     let with = |size: &dyn Fn(&Met) -> Option<u64>, most: u64| {
         let sizes: Vec<u64> = shapes.iter().map(|(_, met)| size(met)).collect::<Option<_>>()?;
         let by_step = sizes.iter().copied().max().filter(|&largest| largest <= most)?;
-        let by_step = by_step.saturating_add(ahead);
+        let by_step = by_step.saturating_add(shared);
         let need = need(Held { by_step, most, by_worker, ..Held::default() });
         let workers = need.shares(memory, threads).ok()?.workers;
         Some((workers, need, sizes))
