@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Steps in use at one time. Each holds decoded blocks for the next isovalue.
+/// Steps in use at one time, at most. Each holds decoded blocks for the next isovalue.
 const STEPS: usize = 4;
 
 /// A step of an archive.
@@ -38,8 +38,12 @@ pub(super) struct Description {
 impl Archives {
     /// Opens archives, which hold so many bytes of decoded blocks together.
     pub(super) fn open(paths: &[PathBuf], memory: u64) -> Result<Self> {
-        let cache = usize::try_from(memory / STEPS as u64).unwrap_or(usize::MAX);
-        let archives = paths.iter().map(|p| Ok(Archive::open(p)?.keeping(cache))).collect::<Result<_>>()?;
+        let archives = paths.iter().map(Archive::open).collect::<Result<Vec<_>>>()?;
+        // Between two steps there are as many as a user asks for.
+        let steps = |archive: &Archive| Ok(if archive.info()?.steps.len() == 1 { 1 } else { STEPS });
+        let in_use = archives.iter().map(steps).sum::<Result<usize>>()?.clamp(1, STEPS);
+        let cache = usize::try_from(memory / in_use as u64).unwrap_or(usize::MAX);
+        let archives = archives.into_iter().map(|archive| archive.keeping(cache)).collect();
         Ok(Self { archives, steps: Mutex::default() })
     }
 

@@ -43,7 +43,7 @@ fn is_stopped() -> bool {
 /// Bytes for one answer. A page has 4 GiB at most.
 const MEMORY: u64 = 2 << 30;
 /// Bytes of decoded blocks, for the next isovalue.
-const KEPT: u64 = 512 << 20;
+const KEPT: u64 = 1 << 30;
 /// Where what does not fit in memory would go.
 const SCRATCH: &str = "no disk";
 
