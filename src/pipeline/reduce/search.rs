@@ -130,8 +130,14 @@ impl Search {
 /// have a manifest besides.
 const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 
-/// A lattice's values are rounded to a step of this many times the RMS error.
+/// A lattice's values are rounded to a step of this many times the RMS error, and to twice that
+/// where a value takes fewer than `FEW_BITS`: then most of them are as predicted, and less off than
+/// a step has it.
 const STEP: f64 = 1.4;
+const FEW_BITS: f64 = 1.8;
+/// A try with a smaller part of the bound has many more points than are needed. They take fewer
+/// bits each.
+const ABOUT: f64 = 0.75;
 /// They have this many bits while nothing is known about the error, and bits in this range
 /// otherwise.
 const USUAL_BITS: u8 = 6;
@@ -147,6 +153,8 @@ struct Rounding {
     bits: ValueBits,
     /// Tries whose results have been used to choose the bits.
     learned: u32,
+    /// Whether a value took few bits in one of them.
+    few: bool,
 }
 
 /// Points a sample, at least, that a lattice has whose nodes are at all samples. It has centres
@@ -156,7 +164,7 @@ const MOST_OF_LATTICE: f64 = 2.5;
 impl Rounding {
     fn new(settings: &ReduceSettings, target: Target) -> Self {
         let is_chosen = settings.points == Some(SetKind::Bcc) && settings.value_bits == ValueBits::Usual;
-        let mut rounding = Self { is_chosen, bits: settings.value_bits, learned: 0 };
+        let mut rounding = Self { is_chosen, bits: settings.value_bits, learned: 0, few: false };
         if is_chosen {
             rounding.bits = ValueBits::Bits(USUAL_BITS);
             if let Some(Bound::OfRange(part)) = target.bound() {
@@ -171,7 +179,8 @@ impl Rounding {
         // The largest error is several times the RMS error.
         let part = if let Target::Max(_) = target { part / 8.0 } else { part };
         if part > 0.0 && part.is_finite() {
-            let bits = (-libm::log2(STEP * part)).round().clamp(BITS[0], BITS[1]);
+            let fewer = if self.few { 1.0 } else { 0.0 };
+            let bits = ((-libm::log2(STEP * part)).round() - fewer).clamp(BITS[0], BITS[1]);
             self.bits = ValueBits::Bits(bits as u8);
         }
     }
@@ -200,13 +209,19 @@ impl Rounding {
         }
     }
 
-    /// Chooses the bits by the results of the first and the second try. Returns whether they have
-    /// changed: then earlier tries cannot be compared with later ones.
+    /// Chooses the bits by the results of the first and the second try, and of the first one that
+    /// is near the bound with few bits a value. Returns whether they have changed: then earlier
+    /// tries cannot be compared with later ones.
     fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
         let before = self.bits;
-        let range = source_range(report).filter(|_| self.is_chosen && self.learned < 2);
+        let bytes = report.steps.iter().map(|s| s.value_bytes).sum::<u64>() as f64;
+        let values = report.points as f64 * report.steps.len() as f64;
+        let is_near = target.bound().is_none() || target.reached(report) >= ABOUT * bound;
+        let few = !self.few && is_near && 8.0 * bytes < FEW_BITS * values;
+        let range = source_range(report).filter(|_| self.is_chosen && (few || self.learned < 2));
         if let Some([lo, hi]) = range {
             self.learned += 1;
+            self.few |= few;
             let error = match target.bound() {
                 Some(_) => bound,
                 None => error_of(Target::Rms(Bound::Value(bound)), report),
