@@ -65,6 +65,10 @@ pub(crate) fn index_entries(chunk: u64, ranges: &[BlockRange]) -> impl Iterator<
 }
 
 impl Entry {
+    pub(crate) fn range(&self) -> BlockRange {
+        BlockRange { min: self.min, max: self.max, tets: self.tets }
+    }
+
     /// Where the block is; unique, and the order of answers.
     pub fn place(&self) -> (u64, u32) {
         (self.chunk, self.block)

@@ -2,7 +2,8 @@
 
 use super::Entry;
 use crate::archive::Malformed;
-use crate::archive::wire::{Cursor, put_varint};
+use crate::archive::chunked::{BlockRange, RangeDecoder, RangeEncoder};
+use crate::archive::wire::Cursor;
 use std::collections::BTreeMap;
 
 /// The most entries of a leaf page.
@@ -84,36 +85,53 @@ impl PageCounts {
 
 /// Writes a leaf; entries are in order of place.
 pub(super) fn encode_leaf(entries: &[Entry]) -> Vec<u8> {
-    let mut out = vec![LEAF];
-    entries.iter().for_each(|e| out.extend(e.min.to_le_bytes()));
-    entries.iter().for_each(|e| out.extend(e.max.to_le_bytes()));
-    let mut chunk = 0;
+    let (mut places, mut before) = (vec![], None);
     for e in entries {
-        put_varint(&mut out, e.chunk - chunk);
-        put_varint(&mut out, u64::from(e.block));
-        put_varint(&mut out, u64::from(e.tets));
-        chunk = e.chunk;
+        places.push(steps(before, e));
+        before = Some(e);
     }
+    let bits = |of: fn(&(u64, u64)) -> u64| 64 - places.iter().map(of).max().unwrap_or(0).leading_zeros();
+    let (chunk_bits, block_bits) = (bits(|p| p.0), bits(|p| p.1));
+    let mut out = vec![LEAF, chunk_bits as u8, block_bits as u8];
+    let mut coder = RangeEncoder::begin(entries.iter().map(Entry::range), &mut out);
+    for (e, (chunk, block)) in entries.iter().zip(places) {
+        coder.number(chunk_bits, chunk);
+        coder.number(block_bits, block);
+        coder.push(e.range());
+    }
+    coder.finish(&mut out);
     out
+}
+
+/// The chunks from the entry before to an entry, and the blocks between the two, or before it in
+/// another chunk.
+fn steps(before: Option<&Entry>, e: &Entry) -> (u64, u64) {
+    let (chunk, block) = before.map_or((0, None), |b| (b.chunk, Some(b.block)));
+    let first = block.filter(|_| chunk == e.chunk).map_or(0, |b| u64::from(b) + 1);
+    (e.chunk - chunk, u64::from(e.block) - first)
 }
 
 pub(super) fn decode_leaf(bytes: &[u8], n: u64) -> Result<Vec<Entry>, Malformed> {
     let mut c = Cursor::new(bytes);
     kind(&mut c, LEAF)?;
-    let mut entries = vec![Entry { min: 0.0, max: 0.0, chunk: 0, block: 0, tets: 0 }; n as usize];
-    for e in &mut entries {
-        e.min = c.f32("min")?;
+    let bits = [c.u8("bits of chunks")?, c.u8("bits of blocks")?].map(u32::from);
+    if bits[0] > 64 || bits[1] > 32 {
+        return Err(Malformed::new("bits of places", "at most 64 and 32", format!("{bits:?}")));
     }
-    for e in &mut entries {
-        e.max = c.f32("max")?;
+    let mut coder = RangeDecoder::begin(&mut c)?;
+    let mut entries: Vec<Entry> = vec![];
+    for _ in 0..n {
+        let [chunk, block] = bits.map(|bits| coder.number(bits));
+        let before = entries.last().map_or((0, 0), |e| (e.chunk, u64::from(e.block) + 1));
+        let first = if chunk == 0 { before.1 } else { 0 };
+        let place = (before.0.checked_add(chunk), u32::try_from(first + block));
+        let (Some(chunk), Ok(block)) = place else {
+            return Err(Malformed::new("place", "numbers of 64 and 32 bits", "a larger one"));
+        };
+        let BlockRange { min, max, tets } = coder.pull()?;
+        entries.push(Entry { min, max, chunk, block, tets });
     }
-    let mut chunk = 0u64;
-    for e in &mut entries {
-        let next = chunk.checked_add(c.varint("chunk")?);
-        chunk = next.ok_or_else(|| Malformed::new("chunk", "a number of 64 bits", "a larger one"))?;
-        (e.chunk, e.block, e.tets) = (chunk, c.varint32("block")?, c.varint32("tetrahedra")?);
-    }
-    c.end("leaf page")?;
+    coder.end()?;
     Ok(entries)
 }
 

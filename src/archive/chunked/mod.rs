@@ -7,10 +7,13 @@
 //! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`]
 //! continues after the last whole one.
 
+mod ranges;
 mod summary;
 
+pub use ranges::BlockRange;
+pub(crate) use ranges::{RangeDecoder, RangeEncoder};
 pub use summary::{
-    BlockRange, MeshSummary, ValueRange, ValueSummary, decode_value_ranges, encode_value_ranges, value_ranges,
+    MeshSummary, ValueRange, ValueSummary, decode_value_ranges, encode_value_ranges, value_ranges,
 };
 
 use crate::archive::manifest::SegmentRecord;

@@ -8,15 +8,15 @@
 //! It also holds the ranges of the chunk's value blocks, by themselves. Where a surface does not
 //! pass, a reader that knows on which side of it all values of a block are need not read them.
 
+use super::ranges::{BlockRange, RangeDecoder, RangeEncoder, greater, lesser};
 use crate::archive::values::ValueBlocks;
 use crate::archive::wire::{Cursor, Malformed, to_zstd, unzstd};
-use crate::mesh::tet::Tet;
 use crate::simd::with_vectors;
 
 /// Compression of the lists of ranges.
 const LEVEL: i32 = 9;
-/// The most bytes of the ranges of a chunk: those of 5 million blocks.
-const LARGEST: usize = 1 << 26;
+/// The most blocks of a chunk.
+const MOST_BLOCKS: u32 = 5_000_000;
 
 /// The mesh of a chunk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -71,61 +71,6 @@ impl MeshSummary {
     }
 }
 
-/// The values of one tetrahedron block.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BlockRange {
-    /// Least corner value of the block's tetrahedra that are not void; infinite if all are void.
-    pub min: f32,
-    /// Largest corner value.
-    pub max: f32,
-    /// Tetrahedra that are not void.
-    pub tets: u32,
-}
-
-impl BlockRange {
-    /// The range of tetrahedra, given the values of their vertices.
-    pub fn of(tets: &[Tet], values: &[f32]) -> Self {
-        let [range] = Self::of_steps(tets, values.as_chunks().0);
-        range
-    }
-
-    /// The same at some steps, whose values lie side by side.
-    #[inline(always)]
-    pub(crate) fn of_steps<const N: usize>(tets: &[Tet], values: &[[f32; N]]) -> [Self; N] {
-        let (mut min, mut max, mut live) = ([f32::INFINITY; N], [f32::NEG_INFINITY; N], [0; N]);
-        for tet in tets {
-            let &[a, b, c, d] = tet;
-            let (a, b) = (values[a as usize], values[b as usize]);
-            let (c, d) = (values[c as usize], values[d as usize]);
-            let (lo, hi) = (lesser(lesser(a, b), lesser(c, d)), greater(greater(a, b), greater(c, d)));
-            for k in 0..N {
-                let void = a[k].is_nan() | b[k].is_nan() | c[k].is_nan() | d[k].is_nan();
-                let (lo, hi) = if void { (min[k], max[k]) } else { (lo[k], hi[k]) };
-                min[k] = if lo < min[k] { lo } else { min[k] };
-                max[k] = if hi > max[k] { hi } else { max[k] };
-                live[k] += u32::from(!void);
-            }
-        }
-        std::array::from_fn(|k| Self { min: min[k], max: max[k], tets: live[k] })
-    }
-}
-
-#[inline(always)]
-fn lesser<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
-    for k in 0..N {
-        b[k] = if a[k] < b[k] { a[k] } else { b[k] };
-    }
-    b
-}
-
-#[inline(always)]
-fn greater<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
-    for k in 0..N {
-        b[k] = if a[k] > b[k] { a[k] } else { b[k] };
-    }
-    b
-}
-
 /// The values of a chunk.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ValueSummary {
@@ -141,7 +86,8 @@ pub struct ValueSummary {
 
 impl ValueSummary {
     /// The summary of the values of a chunk's own points and the ranges of its blocks.
-    pub fn of(own: &[f32], ranges: Vec<BlockRange>) -> Self {
+    pub fn of(own: &[f32], mut ranges: Vec<BlockRange>) -> Self {
+        BlockRange::round(&mut ranges);
         Self {
             void: own.iter().filter(|v| v.is_nan()).count() as u32,
             min: own.iter().copied().fold(f32::INFINITY, f32::min),
@@ -157,11 +103,10 @@ impl ValueSummary {
         out.extend(self.void.to_le_bytes());
         out.extend(self.min.to_le_bytes());
         out.extend(self.max.to_le_bytes());
-        let mut columns = Vec::with_capacity(12 * self.ranges.len());
-        self.ranges.iter().for_each(|r| columns.extend(r.min.to_le_bytes()));
-        self.ranges.iter().for_each(|r| columns.extend(r.max.to_le_bytes()));
-        self.ranges.iter().for_each(|r| columns.extend(r.tets.to_le_bytes()));
-        out.extend(to_zstd(&columns, LEVEL));
+        out.extend((self.ranges.len() as u32).to_le_bytes());
+        let mut coder = RangeEncoder::begin(self.ranges.iter().copied(), &mut out);
+        self.ranges.iter().for_each(|&range| coder.push(range));
+        coder.finish(&mut out);
         out
     }
 
@@ -172,18 +117,13 @@ impl ValueSummary {
     pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         let (void, min, max) = (c.u32("void points")?, c.f32("least value")?, c.f32("largest value")?);
-        let columns = unzstd(c.rest(), LARGEST, "ranges")?;
-        if columns.len() % 12 != 0 {
-            let got = format!("{} bytes", columns.len());
-            return Err(Malformed::new("ranges", "12 bytes for each block", got));
+        let count = c.u32("blocks")?;
+        if count > MOST_BLOCKS {
+            return Err(Malformed::new("blocks", format!("at most {MOST_BLOCKS}"), count.to_string()));
         }
-        let (mins, rest) = columns.split_at(columns.len() / 3);
-        let (maxs, tets) = rest.split_at(rest.len() / 2);
-        let ranges = f32s(mins)
-            .zip(f32s(maxs))
-            .zip(u32s(tets))
-            .map(|((min, max), tets)| BlockRange { min, max, tets })
-            .collect();
+        let mut coder = RangeDecoder::begin(&mut c)?;
+        let ranges = (0..count).map(|_| coder.pull()).collect::<Result<_, _>>()?;
+        coder.end()?;
         Ok(Self { void, min, max, ranges })
     }
 }
