@@ -10,7 +10,7 @@
 //! left-posterior-superior, NIfTI right-anterior-superior. They are not converted into one another.
 //!
 //! ```text
-//!  series ─▶ kinds ─▶ volume, mesh, vtk ─▶ shared
+//!  series ─▶ kinds ─▶ mesh ─▶ volume, vtk ─▶ shared
 //!                     surface, point_list ─▶ shared
 //! ```
 

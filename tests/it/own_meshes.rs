@@ -466,6 +466,35 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
     assert_eq!(e.exit_code(), 5, "{e}");
 }
 
+/// Steps that lie in one file are those of one mesh, and all containers of it give one archive's
+/// answers.
+#[test]
+fn steps_of_a_variable_are_a_series_on_one_mesh() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let heat = OpenOptions { field: Some("heat".into()), ..OpenOptions::default() };
+    let mut areas = vec![];
+    for (number, name) in ["exodus/row.exo", "exodus/row_cdf5.g", "exodus/row_packed.exo"]
+        .into_iter()
+        .enumerate()
+    {
+        let steps = isospan::formats::steps_of(&[data.join(name)], &heat).unwrap();
+        assert_eq!(steps.iter().map(|s| s.time).collect::<Vec<_>>(), [0.5, 1.5, 4.0].map(Some));
+        let out = dir.path().join(format!("{number}.isospan"));
+        let report = reduce_series(&steps, &whole(1000), &out, &run(2), &Silent).unwrap();
+        check_archive(&out).unwrap();
+        assert!(report.own && report.points == 12, "{name}: parts of one mesh are joined");
+        for step in 0..3u32 {
+            // Each step is the one before and 1000 more: the surface stays where it is.
+            let archive = Archive::open(&out).unwrap();
+            let mesh = archive.step(step.into()).unwrap().surface(50.5 + 1000.0 * f64::from(step)).unwrap();
+            let place = |v: u32| mesh.vertices[v as usize].position.map(f64::from);
+            areas.push(mesh.triangles.iter().map(|t| triangle_area(t.map(place))).sum::<f64>());
+        }
+    }
+    assert!(areas[0] > 1.0 && areas.iter().all(|a| (a - areas[0]).abs() < 1e-4), "{areas:?}");
+}
+
 #[test]
 fn errors_are_those_of_rounded_values_alone() {
     let dir = tempfile::tempdir().unwrap();

@@ -76,6 +76,14 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
     ];
     let mut meshes = vec![
         of("vtu", vec![VTU.into()]),
+        of(
+            "exo",
+            vec![
+                include_bytes!("../../tests/data/exodus/row.exo").to_vec(),
+                include_bytes!("../../tests/data/exodus/row_old.e").to_vec(),
+                include_bytes!("../../tests/data/exodus/meshio.e").to_vec(),
+            ],
+        ),
         of("vtk", vec![LEGACY_GRID.into(), LEGACY_GRID_5.into()]),
         of("msh", gmsh()),
         of("node", vec![NODES.into()]),

@@ -1,5 +1,6 @@
 //! What several readers need: options, fields, headers, streams of bytes and of text.
 
+pub(in crate::formats) mod arrays;
 pub(in crate::formats) mod centers;
 pub(in crate::formats) mod cf;
 pub(in crate::formats) mod codec;

@@ -1,10 +1,13 @@
 //! HDF5 and NetCDF-4 in a program that does not read them.
 
+use crate::bytes::IoMode;
 use crate::error::{Error, Result};
 use crate::formats::shared::OpenOptions;
+use crate::formats::shared::arrays::Arrays;
 use crate::formats::shared::format::{Format, Head};
 use crate::volume::VolumeSource;
 use std::path::Path;
+use std::sync::Arc;
 
 /// HDF5 and NetCDF-4.
 pub(in crate::formats) struct Hdf5;
@@ -27,8 +30,17 @@ impl Format for Hdf5 {
     }
 
     fn volume(&self, path: &Path, _: &OpenOptions) -> Result<VolumeSource> {
-        let got = "an HDF5 or NetCDF-4 file, and a program built without the feature hdf5";
-        Err(Error::bad_input(path, "kind of file", "a format that this program reads", got)
-            .with_help("install it with `--features hdf5`"))
+        Err(not_read(path))
     }
+}
+
+/// The datasets of a file, which are not read.
+pub(in crate::formats) fn arrays(path: &Path, _: IoMode) -> Result<Arc<dyn Arrays>> {
+    Err(not_read(path))
+}
+
+fn not_read(path: &Path) -> Error {
+    let got = "an HDF5 or NetCDF-4 file, and a program built without the feature hdf5";
+    Error::bad_input(path, "kind of file", "a format that this program reads", got)
+        .with_help("install it with `--features hdf5`")
 }

@@ -6,7 +6,7 @@
 //! | VTKHDF | `/VTKHDF`, its `Type` | an image is read, other types are refused |
 //! | MINC 2 | `/minc-2.0` | read; of irregular spacing, or with a time axis, refused |
 //! | ITK | `/ITKImage` | read |
-//! | Imaris, BigDataViewer, Dream.3D, Chimera, EMAN2, openPMD, CGNS, MED | groups and attributes | refused |
+//! | Imaris, BigDataViewer, Dream.3D, Chimera, EMAN2, openPMD, CGNS, MED; Exodus II of another name | groups and attributes | refused |
 //!
 //! The refused ones keep their voxel size, or their axes, where a plain reader does not look, so
 //! the result would be wrong.
@@ -36,7 +36,7 @@ pub(super) enum Dialect {
 
 /// What is refused: a group or an attribute of the root group, the program that writes it, and what
 /// to do.
-const REFUSED: [(&str, &str, &str); 9] = [
+const REFUSED: [(&str, &str, &str); 10] = [
     ("DataSetInfo", "an Imaris file (.ims)", AS_TIFF),
     ("ImarisDataSet", "an Imaris file (.ims)", AS_TIFF),
     ("t00000", "a BigDataViewer file, whose voxel size is in its .xml", AS_TIFF),
@@ -46,6 +46,7 @@ const REFUSED: [(&str, &str, &str); 9] = [
     ("openPMD", "an openPMD file", "write the mesh's array as .vti, with its gridSpacing"),
     ("CGNSLibraryVersion", "a CGNS file", "convert it to .vtu"),
     ("INFOS_GENERALES", "a MED file", "convert it to .vtu"),
+    ("floating_point_word_size", "an Exodus II file of another name", "let its name end in .exo"),
 ];
 const AS_TIFF: &str = "export it as OME-Zarr, or as TIFF slices";
 

@@ -46,6 +46,7 @@
 //!
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
+mod arrays;
 mod chunks;
 mod dialect;
 mod filters;
@@ -67,6 +68,7 @@ use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
+pub(in crate::formats) use arrays::arrays;
 use chunks::Chunks;
 use dialect::{Dialect, Placed};
 use half::f16;
@@ -792,9 +794,20 @@ impl H5Type for Half {
 
 /// All of a dataset as `f64`.
 fn all_f64(dataset: &Dataset, scalar: ScalarType) -> hdf5_reader::error::Result<Vec<f64>> {
-    let (all, mut out) = (SliceInfo::all(dataset.ndim()), vec![]);
-    with_samples!(dataset, &all, scalar, samples, out.extend(samples.iter().map(|&v| v as f64)));
+    let mut out = vec![];
+    values(dataset, scalar, &SliceInfo::all(dataset.ndim()), &mut out)?;
     Ok(out)
+}
+
+/// Appends a box of a dataset as `f64`.
+fn values(
+    dataset: &Dataset,
+    scalar: ScalarType,
+    selection: &SliceInfo,
+    out: &mut Vec<f64>,
+) -> hdf5_reader::error::Result<()> {
+    with_samples!(dataset, selection, scalar, samples, out.extend(samples.iter().map(|&v| v as f64)));
+    Ok(())
 }
 
 /// A box of a dataset as little-endian bytes.

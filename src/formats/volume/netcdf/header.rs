@@ -79,7 +79,7 @@ impl Kind {
 }
 
 /// The attributes that are used.
-const USED: [&str; 10] = [
+const USED: [&str; 11] = [
     "scale_factor",
     "add_offset",
     "_FillValue",
@@ -90,6 +90,7 @@ const USED: [&str; 10] = [
     "axis",
     "units",
     "_Unsigned",
+    "elem_type",
 ];
 /// The most bytes of an attribute that is used.
 const MOST_ATTRIBUTE: u64 = 64 << 10;
@@ -162,7 +163,7 @@ impl Header {
         Ok(steps)
     }
 
-    fn has_records(&self, variable: &Variable) -> bool {
+    pub(super) fn has_records(&self, variable: &Variable) -> bool {
         variable.dims.first().is_some_and(|&dim| self.dims[dim].size == 0)
     }
 
@@ -211,6 +212,11 @@ impl Variable {
             }
             Kind::Number(scalar) => Ok(scalar),
         }
+    }
+
+    /// Whether it has characters.
+    pub(super) fn is_text(&self) -> bool {
+        self.kind == Kind::Text
     }
 
     /// The text of an attribute; none where there is no such text.

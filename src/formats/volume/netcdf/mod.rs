@@ -19,6 +19,7 @@
 //! The reader is our own, since the format is small, and no scratch copy may be needed. The format:
 //! "NetCDF Classic Format Specification", Unidata.
 
+mod arrays;
 mod header;
 
 use crate::bytes::ByteSource;
@@ -35,6 +36,7 @@ use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+pub(in crate::formats) use arrays::arrays;
 use header::{Header, Variable};
 use std::collections::HashMap;
 use std::path::Path;
