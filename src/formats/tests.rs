@@ -124,7 +124,7 @@ fn unknown_kinds_are_told_what_is_read() {
     assert!(open("a.png", b"\x89PNG").to_string().contains("MetaImage"));
     for (name, bytes, kind, help) in [
         ("a.czi", &b"ZISRAWFILE\0"[..], "a Zeiss CZI file", "bfconvert"),
-        ("a.case", b"FORMAT\n", "an EnSight case", "ParaView"),
+        ("a.vgl", b"FORMAT\n", "a file of VGStudio", "--dims"),
         ("p", b"\nFoamFile\n{", "an OpenFOAM file", "foamToVTK"),
         ("a.other", b"what", "none of these: it begins with 77 68 61 74", "--dims"),
     ] {

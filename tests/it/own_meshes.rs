@@ -474,7 +474,7 @@ fn steps_of_a_variable_are_a_series_on_one_mesh() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
     let heat = OpenOptions { field: Some("heat".into()), ..OpenOptions::default() };
     let mut areas = vec![];
-    for (number, name) in ["exodus/row.exo", "exodus/row_cdf5.g", "exodus/row_packed.exo"]
+    for (number, name) in ["exodus/row.exo", "exodus/row_cdf5.g", "exodus/row_packed.exo", "ensight/big.case"]
         .into_iter()
         .enumerate()
     {

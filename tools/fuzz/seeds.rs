@@ -12,7 +12,7 @@ use isospan::surface::{TriMesh, Vertex};
 use isospan::volume::bricked::BrickedVolume;
 use std::fs;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Good inputs of one format.
 pub(crate) struct Format {
@@ -82,6 +82,15 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
                 include_bytes!("../../tests/data/exodus/row.exo").to_vec(),
                 include_bytes!("../../tests/data/exodus/row_old.e").to_vec(),
                 include_bytes!("../../tests/data/exodus/meshio.e").to_vec(),
+            ],
+        ),
+        of("case", vec![CASE.into()]),
+        of(
+            "geo",
+            vec![
+                GEOMETRY.into(),
+                include_bytes!("../../tests/data/ensight/little.geo").to_vec(),
+                include_bytes!("../../tests/data/ensight/big.geo").to_vec(),
             ],
         ),
         of("vtk", vec![LEGACY_GRID.into(), LEGACY_GRID_5.into()]),
@@ -359,16 +368,37 @@ fn gmsh() -> Vec<Vec<u8>> {
     ]
 }
 
-/// The other file of a pair: a mesh of the fuzzer is always of the same points and cells.
-pub(crate) fn partner(extension: &str) -> Option<(&'static str, &'static str)> {
-    Some(match extension {
+/// The other files of a mesh in several: those of the fuzzer always have the same points and cells.
+/// The first of them is the one to open where the damaged file is not.
+pub(crate) fn partners(path: &Path) -> Vec<(PathBuf, String)> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    let beside = |name: &str, text: &str| (path.with_file_name(name), text.to_string());
+    let values = [
+        beside("of_case.a0", "a\npart\n1\ncoordinates\n1\n2\n3\n4\n"),
+        beside("of_case.a1", "a\npart\n1\ncoordinates undef\n2\n1\n2\n3\n4\n"),
+        beside("of_case.b", "b\npart\n1\ntetra4\n1\n2\n3\n"),
+    ];
+    let (other, text) = match &*extension {
         "node" => ("ele", CELLS),
         "ele" => ("node", NODES),
         "pts" => ("tet", "0 1 2 3\n"),
         "tet" => ("pts", "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"),
-        _ => return None,
-    })
+        "case" => return [&[beside("of_case.geo", GEOMETRY)], &values[..]].concat(),
+        "geo" => {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            return [&[beside("of_geo.case", &CASE.replace("of_case.geo", &name))], &values[..]].concat();
+        }
+        _ => return vec![],
+    };
+    vec![(path.with_extension(other), text.into())]
 }
+
+const CASE: &str = "FORMAT\ntype: ensight gold\nGEOMETRY\nmodel: of_case.geo\nVARIABLE\n\
+    scalar per node: 1 a of_case.a*\nvector per element: b of_case.b\nTIME\ntime set: 1\nnumber of steps: 2\n\
+    filename start number: 0\nfilename increment: 1\ntime values: 0 1\n";
+
+const GEOMETRY: &str = "a\n\nnode id off\nelement id given\nextents\n0 1\n0 1\n0 1\npart\n1\na\ncoordinates\n4\n\
+    0\n1\n0\n0\n0\n0\n1\n0\n0\n0\n0\n1\ntetra4\n1\n7\n1 2 3 4\nnsided\n1\n8\n3\n1 2 3\n";
 
 /// A tetrahedron's surface.
 fn surface(folder: &Path, format: SurfaceFormat) -> Result<Vec<u8>> {

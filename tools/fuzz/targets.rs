@@ -2,7 +2,7 @@
 //! memory are finds.
 
 use crate::mutate::{Random, mutate};
-use crate::seeds::{get, partner, put};
+use crate::seeds::{get, partners, put};
 use crate::unpacked_words::seal_words;
 use isospan::archive::chunked::{MeshSummary, ValueSummary};
 use isospan::archive::manifest::{
@@ -78,11 +78,14 @@ fn boxes(reader: &dyn VolumeReader) -> Result<()> {
 
 /// Opens a mesh and reads its points, cells and all of its fields.
 pub(crate) fn mesh(path: &Path) -> Result<()> {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
-    if let Some((other, text)) = partner(&extension) {
-        put(&path.with_extension(other), text.as_bytes())?;
+    let partners = partners(path);
+    for (other, text) in &partners {
+        put(other, text.as_bytes())?;
     }
-    let mesh = open_mesh(path, &OpenOptions::default())?;
+    // Of a geometry of EnSight the case is opened.
+    let is_geometry = path.extension().is_some_and(|e| e == "geo");
+    let named = if is_geometry { &partners[0].0 } else { path };
+    let mesh = open_mesh(named, &OpenOptions::default())?;
     scan(&mesh)?;
     (0..mesh.info().fields.len()).try_for_each(|field| scan_field(&mesh, field).map(drop))?;
     if mesh.field().is_ok() {

@@ -1,5 +1,6 @@
 //! Formats of tetrahedral and mixed meshes, one file or folder each, and the writer of meshes.
 
+pub(in crate::formats) mod ensight;
 pub(in crate::formats) mod exodus;
 pub(in crate::formats) mod gmsh;
 pub(in crate::formats) mod tetgen;
