@@ -155,7 +155,7 @@ pub fn is_mesh(path: &Path, options: &OpenOptions) -> Result<bool> {
     Ok(mesh_format(path, options)?.is_some())
 }
 
-/// Opens a mesh of any format that is read: VTU, PVTU, legacy VTK, Exodus II, EnSight Gold,
+/// Opens a mesh of any format that is read: VTU, PVTU, VTM, legacy VTK, Exodus II, EnSight Gold,
 /// Gmsh, TetGen, points and tetrahedra as text.
 ///
 /// # Errors
@@ -203,7 +203,7 @@ fn unknown_kind(head: &Head<'_>) -> Error {
             head.path,
             "kind of file",
             "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, AmiraMesh, HDF5, NetCDF, VTI, VTR, VTS, \
-             PVTI, PVTR, PVTS, legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, \
+             PVTI, PVTR, PVTS, legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, VTM, \
              legacy VTK, Exodus II, EnSight Gold, Gmsh, TetGen, .pts and .tet)",
             got,
         )

@@ -76,6 +76,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
     ];
     let mut meshes = vec![
         of("vtu", vec![VTU.into()]),
+        of("vtm", vec![LIST.into()]),
         of(
             "exo",
             vec![
@@ -388,6 +389,7 @@ pub(crate) fn partners(path: &Path) -> Vec<(PathBuf, String)> {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             return [&[beside("of_geo.case", &CASE.replace("of_case.geo", &name))], &values[..]].concat();
         }
+        "vtm" => return vec![beside("of_list.vtu", VTU)],
         _ => return vec![],
     };
     vec![(path.with_extension(other), text.into())]
@@ -399,6 +401,10 @@ const CASE: &str = "FORMAT\ntype: ensight gold\nGEOMETRY\nmodel: of_case.geo\nVA
 
 const GEOMETRY: &str = "a\n\nnode id off\nelement id given\nextents\n0 1\n0 1\n0 1\npart\n1\na\ncoordinates\n4\n\
     0\n1\n0\n0\n0\n0\n1\n0\n0\n0\n0\n1\ntetra4\n1\n7\n1 2 3 4\nnsided\n1\n8\n3\n1 2 3\n";
+
+const LIST: &str = "<VTKFile type=\"vtkMultiBlockDataSet\"><vtkMultiBlockDataSet><Block index=\"0\">\n\
+    <DataSet index=\"0\" file=\"of_list.vtu\"/></Block><DataSet index=\"1\" file=\"of_list.vtu\"/>\n\
+    </vtkMultiBlockDataSet></VTKFile>\n";
 
 /// A tetrahedron's surface.
 fn surface(folder: &Path, format: SurfaceFormat) -> Result<Vec<u8>> {

@@ -34,9 +34,8 @@ const BY_BYTES: [(usize, &[u8], &str, &str); 14] = [
 
 /// Ends of names, and what has them.
 #[rustfmt::skip]
-const BY_NAME: [(&[&str], &str, &str); 4] = [
+const BY_NAME: [(&[&str], &str, &str); 3] = [
     (&[".vgi", ".vgl", ".vol"], "a file of VGStudio, or a raw volume", "its samples are raw: give --dims and --type"),
-    (&[".vtm", ".vtmb"], "an index of several VTK files", "give one of the files that it names"),
     (&[".foam"], "an OpenFOAM case", "convert it with foamToVTK"),
     (&[".bz2", ".xz", ".zst", ".7z", ".tar"], "a packed file", "unpack it first"),
 ];

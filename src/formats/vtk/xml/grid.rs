@@ -8,6 +8,7 @@
 //! ```
 
 use super::array::{ArrayStream, scalar_type};
+use super::cells::{LISTS, blocks_of};
 use super::head::{Document, Element};
 use super::image::{Image, Joined, What, arrays, name_of, points_of};
 use crate::bytes::ByteSource;
@@ -36,6 +37,14 @@ pub(super) fn time(doc: &Document) -> Result<Option<f64>> {
         let path = header::sibling(doc.source.path(), name);
         let source = Arc::new(ByteSource::open(path, doc.source.mode())?);
         return time(&Document::open(&source, kind)?);
+    }
+    if LISTS.contains(&doc.kind) {
+        let Some(path) = blocks_of(doc)?.into_iter().next() else { return Ok(None) };
+        let source = Arc::new(ByteSource::open(path, doc.source.mode())?);
+        return time(&Document::open_one_of(
+            &source,
+            &["UnstructuredGrid", "PUnstructuredGrid", "PolyData"],
+        )?);
     }
     let array = arrays(doc.data.child("FieldData")).find(|a| name_of(a) == "TimeValue");
     let Some(array) = array else { return Ok(None) };

@@ -218,6 +218,9 @@ fn what_is(kind: &str) -> String {
         "RectilinearGrid" => "a rectilinear grid (.vtr)",
         "StructuredGrid" => "a curvilinear grid (.vts)",
         "PImageData" => "the index of an image in several files (.pvti)",
+        "vtkMultiBlockDataSet" | "vtkPartitionedDataSetCollection" | "vtkPartitionedDataSet" => {
+            "a list of blocks in several files (.vtm, .vtpc, .vtpd)"
+        }
         "Collection" => "a ParaView collection (.pvd)",
         _ if kind.starts_with('P') => "the index of data in several files",
         _ => return format!("type=\"{kind}\""),

@@ -36,7 +36,8 @@
 //! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space;
 //! [`coordinates`] gives the positions of their samples.
 //!
-//! **Unstructured grids** (`.vtu`, `.pvtu`) are opened as meshes, by [`open_mesh`].
+//! **Unstructured grids** (`.vtu`, `.pvtu`), and lists of blocks of them (`.vtm`, `.vtpc`,
+//! `.vtpd`), are opened as meshes, by [`open_mesh`].
 //!
 //! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64),
 //! `image` (extents, pieces, fields), `grid` (coordinates of rectilinear and curvilinear grids),
@@ -75,7 +76,10 @@ impl Format for VtkXml {
     }
 
     fn suffixes(&self) -> &'static [&'static str] {
-        &[".vti", ".vtr", ".vts", ".vtu", ".pvti", ".pvtr", ".pvts", ".pvtu"]
+        &[
+            ".vti", ".vtr", ".vts", ".vtu", ".pvti", ".pvtr", ".pvts", ".pvtu", ".vtm", ".vtmb", ".vtpc",
+            ".vtpd",
+        ]
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
@@ -83,7 +87,7 @@ impl Format for VtkXml {
     }
 
     fn is_mesh(&self, head: &Head<'_>) -> bool {
-        is_mesh(&head.bytes) || has_suffix(head.path, &[".vtu", ".pvtu"])
+        is_mesh(&head.bytes) || has_suffix(head.path, &[".vtu", ".pvtu", ".vtm", ".vtmb", ".vtpc", ".vtpd"])
     }
 
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
@@ -137,11 +141,14 @@ pub(in crate::formats) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> 
             "PRectilinearGrid",
             "PStructuredGrid",
             "PUnstructuredGrid",
+            "vtkMultiBlockDataSet",
+            "vtkPartitionedDataSetCollection",
+            "vtkPartitionedDataSet",
         ],
     )?)
 }
 
-/// Opens the mesh of a `.vtu` or `.pvtu` file.
+/// Opens the mesh of a `.vtu` or `.pvtu` file, or of a list of blocks.
 ///
 /// # Errors
 /// [`Error::BadInput`](crate::Error::BadInput) for a malformed file or another VTK type;
@@ -150,11 +157,12 @@ pub(crate) fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> 
     CellMesh::new(Arc::new(cells::open(path, options.io)?), options.field.as_deref())
 }
 
-/// Whether the head of a VTK XML file says that it is an unstructured grid.
+/// Whether the head of a VTK XML file says that it is an unstructured grid, or a list of blocks.
 pub(in crate::formats) fn is_mesh(head: &[u8]) -> bool {
     let text = String::from_utf8_lossy(head);
     let tag =
         text.split_once("<VTKFile").and_then(|(_, rest)| rest.split_once('>')).map_or("", |(tag, _)| tag);
     let kind = tag.split_once("type").map_or("", |(_, rest)| rest.trim_start_matches([' ', '=', '"', '\'']));
-    kind.starts_with("UnstructuredGrid") || kind.starts_with("PUnstructuredGrid")
+    let kinds = ["UnstructuredGrid", "PUnstructuredGrid", "vtkMultiBlockDataSet", "vtkPartitionedDataSet"];
+    kinds.iter().any(|k| kind.starts_with(k))
 }

@@ -1,4 +1,5 @@
-//! Unstructured grids: `.vtu`, in one or several pieces, and `.pvtu`, which lists files.
+//! Unstructured grids: `.vtu`, in one or several pieces; `.pvtu`, `.vtm`, `.vtpc` and `.vtpd`,
+//! which list files.
 //!
 //! ```text
 //! <UnstructuredGrid>
@@ -17,8 +18,11 @@
 //!
 //! The three arrays of the cells are decoded side by side, in constant memory. Points of later
 //! pieces are numbered after those of the pieces before; a point on the border of two pieces is
-//! stored, and counted, twice. The files of a `.pvtu` are open only while they are read. Empty
+//! stored, and counted, twice. The files of an index are open only while they are read. Empty
 //! pieces, which parallel programs write, may lack their arrays.
+//!
+//! **Blocks** (`.vtm` and others) are pieces too, of grids; blocks that are surfaces have no volume
+//! and are passed over. Fields are those that all blocks have.
 
 use super::array::{ArrayStream, scalar_type};
 use super::head::{Document, Element};
@@ -44,20 +48,77 @@ const MOST_VERTICES: u64 = 64 * BLOCK as u64;
 /// Opens a `.vtu` or `.pvtu` file.
 pub(super) fn open(path: &Path, io: IoMode) -> Result<Grid> {
     let source = Arc::new(ByteSource::open(path, io)?);
-    let doc = Arc::new(Document::open_one_of(&source, &["UnstructuredGrid", "PUnstructuredGrid"])?);
-    let mut files = vec![];
-    let mut pieces = vec![];
-    if doc.kind == "UnstructuredGrid" {
-        list_pieces(&doc, || Place::Open(Arc::clone(&doc)), &mut pieces)?;
-    } else {
-        files = listed_files(&doc)?;
-        for file in &files {
-            let part = Document::open(&Arc::new(ByteSource::open(file, io)?), "UnstructuredGrid")?;
-            list_pieces(&part, || Place::File(file.clone(), io), &mut pieces)?;
-        }
+    let kinds = [&GRIDS[..], &LISTS].concat();
+    let doc = Arc::new(Document::open_one_of(&source, &kinds)?);
+    let mut found = Found::default();
+    match doc.kind {
+        "UnstructuredGrid" => list_pieces(&doc, || Place::Open(Arc::clone(&doc)), &mut found.pieces)?,
+        "PUnstructuredGrid" => found.add_index(&doc, io)?,
+        _ => found.add_blocks(&doc, io)?,
     }
-    let info = describe(&doc, &pieces, files)?;
+    let Found { files, pieces, surfaces } = found;
+    let info = describe(&doc, &pieces, files, surfaces)?;
     Ok(Grid(Arc::new(Shared { info, pieces })))
+}
+
+/// Types of files that hold grids, or list files of pieces of one.
+const GRIDS: [&str; 2] = ["UnstructuredGrid", "PUnstructuredGrid"];
+/// Types of files that list files of several blocks.
+pub(super) const LISTS: [&str; 3] =
+    ["vtkMultiBlockDataSet", "vtkPartitionedDataSetCollection", "vtkPartitionedDataSet"];
+
+/// What a file and those that it lists have.
+#[derive(Default)]
+struct Found {
+    files: Vec<PathBuf>,
+    pieces: Vec<Piece>,
+    /// Blocks that are surfaces.
+    surfaces: u64,
+}
+
+impl Found {
+    /// The files that the index of a grid lists.
+    fn add_index(&mut self, doc: &Document, io: IoMode) -> Result<()> {
+        for file in listed_files(doc)? {
+            let part = Document::open(&Arc::new(ByteSource::open(&file, io)?), "UnstructuredGrid")?;
+            list_pieces(&part, || Place::File(file.clone(), io), &mut self.pieces)?;
+            self.files.push(file);
+        }
+        Ok(())
+    }
+
+    /// The files of all blocks.
+    fn add_blocks(&mut self, doc: &Document, io: IoMode) -> Result<()> {
+        for file in blocks_of(doc)? {
+            let source = Arc::new(ByteSource::open(&file, io)?);
+            let kinds = [&GRIDS[..], &["PolyData", "PPolyData"]].concat();
+            let part = Document::open_one_of(&source, &kinds)?;
+            match part.kind {
+                "UnstructuredGrid" => {
+                    list_pieces(&part, || Place::File(file.clone(), io), &mut self.pieces)?;
+                }
+                "PUnstructuredGrid" => self.add_index(&part, io)?,
+                _ => self.surfaces += 1,
+            }
+            self.files.push(file);
+        }
+        Ok(())
+    }
+}
+
+/// The files that a list of blocks names, in its order.
+pub(super) fn blocks_of(doc: &Document) -> Result<Vec<PathBuf>> {
+    let (mut files, mut left) = (vec![], vec![&doc.data]);
+    while let Some(element) = left.pop() {
+        // A block may be empty.
+        let file = element.attribute("file").filter(|name| element.name == "DataSet" && !name.is_empty());
+        files.extend(file.map(|name| header::sibling(doc.source.path(), name)));
+        if files.len() > MOST_FILES {
+            return Err(doc.wrong(&doc.data, format!("at most {MOST_FILES} blocks"), "more"));
+        }
+        left.extend(element.children.iter().rev());
+    }
+    Ok(files)
 }
 
 /// The files that an index lists.
@@ -120,7 +181,23 @@ fn list_pieces(doc: &Document, place: impl Fn() -> Place, out: &mut Vec<Piece>) 
     Ok(())
 }
 
-fn describe(doc: &Document, pieces: &[Piece], data_files: Vec<PathBuf>) -> Result<CellsInfo> {
+/// The fields of a piece.
+fn fields_of(doc: &Document, piece: &Element) -> Result<Vec<CellField>> {
+    let mut all = vec![];
+    for (name, center) in [("PointData", Center::Point), ("CellData", Center::Cell)] {
+        let found = fields(doc, piece.child(name))?;
+        let field = |f: crate::volume::FieldInfo| CellField {
+            name: f.name,
+            scalar: f.scalar,
+            components: f.components,
+            center,
+        };
+        all.extend(found.into_iter().map(field));
+    }
+    Ok(all)
+}
+
+fn describe(doc: &Document, pieces: &[Piece], data_files: Vec<PathBuf>, surfaces: u64) -> Result<CellsInfo> {
     let total = |of: fn(&Piece) -> u64| pieces.iter().try_fold(0u64, |sum, p| sum.checked_add(of(p)));
     let (points, cells) = (total(|p| p.points), total(|p| p.cells));
     // Far below overflow, and above any file: a position takes bytes.
@@ -133,22 +210,21 @@ fn describe(doc: &Document, pieces: &[Piece], data_files: Vec<PathBuf>) -> Resul
     };
     let part = first.document()?;
     let piece = first.element(&part)?;
-    let mut all = vec![];
-    for (name, center) in [("PointData", Center::Point), ("CellData", Center::Cell)] {
-        let found = fields(&part, piece.child(name))?;
-        let field = |f: crate::volume::FieldInfo| CellField {
-            name: f.name,
-            scalar: f.scalar,
-            components: f.components,
-            center,
-        };
-        all.extend(found.into_iter().map(field));
+    let mut all = fields_of(&part, piece)?;
+    let mut kind = format!("{} files, ", data_files.len());
+    if LISTS.contains(&doc.kind) {
+        if surfaces > 0 {
+            kind += &format!("{surfaces} of surfaces passed over, ");
+        }
+        let left_out = keep_common(pieces, &mut all)?;
+        if left_out > 0 {
+            kind += &format!("{left_out} arrays left out that some blocks lack, ");
+        }
     }
     let active = piece.child("PointData").and_then(|p| p.attribute("Scalars"));
     let active = active.and_then(|name| all.iter().position(|f| f.name == name && f.center == Center::Point));
     let stored = how_stored(&part, piece.child("Points").and_then(|p| p.child("DataArray")));
-    let files =
-        if doc.kind == "UnstructuredGrid" { String::new() } else { format!("{} files, ", data_files.len()) };
+    let files = if doc.kind == "UnstructuredGrid" { String::new() } else { kind };
     Ok(CellsInfo {
         path: doc.source.path().to_path_buf(),
         format: format!("VTK XML UnstructuredGrid ({files}{stored})"),
@@ -158,6 +234,30 @@ fn describe(doc: &Document, pieces: &[Piece], data_files: Vec<PathBuf>) -> Resul
         active,
         data_files,
     })
+}
+
+/// Removes the fields of the first piece that others lack; gives how many some pieces lack.
+///
+/// # Errors
+/// [`Error::BadInput`] where some pieces alone have marks of ghosts.
+fn keep_common(pieces: &[Piece], all: &mut Vec<CellField>) -> Result<usize> {
+    let has_ghosts =
+        |fields: &[CellField]| fields.iter().any(|f| f.name == GHOSTS && f.center == Center::Cell);
+    let expected = has_ghosts(all);
+    let mut names: Vec<(String, Center)> = all.iter().map(|f| (f.name.clone(), f.center)).collect();
+    for piece in &pieces[1..] {
+        let doc = piece.document()?;
+        let element = piece.element(&doc)?;
+        let own = fields_of(&doc, element)?;
+        if has_ghosts(&own) != expected {
+            return Err(doc.wrong(element, format!("{GHOSTS} in all blocks, or in none"), "it in some"));
+        }
+        all.retain(|f| own.contains(f));
+        names.extend(own.into_iter().map(|f| (f.name, f.center)));
+    }
+    names.sort_by(|a, b| (&a.0, a.1 == Center::Cell).cmp(&(&b.0, b.1 == Center::Cell)));
+    names.dedup();
+    Ok(names.len() - all.len())
 }
 
 struct Shared {

@@ -108,6 +108,61 @@ fn an_index_joins_its_files() {
     assert!(error.to_string().contains("a_2.vtu"), "{error}");
 }
 
+/// A surface, which has no volume.
+const SURFACE: &str =
+    "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"0\"/></PolyData></VTKFile>";
+
+#[test]
+fn blocks_are_joined() {
+    let dir = tempfile::tempdir().unwrap();
+    let ascii = every_encoding()[0];
+    write(&dir, "a_0.vtu", &grid(ascii, 1));
+    write(&dir, "a_1.vtp", SURFACE.as_bytes());
+    // The second grid lacks an array.
+    let second = String::from_utf8(grid(ascii, 2)).unwrap().replace("Name=\"c\"", "Name=\"d\"");
+    write(&dir, "a_2.vtu", second.as_bytes());
+    let index = "<VTKFile type=\"PUnstructuredGrid\"><PUnstructuredGrid><Piece Source=\"a_0.vtu\"/>\
+        </PUnstructuredGrid></VTKFile>";
+    write(&dir, "a_3.pvtu", index.as_bytes());
+    let list = |kind: &str, blocks: &str| {
+        let text = format!("<VTKFile type=\"{kind}\"><{kind}>{blocks}</{kind}></VTKFile>");
+        // The type alone tells what it is.
+        open_mesh(&write(&dir, "a.xml", text.as_bytes()), &OpenOptions::default())
+    };
+    for kind in ["vtkMultiBlockDataSet", "vtkPartitionedDataSetCollection", "vtkPartitionedDataSet"] {
+        let mesh = list(
+            kind,
+            "<DataSet index=\"0\" file=\"a_0.vtu\"/><Block index=\"1\"><DataSet index=\"0\" file=\"a_1.vtp\"/>\
+             <DataSet index=\"1\"/><Block><DataSet file=\"a_2.vtu\"/></Block></Block><DataSet file=\"a_3.pvtu\"/>",
+        )
+        .unwrap();
+        let whole = read_whole(&mesh).unwrap();
+        assert_eq!((whole.points.len(), whole.cells.len()), (20, 12));
+        assert_eq!(whole.cells[9], (CellKind::Tetrahedron, vec![15, 16, 17, 19]));
+        assert_eq!((whole.values[9], whole.values[14]), (1.0, 2.0));
+        let info = mesh.info();
+        let names: Vec<_> = info.fields.iter().map(|f| &f.name[..]).collect();
+        assert_eq!((names, info.data_files.len()), (vec!["v", "p"], 5), "a field of all blocks");
+        let told = "5 files, 1 of surfaces passed over, 2 arrays left out that some blocks lack, ";
+        assert!(info.format.contains(told), "{}", info.format);
+    }
+    let fails = |blocks: &str| list("vtkMultiBlockDataSet", blocks).err().expect(blocks).to_string();
+    assert!(fails("<DataSet file=\"none.vtu\"/>").contains("none.vtu"));
+    assert!(fails("<Block/>").contains("a Piece with points and cells, got none"));
+    let image = String::from_utf8(ascii.file("ImageData", "").finish()).unwrap();
+    write(&dir, "b.vti", image.as_bytes());
+    let line = fails("<DataSet file=\"a_0.vtu\"/><DataSet file=\"b.vti\"/>");
+    assert!(line.contains("b.vti") && line.contains("an image (.vti)"), "{line}");
+    // Copies of cells would count where their marks were left out.
+    let marked = String::from_utf8(grid(ascii, 1)).unwrap().replace("Name=\"c\"", "Name=\"vtkGhostType\"");
+    write(&dir, "c.vtu", marked.as_bytes());
+    for blocks in [["a_0", "c"], ["c", "a_0"]] {
+        let line = fails(&blocks.map(|b| format!("<DataSet file=\"{b}.vtu\"/>")).concat());
+        assert!(line.contains("expected vtkGhostType in all blocks, or in none, got it in some"), "{line}");
+    }
+    assert_eq!(list("vtkMultiBlockDataSet", "<DataSet file=\"c.vtu\"/>").unwrap().info().cells, 3);
+}
+
 #[test]
 fn what_is_wrong_is_told() {
     let good = String::from_utf8(grid(every_encoding()[0], 1)).unwrap();
