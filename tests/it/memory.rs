@@ -233,9 +233,13 @@ fn what_a_decoder_needs_is_known_beforehand() {
 #[cfg(target_os = "linux")]
 fn peak_anonymous(command: &mut Command) -> u64 {
     let mut child = command.spawn().unwrap();
-    let status = format!("/proc/{}/status", child.id());
+    let [status, program] = ["status", "exe"].map(|name| format!("/proc/{}/{name}", child.id()));
     let mut peak = 0;
     while child.try_wait().unwrap().is_none() {
+        // For a moment the child still has the memory of this process.
+        if fs::read_link(&program).is_ok_and(|path| !path.ends_with("isospan")) {
+            continue;
+        }
         let text = fs::read_to_string(&status).unwrap_or_default();
         let line = text.lines().find_map(|l| l.strip_prefix("RssAnon:"));
         let kib = line.and_then(|l| l.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok());
