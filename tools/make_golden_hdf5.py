@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/*.h5, *.hdf, *.mnc, *.ims and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/volume/hdf5.
+"""Writes tests/data/*.h5, *.hdf, *.mat, *.mnc, *.ims and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/volume/hdf5.
 
 Needs h5py, hdf5plugin, netCDF4 and numpy. Sample (z, y, x) of each dataset is its index in C order, unless said otherwise.
 Usage: tools/make_golden_hdf5.py
@@ -25,6 +25,14 @@ def types(version):
             g.create_dataset(name + "_chunks", data=RAMP.astype(t), **FILTERS)
         f["again"] = h5py.SoftLink("/group/i2")
         f["root"] = h5py.SoftLink("/")
+
+
+def user_block():
+    with h5py.File(OUT / "user_block.mat", "w", userblock_size=512) as f:
+        f.create_dataset("mapped", data=RAMP.astype("<i2"))
+        f.create_dataset("chunks", data=RAMP.astype(">i2"), **FILTERS)
+    with open(OUT / "user_block.mat", "r+b") as f:
+        f.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + bytes(4))
 
 
 def layouts(version):
@@ -251,3 +259,4 @@ if __name__ == "__main__":
     small()
     dialects()
     units()
+    user_block()

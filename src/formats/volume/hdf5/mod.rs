@@ -22,7 +22,8 @@
 //! spacing and origin, else the dataset is a rectilinear grid. Without any of these, the spacing is
 //! 1 and the origin is 0.
 //!
-//! Conventions of other programs: see the module `dialect`.
+//! Conventions of other programs: see the module `dialect`. Files of MATLAB 7.3 begin with a block
+//! of text; the first index of their arrays is x.
 //!
 //! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle,
 //! Fletcher-32, scale-offset, N-bit, szip, and those of the module `filters`) as they are asked for
@@ -101,7 +102,8 @@ impl Format for Hdf5 {
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"\x89HDF\r\n\x1a\n")
+        let begins = |at: &usize| head.bytes.get(*at..).is_some_and(|rest| rest.starts_with(SIGNATURE));
+        USER_BLOCKS.iter().any(begins)
     }
 
     fn has_spacing(&self) -> bool {
@@ -129,6 +131,10 @@ impl Format for Hdf5 {
     }
 }
 
+/// The first bytes, behind a block of the user's.
+const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
+/// Bytes of the user's block, as far as they are looked for. MATLAB writes 512.
+const USER_BLOCKS: [usize; 4] = [0, 512, 1024, 2048];
 /// Most bytes of a decoded chunk.
 const MOST_CHUNK: u64 = 256 << 20;
 /// Small chunks are read together up to this many bytes; datasets without chunks are read in pieces

@@ -95,6 +95,16 @@ fn both_ways_of_reading_give_the_same() {
     }
 }
 
+/// MATLAB's files begin with 512 bytes of their own.
+#[test]
+fn a_file_may_begin_with_a_block_of_the_user_s() {
+    for (field, format) in [("mapped", "HDF5"), ("chunks", "HDF5 (chunked)")] {
+        let source = open("user_block.mat", field).unwrap();
+        assert_eq!(source.info().format, format);
+        assert_eq!(values(source), ramp(), "{field}");
+    }
+}
+
 #[test]
 fn fields_are_listed_once_and_found_by_any_link() {
     let path = data("types_earliest.h5");
