@@ -58,6 +58,9 @@ pub struct CellMesh {
     orders: Arc<OnceLock<Orders>>,
 }
 
+/// Components of a field, at most: a tuple is in memory.
+const MOST_COMPONENTS: u32 = 1 << 16;
+
 impl CellMesh {
     /// A mesh, with the field `wanted`: the name of a field with one component, `NAME.x`, `NAME.y`,
     /// `NAME.z` or `NAME.2` for a component of another, `NAME.magnitude`, or the coordinates `x`,
@@ -65,8 +68,14 @@ impl CellMesh {
     /// only field on points with one component, else its only one on cells, else none yet.
     ///
     /// # Errors
-    /// [`Error::Usage`], listing the fields, when there is none of that name.
+    /// [`Error::Usage`], listing the fields, when there is none of that name;
+    /// [`Error::BadInput`] for a field of more than 65 536 components.
     pub fn new(file: Arc<dyn CellFile>, wanted: Option<&str>) -> Result<Self> {
+        let info = file.info();
+        if let Some(field) = info.fields.iter().find(|f| f.components > MOST_COMPONENTS) {
+            let (expected, got) = (format!("at most {MOST_COMPONENTS} components"), field.components);
+            return Err(Error::bad_input(&info.path, &field.name, expected, got.to_string()));
+        }
         let field = match wanted {
             Some(name) => Some(find(file.info(), name)?),
             None => default_field(file.info()),
