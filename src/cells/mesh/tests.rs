@@ -151,3 +151,11 @@ fn bad_numbers_are_refused() {
     let error = CellMesh::new(Arc::new(mesh), None).unwrap().points().unwrap().next_block(&mut vec![]);
     assert!(error.unwrap_err().to_string().contains("point 2: expected finite coordinates"));
 }
+
+#[test]
+fn a_field_of_very_many_components_is_refused() {
+    let mut mesh = two();
+    mesh.info.fields[0].components = 2_000_000_000;
+    let line = CellMesh::new(Arc::new(mesh), None).err().expect("refused").to_string();
+    assert!(line.contains("expected at most 65536 components, got 2000000000"), "{line}");
+}
