@@ -43,6 +43,13 @@ impl<'a> Head<'a> {
         Ok(Self { path, bytes, is_folder: false, source: Some(Arc::new(source)) })
     }
 
+    /// Whether it is HDF5, maybe behind a block of the user's: MATLAB writes one of 512 bytes.
+    pub(in crate::formats) fn is_hdf5(&self) -> bool {
+        let begins =
+            |at: usize| self.bytes.get(at..).is_some_and(|rest| rest.starts_with(b"\x89HDF\r\n\x1a\n"));
+        [0, 512, 1024, 2048].into_iter().any(begins)
+    }
+
     pub(in crate::formats) fn of_folder(path: &'a Path) -> Self {
         Self { path, bytes: vec![], is_folder: true, source: None }
     }

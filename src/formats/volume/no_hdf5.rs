@@ -22,7 +22,7 @@ impl Format for Hdf5 {
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"\x89HDF\r\n\x1a\n")
+        head.is_hdf5()
     }
 
     fn has_spacing(&self) -> bool {

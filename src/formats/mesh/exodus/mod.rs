@@ -56,7 +56,7 @@ impl Format for Exodus {
         let is_classic = head.bytes.starts_with(b"CDF");
         let names_blocks = || head.bytes.windows(10).any(|w| w == b"num_el_blk");
         let is_called = || has_suffix(head.path, &SUFFIXES);
-        is_classic && (is_called() || names_blocks()) || head.bytes.starts_with(HDF5) && is_called()
+        is_classic && (is_called() || names_blocks()) || head.is_hdf5() && is_called()
     }
 
     fn is_mesh(&self, _: &Head<'_>) -> bool {
@@ -94,9 +94,6 @@ impl Format for Exodus {
     }
 }
 
-/// The first bytes of NetCDF-4.
-const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
-
 /// Most fields: steps of all variables.
 const MOST_FIELDS: u64 = 1 << 20;
 /// Most steps.
@@ -128,7 +125,7 @@ struct Place {
 }
 
 fn open(path: &Path, options: &OpenOptions) -> Result<Shared> {
-    let is_hdf5 = Head::of(path, options.io)?.bytes.starts_with(HDF5);
+    let is_hdf5 = Head::of(path, options.io)?.is_hdf5();
     let arrays = if is_hdf5 { hdf5::arrays(path, options.io)? } else { netcdf::arrays(path, options.io)? };
     let wrong = |at: &str, expected: &str, got: String| Error::bad_input(path, at, expected, got);
     if let Some(parts) = arrays.dimension("num_procs").filter(|&n| n > 1) {

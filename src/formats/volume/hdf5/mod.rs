@@ -102,8 +102,7 @@ impl Format for Hdf5 {
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
-        let begins = |at: &usize| head.bytes.get(*at..).is_some_and(|rest| rest.starts_with(SIGNATURE));
-        USER_BLOCKS.iter().any(begins)
+        head.is_hdf5()
     }
 
     fn has_spacing(&self) -> bool {
@@ -131,10 +130,6 @@ impl Format for Hdf5 {
     }
 }
 
-/// The first bytes, behind a block of the user's.
-const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Bytes of the user's block, as far as they are looked for. MATLAB writes 512.
-const USER_BLOCKS: [usize; 4] = [0, 512, 1024, 2048];
 /// Most bytes of a decoded chunk.
 const MOST_CHUNK: u64 = 256 << 20;
 /// Small chunks are read together up to this many bytes; datasets without chunks are read in pieces
