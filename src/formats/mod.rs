@@ -24,7 +24,7 @@ mod volume;
 mod vtk;
 
 pub use kinds::{Input, is_mesh, open_coordinates, open_input, open_mesh, open_volume};
-pub(crate) use mesh::vtu;
+pub(crate) use mesh::{tet_arrays, tetrahedra};
 pub(crate) use series::listed_files;
 pub use series::{StepSource, order_in_doubt, packed_frames, steps_of, unpack_frames};
 pub use shared::coordinates;

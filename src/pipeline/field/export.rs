@@ -3,7 +3,8 @@
 use crate::bytes::publish::folder_of;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, pool};
-use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
+use crate::formats::tet_arrays::{PACKING_BYTES, TetMeta};
+use crate::formats::tetrahedra::{TetFormat, write_tetrahedra};
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
@@ -85,7 +86,7 @@ pub struct ExportReport {
 /// while it grows.
 const OPEN_POINT: u64 = 100;
 
-/// Writes the tetrahedra of an archive to a VTU file: see
+/// Writes the tetrahedra of an archive to a file: see
 /// [`Step::write_tetrahedra`](crate::pipeline::Step::write_tetrahedra).
 pub(in crate::pipeline) fn export(
     archive: &StepView,
@@ -97,7 +98,7 @@ pub(in crate::pipeline) fn export(
     if settings.roi.is_some_and(|roi| roi.space == RoiSpace::World) {
         archive.refuse_coordinates("an export of a box of the world")?;
     }
-    check_target(out)?;
+    let format = TetFormat::from_path(out)?;
     if settings.every == 0 {
         return Err(Error::usage(
             "of every 0 tetrahedra there is no first: give 1 for all, 2 for half of them",
@@ -146,7 +147,7 @@ pub(in crate::pipeline) fn export(
         comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
         compress: threads.as_ref(),
     };
-    let file_bytes = write_vtu(&mesh, out, &meta)?;
+    let file_bytes = write_tetrahedra(&mesh, out, format, &meta)?;
     Ok(ExportReport {
         points: mesh.point_count(),
         tetrahedra: mesh.tet_count(),
@@ -158,17 +159,6 @@ pub(in crate::pipeline) fn export(
         file_bytes,
         seconds: vec![(Stage::Join, read.as_secs_f64()), (Stage::Write, start.elapsed().as_secs_f64())],
     })
-}
-
-fn check_target(out: &Path) -> Result<()> {
-    let extension = out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-    match extension.as_deref() {
-        Some("vtu") => Ok(()),
-        _ => Err(Error::usage(format!(
-            "cannot tell the mesh format of {}: end its name in .vtu",
-            out.display()
-        ))),
-    }
 }
 
 /// A chunk with the tetrahedra that are wanted, and the number of void ones.
