@@ -170,7 +170,20 @@ def dialects():
         g.create_dataset("PointData/flow", data=np.zeros((3, 4, 5, 3), "<f4"))
         g.create_dataset("CellData/mass", data=np.arange(24, dtype="<f4").reshape(2, 3, 4))
     with h5py.File(OUT / "vtkhdf_mesh.hdf", "w", libver="latest") as f:
-        f.create_group("VTKHDF").attrs.create("Type", b"UnstructuredGrid", dtype="S16")
+        g = f.create_group("VTKHDF")
+        g.attrs.create("Type", b"UnstructuredGrid", dtype="S16")
+        g.attrs["Version"] = np.array([2, 6])
+        g["NumberOfPoints"], g["NumberOfCells"], g["NumberOfConnectivityIds"] = [4, 5], [1, 2], [4, 8]
+        tetrahedron = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+        pyramid = [[2, 0, 0], [3, 0, 0], [3, 1, 0], [2, 1, 0], [2, 0, 1]]
+        g.create_dataset("Points", data=np.array(tetrahedron + pyramid, "<f4"), chunks=(4, 3), compression="gzip")
+        g["Connectivity"] = [0, 1, 2, 3] + [0, 1, 2, 0, 1, 2, 3, 4]
+        g["Offsets"], g["Types"] = [0, 4] + [0, 3, 8], np.array([10, 5, 14], "u1")
+        g["PointData/flow"] = np.arange(27, dtype="<f4").reshape(9, 3)
+        heat = g.create_dataset("PointData/heat", data=np.arange(9.0))
+        heat.attrs.create("Attribute", b"Scalars", dtype="S7")
+        g["PointData/label"] = np.array([b"a"] * 9)
+        g["CellData/mass"] = np.array([1, 2, 3], "<i4")
     with h5py.File(OUT / "imaris.ims", "w", libver="latest") as f:
         f.attrs["ImarisDataSet"] = np.bytes_("ImarisDataSet")
         f.create_dataset("DataSet/ResolutionLevel 0/TimePoint 0/Channel 0/Data", data=ramp)

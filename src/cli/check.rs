@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 )]
 pub(crate) struct Args {
     /// An archive, also by address (s3://... or https://...), or a surface file: .ply .stl .obj
-    /// .vtp .glb.
+    /// .vtp .vtkhdf .glb.
     input: PathBuf,
     /// For a surface: also check that boundary edges lie on the boundary of this archive's domain,
     /// or where it has no data.

@@ -21,7 +21,7 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan compare full.ply reduced.ply\n  isospan compare a.stl b.stl --samples 1000000 --json"
 )]
 pub(crate) struct Args {
-    /// A surface: .ply .stl .obj .vtp .glb.
+    /// A surface: .ply .stl .obj .vtp .vtkhdf .glb.
     a: PathBuf,
     /// The other surface.
     b: PathBuf,

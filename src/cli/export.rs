@@ -11,7 +11,7 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Write the tetrahedra of an archive as a VTU file.
+/// Write the tetrahedra of an archive as a VTU or VTKHDF file.
 ///
 /// That is an unstructured grid, with values at the points.
 #[derive(clap::Args, Debug)]
@@ -21,7 +21,7 @@ use std::path::PathBuf;
 pub(crate) struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
-    /// The file to write: .vtu.
+    /// The file to write: .vtu or .vtkhdf.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Only tetrahedra whose corners all have values from LO to HI; either end may be omitted. 100%
@@ -40,7 +40,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "K", default_value = "1", value_parser = grammar::natural, allow_negative_numbers = true)]
     every: u64,
     /// Compress the arrays of the file with zlib, which VTK and ParaView read: less than a third of
-    /// the bytes.
+    /// the bytes. Of HDF5, this needs version 1.10.
     #[arg(long)]
     compress: bool,
     #[command(flatten)]

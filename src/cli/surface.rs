@@ -43,11 +43,11 @@ pub(crate) struct Args {
         value_parser = grammar::value
     )]
     isovalue: Vec<Value>,
-    /// The file to write: .ply .stl .obj .vtp or .glb; "-" for standard output. Several isovalues
-    /// go to one file; an array 'isovalue' of the points (.vtp, .ply) or groups (.obj) distinguish
-    /// them, and .stl and .glb do not. With {} in the name, each isovalue gets its own file:
-    /// surface_{}.ply. All formats have world coordinates as they are, .glb too, whose viewers
-    /// take y for up.
+    /// The file to write: .ply .stl .obj .vtp .vtkhdf or .glb; "-" for standard output. Several
+    /// isovalues go to one file; an array 'isovalue' of the points (.vtp, .vtkhdf, .ply) or groups
+    /// (.obj) distinguish them, and .stl and .glb do not. With {} in the name, each isovalue gets
+    /// its own file: surface_{}.ply. All formats have world coordinates as they are, .glb too,
+    /// whose viewers take y for up.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// The format [default: as the file's name ends; ply for standard output].
@@ -83,10 +83,10 @@ pub(crate) struct Args {
     #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length, allow_hyphen_values = true)]
     decimate_error: Option<Length>,
     /// Give the vertices the values of another field, with colours: a field of this archive (see
-    /// reduce --fields), or another archive in the same world. In .ply, .vtp, .glb and .obj files.
+    /// reduce --fields), or another archive in the same world. Not in .stl files.
     #[arg(help_heading = "Colours", long, visible_alias = "color-by", value_name = "FIELD|ARCHIVE", conflicts_with_all = ["all_steps", "steps"])]
     colour_by: Option<PathBuf>,
-    /// The colour map: viridis, cividis, coolwarm or grey. VTP files have values alone.
+    /// The colour map: viridis, cividis, coolwarm or grey. VTP and VTKHDF files have values alone.
     #[arg(help_heading = "Colours", long, visible_alias = "color-map", value_name = "MAP", default_value = "viridis", allow_hyphen_values = true, value_parser = grammar::colour_map, requires = "colour_by")]
     colour_map: ColourMap,
     /// The values at the ends of the colour map [default: those of the whole field].
@@ -126,6 +126,7 @@ enum Format {
     Stl,
     Obj,
     Vtp,
+    Vtkhdf,
     Glb,
 }
 
@@ -136,6 +137,7 @@ impl From<Format> for SurfaceFormat {
             Format::Stl => Self::Stl,
             Format::Obj => Self::Obj,
             Format::Vtp => Self::Vtp,
+            Format::Vtkhdf => Self::VtkHdf,
             Format::Glb => Self::Glb,
         }
     }

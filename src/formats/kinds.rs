@@ -4,7 +4,7 @@
 use crate::bytes::remote::is_remote;
 use crate::cells::CellMesh;
 use crate::error::{Error, Result};
-use crate::formats::mesh::{ensight::EnSight, exodus::Exodus, gmsh::Gmsh, tetgen::Tetgen};
+use crate::formats::mesh::{ensight::EnSight, exodus::Exodus, gmsh::Gmsh, tetgen::Tetgen, vtkhdf::VtkHdf};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::unread::Unread;
@@ -32,8 +32,8 @@ use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
-    &Nrrd, &Amira, &Npy, &Npz, &Exodus, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &Dicom, &TiffFile,
-    &Nifti, &Mrc, &MetaImage, &Gmsh, &Tetgen, &EnSight, &Zarr,
+    &Nrrd, &Amira, &Npy, &Npz, &Exodus, &VtkHdf, &Hdf5, &NetCdf, &VtkLegacy, &VtkXml, &Bricks, &Dicom,
+    &TiffFile, &Nifti, &Mrc, &MetaImage, &Gmsh, &Tetgen, &EnSight, &Zarr,
 ];
 
 /// What a file holds.
@@ -155,8 +155,8 @@ pub fn is_mesh(path: &Path, options: &OpenOptions) -> Result<bool> {
     Ok(mesh_format(path, options)?.is_some())
 }
 
-/// Opens a mesh of any format that is read: VTU, PVTU, VTM, legacy VTK, Exodus II, EnSight Gold,
-/// Gmsh, TetGen, points and tetrahedra as text.
+/// Opens a mesh of any format that is read: VTU, PVTU, VTM, VTKHDF, legacy VTK, Exodus II, EnSight
+/// Gold, Gmsh, TetGen, points and tetrahedra as text.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file or another kind; [`Error::Usage`] when there is no
@@ -204,7 +204,7 @@ fn unknown_kind(head: &Head<'_>) -> Error {
             "kind of file",
             "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, AmiraMesh, HDF5, NetCDF, VTI, VTR, VTS, \
              PVTI, PVTR, PVTS, legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, VTM, \
-             legacy VTK, Exodus II, EnSight Gold, Gmsh, TetGen, .pts and .tet)",
+             VTKHDF, legacy VTK, Exodus II, EnSight Gold, Gmsh, TetGen, .pts and .tet)",
             got,
         )
         .with_help(help)

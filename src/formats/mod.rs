@@ -10,8 +10,8 @@
 //! left-posterior-superior, NIfTI right-anterior-superior. They are not converted into one another.
 //!
 //! ```text
-//!  series ─▶ kinds ─▶ mesh ─▶ volume, vtk ─▶ shared
-//!                     surface, point_list ─▶ shared
+//!  series ─▶ kinds ─▶ mesh, surface ─▶ volume, vtk ─▶ shared
+//!                           point_list ─▶ shared
 //! ```
 
 mod kinds;

@@ -518,7 +518,8 @@ impl Step {
         probe_grid(&self.view, dims, settings, out, format, progress)
     }
 
-    /// Writes tetrahedra to a VTU file, each point once, with its value, in bounded memory.
+    /// Writes tetrahedra to a file (`.vtu`, `.vtkhdf`), each point once, with its value, in bounded
+    /// memory.
     ///
     /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on
     /// memory: what memory does not hold waits in the scratch folder. Tetrahedra with a corner

@@ -580,12 +580,12 @@ fn what_is_no_regular_file_is_refused_at_once() {
     for end in [
         "nrrd", "nhdr", "mha", "mhd", "npy", "npz", "nii", "nii.gz", "hdr", "vti", "vtk", "vtr", "vts",
         "tif", "h5", "nc", "bricks", "vtu", "pvtu", "msh", "node", "ele", "pts", "tet", "raw", "pvd",
-        "series", "ply", "stl", "obj", "vtp", "glb", "csv",
+        "series", "ply", "stl", "obj", "vtp", "vtkhdf", "glb", "csv",
     ] {
         let file = format!("pipe.{end}");
         fifo(&file);
         match end {
-            "ply" | "stl" | "obj" | "vtp" | "glb" => refused(&["check", &file], &file),
+            "ply" | "stl" | "obj" | "vtp" | "vtkhdf" | "glb" => refused(&["check", &file], &file),
             "csv" => refused(&["probe", "a.isospan", "--at", &file, "-o", "o.csv", "-q"], &file),
             _ => refused(&["info", &file, "--dims", "4,4,4", "--type", "uint8"], &file),
         }
@@ -707,7 +707,7 @@ fn a_surface_goes_to_standard_output() {
     let d = dir.path();
     write_npy(&d.join("v.npy"), [20, 18, 16], waves);
     ok(d, &["reduce", "v.npy", "-o", "a.isospan", "-q"]);
-    for format in ["ply", "stl", "vtp"] {
+    for format in ["ply", "stl", "vtp", "vtkhdf"] {
         let file = format!("s.{format}");
         ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", &file, "-q"]);
         let out = isospan(d, &["surface", "a.isospan", "-i", "0.1", "-o", "-", "--format", format]);
@@ -951,7 +951,9 @@ fn a_surface_never_becomes_nothing_unnoticed() {
     let (code, text) = fails(d, &surface(&["-i", "0", "-o", "t.ply", "--decimate", "25"]));
     assert!(code == 2 && text.contains("25 % is written 25%"), "{text}");
     // Formats that join isovalues say so.
-    for (file, warns) in [("t.stl", true), ("t.glb", true), ("t.vtp", false), ("t_{}.stl", false)] {
+    for (file, warns) in
+        [("t.stl", true), ("t.glb", true), ("t.vtp", false), ("t.vtkhdf", false), ("t_{}.stl", false)]
+    {
         let out = isospan(d, &["surface", "a.isospan", "-i", "0,0.1", "-o", file]);
         let told = String::from_utf8(out.stderr).unwrap();
         assert!(out.status.success() && told.contains("does not keep isovalues apart") == warns, "{told}");

@@ -92,12 +92,13 @@ fn two_fields_of_one_file() {
     let one = make("one.ply", &["--colour-range", "10:40", "--colour-map", "coolwarm", "--threads", "1"]);
     assert!(one == bytes);
     // The other formats hold the same surface.
-    for name in ["ball.vtp", "ball.glb", "ball.obj"] {
+    for name in ["ball.vtp", "ball.vtkhdf", "ball.glb", "ball.obj"] {
         let bytes = make(name, &[]);
         assert_eq!(read(&d.join(name)).triangles.len(), plain.triangles.len(), "{name}");
         let text = String::from_utf8_lossy(&bytes);
         let wanted = match name {
             "ball.vtp" => "<PointData Scalars=\"heat\" Normals=\"Normals\">",
+            "ball.vtkhdf" => "Attribute\0",
             "ball.glb" => "\"COLOR_0\":2",
             _ => "# colours viridis of heat, 0 to 55",
         };

@@ -182,7 +182,7 @@ fn a_surface_is_checked_the_same_whatever_its_memory() {
     write_npy(&d.join("w.npy"), [54, 50, 46], |x, y, z| waves(4.0 * x, 4.0 * y, 4.0 * z));
     assert!(reduce_with(d, "w.isospan", "1GiB", &["--fraction", "1/2"]).status.success());
     let mut reports = vec![];
-    for format in ["ply", "stl", "obj", "vtp", "glb"] {
+    for format in ["ply", "stl", "obj", "vtp", "vtkhdf", "glb"] {
         let file = format!("s.{format}");
         assert!(isospan(d, &["-q", "surface", "w.isospan", "-i", "0.1", "-o", &file]).status.success());
         let check = |memory: &str| {
@@ -203,8 +203,8 @@ fn a_surface_is_checked_the_same_whatever_its_memory() {
         assert_eq!(all.stdout, little.stdout, "{format}");
         reports.push(all.stdout);
     }
-    assert!(reports.iter().all(|r| *r == reports[0]), "five formats of one surface");
-    assert_eq!(fs::read_dir(d).unwrap().count(), 7, "nothing is left");
+    assert!(reports.iter().all(|r| *r == reports[0]), "six formats of one surface");
+    assert_eq!(fs::read_dir(d).unwrap().count(), 8, "nothing is left");
 }
 
 /// A stream's own chunks are counted: 96 MiB decoded do not fit in 64.

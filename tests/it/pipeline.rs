@@ -51,7 +51,7 @@ fn a_ball_has_the_area_and_the_volume_of_a_ball() {
     write_npy(&input, [64, 64, 64], ball);
     let out = dir.path().join("ball.isospan");
     reduce(&input, &settings(SetKind::Hammersley, Amount::Fraction(0.5), 50_000), &out, 2);
-    for extension in ["ply", "stl", "obj", "vtp", "glb"] {
+    for extension in ["ply", "stl", "obj", "vtp", "vtkhdf", "glb"] {
         let file = dir.path().join(format!("ball.{extension}"));
         surface(&out, 0.0, &file, 2);
         let report = check(&read(&file));
@@ -76,7 +76,7 @@ fn an_isovalue_outside_the_range_gives_an_empty_valid_file() {
     let out = dir.path().join("ball.isospan");
     let reduced = reduce(&input, &settings(SetKind::Regular, Amount::Fraction(1.0), 250_000), &out, 1);
     for isovalue in [reduced.range.unwrap()[0], -1e9, 1e9] {
-        for extension in ["ply", "stl", "obj", "vtp", "glb"] {
+        for extension in ["ply", "stl", "obj", "vtp", "vtkhdf", "glb"] {
             let file = dir.path().join(format!("empty.{extension}"));
             let report = surface(&out, isovalue, &file, 1);
             assert!(report.surfaces[0].outside_range && report.triangles == 0 && report.active_blocks == 0);

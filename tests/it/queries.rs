@@ -35,7 +35,7 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
     let dir = tempfile::tempdir().unwrap();
     let archive = archive(dir.path(), SetKind::Hammersley);
     let isovalues = [0.9, -0.7, 1e9, 0.0];
-    for extension in ["ply", "stl", "obj", "vtp"] {
+    for extension in ["ply", "stl", "obj", "vtp", "vtkhdf"] {
         let settings = SurfaceSettings {
             resources: Resources::default().with_threads(2),
             isovalues: isovalues.to_vec(),
@@ -113,7 +113,7 @@ fn several_isovalues_in_one_file_follow_each_other() {
     let archive = archive(dir.path(), SetKind::Halton);
     let isovalues = [0.9, -0.7, 0.0];
     let settings = SurfaceSettings { isovalues: isovalues.to_vec(), ..SurfaceSettings::default() };
-    for extension in ["ply", "obj", "vtp"] {
+    for extension in ["ply", "obj", "vtp", "vtkhdf"] {
         let all = dir.path().join(format!("all.{extension}"));
         ask(&archive, &settings, &all);
         let (joined, mut expected) = (read(&all), TriMesh::default());
@@ -129,6 +129,7 @@ fn several_isovalues_in_one_file_follow_each_other() {
         let named = match extension {
             "obj" => "\ng isovalue_-0.7",
             "ply" => "property float isovalue\n",
+            "vtkhdf" => "Scalars",
             _ => "Scalars=\"isovalue\"",
         };
         assert!(text.contains(named) && text.contains("isovalue 0.9 -0.7"), "{extension}");

@@ -80,6 +80,65 @@ impl Vtu {
     }
 }
 
+/// The same mesh, field and values in both formats, compressed or not; a reduction of it, too.
+#[cfg(feature = "hdf5")]
+#[test]
+fn vtkhdf_files_hold_what_vtu_files_do() {
+    use isospan::cells::{CellBlock, CellMesh};
+    let dir = tempfile::tempdir().unwrap();
+    let (input, archive) = (dir.path().join("w.npy"), dir.path().join("w.isospan"));
+    write_npy(&input, [40, 30, 24], waves);
+    reduce(&input, &settings(SetKind::Halton, Amount::Fraction(0.3), 5000), &archive, 2);
+    let whole = |mesh: &CellMesh| {
+        let (mut points, mut values, mut cells) = (vec![], vec![], vec![]);
+        let (mut stream, mut block) = (mesh.points().unwrap(), vec![]);
+        while stream.next_block(&mut block).unwrap() {
+            points.extend(block.iter().map(|p| p.map(f64::to_bits)));
+        }
+        let (mut stream, mut block) = (mesh.values(0, |_| false).unwrap(), vec![]);
+        while stream.next_block(&mut block).unwrap() {
+            values.extend(block.iter().map(|v| v.to_bits()));
+        }
+        let (mut stream, mut block) = (mesh.cells().unwrap(), CellBlock::default());
+        while stream.next_block(&mut block).unwrap() {
+            cells.extend(block.iter().map(|(kind, vertices)| (kind, vertices.to_vec())));
+        }
+        (points, values, cells)
+    };
+    let mut found = vec![];
+    for (name, compress) in [("a.vtu", false), ("b.vtkhdf", false), ("c.vtkhdf", true)] {
+        let out = dir.path().join(name);
+        let write = |threads| {
+            let resources = Resources::default().with_threads(threads);
+            let settings = ExportSettings { compress, resources, ..ExportSettings::default() };
+            let report = Archive::open(&archive).unwrap().write_tetrahedra(&settings, &out, &Silent).unwrap();
+            let bytes = fs::read(&out).unwrap();
+            assert_eq!(report.file_bytes, bytes.len() as u64);
+            bytes
+        };
+        assert!(write(1) == write(3), "{name}: threads show");
+        let mesh = isospan::formats::open_mesh(&out, &OpenOptions::default()).unwrap();
+        let again = dir.path().join(name).with_extension("isospan");
+        let settings = settings(SetKind::Hammersley, Amount::Fraction(0.2), 5000);
+        reduce(&out, &settings, &again, 2);
+        let file = dir.path().join("s.ply");
+        surface(&again, 0.2, &file, 2);
+        found.push((mesh.field().unwrap().name.clone(), whole(&mesh), read(&file)));
+    }
+    assert!(found[0].1.0.len() > 5000 && found[0].2.triangles.len() > 1000);
+    for other in &found[1..] {
+        assert_eq!(other.0, found[0].0);
+        assert!(other.1 == found[0].1, "points, values or cells differ");
+        assert!(other.2 == found[0].2, "surfaces of reductions differ");
+    }
+    // A file without tetrahedra is a file, too.
+    let empty = ExportSettings { range: Some([1e9, 2e9]), compress: true, ..ExportSettings::default() };
+    let out = dir.path().join("none.vtkhdf");
+    Archive::open(&archive).unwrap().write_tetrahedra(&empty, &out, &Silent).unwrap();
+    let mesh = isospan::formats::open_mesh(&out, &OpenOptions::default()).unwrap();
+    assert_eq!((mesh.info().points, mesh.info().cells), (0, 0));
+}
+
 #[test]
 fn exported_tetrahedra_fill_the_domain_each_point_once() {
     let dir = tempfile::tempdir().unwrap();

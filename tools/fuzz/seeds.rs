@@ -77,6 +77,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
     let mut meshes = vec![
         of("vtu", vec![VTU.into()]),
         of("vtm", vec![LIST.into()]),
+        of("vtkhdf", vec![include_bytes!("../../tests/data/vtkhdf_mesh.hdf").to_vec()]),
         of(
             "exo",
             vec![

@@ -156,7 +156,7 @@ def requests(server):
     assert triangles.max() < len(vertices) and report["triangles"] > 300
     radius = numpy.linalg.norm((vertices[:, :3] - 11.5) * 2 / 23, axis=1)
     assert abs(radius - 0.5).max() < 0.05
-    for form in ["glb", "stl", "ply", "obj", "vtp"]:
+    for form in ["glb", "stl", "ply", "obj", "vtp", "vtkhdf"]:
         status, _, file = server.ask(f"1/export?isovalues=0&step=1&format={form}")
         assert status == 200 and len(file) > 1000, form
     assert server.ask("1/export?isovalues=0&step=1&format=ply")[2] == ply

@@ -2,11 +2,13 @@
 import json
 import os
 
+import h5py
 import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import VTK_TETRA
 from vtkmodules.vtkFiltersCore import vtkContourGrid, vtkProbeFilter
 from vtkmodules.vtkFiltersVerdict import vtkCellSizeFilter
+from vtkmodules.vtkIOHDF import vtkHDFReader
 from vtkmodules.vtkIOGeometry import vtkGLTFReader, vtkOBJReader, vtkSTLReader
 from vtkmodules.vtkIOPLY import vtkPLYReader
 from vtkmodules.vtkIOXML import vtkXMLImageDataReader, vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
@@ -35,6 +37,45 @@ def area(triangles):
     return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
 
 
+def expect_same(found, expected, name):
+    """Two data sets with the same points, cells, arrays and active arrays."""
+
+    def arrays(data, with_active=True):
+        every = {data.GetArrayName(i): data.GetArray(i) for i in range(data.GetNumberOfArrays())}
+        active = [data.GetScalars(), data.GetNormals()] if with_active else []
+        return {key: vtk_to_numpy(array) for key, array in every.items()}, [a and a.GetName() for a in active]
+
+    is_grid = found.IsA("vtkUnstructuredGrid")
+    everything = []
+    for data in (found, expected):
+        cells = data.GetCells() if is_grid else data.GetPolys()
+        points = vtk_to_numpy(data.GetPoints().GetData()) if data.GetNumberOfPoints() else np.empty(0)
+        of_points, active = arrays(data.GetPointData())
+        of_field, _ = arrays(data.GetFieldData(), False)
+        all_arrays = {f"point {key}": values for key, values in of_points.items()}
+        all_arrays |= {f"field {key}": values for key, values in of_field.items()}
+        all_arrays |= {"points": points, "corners": vtk_to_numpy(cells.GetConnectivityArray())}
+        all_arrays["offsets"] = np.array([cells.GetOffset(n) for n in range(cells.GetNumberOfCells())])
+        if is_grid:
+            all_arrays["types"] = np.array([data.GetCellType(n) for n in range(data.GetNumberOfCells())])
+        everything.append((all_arrays, active, data.GetNumberOfCells()))
+    (found, active, count), (expected, expected_active, expected_count) = everything
+    assert count == expected_count and found.keys() == expected.keys(), (name, found.keys(), expected.keys())
+    assert active == expected_active or not len(found["points"]), (name, active, expected_active)
+    for key, values in found.items():
+        assert values.dtype == expected[key].dtype or not len(values), (name, key, values.dtype)
+        assert np.array_equal(values, expected[key], equal_nan=values.dtype.kind == "f"), (name, key)
+
+
+def arrays_of(group):
+    """All arrays below a group of HDF5. The library of h5py is newer, and stricter, than that of VTK."""
+    found = {}
+    for key in group:
+        item = group[key]
+        found |= arrays_of(item) if isinstance(item, h5py.Group) else {item.name: item[()]}
+    return found
+
+
 def near(found, expected, tolerance, what):
     assert abs(found - expected) <= tolerance * abs(expected), f"{what}: {found}, expected {expected}"
 
@@ -51,6 +92,17 @@ for get in (
 ):
     assert np.array_equal(vtk_to_numpy(get(plain)), vtk_to_numpy(get(packed)))
 assert os.path.getsize("packed.vtu") < os.path.getsize("plain.vtu") / 2
+assert os.path.getsize("packed.vtkhdf") < os.path.getsize("plain.vtkhdf") / 2
+with h5py.File("plain.vtkhdf") as one, h5py.File("packed.vtkhdf") as other, h5py.File("both.vtkhdf") as third:
+    assert other["VTKHDF/Points"].compression == "gzip" and one["VTKHDF/Points"].compression is None
+    one, other = arrays_of(one), arrays_of(other)
+    assert len(one) == 9 and one.keys() == other.keys() and all(np.array_equal(one[key], other[key]) for key in one)
+    assert len(arrays_of(third)) == 22 and third["comments"].asstr()[0] == "isovalue 400 1000.5"
+for name, reader in (("plain", vtkXMLUnstructuredGridReader), ("packed", vtkXMLUnstructuredGridReader),
+                     ("empty", vtkXMLUnstructuredGridReader), ("surface", vtkXMLPolyDataReader),
+                     ("both", vtkXMLPolyDataReader), ("none", vtkXMLPolyDataReader)):
+    xml = "vtu" if reader is vtkXMLUnstructuredGridReader else "vtp"
+    expect_same(read(vtkHDFReader(), f"{name}.vtkhdf"), read(reader(), f"{name}.{xml}"), name)
 size = vtkCellSizeFilter()
 size.SetInputData(packed)
 size.Update()
@@ -78,6 +130,7 @@ surfaces = {
     "stl": read(vtkSTLReader(), "surface.stl"),
     "obj": read(vtkOBJReader(), "surface.obj"),
     "vtp": read(vtkXMLPolyDataReader(), "surface.vtp"),
+    "vtkhdf": read(vtkHDFReader(), "surface.vtkhdf"),
     "glb": blocks.GetCurrentDataObject(),
 }
 for name, polys in surfaces.items():

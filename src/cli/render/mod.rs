@@ -42,7 +42,7 @@ use std::path::{Path, PathBuf};
     after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render scan.isospan -i 600,1000 --together --opacity 0.3,1 -o both.png\n  isospan render scan.isospan -i 600 --clip y=50%: --slice y=50% -o cut.png\n  isospan render flow.isospan -i 0.1 --colour-by pressure -o flow.png\n  isospan render scan.isospan -i 600 --turntable 36 -o turn.gif\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
 )]
 pub(crate) struct Args {
-    /// Surfaces (.ply .stl .obj .vtp .glb) or archives, these also by address: s3://... or
+    /// Surfaces (.ply .stl .obj .vtp .vtkhdf .glb) or archives, these also by address: s3://... or
     /// https://...
     #[arg(required = true)]
     inputs: Vec<PathBuf>,

@@ -6,6 +6,7 @@ pub(in crate::formats) mod gmsh;
 pub(crate) mod tet_arrays;
 pub(in crate::formats) mod tetgen;
 pub(crate) mod tetrahedra;
+pub(in crate::formats) mod vtkhdf;
 mod vtu;
 
 #[cfg(test)]

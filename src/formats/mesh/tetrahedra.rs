@@ -4,6 +4,7 @@
 //! | format | file | arrays |
 //! |---|---|---|
 //! | [`vtu`] | VTK XML UnstructuredGrid | raw, or zlib in blocks of 1 MiB |
+//! | [`vtkhdf`] | VTK's UnstructuredGrid in HDF5 | the same |
 //!
 //! All lengths follow from the two counts, so a head is final before the first point, and the
 //! memory used is that of a buffer. Those of compressed arrays are known only at the end: they wait
@@ -15,7 +16,7 @@
 //! over: tetrahedra in folded cells, and slivers where cells are bent.
 
 use super::tet_arrays::TetMeta;
-use super::vtu;
+use super::{vtkhdf, vtu};
 use crate::error::{Error, Result};
 use crate::formats::shared::sink::Sink;
 use crate::tets::StoredTets;
@@ -26,6 +27,8 @@ use std::path::Path;
 pub(crate) enum TetFormat {
     /// VTK XML UnstructuredGrid.
     Vtu,
+    /// VTKHDF UnstructuredGrid.
+    VtkHdf,
 }
 
 impl TetFormat {
@@ -37,8 +40,9 @@ impl TetFormat {
         let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         match extension.as_deref() {
             Some("vtu") => Ok(Self::Vtu),
+            Some("vtkhdf") => Ok(Self::VtkHdf),
             _ => Err(Error::usage(format!(
-                "cannot tell the mesh format of {}: end its name in .vtu",
+                "cannot tell the mesh format of {}: end its name in .vtu or .vtkhdf",
                 path.display()
             ))),
         }
@@ -60,6 +64,7 @@ pub(crate) fn write_tetrahedra(
     let mut sink = Sink::create(path)?;
     match format {
         TetFormat::Vtu => vtu::write(mesh, meta, &mut sink)?,
+        TetFormat::VtkHdf => vtkhdf::write(mesh, meta, &mut sink)?,
     }
     sink.publish()
 }

@@ -22,6 +22,9 @@ pub(in crate::formats) trait Arrays: Send + Sync {
     /// The format, as a person would call it.
     fn format(&self) -> String;
 
+    /// The names of all arrays, sorted.
+    fn names(&self) -> Vec<String>;
+
     /// The size of a dimension; `None` where there is none of this name.
     fn dimension(&self, name: &str) -> Option<u64>;
 
@@ -33,6 +36,9 @@ pub(in crate::formats) trait Arrays: Send + Sync {
 
     /// An attribute of an array that is text; empty where there is none.
     fn attribute(&self, array: &str, name: &str) -> String;
+
+    /// Whether there is an array of this name, and it is text.
+    fn is_text(&self, name: &str) -> bool;
 
     /// The rows of an array of characters; `None` where there is no array of this name.
     ///

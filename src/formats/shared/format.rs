@@ -1,6 +1,7 @@
 //! What isospan knows of a format that it reads.
 
 use super::coordinates::GridCoordinates;
+use super::hdf5_head;
 use super::stream::Codec;
 use super::{Frames, OpenOptions};
 use crate::bytes::{ByteSource, IoMode};
@@ -16,6 +17,13 @@ use std::sync::Arc;
 const HEAD: u64 = 4096;
 /// First bytes of a gzip file that are unpacked.
 const UNZIPPED: u64 = 512;
+
+/// Whether a file that begins so is HDF5, maybe behind a block of the user's: MATLAB writes one of
+/// 512 bytes.
+pub(in crate::formats) fn is_hdf5(bytes: &[u8]) -> bool {
+    let begins = |at: usize| bytes.get(at..).is_some_and(|rest| rest.starts_with(hdf5_head::SIGNATURE));
+    [0, 512, 1024, 2048].into_iter().any(begins)
+}
 
 /// The beginning of a file, or a folder.
 pub(in crate::formats) struct Head<'a> {
@@ -43,11 +51,14 @@ impl<'a> Head<'a> {
         Ok(Self { path, bytes, is_folder: false, source: Some(Arc::new(source)) })
     }
 
-    /// Whether it is HDF5, maybe behind a block of the user's: MATLAB writes one of 512 bytes.
+    /// Whether it is HDF5.
     pub(in crate::formats) fn is_hdf5(&self) -> bool {
-        let begins =
-            |at: usize| self.bytes.get(at..).is_some_and(|rest| rest.starts_with(b"\x89HDF\r\n\x1a\n"));
-        [0, 512, 1024, 2048].into_iter().any(begins)
+        is_hdf5(&self.bytes)
+    }
+
+    /// The file, where it is one.
+    pub(in crate::formats) fn source(&self) -> Option<&Arc<ByteSource>> {
+        self.source.as_ref()
     }
 
     pub(in crate::formats) fn of_folder(path: &'a Path) -> Self {

@@ -8,6 +8,7 @@ pub mod coordinates;
 pub(in crate::formats) mod entries;
 mod fields;
 pub(in crate::formats) mod format;
+pub(in crate::formats) mod hdf5_head;
 pub(in crate::formats) mod header;
 pub(in crate::formats) mod numbers;
 mod options;

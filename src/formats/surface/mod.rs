@@ -1,4 +1,4 @@
-//! Surface files, read and written: one interface for PLY, STL, OBJ, VTP and GLB.
+//! Surface files, read and written: one interface for PLY, STL, OBJ, VTP, GLB and VTKHDF.
 //!
 //! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every
 //! header is final when it is written, and the memory used is that of a buffer, for a surface of
@@ -12,23 +12,26 @@
 //! | OBJ, text | vertices with normals, triangles | none |
 //! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
 //! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
+//! | VTKHDF, contiguous arrays | vertices with normals, triangles, the isovalue | none |
 //!
 //! **Reading** ([`load_surface`], for the checker) streams too: what does not fit into a given
 //! memory goes to a scratch folder. It reads the formats as we write them and as other programs do.
 //! Polygons are cut into fans of triangles. Vertex normals are kept where the format stores them
-//! with the vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one
-//! that is not finite is an error.
+//! with the vertices (PLY, VTP, GLB, VTKHDF) and are zero otherwise. Positions are stored as `f32`;
+//! one that is not finite is an error.
 
 pub mod glb;
 pub mod obj;
 pub mod ply;
 pub mod stl;
 mod values;
+pub mod vtkhdf;
 pub mod vtp;
 
 use crate::bytes::ByteSource;
 use crate::bytes::sorter::Sorter;
 use crate::error::{Error, Result};
+use crate::formats::shared::format::is_hdf5;
 use crate::formats::shared::sink::Sink;
 use crate::surface::check::CheckSettings;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
@@ -53,11 +56,13 @@ pub enum SurfaceFormat {
     Vtp,
     /// glTF 2.0, binary.
     Glb,
+    /// VTK PolyData in HDF5.
+    VtkHdf,
 }
 
 impl SurfaceFormat {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp, Self::Glb];
+    pub const ALL: [Self; 6] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp, Self::Glb, Self::VtkHdf];
 
     /// The file name extension, lower case, without the dot.
     pub fn extension(self) -> &'static str {
@@ -67,13 +72,14 @@ impl SurfaceFormat {
             Self::Obj => "obj",
             Self::Vtp => "vtp",
             Self::Glb => "glb",
+            Self::VtkHdf => "vtkhdf",
         }
     }
 
     /// Refuses a format that has no values at vertices.
     pub(crate) fn expect_colours(self) -> Result<()> {
         if self == Self::Stl {
-            return Err(Error::usage("an STL file has no colours: write .ply, .vtp, .glb or .obj"));
+            return Err(Error::usage("an STL file has no colours: write .ply, .vtp, .vtkhdf, .glb or .obj"));
         }
         Ok(())
     }
@@ -87,7 +93,7 @@ impl SurfaceFormat {
         let found = Self::ALL.into_iter().find(|f| Some(f.extension()) == extension.as_deref());
         found.ok_or_else(|| {
             Error::usage(format!(
-                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp or .glb",
+                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp, .vtkhdf or .glb",
                 path.display()
             ))
         })
@@ -101,11 +107,11 @@ pub struct SurfaceMeta {
     pub isovalue: Option<f64>,
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
-    /// The parts of the surface, one after another, where it has several: PLY and VTP then have an
-    /// array `isovalue` of the vertices, OBJ has groups. Empty if it is one surface.
+    /// The parts of the surface, one after another, where it has several: PLY, VTP and VTKHDF then
+    /// have an array `isovalue` of the vertices, OBJ has groups. Empty if it is one surface.
     pub parts: Vec<SurfacePart>,
-    /// Values of a field at the vertices, where there are some: PLY, VTP and GLB have an array of
-    /// them, and PLY, OBJ and GLB colours.
+    /// Values of a field at the vertices, where there are some: PLY, VTP, VTKHDF and GLB have an
+    /// array of them, and PLY, OBJ and GLB colours.
     pub values: Option<Arc<VertexValues>>,
 }
 
@@ -236,6 +242,7 @@ fn write(
         SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
         SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
+        SurfaceFormat::VtkHdf => vtkhdf::write(source, &mut sink, meta)?,
     }
     sink.publish()
 }
@@ -268,6 +275,7 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
     let read = match SurfaceFormat::from_path(path) {
         _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes, out),
         _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source, out),
+        _ if is_hdf5(bytes) => vtkhdf::read(&source, out),
         _ if glb::is_glb(bytes) => glb::read(path, bytes, &limits, out),
         _ if stl::is_binary(bytes) => stl::read(path, bytes, &limits, out),
         Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &limits, out),
@@ -276,7 +284,7 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
         _ => Err(Error::bad_input(
             path,
             "first bytes",
-            "a PLY, STL, OBJ, VTP or GLB surface",
+            "a PLY, STL, OBJ, VTP, GLB or VTKHDF surface",
             "something else",
         )
         .with_help("convert it, or give the file the extension of its format")),
@@ -543,7 +551,7 @@ pub(in crate::formats) mod tests {
                 }
                 let back = read_surface(&path).unwrap();
                 same_shape(&mesh, &back);
-                if matches!(format, SurfaceFormat::Ply | SurfaceFormat::Vtp | SurfaceFormat::Glb) {
+                if !matches!(format, SurfaceFormat::Stl | SurfaceFormat::Obj) {
                     assert_eq!(mesh, back);
                 }
             }

@@ -1,6 +1,6 @@
 //! HDF5 and NetCDF-4 in a program that does not read them.
 
-use crate::bytes::IoMode;
+use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::OpenOptions;
 use crate::formats::shared::arrays::Arrays;
@@ -35,8 +35,13 @@ impl Format for Hdf5 {
 }
 
 /// The datasets of a file, which are not read.
-pub(in crate::formats) fn arrays(path: &Path, _: IoMode) -> Result<Arc<dyn Arrays>> {
-    Err(not_read(path))
+pub(in crate::formats) fn arrays(source: &Arc<ByteSource>, _: usize) -> Result<Arc<dyn Arrays>> {
+    Err(not_read(source.path()))
+}
+
+/// The type of a VTKHDF file, which is not read.
+pub(in crate::formats) fn vtk_kind(source: &Arc<ByteSource>) -> Result<Option<String>> {
+    Err(not_read(source.path()))
 }
 
 fn not_read(path: &Path) -> Error {

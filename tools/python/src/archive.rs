@@ -352,7 +352,7 @@ impl Archive {
         to_python(py, &report)
     }
 
-    /// Tetrahedra in a VTU file.
+    /// Tetrahedra in a VTU or VTKHDF file.
     #[allow(clippy::too_many_arguments)]
     fn save_tetrahedra<'py>(
         &self,

@@ -15,7 +15,7 @@ import isospan
 ISOVALUE = 1000.5
 
 
-@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "vtp", "glb"])
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "vtp", "vtkhdf", "glb"])
 def test_surface_files_are_those_of_the_program(tooth, program, tmp_path, suffix):
     files = [tmp_path / f"{name}.{suffix}" for name in ("program", "saved", "written")]
     program("surface", tooth.path, "-i", ISOVALUE, "-o", files[0])

@@ -25,6 +25,7 @@
 
 mod blocks;
 
+use crate::bytes::ByteSource;
 use crate::cells::{CellField, CellFile, CellMesh, CellStream, CellsInfo, Center, NumberStream};
 use crate::error::{Error, Result};
 use crate::formats::shared::arrays::Arrays;
@@ -125,8 +126,11 @@ struct Place {
 }
 
 fn open(path: &Path, options: &OpenOptions) -> Result<Shared> {
-    let is_hdf5 = Head::of(path, options.io)?.is_hdf5();
-    let arrays = if is_hdf5 { hdf5::arrays(path, options.io)? } else { netcdf::arrays(path, options.io)? };
+    let arrays = if Head::of(path, options.io)?.is_hdf5() {
+        hdf5::arrays(&Arc::new(ByteSource::open(path, options.io)?), 0)?
+    } else {
+        netcdf::arrays(path, options.io)?
+    };
     let wrong = |at: &str, expected: &str, got: String| Error::bad_input(path, at, expected, got);
     if let Some(parts) = arrays.dimension("num_procs").filter(|&n| n > 1) {
         return Err(wrong(

@@ -1,14 +1,15 @@
-//! The datasets in the root group of a file, by their names.
+//! The datasets of a file, by their paths.
 
 use super::{attribute_text, damaged, open_file, scalar_of, values};
-use crate::bytes::{ByteSource, IoMode};
+use crate::bytes::ByteSource;
 use crate::cells::NumberStream;
 use crate::error::{Error, Result};
 use crate::formats::shared::arrays::{ArrayInfo, Arrays, MOST_TEXT, texts_of};
 use crate::volume::ScalarType;
 use hdf5_reader::messages::datatype::{Datatype, StringSize};
 use hdf5_reader::{Dataset, Hdf5File, SliceInfo, SliceInfoElem};
-use std::path::{Path, PathBuf};
+use std::collections::{BTreeSet, HashSet};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Most bytes of a chunk, as the library of NetCDF makes them unless it is told otherwise.
@@ -16,22 +17,48 @@ const MOST_AT_ONCE: u64 = 16 << 20;
 /// Small chunks are read together up to this many bytes, since each read walks the index of chunks.
 const PIECE: u64 = 4 << 20;
 
-/// Opens the datasets of a file.
+/// Opens the datasets of a file: those of the root group, and of groups up to `depth` below it,
+/// each group once. A name is a path, without the first "/".
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file.
-pub(in crate::formats) fn arrays(path: &Path, io: IoMode) -> Result<Arc<dyn Arrays>> {
-    let source = Arc::new(ByteSource::open(path, io)?);
-    let file = open_file(path, &source)?;
+pub(in crate::formats) fn arrays(source: &Arc<ByteSource>, depth: usize) -> Result<Arc<dyn Arrays>> {
+    let path = source.path();
+    let file = open_file(path, source)?;
     let root = file.root_group().map_err(|e| damaged(path, "/", &e))?;
-    let (_, names) = root.member_names().map_err(|e| damaged(path, "/", &e))?;
-    Ok(Arc::new(Datasets { path: path.to_path_buf(), file, names: names.into_iter().collect() }))
+    let (mut names, mut left) = (BTreeSet::new(), vec![(String::new(), root, depth)]);
+    let mut seen = HashSet::new();
+    while let Some((prefix, group, depth)) = left.pop() {
+        // Of many links to groups of many links there would be no end.
+        if !seen.insert(group.address()) {
+            continue;
+        }
+        let wrong = |e: hdf5_reader::error::Error| damaged(path, &format!("/{prefix}"), &e);
+        let (groups, datasets) = group.member_names().map_err(wrong)?;
+        names.extend(datasets.into_iter().map(|name| format!("{prefix}{name}")));
+        for name in groups.into_iter().filter(|_| depth > 0) {
+            let below = group.group(&name).map_err(wrong)?;
+            left.push((format!("{prefix}{name}/"), below, depth - 1));
+        }
+    }
+    Ok(Arc::new(Datasets { path: path.to_path_buf(), file, names }))
+}
+
+/// The type of a VTKHDF file; `None` of another file.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file.
+pub(in crate::formats) fn vtk_kind(source: &Arc<ByteSource>) -> Result<Option<String>> {
+    let path = source.path();
+    let file = open_file(path, source)?;
+    let kind = file.group("VTKHDF").ok().and_then(|group| group.attribute("Type").ok());
+    Ok(kind.and_then(|kind| attribute_text(&kind)))
 }
 
 struct Datasets {
     path: PathBuf,
     file: Hdf5File,
-    names: std::collections::HashSet<String>,
+    names: BTreeSet<String>,
 }
 
 impl Datasets {
@@ -52,6 +79,10 @@ impl Arrays for Datasets {
         "NetCDF-4".into()
     }
 
+    fn names(&self) -> Vec<String> {
+        self.names.iter().cloned().collect()
+    }
+
     fn dimension(&self, name: &str) -> Option<u64> {
         self.dataset(name).ok()??.shape().first().copied()
     }
@@ -65,6 +96,11 @@ impl Arrays for Datasets {
     fn attribute(&self, array: &str, name: &str) -> String {
         let found = self.dataset(array).ok().flatten().and_then(|d| d.attribute(name).ok());
         found.and_then(|a| attribute_text(&a)).unwrap_or_default()
+    }
+
+    fn is_text(&self, name: &str) -> bool {
+        let dataset = self.dataset(name).ok().flatten();
+        dataset.is_some_and(|d| matches!(d.dtype(), Datatype::String { .. }))
     }
 
     fn texts(&self, name: &str) -> Result<Option<Vec<String>>> {

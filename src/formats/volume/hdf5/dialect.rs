@@ -3,7 +3,7 @@
 //!
 //! | convention | known by | |
 //! |---|---|---|
-//! | VTKHDF | `/VTKHDF`, its `Type` | an image is read, other types are refused |
+//! | VTKHDF | `/VTKHDF`, its `Type` | an image is read here, a mesh and a surface elsewhere; other types are refused |
 //! | MINC 2 | `/minc-2.0` | read; of irregular spacing, or with a time axis, refused |
 //! | ITK | `/ITKImage` | read |
 //! | Imaris, BigDataViewer, Dream.3D, Chimera, EMAN2, openPMD, CGNS, MED; Exodus II of another name | groups and attributes | refused |
@@ -135,7 +135,13 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     let kind = root.attribute("Type").ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
     if kind != "ImageData" {
         let got = format!("a VTKHDF file of type '{kind}'");
-        return Err(refused(path, at, got, "write it as .vtu, .vti, .vtr or .vts"));
+        let help = match &*kind {
+            "PolyData" => "of surfaces, isospan check tells what is in them",
+            // It is read as a mesh, unless it is on a server.
+            "UnstructuredGrid" => "copy it to a disk, and name that copy",
+            _ => "write it as .vtu, .vti, .vtr or .vts",
+        };
+        return Err(refused(path, at, got, help));
     }
     if root.group("Steps").is_ok() {
         let got = "a VTKHDF image of several steps";

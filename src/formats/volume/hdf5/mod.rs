@@ -69,7 +69,7 @@ use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
-pub(in crate::formats) use arrays::arrays;
+pub(in crate::formats) use arrays::{arrays, vtk_kind};
 use chunks::Chunks;
 use dialect::{Dialect, Placed};
 use half::f16;

@@ -242,10 +242,10 @@ fn images_of_vtkhdf_are_placed_and_other_types_refused() {
     let line = open("vtkhdf.hdf", "flow").err().expect("vectors").to_string();
     assert!(line.contains("flow (3 x float32, not scalar)"), "{line}");
     for (name, what) in [
-        ("vtkhdf_mesh.hdf", "VTKHDF file of type 'UnstructuredGrid'; write it as .vtu"),
+        ("vtkhdf_mesh.hdf", "VTKHDF file of type 'UnstructuredGrid'; copy it to a disk"),
         ("imaris.ims", "an Imaris file"),
     ] {
-        let error = open_volume(&data(name), &OpenOptions::default()).err().expect("refused");
+        let error = super::open(&data(name), &OpenOptions::default()).err().expect("refused");
         assert_eq!(error.exit_code(), 5);
         assert!(error.to_string().contains(what), "{error}");
     }

@@ -67,6 +67,12 @@ impl Arrays for Variables {
         self.header.name().into()
     }
 
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = self.variables.keys().cloned().collect();
+        names.sort();
+        names
+    }
+
     fn dimension(&self, name: &str) -> Option<u64> {
         self.dims.get(name).map(|&dim| self.header.size(dim))
     }
@@ -79,6 +85,10 @@ impl Arrays for Variables {
 
     fn attribute(&self, array: &str, name: &str) -> String {
         self.variable(array).map_or_else(String::new, |v| v.text(name))
+    }
+
+    fn is_text(&self, name: &str) -> bool {
+        self.variable(name).is_some_and(Variable::is_text)
     }
 
     fn texts(&self, name: &str) -> Result<Option<Vec<String>>> {

@@ -429,7 +429,7 @@ class Archive:
         scratch: PathLike | None = None,
         progress: Progress = None,
     ) -> dict[str, Any]:
-        """Writes tetrahedra to a .vtu file, in bounded memory, as ``isospan export`` does.
+        """Writes tetrahedra to a .vtu or .vtkhdf file, in bounded memory, as ``isospan export`` does.
 
         range: only tetrahedra whose corners all (with any_corner: at least one) have values in it;
             an end that is None is open. roi, bounds: only those that touch the box. every: each

@@ -58,7 +58,7 @@ class Surface:
         return self._core.isovalue
 
     def save(self, path: PathLike) -> int:
-        """Writes a file, .ply, .stl, .obj, .vtp or .glb, and returns its bytes.
+        """Writes a file, .ply, .stl, .obj, .vtp, .vtkhdf or .glb, and returns its bytes.
 
         It is the file that ``isospan surface`` writes, and replaces one that is there, as ``numpy.save``
         does.
@@ -94,6 +94,6 @@ def _unpickle(vertices: bytes, faces: bytes, isovalue: float, comment: str) -> S
 def save_surfaces(surfaces: Sequence[Surface], path: PathLike) -> int:
     """Writes several surfaces of an archive to one file, and returns its bytes.
 
-    PLY and VTP files have an array ``isovalue`` then, OBJ files a group for each surface.
+    PLY, VTP and VTKHDF files have an array ``isovalue`` then, OBJ files a group for each surface.
     """
     return _isospan.Surface.save_all([surface._core for surface in surfaces], path)
