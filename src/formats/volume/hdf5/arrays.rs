@@ -126,16 +126,18 @@ impl Arrays for Datasets {
         }
         let rest = &shape[before.len()..];
         let rows = rest.first().copied().unwrap_or(1);
-        let row = rest.iter().skip(1).try_fold(scalar.bytes() as u64, |n, &d| n.checked_mul(d));
+        let row = rest.iter().skip(1).try_fold(1u64, |n, &d| n.checked_mul(d));
         let chunk = dataset.chunks().and_then(|c| c.get(before.len()).copied()).unwrap_or(1);
         // Whole chunks, so that each is decoded once.
-        let size = |rows: u64| row.and_then(|row| row.checked_mul(rows));
+        let size = |rows: u64, bytes: u64| row.and_then(|row| row.checked_mul(rows)?.checked_mul(bytes));
+        let bytes = scalar.bytes() as u64;
         let mut at_once = u64::from(chunk).max(1);
-        while at_once < rows && size(2 * at_once).is_some_and(|bytes| bytes <= PIECE) {
+        // Numbers of one byte are eight times as large when they are loaded.
+        while at_once < rows && size(2 * at_once, bytes.max(4)).is_some_and(|bytes| bytes <= PIECE) {
             at_once *= 2;
         }
         at_once = at_once.min(rows.max(1));
-        if size(at_once).is_none_or(|bytes| bytes > MOST_AT_ONCE) {
+        if size(at_once, bytes).is_none_or(|bytes| bytes > MOST_AT_ONCE) {
             let got = format!("{shape:?} numbers in chunks of {:?}", dataset.chunks().unwrap_or_default());
             return Err(self
                 .wrong(name, "chunks of at most 16 MiB", got)
