@@ -9,6 +9,7 @@
 //! not count.
 
 use super::mesh::{CellBlocks, Part, Tuples};
+use super::polyhedron::{Faces, distinct};
 use super::{BLOCK, CellBlock, CellFile, CellKind};
 use crate::error::Result;
 use std::sync::Arc;
@@ -76,7 +77,7 @@ impl Averages {
         let components = info.fields[self.field].components as usize;
         let mut values = Tuples::new(self.file.field(self.field)?, components, self.part, info.cells);
         let (mut cells, mut block) = (CellBlocks::new(&*self.file)?, CellBlock::default());
-        let (mut some, mut used) = (vec![], 0);
+        let (mut some, mut used, mut of_faces) = (vec![], 0, vec![]);
         while cells.next_block(&mut block)? {
             for (kind, vertices) in block.iter() {
                 if used == some.len() {
@@ -85,8 +86,13 @@ impl Averages {
                 }
                 let value = if (self.is_missing)(some[used]) { f64::NAN } else { some[used] };
                 used += 1;
-                if kind != CellKind::Flat {
-                    self.add(first, value, vertices);
+                match kind {
+                    CellKind::Flat => {}
+                    CellKind::Polyhedron => {
+                        distinct(Faces::new(vertices), &mut of_faces);
+                        self.add(first, value, &of_faces);
+                    }
+                    _ => self.add(first, value, vertices),
                 }
             }
         }

@@ -45,6 +45,8 @@ pub enum CellKind {
     BiquadraticWedge,
     /// 14 vertices: with the one in the middle of the base.
     BiquadraticPyramid,
+    /// Any number of faces of any number of vertices: see [`polyhedron`](super::polyhedron).
+    Polyhedron,
     /// A vertex, line, triangle or another cell without a volume; its vertices are not kept.
     Flat,
 }
@@ -83,7 +85,7 @@ pub(super) const PYRAMID: Shape = Shape {
 };
 
 impl CellKind {
-    /// All kinds that have a volume.
+    /// All kinds that have a volume and a certain number of vertices.
     pub const SOLID: [Self; 12] = [
         Self::Tetrahedron,
         Self::Voxel,
@@ -99,7 +101,13 @@ impl CellKind {
         Self::BiquadraticPyramid,
     ];
 
-    /// Vertices of a cell, as they are kept: none of [`CellKind::Flat`].
+    /// Whether cells of this kind have a volume.
+    pub fn is_solid(self) -> bool {
+        self != Self::Flat
+    }
+
+    /// Vertices of a cell, as they are kept: none of [`CellKind::Flat`]. Of a polyhedron, whose
+    /// number differs from cell to cell, 0.
     pub fn vertices(self) -> usize {
         match self {
             Self::Tetrahedron => 4,
@@ -113,7 +121,7 @@ impl CellKind {
             Self::TriquadraticHexahedron => 27,
             Self::BiquadraticWedge => 18,
             Self::BiquadraticPyramid => 14,
-            Self::Flat => 0,
+            Self::Polyhedron | Self::Flat => 0,
         }
     }
 
@@ -132,6 +140,7 @@ impl CellKind {
             Self::TriquadraticHexahedron => "triquadratic hexahedra",
             Self::BiquadraticWedge => "biquadratic wedges",
             Self::BiquadraticPyramid => "biquadratic pyramids",
+            Self::Polyhedron => "polyhedra",
             Self::Flat => "cells without a volume",
         }
     }
@@ -146,11 +155,29 @@ impl CellKind {
             }
             Self::Wedge | Self::QuadraticWedge | Self::BiquadraticWedge => &WEDGE,
             Self::Pyramid | Self::QuadraticPyramid | Self::BiquadraticPyramid => &PYRAMID,
-            Self::Flat => &Shape { corners: 0, edges: &[], faces: &[] },
+            Self::Polyhedron | Self::Flat => &Shape { corners: 0, edges: &[], faces: &[] },
         }
     }
 
-    /// The kind of a VTK cell type, or the name of one that is not read.
+    /// The faces of four vertices of a linear cell, as those are numbered around a cell of this
+    /// kind. None of quadratic ones, whose faces have more.
+    pub fn four_sided(self, vertices: &[u64]) -> impl Iterator<Item = [u64; 4]> + '_ {
+        let is_voxel = self == Self::Voxel;
+        let shape = self.shape();
+        let is_linear = shape.corners == self.vertices();
+        let faces = shape.faces.iter().filter(move |face| is_linear && face.len() == 4);
+        // x fastest to around.
+        let around = |i: usize| if i % 4 > 1 { i ^ 1 } else { i };
+        faces.map(move |face| {
+            std::array::from_fn(|i| {
+                let corner = usize::from(face[i]);
+                vertices[if is_voxel { around(corner) } else { corner }]
+            })
+        })
+    }
+
+    /// The kind of a VTK cell type, or the name of one that is not read. Polyhedra (42) are among
+    /// these: their faces are told in a way of their own by each format.
     ///
     /// # Errors
     /// A name for the user.

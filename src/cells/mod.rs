@@ -16,9 +16,10 @@
 //! Nothing here holds a point, a value or a cell longer than its block; who needs them together
 //! sorts them (externally).
 //!
-//! **Cells.** [`CellKind`] lists the kinds that are read, linear and quadratic. Cells without a
-//! volume (vertices, lines, triangles: Gmsh writes the boundary too) are counted and passed over;
-//! kinds that are neither are refused by name.
+//! **Cells.** [`CellKind`] lists the kinds that are read: linear and quadratic ones, and polyhedra,
+//! which need vertices of their own ([`polyhedron`]). Cells without a volume (vertices, lines,
+//! triangles: Gmsh writes the boundary too) are counted and passed over; kinds that are neither are
+//! refused by name.
 //!
 //! **Cell data** are averaged to the vertices: the mean over the cells that use the vertex, each
 //! counted once. See [`average`](mod@average) for how that is done in bounded memory.
@@ -27,6 +28,7 @@ pub mod average;
 pub mod kind;
 mod order;
 pub mod orient;
+pub mod polyhedron;
 pub mod quadratic;
 pub mod scan;
 pub mod split;
@@ -151,6 +153,14 @@ pub trait CellFile: Send + Sync {
     /// When the file cannot be read.
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>>;
 
+    /// Whether some cells may be polyhedra.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    fn may_have_polyhedra(&self) -> Result<bool> {
+        Ok(false)
+    }
+
     /// A hash of all that points and cells are read from, as it is stored: files of the same one
     /// have the same of both. `None` where that is not known before they are read.
     ///
@@ -204,12 +214,32 @@ impl CellBlock {
     /// Appends a cell.
     ///
     /// # Panics
-    /// When the number of vertices is not that of the kind.
+    /// When the number of vertices is not that of the kind, or the kind is a polyhedron.
     pub fn push(&mut self, kind: CellKind, vertices: &[u64]) {
+        assert!(kind != CellKind::Polyhedron, "polyhedra are told by their faces");
         assert_eq!(vertices.len(), kind.vertices(), "readers count vertices");
         self.kinds.push(kind);
         self.vertices.extend_from_slice(vertices);
         self.ends.push(self.vertices.len());
+    }
+
+    /// Appends a polyhedron, face by face: of each its number of vertices, then these. The numbers
+    /// must agree; [`CellMesh`] checks the rest.
+    pub fn push_polyhedron(&mut self, faces: &[u64]) {
+        self.kinds.push(CellKind::Polyhedron);
+        self.vertices.extend_from_slice(faces);
+        self.ends.push(self.vertices.len());
+    }
+
+    /// Numbers that the cells take.
+    pub fn numbers(&self) -> usize {
+        self.vertices.len()
+    }
+
+    /// What is kept of a cell.
+    fn of_mut(&mut self, i: usize) -> &mut [u64] {
+        let start = if i == 0 { 0 } else { self.ends[i - 1] };
+        &mut self.vertices[start..self.ends[i]]
     }
 
     /// Makes cells without a volume of those at certain places.
@@ -229,7 +259,8 @@ impl CellBlock {
     }
 
     /// The cells in order: kind and vertex numbers, in VTK's order of vertices. Those of a cell
-    /// without a volume are not kept.
+    /// without a volume are not kept. Of a polyhedron there are its faces, each with its number of
+    /// vertices before these ([`polyhedron::Faces`]).
     pub fn iter(&self) -> impl Iterator<Item = (CellKind, &[u64])> {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         let spans = starts.zip(&self.ends).map(|(start, &end)| &self.vertices[start..end]);

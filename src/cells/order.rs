@@ -12,6 +12,7 @@
 //! vertices decides nothing.
 
 use super::mesh::{CellBlocks, CellMesh};
+use super::polyhedron::{Faces, is_folded};
 use super::{CellBlock, CellKind, Orientation, orient, split};
 use crate::error::{Error, Result};
 use std::collections::HashMap;
@@ -20,6 +21,8 @@ use std::collections::HashMap;
 const FIRST: u64 = 16;
 /// Cells of the sample, about.
 const SAMPLE: u64 = 4096;
+/// Numbers of vertices that the sample has, at most: a polyhedron may have very many.
+const MOST_NUMBERS: usize = 1 << 20;
 
 /// For kinds whose vertices on edges are in another order than VTK's: which of them lies on each
 /// edge.
@@ -53,10 +56,13 @@ impl Orders {
         let stride = info.cells.div_ceil(SAMPLE).max(1);
         let (mut stream, mut block, mut at) = (cells()?, CellBlock::default(), 0u64);
         let (mut sample, mut number): (Vec<(u64, CellKind, Vec<u64>)>, u64) = (vec![], 0);
+        let mut held = 0;
         while stream.next_block(&mut block)? {
             for (i, (kind, vertices)) in block.iter().enumerate() {
                 let cell = at + i as u64;
-                if cell.is_multiple_of(stride) && !matches!(kind, CellKind::Flat | CellKind::Tetrahedron) {
+                let is_one = !matches!(kind, CellKind::Flat | CellKind::Tetrahedron);
+                if cell.is_multiple_of(stride) && is_one && held + vertices.len() <= MOST_NUMBERS {
+                    held += vertices.len();
                     sample.push((cell, kind, vertices.to_vec()));
                 }
             }
@@ -69,8 +75,16 @@ impl Orders {
         if sample.is_empty() {
             return Ok(Self::default());
         }
-        let mut places: HashMap<u64, [f64; 3]> =
-            sample.iter().flat_map(|(.., v)| v).map(|&v| (v, [f64::NAN; 3])).collect();
+        let mut places: HashMap<u64, [f64; 3]> = HashMap::new();
+        for (_, kind, vertices) in &sample {
+            let mut note = |&v: &u64| {
+                places.insert(v, [f64::NAN; 3]);
+            };
+            match kind {
+                CellKind::Polyhedron => Faces::new(vertices).flatten().for_each(note),
+                _ => vertices.iter().for_each(&mut note),
+            }
+        }
         let (mut points, mut block, mut at) = (mesh.points()?, vec![], 0u64);
         while points.next_block(&mut block)? {
             for (i, p) in block.iter().enumerate() {
@@ -134,6 +148,10 @@ impl Orders {
         // The cells, in that order: whole, or folded?
         let (mut folded, mut tets) = (vec![], vec![]);
         for (cell, kind, vertices) in &sample {
+            if *kind == CellKind::Polyhedron {
+                folded.extend(is_folded(Faces::new(vertices), |v| places[&v]).then_some(*cell));
+                continue;
+            }
             let mut one = CellBlock::default();
             one.push(*kind, vertices);
             orders.apply(&mut one);
@@ -154,7 +172,12 @@ impl Orders {
                 expected,
                 got,
             )
-            .with_help("its vertices are in another order than the format's, or the mesh is damaged"));
+            .with_help(match sample.iter().find(|(cell, ..)| *cell == folded[0]) {
+                Some((_, CellKind::Polyhedron, _)) => {
+                    "not all of its faces are seen from its middle: split such polyhedra into convex ones"
+                }
+                _ => "its vertices are in another order than the format's, or the mesh is damaged",
+            }));
         }
         Ok(orders)
     }

@@ -1,6 +1,7 @@
 //! One pass over a mesh: bounds, cells by kind, ranges of fields. Memory: a block, and the window
 //! of averaged cell data.
 
+use super::polyhedron::{Faces, tetrahedra_of};
 use super::{CellBlock, CellKind, CellMesh, split};
 use crate::error::Result;
 use serde::Serialize;
@@ -42,6 +43,10 @@ pub fn scan(mesh: &CellMesh) -> Result<MeshScan> {
         for (kind, vertices) in block.iter() {
             *out.kinds.entry(kind).or_default() += 1;
             tets.clear();
+            if kind == CellKind::Polyhedron {
+                out.tetrahedra += tetrahedra_of(Faces::new(vertices));
+                continue;
+            }
             out.collapsed += split(kind, vertices, &mut tets) as u64;
             out.tetrahedra += tets.len() as u64;
         }

@@ -208,8 +208,12 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     let of_mesh = report.mesh.is_some() && report.steps.len() == 1;
     let points = report.points - if of_mesh { report.void_points } else { 0 };
     let of_what = if report.mesh.is_some() { "vertices" } else { "samples" };
-    let _ =
-        writeln!(out, "  points      {} of {} {of_what}", text::count(points), text::count(report.samples));
+    let added = match &report.mesh {
+        Some(mesh) if report.own && mesh.added > 0 => format!(" and {} added", text::count(mesh.added)),
+        _ => String::new(),
+    };
+    let of = text::count(report.samples);
+    let _ = writeln!(out, "  points      {} of {of} {of_what}{added}", text::count(points));
     let _ = writeln!(
         out,
         "  tetrahedra  {} in {}",

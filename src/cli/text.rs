@@ -115,6 +115,7 @@ pub(crate) fn mesh_census(mesh: &isospan::pipeline::MeshCensus) -> String {
         (mesh.inverted, "turned over, as they were inverted"),
         (mesh.degenerate, "without a volume"),
         (mesh.repeated, "points repeated"),
+        (mesh.added, "points added in the middle of polyhedra and of their faces"),
         (mesh.ghosts, "ghosts left out"),
     ]
     .into_iter()

@@ -1,8 +1,8 @@
 //! Whether two files hold the same mesh: hashes of all points, and of all cells that have a volume.
 //!
-//! Coordinates are hashed as `f64`, for any type in the file; cells as kind and vertex numbers, in
-//! the order of the file. Cells without a volume, and those that a file marks as ghosts, are no
-//! part of the mesh. Cost: one pass over both, of which hashing is little.
+//! Coordinates are hashed as `f64`, for any type in the file; cells as kind and vertex numbers, of
+//! polyhedra the faces, in the order of the file. Cells without a volume, and those that a file
+//! marks as ghosts, are no part of the mesh. Cost: one pass over both, of which hashing is little.
 
 use crate::cells::{CellBlock, CellMesh};
 use crate::error::Result;
@@ -56,7 +56,7 @@ impl IdentityHash {
 
     pub(super) fn add_cells(&mut self, cells: &CellBlock) {
         self.bytes.clear();
-        for (kind, vertices) in cells.iter().filter(|(kind, _)| kind.vertices() > 0) {
+        for (kind, vertices) in cells.iter().filter(|(kind, _)| kind.is_solid()) {
             self.bytes.push(kind as u8);
             vertices.iter().for_each(|v| self.bytes.extend(v.to_le_bytes()));
         }

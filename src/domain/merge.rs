@@ -78,11 +78,12 @@ impl Firsts {
         Ok((0u64..).zip(of).filter(|(v, first)| v != *first).map(|(v, &first)| [v, first]))
     }
 
-    /// Puts the first of its equals in the place of each vertex.
+    /// Puts the first of its equals in the place of each vertex. Vertices that polyhedra add have
+    /// none.
     pub(crate) fn replace(&self, vertices: &mut [u64]) -> Result<()> {
         if let Some(of) = &self.of {
             let of = of.get()?;
-            vertices.iter_mut().for_each(|v| *v = of[*v as usize]);
+            vertices.iter_mut().for_each(|v| *v = of.get(*v as usize).copied().unwrap_or(*v));
         }
         Ok(())
     }

@@ -15,6 +15,8 @@
 //! point is looked for among the cells of its brick, in batches, by [`crate::locate`]. Where values
 //! are fitted to those at the mesh's vertices, a brick has these too ([`vertices`]).
 //!
+//! Polyhedra add vertices to those of the file before: see [`polyhedra`].
+//!
 //! # The box around it
 //!
 //! The mesh lies in a box of cubes ("voxels", so that bricks and chunks are those of a volume) on
@@ -48,6 +50,7 @@ pub(crate) mod identity;
 pub(crate) mod merge;
 pub(crate) mod nearest;
 pub(crate) mod own;
+mod polyhedra;
 mod scatter;
 pub(crate) mod store;
 pub(crate) mod vertices;

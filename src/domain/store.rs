@@ -6,8 +6,9 @@ use super::creases::Creases;
 use super::frame::{Bounds, Frame};
 use super::identity::{Identity, IdentityHash};
 use super::merge::Firsts;
+use super::polyhedra::{Added, Splitter};
 use crate::bytes::sorter::Sorter;
-use crate::cells::{CellBlock, CellMesh, split};
+use crate::cells::{CellBlock, CellKind, CellMesh, split};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::LatticePos;
@@ -43,8 +44,11 @@ pub(crate) struct StoreSettings {
 /// What was found in a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MeshCensus {
-    /// Points.
+    /// Points of the file.
     pub vertices: u64,
+    /// Points that were added: in the middle of polyhedra, and of their faces of more than four
+    /// points.
+    pub added: u64,
     /// Cells with a volume.
     pub cells: u64,
     /// Tetrahedra that they were split into, those without a volume left out.
@@ -67,6 +71,7 @@ pub struct MeshCensus {
 pub(crate) struct CellStore {
     pub(crate) frame: Frame,
     pub(crate) census: MeshCensus,
+    /// Those of the file's points, then of those that were added.
     pub(crate) positions: Column<FinePos>,
     pub(crate) values: Column<f32>,
     /// Vertices of each tetrahedron, positively oriented, body after body.
@@ -79,6 +84,8 @@ pub(crate) struct CellStore {
     pub(super) creases: Creases,
     /// Vertices that are one.
     pub(crate) firsts: Arc<Firsts>,
+    /// What polyhedra add.
+    added: Option<Added>,
     pub(crate) identity: Identity,
     /// Six times the volume of all tetrahedra, in fine steps.
     pub(crate) volume6: i128,
@@ -116,8 +123,17 @@ impl CellStore {
             Some(firsts) => firsts,
             None => Firsts::new(positions.get()?, values.get()?, settings)?,
         };
+        let vertices = positions.get()?.len() as u64;
+        let added = Added::new(mesh, positions.get()?, &firsts, settings)?;
+        let (positions, values) = match &added {
+            Some(added) => {
+                (added.positions(positions.get()?, settings)?, added.values(values.get()?, settings)?)
+            }
+            None => (positions, values),
+        };
         let mut sink = TetSink::new(settings)?;
-        read_cells(mesh, positions.get()?, &firsts, settings, &mut identity, &mut sink)?;
+        let numbered = (&firsts, added.as_ref());
+        read_cells(mesh, positions.get()?, numbered, settings, &mut identity, &mut sink)?;
         if sink.census.tetrahedra == 0 {
             let got =
                 format!("{} cells with a volume, {} of them flat", sink.census.cells, sink.census.degenerate);
@@ -126,7 +142,8 @@ impl CellStore {
         let (boundary, body_of) = boundary_of(sink.faces, sink.tets.len(), positions.get()?, settings)?;
         let creases = Creases::new(&boundary, positions.get()?, settings)?;
         let census = MeshCensus {
-            vertices: positions.get()?.len() as u64,
+            vertices,
+            added: added.as_ref().map_or(Ok(0), Added::count)?,
             boundary_triangles: boundary.get()?.len() as u64,
             repeated: firsts.repeated,
             bodies: body_of.bodies,
@@ -145,6 +162,7 @@ impl CellStore {
             boundary,
             creases,
             firsts,
+            added,
             identity,
             volume6,
         })
@@ -172,6 +190,9 @@ impl CellStore {
                     format!("{} and {}", in_file(other), in_file(*value)),
                 ));
             }
+        }
+        if let Some(added) = &self.added {
+            return added.values(values, settings);
         }
         Ok(column)
     }
@@ -302,19 +323,31 @@ impl TetSink {
 fn read_cells(
     mesh: &CellMesh,
     positions: &[FinePos],
-    firsts: &Firsts,
+    (firsts, added): (&Firsts, Option<&Added>),
     settings: &StoreSettings,
     identity: &mut IdentityHash,
     sink: &mut TetSink,
 ) -> Result<()> {
+    let mut polyhedra = added.map(Splitter::new).transpose()?;
     let (mut cells, mut block, mut tets) = (mesh.cells()?, CellBlock::default(), vec![]);
     let mut replaced = vec![];
     while cells.next_block(&mut block)? {
         settings.cancel.check()?;
         identity.add_cells(&block);
-        for (kind, vertices) in block.iter().filter(|(kind, _)| kind.vertices() > 0) {
+        for (kind, vertices) in block.iter().filter(|(kind, _)| kind.is_solid()) {
             tets.clear();
             sink.census.cells += 1;
+            if kind == CellKind::Polyhedron {
+                let splitter = polyhedra.as_mut().expect("the mesh was looked through for polyhedra");
+                sink.census.degenerate += splitter.split(vertices, positions, firsts, &mut tets)? as u64;
+                // Its faces may be listed as they are seen from inside.
+                let volumes = tets.iter().map(|tet| volume6(tet.map(|v| positions[v as usize])));
+                if volumes.sum::<i128>() < 0 {
+                    tets.iter_mut().for_each(|tet| tet.swap(2, 3));
+                }
+                tets.iter().try_for_each(|&tet| sink.push(tet, positions))?;
+                continue;
+            }
             replaced.clear();
             replaced.extend_from_slice(vertices);
             firsts.replace(&mut replaced)?;

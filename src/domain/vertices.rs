@@ -1,10 +1,10 @@
 //! The vertices of each brick, with their bodies: the samples that values are fitted to.
 //!
-//! Only vertices of tetrahedra are samples: points that no cell uses have values that mean nothing,
-//! and among duplicate points the first counts. A vertex that bodies share without sharing a face
-//! is one of the first of them. The body of each is noted in a paged array while the tetrahedra
-//! pass, body after body; then the vertices are sorted by brick, on disk where memory does not hold
-//! them.
+//! Only vertices of tetrahedra are samples, and of these only the file's own. Points that no cell
+//! uses have values that mean nothing, and among duplicate points the first counts. A vertex that
+//! bodies share without sharing a face is one of the first of them. The body of each is noted in a
+//! paged array while the tetrahedra pass, body after body; then the vertices are sorted by brick,
+//! on disk where memory does not hold them.
 
 use super::boundary::rounded;
 use super::column::{Column, ColumnWriter};
@@ -44,7 +44,7 @@ impl Vertices {
         let positions = store.positions.get()?;
         let mut bodies = vertex_bodies(store, settings)?;
         let mut sorter: Sorter<[u64; 3]> = Sorter::new(memory, &settings.scratch);
-        for (number, &p) in (0..).zip(positions) {
+        for (number, &p) in (0..store.census.vertices).zip(positions) {
             if let Some(body) = bodies.of(number)? {
                 sorter.push([bricks.id(bricks.brick_at(rounded(p))).0, number, body])?;
             }

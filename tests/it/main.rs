@@ -34,6 +34,7 @@ mod offsets;
 mod own_meshes;
 mod pictures;
 mod pipeline;
+mod polyhedra;
 mod programs;
 mod publish;
 mod queries;

@@ -75,7 +75,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         of("bricks", vec![bricks(folder)?]),
     ];
     let mut meshes = vec![
-        of("vtu", vec![VTU.into()]),
+        of("vtu", vec![VTU.into(), POLYHEDRA.into(), POLYHEDRA_OLD.into()]),
         of("vtm", vec![LIST.into()]),
         of("vtkhdf", vec![include_bytes!("../../tests/data/vtkhdf_mesh.hdf").to_vec()]),
         of(
@@ -440,6 +440,32 @@ const VTU: &str = "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>\n<Piece
     </DataArray></Points>\n<Cells><DataArray type=\"Int64\" Name=\"connectivity\" format=\"ascii\">0 1 2 4 0 1 2 3 4\
     </DataArray>\n<DataArray type=\"Int64\" Name=\"offsets\" format=\"ascii\">4 9</DataArray>\n\
     <DataArray type=\"UInt8\" Name=\"types\" format=\"ascii\">10 14</DataArray>\n</Cells></Piece></UnstructuredGrid></VTKFile>\n";
+
+/// A pyramid and a tetrahedron, told by their faces as VTK 9.4 does.
+const POLYHEDRA: &str = "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>\n<Piece NumberOfPoints=\"5\" NumberOfCells=\"2\">\n\
+    <PointData Scalars=\"b\"><DataArray type=\"Float32\" Name=\"b\" format=\"ascii\">1 2 3 4 5</DataArray></PointData>\n\
+    <CellData><DataArray type=\"UInt8\" Name=\"c\" format=\"ascii\">1 2</DataArray></CellData>\n\
+    <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">0 0 0 1 0 0 1 1 0 0 1 0 .5 .5 1\
+    </DataArray></Points>\n<Cells><DataArray type=\"Int64\" Name=\"connectivity\" format=\"ascii\">0 1 2 3 4 0 1 2 4\
+    </DataArray>\n<DataArray type=\"Int64\" Name=\"offsets\" format=\"ascii\">5 9</DataArray>\n\
+    <DataArray type=\"UInt8\" Name=\"types\" format=\"ascii\">42 42</DataArray>\n\
+    <DataArray type=\"Int64\" Name=\"face_connectivity\" format=\"ascii\">0 3 2 1 0 1 4 1 2 4 2 3 4 3 0 4\
+     0 2 1 0 1 4 1 2 4 0 4 2</DataArray>\n\
+    <DataArray type=\"Int64\" Name=\"face_offsets\" format=\"ascii\">4 7 10 13 16 19 22 25 28</DataArray>\n\
+    <DataArray type=\"Int64\" Name=\"polyhedron_to_faces\" format=\"ascii\">0 1 2 3 4 5 6 7 8</DataArray>\n\
+    <DataArray type=\"Int64\" Name=\"polyhedron_offsets\" format=\"ascii\">5 9</DataArray>\n\
+    </Cells></Piece></UnstructuredGrid></VTKFile>\n";
+
+/// The pyramid, and a tetrahedron that has none, as VTK did before.
+const POLYHEDRA_OLD: &str = "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>\n<Piece NumberOfPoints=\"5\" NumberOfCells=\"2\">\n\
+    <PointData Scalars=\"b\"><DataArray type=\"Float32\" Name=\"b\" format=\"ascii\">1 2 3 4 5</DataArray></PointData>\n\
+    <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">0 0 0 1 0 0 1 1 0 0 1 0 .5 .5 1\
+    </DataArray></Points>\n<Cells><DataArray type=\"Int64\" Name=\"connectivity\" format=\"ascii\">0 1 2 3 4 0 1 2 4\
+    </DataArray>\n<DataArray type=\"Int64\" Name=\"offsets\" format=\"ascii\">5 9</DataArray>\n\
+    <DataArray type=\"UInt8\" Name=\"types\" format=\"ascii\">42 10</DataArray>\n\
+    <DataArray type=\"Int64\" Name=\"faces\" format=\"ascii\">5 4 0 3 2 1 3 0 1 4 3 1 2 4 3 2 3 4 3 3 0 4</DataArray>\n\
+    <DataArray type=\"Int64\" Name=\"faceoffsets\" format=\"ascii\">22 -1</DataArray>\n\
+    </Cells></Piece></UnstructuredGrid></VTKFile>\n";
 
 const LEGACY_GRID: &str = "# vtk DataFile Version 3.0\ntitle\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 5 float\n\
     0 0 0 1 0 0 1 1 0 0 1 0 .5 .5 1\nCELLS 2 11\n4 0 1 2 4\n5 0 1 2 3 4\nCELL_TYPES 2\n10 14\n\

@@ -2,8 +2,10 @@
 
 use super::average::Averages;
 use super::order::Orders;
+use super::polyhedron::{Faces, check};
 use super::{
-    BLOCK, CellBlock, CellField, CellFile, CellStream, CellsInfo, Center, GHOSTS, NumberStream, is_ghost,
+    BLOCK, CellBlock, CellField, CellFile, CellKind, CellStream, CellsInfo, Center, GHOSTS, NumberStream,
+    is_ghost,
 };
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
@@ -138,6 +140,14 @@ impl CellMesh {
             }
         };
         Ok(CellBlocks { orders: orders.clone(), ..stored()? })
+    }
+
+    /// Whether some cells may be polyhedra.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn may_have_polyhedra(&self) -> Result<bool> {
+        self.file.may_have_polyhedra()
     }
 
     /// A hash of all that points and cells are read from: see [`CellFile::stored_hash`].
@@ -333,7 +343,8 @@ impl CellBlocks {
     /// Puts the next cells, at most [`BLOCK`], into `out` (cleared first); `false` after the last.
     ///
     /// # Errors
-    /// When the file cannot be read; [`Error::BadInput`] for a vertex number that no point has.
+    /// When the file cannot be read; [`Error::BadInput`] for a vertex number that no point has, and
+    /// for a polyhedron whose faces do not close.
     pub fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
         if !self.stream.next_block(out)? {
             self.marks.as_mut().map_or(Ok(()), |marks| marks.finish())?;
@@ -345,15 +356,27 @@ impl CellBlocks {
             self.ghosts += self.numbers.iter().filter(|&&m| is_ghost(m)).count() as u64;
             out.flatten(|i| is_ghost(self.numbers[i]));
         }
-        for (i, (_, vertices)) in out.iter().enumerate() {
-            if let Some(v) = vertices.iter().find(|&&v| v >= self.points) {
-                let (at, expected) = (self.at + i as u64, format!("vertices among {} points", self.points));
-                return Err(Error::bad_input(
-                    &self.path,
-                    format!("cell {at} (counted from 0)"),
-                    expected,
-                    format!("point {v} (counted from 0)"),
-                ));
+        let wrong = |i: usize, expected: String, got: String| {
+            let at = format!("cell {} (counted from 0)", self.at + i as u64);
+            Error::bad_input(&self.path, at, expected, got)
+        };
+        let beyond = |vertices: &[u64]| vertices.iter().copied().find(|&v| v >= self.points);
+        for (i, (kind, vertices)) in out.iter().enumerate() {
+            let found = match kind {
+                CellKind::Polyhedron => Faces::new(vertices).find_map(beyond),
+                _ => beyond(vertices),
+            };
+            if let Some(v) = found {
+                let expected = format!("vertices among {} points", self.points);
+                return Err(wrong(i, expected, format!("point {v} (counted from 0)")));
+            }
+        }
+        for i in 0..out.len() {
+            if out.kinds[i] == CellKind::Polyhedron {
+                check(out.of_mut(i)).map_err(|(expected, got)| {
+                    let help = "the mesh is damaged; each polyhedron must be closed by its faces";
+                    wrong(i, expected.into(), got).with_help(help)
+                })?;
             }
         }
         self.at += out.len() as u64;

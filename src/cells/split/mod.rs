@@ -9,7 +9,8 @@
 //! pyramids, prisms and hexahedra into tetrahedra", 1999, have the rule). A hexahedron gives 6
 //! tetrahedra, a wedge 3, a pyramid 2.
 //!
-//! Quadratic cells: see [`super::quadratic`].
+//! Quadratic cells: see [`super::quadratic`]. Polyhedra, which need vertices of their own: see
+//! [`super::polyhedron`].
 //!
 //! The rule knows numbers, not positions. So pieces of a mesh that store a shared point twice,
 //! under two numbers, can cut a shared four-sided face differently; the field then has a kink
@@ -29,8 +30,9 @@ pub const MOST_TETS: usize = 48;
 /// that was collapsed to a wedge, say). A cell without a volume gives none.
 ///
 /// # Panics
-/// When the number of vertices is not that of the kind.
+/// When the number of vertices is not that of the kind, or the kind is a polyhedron.
 pub fn split(kind: CellKind, vertices: &[u64], out: &mut Vec<CellTet>) -> usize {
+    assert_ne!(kind, CellKind::Polyhedron, "a polyhedron is split with vertices of its own");
     assert_eq!(vertices.len(), kind.vertices(), "readers count vertices");
     let start = out.len();
     match kind {
@@ -50,7 +52,7 @@ pub fn split(kind: CellKind, vertices: &[u64], out: &mut Vec<CellTet>) -> usize 
 }
 
 /// Removes tetrahedra that name a vertex twice, from `start` on.
-fn drop_collapsed(start: usize, out: &mut Vec<CellTet>) -> usize {
+pub(super) fn drop_collapsed(start: usize, out: &mut Vec<CellTet>) -> usize {
     let mut kept = start;
     for at in start..out.len() {
         let [a, b, c, d] = out[at];

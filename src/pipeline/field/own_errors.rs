@@ -38,7 +38,7 @@ pub(super) fn own_errors(
     let columns = steps.iter().map(|(_, values)| values.get()).collect::<Result<Vec<_>>>()?;
     let steps: Vec<usize> = steps.iter().map(|step| step.0).collect();
     let listed = archive.points.explicit().expect("own vertices are listed").len();
-    let vertices = store.census.vertices.max(listed);
+    let vertices = (store.census.vertices + store.census.added).max(listed);
     let needed = estimate::BASE + vertices * (POINT_BYTES + 4 * steps.len() as u64);
     if needed > memory {
         return Err(Error::memory("", needed, memory));
@@ -52,10 +52,12 @@ pub(super) fn own_errors(
     let (positions, places) = (store.positions.get()?, vertices.places.get()?);
     let bricks = archive.chunks.bricks();
     let mut sums = vec![ErrorSums::default(); steps.len()];
-    for first in (0..positions.len()).step_by(BATCH) {
+    // Those that polyhedra add are not the file's.
+    let own = store.census.vertices as usize;
+    for first in (0..own).step_by(BATCH) {
         how.cancel.check()?;
         let mut errors = BTreeMap::<u64, BrickErrors>::new();
-        for number in first..positions.len().min(first + BATCH) {
+        for number in first..own.min(first + BATCH) {
             let mut of = [number as u64];
             store.firsts.replace(&mut of)?;
             let place = places[of[0] as usize];

@@ -57,7 +57,7 @@ fn range_of(values: &[f32]) -> Option<[f32; 2]> {
 
 /// The error of a step at all vertices, and where it is largest.
 fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, source: &Source) -> FieldError {
-    let mut error = sums.field_error(positions.len() as u64);
+    let mut error = sums.field_error(store.census.vertices);
     error.worst = sums.largest().map(|l| {
         let log2_steps = store.frame.lattice.log2_steps;
         let steps = log2_steps.map(|s| f64::from(1u32 << FINE_BITS) * f64::from(1u32 << s));

@@ -130,7 +130,7 @@ fn measure(
 /// The number of vertices in each cell.
 fn vertices_by_cell(store: &CellStore, cells: &BrickGrid) -> Result<Vec<u32>> {
     let mut counts = vec![0u32; cells.len() as usize];
-    for &p in store.positions.get()? {
+    for &p in &store.positions.get()?[..store.census.vertices as usize] {
         let count = &mut counts[cells.id(cells.brick_at(rounded(p))).0 as usize];
         *count = count.saturating_add(1);
     }

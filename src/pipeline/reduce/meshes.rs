@@ -171,7 +171,7 @@ pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInp
     let own = is_own(job, store.census.vertices);
     let mut plan = match job.basis.archive() {
         None => {
-            let points = if own { store.census.vertices } else { wanted };
+            let points = if own { store.census.vertices + store.census.added } else { wanted };
             new_plan(&mesh, &store, points, job.settings, how.offset)?
         }
         Some(archive) => continued_plan(archive, job.settings),

@@ -11,12 +11,13 @@
 //!       <DataArray Name="connectivity" …/>     the vertices of all cells
 //!       <DataArray Name="offsets" …/>          where the vertices of each cell end
 //!       <DataArray Name="types" …/>            VTK's numbers of kinds of cells
+//!       …                                      the faces of polyhedra: see [`faces`]
 //!     </Cells>
 //!   </Piece>
 //! </UnstructuredGrid>
 //! ```
 //!
-//! The three arrays of the cells are decoded side by side, in constant memory. Points of later
+//! The arrays of the cells are decoded side by side, in constant memory. Points of later
 //! pieces are numbered after those of the pieces before; a point on the border of two pieces is
 //! stored, and counted, twice. The files of an index are open only while they are read. Empty
 //! pieces, which parallel programs write, may lack their arrays.
@@ -24,6 +25,7 @@
 //! **Blocks** (`.vtm` and others) are pieces too, of grids; blocks that are surfaces have no volume
 //! and are passed over. Fields are those that all blocks have.
 
+use self::faces::{CellFaces, FACE_ARRAYS, Failed, WrongFaces};
 use super::array::{ArrayStream, scalar_type};
 use super::head::{Document, Element};
 use super::image::{arrays, fields, how_stored, name_of};
@@ -39,10 +41,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use xxhash_rust::xxh3::Xxh3;
 
+mod faces;
+
 /// Files that an index may list.
 const MOST_FILES: usize = 1 << 16;
 
-/// Vertices that are held at one time; a cell without a volume may have any number.
+/// Vertices that are held at one time; a cell without a volume may have any number, a polyhedron as
+/// many.
 const MOST_VERTICES: u64 = 64 * BLOCK as u64;
 
 /// Opens a `.vtu` or `.pvtu` file.
@@ -298,6 +303,17 @@ impl CellFile for Grid {
         Ok(self.numbers(What::Field(field)))
     }
 
+    fn may_have_polyhedra(&self) -> Result<bool> {
+        for piece in &self.0.pieces {
+            let doc = piece.document()?;
+            let cells = piece.element(&doc)?.child("Cells");
+            if arrays(cells).any(|a| FACE_ARRAYS.contains(&&*name_of(a))) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
     /// The hash of arrays that lie in their elements, in one file. There is none where cells are
     /// marked as ghosts: these marks are a part of the mesh that is stored elsewhere.
     fn stored_hash(&self) -> Result<Option<u128>> {
@@ -442,13 +458,26 @@ struct OpenCells {
     types: Ids,
     offsets: Ids,
     connectivity: Ids,
+    faces: CellFaces,
     points: u64,
-    /// Cells not read yet.
+    /// Cells whose type and offset are not read yet.
     left: u64,
+    /// Types and offsets that were read, of which the first ones are used.
+    waiting: Waiting,
     /// Cells read.
     at: u64,
     /// Where the vertices of the last cell read end.
     offset: u64,
+}
+
+/// What is known of cells to come.
+#[derive(Default)]
+struct Waiting {
+    types: Vec<u64>,
+    ends: Vec<u64>,
+    /// Where their faces end.
+    face_ends: Vec<u64>,
+    used: usize,
 }
 
 /// An array of integers.
@@ -468,7 +497,20 @@ impl Ids {
     }
 }
 
+/// VTK's number of a polyhedron.
+const POLYHEDRON: u64 = 42;
+
+/// A number as the file has it: one that is negative is read as the largest.
+fn shown(id: u64) -> String {
+    (id as i64).to_string()
+}
+
 impl OpenCells {
+    /// Whether there are cells whose types were read and whose vertices were not.
+    fn waits(&self) -> bool {
+        self.waiting.used < self.waiting.types.len()
+    }
+
     fn open(piece: &Piece) -> Result<Self> {
         let doc = piece.document()?;
         let element = piece.element(&doc)?;
@@ -488,27 +530,38 @@ impl OpenCells {
         };
         let (types, offsets) = (array("types", Some(piece.cells))?, array("offsets", Some(piece.cells))?);
         let connectivity = array("connectivity", None)?;
+        let has = |name: &str| arrays(Some(cells)).any(|a| name_of(a) == name);
+        let faces = CellFaces::open(has, piece.cells, array)?;
         let path = doc.source.path().to_path_buf();
         Ok(Self {
             path,
             types,
             offsets,
             connectivity,
+            faces,
             points: piece.points,
             left: piece.cells,
+            waiting: Waiting::default(),
             at: 0,
             offset: 0,
         })
     }
 
-    fn wrong(&self, cell: u64, expected: impl Into<String>, got: impl Into<String>) -> Error {
+    /// An error of the cell that is being read.
+    fn wrong(&self, expected: impl Into<String>, got: impl Into<String>) -> Error {
+        let cell = self.at;
         Error::bad_input(&self.path, format!("cell {cell} of a piece (counted from 0)"), expected, got)
+    }
+
+    fn wrong_faces(&self, (expected, got): WrongFaces) -> Error {
+        self.wrong(expected, got).with_help("write the mesh again with VTK or ParaView")
     }
 
     fn finish(&mut self) -> Result<()> {
         self.types.stream.finish()?;
         self.offsets.stream.finish()?;
-        self.connectivity.stream.finish()
+        self.connectivity.stream.finish()?;
+        self.faces.finish()
     }
 
     /// The next cells of this piece, at most [`BLOCK`].
@@ -519,77 +572,138 @@ impl OpenCells {
         ids: &mut Vec<u64>,
         out: &mut CellBlock,
     ) -> Result<()> {
-        let n = self.left.min(BLOCK as u64) as usize;
-        let (mut types, mut ends) = (vec![], vec![]);
-        self.types.read(n, bytes, &mut types)?;
-        self.offsets.read(n, bytes, &mut ends)?;
-        let mut done = 0;
-        while done < n {
-            // As many cells as have few enough vertices together.
-            let few =
-                ends[done..].iter().take_while(|&&e| e.wrapping_sub(self.offset) <= MOST_VERTICES).count();
-            let run = done..done + few.max(1);
-            let end = ends[run.end - 1];
-            let span = end.checked_sub(self.offset).ok_or_else(|| self.disorder(run.start, &ends))?;
-            if span > MOST_VERTICES {
-                self.skip(self.kind(run.start, types[run.start])?, run.start, span, bytes, ids)?;
-                out.push(CellKind::Flat, &[]);
-                self.offset = end;
-                done = run.end;
-                continue;
-            }
-            self.connectivity.read(span as usize, bytes, ids)?;
-            let start = self.offset;
-            for i in run.clone() {
-                let kind = self.kind(i, types[i])?;
-                let span = ends[i].checked_sub(self.offset).map(|_| self.offset - start..ends[i] - start);
-                let span = span.ok_or_else(|| self.disorder(i, &ends))?;
-                let vertices = ids.get_mut(span.start as usize..span.end as usize);
-                let vertices = vertices.ok_or_else(|| self.disorder(i, &ends))?;
-                self.push(i, kind, base, vertices, out)?;
-                self.offset = ends[i];
-            }
-            done = run.end;
+        let mut waiting = std::mem::take(&mut self.waiting);
+        if waiting.used == waiting.types.len() {
+            let n = self.left.min(BLOCK as u64) as usize;
+            self.types.read(n, bytes, &mut waiting.types)?;
+            self.offsets.read(n, bytes, &mut waiting.ends)?;
+            self.faces.read_ends(n, bytes, &mut waiting.face_ends)?;
+            self.left -= n as u64;
+            waiting.used = 0;
         }
-        self.left -= n as u64;
-        self.at += n as u64;
+        let n = waiting.types.len();
+        while waiting.used < n && out.numbers() as u64 <= MOST_VERTICES {
+            self.read_some(&mut waiting, base, bytes, ids, out)?;
+        }
+        self.waiting = waiting;
         Ok(())
     }
 
-    fn disorder(&self, i: usize, ends: &[u64]) -> Error {
-        let expected = format!("offsets that ascend, {} or more", self.offset);
-        self.wrong(self.at + i as u64, expected, ends[i].to_string())
+    /// As many of the cells that wait as have few enough vertices together; a polyhedron comes
+    /// alone.
+    fn read_some(
+        &mut self,
+        waiting: &mut Waiting,
+        base: u64,
+        bytes: &mut Vec<u8>,
+        ids: &mut Vec<u64>,
+        out: &mut CellBlock,
+    ) -> Result<()> {
+        let Waiting { types, ends, face_ends, used } = waiting;
+        let first = *used;
+        let is_polyhedron = types[first] == POLYHEDRON;
+        let goes_on = |(&t, &e): (&u64, &u64)| {
+            !is_polyhedron && t != POLYHEDRON && e.wrapping_sub(self.offset) <= MOST_VERTICES
+        };
+        let few = types[first..].iter().zip(&ends[first..]).take_while(|&cell| goes_on(cell)).count();
+        let run = first..first + few.max(1);
+        let end = ends[run.end - 1];
+        let span = end.checked_sub(self.offset).ok_or_else(|| self.disorder(end))?;
+        if span > MOST_VERTICES {
+            self.skip(self.kind(types[first])?, span, bytes, ids)?;
+            out.push(CellKind::Flat, &[]);
+            self.faces.pass(face_ends, first).map_err(|wrong| self.wrong_faces(wrong))?;
+            (self.offset, self.at, *used) = (end, self.at + 1, run.end);
+            return Ok(());
+        }
+        self.connectivity.read(span as usize, bytes, ids)?;
+        if is_polyhedron {
+            self.polyhedron(face_ends, first, base, bytes, ids, out)?;
+            (self.offset, self.at, *used) = (end, self.at + 1, run.end);
+            return Ok(());
+        }
+        let start = self.offset;
+        for i in run.clone() {
+            let kind = self.kind(types[i])?;
+            let span = ends[i].checked_sub(self.offset).map(|_| self.offset - start..ends[i] - start);
+            let span = span.ok_or_else(|| self.disorder(ends[i]))?;
+            let vertices = ids.get_mut(span.start as usize..span.end as usize);
+            let vertices = vertices.ok_or_else(|| self.disorder(ends[i]))?;
+            self.push(kind, base, vertices, out)?;
+            self.faces.pass(face_ends, i).map_err(|wrong| self.wrong_faces(wrong))?;
+            (self.offset, self.at) = (ends[i], self.at + 1);
+        }
+        *used = run.end;
+        Ok(())
     }
 
-    fn kind(&self, i: usize, number: u64) -> Result<CellKind> {
+    /// Appends a polyhedron, the `i`-th of the cells that wait; `vertices` are those that the file
+    /// lists for it.
+    fn polyhedron(
+        &mut self,
+        face_ends: &[u64],
+        i: usize,
+        base: u64,
+        bytes: &mut Vec<u8>,
+        vertices: &mut [u64],
+        out: &mut CellBlock,
+    ) -> Result<()> {
+        let mut numbers = vec![];
+        if let Err(failed) = self.faces.read(face_ends, i, bytes, &mut numbers) {
+            return Err(match failed {
+                Failed::Faces(wrong) => self.wrong_faces(wrong),
+                Failed::Reading(error) => error,
+            });
+        }
+        vertices.sort_unstable();
+        let mut at = 0;
+        while at < numbers.len() {
+            let end = at + 1 + numbers[at] as usize;
+            for v in &mut numbers[at + 1..end] {
+                if *v >= self.points {
+                    return Err(self.wrong(format!("points of faces below {}", self.points), shown(*v)));
+                }
+                if vertices.binary_search(v).is_err() {
+                    let expected = "faces of the points that are listed for the cell";
+                    return Err(self.wrong(expected, shown(*v)));
+                }
+                *v += base;
+            }
+            at = end;
+        }
+        out.push_polyhedron(&numbers);
+        Ok(())
+    }
+
+    fn disorder(&self, end: u64) -> Error {
+        self.wrong(format!("offsets that ascend, {} or more", self.offset), end.to_string())
+    }
+
+    fn kind(&self, number: u64) -> Result<CellKind> {
+        if number == POLYHEDRON {
+            return Ok(CellKind::Polyhedron);
+        }
         CellKind::from_vtk(number).map_err(|name| {
-            let expected = "a linear or quadratic cell: tetrahedron, hexahedron, voxel, wedge, pyramid";
-            self.wrong(self.at + i as u64, expected, name).with_help("convert it to tetrahedra first")
+            let expected =
+                "a polyhedron, or a linear or quadratic cell: tetrahedron, hexahedron, voxel, wedge, pyramid";
+            self.wrong(expected, name).with_help("convert it to tetrahedra first")
         })
     }
 
     /// Appends a cell; its vertices become numbers among the points of all pieces.
-    fn push(
-        &self,
-        i: usize,
-        kind: CellKind,
-        base: u64,
-        vertices: &mut [u64],
-        out: &mut CellBlock,
-    ) -> Result<()> {
+    fn push(&self, kind: CellKind, base: u64, vertices: &mut [u64], out: &mut CellBlock) -> Result<()> {
         if kind == CellKind::Flat {
             out.push(kind, &[]);
             return Ok(());
         }
-        let cell = self.at + i as u64;
         if vertices.len() != kind.vertices() {
             let expected = format!("{} vertices of {}", kind.vertices(), kind.plural());
-            return Err(self.wrong(cell, expected, vertices.len().to_string()));
+            return Err(self.wrong(expected, vertices.len().to_string()));
         }
         for v in vertices.iter_mut() {
             if *v >= self.points {
                 let expected = format!("vertices below {}", self.points);
-                return Err(self.wrong(cell, expected, (*v as i64).to_string()));
+                return Err(self.wrong(expected, shown(*v)));
             }
             *v += base;
         }
@@ -598,17 +712,13 @@ impl OpenCells {
     }
 
     /// Goes over the vertices of a cell that has too many to be held.
-    fn skip(
-        &mut self,
-        kind: CellKind,
-        i: usize,
-        mut n: u64,
-        bytes: &mut Vec<u8>,
-        ids: &mut Vec<u64>,
-    ) -> Result<()> {
+    fn skip(&mut self, kind: CellKind, mut n: u64, bytes: &mut Vec<u8>, ids: &mut Vec<u64>) -> Result<()> {
         if kind != CellKind::Flat {
-            let expected = format!("{} vertices of {}", kind.vertices(), kind.plural());
-            return Err(self.wrong(self.at + i as u64, expected, n.to_string()));
+            let expected = match kind {
+                CellKind::Polyhedron => format!("at most {MOST_VERTICES} points of a polyhedron"),
+                _ => format!("{} vertices of {}", kind.vertices(), kind.plural()),
+            };
+            return Err(self.wrong(expected, n.to_string()));
         }
         while n > 0 {
             let some = n.min(MOST_VERTICES);
@@ -623,7 +733,7 @@ impl CellStream for Cells {
     fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
         out.clear();
         loop {
-            if let Some(open) = self.open.as_mut().filter(|o| o.left > 0) {
+            if let Some(open) = self.open.as_mut().filter(|o| o.left > 0 || o.waits()) {
                 open.read(self.base, &mut self.bytes, &mut self.ids, out)?;
                 return Ok(true);
             }

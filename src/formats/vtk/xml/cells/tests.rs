@@ -1,3 +1,4 @@
+use crate::cells::scan::scan;
 use crate::cells::{CellKind, CellMesh, Center};
 use crate::error::Result;
 use crate::formats::mesh::tests::{read_whole, torture};
@@ -173,7 +174,12 @@ fn what_is_wrong_is_told() {
         (" 4 7 12", " 3 7 12", "4 vertices of tetrahedra, got 3"),
         (" 4 7 12", " 4 7 13", "more numbers"),
         ("0 1 2 3 4\n", "0 1 2 3 4 0\n", "the end of the array's numbers"),
-        (" 10 5 14", " 10 5 42", "cell type 42 (polyhedron)"),
+        (
+            " 10 5 14",
+            " 10 5 42",
+            "the faces of a polyhedron, in the arrays 'faces' or 'polyhedron_offsets', got",
+        ),
+        (" 10 5 14", " 10 5 41", "cell type 41 (convex point set)"),
         (" 10 5 14", " 10 5 99", "cell type 99"),
         (" 10 5 14", " 10 5", "more numbers"),
         ("Name=\"types\"", "Name=\"kinds\"", "an array 'types'"),
@@ -195,5 +201,151 @@ fn what_is_wrong_is_told() {
 fn damage_is_survived() {
     for at in [0, 1, 9, 22, 30] {
         torture("f.vtu", &grid(every_encoding()[at], 1));
+    }
+    for newer in [false, true] {
+        for at in [0, 9] {
+            torture("f.vtu", &polyhedra(every_encoding()[at], newer, 1));
+        }
+    }
+}
+
+/// A pyramid as a polyhedron, a triangle, and a tetrahedron as a polyhedron.
+fn polyhedra(encoding: Encoding, newer: bool, pieces: usize) -> Vec<u8> {
+    let mut file = encoding.file("UnstructuredGrid", "");
+    for _ in 0..pieces {
+        file.text("<Piece NumberOfPoints=\"5\" NumberOfCells=\"3\">\n<PointData>");
+        file.array("p", 1, &[1.5f32, 2.0, 3.0, 4.0, 7.0]);
+        file.text("</PointData>\n<Points>");
+        file.array(
+            "Points",
+            3,
+            &[0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.5, 0.5, 1.0],
+        );
+        file.text("</Points>\n<Cells>");
+        file.array("connectivity", 1, &[0i64, 1, 2, 3, 4, 0, 1, 2, 0, 1, 2, 4]);
+        file.array("offsets", 1, &[5i64, 8, 12]);
+        file.array("types", 1, &[42u8, 5, 42]);
+        if newer {
+            let points =
+                [0i32, 3, 2, 1, 0, 1, 4, 1, 2, 4, 2, 3, 4, 3, 0, 4, 0, 2, 1, 0, 1, 4, 1, 2, 4, 0, 4, 2];
+            file.array("face_connectivity", 1, &points);
+            file.array("face_offsets", 1, &[4i64, 7, 10, 13, 16, 19, 22, 25, 28]);
+            file.array("polyhedron_to_faces", 1, &[0i64, 1, 2, 3, 4, 5, 6, 7, 8]);
+            file.array("polyhedron_offsets", 1, &[5i64, 5, 9]);
+        } else {
+            let first = [5i64, 4, 0, 3, 2, 1, 3, 0, 1, 4, 3, 1, 2, 4, 3, 2, 3, 4, 3, 3, 0, 4];
+            let second = [4i64, 3, 0, 2, 1, 3, 0, 1, 4, 3, 1, 2, 4, 3, 0, 4, 2];
+            file.array("faces", 1, &[&first[..], &second].concat());
+            file.array("faceoffsets", 1, &[22i32, -1, 39]);
+        }
+        file.text("</Cells></Piece>\n");
+    }
+    file.finish()
+}
+
+#[test]
+fn faces_of_polyhedra_are_read_in_both_ways() {
+    for (encoding, newer) in every_encoding().into_iter().flat_map(|e| [(e, false), (e, true)]) {
+        let mesh = open(&polyhedra(encoding, newer, 2), None).unwrap_or_else(|e| panic!("{encoding:?}: {e}"));
+        let whole = read_whole(&mesh).unwrap_or_else(|e| panic!("{encoding:?} {newer}: {e}"));
+        assert!(mesh.may_have_polyhedra().unwrap());
+        let faces = |first: u64, of: &[&[u64]]| {
+            let face =
+                |f: &&[u64]| std::iter::once(f.len() as u64).chain(f.iter().map(|v| v + first)).collect();
+            of.iter().map(face).collect::<Vec<Vec<u64>>>().concat()
+        };
+        for first in [0, 5] {
+            let pyramid: [&[u64]; 5] = [&[0, 3, 2, 1], &[0, 1, 4], &[1, 2, 4], &[2, 3, 4], &[3, 0, 4]];
+            let tetrahedron: [&[u64]; 4] = [&[0, 2, 1], &[0, 1, 4], &[1, 2, 4], &[0, 4, 2]];
+            let cells = &whole.cells[3 * first as usize / 5..][..3];
+            assert_eq!(cells[0], (CellKind::Polyhedron, faces(first, &pyramid)), "{encoding:?} {newer}");
+            assert_eq!(cells[1], (CellKind::Flat, vec![]));
+            assert_eq!(cells[2], (CellKind::Polyhedron, faces(first, &tetrahedron)), "{encoding:?} {newer}");
+        }
+        let found = scan(&mesh).unwrap();
+        assert_eq!((found.kinds[&CellKind::Polyhedron], found.tetrahedra), (4, 2 * (6 + 4)));
+    }
+    assert!(!open(&grid(every_encoding()[0], 1), None).unwrap().may_have_polyhedra().unwrap());
+}
+
+#[test]
+fn wrong_faces_are_told() {
+    let text = |newer| String::from_utf8(polyhedra(every_encoding()[0], newer, 1)).unwrap();
+    for (newer, old, new, reason) in [
+        (
+            false,
+            " 5 4 0 3 ",
+            " 5 4 0 9 ",
+            "cell 0 of a piece (counted from 0): expected points of faces below 5, got 9",
+        ),
+        (false, " 5 4 0 3 ", " 5 4 0 -3 ", "expected points of faces below 5, got -1"),
+        (
+            false,
+            " 4 3 0 2 1 ",
+            " 4 3 0 2 3 ",
+            "cell 2 of a piece (counted from 0): expected faces of the points that are listed for the cell, got 3",
+        ),
+        (false, " 5 4 0 3 ", " 6 4 0 3 ", "expected 6 faces, got numbers of 5"),
+        (false, " 5 4 0 3 ", " 4 4 0 3 ", "expected the end of a polyhedron of 4 faces, got 4 more numbers"),
+        (
+            false,
+            " 5 4 0 3 ",
+            " 5 40 0 3 ",
+            "expected a face of at most 20 points, as many as are left, got 40",
+        ),
+        (
+            false,
+            " 5 4 0 3 2 1 ",
+            " 5 4 0 2 3 1 ",
+            "cell 0 (counted from 0): expected faces that close: each edge in two of them, got the edge of points",
+        ),
+        (
+            false,
+            " 22 -1 39",
+            " 22 23 39",
+            "cell 1 of a piece (counted from 0): expected no faces of a cell that is no polyhedron, got faces that end at 23",
+        ),
+        (
+            false,
+            " 22 -1 39",
+            " 22 -1 21",
+            "cell 2 of a piece (counted from 0): expected an end of numbers of the faces of a polyhedron of 22 or more, got 21",
+        ),
+        (false, " 22 -1 39", " 22 -1 -1", "of 22 or more, got -1"),
+        (
+            false,
+            " 22 -1 39",
+            " 22 -1 999999",
+            "expected at most 262144 numbers of the faces of a polyhedron, got 999977",
+        ),
+        (false, " 22 -1 39", " 22 -1 40", "more numbers, got their end"),
+        (false, "Name=\"faceoffsets\"", "Name=\"facesets\"", "an array 'faceoffsets'"),
+        (
+            true,
+            " 5 5 9",
+            " 5 6 9",
+            "cell 1 of a piece (counted from 0): expected no faces of a cell that is no polyhedron, got faces that end at 6",
+        ),
+        (
+            true,
+            " 5 5 9",
+            " 5 5 8",
+            "cell 2 (counted from 0): expected at least 4 faces of a polyhedron, got 3",
+        ),
+        (
+            true,
+            " 0 1 2 3 4 5 ",
+            " 0 1 3 2 4 5 ",
+            "expected face 2: each face of one cell, in the order of the cells, got 3",
+        ),
+        (true, " 4 7 10 ", " 4 3 10 ", "expected an end of points of a face of 4 or more, got 3"),
+        (true, " 4 7 10 ", " 4 17 10 ", "expected offsets of faces that ascend, got 17"),
+        (true, "Name=\"face_connectivity\"", "Name=\"face_points\"", "an array 'face_connectivity'"),
+    ] {
+        let good = text(newer);
+        assert!(good.contains(old), "{old}: {good}");
+        let outcome = open(good.replacen(old, new, 1).as_bytes(), None).and_then(|m| read_whole(&m));
+        let line = outcome.err().unwrap_or_else(|| panic!("{new} was read")).to_string();
+        assert!(line.contains(reason), "{line}");
     }
 }

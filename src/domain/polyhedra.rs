@@ -1,0 +1,369 @@
+//! Vertices that polyhedra need: one in the middle of each, and one in the middle of each face of
+//! more than four vertices ([`crate::cells::polyhedron`] has the rule).
+//!
+//! Both cells at a face must have the same vertex, and memory need not hold the faces of a mesh. So
+//! a pass over the cells lists the faces in question, and sorting brings equals together:
+//!
+//! ```text
+//!  cells ─▶ faces: (hash of vertices, number) ─▶ sorted: first of equals ─▶ sorted: vertex of each
+//!       └─▶ of which vertices each new one is the mean
+//! ```
+//!
+//! A face is known by the 128 bits of a hash of its vertices, ascending: two of a billion faces are
+//! mistaken for each other with a probability of 10^-21.
+//!
+//! Also listed are faces of four vertices that have a straight corner. They are cut from that
+//! corner, unless a cell of another kind has the face too, which is always cut from the smallest
+//! vertex.
+//!
+//! New vertices follow the file's own: first those of cells, then those of faces, in the order of
+//! the cells. Positions are means on the fine lattice, rounded to the nearest step. Values are
+//! means of those of the file's vertices: there is none where one of these has none. Cell data are
+//! averaged to the file's vertices before.
+
+use super::column::{Column, ColumnWriter};
+use super::merge::Firsts;
+use super::store::StoreSettings;
+use crate::bytes::sorter::Sorter;
+use crate::cells::polyhedron::{Cut, Faces, bent_corner, cone, distinct};
+use crate::cells::{CellBlock, CellKind, CellMesh, CellTet};
+use crate::error::Result;
+use crate::locate::FinePos;
+use bytemuck::Pod;
+use xxhash_rust::xxh3::xxh3_128;
+
+/// Answers for faces of four vertices with a straight corner: they are cut from it,
+const FROM_CORNER: u64 = u64::MAX;
+/// or from the smallest vertex, as another kind of cell has them.
+const FROM_SMALLEST: u64 = u64::MAX - 1;
+/// The number of a face of another kind of cell: after those of polyhedra.
+const OF_OTHERS: u64 = u64::MAX;
+
+/// The vertices that the polyhedra of a mesh add to its own.
+pub(super) struct Added {
+    /// The mesh's own vertices.
+    own: u64,
+    /// Of which vertices that of each polyhedron is the mean.
+    cells: Lists,
+    /// The same of all faces in question.
+    faces: Lists,
+    /// The faces that have a vertex, by the order of these.
+    with_vertex: Column<u64>,
+    /// For each face in question its vertex, or how it is cut.
+    answers: Column<u64>,
+}
+
+impl Added {
+    /// Looks for the polyhedra of a mesh. `None` of a mesh without any.
+    ///
+    /// # Errors
+    /// When the mesh cannot be read, or the scratch folder not be written.
+    pub(super) fn new(
+        mesh: &CellMesh,
+        positions: &[FinePos],
+        firsts: &Firsts,
+        settings: &StoreSettings,
+    ) -> Result<Option<Self>> {
+        if !mesh.may_have_polyhedra()? {
+            return Ok(None);
+        }
+        let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
+        let (mut of_cells, mut of_faces) = (ListsWriter::new(settings)?, ListsWriter::new(settings)?);
+        // Whether the face has four vertices; their hash; its number, or that of others.
+        let mut equals: Sorter<[u64; 4]> = Sorter::new(memory, &settings.scratch);
+        let (mut cells, mut block) = (mesh.cells()?, CellBlock::default());
+        let (mut cell, mut vertices, mut bytes) = (Polyhedron::default(), vec![], vec![]);
+        let mut hash = |vertices: &[u64]| {
+            bytes.clear();
+            vertices.iter().for_each(|v: &u64| bytes.extend(v.to_le_bytes()));
+            let hash = xxh3_128(&bytes);
+            [(hash >> 64) as u64, hash as u64]
+        };
+        while cells.next_block(&mut block)? {
+            settings.cancel.check()?;
+            for (kind, numbers) in block.iter() {
+                if kind != CellKind::Polyhedron {
+                    cell.set_sides(kind, numbers, firsts)?;
+                    for face in cell.faces().filter(|face| is_asked(face, positions)) {
+                        distinct(std::iter::once(face), &mut vertices);
+                        let [high, low] = hash(&vertices);
+                        equals.push([1, high, low, OF_OTHERS])?;
+                    }
+                    continue;
+                }
+                cell.set(numbers, firsts)?;
+                distinct(cell.faces(), &mut vertices);
+                if vertices.is_empty() {
+                    // Its points are one, or two.
+                    distinct(Faces::new(numbers), &mut vertices);
+                }
+                of_cells.push(&vertices)?;
+                for face in cell.faces().filter(|face| is_asked(face, positions)) {
+                    distinct(std::iter::once(face), &mut vertices);
+                    let [high, low] = hash(&vertices);
+                    equals.push([u64::from(face.len() == 4), high, low, of_faces.len()])?;
+                    of_faces.push(&vertices)?;
+                }
+            }
+        }
+        if of_cells.len() == 0 {
+            return Ok(None);
+        }
+        let own = positions.len() as u64;
+        let (cells, faces) = (of_cells.finish()?, of_faces.finish()?);
+        let (with_vertex, answers) = answers(equals, own + cells.len()?, memory, settings)?;
+        Ok(Some(Self { own, cells, faces, with_vertex, answers }))
+    }
+
+    /// How many they are.
+    pub(super) fn count(&self) -> Result<u64> {
+        Ok(self.cells.len()? + self.with_vertex.get()?.len() as u64)
+    }
+
+    /// Positions of the mesh's own vertices, then of those added.
+    pub(super) fn positions(&self, own: &[FinePos], settings: &StoreSettings) -> Result<Column<FinePos>> {
+        self.append(own, settings, |of| {
+            let n = of.len() as i128;
+            std::array::from_fn(|a| {
+                let sum: i128 = of.iter().map(|&v| i128::from(own[v as usize][a])).sum();
+                (2 * sum + n).div_euclid(2 * n) as i64
+            })
+        })
+    }
+
+    /// Values of the mesh's own vertices, then of those added.
+    pub(super) fn values(&self, own: &[f32], settings: &StoreSettings) -> Result<Column<f32>> {
+        self.append(own, settings, |of| {
+            (of.iter().map(|&v| f64::from(own[v as usize])).sum::<f64>() / of.len() as f64) as f32
+        })
+    }
+
+    /// What own vertices have, then the means of those that are added.
+    fn append<T: Pod>(
+        &self,
+        own: &[T],
+        settings: &StoreSettings,
+        mean: impl Fn(&[u64]) -> T,
+    ) -> Result<Column<T>> {
+        let mut out = ColumnWriter::new(&settings.scratch)?;
+        own.iter().try_for_each(|x| out.push(x))?;
+        self.cells.each(0..self.cells.len()?, |of| out.push(&mean(of)))?;
+        self.faces.each(self.with_vertex.get()?.iter().copied(), |of| out.push(&mean(of)))?;
+        out.finish()
+    }
+}
+
+/// The vertex of each face in question or how it is cut, and the faces that have a vertex; these
+/// are numbered from `first` on, in the order of the faces.
+fn answers(
+    equals: Sorter<[u64; 4]>,
+    first: u64,
+    memory: usize,
+    settings: &StoreSettings,
+) -> Result<(Column<u64>, Column<u64>)> {
+    // The first face of equals, or how it is cut; the face.
+    let mut by_first: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
+    let (mut sorted, mut group) = (equals.finish()?, vec![]);
+    let mut next = sorted.next()?;
+    while let Some([has_four, high, low, face]) = next {
+        group.clear();
+        group.push(face);
+        next = sorted.next()?;
+        while let Some(other) = next.filter(|other| other[..3] == [has_four, high, low]) {
+            group.push(other[3]);
+            next = sorted.next()?;
+        }
+        let of_others = group.last() == Some(&OF_OTHERS);
+        let answer = match (has_four == 1, of_others) {
+            (false, _) => face,
+            (true, false) => FROM_CORNER,
+            (true, true) => FROM_SMALLEST,
+        };
+        group
+            .iter()
+            .filter(|face| **face != OF_OTHERS)
+            .try_for_each(|&face| by_first.push([answer, face]))?;
+    }
+    drop(sorted);
+    let mut by_face: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
+    let (mut sorted, mut with_vertex) = (by_first.finish()?, ColumnWriter::new(&settings.scratch)?);
+    let mut last = None;
+    while let Some([answer, face]) = sorted.next()? {
+        if answer >= FROM_SMALLEST {
+            by_face.push([face, answer])?;
+            continue;
+        }
+        if last != Some(answer) {
+            with_vertex.push(&answer)?;
+            last = Some(answer);
+        }
+        by_face.push([face, first + with_vertex.len() - 1])?;
+    }
+    drop(sorted);
+    let (mut sorted, mut answers) = (by_face.finish()?, ColumnWriter::new(&settings.scratch)?);
+    while let Some([_, answer]) = sorted.next()? {
+        answers.push(&answer)?;
+    }
+    Ok((with_vertex.finish()?, answers.finish()?))
+}
+
+/// Whether a face has a vertex in its middle, or a straight corner.
+fn is_asked(face: &[u64], positions: &[FinePos]) -> bool {
+    match face.len() {
+        4 => corner_of(face, positions).is_some(),
+        n => n > 4,
+    }
+}
+
+fn corner_of(face: &[u64], positions: &[FinePos]) -> Option<usize> {
+    // Whole numbers of 38 bits.
+    bent_corner(face, |v| positions[v as usize].map(|x| x as f64))
+}
+
+/// Splits the polyhedra of a mesh, in the order in which [`Added::new`] met them.
+pub(super) struct Splitter<'a> {
+    added: &'a Added,
+    answers: &'a [u64],
+    /// Polyhedra, and faces in question, so far.
+    cells: u64,
+    faces: usize,
+    cell: Polyhedron,
+}
+
+impl<'a> Splitter<'a> {
+    pub(super) fn new(added: &'a Added) -> Result<Self> {
+        Ok(Self { added, answers: added.answers.get()?, cells: 0, faces: 0, cell: Polyhedron::default() })
+    }
+
+    /// Appends the tetrahedra of the next polyhedron. Gives the number of those that were left out
+    /// because they name a vertex twice.
+    pub(super) fn split(
+        &mut self,
+        numbers: &[u64],
+        positions: &[FinePos],
+        firsts: &Firsts,
+        out: &mut Vec<CellTet>,
+    ) -> Result<usize> {
+        self.cell.set(numbers, firsts)?;
+        let (apex, mut dropped) = (self.added.own + self.cells, 0);
+        self.cells += 1;
+        for face in self.cell.faces() {
+            let mut answer = || {
+                let answer = self.answers[self.faces];
+                self.faces += 1;
+                answer
+            };
+            let cut = match face.len() {
+                4 => match corner_of(face, positions) {
+                    Some(corner) if answer() == FROM_CORNER => Cut::From(corner),
+                    _ => Cut::Smallest,
+                },
+                5.. => Cut::Around(answer()),
+                _ => Cut::Smallest,
+            };
+            dropped += cone(apex, face, cut, out);
+        }
+        Ok(dropped)
+    }
+}
+
+/// The faces of a cell, in which vertices that are one have become one.
+#[derive(Default)]
+struct Polyhedron {
+    numbers: Vec<u64>,
+}
+
+impl Polyhedron {
+    fn faces(&self) -> Faces<'_> {
+        Faces::new(&self.numbers)
+    }
+
+    fn set(&mut self, numbers: &[u64], firsts: &Firsts) -> Result<()> {
+        self.numbers.clear();
+        Faces::new(numbers).try_for_each(|face| self.push(face, firsts))
+    }
+
+    /// Takes the faces of four vertices of a linear cell of another kind.
+    fn set_sides(&mut self, kind: CellKind, vertices: &[u64], firsts: &Firsts) -> Result<()> {
+        self.numbers.clear();
+        let mut of_kind = kind.four_sided(vertices);
+        of_kind.try_for_each(|face| self.push(&face, firsts))
+    }
+
+    /// Appends a face, unless vertices that are one leave less than a triangle of it.
+    fn push(&mut self, face: &[u64], firsts: &Firsts) -> Result<()> {
+        let start = self.numbers.len();
+        self.numbers.push(0);
+        self.numbers.extend_from_slice(face);
+        let of = &mut self.numbers[start + 1..];
+        firsts.replace(of)?;
+        let (mut kept, n) = (0, of.len());
+        for i in 0..n {
+            if i == 0 || of[i] != of[kept - 1] {
+                of[kept] = of[i];
+                kept += 1;
+            }
+        }
+        while kept > 1 && of[kept - 1] == of[0] {
+            kept -= 1;
+        }
+        if kept < 3 {
+            self.numbers.truncate(start);
+        } else {
+            self.numbers.truncate(start + 1 + kept);
+            self.numbers[start] = kept as u64;
+        }
+        Ok(())
+    }
+}
+
+/// Lists of vertices, one after another.
+struct Lists {
+    of: Column<u64>,
+    /// Where each ends.
+    ends: Column<u64>,
+}
+
+impl Lists {
+    fn len(&self) -> Result<u64> {
+        Ok(self.ends.get()?.len() as u64)
+    }
+
+    /// Calls `visit` with some of the lists.
+    fn each(
+        &self,
+        numbers: impl Iterator<Item = u64>,
+        mut visit: impl FnMut(&[u64]) -> Result<()>,
+    ) -> Result<()> {
+        let (of, ends) = (self.of.get()?, self.ends.get()?);
+        for n in numbers {
+            let start = if n == 0 { 0 } else { ends[n as usize - 1] };
+            visit(&of[start as usize..ends[n as usize] as usize])?;
+        }
+        Ok(())
+    }
+}
+
+struct ListsWriter {
+    of: ColumnWriter<u64>,
+    ends: ColumnWriter<u64>,
+}
+
+impl ListsWriter {
+    fn new(settings: &StoreSettings) -> Result<Self> {
+        Ok(Self { of: ColumnWriter::new(&settings.scratch)?, ends: ColumnWriter::new(&settings.scratch)? })
+    }
+
+    fn len(&self) -> u64 {
+        self.ends.len()
+    }
+
+    fn push(&mut self, list: &[u64]) -> Result<()> {
+        list.iter().try_for_each(|v| self.of.push(v))?;
+        self.ends.push(&self.of.len())
+    }
+
+    fn finish(self) -> Result<Lists> {
+        Ok(Lists { of: self.of.finish()?, ends: self.ends.finish()? })
+    }
+}
