@@ -4,8 +4,8 @@
     read_archive.py ARCHIVE [--step N] [-o FILE.npz]
 
 Prints the number of points, the range of values, and the largest difference between the ranges that are stored of blocks
-and those of their values. FILE.npz has `positions` (n x 3, lattice steps), `values` (n, NaN where void): those of bricks.
-Values at the ends of the domain are a pcodec file, which is left out.
+and those of their values. FILE.npz has `positions` (n x 3, lattice steps), `values` (n, NaN where void). With nodes at
+samples they are those of all points, else those of bricks: values at the ends of the domain are a pcodec file, left out.
 
 Archives of other point sets, of several chunks, and of values that are not rounded are refused by name.
 Needs Python 3.9, NumPy, and zstd: Python 3.14 has it, before that the library libzstd is looked for.
@@ -13,6 +13,7 @@ Needs Python 3.9, NumPy, and zstd: Python 3.14 has it, before that the library l
 import argparse
 import ctypes
 import ctypes.util
+import functools
 import json
 import pathlib
 import re
@@ -22,8 +23,9 @@ import sys
 import numpy as np
 
 MAGIC, END = b"\x89ISO\r\n\x1a\n", b"ISOEND\r\n"
-MESH, VALUES = 1, 2
+VALUES = 2
 VOID = -(2**31)
+DOCUMENT = (pathlib.Path(__file__).resolve().parents[1] / "src/archive/FORMAT.md").read_text()
 
 
 def refuse(what):
@@ -66,49 +68,46 @@ def expect(path, what, expected, got):
         refuse(f"{path}: {what}: expected {expected}, got {got}")
 
 
-def varint(data, at):
-    value, shift = 0, 0
-    while True:
-        byte = data[at]
-        value |= (byte & 127) << shift
-        at, shift = at + 1, shift + 7
+def varints(data):
+    numbers, shift = [0], 0
+    for byte in data:
+        numbers[-1] |= (byte & 127) << shift
+        shift += 7
         if byte < 128:
-            return value, at
+            numbers, shift = numbers + [0], 0
+    return numbers[:-1]
 
 
-class Segment:
-    """A file of blocks with a directory; its last block tells which blocks a chunk has."""
-
-    def __init__(self, path, kind):
-        data = path.read_bytes()
-        header, footer = data[:40], data[-48:]
-        expect(path, "magic", MAGIC, header[:8])
-        version, oldest, found = struct.unpack("<HHI", header[8:16])
-        expect(path, "kind", kind, found)
-        if oldest > 5 or version < 5:
-            refuse(f"{path}: format {version}, readable by {oldest} and later; this reads 5")
-        expect(path, "checksum of the header", crc32c(header[:36]), struct.unpack("<I", header[36:])[0])
-        expect(path, "end", END, footer[36:44])
-        expect(path, "checksum of the footer", crc32c(footer[:44]), struct.unpack("<I", footer[44:])[0])
-        count, directory, length = struct.unpack("<QQQ", footer[:24])
-        expect(path, "length", length, len(data))
-        self.blocks, at = [], directory
-        while len(self.blocks) < count:
-            n = min(16, count - len(self.blocks))
-            page = data[at : at + 12 + 8 * n]
-            expect(path, "checksum of a page", crc32c(page[:-4]), struct.unpack("<I", page[-4:])[0])
-            offset = struct.unpack("<Q", page[:8])[0]
-            for k in range(n):
-                size, crc = struct.unpack("<II", page[8 + 8 * k : 16 + 8 * k])
-                block = data[offset : offset + size]
-                expect(path, "checksum of a block", crc, crc32c(block))
-                self.blocks.append(block)
-                offset += size
-            at += len(page)
-        expect(path, "end of the directory", len(data) - 48, at)
-        table = self.blocks.pop()
-        _, at = varint(table, 0)
-        self.chunks, at = varint(table, at)
+def value_blocks(archive, number):
+    """The blocks of a step's values: all but the last one of the segment, which tells that they are those of one chunk."""
+    path = archive / f"steps/{number:06}-values-000000.seg"
+    data = path.read_bytes()
+    header, footer = data[:40], data[-48:]
+    expect(path, "magic", MAGIC, header[:8])
+    version, oldest, kind = struct.unpack("<HHI", header[8:16])
+    expect(path, "kind", VALUES, kind)
+    if oldest > 5 or version < 5:
+        refuse(f"{path}: format {version}, readable by {oldest} and later; this reads 5")
+    expect(path, "checksum of the header", crc32c(header[:36]), struct.unpack("<I", header[36:])[0])
+    expect(path, "end", END, footer[36:44])
+    expect(path, "checksum of the footer", crc32c(footer[:44]), struct.unpack("<I", footer[44:])[0])
+    count, at, length = struct.unpack("<QQQ", footer[:24])
+    expect(path, "length", length, len(data))
+    blocks = []
+    while len(blocks) < count:
+        n = min(16, count - len(blocks))
+        page = data[at : at + 12 + 8 * n]
+        expect(path, "checksum of a page", crc32c(page[:-4]), struct.unpack("<I", page[-4:])[0])
+        offset = struct.unpack("<Q", page[:8])[0]
+        for k in range(n):
+            size, crc = struct.unpack("<II", page[8 + 8 * k : 16 + 8 * k])
+            blocks.append(data[offset : offset + size])
+            expect(path, "checksum of a block", crc, crc32c(blocks[-1]))
+            offset += size
+        at += len(page)
+    expect(path, "end of the directory", len(data) - 48, at)
+    expect(path, "chunk table", [0, 1, count - 1], varints(blocks.pop()))
+    return blocks
 
 
 # ---------------------------------------------------------------- points
@@ -118,14 +117,12 @@ class Lattice:
     """The points of the one chunk of a lattice, in the order of their numbers, in half cells."""
 
     def __init__(self, cells, brick):
-        self.cells, self.brick = cells, brick
-        self.bricks, self.places = [], []
+        self.cells, self.bricks, self.places = cells, [], []
         for low in boxes([-(-c // b) for c, b in zip(cells, brick)]):
             low = [l * b for l, b in zip(low, brick)]
             size = [min(b, c - l) for l, b, c in zip(low, brick, cells)]
-            self.bricks.append(size)
-            for place in brick_places(size):
-                self.places.append(tuple(2 * l + p for l, p in zip(low, place)))
+            self.bricks.append((low, size))
+            self.places += [tuple(2 * l + p for l, p in zip(low, place)) for place in brick_places(size)]
         self.ends()
 
     def ends(self):
@@ -196,11 +193,12 @@ class RangeCoder:
         return number
 
 
-def first_odds(document):
-    """The tables of FORMAT.md: four, of 20 classes, 20 lengths; in 65536ths."""
-    rows = [[int(n) for n in line.split()] for line in document.splitlines() if re.fullmatch(r"    (\d+ ){19}\d+", line)]
+def first_odds():
+    """By table, class and length the four tables of FORMAT.md, by length those of second bits; in 65536ths."""
+    rows = [[int(n) for n in line.split()] for line in DOCUMENT.splitlines() if re.fullmatch(r"    (\d+ ){19}\d+", line)]
     assert len(rows) == 80
-    return {(k // 20, k % 20, l): 256 * n for k, row in enumerate(rows) for l, n in enumerate(row)}
+    odds = {(k // 20, k % 20, l): 256 * n for k, row in enumerate(rows) for l, n in enumerate(row)}
+    return odds | {l: 256 * 96 for l in range(2, 21)}
 
 
 def signed(n):
@@ -227,26 +225,26 @@ def smooth_weights(near):
     return [2**14 - sum(weights)] + weights
 
 
+@functools.lru_cache(maxsize=None)
 class Brick:
-    """How values of a brick of so many cells are predicted."""
+    """How values at nodes and centres of a brick of so many cells, or of so many nodes alone, are predicted."""
 
-    known = {}
-
-    def __init__(self, size):
-        numbers = {place: n for n, place in enumerate(brick_places(size))}
+    def __init__(self, size, centres):
         nodes = boxes(size)
+        places = brick_places(size) if centres else [tuple(2 * c for c in cell) for cell in nodes]
+        numbers = {place: n for n, place in enumerate(places)}
         order = [((0, 0, 0), 0, 8)]
-        for s in (4, 2, 1):
+        for s in (8, 4, 2, 1):
             for k in (3, 2, 1):
                 for cell in nodes:
                     if all(c % s == 0 for c in cell) and sum(c // s % 2 for c in cell) == k:
                         order.append((tuple(2 * c for c in cell), 0 if s > 1 else 1, 2 * s))
-        order += [(tuple(2 * c + 1 for c in cell), 2, 2) for cell in nodes]
+        if centres:
+            order += [(tuple(2 * c + 1 for c in cell), 2, 2) for cell in nodes]
         done, self.steps = set(), []
         for place, kind, t in order:
-            by = 1 if t == 2 else t
-            near = []
-            for d in [(x, y, z) for z in range(-t, t + 1, by) for y in range(-t, t + 1, by) for x in range(-t, t + 1, by)]:
+            near, span = [], range(-t, t + 1, 1 if t == 2 else t)
+            for d in [(x, y, z) for z in span for y in span for x in span]:
                 other = tuple(p + q for p, q in zip(place, d))
                 if other in done:
                     near.append((numbers[other], 3 * 2**20 // sum(c * c for c in d)))
@@ -258,39 +256,30 @@ class Brick:
             done.add(place)
         assert len(self.steps) == len(numbers)
         self.places, self.numbers = np.array([place for place, _, _ in order]), [n for n, _, _ in self.steps]
-        self.smooth, self.weights = None, {}
 
+    @functools.cached_property
     def smooth_steps(self):
         """The same for smooth bricks: numbers, table and neighbours."""
-        if self.smooth is None:
-            self.smooth = []
-            for i, number in enumerate(self.numbers):
-                apart = self.places[:i] - self.places[i]
-                nearest = np.argsort((apart * apart).sum(axis=1), kind="stable")[:32]
-                near = apart[nearest]
-                key = near.tobytes()
-                if key not in self.weights:
-                    self.weights[key] = smooth_weights(near) if i else []
-                self.smooth.append((number, 3, [(self.numbers[k], w) for k, w in zip(nearest, self.weights[key])]))
-        return self.smooth
+        steps, weights = [], {}
+        for i, number in enumerate(self.numbers):
+            apart = self.places[:i] - self.places[i]
+            nearest = np.argsort((apart * apart).sum(axis=1), kind="stable")[:32]
+            key = apart[nearest].tobytes()
+            if key not in weights:
+                weights[key] = smooth_weights(apart[nearest]) if i else []
+            steps.append((number, 3, [(self.numbers[k], w) for k, w in zip(nearest, weights[key])]))
+        return steps
 
-    @classmethod
-    def of(cls, size):
-        size = tuple(size)
-        if size not in cls.known:
-            cls.known[size] = cls(size)
-        return cls.known[size]
-
-    def decode(self, data, odds):
-        coder, odds, seconds = RangeCoder(data), dict(odds), {n: 96 * 256 for n in range(2, 21)}
+    def decode(self, coder, odds, parts=1, most=None):
+        """Numbers in order, of nodes in so many parts of a step and from 0 to `most`; the odds learn."""
         smooth = coder.number(1) == 1
         values, apart = [0] * len(self.steps), [0] * len(self.steps)
-        for number, table, near in self.smooth_steps() if smooth else self.steps:
+        for number, table, near in self.smooth_steps if smooth else self.steps:
             mean = signed((sum(w * values[n] for n, w in near) + 2**13) >> 14)
             if smooth:
                 spread = sum(abs(w) * apart[n] for n, w in near[:8]) >> 12
             else:
-                spread = sum(w * abs(values[n] - mean) for n, w in near) >> 12
+                spread = sum(w * abs(values[n] - mean) for n, w in near) // (parts << 12)
             log = spread.bit_length() - 1
             second = spread >> (log - 1) & 1 if log > 0 else 0
             of_spread = 0 if spread == 0 else min(2 * log + second + 1, 19)
@@ -299,9 +288,7 @@ class Brick:
                 bits += 1
             difference = 0
             if bits > 0:
-                size = 1
-                if bits > 1:
-                    size = 2 | coder.bit(seconds, min(bits, 20))
+                size = 2 | coder.bit(odds, min(bits, 20)) if bits > 1 else 1
                 left = max(bits - 2, 0)
                 if left > 15:
                     left -= 15
@@ -309,7 +296,8 @@ class Brick:
                 low = coder.number(left + 1)
                 size = size << left | low >> 1
                 difference = -size if low & 1 else size
-            values[number], apart[number] = signed(mean + difference), abs(difference)
+            value, apart[number] = signed(mean + parts * difference), abs(difference)
+            values[number] = value if most is None else min(max(value, 0), most)
         return values
 
 
@@ -317,69 +305,83 @@ class Brick:
 
 
 def read(archive, number):
-    """Positions in lattice steps, values, and the largest error of stored ranges."""
+    """Positions in lattice steps, the values of the first ones or of all, and the largest error of stored ranges."""
     manifest = json.loads((archive / "manifest.json").read_text())
     plan, steps = manifest["plan"], {s["number"]: s for s in manifest["steps"]}
-    if plan["points"].get("set") != "lattice" or plan.get("explicit") or plan["brick_edge"] != [8, 8, 8]:
-        refuse(f"{archive}: its points are no lattice in bricks of 8^3 cells")
-    if not all(s.get("quantiser") for s in manifest["steps"]):
-        refuse(f"{archive}: its values are not rounded")
-    if manifest["counts"]["chunks"] != 1:
-        refuse(f"{archive}: it has several chunks")
+    dims, log2 = plan["lattice"]["dims"], plan["lattice"]["log2_steps"]
     if number not in steps:
         refuse(f"{archive}: no step {number}")
+    at_samples, quantiser = steps[number].get("vertex_values") == "nodes", steps[number].get("quantiser")
+    edge = 16 if at_samples else 8
+    if plan["points"].get("set") != "lattice" or plan.get("explicit") or plan["brick_edge"] != [edge] * 3:
+        refuse(f"{archive}: its points are no lattice in bricks of {edge}^3 cells")
+    if not quantiser:
+        refuse(f"{archive}: its values are not rounded")
+    expect(archive, "chunks", 1, manifest["counts"]["chunks"])
     lattice = Lattice(plan["points"]["cells"], plan["brick_edge"])
-    numbers = integers(archive, steps, number, lattice)
-    quantiser = steps[number]["quantiser"]
-    values = np.array([np.nan if n == VOID else quantiser["origin"] + n * quantiser["step"] for n in numbers])
-    values = values.astype(np.float32)
-    dims, log2 = plan["lattice"]["dims"], plan["lattice"]["log2_steps"]
-    positions = lattice.positions([(d - 1) << log2 for d in dims])
-    # Those in bricks come first.
-    return positions[: len(values)], values, range_error(archive, number, lattice, values)
-
-
-def blocks_of(archive, number):
-    return Segment(archive / f"steps/{number:06}-values-000000.seg", VALUES).blocks
+    expect(archive, "points", len(lattice.places), manifest["counts"]["points"])
+    if at_samples:
+        expect(archive, "cells between the samples", [d - 1 for d in dims], lattice.cells)
+        numbers = of_nodes(archive, number, lattice, quantiser.get("parts", 1), quantiser["bits"])
+    else:
+        numbers = np.array(integers(archive, steps, number, lattice))
+    values = np.where(numbers == VOID, np.nan, quantiser["origin"] + numbers * quantiser["step"]).astype(np.float32)
+    positions = lattice.positions([(d - 1) << s for d, s in zip(dims, log2 if isinstance(log2, list) else 3 * [log2])])
+    return positions, values, range_error(archive, number, lattice, values)
 
 
 def lengths(lattice):
-    """Values of each value block: bricks where they have 8 cells along each edge; then 1024 each."""
-    total = len(lattice.places)
-    bricks = [2 * a * b * c for a, b, c in lattice.bricks]
-    rest = total - sum(bricks)
+    """Values of each value block: bricks where they have 8 or 16 cells along each edge; then 1024 each."""
+    bricks = [2 * a * b * c for _, (a, b, c) in lattice.bricks]
+    rest = len(lattice.places) - sum(bricks)
     return bricks, [min(1024, rest - k) for k in range(0, rest, 1024)]
 
 
 def integers(archive, steps, number, lattice):
     """The rounded values of a step, of its base where they refer to it."""
-    document = pathlib.Path(__file__).resolve().parents[1] / "src/archive/FORMAT.md"
-    odds, found, base = first_odds(document.read_text()), [], None
-    blocks = blocks_of(archive, number)
-    for block, size in zip(blocks, lattice.bricks):
-        codec, body = block[0], block[1:]
-        if codec not in (48, 49):
-            refuse(f"{archive}: step {number}: values of codec {codec}, which is not of bricks")
-        values = Brick.of(size).decode(body, odds)
-        if codec == 49:
-            if base is None:
-                base = integers(archive, steps, steps[number]["base"]["number"], lattice)
-            at = len(found)
-            values = [signed(v + b) for v, b in zip(values, base[at : at + len(values)])]
+    odds, found, base = first_odds(), [], None
+    for block, (_, size) in zip(value_blocks(archive, number), lattice.bricks):
+        if block[0] not in (48, 49):
+            refuse(f"{archive}: step {number}: values of codec {block[0]}, which is not of bricks")
+        values = Brick(tuple(size), True).decode(RangeCoder(block[1:]), dict(odds))
+        if block[0] == 49:
+            base = base or integers(archive, steps, steps[number]["base"]["number"], lattice)
+            values = [signed(v + b) for v, b in zip(values, base[len(found) :])]
         found += values
     return found
 
 
+def of_nodes(archive, number, lattice, parts, bits):
+    """The values of all points in steps, not rounded: means of the nodes around, which are stored in parts of a step."""
+    blocks, (bricks, rest) = value_blocks(archive, number), lengths(lattice)
+    nodes, first = np.zeros([c + 1 for c in lattice.cells], int), first_odds()
+    for block, (low, size) in zip(blocks, lattice.bricks):
+        if block[0] != 50:
+            refuse(f"{archive}: step {number}: nodes of codec {block[0]}, which is not of bricks without void")
+        coder, odds, spans = RangeCoder(block[1:]), dict(first), []
+        for l, s, c in zip(low, size, lattice.cells):
+            end = l + s + (l + s == c)
+            spans.append([slice(l, l + 8), slice(l + 8, end)] if end - l > 9 else [slice(l, end)])
+        for part in [(x, y, z) for z in spans[2] for y in spans[1] for x in spans[0]]:
+            part_size = tuple(s.stop - s.start for s in part)
+            values = Brick(part_size, False).decode(coder, odds, parts, int((2**bits - 1) * parts))
+            nodes[part] = np.reshape(values, part_size, order="F")
+    for block in blocks[len(bricks) :][: len(rest)]:
+        expect(archive, "a block without nodes", bytes([52]), block)
+    # All eight are one node at a node, and in pairs one at a face centre.
+    low, high = np.array(lattice.places).T // 2, (np.array(lattice.places).T + 1) // 2
+    corners = [nodes[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    return sum(corners) / (8 * parts)
+
+
 def range_error(archive, number, lattice, values):
     bricks, rest = lengths(lattice)
-    block = blocks_of(archive, number)[len(bricks) + len(rest)]
+    block = value_blocks(archive, number)[len(bricks) + len(rest)]
     stored = np.frombuffer(unzstd(block, 8 * (len(bricks) + len(rest))), "<f4").reshape(2, -1).T
-    at, worst = 0, 0.0
-    for (lo, hi), count in zip(stored, bricks):
-        part = values[at : at + count]
+    worst = 0.0
+    for (lo, hi), part in zip(stored, np.split(values, np.cumsum(bricks + rest)[:-1])):
         if len(part) and not np.isnan(part).all():
             worst = max(worst, abs(float(lo) - float(np.nanmin(part))), abs(float(hi) - float(np.nanmax(part))))
-        at += count
     return worst
 
 
@@ -390,6 +392,7 @@ if __name__ == "__main__":
     parser.add_argument("-o", "--output", type=pathlib.Path)
     arguments = parser.parse_args()
     positions, values, worst = read(arguments.archive, arguments.step)
-    print(f"{len(values)} points in bricks, values {np.nanmin(values):g} .. {np.nanmax(values):g}, ranges off by {worst:g}")
+    span = f"{np.nanmin(values):g} .. {np.nanmax(values):g}"
+    print(f"{len(values)} of {len(positions)} points, values {span}, ranges off by {worst:g}")
     if arguments.output:
-        np.savez(arguments.output, positions=positions, values=values)
+        np.savez(arguments.output, positions=positions[: len(values)], values=values)

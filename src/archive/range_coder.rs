@@ -39,7 +39,7 @@ impl Odds {
 }
 
 /// The bytes of an interval whose ends are fixed: appended as they become certain.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Encoder {
     low: u64,
     range: u32,
@@ -102,6 +102,11 @@ impl Encoder {
             }
         }
         self.low &= 0xffff_ffff;
+    }
+
+    /// Bits that have been written, rounded down.
+    pub(crate) fn bits(&self) -> u64 {
+        8 * self.bytes.len() as u64 + u64::from(self.range.leading_zeros())
     }
 
     /// Forgets everything.

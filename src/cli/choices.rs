@@ -23,9 +23,9 @@ pub(crate) struct Choices {
 #[derive(clap::Args, Debug)]
 struct Targets {
     /// Use the fewest points with which the RMS error at all samples is at most E, in units of the
-    /// field or as N% of its range. This takes several tries. The points are a lattice, and the
-    /// number of bits per value is chosen too, unless --points, --adapt or --value-bits is given.
-    /// Meshes and --focus imply --adapt.
+    /// field or as N% of its range. This takes several tries. The points are a lattice, or the
+    /// samples where that takes fewer bytes, and the number of bits per value is chosen too, unless
+    /// --points, --adapt or --value-bits is given. Meshes and --focus imply --adapt.
     #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure"], allow_hyphen_values = true)]
     target_rms: Option<Bound>,
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
@@ -102,8 +102,9 @@ struct PlanChoices {
     /// Number of points that are meshed together. Changes the layout of the archive, not its mesh.
     #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS, value_parser = grammar::natural, allow_negative_numbers = true)]
     chunk_points: u64,
-    /// Round values to N bits (4 to 24) of the range of the source, or "exact". Rounding reads the
-    /// source once more; its largest error is reported and stored. [default: 8 bits of the range of
+    /// Round values to N bits (4 to 24, or 1 to 20 with --points samples; 6.5 is allowed) of the
+    /// range of the source, or "exact". Rounding reads the source once more; its largest error is
+    /// reported and stored. [default: 8 bits of the range of
     /// 99.8 % of the samples for the lattice of a volume, unless --interp is nearest; else exact]
     #[arg(help_heading = "Values", long, value_name = "N|exact", value_parser = grammar::bits, allow_hyphen_values = true)]
     value_bits: Option<ValueBits>,
@@ -119,6 +120,9 @@ enum Set {
     HyperbolicCross,
     Regular,
     Lattice,
+    /// A lattice with a node at each sample of a volume. The samples are stored, rounded; all other
+    /// points have means of them.
+    Samples,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -197,7 +201,7 @@ impl PlanChoices {
             Set::Halton => SetKind::Halton,
             Set::HyperbolicCross => SetKind::HyperbolicCross,
             Set::Regular => SetKind::Regular,
-            Set::Lattice => SetKind::Bcc,
+            Set::Lattice | Set::Samples => SetKind::Bcc,
         });
         let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
         if cross && points != Some(Set::HyperbolicCross) {
@@ -207,6 +211,20 @@ impl PlanChoices {
             return Err(Error::usage("--shift is for --points hammersley"));
         }
         let interpolation = self.interp.interpolation();
+        if points == Some(Set::Samples) {
+            let others = [
+                (of_mesh, "a mesh: its own vertices are stored with --fraction 1"),
+                (target.is_some(), "a target: --points lattice finds out whether it is met best so"),
+                (self.values.is_some(), "--values: the values are those of the samples"),
+                (
+                    self.count.is_some() || self.fraction.is_some(),
+                    "--count or --fraction: all samples are points",
+                ),
+            ];
+            if let Some((_, other)) = others.into_iter().find(|other| other.0) {
+                return Err(Error::usage(format!("--points samples does not go with {other}")));
+            }
+        }
         let amount = match (self.count, self.fraction) {
             (Some(n), _) => Amount::Count(n),
             (None, fraction) => Amount::Fraction(fraction.unwrap_or(0.125)),
@@ -225,6 +243,7 @@ impl PlanChoices {
             target,
             interpolation,
             values: match self.values {
+                _ if points == Some(Set::Samples) => Values::Nodes,
                 Some(Vertex::Sample) => Values::Sample,
                 Some(Vertex::Fit) => Values::Fit,
                 None => Values::usual(interpolation),

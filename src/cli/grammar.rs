@@ -413,9 +413,9 @@ pub(crate) fn shard(text: &str) -> Parsed<Shard> {
 pub(crate) fn bits(text: &str) -> Parsed<ValueBits> {
     let found = match text {
         "exact" => Some(ValueBits::Exact),
-        _ => whole(text).ok().filter(|n| (4..=24).contains(n)).map(ValueBits::Bits),
+        _ => number(text).ok().filter(|n| (1.0..=24.0).contains(n)).map(ValueBits::Bits),
     };
-    expected(found, "a number of bits from 4 to 24, or exact")
+    expected(found, "a number of bits from 4 to 24, 1 to 20 with --points samples, or exact")
 }
 
 /// `error`, `mask`, or a value.
@@ -550,8 +550,8 @@ mod tests {
 
     #[test]
     fn words() {
-        assert_eq!((bits("exact"), bits("8")), (Ok(ValueBits::Exact), Ok(ValueBits::Bits(8))));
-        refused(bits, &["", "3", "25", "x"]);
+        assert_eq!((bits("exact"), bits("8")), (Ok(ValueBits::Exact), Ok(ValueBits::Bits(8.0))));
+        refused(bits, &["0.5", "25", "x", ""]);
         refused(nan, &["", "hole", "inf"]);
         refused(up, &["", "w", "+x"]);
         refused(paint, &["", "red", "#12"]);

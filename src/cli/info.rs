@@ -326,11 +326,15 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             if s.own { ", kept as they are" } else { "" }
         );
     }
-    let fitted = if s.values == Values::Fit { ", fitted to the samples" } else { "" };
+    let fitted = match s.values {
+        Values::Sample => "",
+        Values::Fit => ", fitted to the samples",
+        Values::Nodes => ", of the samples at nodes",
+    };
     let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
     if let Some(q) = &s.quantiser {
         let bound = text::value(text::figures(q.bound, 4));
-        let _ = writeln!(out, "  values      {} bits, within {bound}", q.bits);
+        let _ = writeln!(out, "  values      {} bits, within {bound}", text::figures(q.bits, 3));
     }
     if let Some(range) = s.range {
         let unit = text::unit(s.units.value.as_ref());

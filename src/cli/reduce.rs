@@ -237,7 +237,7 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     }
     if let Some(q) = &report.quantiser {
         let bound = text::value(text::figures(q.bound, 4));
-        let _ = writeln!(out, "  values      {} bits, within {bound}", q.bits);
+        let _ = writeln!(out, "  values      {} bits, within {bound}", text::figures(q.bits, 3));
     }
     out += &text::rounding(report.steps.iter().filter_map(|s| s.rounding).reduce(f64::max));
     if let Some(line) = error_line(report) {

@@ -456,6 +456,15 @@ impl ChunkGrid {
         Chunk { id, brick_lo: lo, brick_hi: hi, core: self.bricks.lattice_box(lo, hi) }
     }
 
+    /// The chunk that has a brick.
+    pub(crate) fn of_brick(&self, brick: [u64; 3]) -> ChunkId {
+        let layer = self.z_cuts.partition_point(|&z| z <= brick[2]) - 1;
+        let row = self.y_cuts[layer].partition_point(|&y| y <= brick[1]) - 1;
+        let at = self.rows.partition_point(|&(_, l, r)| (l, r) < (layer, row));
+        let x = self.row_cuts(at).partition_point(|&x| x <= brick[0]) - 1;
+        ChunkId(self.rows[at].0 + x as u64)
+    }
+
     /// All chunks in order.
     pub fn iter(&self) -> impl Iterator<Item = Chunk> + '_ {
         (0..self.len).map(|i| self.chunk(ChunkId(i)))
@@ -531,6 +540,7 @@ mod tests {
         for c in grid.iter() {
             assert!(!c.core.is_empty());
             for b in c.bricks(grid.bricks()) {
+                assert_eq!(grid.of_brick(grid.bricks().coords(b)), c.id);
                 seen[b.0 as usize] += 1;
             }
         }

@@ -28,8 +28,11 @@ use crate::geom::{Lattice, LatticePos, PointClass, PointId, half_plane};
 use std::collections::HashMap;
 use std::ops::Range;
 
-/// Cells along each edge of a brick, at most; its 1024 points are numbered one after another.
+/// Cells along each edge of a brick that has values of its own, at most; its 1024 points are
+/// numbered one after another.
 pub(crate) const BRICK_CELLS: u32 = 8;
+/// Cells along each edge of a brick whose points follow from nodes at samples.
+pub(crate) const NODE_BRICK_CELLS: u32 = 16;
 /// Cells along each edge of a block, at most.
 const BLOCK_CELLS: u32 = 4;
 
@@ -99,9 +102,10 @@ impl CellBox {
 
 impl BccMesh {
     /// The lattice with these numbers of cells along each axis, as a point set has checked them;
-    /// `None` for bricks that are not cubes of 1, 2, 4 or 8 cells.
+    /// `None` for bricks that are not cubes of 1, 2, 4, 8 or 16 cells.
     pub(crate) fn new(cells: [u32; 3], lattice: &Lattice, brick: [u64; 3]) -> Option<Self> {
-        let is_cube = brick == [brick[0]; 3] && [1, 2, 4, BRICK_CELLS.into()].contains(&brick[0]);
+        let is_cube = brick == [brick[0]; 3]
+            && [1, 2, 4, BRICK_CELLS.into(), NODE_BRICK_CELLS.into()].contains(&brick[0]);
         is_cube.then(|| Self { cells, brick: brick[0] as u32, max: lattice.max() })
     }
 
@@ -165,6 +169,22 @@ impl BccMesh {
         }
     }
 
+    /// The bricks of nodes with the nodes from `lo` to `hi`, x fastest: brick for brick the low
+    /// corners of the cells, and at the end of the domain the high corners too.
+    fn node_bricks(&self, lo: [u32; 3], hi: [u32; 3]) -> impl Iterator<Item = NodeBrick> {
+        let (cells, edge) = (self.cells, self.brick);
+        let of_node = move |a: usize, node: u32| (node / edge).min(cells[a].div_ceil(edge) - 1);
+        let all = CellBox {
+            lo: std::array::from_fn(|a| of_node(a, lo[a])),
+            hi: std::array::from_fn(|a| of_node(a, hi[a].min(cells[a])) + 1),
+        };
+        all.iter().map(move |brick| {
+            let lo = brick.map(|b| b * edge);
+            let end = |a: usize| if lo[a] + edge >= cells[a] { cells[a] + 1 } else { lo[a] + edge };
+            NodeBrick { brick, lo, nodes: std::array::from_fn(|a| end(a) - lo[a]) }
+        })
+    }
+
     /// The cells from `lo` to before `hi`.
     pub(crate) fn chunk(&self, lo: [u32; 3], hi: [u32; 3]) -> BccChunk {
         BccChunk::new(*self, CellBox { lo, hi })
@@ -176,6 +196,28 @@ impl BccMesh {
 const PIECES: usize = 13;
 const ABOVE: usize = 7;
 const BELOW: usize = 10;
+
+/// The nodes of a brick, whose values are coded together where those of all other points follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct NodeBrick {
+    /// Its place among all bricks.
+    pub(crate) brick: [u32; 3],
+    /// The first node, and nodes along each axis.
+    pub(crate) lo: [u32; 3],
+    pub(crate) nodes: [u32; 3],
+}
+
+/// The place of a point of a lattice among its nodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct AmongNodes(Halves);
+
+impl AmongNodes {
+    /// The lowest and the highest of the nodes around it: itself, the corners of its cell or those
+    /// of its face.
+    pub(crate) fn corners(self) -> [[u32; 3]; 2] {
+        [self.0.map(|j| j / 2), self.0.map(|j| j.div_ceil(2))]
+    }
+}
 
 /// A box of cells, its points and its tetrahedra.
 #[derive(Clone, Debug)]
@@ -311,9 +353,55 @@ impl BccChunk {
         self.cells.cut(self.mesh.brick).map(|brick| brick.dims())
     }
 
+    /// The bricks of nodes on which the values of its points depend where those follow from nodes:
+    /// its own as in [`BccChunk::bricks`], among them those of chunks after it.
+    pub(crate) fn node_bricks(&self) -> impl Iterator<Item = NodeBrick> {
+        // A centre above the last cell has that of the next one.
+        let CellBox { lo, hi } = self.cells;
+        let is_empty = self.cells.len() == 0;
+        self.mesh.node_bricks(lo, hi.map(|h| h + 1)).filter(move |_| !is_empty)
+    }
+
+    /// Whether a brick of nodes is its own.
+    pub(crate) fn owns(&self, brick: &NodeBrick) -> bool {
+        self.cells.contains(brick.lo)
+    }
+
+    /// Where the points with such numbers are among the nodes.
+    pub(crate) fn among_nodes(&self, numbers: Range<usize>) -> Vec<AmongNodes> {
+        let mut out = Vec::with_capacity(numbers.len());
+        let mut add = |first: u32, cells: CellBox, place: &dyn Fn([u32; 3]) -> Halves| {
+            let first = first as usize;
+            let wanted = numbers.start.max(first)..numbers.end.min(first + cells.len() as usize);
+            if !wanted.is_empty() {
+                let cells = cells.iter().skip(wanted.start - first).take(wanted.len());
+                out.extend(cells.map(|cell| AmongNodes(place(cell))));
+            }
+        };
+        let near = |&(block, first): &(CellBox, u32)| first as usize + 2 * block.len() as usize;
+        let skipped = self.blocks.partition_point(|block| near(block) <= numbers.start);
+        for &(block, first) in self.blocks[skipped..].iter().take_while(|b| (b.1 as usize) < numbers.end) {
+            add(first, block, &|cell| cell.map(|c| 2 * c));
+            add(first + block.len(), block, &|cell| cell.map(|c| 2 * c + 1));
+        }
+        for is_core in [true, false] {
+            for piece in (0..PIECES).filter(|&piece| self.has_piece(piece) == is_core) {
+                if let Some(cells) = self.piece_box(piece) {
+                    add(self.pieces[piece], cells, &|cell| self.point_of(piece, cell));
+                }
+            }
+        }
+        out
+    }
+
     /// Whether bricks are as large as they may be.
     pub(crate) fn has_whole_bricks(&self) -> bool {
-        self.mesh.brick == BRICK_CELLS
+        self.mesh.brick >= BRICK_CELLS
+    }
+
+    /// Whether its points may follow from nodes.
+    pub(crate) fn has_node_bricks(&self) -> bool {
+        self.mesh.brick == NODE_BRICK_CELLS
     }
 
     /// The number of a point; `None` of one that the chunk's tetrahedra do not have.
@@ -572,6 +660,31 @@ mod tests {
                 (0..3).any(|a| [0, max[a]].iter().any(|&end| f.iter().all(|p| p[a] == end)))
             };
             assert!(faces.iter().all(|(face, &n)| n == if on_box(face) { 1 } else { 2 }));
+        }
+    }
+
+    #[test]
+    fn points_are_among_the_nodes_of_bricks() {
+        for (cells, cuts) in [([40, 9, 32], [16, 16, 32]), ([3, 16, 33], [16, 16, 16])] {
+            let mesh = BccMesh::new(cells, &lattice(), [16; 3]).unwrap();
+            for lo in (CellBox { lo: [0; 3], hi: std::array::from_fn(|a| cells[a].div_ceil(cuts[a])) }).iter()
+            {
+                let lo: [u32; 3] = std::array::from_fn(|a| lo[a] * cuts[a]);
+                let chunk = mesh.chunk(lo, std::array::from_fn(|a| (lo[a] + cuts[a]).min(cells[a])));
+                let places = chunk.among_nodes(0..chunk.points());
+                assert_eq!(places, chunk.all_points().into_iter().map(AmongNodes).collect::<Vec<_>>());
+                let middle = places.len() / 3..places.len() - 5;
+                assert_eq!(chunk.among_nodes(middle.clone()), places[middle]);
+                let bricks: Vec<NodeBrick> = chunk.node_bricks().collect();
+                let own: Vec<[u32; 3]> = bricks.iter().filter(|b| chunk.owns(b)).map(|b| b.lo).collect();
+                assert_eq!(own, chunk.cells.cut(16).map(|b| b.lo).collect::<Vec<_>>());
+                // Each node is in one of them.
+                for node in places.iter().flat_map(|p| p.corners()) {
+                    let has =
+                        |b: &&NodeBrick| (0..3).all(|a| (b.lo[a]..b.lo[a] + b.nodes[a]).contains(&node[a]));
+                    assert_eq!(bricks.iter().filter(has).count(), 1, "{node:?}");
+                }
+            }
         }
     }
 

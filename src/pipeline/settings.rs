@@ -23,7 +23,7 @@ pub enum Amount {
 }
 
 /// Bits to which values are rounded, of the range of the source.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ValueBits {
     /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others
@@ -37,12 +37,12 @@ pub enum ValueBits {
     /// Values are not rounded.
     Exact,
     /// So many bits, of the whole range.
-    Bits(u8),
+    Bits(f64),
 }
 
 impl ValueBits {
     /// Bits of a lattice's values by default.
-    pub const USUAL: u8 = 8;
+    pub const USUAL: f64 = 8.0;
 }
 
 /// What the user chooses of a reduction.
@@ -66,7 +66,8 @@ pub struct ReduceSettings {
     /// How values are interpolated between samples.
     pub interpolation: Interpolation,
     /// Whether values are fitted to the samples, as they are by default; not those of
-    /// [`Interpolation::Nearest`].
+    /// [`Interpolation::Nearest`]. With [`Values::Nodes`] the lattice of a volume has a node at
+    /// each sample, whatever the amount.
     pub values: Values,
     /// What happens to samples that are no numbers.
     pub nan: NanPolicy,
@@ -113,7 +114,7 @@ impl ReduceSettings {
     }
 
     /// The bits to which values are rounded, before outliers add some; `None` if values are exact.
-    pub(super) fn bits(&self, of_mesh: bool) -> Option<u8> {
+    pub(super) fn bits(&self, of_mesh: bool) -> Option<f64> {
         match self.value_bits {
             ValueBits::Bits(bits) => Some(bits),
             ValueBits::Usual if self.rounds_usually(of_mesh) => Some(ValueBits::USUAL),
@@ -271,6 +272,10 @@ impl Target {
         };
         if !(bound > 0.0 && bound.is_finite()) {
             return Err(Error::usage(format!("{what} of {bound} cannot be met: give a number above 0")));
+        }
+        if settings.values == Values::Nodes {
+            let text = "a target finds out itself whether a node at each sample is best: choose other values";
+            return Err(Error::usage(text));
         }
         if self.bound().is_some() && !settings.measure {
             return Err(Error::usage("a target needs an error that is measured"));

@@ -135,6 +135,9 @@ pub enum Values {
     /// From there it is moved towards the least squared error over the samples around it, not past
     /// them ([`crate::fit`]).
     Fit,
+    /// The nodes of a lattice are at the samples and have their values, rounded. The other points
+    /// have the mean of the nodes around them, and no value of their own is stored.
+    Nodes,
 }
 
 impl Values {
@@ -165,6 +168,7 @@ impl Values {
         match self {
             Self::Sample => "sample",
             Self::Fit => "fit",
+            Self::Nodes => "nodes",
         }
     }
 }

@@ -9,9 +9,9 @@ use isospan::points::{SetKind, SetSettings};
 use isospan::sample::{Interpolation, Values};
 use std::path::Path;
 
-const USUAL: u8 = ValueBits::USUAL;
+const USUAL: f64 = ValueBits::USUAL;
 
-fn bits(input: &Path, settings: &ReduceSettings) -> Option<u8> {
+fn bits(input: &Path, settings: &ReduceSettings) -> Option<f64> {
     let out = input.with_extension("isospan");
     let _ = std::fs::remove_dir_all(&out);
     reduce(input, settings, &out, 2).quantiser.map(|q| q.bits)
@@ -83,8 +83,8 @@ fn labels_and_what_is_asked_for_are_exact() {
     assert_eq!(bits(&input, &lattice()), None);
     let points = Some(SetKind::Hammersley);
     assert_eq!(bits(&input, &ReduceSettings { points, ..usual.clone() }), None);
-    let twelve = ValueBits::Bits(12);
-    assert_eq!(bits(&input, &ReduceSettings { value_bits: twelve, ..labels }), Some(12));
+    let twelve = ValueBits::Bits(12.0);
+    assert_eq!(bits(&input, &ReduceSettings { value_bits: twelve, ..labels }), Some(12.0));
     // One value alone has no range to round in.
     write_npy(&input, [24, 22, 20], |_, _, _| 7.0);
     assert_eq!(bits(&input, &usual), Some(USUAL));

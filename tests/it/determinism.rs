@@ -140,12 +140,12 @@ fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
     let mut sets = vec![];
     for chunk_points in [1_000, 7_000] {
         let lossless = settings(SetKind::Halton, AMOUNT, chunk_points);
-        let rounded = ReduceSettings { value_bits: ValueBits::Bits(10), ..lossless.clone() };
+        let rounded = ReduceSettings { value_bits: ValueBits::Bits(10.0), ..lossless.clone() };
         let out = dir.path().join(format!("{chunk_points}.isospan"));
         let report = reduce(&input, &rounded, &out, 2);
         let quantiser = report.quantiser.unwrap();
         // Waves have a range of about 4.
-        assert!(quantiser.bits == 10 && (0.001..0.003).contains(&quantiser.bound), "{quantiser:?}");
+        assert!(quantiser.bits == 10.0 && (0.001..0.003).contains(&quantiser.bound), "{quantiser:?}");
         check_archive(&out).unwrap();
         let whole = reduce(&input, &lossless, &dir.path().join(format!("{chunk_points}-whole.isospan")), 2);
         assert!(report.archive_bytes * 10 < whole.archive_bytes * 9);

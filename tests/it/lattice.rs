@@ -66,7 +66,7 @@ fn rounded_steps_with_holes_are_the_same_however_they_are_made() {
         .collect();
     let settings = ReduceSettings {
         values: Values::Fit,
-        value_bits: ValueBits::Bits(7),
+        value_bits: ValueBits::Bits(7.0),
         nan: NanPolicy::Mask,
         ..lattice(Amount::Fraction(0.3), 4_000)
     };
@@ -111,7 +111,8 @@ fn a_surface_of_a_lattice_reads_the_bricks_that_it_crosses() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("ball.npy"), dir.path().join("ball.isospan"));
     write_npy(&input, [90, 90, 90], |x, y, z| (x * x + y * y + z * z).sqrt());
-    let rounded = ReduceSettings { value_bits: ValueBits::Bits(8), ..lattice(Amount::Fraction(0.5), 20_000) };
+    let rounded =
+        ReduceSettings { value_bits: ValueBits::Bits(8.0), ..lattice(Amount::Fraction(0.5), 20_000) };
     let report = reduce(&input, &rounded, &out, 2);
     let small = surface(&out, 0.1, &dir.path().join("s.ply"), 1);
     let large = surface(&out, 0.9, &dir.path().join("l.ply"), 1);
@@ -124,7 +125,7 @@ fn active_tetrahedra_are_counted_at_any_isovalue() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("waves.npy"), dir.path().join("waves.isospan"));
     write_npy(&input, [50, 46, 40], waves);
-    for bits in [ValueBits::Exact, ValueBits::Bits(8)] {
+    for bits in [ValueBits::Exact, ValueBits::Bits(8.0)] {
         let settings = ReduceSettings { value_bits: bits, ..lattice(Amount::Fraction(0.2), 5_000) };
         let _ = fs::remove_dir_all(&out);
         reduce(&input, &settings, &out, 2);

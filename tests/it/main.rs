@@ -29,6 +29,7 @@ mod measure;
 mod memory;
 mod meshes;
 mod nightly;
+mod nodes;
 mod notices;
 mod offsets;
 mod own_meshes;

@@ -44,7 +44,7 @@ fn the_error_is_that_of_the_probed_field() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("waves.npy"), dir.path().join("waves.isospan"));
     write_npy(&input, [31, 28, 25], waves);
-    for (kind, bits) in [(SetKind::Hammersley, ValueBits::Exact), (SetKind::Bcc, ValueBits::Bits(6))] {
+    for (kind, bits) in [(SetKind::Hammersley, ValueBits::Exact), (SetKind::Bcc, ValueBits::Bits(6.0))] {
         let settings = ReduceSettings { value_bits: bits, ..settings(kind, Amount::Fraction(0.2), 1_000) };
         let _ = std::fs::remove_dir_all(&out);
         reduce(&input, &settings, &out, 2);

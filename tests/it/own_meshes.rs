@@ -500,7 +500,7 @@ fn errors_are_those_of_rounded_values_alone() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("ell.vtk");
     write_mesh(&input, 9, |[x, y, _]| x < 0.5 || y < 0.5, |p| p, |[x, y, z]| (4.0 * x).sin() + y * y + z);
-    let settings = ReduceSettings { value_bits: ValueBits::Bits(8), ..whole(100) };
+    let settings = ReduceSettings { value_bits: ValueBits::Bits(8.0), ..whole(100) };
     let (out, report) = kept(&input, &settings, "ell.isospan", &run(2));
     let (e, bound) = (report.error.unwrap(), report.quantiser.unwrap().bound);
     assert!(e.rms > 0.0 && e.max <= bound * 1.000_001 && e.max > bound / 4.0, "{e:?} {bound}");

@@ -123,7 +123,7 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
         0 => ChunkHeader::decode(block).map(drop).map_err(blame),
         1 => tetrahedra(block).map_err(blame),
         2 => {
-            let (n, quantiser) = (block.len() % 5000, Quantiser::new(8, [0.0, 1.0]));
+            let (n, quantiser) = (block.len() % 5000, Quantiser::new(8.0, [0.0, 1.0]));
             let cells = [8, 8, 1 + block.len() as u32 % 8];
             let n =
                 if block.len().is_multiple_of(2) { n } else { 2 * cells.iter().product::<u32>() as usize };

@@ -84,13 +84,20 @@ pub(crate) struct Curves {
     fields: Vec<(String, Vec<Curve>)>,
 }
 
+/// What a name says of the values.
+fn of_values(values: Values) -> &'static str {
+    match values {
+        Values::Sample => "",
+        Values::Fit => ", fitted",
+        Values::Nodes => ", of samples",
+    }
+}
+
 impl Way {
     fn name(self) -> String {
         match self {
-            Self::Set(points, Values::Sample) => points.name().into(),
-            Self::Set(points, Values::Fit) => format!("{}, fitted", points.name()),
-            Self::Adapted(Values::Sample) => "Halton, adapted".into(),
-            Self::Adapted(Values::Fit) => "Halton, adapted, fitted".into(),
+            Self::Set(points, values) => format!("{}{}", points.name(), of_values(values)),
+            Self::Adapted(values) => format!("Halton, adapted{}", of_values(values)),
             Self::Voxels => "every k-th voxel".into(),
         }
     }

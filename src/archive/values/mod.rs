@@ -36,6 +36,9 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 pub(crate) mod brick;
+mod nodes;
+
+pub use nodes::NodeCoder;
 
 /// Values in a block, the last one of a chunk excepted.
 pub const BLOCK_VALUES: usize = 1024;
@@ -57,6 +60,13 @@ pub const VALUES_BRICK: u8 = 48;
 /// before.
 pub const VALUES_BRICK_AFTER: u8 = 49;
 
+/// Codec: a brick of nodes of a lattice, in parts of the plan's step.
+pub const VALUES_NODES: u8 = 50;
+/// Codec: a brick of nodes of which some are void, pcodec of multiples of the plan's step.
+pub const VALUES_NODES_VOID: u8 = 51;
+/// Codec: nothing is stored, the values follow from nodes.
+pub const VALUES_FOLLOW: u8 = 52;
+
 /// The bits of every void value.
 const VOID: u32 = 0x7fc0_0000;
 /// The integer of a void value, and the largest of others.
@@ -67,28 +77,58 @@ const MOST_STEPS: f64 = (1 << 30) as f64;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quantiser {
     /// Bits that were asked for: 2^bits values fill the range of the source.
-    pub bits: u8,
+    #[serde(serialize_with = "whole_if_it_is")]
+    pub bits: f64,
     /// The value at step 0.
     pub origin: f64,
     /// The distance of two values.
     pub step: f64,
     /// How far a value can be from what it was before.
     pub bound: f64,
+    /// Values are multiples of the step, or of so many parts of it.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub parts: i32,
+}
+
+fn one() -> i32 {
+    1
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_one(n: &i32) -> bool {
+    *n == 1
 }
 
 impl Quantiser {
     /// The fewest and the most bits.
-    pub const BITS: std::ops::RangeInclusive<u8> = 4..=24;
+    pub const BITS: std::ops::RangeInclusive<f64> = 4.0..=24.0;
 
     /// Values of `bits` bits from `low` to `high`; what lies beyond (cubic interpolation
     /// overshoots) goes on in the same steps.
-    pub fn new(bits: u8, [low, high]: [f32; 2]) -> Self {
+    pub fn new(bits: f64, [low, high]: [f32; 2]) -> Self {
         let (low, high) = (f64::from(low), f64::from(high));
-        let steps = f64::from((1u32 << bits) - 1);
+        let steps = steps_of(bits);
         let step = if high > low { (high - low) / steps } else { 1.0 };
         // Half a step, and half the distance of two f32 where the values are largest.
         let coarse = low.abs().max(high.abs()) * f64::from(f32::EPSILON);
-        Self { bits, origin: low, step, bound: step / 2.0 + coarse }
+        Self { bits, origin: low, step, bound: step / 2.0 + coarse, parts: 1 }
+    }
+
+    /// The same, for nodes at samples: these are whole numbers of steps, or values are in parts of
+    /// one, which takes half a part more.
+    pub fn of_nodes(self, has_whole_steps: bool) -> Self {
+        match has_whole_steps {
+            true => self,
+            false => {
+                let more = self.step / f64::from(2 * brick::PARTS);
+                Self { parts: brick::PARTS, bound: self.bound + more, ..self }
+            }
+        }
+    }
+
+    /// Steps from one end of the range to the other.
+    fn steps_of_range(&self) -> f64 {
+        steps_of(self.bits)
     }
 
     /// The same for values as `values` says: fitted ones are rounded by
@@ -132,6 +172,21 @@ impl Quantiser {
     pub fn round(&self, value: f32) -> f32 {
         if value.is_finite() { self.value(self.steps(value)) } else { value }
     }
+}
+
+/// Writes a number without a point if it is whole.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn whole_if_it_is<S: serde::Serializer>(n: &f64, out: S) -> Result<S::Ok, S::Error> {
+    if n.fract() == 0.0 && (0.0..1e9).contains(n) {
+        out.serialize_u32(*n as u32)
+    } else {
+        out.serialize_f64(*n)
+    }
+}
+
+/// Steps of a range that is filled by 2^bits values.
+fn steps_of(bits: f64) -> f64 {
+    libm::exp2(bits) - 1.0
 }
 
 /// How the values of a chunk are cut into blocks: bricks of a lattice, where there are some, then
@@ -464,7 +519,7 @@ pub fn decode_values(bytes: &[u8], known: &KnownOfBlock<'_>, out: &mut Vec<f32>)
 /// The quantiser at the start of a block.
 fn quantiser(c: &mut Cursor<'_>) -> Result<Quantiser, Malformed> {
     let mut number = || Ok(f64::from_bits(c.u64("quantiser")?));
-    Ok(Quantiser { bits: 0, origin: number()?, step: number()?, bound: 0.0 })
+    Ok(Quantiser { bits: 0.0, origin: number()?, step: number()?, bound: 0.0, parts: 1 })
 }
 
 /// Exactly as many numbers as there is room for.
@@ -492,7 +547,7 @@ mod tests {
 
     #[test]
     fn bricks_of_a_lattice_come_back_and_damage_does_no_harm() {
-        let q = Quantiser::new(8, [0.0, 100.0]);
+        let q = Quantiser::new(8.0, [0.0, 100.0]);
         let cells = [[8, 8, 8], [8, 8, 2], [3, 1, 5]];
         let len = 1024 + 256 + 30 + 2000;
         let blocks = ValueBlocks::bricks(cells, len);
@@ -586,7 +641,7 @@ mod tests {
 
     #[test]
     fn rounding_leaves_no_bounds_that_have_a_step_near() {
-        let q = Quantiser::new(4, [0.0, 15.0]);
+        let q = Quantiser::new(4.0, [0.0, 15.0]);
         for (value, bounds, expected) in [
             (3.4, [0.0, 9.0], 3.0),
             (3.6, [0.0, 3.9], 3.0),
@@ -614,7 +669,7 @@ mod tests {
     #[test]
     fn quantised_values_stay_within_the_bound_and_come_back() {
         for (low, high) in [(-3.0f32, 5.0f32), (0.0, 1e-30), (1e6, 1e6 + 1.0), (-2e30, 2e30), (7.0, 7.0)] {
-            for bits in [4, 9, 16, 24] {
+            for bits in [4.0, 6.5, 9.0, 16.0, 24.0] {
                 let q = Quantiser::new(bits, [low, high]);
                 let within = |b: &u32| low + (high - low) * (*b as f32 / u32::MAX as f32);
                 let mut values: Vec<f32> = noise(5000).iter().map(within).collect();
@@ -629,12 +684,12 @@ mod tests {
                 // The bits asked for and some fifty bytes a block; the first has a NaN, which is
                 // distinguished.
                 for (b, own) in blocks.iter().zip([250].into_iter().chain(std::iter::repeat(50))) {
-                    assert!(b.len() <= BLOCK_VALUES * usize::from(bits) / 8 + own, "{bits}: {}", b.len());
+                    assert!(b.len() <= BLOCK_VALUES * bits.ceil() as usize / 8 + own, "{bits}: {}", b.len());
                 }
             }
         }
         // Values that are no multiples are stored as they are.
-        let q = Quantiser::new(8, [0.0, 1.0]);
+        let q = Quantiser::new(8.0, [0.0, 1.0]);
         assert_eq!(
             round_trip(&[0.1, 0.7], Some(&q))[0][0],
             VALUES_PCO.min(encode_even(&[0.1, 0.7], None, None)[0][0])
@@ -653,7 +708,7 @@ mod tests {
     #[test]
     fn damage_is_refused_or_gives_values_never_a_panic() {
         let smooth: Vec<f32> = (0..300).map(|i| (i * i) as f32).collect();
-        let q = Quantiser::new(12, [0.0, 90_000.0]);
+        let q = Quantiser::new(12.0, [0.0, 90_000.0]);
         let rounded: Vec<f32> = smooth.iter().map(|&v| q.round(v)).collect();
         for good in
             [encode_even(&smooth, None, None).remove(0), encode_even(&rounded, None, Some(&q)).remove(0)]
@@ -698,7 +753,7 @@ mod tests {
         (a[5], b[6], a[7], b[7], a[8], b[8]) = (f32::NAN, f32::NAN, f32::NAN, f32::NAN, -1e-30, 1e-30);
         (a[9], b[9], a[10], b[10]) = (f32::MAX, f32::MIN, -0.0, 0.0);
         assert_eq!(after(&b, &a, None), VALUES_AFTER);
-        let q = Quantiser::new(16, [-2.0, 2.5]);
+        let q = Quantiser::new(16.0, [-2.0, 2.5]);
         let mut rounded: Vec<f32> = b.iter().map(|&v| q.round(v)).collect();
         rounded[9] = q.round(0.0);
         assert_eq!(after(&rounded, &a, Some(&q)), VALUES_AFTER_QUANTISED);
@@ -713,7 +768,7 @@ mod tests {
     fn damaged_differences_are_refused_or_give_values() {
         let before: Vec<f32> = noise(300).iter().map(|&n| n as f32).collect();
         let values: Vec<f32> = before.iter().map(|v| v * 1.000_001).collect();
-        let q = Quantiser::new(20, [0.0, 5e9]);
+        let q = Quantiser::new(20.0, [0.0, 5e9]);
         let rounded: Vec<f32> = values.iter().map(|&v| q.round(v)).collect();
         for good in [
             encode_even(&values, Some(&before), None).remove(0),

@@ -17,12 +17,12 @@ use crate::archive::manifest::{
 };
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};
-use crate::archive::values::Quantiser;
+use crate::archive::values::{NodeCoder, Quantiser};
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
 use crate::grid::{BrickGrid, BrickId, ChunkGrid};
-use crate::mesh::bcc::BccMesh;
+use crate::mesh::bcc::{BccMesh, NODE_BRICK_CELLS};
 use crate::pipeline::settings::{Amount, ReduceSettings, ValueBits};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
 use crate::sample::{Interpolation, Values};
@@ -112,6 +112,7 @@ impl Plan {
             )));
         }
         let kind = settings.set_of(false);
+        check_nodes(settings)?;
         Self::on_lattice(lattice, (kind, count), source_of(info, fingerprint), settings)
     }
 
@@ -122,10 +123,14 @@ impl Plan {
         source: Source,
         settings: &ReduceSettings,
     ) -> Result<Self> {
+        let bits_of_values = match settings.values {
+            Values::Nodes => NodeCoder::LEAST_BITS..=NodeCoder::MOST_BITS,
+            Values::Sample | Values::Fit => Quantiser::BITS,
+        };
         if let ValueBits::Bits(bits) = settings.value_bits
-            && !Quantiser::BITS.contains(&bits)
+            && !bits_of_values.contains(&bits)
         {
-            let (least, most) = Quantiser::BITS.into_inner();
+            let (least, most) = bits_of_values.into_inner();
             return Err(Error::usage(format!("values have {least} to {most} bits, not {bits}")));
         }
         if settings.values == Values::Fit && settings.interpolation == Interpolation::Nearest {
@@ -139,7 +144,13 @@ impl Plan {
             ));
         }
         let samples = lattice.dims.iter().map(|&d| d as f64).product::<f64>();
-        let points = PointSpec::with_count(kind, &lattice, count, &settings.set)?;
+        let points = match settings.values {
+            Values::Nodes if source.mesh.is_some() => {
+                return Err(Error::usage("only a volume has a node at each sample: choose other values"));
+            }
+            Values::Nodes => nodes_at_samples(&lattice)?,
+            Values::Sample | Values::Fit => PointSpec::with_count(kind, &lattice, count, &settings.set)?,
+        };
         let total = PointSet::new(points, lattice)?.len();
         let edge = libm::cbrt(samples / total as f64 * BRICK_POINTS).round() as u64;
         if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {
@@ -164,7 +175,12 @@ impl Plan {
             stars: settings.values == Values::Fit,
         };
         if let (Some(cells), None) = (mesh.lattice_cells(), source.mesh) {
-            mesh.brick_edge = [bcc_brick(cells, &lattice); 3];
+            let edge = if settings.values == Values::Nodes {
+                NODE_BRICK_CELLS.into()
+            } else {
+                bcc_brick(cells, &lattice)
+            };
+            mesh.brick_edge = [edge; 3];
         }
         Ok(Self {
             mesh,
@@ -323,9 +339,37 @@ fn crowd(bricks: &BrickGrid, listed: &ExplicitPoints) -> f64 {
     squares as f64 / listed.len() as f64
 }
 
+/// Whether settings go with nodes at all samples, if those are asked for.
+fn check_nodes(settings: &ReduceSettings) -> Result<()> {
+    let others = if settings.values != Values::Nodes {
+        None
+    } else if settings.set_of(false) != SetKind::Bcc || settings.adapt.is_some() {
+        Some("another point set")
+    } else if settings.value_bits == ValueBits::Exact {
+        Some("exact values: --points regular --fraction 1 stores the samples as they are")
+    } else if settings.interpolation != Interpolation::Linear {
+        Some("another interpolation than linear")
+    } else if settings.set.spacing.is_some() {
+        Some("a spacing")
+    } else {
+        None
+    };
+    others.map_or(Ok(()), |others| {
+        Err(Error::usage(format!("a node at each sample does not go with {others}")))
+    })
+}
+
+/// The lattice whose nodes are the samples.
+fn nodes_at_samples(lattice: &Lattice) -> Result<PointSpec> {
+    let spec = PointSpec::Bcc { cells: lattice.dims.map(|d| (d - 1) as u32) };
+    spec.check(lattice)?;
+    Ok(spec)
+}
+
 /// The number of interior points that is wanted of a volume.
 pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
     match settings.amount {
+        _ if settings.values == Values::Nodes => dims.iter().product(),
         Amount::Count(n) => n,
         Amount::Fraction(f) => (dims.iter().map(|&d| d as f64).product::<f64>() * f).round().max(1.0) as u64,
     }
@@ -420,7 +464,8 @@ pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshPar
         return Err(Error::usage("order bits, tetrahedra of a block or points of a chunk out of range"));
     }
     plan.points.check(&plan.lattice)?;
-    let wrong = || Error::usage(format!("bricks of {:?} cells; an edge is 1, 2, 4 or 8", plan.brick_edge));
+    let wrong =
+        || Error::usage(format!("bricks of {:?} cells; an edge is 1, 2, 4, 8 or 16", plan.brick_edge));
     let bcc = plan
         .lattice_cells()
         .map(|cells| BccMesh::new(cells, &plan.lattice, plan.brick_edge).ok_or_else(wrong));

@@ -16,6 +16,7 @@
 use super::block::{Block, BlockCorners};
 use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::damaged::damaged;
+use super::node_values::NodeCache;
 use super::reader_memory::{ReaderMemory, UNPLACED};
 use super::region::Cut;
 use super::star_blocks::{ChunkBricks, StarBlocks};
@@ -30,7 +31,7 @@ use crate::grid::{BrickId, Chunk, ChunkId};
 use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::plan::is_made_again;
-use crate::points::PointSet;
+use crate::sample::Values;
 
 /// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
 pub(in crate::pipeline) struct ChunkReader<'a> {
@@ -56,6 +57,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
     active_bytes: u64,
+    nodes: NodeCache,
     memory: ReaderMemory,
 }
 
@@ -69,9 +71,13 @@ struct Pages {
 
 /// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are
 /// allocated once. Where tetrahedra are made again, it holds the points around too, by cells, and
-/// the faces that wait.
-pub(in crate::pipeline) fn bytes_per_vertex(points: &PointSet) -> u64 {
-    if is_made_again(points) { 160 } else { 40 }
+/// the faces that wait; where values follow from nodes, these too.
+pub(in crate::pipeline) fn bytes_per_vertex(archive: &StepView) -> u64 {
+    match archive.step().plan.values {
+        Values::Nodes => 56,
+        _ if is_made_again(&archive.points) => 160,
+        Values::Sample | Values::Fit => 40,
+    }
 }
 
 impl<'a> ChunkReader<'a> {
@@ -138,6 +144,7 @@ impl<'a> ChunkReader<'a> {
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
+            nodes: NodeCache::default(),
             memory,
         })
     }
@@ -173,6 +180,7 @@ impl<'a> ChunkReader<'a> {
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
+            nodes: NodeCache::default(),
             memory,
         })
     }
@@ -618,10 +626,11 @@ impl<'a> ChunkReader<'a> {
         let ReaderMemory { values, decoded, .. } = &mut self.memory;
         let place = &mut values[self.value_blocks.range(block)];
         decoded.clear();
-        let bytes = self.archive.values_block(self.chunk.id, block, &self.value_blocks, decoded)?;
+        let (id, blocks, nodes) = (self.chunk.id, &self.value_blocks, &mut self.nodes);
+        let bytes = self.archive.values_block(id, block, blocks, nodes, decoded)?;
         place.copy_from_slice(decoded);
-        // A block has at least the byte of its codec.
-        self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX);
+        // A block has at least the byte of its codec, unless all its nodes have been read.
+        self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX).max(1);
         Ok(())
     }
 

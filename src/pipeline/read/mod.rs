@@ -18,6 +18,7 @@ mod coordinates;
 mod damaged;
 mod decoded;
 mod frontier;
+mod node_values;
 mod pools;
 mod reader_memory;
 mod region;
@@ -44,6 +45,7 @@ pub(super) use coordinates::{
 };
 pub(super) use decoded::{DecodedChunk, used_corners};
 pub(super) use frontier::Frontier;
+pub(super) use node_values::NodeValues;
 pub(super) use pools::{BufferPool, Buffers};
 pub(super) use reader_memory::ReaderMemory;
 pub(super) use region::Cut;

@@ -10,6 +10,7 @@ use crate::archive::tables::CoordinateMap;
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
+use crate::mesh::bcc::NODE_BRICK_CELLS;
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
 use crate::spectrum::{ChunkPart, LaneBuffers, Limits, SpectrumBuilder, SpectrumFile, Vertices};
@@ -106,7 +107,10 @@ fn four([x, y, z]: [f64; 3]) -> [f64; 4] {
 
 /// How finely the chunks of a mesh of `points` points are measured.
 pub(in crate::pipeline) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
-    Limits::of_chunks(points.min(mesh.chunk_target))
+    let points = points.min(mesh.chunk_target);
+    // Most points of such a lattice follow from others.
+    let is_of_nodes = mesh.lattice_cells().is_some() && mesh.brick_edge[0] == u64::from(NODE_BRICK_CELLS);
+    Limits::of_chunks(if is_of_nodes { points / 8 } else { points })
 }
 
 /// The part of a chunk that is stored: the last but one of its blocks in a value segment.

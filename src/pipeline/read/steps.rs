@@ -18,6 +18,7 @@ use super::choice::Moment;
 use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::chunk_reader::ChunkReader;
 use super::damaged::damaged;
+use super::node_values::NodeCache;
 use super::reader_memory::ReaderMemory;
 use super::step_view::StepView;
 use crate::archive::chunked::{BlockRange, ValueRange, decode_value_ranges};
@@ -28,6 +29,7 @@ use crate::index::{Entry, SpanIndex, index_entries};
 use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::is_active;
 use crate::pipeline::plan::Halo;
+use crate::sample::Values;
 use std::ops::Range;
 
 /// Values of a block that are known already.
@@ -96,14 +98,15 @@ impl StepView {
         id: ChunkId,
         block: usize,
         blocks: &ValueBlocks,
+        nodes: &mut NodeCache,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let Moment { step, beyond } = self.moment;
         let (first, block) = (out.len(), BlockAt { block, blocks });
-        let mut bytes = self.block_of_step(step, id, block, None, out)?;
+        let mut bytes = self.block_of_step(step, id, block, None, nodes, out)?;
         if let Some(share) = beyond {
             let mut next = vec![];
-            bytes += self.block_of_step(step + 1, id, block, None, &mut next)?;
+            bytes += self.block_of_step(step + 1, id, block, None, nodes, &mut next)?;
             out[first..].iter_mut().zip(next).for_each(|(a, b)| *a = mean(*a, b, share));
         }
         Ok(bytes)
@@ -117,8 +120,12 @@ impl StepView {
         id: ChunkId,
         at: BlockAt<'_>,
         known: Option<KnownValues<'_>>,
+        nodes: &mut NodeCache,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
+        if self.manifest.steps[step].plan.values == Values::Nodes {
+            return nodes.values(self, step, id, at.blocks.range(at.block), out);
+        }
         let segment = self.values_of(step, id)?;
         let (count, block) = (segment.block_count(id), at.block as u64);
         if block + self.manifest.steps[step].plan.blocks_behind_values() >= count {
@@ -131,7 +138,7 @@ impl StepView {
         let before = match known {
             Some(known) if needed && known.step + 1 == step => known.values,
             _ if needed => {
-                read = self.block_of_step(step - 1, id, at, known, &mut found)?;
+                read = self.block_of_step(step - 1, id, at, known, nodes, &mut found)?;
                 &found
             }
             _ => &[],
@@ -178,11 +185,11 @@ impl StepView {
         before: Option<&[f32]>,
     ) -> Result<Vec<f32>> {
         let mut out = Vec::with_capacity(vertices);
-        let blocks = &self.value_blocks(id, vertices);
+        let (blocks, mut nodes) = (&self.value_blocks(id, vertices), NodeCache::default());
         for block in 0..blocks.count() {
             let known =
                 before.map(|values| KnownValues { step: step - 1, values: &values[blocks.range(block)] });
-            self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut out)?;
+            self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut nodes, &mut out)?;
         }
         Ok(out)
     }
@@ -313,13 +320,23 @@ pub(in crate::pipeline) struct ValuesOverTime<'a> {
     /// Bytes that were read of each for that step, and not yet taken.
     bytes: Vec<u64>,
     decoded: Vec<f32>,
+    nodes: NodeCache,
 }
 
 impl<'a> ValuesOverTime<'a> {
     pub(in crate::pipeline) fn new(archive: &'a StepView, chunk: ChunkId, vertices: usize) -> Self {
         let blocks = archive.value_blocks(chunk, vertices);
         let (at, bytes) = (vec![None; blocks.count()], vec![0; blocks.count()]);
-        Self { archive, chunk, blocks, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
+        Self {
+            archive,
+            chunk,
+            blocks,
+            values: vec![f32::NAN; vertices],
+            at,
+            bytes,
+            decoded: vec![],
+            nodes: NodeCache::default(),
+        }
     }
 
     /// Reads a block of values at the step at a position in the manifest, unless it is there.
@@ -338,6 +355,7 @@ impl<'a> ValuesOverTime<'a> {
             self.chunk,
             BlockAt { block, blocks: &self.blocks },
             known,
+            &mut self.nodes,
             &mut self.decoded,
         )?;
         values.copy_from_slice(&self.decoded);
@@ -460,7 +478,7 @@ mod tests {
                 let mut values = vec![];
                 let blocks = archive.value_blocks(id, mesh.vertices());
                 for block in 0..blocks.count() {
-                    archive.values_block(id, block, &blocks, &mut values).unwrap();
+                    archive.values_block(id, block, &blocks, &mut NodeCache::default(), &mut values).unwrap();
                 }
                 for (block, &end) in ends.iter().enumerate() {
                     let start = if block == 0 { 0 } else { ends[block - 1] };

@@ -328,7 +328,7 @@ fn of_numbers(
     let of_mesh = matches!(input, Input::Mesh(_));
     let is_lattice = !of_mesh && settings.set_of(of_mesh) == SetKind::Bcc;
     let bits = settings.bits(of_mesh);
-    let point = match bits.map(f64::from) {
+    let point = match bits {
         Some(bits) if is_lattice => ((bits - 3.0) / 8.0).max(LEAST_POINT_BYTES),
         None if is_lattice => LATTICE_POINT_BYTES,
         Some(bits) => ROUNDED_POINT_BYTES + bits / 8.0,

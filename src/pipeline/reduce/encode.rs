@@ -14,20 +14,23 @@ use crate::archive::chunked::{BlockRange, MeshSummary, ValueSummary, encode_valu
 use crate::archive::manifest::StepPlan;
 use crate::archive::mesh::{ChunkEncoder, ChunkVertices};
 use crate::archive::tables::{ChunkErrors, encode_errors};
-use crate::archive::values::encode_values;
+use crate::archive::values::{NodeCoder, VALUES_FOLLOW, ValueBlocks, encode_values};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
-use crate::grid::Chunk;
+use crate::grid::{Chunk, IndexBox};
+use crate::measure::ErrorSums;
 use crate::mesh::tet::Tet;
 use crate::pipeline::chunk::{
     ChunkMesher, ChunkTets, Field, Meshing, Placement, Recipe, SampleErrors, Samples, StepLanes, fitted,
     interpolated, step_lanes,
 };
 use crate::pipeline::plan::{Halo, Shares, is_made_again, reach_unit};
-use crate::pipeline::read::{MeshedChunk, Meter, StepView, spectrum};
+use crate::pipeline::read::{MeshedChunk, Meter, NodeValues, StepView, spectrum};
+use crate::pipeline::settings::NanPolicy;
 use crate::pipeline::stage::StageTimes;
+use crate::sample::Values;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError, RwLock};
@@ -134,6 +137,15 @@ impl Workspaces {
     }
 }
 
+/// The values of the vertices of a chunk at each step. Where they follow from nodes, the blocks of
+/// the chunk's own bricks, and the errors at its nodes if all steps have them.
+#[derive(Default)]
+struct StepValues {
+    values: Vec<Vec<f32>>,
+    nodes: Vec<Vec<Vec<u8>>>,
+    errors: Vec<ChunkErrors>,
+}
+
 /// As [`Meshing`].
 enum Encoding {
     Done(EncodedChunk),
@@ -204,8 +216,9 @@ impl ChunkMaker<'_> {
         let (mut mesh_blocks, ends, summary) =
             self.encode_mesh(chunk, &mut workspace.encoder, &mut mesh, outside6);
         lap.add_to(&mut times.encode);
-        let value_blocks =
-            self.encode_steps(&mut mesh, &placement, None, &ends, &mut workspace.bench, &mut times)?;
+        let bench = &mut workspace.bench;
+        let values = self.values(chunk, &mut mesh, &placement, bench, &mut times)?;
+        let value_blocks = self.encode_steps(&mesh, values, None, &ends, bench, &mut times)?;
         workspace.mesher.reuse(mesh.all_positions, mesh.tets);
         mesh_blocks.push(summary.encode());
         Ok(Encoding::Done(EncodedChunk { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
@@ -249,7 +262,8 @@ impl ChunkMaker<'_> {
             stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
         lap.add_to(&mut times.mesh);
         let (before, bench) = (before.as_deref(), &mut workspace.bench);
-        let value_blocks = self.encode_steps(&mut mesh, &placement, before, &ends, bench, &mut times)?;
+        let values = self.values(chunk, &mut mesh, &placement, bench, &mut times)?;
+        let value_blocks = self.encode_steps(&mesh, values, before, &ends, bench, &mut times)?;
         let points = mesh.core_len() as u64;
         workspace.mesher.reuse(mesh.all_positions, mesh.tets);
         Ok(EncodedChunk { points, mesh_blocks: vec![], value_blocks, times })
@@ -284,31 +298,96 @@ impl ChunkMaker<'_> {
         Ok(values)
     }
 
+    /// The values of all steps at the vertices of a chunk of which only those of nodes are stored;
+    /// the bytes of its own bricks; and the errors at its nodes, where these are measured and no
+    /// node can be void.
+    fn values_of_nodes(&self, chunk: &Chunk, vertices: usize, times: &mut StageTimes) -> Result<StepValues> {
+        let bcc = self.recipe.bcc_chunk(chunk).expect("nodes are those of a lattice");
+        let (places, mut lap) = (bcc.among_nodes(0..vertices), Lap(Instant::now()));
+        // Where nodes are void, tetrahedra decide which samples have an error. All chunks do the
+        // same: else one would count samples that its neighbours count.
+        let has_no_holes =
+            |step: &StepInput<'_>| NanPolicy::parse(&step.plan.nan).is_some_and(|nan| nan != NanPolicy::Mask);
+        let is_whole = self.steps.iter().all(has_no_holes);
+        let (mut out, mut samples) = (StepValues::default(), vec![]);
+        for (n, step) in self.steps.iter().enumerate() {
+            let coder = step.plan.quantiser.and_then(NodeCoder::new).expect("values of nodes are rounded");
+            let (mut nodes, mut blocks) = (NodeValues::new(&bcc, coder), vec![]);
+            let mut errors = self.sample_errors.as_ref().filter(|_| is_whole).map(|_| ErrorSums::default());
+            for number in 0..nodes.bricks().len() {
+                self.cancel.check()?;
+                let brick = nodes.bricks()[number];
+                let lo = brick.lo.map(u64::from);
+                let hi = std::array::from_fn(|a| lo[a] + u64::from(brick.nodes[a]));
+                let window = IndexBox { lo, hi };
+                samples.resize(window.len(), 0.0);
+                self.note(n, step.field.read_samples(window, &mut samples))?;
+                lap.add_to(&mut times.sample);
+                let mut bytes = vec![];
+                let values = coder.encode(brick.nodes, &samples, &mut bytes);
+                lap.add_to(&mut times.encode);
+                if bcc.owns(&brick) {
+                    blocks.push(bytes);
+                    if let Some(sums) = &mut errors {
+                        let values = values.iter().map(|&v| coder.mean([v].into_iter()));
+                        add_errors(sums, &samples, values, &window, self.recipe.bricks.lattice.dims);
+                    }
+                }
+                nodes.put(number, values);
+                lap.add_to(&mut times.measure);
+            }
+            out.errors.extend(errors.map(|sums| ChunkErrors { sums, levels: vec![] }));
+            out.values.push(places.iter().map(|&at| nodes.value(at)).collect());
+            out.nodes.push(blocks);
+        }
+        Ok(out)
+    }
+
     /// Notes whether a step could be used.
     fn note<T>(&self, n: usize, found: Result<T>) -> Result<T> {
         self.bad_steps.note(n, self.steps[n].plan.number, found)
     }
 
-    /// Samples, measures and encodes all steps. The blocks of each are values, their ranges,
+    /// The values of all steps, and what is known about them already.
+    fn values(
+        &self,
+        chunk: &Chunk,
+        mesh: &mut MeshedChunk,
+        placement: &Placement,
+        bench: &mut Bench,
+        times: &mut StageTimes,
+    ) -> Result<StepValues> {
+        match self.steps[0].plan.values {
+            Values::Nodes => self.values_of_nodes(chunk, mesh.vertices(), times),
+            Values::Sample | Values::Fit => {
+                let values = self.values_of(mesh, placement, &mut bench.fit, times)?;
+                Ok(StepValues { values, ..StepValues::default() })
+            }
+        }
+    }
+
+    /// Measures and encodes all steps. The blocks of each are values, their ranges,
     /// errors, part of the spectrum, summary.
     ///
     /// `before` are the values of the first one's base. The mesh has the tetrahedra of all blocks,
     /// as they decode, with the end of each block.
     fn encode_steps(
         &self,
-        mesh: &mut MeshedChunk,
-        placement: &Placement,
+        mesh: &MeshedChunk,
+        StepValues { values, mut nodes, errors: at_nodes }: StepValues,
         before: Option<&[f32]>,
         block_ends: &[usize],
         bench: &mut Bench,
         times: &mut StageTimes,
     ) -> Result<Vec<Vec<Vec<u8>>>> {
-        let values = self.values_of(mesh, placement, &mut bench.fit, times)?;
         let mut lap = Lap(Instant::now());
         let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
         let lanes = StepLanes::new(&of_steps, &mut bench.lanes);
         let (positions, tets) = (mesh.positions(), &*mesh.tets);
-        let errors = self.errors(&ChunkTets { positions, tets, block_ends }, &lanes)?;
+        let errors = match at_nodes.is_empty() {
+            false => at_nodes,
+            true => self.errors(&ChunkTets { positions, tets, block_ends }, &lanes)?,
+        };
         lap.add_to(&mut times.measure);
         let ranges = lanes.ranges(tets, block_ends);
         lanes.give_back(&mut bench.lanes);
@@ -322,7 +401,10 @@ impl ChunkMaker<'_> {
             self.cancel.check()?;
             let values = &*values[n];
             let base = step.plan.base.map(|_| before.expect("a base is the step before"));
-            let mut encoded = encode_values(values, blocks, base, step.plan.quantiser.as_ref());
+            let mut encoded = match nodes.get_mut(n) {
+                Some(nodes) => encode_nodes(std::mem::take(nodes), blocks),
+                None => encode_values(values, blocks, base, step.plan.quantiser.as_ref()),
+            };
             encoded.push(encode_value_ranges(values, blocks));
             encoded.extend(errors.get(n).map(encode_errors));
             encoded.push(part.encode());
@@ -401,6 +483,29 @@ impl ChunkMaker<'_> {
             reused.pass(chunk.id);
         }
     }
+}
+
+/// Adds the errors at the samples of a window, x fastest.
+fn add_errors(
+    sums: &mut ErrorSums,
+    samples: &[f32],
+    values: impl Iterator<Item = f32>,
+    window: &IndexBox,
+    dims: [u64; 3],
+) {
+    let [x, y, _] = window.dims();
+    for ((n, &sample), value) in (0..).zip(samples).zip(values) {
+        sums.add(sample, value, || {
+            let at = [window.lo[0] + n % x, window.lo[1] + n / x % y, window.lo[2] + n / x / y];
+            (at[2] * dims[1] + at[1]) * dims[0] + at[0]
+        });
+    }
+}
+
+/// The blocks of the values of a chunk: those of its bricks hold nodes, the others follow.
+fn encode_nodes(mut bricks: Vec<Vec<u8>>, blocks: &ValueBlocks) -> Vec<Vec<u8>> {
+    bricks.resize(blocks.count(), vec![VALUES_FOLLOW]);
+    bricks
 }
 
 /// Adds up what a stage takes.

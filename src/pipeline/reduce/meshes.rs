@@ -588,7 +588,7 @@ impl StepPlanner<'_> {
 }
 
 /// Steps of the range of the vertices' values.
-fn quantiser(values: &Column<f32>, bits: u8) -> Result<Quantiser> {
+fn quantiser(values: &Column<f32>, bits: f64) -> Result<Quantiser> {
     let values = values.get()?.iter().filter(|v| !v.is_nan());
     let range = values.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], &v| [lo.min(v), hi.max(v)]);
     let range = if range[0] <= range[1] { range.map(|v| v + 0.0) } else { Default::default() };

@@ -8,10 +8,11 @@
 //! with a plan for each ([`super::plan_file`]), which stores the search between two tries.
 
 use super::report::{ReduceReport, TargetReport};
-use crate::archive::values::Quantiser;
+use crate::archive::values::NodeCoder;
 use crate::error::{Error, Result};
 use crate::pipeline::settings::{Amount, Bound, ReduceSettings, Target, ValueBits};
 use crate::points::SetKind;
+use crate::sample::Values;
 use serde::{Deserialize, Serialize};
 
 impl Target {
@@ -140,7 +141,7 @@ const FEW_BITS: f64 = 1.8;
 const ABOUT: f64 = 0.75;
 /// They have this many bits while nothing is known about the error, and bits in this range
 /// otherwise.
-const USUAL_BITS: u8 = 6;
+const USUAL_BITS: f64 = 6.0;
 const BITS: [f64; 2] = [4.0, 16.0];
 /// Points a sample where a size is wanted, at most.
 const MOST_A_SAMPLE: f64 = 4.0;
@@ -157,9 +158,15 @@ struct Rounding {
     few: bool,
 }
 
-/// Points a sample, at least, that a lattice has whose nodes are at all samples. It has centres
-/// between them, and points on its faces.
-const MOST_OF_LATTICE: f64 = 2.5;
+/// A lattice with a node at each sample is tried where fewer points do not meet an error, or take
+/// more bits a sample than this: noise, which has no shape that fewer points could follow.
+const MANY_BITS: f64 = 0.15;
+/// The search for its step ends where it takes this many times more bytes than another archive.
+const MANY_TIMES: f64 = 1.3;
+/// Its error is this part of that of rounding alone, since predictions are nearer than that.
+const OF_ROUNDING: f64 = 0.75;
+/// The power between the error and the steps of the range.
+const POWER_OF_STEPS: f64 = 0.9;
 
 impl Rounding {
     fn new(settings: &ReduceSettings, target: Target) -> Self {
@@ -181,31 +188,25 @@ impl Rounding {
         if part > 0.0 && part.is_finite() {
             let fewer = if self.few { 1.0 } else { 0.0 };
             let bits = ((-libm::log2(STEP * part)).round() - fewer).clamp(BITS[0], BITS[1]);
-            self.bits = ValueBits::Bits(bits as u8);
+            self.bits = ValueBits::Bits(bits);
         }
     }
 
-    /// For a lattice with nodes at all samples: its errors are those of rounding alone.
-    fn choose_for_all_samples(&mut self, target: Target, bound: f64, report: &ReduceReport) {
-        let Some([lo, hi]) = source_range(report).filter(|_| self.is_chosen) else { return };
-        // Rounding to a step is off by half of it at most, by 1/√12 of it in the mean square.
-        let steps = if let Target::Max(_) = target { 2.0 } else { 12f64.sqrt() };
-        let bits = libm::log2((hi - lo) / (AIM * bound * steps) + 1.0).ceil();
-        if bits.is_finite() {
-            let [least, most] = [Quantiser::BITS.start(), Quantiser::BITS.end()];
-            self.bits = ValueBits::Bits((bits as u8).clamp(*least, *most));
-        }
-    }
-
-    /// Takes one more bit, if there is one. Rounded values stay within the samples around them, so
-    /// some are off by more than half a step.
-    fn add_bit(&mut self) -> bool {
+    /// The steps of the range for a lattice with a node at each sample: the first to be tried, and
+    /// the fewest and the most; none where values are to be exact.
+    fn steps_for_nodes(&self, target: Target, bound: f64, report: &ReduceReport) -> Option<(f64, [f64; 2])> {
+        let steps = |bits: f64| libm::exp2(bits) - 1.0;
         match self.bits {
-            ValueBits::Bits(bits) if self.is_chosen && bits < *Quantiser::BITS.end() => {
-                self.bits = ValueBits::Bits(bits + 1);
-                true
+            _ if self.is_chosen => {
+                let [lo, hi] = source_range(report)?;
+                // Rounding to a step is off by half of it at most, by 1/√12 of it as the RMS.
+                let of_bound = if let Target::Max(_) = target { 2.0 } else { 12f64.sqrt() / OF_ROUNDING };
+                let limits = [steps(NodeCoder::LEAST_BITS), steps(NodeCoder::MOST_BITS)];
+                let first = (hi - lo) / (of_bound * bound);
+                first.is_finite().then(|| (first.clamp(limits[0], limits[1]), limits))
             }
-            _ => false,
+            ValueBits::Bits(bits) if bits <= NodeCoder::MOST_BITS => Some((steps(bits), [steps(bits); 2])),
+            ValueBits::Bits(_) | ValueBits::Usual | ValueBits::Exact => None,
         }
     }
 
@@ -237,6 +238,7 @@ impl Rounding {
 struct BestTry {
     number: u32,
     made: Try,
+    bytes: u64,
     settings: ReduceSettings,
 }
 
@@ -258,8 +260,9 @@ pub(in crate::pipeline) struct TargetSearch {
     /// Chunks of all these together.
     chunks: u64,
     best: Option<BestTry>,
-    /// Whether the next try has nodes at all samples: nothing else has met an error.
-    takes_all: bool,
+    /// The search for the steps of the range of a lattice with a node at each sample, once fewer
+    /// points have been tried.
+    nodes: Option<Search>,
 }
 
 impl TargetSearch {
@@ -283,7 +286,7 @@ impl TargetSearch {
             tries: 0,
             chunks: 0,
             best: None,
-            takes_all: false,
+            nodes: None,
         })
     }
 
@@ -322,7 +325,8 @@ impl TargetSearch {
         // For adapted points, the number of points that an error asks for is predicted.
         let adapts = self.settings.adapt.is_some();
         let predicted = self.settings.target.filter(|t| adapts && t.bound().is_some());
-        let settings = ReduceSettings { value_bits: self.rounding.bits, ..self.settings.clone() };
+        let values = if self.nodes.is_some() { Values::Nodes } else { self.settings.values };
+        let settings = ReduceSettings { value_bits: self.rounding.bits, values, ..self.settings.clone() };
         match self.count {
             None => ReduceSettings { target: predicted, ..settings },
             Some(count) => ReduceSettings { target: None, amount: Amount::Count(count), ..settings },
@@ -334,13 +338,27 @@ impl TargetSearch {
     /// # Errors
     /// [`Error::Usage`] where the bytes of the source must be known.
     pub(in crate::pipeline) fn note(&mut self, report: &ReduceReport) -> Result<TargetReport> {
-        let (target, samples, settings) = (self.target, report.samples as f64, self.next_settings());
         let bound = match &self.search {
             Some(search) => search.bound,
-            None => target.limit(report, self.source)?,
+            None => self.target.limit(report, self.source)?,
         };
+        let (settings, number) = (self.next_settings(), self.tries + 1);
+        self.tries = number;
+        self.chunks += report.chunks;
+        let made = match self.nodes.take() {
+            Some(nodes) => self.note_nodes(nodes, report, settings),
+            None => self.note_points(bound, report, settings),
+        };
+        Ok(self.report(made, bound, None))
+    }
+
+    /// Notes a try with a number of points.
+    fn note_points(&mut self, bound: f64, report: &ReduceReport, settings: ReduceSettings) -> Try {
+        let (target, samples) = (self.target, report.samples as f64);
         let is_size = target.bound().is_none();
-        let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, samples] };
+        let is_lattice = self.settings.points == Some(SetKind::Bcc) && !is_size;
+        let most = if is_lattice && self.rounding.bits == ValueBits::Exact { MOST_OF_LATTICE } else { 1.0 };
+        let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, most * samples] };
         let usual = USUAL_POWERS[usize::from(is_size)];
         let search = self.search.get_or_insert_with(|| Search { bound, limits, usual, tries: vec![] });
         // This is the number that was asked for, because the resulting number is rounded: the limit
@@ -349,38 +367,71 @@ impl TargetSearch {
         let amount = if is_size { samples / points } else { points };
         let made = Try { amount, reached: target.reached(report) };
         search.tries.push(made);
-        self.tries += 1;
-        self.chunks += report.chunks;
-        let mut next = search.next().filter(|_| !self.takes_all);
-        let changes = !self.takes_all && self.rounding.learn(target, bound, report);
+        let mut next = search.next();
+        let changes = self.rounding.learn(target, bound, report);
         if changes {
             next = next.or(Some(amount));
             search.tries.clear();
             self.best = None;
         }
-        let best = self.best.as_ref().map(|best| best.made);
         // The try at the cap is all that is possible.
-        let is_best = match best {
-            Some(best) if self.takes_all => made.reached < best.reached,
+        let is_best = match self.best.as_ref().map(|best| best.made) {
             Some(best) => made.reached <= bound && made.amount < best.amount,
             None => made.reached <= bound || next.is_none(),
         };
         if !changes && is_best {
-            self.best = Some(BestTry { number: self.tries, made, settings });
-        }
-        let met = self.best.as_ref().is_some_and(|best| best.made.reached <= bound);
-        let is_lattice = self.settings.points == Some(SetKind::Bcc) && !is_size;
-        if next.is_none() && !met && is_lattice && (!self.takes_all || self.rounding.add_bit()) {
-            if !self.takes_all {
-                self.takes_all = true;
-                self.rounding.choose_for_all_samples(target, bound, report);
-            }
-            next = Some(MOST_OF_LATTICE * samples);
+            self.best = Some(BestTry { number: self.tries, made, bytes: report.archive_bytes, settings });
         }
         self.count = next
             .map(|amount| if is_size { samples / amount } else { amount })
             .map(|count| count.round().max(1.0) as u64);
-        Ok(self.report(made, bound, None))
+        let is_enough =
+            |best: &BestTry| best.made.reached <= bound && 8.0 * best.bytes as f64 <= MANY_BITS * samples;
+        if next.is_none()
+            && is_lattice
+            && !report.is_of_mesh
+            && !self.best.as_ref().is_some_and(is_enough)
+            && let Some((first, limits)) = self.rounding.steps_for_nodes(target, bound, report)
+        {
+            let nodes = Search { bound, limits, usual: POWER_OF_STEPS, tries: vec![] };
+            self.try_nodes(nodes, first, report.samples);
+        }
+        made
+    }
+
+    /// Makes a lattice with a node at each sample the next try, with so many steps of the range.
+    fn try_nodes(&mut self, nodes: Search, steps: f64, samples: u64) {
+        self.rounding.bits = ValueBits::Bits(libm::log2(steps + 1.0));
+        (self.nodes, self.count) = (Some(nodes), Some(samples));
+    }
+
+    /// Notes a try with a node at each sample.
+    fn note_nodes(&mut self, mut nodes: Search, report: &ReduceReport, settings: ReduceSettings) -> Try {
+        let steps = match self.rounding.bits {
+            ValueBits::Bits(bits) => libm::exp2(bits) - 1.0,
+            ValueBits::Usual | ValueBits::Exact => unreachable!("values of nodes have bits"),
+        };
+        let made = Try { amount: steps, reached: self.target.reached(report) };
+        nodes.tries.push(made);
+        let (bytes, meets) = (report.archive_bytes, made.reached <= nodes.bound);
+        let mut is_hopeless = false;
+        let is_best = match &self.best {
+            Some(best) if best.made.reached <= nodes.bound => {
+                let times = if meets { MANY_TIMES } else { 1.0 };
+                is_hopeless = bytes as f64 > times * best.bytes as f64;
+                meets && bytes < best.bytes
+            }
+            Some(best) => made.reached < best.made.reached,
+            None => true,
+        };
+        if is_best {
+            self.best = Some(BestTry { number: self.tries, made, bytes, settings });
+        }
+        match nodes.next().filter(|_| !is_hopeless) {
+            Some(steps) => self.try_nodes(nodes, steps, report.samples),
+            None => self.count = None,
+        }
+        made
     }
 
     /// What one of the tries came to.
@@ -414,6 +465,9 @@ impl TargetSearch {
         &self.settings
     }
 }
+
+/// Points a sample, at most, of a lattice with exact values: more than one with a node at each has.
+const MOST_OF_LATTICE: f64 = 2.5;
 
 /// The error of the worst step.
 pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {

@@ -5,7 +5,7 @@ use super::job::{Basis, Job};
 use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, are_there, is_of_data};
 use super::volume_fields::{shape, volume_of};
 use crate::archive::manifest::{Source, StepPlan};
-use crate::archive::values::Quantiser;
+use crate::archive::values::{NodeCoder, Quantiser};
 use crate::density::Choice;
 use crate::error::{Error, Result};
 use crate::formats::{self, StepSource};
@@ -15,6 +15,7 @@ use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, s
 use crate::pipeline::read::{OpenArchive, coordinate_hash};
 use crate::pipeline::settings::{ReduceSettings, Target, ValueBits};
 use crate::points::SetSettings;
+use crate::sample::Values;
 use crate::volume::chunked::ChunkShape;
 use crate::volume::{VolumeInfo, VolumeSource};
 use std::path::PathBuf;
@@ -72,7 +73,7 @@ struct Planner<'a> {
     /// The packed file that was read last to find the rounding.
     looked_into: Option<PathBuf>,
     /// The bits of values by default, once the samples of the first step were examined.
-    usual_bits: Option<Option<u8>>,
+    usual_bits: Option<Option<f64>>,
     /// Whether memory and disk were checked.
     is_checked: bool,
     /// Whether the cells of a lattice have the edges that the field asks for.
@@ -307,7 +308,11 @@ impl Planner<'_> {
                     if shapes {
                         self.shape_cells(&info, &found)?;
                     }
-                    self.quantiser(&found).map(|q| q.of(step.values))
+                    let whole = (!step.source.scalar.is_float()).then_some(step.source.slope.abs());
+                    self.quantiser(&found).map(|q| match step.values {
+                        Values::Nodes => q.of_nodes(whole == Some(q.step)),
+                        Values::Sample | Values::Fit => q.of(step.values),
+                    })
                 } else {
                     None
                 }
@@ -366,7 +371,8 @@ impl Planner<'_> {
     /// axis.
     fn shapes_cells(&self) -> bool {
         let is_lattice = self.plan.as_ref().is_some_and(|plan| plan.mesh.lattice_cells().is_some());
-        is_lattice && !self.is_shaped && self.job.settings.set.spacing.is_none()
+        let is_open = self.job.settings.values != Values::Nodes && self.job.settings.set.spacing.is_none();
+        is_lattice && !self.is_shaped && is_open
     }
 
     /// Makes the cells of a lattice longer along axes on which the field bends less.
@@ -394,7 +400,13 @@ impl Planner<'_> {
         let bits = match self.job.settings.value_bits {
             _ if self.job.settings.bits(false).is_none() => None,
             ValueBits::Bits(bits) => Some(bits),
-            _ => *self.usual_bits.get_or_insert_with(|| usual_bits(found, range)),
+            _ => *self.usual_bits.get_or_insert_with(|| {
+                let (usual, most) = (usual_bits(found, range), NodeCoder::MOST_BITS);
+                match self.job.settings.values {
+                    Values::Nodes => Some(usual.map_or(most, |bits| bits.min(most))),
+                    Values::Sample | Values::Fit => usual,
+                }
+            }),
         };
         bits.map(|bits| Quantiser::new(bits, range))
     }
@@ -402,13 +414,13 @@ impl Planner<'_> {
 
 /// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits
 /// do; `None` if a quantiser does not have as many.
-fn usual_bits(found: &Spread, [low, high]: [f32; 2]) -> Option<u8> {
+fn usual_bits(found: &Spread, [low, high]: [f32; 2]) -> Option<f64> {
     let width = |[lo, hi]: [f32; 2]| f64::from(hi) - f64::from(lo);
     let (all, nearly_all) = (width([low, high]), found.of_nearly_all().map_or(0.0, width));
     let mut bits = ValueBits::USUAL;
     // Nearly all samples may be equal: then what is left is the whole field.
-    while nearly_all > 0.0 && all >= 2.0 * nearly_all * f64::from(1u32 << (bits - ValueBits::USUAL)) {
-        bits += 1;
+    while nearly_all > 0.0 && all >= 2.0 * nearly_all * libm::exp2(bits - ValueBits::USUAL) {
+        bits += 1.0;
         if !Quantiser::BITS.contains(&bits) {
             return None;
         }

@@ -108,8 +108,8 @@ impl Question<'_> {
     /// set, without reading.
     fn need(&self, work: &ChunkWork) -> u64 {
         let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
-        let per_vertex = bytes_per_vertex(&self.archive.points)
-            + estimate::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
+        let per_vertex =
+            bytes_per_vertex(self.archive) + estimate::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
         estimate::extraction_bytes(self.vertices_near(work.chunk), per_vertex, tets)
     }
 

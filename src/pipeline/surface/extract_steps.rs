@@ -187,7 +187,7 @@ impl<'a> Work<'a> {
                 tets(&question.work[work].blocks, Some(question)),
             )
         };
-        let shared = (vertices * bytes_per_vertex(&self.archive.points))
+        let shared = (vertices * bytes_per_vertex(self.archive))
             .saturating_add(tets(&part.blocks, None) * NUMBERED_TET);
         part.asked.iter().map(surface).fold(shared, u64::saturating_add)
     }

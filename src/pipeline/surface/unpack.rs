@@ -249,7 +249,7 @@ fn unpack_step(
 ) -> Result<UnpackedFile> {
     let range = settings.range.map(|v| archive.step().plan.source.kept(v));
     let parts = parts_of(archive, range)?;
-    let per_vertex = bytes_per_vertex(&archive.points);
+    let per_vertex = bytes_per_vertex(archive);
     let bytes: Vec<u64> = parts.iter().map(|part| part.need(per_vertex)).collect();
     let largest = estimate::BASE + bytes.iter().copied().max().unwrap_or(0);
     if settings.resources.memory < largest {

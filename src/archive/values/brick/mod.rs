@@ -11,7 +11,7 @@
 //! then those with two, then those with one. So each lies between some that are known. Centres come
 //! last.
 //!
-//! There are two predictions, and a brick uses the one that takes fewer bytes:
+//! There are two predictions, and a brick uses the one that takes fewer bits:
 //!
 //! - The mean of all known values within a grid step, weighted by the inverse square of the
 //!   distance (Shepard 1968). The odds depend on how far the neighbours are from their mean. This
@@ -23,6 +23,12 @@
 //!
 //! A difference is coded as the number of its bits, its sign, and its bits. The odds of the number
 //! of bits learn within the brick.
+//!
+//! A lattice with a node at each sample has bricks of nodes alone. There the difference is rounded
+//! to a step, and the value is the prediction plus it, in [`PARTS`] of a step. Noise that is less
+//! than half a step then takes few bits, wherever the values lie between two multiples of the step
+//! (closed-loop prediction: Cutler 1952; as in Di and Cappello, "Fast error-bounded lossy HPC data
+//! compression with SZ", 2016).
 //!
 //! A brick decodes alone. Weights are made from sums, products, quotients and square roots of f64,
 //! which are exact everywhere. All further arithmetic is on integers, so the bytes are the same on
@@ -37,6 +43,12 @@ use std::sync::OnceLock;
 
 /// Cells along an edge of a brick, at most.
 const EDGE: usize = 8;
+/// Nodes along an edge of a brick of nodes, at most: the last one has those at the domain's end.
+const NODES: usize = EDGE + 1;
+/// Values of a brick of nodes are whole numbers of these parts of a step.
+pub(crate) const PARTS: i32 = 16;
+/// How many bits the square of a step is worth, where one of two predictions is chosen.
+const BITS_A_SQUARE: u64 = 5;
 /// Values of a brick, at most.
 const VALUES: usize = 2 * EDGE * EDGE * EDGE;
 /// The sum of the weights of a value's neighbours.
@@ -77,14 +89,53 @@ struct Prediction {
 /// How the values of a brick are predicted.
 #[derive(Debug)]
 pub(crate) struct Template {
-    cells: [i32; 3],
+    shape: Shape,
     mean: Prediction,
     /// Made when a brick needs it.
     smooth: OnceLock<Prediction>,
 }
 
+/// What a brick has values at.
+#[derive(Clone, Copy, Debug)]
+enum Shape {
+    /// The low corners and the centres of so many cells along each axis.
+    Cells([i32; 3]),
+    /// So many nodes along each axis.
+    Nodes([i32; 3]),
+}
+
 /// The place of a value: even coordinates of nodes, odd ones of centres.
 type Halves = [i32; 3];
+
+impl Shape {
+    /// The number of a value in its brick; none where the brick has no value.
+    fn number(self, at: Halves) -> Option<usize> {
+        let odd = at[0] & 1;
+        match self {
+            Self::Cells(cells) => {
+                let is_inside = at.iter().zip(cells).all(|(&j, c)| j & 1 == odd && j >= 0 && j < 2 * c);
+                is_inside.then(|| number(cells, at))
+            }
+            Self::Nodes(nodes) => {
+                let is_inside = at.iter().zip(nodes).all(|(&j, n)| j & 1 == 0 && j >= 0 && j < 2 * n);
+                is_inside.then(|| ((at[2] / 2 * nodes[1] + at[1] / 2) * nodes[0] + at[0] / 2) as usize)
+            }
+        }
+    }
+
+    /// All values in the order of coding, each with the step, in halves, of the grid that it
+    /// refines.
+    fn in_order(self) -> Vec<(Halves, i32)> {
+        match self {
+            Self::Cells(cells) => {
+                let mut order = nodes_in_order(cells);
+                order.extend(all_cells(cells, 1).map(|cell| (cell.map(|c| 2 * c + 1), 2)));
+                order
+            }
+            Self::Nodes(nodes) => nodes_in_order(nodes),
+        }
+    }
+}
 
 impl Template {
     /// The template of a brick of so many cells, 1 to 8 along each axis. Values are numbered in
@@ -94,15 +145,24 @@ impl Template {
             [const { OnceLock::new() }; EDGE * EDGE * EDGE];
         let [x, y, z] = cells.map(|c| (c as usize).clamp(1, EDGE) - 1);
         ALL[(z * EDGE + y) * EDGE + x]
-            .get_or_init(|| Self::new(cells.map(|c| c.clamp(1, EDGE as u32) as i32)))
+            .get_or_init(|| Self::new(Shape::Cells(cells.map(|c| c.clamp(1, EDGE as u32) as i32))))
     }
 
-    fn new(cells: [i32; 3]) -> Self {
-        Self { cells, mean: Prediction::mean(cells), smooth: OnceLock::new() }
+    /// The template of a brick of so many nodes, 1 to 9 along each axis, numbered x fastest.
+    pub(crate) fn of_nodes(nodes: [u32; 3]) -> &'static Self {
+        static ALL: [OnceLock<Template>; NODES * NODES * NODES] =
+            [const { OnceLock::new() }; NODES * NODES * NODES];
+        let nodes = nodes.map(|n| (n as usize).clamp(1, NODES));
+        let [x, y, z] = nodes.map(|n| n - 1);
+        ALL[(z * NODES + y) * NODES + x].get_or_init(|| Self::new(Shape::Nodes(nodes.map(|n| n as i32))))
+    }
+
+    fn new(shape: Shape) -> Self {
+        Self { shape, mean: Prediction::mean(shape), smooth: OnceLock::new() }
     }
 
     fn smooth(&self) -> &Prediction {
-        self.smooth.get_or_init(|| Prediction::smooth(self.cells))
+        self.smooth.get_or_init(|| Prediction::smooth(self.shape))
     }
 
     /// How many values a brick has.
@@ -113,25 +173,22 @@ impl Template {
 
 impl Prediction {
     /// Predicts by the mean of the neighbours within a grid step.
-    fn mean(cells: [i32; 3]) -> Self {
-        let order = in_order(cells);
+    fn mean(shape: Shape) -> Self {
+        let order = shape.in_order();
+        let number = |at: Halves| shape.number(at).expect("the order is of the brick's values");
         let mut rank = vec![usize::MAX; order.len()];
         for (n, &(at, _)) in order.iter().enumerate() {
-            rank[number(cells, at)] = n;
+            rank[number(at)] = n;
         }
-        let inside = |at: Halves| {
-            let odd = at[0] & 1;
-            at.iter().zip(cells).all(|(&j, c)| j & 1 == odd && j >= 0 && j < 2 * c)
-        };
         let mut all = Self::default();
         for (n, &(at, step)) in order.iter().enumerate() {
             let kind = if at[0] & 1 == 1 { 2 } else { usize::from(step == 2) };
             let mut found = vec![];
             for d in offsets(step) {
-                let other = std::array::from_fn(|a| at[a] + d[a]);
-                if inside(other) && rank[number(cells, other)] < n {
+                let other = shape.number(std::array::from_fn(|a| at[a] + d[a]));
+                if let Some(other) = other.filter(|&other| rank[other] < n) {
                     // 3 · 2^20 has a whole number of all the sums of squares here.
-                    found.push((number(cells, other), (3 << 20) / i64::from(squared(d))));
+                    found.push((other, (3 << 20) / i64::from(squared(d))));
                 }
             }
             let whole: i64 = found.iter().map(|f| f.1).sum();
@@ -141,14 +198,15 @@ impl Prediction {
                 left -= weight;
                 all.near.push((number as u16, weight as i16));
             }
-            all.push(number(cells, at), kind);
+            all.push(number(at), kind);
         }
         all
     }
 
     /// Predicts by the most likely field through the nearest values.
-    fn smooth(cells: [i32; 3]) -> Self {
-        let places: Vec<Halves> = in_order(cells).into_iter().map(|(at, _)| at).collect();
+    fn smooth(shape: Shape) -> Self {
+        let number = |at: Halves| shape.number(at).expect("the order is of the brick's values");
+        let places: Vec<Halves> = shape.in_order().into_iter().map(|(at, _)| at).collect();
         let (mut all, mut known) = (Self::default(), HashMap::new());
         for (n, &at) in places.iter().enumerate() {
             let mut found: Vec<(i32, usize)> =
@@ -160,9 +218,9 @@ impl Prediction {
             found.sort_unstable();
             let near: Vec<Halves> = found.iter().map(|&(_, i)| less(places[i], at)).collect();
             let weights = known.entry(near).or_insert_with_key(|near| weights(near));
-            let numbers = found.iter().map(|&(_, i)| number(cells, places[i]) as u16);
+            let numbers = found.iter().map(|&(_, i)| number(places[i]) as u16);
             all.near.extend(numbers.zip(weights.iter().copied()));
-            all.push(number(cells, at), KINDS);
+            all.push(number(at), KINDS);
         }
         all
     }
@@ -237,23 +295,24 @@ fn number(cells: [i32; 3], at: Halves) -> usize {
     (2 * before + of_kind + offset) as usize
 }
 
-/// All values in the order of coding, each with the step, in halves, of the grid that it refines.
-fn in_order(cells: [i32; 3]) -> Vec<(Halves, i32)> {
-    let each = |step: i32| {
-        let [x, y, z] = cells.map(|c| (0..c).step_by(step as usize));
-        z.flat_map(move |z| {
-            let x = x.clone();
-            y.clone().flat_map(move |y| x.clone().map(move |x| [x, y, z]))
-        })
-    };
+/// The cells, or nodes, at multiples of a step, x fastest.
+fn all_cells(cells: [i32; 3], step: i32) -> impl Iterator<Item = [i32; 3]> {
+    let [x, y, z] = cells.map(|c| (0..c).step_by(step as usize));
+    z.flat_map(move |z| {
+        let x = x.clone();
+        y.clone().flat_map(move |y| x.clone().map(move |x| [x, y, z]))
+    })
+}
+
+/// All nodes in the order of coding, each with the step, in halves, of the grid that it refines.
+fn nodes_in_order(nodes: [i32; 3]) -> Vec<(Halves, i32)> {
     let mut order: Vec<(Halves, i32)> = vec![([0; 3], 16)];
-    for step in [4, 2, 1] {
+    for step in [8, 4, 2, 1] {
         for odd in [3, 2, 1] {
-            let is_new = |cell: &[i32; 3]| cell.iter().filter(|&&c| c / step % 2 == 1).count() == odd;
-            order.extend(each(step).filter(is_new).map(|cell| (cell.map(|c| 2 * c), 2 * step)));
+            let is_new = |node: &[i32; 3]| node.iter().filter(|&&c| c / step % 2 == 1).count() == odd;
+            order.extend(all_cells(nodes, step).filter(is_new).map(|node| (node.map(|c| 2 * c), 2 * step)));
         }
     }
-    order.extend(each(1).map(|cell| (cell.map(|c| 2 * c + 1), 2)));
     order
 }
 
@@ -265,6 +324,7 @@ fn offsets(step: i32) -> impl Iterator<Item = Halves> {
 }
 
 /// The odds of a brick.
+#[derive(Clone)]
 struct Model {
     lengths: [[[Odds; LENGTHS]; SPREADS]; TABLES],
     /// The second bit of a difference from the top, by the number of bits.
@@ -292,9 +352,9 @@ fn class_of(spread: u64) -> usize {
     ((2 * log as usize) + half as usize + 1).min(SPREADS - 1)
 }
 
-/// The mean of a value's neighbours, and the class of their spread from it, in quarters.
+/// The mean of a value's neighbours, and the class of their spread from it, in quarters of a step.
 #[inline(always)]
-fn from_mean(near: &[Near], values: &[i32]) -> (i32, usize) {
+fn from_mean<const OF_STEP: i32>(near: &[Near], values: &[i32]) -> (i32, usize) {
     let mut sum = 0i64;
     for &(number, weight) in near {
         sum += i64::from(values[usize::from(number)]) * i64::from(weight);
@@ -305,7 +365,7 @@ fn from_mean(near: &[Near], values: &[i32]) -> (i32, usize) {
         let apart = i64::from(values[usize::from(number)]) - i64::from(mean);
         spread += apart.unsigned_abs() * u64::from(weight as u16);
     }
-    (mean, class_of(spread / (UNIT as u64 / 4)))
+    (mean, class_of(spread / (UNIT as u64 / 4 * OF_STEP as u64)))
 }
 
 /// The value of a smooth field, and the class of the nearest neighbours' own differences, in
@@ -325,27 +385,70 @@ fn from_field(near: &[Near], values: &[i32], apart: &[u32; VALUES]) -> (i32, usi
 
 /// Appends the values of a brick.
 pub(crate) fn encode(template: &Template, values: &[i32], out: &mut Vec<u8>) {
+    let (mut coder, mut model) = (Encoder::default(), Model::new());
+    put_shorter::<1>(template, i32::MAX, &mut values.to_vec(), &mut coder, &mut model);
+    coder.finish(out);
+}
+
+/// Appends bricks of nodes, one after another, whose samples are so many parts of a step, 0 to
+/// `most`; a step has 1 part or [`PARTS`]. They become what is read back, off by half a step at
+/// most.
+pub(crate) fn encode_nodes(bricks: &mut [(&Template, Vec<i32>)], parts: i32, most: i32, out: &mut Vec<u8>) {
+    let (mut coder, mut model) = (Encoder::default(), Model::new());
+    for (template, values) in bricks {
+        match parts {
+            1 => put_shorter::<1>(template, most, values, &mut coder, &mut model),
+            _ => put_shorter::<PARTS>(template, most, values, &mut coder, &mut model),
+        }
+    }
+    coder.finish(out);
+}
+
+/// Encodes by both predictions, and takes the one that costs less in bits and in error.
+fn put_shorter<const OF_STEP: i32>(
+    template: &Template,
+    most: i32,
+    values: &mut Vec<i32>,
+    coder: &mut Encoder,
+    model: &mut Model,
+) {
     assert_eq!(values.len(), template.len(), "a value for each place");
-    let start = out.len();
-    encode_as::<false>(&template.mean, values, out);
-    let middle = out.len();
-    encode_as::<true>(template.smooth(), values, out);
-    if out.len() - middle < middle - start {
-        out.drain(start..middle);
-    } else {
-        out.truncate(middle);
+    let (start, mut smooth) = (coder.bits(), values.clone());
+    let samples = if OF_STEP == 1 { vec![] } else { values.clone() };
+    let (mut of_smooth, mut model_of_smooth) = (coder.clone(), model.clone());
+    put::<false, OF_STEP>(&template.mean, most, values, coder, model);
+    put::<true, OF_STEP>(template.smooth(), most, &mut smooth, &mut of_smooth, &mut model_of_smooth);
+    let cost = |bits: u64, values: &[i32]| {
+        let off = |(a, b): (&i32, &i32)| u64::from(a.abs_diff(*b)).pow(2);
+        let squares = samples.iter().zip(values).map(off).sum::<u64>();
+        (bits - start) * (OF_STEP * OF_STEP) as u64 + BITS_A_SQUARE * squares
+    };
+    if cost(of_smooth.bits(), &smooth) < cost(coder.bits(), values) {
+        (*coder, *model, *values) = (of_smooth, model_of_smooth, smooth);
     }
 }
 
-fn encode_as<const SMOOTH: bool>(prediction: &Prediction, values: &[i32], out: &mut Vec<u8>) {
-    let (mut coder, mut model, mut start) = (Encoder::default(), Model::new(), 0);
-    let mut apart = [0; VALUES];
+/// Encodes `values`, which become those that are read back.
+fn put<const SMOOTH: bool, const OF_STEP: i32>(
+    prediction: &Prediction,
+    most: i32,
+    values: &mut [i32],
+    coder: &mut Encoder,
+    model: &mut Model,
+) {
+    let (mut start, mut apart) = (0, [0; VALUES]);
     coder.raw(1, u32::from(SMOOTH));
     for place in &prediction.places {
         let near = &prediction.near[start..place.end as usize];
         start = place.end as usize;
-        let (mean, class) = if SMOOTH { from_field(near, values, &apart) } else { from_mean(near, values) };
-        let difference = values[usize::from(place.number)].wrapping_sub(mean);
+        let (mean, class) =
+            if SMOOTH { from_field(near, values, &apart) } else { from_mean::<OF_STEP>(near, values) };
+        let value = &mut values[usize::from(place.number)];
+        let mut difference = value.wrapping_sub(mean);
+        if OF_STEP > 1 {
+            difference = difference.wrapping_add(OF_STEP / 2).div_euclid(OF_STEP);
+            *value = mean.wrapping_add(difference.wrapping_mul(OF_STEP)).clamp(0, most);
+        }
         let size = difference.unsigned_abs();
         if SMOOTH {
             apart[usize::from(place.number)] = size;
@@ -369,31 +472,63 @@ fn encode_as<const SMOOTH: bool>(prediction: &Prediction, values: &[i32], out: &
         }
         coder.raw(left + 1, (size & ((1 << left) - 1)) << 1 | u32::from(difference < 0));
     }
-    coder.finish(out);
 }
 
 /// Reads the values of a brick; false if the bytes are not such ones.
 pub(crate) fn decode(template: &Template, bytes: &[u8], values: &mut [i32]) -> bool {
-    assert_eq!(values.len(), template.len(), "a value for each place");
     let mut coder = Decoder::new(bytes);
+    take::<1>(template, i32::MAX, &mut coder, &mut Model::new(), values);
+    coder.at_end()
+}
+
+/// Reads bricks of nodes, in parts of a step, 0 to `most`; `None` if the bytes are not such ones.
+pub(crate) fn decode_nodes(
+    templates: &[&Template],
+    bytes: &[u8],
+    parts: i32,
+    most: i32,
+) -> Option<Vec<Vec<i32>>> {
+    let (mut coder, mut model) = (Decoder::new(bytes), Model::new());
+    let bricks = templates.iter().map(|template| {
+        let mut values = vec![0; template.len()];
+        match parts {
+            1 => take::<1>(template, most, &mut coder, &mut model, &mut values),
+            _ => take::<PARTS>(template, most, &mut coder, &mut model, &mut values),
+        }
+        values
+    });
+    let bricks = bricks.collect();
+    coder.at_end().then_some(bricks)
+}
+
+fn take<const OF_STEP: i32>(
+    template: &Template,
+    most: i32,
+    coder: &mut Decoder<'_>,
+    model: &mut Model,
+    values: &mut [i32],
+) {
+    assert_eq!(values.len(), template.len(), "a value for each place");
     if coder.raw(1) == 1 {
-        decode_as::<true>(template.smooth(), coder, values)
+        take_as::<true, OF_STEP>(template.smooth(), most, coder, model, values);
     } else {
-        decode_as::<false>(&template.mean, coder, values)
+        take_as::<false, OF_STEP>(&template.mean, most, coder, model, values);
     }
 }
 
-fn decode_as<const SMOOTH: bool>(
+fn take_as<const SMOOTH: bool, const OF_STEP: i32>(
     prediction: &Prediction,
-    mut coder: Decoder<'_>,
+    most: i32,
+    coder: &mut Decoder<'_>,
+    model: &mut Model,
     values: &mut [i32],
-) -> bool {
-    let (mut model, mut start) = (Model::new(), 0);
-    let mut apart = [0; VALUES];
+) {
+    let (mut start, mut apart) = (0, [0; VALUES]);
     for place in &prediction.places {
         let near = &prediction.near[start..place.end as usize];
         start = place.end as usize;
-        let (mean, class) = if SMOOTH { from_field(near, values, &apart) } else { from_mean(near, values) };
+        let (mean, class) =
+            if SMOOTH { from_field(near, values, &apart) } else { from_mean::<OF_STEP>(near, values) };
         let lengths = &mut model.lengths[usize::from(place.table)][class];
         let mut bits = 0;
         while bits < MOST_BITS && coder.bit(&mut lengths[bits.min(LENGTHS - 1)]) {
@@ -414,12 +549,15 @@ fn decode_as<const SMOOTH: bool>(
             size = size << left | low >> 1;
             difference = if low & 1 == 1 { (size as i32).wrapping_neg() } else { size as i32 };
         }
-        values[usize::from(place.number)] = mean.wrapping_add(difference);
+        let mut value = mean.wrapping_add(difference.wrapping_mul(OF_STEP));
+        if OF_STEP > 1 {
+            value = value.clamp(0, most);
+        }
+        values[usize::from(place.number)] = value;
         if SMOOTH {
             apart[usize::from(place.number)] = difference.unsigned_abs();
         }
     }
-    coder.at_end()
 }
 
 #[cfg(test)]
@@ -428,9 +566,12 @@ mod tests {
 
     #[test]
     fn each_value_is_coded_once_from_those_before() {
-        for cells in [[8, 8, 8], [1, 1, 1], [5, 8, 3], [7, 2, 6]] {
-            let template = Template::of(cells);
-            assert_eq!(template.len() as u32, 2 * cells.iter().product::<u32>());
+        let of_cells = [[8, 8, 8], [1, 1, 1], [5, 8, 3], [7, 2, 6]]
+            .map(|cells| (Template::of(cells), 2 * cells.iter().product::<u32>()));
+        let of_nodes = [[8, 8, 8], [9, 9, 9], [1, 9, 4]]
+            .map(|nodes| (Template::of_nodes(nodes), nodes.iter().product::<u32>()));
+        for (template, values) in of_cells.into_iter().chain(of_nodes) {
+            assert_eq!(template.len() as u32, values);
             for prediction in [&template.mean, template.smooth()] {
                 let (mut known, mut start) = (vec![false; template.len()], 0);
                 for (n, place) in prediction.places.iter().enumerate() {
@@ -483,7 +624,7 @@ mod tests {
     fn smooth_values_take_few_bits() {
         let template = Template::of([8, 8, 8]);
         let mut values = vec![0; 1024];
-        for (at, _) in in_order([8; 3]) {
+        for (at, _) in Shape::Cells([8; 3]).in_order() {
             let [x, y, z] = at.map(|j| f64::from(j) / 2.0);
             values[number([8; 3], at)] = (100.0 * (0.2 * x).sin() + 3.0 * y + z * z / 4.0).round() as i32;
         }
@@ -493,7 +634,9 @@ mod tests {
         assert!(bytes.len() < 1024 * 4 / 8, "{}", bytes.len());
         // A smooth field does better than a mean.
         let mut by_mean = vec![];
-        encode_as::<false>(&template.mean, &values, &mut by_mean);
+        let (mut coder, mut model) = (Encoder::default(), Model::new());
+        put::<false, 1>(&template.mean, i32::MAX, &mut values.clone(), &mut coder, &mut model);
+        coder.finish(&mut by_mean);
         assert!(10 * bytes.len() < 7 * by_mean.len(), "{} of {}", bytes.len(), by_mean.len());
     }
 

@@ -133,8 +133,8 @@ def reduce(
     fraction, count: the number of points as a part of the samples (0.125, "1/8", "12.5%"), or
         itself.
         Without any of these six, fraction is 1/8.
-    points: "lattice", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt, focus=(lo,
-        hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
+    points: "lattice", "samples", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt,
+        focus=(lo, hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
         chunk_points, and for files field, channel, scale, value_file, dims, type, endian, offset,
         io: as the flags of ``isospan reduce``.
     measure: whether the error at all samples is measured in the end.
