@@ -385,8 +385,9 @@ impl TargetSearch {
         self.count = next
             .map(|amount| if is_size { samples / amount } else { amount })
             .map(|count| count.round().max(1.0) as u64);
+        let of_steps = samples * report.steps.len() as f64;
         let is_enough =
-            |best: &BestTry| best.made.reached <= bound && 8.0 * best.bytes as f64 <= MANY_BITS * samples;
+            |best: &BestTry| best.made.reached <= bound && 8.0 * best.bytes as f64 <= MANY_BITS * of_steps;
         if next.is_none()
             && is_lattice
             && !report.is_of_mesh
@@ -427,7 +428,9 @@ impl TargetSearch {
         if is_best {
             self.best = Some(BestTry { number: self.tries, made, bytes, settings });
         }
-        match nodes.next().filter(|_| !is_hopeless) {
+        // Bits that the user gives leave one try.
+        let has_others = nodes.limits[0] < nodes.limits[1];
+        match nodes.next().filter(|_| has_others && !is_hopeless) {
             Some(steps) => self.try_nodes(nodes, steps, report.samples),
             None => self.count = None,
         }
