@@ -23,8 +23,7 @@ import sys
 import numpy as np
 
 MAGIC, END = b"\x89ISO\r\n\x1a\n", b"ISOEND\r\n"
-VALUES = 2
-VOID = -(2**31)
+VALUES, VOID = 2, -(2**31)
 DOCUMENT = (pathlib.Path(__file__).resolve().parents[1] / "src/archive/FORMAT.md").read_text()
 
 
@@ -46,8 +45,6 @@ def unzstd(frame, most):
         return content.raw[:size]
     return zstd.decompress(frame)
 
-
-# ---------------------------------------------------------------- segments
 
 TABLE = []
 for n in range(256):
@@ -110,9 +107,6 @@ def value_blocks(archive, number):
     return blocks
 
 
-# ---------------------------------------------------------------- points
-
-
 class Lattice:
     """The points of the one chunk of a lattice, in the order of their numbers, in half cells."""
 
@@ -157,9 +151,6 @@ def brick_places(size):
         for half in (0, 1):
             places += [tuple(8 * l + 2 * c + half for l, c in zip(low, cell)) for cell in block]
     return places
-
-
-# ---------------------------------------------------------------- values
 
 
 class RangeCoder:
@@ -301,9 +292,6 @@ class Brick:
         return values
 
 
-# ---------------------------------------------------------------- archives
-
-
 def read(archive, number):
     """Positions in lattice steps, the values of the first ones or of all, and the largest error of stored ranges."""
     manifest = json.loads((archive / "manifest.json").read_text())
@@ -324,8 +312,8 @@ def read(archive, number):
         expect(archive, "cells between the samples", [d - 1 for d in dims], lattice.cells)
         numbers = of_nodes(archive, number, lattice, quantiser.get("parts", 1), quantiser["bits"])
     else:
-        numbers = np.array(integers(archive, steps, number, lattice))
-    values = np.where(numbers == VOID, np.nan, quantiser["origin"] + numbers * quantiser["step"]).astype(np.float32)
+        numbers = integers(archive, steps, number, lattice)
+    values = floats(numbers, quantiser)
     positions = lattice.positions([(d - 1) << s for d, s in zip(dims, log2 if isinstance(log2, list) else 3 * [log2])])
     return positions, values, range_error(archive, number, lattice, values)
 
@@ -337,6 +325,11 @@ def lengths(lattice):
     return bricks, [min(1024, rest - k) for k in range(0, rest, 1024)]
 
 
+def floats(numbers, quantiser):
+    values = quantiser["origin"] + np.multiply(numbers, quantiser["step"])
+    return np.where(np.equal(numbers, VOID), np.nan, values).astype(np.float32)
+
+
 def integers(archive, steps, number, lattice):
     """The rounded values of a step, of its base where they refer to it."""
     odds, found, base = first_odds(), [], None
@@ -345,7 +338,11 @@ def integers(archive, steps, number, lattice):
             refuse(f"{archive}: step {number}: values of codec {block[0]}, which is not of bricks")
         values = Brick(tuple(size), True).decode(RangeCoder(block[1:]), dict(odds))
         if block[0] == 49:
-            base = base or integers(archive, steps, steps[number]["base"]["number"], lattice)
+            if base is None:
+                before, q = steps[number]["base"]["number"], steps[number]["quantiser"]
+                base = floats(integers(archive, steps, before, lattice), steps[before]["quantiser"]).astype(float)
+                base = ((base - q["origin"]) / q["step"]).clip(-(2**30), 2**30)
+                base = np.where(np.isnan(base), VOID, base + np.copysign(np.nextafter(0.5, 0), base)).astype(int).tolist()
             values = [signed(v + b) for v, b in zip(values, base[len(found) :])]
         found += values
     return found
