@@ -72,6 +72,7 @@ mod tests {
             ("UNPACKED_VERSION", u64::from(unpacked::UNPACKED_VERSION)),
             ("UNPACKED_ALIGNED", unpacked::UNPACKED_ALIGNED as u64),
             ("UNPACKED_CORNERS", unpacked::UNPACKED_CORNERS),
+            ("CHUNK_POINTS", manifest::CHUNK_POINTS),
             ("LONGEST_CHAIN", manifest::LONGEST_CHAIN),
             ("MOST_UNINDEXED", manifest::MOST_UNINDEXED),
             ("COORDINATES_AXES", u64::from(coordinates::COORDINATES_AXES)),

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// Measure the error of an archive against its source.
 ///
 /// That is at every sample of a volume, or vertex of a mesh.
-/// An error is the reduced value less the original one. Percentiles are at most 1/32 too large; all
+/// An error is the reduced value less the original one. Percentiles are at most 1/16 too large; all
 /// other figures are exact. If f32 cannot hold the samples exactly (see `isospan info`), the
 /// figures include that loss and are upper bounds.
 #[derive(clap::Args, Debug)]

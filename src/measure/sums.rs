@@ -260,8 +260,12 @@ impl ErrorSums {
         for (bin, &count) in self.bins.iter().enumerate() {
             seen += count;
             if seen >= wanted {
-                let last = f32::from_bits(((bin as u32 + 1) << BIN_SHIFT) - 1);
-                return f64::from(last).min(self.max());
+                let bound = |bits: u32| f64::from(f32::from_bits(bits));
+                let first = (bin as u32) << BIN_SHIFT;
+                let last = bound(first + (1 << BIN_SHIFT) - 1);
+                // Among denormalised numbers bins are wider.
+                let most = (bound(first) * (1.0 + 1.0 / 16.0)).max(last);
+                return shortest_between(last, most).min(self.max());
             }
         }
         self.max()
@@ -294,6 +298,19 @@ impl ErrorSums {
             worst: None,
         }
     }
+}
+
+/// The number of fewest digits from a positive one to another.
+fn shortest_between(low: f64, high: f64) -> f64 {
+    let of_digits = |digits: usize| {
+        let text = format!("{low:.*e}", digits - 1);
+        let (mantissa, exponent) = text.split_once('e')?;
+        let mantissa: u64 = mantissa.replace('.', "").parse().ok()?;
+        let exponent = exponent.parse::<i32>().ok()? + 1 - digits as i32;
+        let numbers = [mantissa, mantissa + 1].map(|m| format!("{m}e{exponent}").parse::<f64>());
+        numbers.into_iter().flatten().find(|v| (low..=high).contains(v))
+    };
+    (1..=17).find_map(of_digits).unwrap_or(low)
 }
 
 /// 2^n, for n of normal numbers.

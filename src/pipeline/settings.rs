@@ -3,7 +3,7 @@
 //!
 //! The first decides every byte of an archive; the second decides none.
 
-use crate::archive::manifest::KEYFRAMES;
+use crate::archive::manifest::{self, KEYFRAMES};
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
 use crate::exec::Resources;
@@ -123,7 +123,7 @@ impl ReduceSettings {
     }
 
     /// Default of `chunk_points`.
-    pub const CHUNK_POINTS: u64 = 250_000;
+    pub const CHUNK_POINTS: u64 = manifest::CHUNK_POINTS;
     /// The value that means "no data", as a plan records it: NaN and infinity always do.
     pub(super) fn finite_missing(&self) -> Option<f64> {
         self.missing.filter(|m| m.is_finite())
