@@ -7,12 +7,9 @@ Prints the number of points, the range of values, and the largest difference bet
 and those of their values. FILE.npz has `positions` (n x 3, lattice steps), `values` (n, NaN where void). With nodes at
 samples they are those of all points, else those of bricks: values at the ends of the domain are a pcodec file, left out.
 
-Archives of other point sets, of several chunks, and of values that are not rounded are refused by name.
-Needs Python 3.9, NumPy, and zstd: Python 3.14 has it, before that the library libzstd is looked for.
+Other point sets, several chunks, and values that are not rounded are refused by name. Needs Python 3.9 and NumPy.
 """
 import argparse
-import ctypes
-import ctypes.util
 import functools
 import json
 import pathlib
@@ -31,32 +28,12 @@ def refuse(what):
     sys.exit(f"read_archive.py: {what}")
 
 
-def unzstd(frame, most):
-    """The content of a zstd frame, of at most so many bytes."""
-    try:
-        from compression import zstd
-    except ImportError:
-        library = ctypes.CDLL(ctypes.util.find_library("zstd") or "libzstd.so.1")
-        library.ZSTD_decompress.restype = ctypes.c_size_t
-        content = ctypes.create_string_buffer(most)
-        size = library.ZSTD_decompress(content, ctypes.c_size_t(most), frame, ctypes.c_size_t(len(frame)))
-        if library.ZSTD_isError(ctypes.c_size_t(size)):
-            refuse("a damaged zstd frame")
-        return content.raw[:size]
-    return zstd.decompress(frame)
-
-
-TABLE = []
-for n in range(256):
-    for _ in range(8):
-        n = n >> 1 ^ (0x82F63B78 if n & 1 else 0)
-    TABLE.append(n)
-
-
 def crc32c(data):
     crc = 0xFFFFFFFF
     for byte in data:
-        crc = TABLE[(crc ^ byte) & 255] ^ crc >> 8
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x82F63B78 if crc & 1 else 0)
     return crc ^ 0xFFFFFFFF
 
 
@@ -88,9 +65,8 @@ def value_blocks(archive, number):
     expect(path, "checksum of the header", crc32c(header[:36]), struct.unpack("<I", header[36:])[0])
     expect(path, "end", END, footer[36:44])
     expect(path, "checksum of the footer", crc32c(footer[:44]), struct.unpack("<I", footer[44:])[0])
-    count, at, length = struct.unpack("<QQQ", footer[:24])
+    (count, at, length), blocks = struct.unpack("<QQQ", footer[:24]), []
     expect(path, "length", length, len(data))
-    blocks = []
     while len(blocks) < count:
         n = min(16, count - len(blocks))
         page = data[at : at + 12 + 8 * n]
@@ -122,14 +98,12 @@ class Lattice:
     def ends(self):
         """The points that no block of cells has: nodes at high ends, face centres above and below."""
         for piece in range(1, 8):
-            box = [1 if piece >> a & 1 else c for a, c in enumerate(self.cells)]
-            for at in boxes(box):
+            for at in boxes([1 if piece >> a & 1 else c for a, c in enumerate(self.cells)]):
                 self.places.append(tuple(2 * c if piece >> a & 1 else 2 * at[a] for a, c in enumerate(self.cells)))
         for high in (True, False):
             for axis in range(3):
-                box = [1 if a == axis else c for a, c in enumerate(self.cells)]
                 end = 2 * self.cells[axis] if high else 0
-                for at in boxes(box):
+                for at in boxes([1 if a == axis else c for a, c in enumerate(self.cells)]):
                     self.places.append(tuple(end if a == axis else 2 * at[a] + 1 for a in range(3)))
 
     def positions(self, steps):
@@ -225,11 +199,10 @@ class Brick:
         places = brick_places(size) if centres else [tuple(2 * c for c in cell) for cell in nodes]
         numbers = {place: n for n, place in enumerate(places)}
         order = [((0, 0, 0), 0, 8)]
-        for s in (8, 4, 2, 1):
-            for k in (3, 2, 1):
-                for cell in nodes:
-                    if all(c % s == 0 for c in cell) and sum(c // s % 2 for c in cell) == k:
-                        order.append((tuple(2 * c for c in cell), 0 if s > 1 else 1, 2 * s))
+        for s, k in [(s, k) for s in (8, 4, 2, 1) for k in (3, 2, 1)]:
+            for cell in nodes:
+                if all(c % s == 0 for c in cell) and sum(c // s % 2 for c in cell) == k:
+                    order.append((tuple(2 * c for c in cell), 0 if s > 1 else 1, 2 * s))
         if centres:
             order += [(tuple(2 * c + 1 for c in cell), 2, 2) for cell in nodes]
         done, self.steps = set(), []
@@ -255,8 +228,7 @@ class Brick:
         for i, number in enumerate(self.numbers):
             apart = self.places[:i] - self.places[i]
             nearest = np.argsort((apart * apart).sum(axis=1), kind="stable")[:32]
-            key = apart[nearest].tobytes()
-            if key not in weights:
+            if (key := apart[nearest].tobytes()) not in weights:
                 weights[key] = smooth_weights(apart[nearest]) if i else []
             steps.append((number, 3, [(self.numbers[k], w) for k, w in zip(nearest, weights[key])]))
         return steps
@@ -280,10 +252,8 @@ class Brick:
             difference = 0
             if bits > 0:
                 size = 2 | coder.bit(odds, min(bits, 20)) if bits > 1 else 1
-                left = max(bits - 2, 0)
-                if left > 15:
-                    left -= 15
-                    size = size << 15 | coder.number(15)
+                if (left := max(bits - 2, 0)) > 15:
+                    left, size = left - 15, size << 15 | coder.number(15)
                 low = coder.number(left + 1)
                 size = size << left | low >> 1
                 difference = -size if low & 1 else size
@@ -315,25 +285,33 @@ def read(archive, number):
         numbers = integers(archive, steps, number, lattice)
     values = floats(numbers, quantiser)
     positions = lattice.positions([(d - 1) << s for d, s in zip(dims, log2 if isinstance(log2, list) else 3 * [log2])])
-    return positions, values, range_error(archive, number, lattice, values)
+    return positions, values, range_error(bricks_of(archive, number, lattice, at_samples)[1], lattice, values)
 
 
-def lengths(lattice):
-    """Values of each value block: bricks where they have 8 or 16 cells along each edge; then 1024 each."""
-    bricks = [2 * a * b * c for _, (a, b, c) in lattice.bricks]
-    rest = len(lattice.places) - sum(bricks)
-    return bricks, [min(1024, rest - k) for k in range(0, rest, 1024)]
+def bricks_of(archive, number, lattice, at_samples=False):
+    """The bytes of each brick, and of the ranges. Behind the groups of bricks are 1024 values a block, without nodes."""
+    blocks, bricks = value_blocks(archive, number), lattice.bricks
+    others = len(lattice.places) - sum(2 * a * b * c for _, (a, b, c) in bricks)
+    groups = len(blocks) - 3 - (0 if at_samples else -(-others // 1024))
+    size, found = next(2**k for k in range(7) if -(-len(bricks) // 2**k) == groups), []
+    for first, block in zip(range(0, len(bricks), size), blocks):
+        last = min(size, len(bricks) - first) - 1
+        lengths = varints(block)[:last]
+        at = sum(max(1, -(-n.bit_length() // 7)) for n in lengths)
+        for length in lengths + [len(block)]:
+            found.append(block[at : at + length])
+            at += length
+    return found, blocks[-3]
 
 
-def floats(numbers, quantiser):
-    values = quantiser["origin"] + np.multiply(numbers, quantiser["step"])
-    return np.where(np.equal(numbers, VOID), np.nan, values).astype(np.float32)
+def floats(numbers, q):
+    return np.where(np.equal(numbers, VOID), np.nan, q["origin"] + np.multiply(numbers, q["step"])).astype(np.float32)
 
 
 def integers(archive, steps, number, lattice):
     """The rounded values of a step, of its base where they refer to it."""
     odds, found, base = first_odds(), [], None
-    for block, (_, size) in zip(value_blocks(archive, number), lattice.bricks):
+    for block, (_, size) in zip(bricks_of(archive, number, lattice)[0], lattice.bricks):
         if block[0] not in (48, 49):
             refuse(f"{archive}: step {number}: values of codec {block[0]}, which is not of bricks")
         values = Brick(tuple(size), True).decode(RangeCoder(block[1:]), dict(odds))
@@ -350,9 +328,8 @@ def integers(archive, steps, number, lattice):
 
 def of_nodes(archive, number, lattice, parts, bits):
     """The values of all points in steps, not rounded: means of the nodes around, which are stored in parts of a step."""
-    blocks, (bricks, rest) = value_blocks(archive, number), lengths(lattice)
     nodes, first = np.zeros([c + 1 for c in lattice.cells], int), first_odds()
-    for block, (low, size) in zip(blocks, lattice.bricks):
+    for block, (low, size) in zip(bricks_of(archive, number, lattice, True)[0], lattice.bricks):
         if block[0] != 50:
             refuse(f"{archive}: step {number}: nodes of codec {block[0]}, which is not of bricks without void")
         coder, odds, spans = RangeCoder(block[1:]), dict(first), []
@@ -363,22 +340,50 @@ def of_nodes(archive, number, lattice, parts, bits):
             part_size = tuple(s.stop - s.start for s in part)
             values = Brick(part_size, False).decode(coder, odds, parts, int((2**bits - 1) * parts))
             nodes[part] = np.reshape(values, part_size, order="F")
-    for block in blocks[len(bricks) :][: len(rest)]:
-        expect(archive, "a block without nodes", bytes([52]), block)
     # All eight are one node at a node, and in pairs one at a face centre.
     low, high = np.array(lattice.places).T // 2, (np.array(lattice.places).T + 1) // 2
     corners = [nodes[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     return sum(corners) / (8 * parts)
 
 
-def range_error(archive, number, lattice, values):
-    bricks, rest = lengths(lattice)
-    block = value_blocks(archive, number)[len(bricks) + len(rest)]
-    stored = np.frombuffer(unzstd(block, 8 * (len(bricks) + len(rest))), "<f4").reshape(2, -1).T
-    worst = 0.0
-    for (lo, hi), part in zip(stored, np.split(values, np.cumsum(bricks + rest)[:-1])):
-        if len(part) and not np.isnan(part).all():
-            worst = max(worst, abs(float(lo) - float(np.nanmin(part))), abs(float(hi) - float(np.nanmax(part))))
+def ranges_of(data, count):
+    """The bounds, and ranges within them."""
+    (low, high), (least, most), coder = np.frombuffer(data[:8], "<f4"), struct.unpack("<II", data[8:16]), RangeCoder(data[16:])
+    odds = {"constant": 6000, "again": 60000, "short": 60000, "same": 20000, "larger": 32768} | dict.fromkeys(range(1, 5), 25000)
+    number = lambda bits: sum(coder.number(min(16, bits - k)) << k for k in range(0, bits, 16))
+    single = lambda bits: np.frombuffer(struct.pack("<I", bits), "<f4")[0]
+    found, constant, exponent = [], 0, 0
+    for _ in range(count):
+        if least + number((most - least).bit_length()) == 0:
+            found.append((np.inf, -np.inf))
+        elif coder.bit(odds, "constant"):
+            constant = constant if coder.bit(odds, "again") else number(32)
+            found.append((single(constant), single(constant)))
+        elif not coder.bit(odds, "short"):
+            found.append((single(number(32)), single(number(32))))
+        else:
+            if not coder.bit(odds, "same"):
+                sign, apart = 1 if coder.bit(odds, "larger") else -1, 1
+                while coder.bit(odds, min(apart, 4)):
+                    apart += 1
+                exponent += sign * apart
+            first, last = (int(float(end) // 2.0**exponent) for end in (low, high))
+            first += number((last - first).bit_length())
+            ends = [n * 2.0**exponent for n in (first, first + number(5) + 16)]
+            found.append((max(ends[0], low), min(ends[1], high)))
+    return low, high, found
+
+
+def range_error(block, lattice, values):
+    """The largest difference of the stored ranges of bricks from those of their values, rounded outwards."""
+    lengths, worst = [2 * a * b * c for _, (a, b, c) in lattice.bricks], 0.0
+    low, high, stored = ranges_of(block, len(lengths))
+    for ends, part in zip(stored, np.split(values, np.cumsum(lengths))):
+        if not np.isnan(part).all():
+            lo, hi = float(np.nanmin(part)), float(np.nanmax(part))
+            unit = 2.0 ** (np.frexp(hi - lo)[1] - 5)
+            lo, hi = (lo, hi) if hi == lo else (max(lo // unit * unit, low), min(-(-hi // unit) * unit, high))
+            worst = max(worst, abs(lo - ends[0]), abs(hi - ends[1]))
     return worst
 
 
@@ -389,7 +394,6 @@ if __name__ == "__main__":
     parser.add_argument("-o", "--output", type=pathlib.Path)
     arguments = parser.parse_args()
     positions, values, worst = read(arguments.archive, arguments.step)
-    span = f"{np.nanmin(values):g} .. {np.nanmax(values):g}"
-    print(f"{len(values)} of {len(positions)} points, values {span}, ranges off by {worst:g}")
+    print(f"{len(values)} of {len(positions)} points, values {np.nanmin(values):g} .. {np.nanmax(values):g}, ranges off by {worst:g}")
     if arguments.output:
         np.savez(arguments.output, positions=positions[: len(values)], values=values)

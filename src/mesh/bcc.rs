@@ -207,11 +207,11 @@ pub(crate) struct NodeBrick {
     pub(crate) nodes: [u32; 3],
 }
 
-/// The place of a point of a lattice among its nodes.
+/// The place of a point of a lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct AmongNodes(Halves);
+pub(crate) struct PointPlace(Halves);
 
-impl AmongNodes {
+impl PointPlace {
     /// The lowest and the highest of the nodes around it: itself, the corners of its cell or those
     /// of its face.
     pub(crate) fn corners(self) -> [[u32; 3]; 2] {
@@ -312,6 +312,11 @@ impl BccChunk {
         at
     }
 
+    /// Number of points of its bricks; the others follow them.
+    pub(crate) fn in_bricks(&self) -> usize {
+        2 * self.cells.len() as usize
+    }
+
     /// Number of points that the chunk owns; the others follow them.
     pub(crate) fn core(&self) -> usize {
         self.core as usize
@@ -338,6 +343,11 @@ impl BccChunk {
             Some(&[first, end]) => first..end,
             _ => 0..0,
         }
+    }
+
+    /// Number of tetrahedra of all blocks.
+    pub(crate) fn tet_count(&self) -> u64 {
+        (0..self.block_count()).map(|block| u64::from(self.tets_of(block))).sum()
     }
 
     /// Number of tetrahedra of a block.
@@ -367,15 +377,15 @@ impl BccChunk {
         self.cells.contains(brick.lo)
     }
 
-    /// Where the points with such numbers are among the nodes.
-    pub(crate) fn among_nodes(&self, numbers: Range<usize>) -> Vec<AmongNodes> {
+    /// The places of the points with such numbers.
+    pub(crate) fn point_places(&self, numbers: Range<usize>) -> Vec<PointPlace> {
         let mut out = Vec::with_capacity(numbers.len());
         let mut add = |first: u32, cells: CellBox, place: &dyn Fn([u32; 3]) -> Halves| {
             let first = first as usize;
             let wanted = numbers.start.max(first)..numbers.end.min(first + cells.len() as usize);
             if !wanted.is_empty() {
                 let cells = cells.iter().skip(wanted.start - first).take(wanted.len());
-                out.extend(cells.map(|cell| AmongNodes(place(cell))));
+                out.extend(cells.map(|cell| PointPlace(place(cell))));
             }
         };
         let near = |&(block, first): &(CellBox, u32)| first as usize + 2 * block.len() as usize;
@@ -392,6 +402,16 @@ impl BccChunk {
             }
         }
         out
+    }
+
+    /// The brick of the lattice that has a point, by its place among all bricks.
+    pub(crate) fn home(&self, point: PointPlace) -> [u64; 3] {
+        std::array::from_fn(|a| ((point.0[a] / 2).min(self.mesh.cells[a] - 1) / self.mesh.brick).into())
+    }
+
+    /// The number of a point that the chunk owns.
+    pub(crate) fn own_number(&self, point: PointPlace) -> Option<usize> {
+        self.number(point.0).filter(|&n| n < self.core).map(|n| n as usize)
     }
 
     /// Whether bricks are as large as they may be.
@@ -671,10 +691,10 @@ mod tests {
             {
                 let lo: [u32; 3] = std::array::from_fn(|a| lo[a] * cuts[a]);
                 let chunk = mesh.chunk(lo, std::array::from_fn(|a| (lo[a] + cuts[a]).min(cells[a])));
-                let places = chunk.among_nodes(0..chunk.points());
-                assert_eq!(places, chunk.all_points().into_iter().map(AmongNodes).collect::<Vec<_>>());
+                let places = chunk.point_places(0..chunk.points());
+                assert_eq!(places, chunk.all_points().into_iter().map(PointPlace).collect::<Vec<_>>());
                 let middle = places.len() / 3..places.len() - 5;
-                assert_eq!(chunk.among_nodes(middle.clone()), places[middle]);
+                assert_eq!(chunk.point_places(middle.clone()), places[middle]);
                 let bricks: Vec<NodeBrick> = chunk.node_bricks().collect();
                 let own: Vec<[u32; 3]> = bricks.iter().filter(|b| chunk.owns(b)).map(|b| b.lo).collect();
                 assert_eq!(own, chunk.cells.cut(16).map(|b| b.lo).collect::<Vec<_>>());

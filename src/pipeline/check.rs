@@ -10,7 +10,7 @@
 //! * unpacked blocks, where there are any, are those that would be made now;
 //! * the error of a volume's step is that of all chunks together.
 
-use crate::archive::chunked::{BlockRange, MeshSummary, value_ranges};
+use crate::archive::chunked::{BlockRange, MeshSizes, MeshSummary, value_ranges};
 use crate::archive::mesh::ChunkHeader;
 use crate::archive::segment::Segment;
 use crate::archive::tables::RepeatedReader;
@@ -20,13 +20,10 @@ use crate::exec::{CancelToken, Threads, in_order};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
 use crate::index::{Entry, EntryDigest, index_entries};
-use crate::pipeline::chunk::stored_error;
-use crate::pipeline::read::{
-    Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, stored_part, used_corners,
-};
+use crate::pipeline::read::{Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, used_corners};
 use crate::pipeline::reduce::strays;
 use crate::pipeline::surface::check_unpacked;
-use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
+use crate::spectrum::{ChunkPart, Design, Digits, SpectrumBuilder};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -129,7 +126,7 @@ fn check_step(
     };
     // What is left of a chunk is small, so threads alone bound the memory.
     let bytes = vec![0; archive.layout.chunk_count() as usize];
-    in_order(&bytes, 0, threads, look, |n, CheckedChunk { summary, ranges, part }| {
+    in_order(&bytes, 0, threads, look, |n, CheckedChunk { sizes, volume6: of_chunk, ranges, part }| {
         let chunk = ChunkId(n as u64);
         if archive.layout.begins_segment(chunk) {
             archive.close_before(chunk);
@@ -139,9 +136,9 @@ fn check_step(
             measured.add(&part);
         }
         if with_mesh {
-            volume6 += summary.volume6 + summary.outside6;
-            check.points += u64::from(summary.core);
-            check.tetrahedra += summary.tets;
+            volume6 += of_chunk;
+            check.points += u64::from(sizes.core);
+            check.tetrahedra += sizes.tets;
         }
         ranges.iter().for_each(|e| entries.add(e));
         Ok(())
@@ -150,7 +147,6 @@ fn check_step(
         check_totals(archive, volume6, check)?;
     }
     check_index(archive, entries, check)?;
-    check_error(archive)?;
     match (spectrum, measured) {
         (Some(file), Some(measured)) => {
             file.verify(&measured)?;
@@ -185,23 +181,11 @@ fn check_totals(archive: &StepView, volume6: i128, check: &ArchiveCheck) -> Resu
     Ok(())
 }
 
-/// Checks that the error in the manifest is that of the chunks.
-fn check_error(archive: &StepView) -> Result<()> {
-    let step = archive.step();
-    if !step.plan.measured {
-        return Ok(());
-    }
-    let (sum, levels) = stored_error(archive)?;
-    if step.error.as_ref() == Some(&sum) && step.level_errors == levels {
-        return Ok(());
-    }
-    let got = step.error.as_ref().map_or("none".into(), |e| format!("an RMS error of {}", e.rms));
-    Err(Error::bad_input(archive.path(), "error", format!("an RMS error of {}", sum.rms), got))
-}
-
 /// What a chunk contributes to the checks of the whole.
 struct CheckedChunk {
-    summary: MeshSummary,
+    sizes: MeshSizes,
+    /// Six times the volume of its tetrahedra, and of those that were left out, at the first step.
+    volume6: i128,
     /// The entries that the index must have.
     ranges: Vec<Entry>,
     part: ChunkPart,
@@ -214,34 +198,29 @@ fn check_chunk(
     id: ChunkId,
     meter: &Meter,
 ) -> Result<CheckedChunk> {
-    let (summary, values) = (segment.mesh.mesh_summary(id)?, segment.values.value_summary(id)?);
-    let file = segment.mesh.segment().path();
+    let (sizes, values) = (archive.mesh_sizes(id)?, segment.values.value_summary(id)?);
+    let file = segment.of_mesh().segment().path();
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
     };
-    // A chunk has the blocks of its vertices and a summary besides.
-    let blocks = segment.mesh.block_count(id);
-    let by_formula = archive.bcc_chunk(id);
-    let is_whole = match &by_formula {
-        // All but the summary follows.
-        Some(chunk) => blocks == 1 && chunk.brick_count() == summary.tet_blocks as usize,
-        None => {
-            let mut bytes = vec![];
-            segment.mesh.block(id, 0, &mut bytes)?;
-            let read = ChunkHeader::decode(&bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
-            let header = ChunkHeader { core_counts: vec![summary.core], halo: summary.halo, ..read };
-            let stored = if header.from_points { 0 } else { u64::from(summary.tet_blocks) };
-            stored + header.blocks() as u64 + 1 == blocks
+    let by_formula = archive.has_mesh_by_formula();
+    if !by_formula {
+        // A chunk has the blocks of its vertices and a summary besides.
+        let (mesh, mut bytes) = (segment.mesh(), vec![]);
+        let blocks = mesh.block_count(id);
+        mesh.block(id, 0, &mut bytes)?;
+        let read = ChunkHeader::decode(&bytes).map_err(|m| mesh.blame(id, 0, m))?;
+        let header = ChunkHeader { core_counts: vec![sizes.core], halo: sizes.halo, ..read };
+        let stored = if header.from_points { 0 } else { u64::from(sizes.tet_blocks) };
+        if stored + header.blocks() as u64 + 1 != blocks {
+            return wrong("summary", format!("that of {blocks} blocks"), format!("{sizes:?}"));
         }
-    };
-    if !is_whole {
-        return wrong("summary", format!("that of {blocks} blocks"), format!("{summary:?}"));
     }
     let of_entries = archive.blocks_of(id);
-    let blocks: Vec<u32> = of_entries.all(summary.tet_blocks).collect();
+    let blocks: Vec<u32> = of_entries.all(sizes.tet_blocks).collect();
     let decoded = archive.decode(id, &blocks)?;
     let (mut ranges, mut start) = (vec![], 0);
-    for entry in 0..summary.tet_blocks {
+    for entry in 0..sizes.tet_blocks {
         let last = of_entries.of(entry).end as usize;
         let end = last.checked_sub(1).map_or(0, |last| decoded.block_ends[last]);
         ranges.push(BlockRange::of(&decoded.tets[start..end], &decoded.values));
@@ -252,44 +231,58 @@ fn check_chunk(
     if rounded != values.ranges {
         return wrong("ranges", "those of the values".into(), "others".into());
     }
-    let found = value_ranges(&decoded.values, &archive.value_blocks(id, decoded.values.len()));
-    let stored = archive.value_ranges(id, found.len())?.expect("a step is looked at");
+    let blocks = archive.value_blocks(id, decoded.values.len());
+    let stored = archive.value_ranges(id, &blocks)?.expect("a step is looked at");
+    let mut found = value_ranges(&decoded.values, &blocks);
+    BlockRange::round_within(&mut found, BlockRange::bounds(stored.iter().copied()));
     // Blocks of values that no tetrahedron uses were not decoded.
-    if found.iter().zip(&stored).any(|(found, stored)| found[0] <= found[1] && found != stored) {
+    if found.iter().zip(&stored).any(|(found, stored)| found.tets > 0 && found != stored) {
         return wrong("ranges of values", "those of the values".into(), "others".into());
     }
-    if archive.position() == 0 {
-        check_mesh(archive, &decoded, summary, id, (file, by_formula.is_some()))?;
-    }
+    let volume6 = match archive.position() {
+        0 => check_mesh(archive, &decoded, segment, sizes, id)?,
+        _ => 0,
+    };
     let of_step = (&*decoded.values, &*ranges);
     let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[of_step], &mut Bench::default())?;
     let part = parts.pop().expect("of one step");
-    if part != stored_part(&segment.values, id, meter.limits())? {
-        return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());
+    if archive.manifest.counts.chunks == 1 {
+        let stored = segment.values.block_from_end(id, 1, |bytes| Ok(bytes.to_vec()))?;
+        if part.encode(Digits::Few) != stored {
+            return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());
+        }
     }
-    Ok(CheckedChunk { summary, ranges: index_entries(id.0, &rounded).collect(), part })
+    Ok(CheckedChunk { sizes, volume6, ranges: index_entries(id.0, &rounded).collect(), part })
 }
 
-/// Checks that the tetrahedra of a chunk agree with its summary, and use its halo.
+/// Checks that the tetrahedra of a chunk agree with its summary, and use its halo. Returns their
+/// volume and that of those that were left out.
 fn check_mesh(
     archive: &StepView,
     decoded: &DecodedChunk,
-    summary: MeshSummary,
+    segment: &OpenSegment,
+    sizes: MeshSizes,
     id: ChunkId,
-    (file, by_formula): (&Path, bool),
-) -> Result<()> {
+) -> Result<i128> {
+    let (file, by_formula) = (segment.of_mesh().segment().path(), archive.has_mesh_by_formula());
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
     };
-    let found = MeshSummary {
+    let sizes = MeshSizes {
         core: decoded.core as u32,
         halo: (decoded.positions.len() - decoded.core) as u32,
         tets: decoded.tets.len() as u64,
-        volume6: check_tets(decoded, &archive.chunks.chunk(id), (file, by_formula))?,
-        ..summary
+        ..sizes
     };
-    if found != summary {
-        return wrong("summary", format!("{found:?}"), format!("{summary:?}"));
+    let volume6 = check_tets(decoded, &archive.chunks.chunk(id), (file, by_formula))?;
+    let mut outside6 = 0;
+    if !by_formula {
+        let summary = segment.mesh().mesh_summary(id)?;
+        outside6 = summary.outside6;
+        let found = MeshSummary { sizes, volume6, outside6 };
+        if found != summary {
+            return wrong("summary", format!("{found:?}"), format!("{summary:?}"));
+        }
     }
     let used = used_corners(&decoded.tets, decoded.positions.len());
     let core = &archive.chunks.chunk(id).core;
@@ -302,7 +295,7 @@ fn check_mesh(
     if halo.windows(2).any(|w| w[0] == w[1]) {
         return wrong("halo", "each point once".into(), "one twice".into());
     }
-    Ok(())
+    Ok(volume6 + outside6)
 }
 
 /// Every tetrahedron is positively oriented and the chunk's own; returns their volume.

@@ -1,7 +1,7 @@
 //! Sums over chunks.
 
 use super::design::Design;
-use super::measure::ChunkPart;
+use super::measure::{ChunkPart, Measured};
 use super::{Knot, Spectrum};
 
 /// Adds up the parts of all chunks.
@@ -60,6 +60,12 @@ impl SpectrumBuilder {
         for (n, level) in (0..).zip(&mut self.levels) {
             *level += of.levels.number_of(&all.levels, n).map_or(0, |here| measured.levels[here as usize]);
         }
+    }
+
+    /// What all chunks have together, in the form of one.
+    pub(super) fn total(&self) -> ChunkPart {
+        let Self { design, tetrahedra, volume, active, sums, levels } = self.clone();
+        ChunkPart { tetrahedra, volume, measured: Some(Measured { design, active, sums, levels }) }
     }
 
     /// The spectrum of all chunks.

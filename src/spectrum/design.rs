@@ -10,17 +10,16 @@ pub struct Limits {
     levels: u32,
 }
 
-/// The most and the fewest knots: a chunk stores 24 bytes for each.
+/// The most and the fewest knots: about 10 bytes each.
 pub(super) const MOST_KNOTS: u64 = 128;
-const FEWEST_KNOTS: u64 = 48;
+const FEWEST_KNOTS: u64 = 32;
 /// The most and the fewest levels: about a byte each.
 pub(crate) const MOST_LEVELS: u64 = 8192;
-const FEWEST_LEVELS: u64 = 512;
+const FEWEST_LEVELS: u64 = 256;
 
 impl Limits {
-    /// For chunks of about `points` points: what is stored for a chunk is about a hundredth of its
-    /// bytes.
-    pub fn of_chunks(points: u64) -> Self {
+    /// For a mesh of about `points` points: a spectrum is about a hundredth of a step's bytes.
+    pub fn of_mesh(points: u64) -> Self {
         Self {
             knots: (points / 1024).clamp(FEWEST_KNOTS, MOST_KNOTS) as u32,
             levels: (points / 32).clamp(FEWEST_LEVELS, MOST_LEVELS) as u32,
@@ -52,13 +51,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_are_as_many_isovalues_as_a_chunk_can_store() {
-        let design = Design::new([0.0, 1.0], Limits::of_chunks(250_000));
+    fn there_are_as_many_isovalues_as_a_mesh_has_points_for() {
+        let design = Design::new([0.0, 1.0], Limits::of_mesh(250_000));
         assert_eq!((design.knots.count, design.levels.count), (128, 5000));
         assert_eq!((design.knots.value(63), design.levels.value(249)), (0.5, 0.05));
-        let few = Design::new([0.0, 1.0], Limits::of_chunks(10));
-        assert_eq!((few.knots.count, few.levels.count), (32, 500));
-        let none = Design::new([2.0, 2.0], Limits::of_chunks(10));
+        let few = Design::new([0.0, 1.0], Limits::of_mesh(10));
+        assert_eq!((few.knots.count, few.levels.count), (32, 100));
+        let none = Design::new([2.0, 2.0], Limits::of_mesh(10));
         assert_eq!((none.knots.count, none.levels.count), (0, 0));
     }
 }

@@ -14,8 +14,6 @@
 //! A multiple is rounded to `f32` from the number itself, its factors of ten taken out, so it is
 //! the same `f32` on each rung.
 
-use crate::archive::Malformed;
-use crate::archive::wire::Cursor;
 use serde::Serialize;
 
 /// Which steps there are.
@@ -187,35 +185,6 @@ impl Grid {
         let here = (i128::from(coarser.first) + i128::from(n)) * steps - i128::from(self.first);
         u32::try_from(here).ok().filter(|h| *h < self.count)
     }
-
-    pub(super) fn encode(&self, out: &mut Vec<u8>) {
-        out.push(match self.step.family {
-            Family::Binary => 2,
-            Family::Decimal => 10,
-        });
-        out.extend(self.step.rung.to_le_bytes());
-        out.extend(self.first.to_le_bytes());
-        out.extend(self.count.to_le_bytes());
-    }
-
-    /// A grid of at most `most` isovalues.
-    pub(super) fn decode(c: &mut Cursor<'_>, most: u32) -> Result<Self, Malformed> {
-        let (base, rung) = (c.u8("base")?, c.u32("rung")? as i32);
-        let family = match base {
-            2 => Some(Family::Binary),
-            10 => Some(Family::Decimal),
-            _ => None,
-        };
-        let (first, count) = (c.u64("first isovalue")? as i64, c.u32("isovalues")?);
-        match family.and_then(|family| Step::new(family, rung)) {
-            Some(step) if count <= most && first.unsigned_abs() <= 1 << 55 => Ok(Self { step, first, count }),
-            _ => {
-                let expected = format!("a grid of base 2 or 10 of at most {most} isovalues");
-                let got = format!("base {base}, rung {rung}, {count} from {first}");
-                Err(Malformed::new("grid", expected, got))
-            }
-        }
-    }
 }
 
 /// Finds places in a grid, often.
@@ -327,10 +296,6 @@ mod tests {
                         prop_assert_eq!(places.of(v) as usize, fine.values().partition_point(|&w| w <= v));
                     }
                 }
-                let mut bytes = vec![];
-                all.encode(&mut bytes);
-                prop_assert_eq!(bytes.len(), 17);
-                prop_assert_eq!(Grid::decode(&mut Cursor::new(&bytes), most).unwrap(), all);
             }
         }
     }

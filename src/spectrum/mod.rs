@@ -20,20 +20,21 @@
 //!
 //! **What is exact.** N, A, V and T are stored at up to 128 isovalues, the *knots*: multiples of a
 //! power of two. There they are sums over all tetrahedra that are not void, in world units: N
-//! exact, the others but for rounding in `f64`. Between knots A, V and T are not stored: extract
+//! exact, the others to one part in two million. Between knots A, V and T are not stored: extract
 //! the surface.
 //!
 //! N alone is stored at many more isovalues, the *levels*: multiples of a round step, 1 or 2 times
 //! a power of ten, up to 8192 of them in the range. A tetrahedron is active for min < v <= max, so
 //! N(v) counts the minima below v less the maxima below v. So N is known at most isovalues that a
-//! person writes, for one page of 4096 levels read ([`SpectrumFile::active`]). For the others
+//! person writes ([`SpectrumFile::active`]). For the others
 //! [`crate::pipeline::Step::count`] decodes the blocks of the isovalue, and is as exact.
 //!
 //! **Chunk by chunk.** Which isovalues these are depends on the range of all values, which is known
 //! when the last chunk has been made. So each chunk is measured while its tetrahedra and values are
 //! at hand, on grids of its own range, which are finer, or as fine, and hold all isovalues of the
 //! coarser grids of the whole ([`grid`](self::Grid)); a spectrum is put together from those parts
-//! ([`ChunkPart`]), which are some thousand bytes each, and not from tetrahedra.
+//! ([`ChunkPart`]), which are some thousand bytes each, and not from tetrahedra. An archive that is
+//! finished has the sum alone.
 //!
 //! **Determinism.** Integers are added in any order; `f64` sums are made over the tetrahedra of a
 //! chunk in the order in which its blocks decode, and over chunks in their order. A part is a
@@ -55,13 +56,11 @@ pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};
 pub use lanes::LaneBuffers;
 pub use measure::{ChunkPart, Vertices};
+pub use part::Digits;
 pub use store::SpectrumFile;
 
 #[cfg(test)]
-pub(crate) use {
-    design::MOST_LEVELS,
-    store::{LARGEST_KNOTS, PAGE_ACTIVE},
-};
+pub(crate) use design::MOST_LEVELS;
 
 /// The isosurface of one isovalue. Lengths are world units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -103,7 +103,7 @@ mod tests {
 
     /// Two boundaries at 200 and 700, of which the second is the larger, on a floor of noise.
     fn two_materials() -> Spectrum {
-        let design = Design::new([0.0, 1000.0], Limits::of_chunks(250_000));
+        let design = Design::new([0.0, 1000.0], Limits::of_mesh(250_000));
         let bump = |v: f64, at: f64| 1.0 / (1.0 + ((v - at) / 60.0).powi(4));
         let knots = design.knots.values().into_iter().map(|isovalue| {
             let v = f64::from(isovalue);

@@ -92,19 +92,10 @@ impl Sums {
             whole += volume;
             sum[1] += whole;
         }
-        sums.iter_mut().flatten().for_each(|sum| *sum = stored(*sum));
         let (active, levels) = (counts(&ends.knots), counts(&ends.levels));
         let measured = Measured { design, active, sums, levels };
         ChunkPart { tetrahedra, volume: whole + self.whole[0], measured: Some(measured) }
     }
-}
-
-/// Bits of a sum that are not stored, of the 64: it is right to one part in 5 · 10^8.
-pub(super) const CUT_BITS: u32 = 24;
-
-/// A sum that is not negative, as it is stored.
-fn stored(sum: f64) -> f64 {
-    f64::from_bits((sum.to_bits() + (1 << (CUT_BITS - 1))) >> CUT_BITS << CUT_BITS)
 }
 
 /// Minima less maxima of tetrahedra, by the number of knots, and of levels, at or below them.

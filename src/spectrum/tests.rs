@@ -88,7 +88,7 @@ fn vectors(places: &[[f64; 3]]) -> Vec<[f64; 4]> {
 
 /// Chunks of seven tetrahedra, each through its bytes.
 fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Option<SpectrumBuilder> {
-    let limits = Limits::of_chunks(points);
+    let limits = Limits::of_mesh(points);
     let range_of = |tets: &[Tet]| {
         let ranges = tets.iter().filter_map(|t| range(t.map(|v| values[v as usize])));
         ranges.fold([f32::INFINITY, f32::NEG_INFINITY], |r, (lo, hi)| [r[0].min(lo), r[1].max(hi)])
@@ -103,8 +103,8 @@ fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Opti
         let part = ChunkPart::of_steps(limits, &vectors(places), tets, &[step], &mut LaneBuffers::default())
             .pop()
             .unwrap();
-        let bytes = part.encode();
-        let back = ChunkPart::decode(&bytes, limits).unwrap();
+        let bytes = part.encode(Digits::All);
+        let back = ChunkPart::decode(&bytes, limits, Digits::All).unwrap();
         assert_eq!(back, part);
         builder.add(&back);
     }
@@ -124,7 +124,7 @@ proptest! {
     fn vectors_and_other_steps_change_no_bit(
         (values, places, tets) in prop_oneof![soup(), odd_soup()], steps in 1usize..10,
     ) {
-        let (places, limits) = (vectors(&places), Limits::of_chunks(100_000));
+        let (places, limits) = (vectors(&places), Limits::of_mesh(100_000));
         let all = series(&values, steps);
         let ranges = all.iter().map(|values| {
             let range = |t: &Tet| range(t.map(|v| values[v as usize]));
@@ -134,11 +134,11 @@ proptest! {
         let all: Vec<Vertices<'_>> = all.iter().zip(ranges).map(|(values, range)| Vertices { values, range }).collect();
         let mut buffers = LaneBuffers::default();
         let mut made = |steps: &[Vertices<'_>], vectors| -> Vec<Vec<u8>> {
-            ChunkPart::of_with(limits, &places, &tets, steps, vectors, &mut buffers).iter().map(ChunkPart::encode).collect()
+            ChunkPart::of_with(limits, &places, &tets, steps, vectors, &mut buffers).iter().map(|part| part.encode(Digits::All)).collect()
         };
         let plain = made(&all, Vectors::Plain);
         prop_assert_eq!(plain.len(), steps + 1);
-        let parts: Vec<ChunkPart> = plain.iter().map(|part| ChunkPart::decode(part, limits).unwrap()).collect();
+        let parts: Vec<ChunkPart> = plain.iter().map(|part| ChunkPart::decode(part, limits, Digits::All).unwrap()).collect();
         let sums = parts.iter().filter_map(|part| part.measured.as_ref()).flat_map(|m| m.sums.as_flattened());
         prop_assert!(sums.into_iter().all(|sum| !sum.is_nan()));
         let vectors = [Avx2::found().map(Vectors::Avx2), Avx512::found().map(Vectors::Avx512)];
@@ -156,26 +156,28 @@ fn damaged_parts_are_refused_or_harmless() {
     let places: Vec<[f64; 3]> = (0..60).map(|i| [i, i * i % 37, i * i * i % 41].map(f64::from)).collect();
     let values: Vec<f32> = (0..60u16).map(|i| f32::from(i * 61 % 199)).collect();
     let tets: Vec<Tet> = (0..50).map(|i| [i, i + 1, i + 2, i + 9]).collect();
-    let limits = Limits::of_chunks(100);
+    let limits = Limits::of_mesh(100);
     let step = Vertices { values: &values, range: [0.0, 198.0] };
     let part = ChunkPart::of_steps(limits, &vectors(&places), &tets, &[step], &mut LaneBuffers::default())
         .pop()
         .unwrap();
-    let good = part.encode();
     let design = Design::new([-1e9, 1e9], limits);
-    for i in 0..good.len() {
-        assert!(ChunkPart::decode(&good[..i], limits).is_err(), "cut at {i}");
-        for bit in 0..8 {
-            let mut bad = good.clone();
-            bad[i] ^= 1 << bit;
-            if let Ok(bad) = ChunkPart::decode(&bad, limits) {
-                SpectrumBuilder::new(design).add(&bad);
+    for digits in [Digits::All, Digits::Few] {
+        let good = part.encode(digits);
+        for i in 0..good.len() {
+            assert!(ChunkPart::decode(&good[..i], limits, digits).is_err(), "cut at {i}");
+            for bit in 0..8 {
+                let mut bad = good.clone();
+                bad[i] ^= 1 << bit;
+                if let Ok(bad) = ChunkPart::decode(&bad, limits, digits) {
+                    SpectrumBuilder::new(design).add(&bad);
+                }
             }
         }
     }
     let nothing = Vertices { values: &[], range: [f32::INFINITY, f32::NEG_INFINITY] };
     let void = ChunkPart::of_steps(limits, &[], &[], &[nothing], &mut LaneBuffers::default()).pop().unwrap();
-    assert_eq!(ChunkPart::decode(&void.encode(), limits).unwrap(), void);
+    assert_eq!(ChunkPart::decode(&void.encode(Digits::Few), limits, Digits::Few).unwrap(), void);
 }
 
 fn near(a: f64, b: f64, of: f64) -> bool {
@@ -210,15 +212,22 @@ proptest! {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("spectrum.seg");
         builder.finish(&path, PLAN).unwrap();
-        let file = SpectrumFile::open(&path, Some(PLAN)).unwrap();
+        let file = SpectrumFile::open(&path, Some(PLAN), Limits::of_mesh(4000)).unwrap();
         file.verify(&builder).unwrap();
-        prop_assert_eq!(file.spectrum(), &s);
+        let stored = file.spectrum();
+        prop_assert_eq!((stored.range, stored.tetrahedra, stored.volume, stored.levels), (s.range, s.tetrahedra, s.volume, s.levels));
+        for (a, b) in stored.knots.iter().zip(&s.knots) {
+            prop_assert_eq!((a.isovalue, a.active_tetrahedra), (b.isovalue, b.active_tetrahedra));
+            for (a, b) in [(a.area, b.area), (a.volume, b.volume), (a.gradient, b.gradient)] {
+                prop_assert!((a - b).abs() <= 5e-7 * b, "{} {}", a, b);
+            }
+        }
         for n in 0..s.levels.count {
             let v = s.levels.value(n);
-            prop_assert_eq!(file.active(v).unwrap(), Some(active(v)), "level {}", v);
+            prop_assert_eq!(file.active(v), Some(active(v)), "level {}", v);
         }
         for v in values.iter().copied().chain([f32::NEG_INFINITY, f32::INFINITY, -1e-30, 0.123_456_7]).filter(|v| !v.is_nan()) {
-            if let Some(found) = file.active(v).unwrap() {
+            if let Some(found) = file.active(v) {
                 prop_assert_eq!(found, active(v), "value {}", v);
             }
         }
@@ -245,8 +254,8 @@ fn a_constant_field_has_no_isosurface() {
     assert_eq!((s.knots.len(), s.levels.count, s.tetrahedra), (0, 0, 1));
     let dir = tempfile::tempdir().unwrap();
     builder.finish(dir.path().join("s.seg"), PLAN).unwrap();
-    let file = SpectrumFile::open(dir.path().join("s.seg"), None).unwrap();
-    assert_eq!((file.active(7.0).unwrap(), file.active(6.0).unwrap()), (Some(0), Some(0)));
+    let file = SpectrumFile::open(dir.path().join("s.seg"), None, Limits::of_mesh(100)).unwrap();
+    assert_eq!((file.active(7.0), file.active(6.0)), (Some(0), Some(0)));
 }
 
 fn small(dir: &Path) -> SpectrumBuilder {
@@ -263,20 +272,21 @@ fn damage_is_an_error_or_the_right_answer() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("s.seg");
     let builder = small(dir.path());
-    let answers = |f: &SpectrumFile| [1.0, 50.0, 198.0].map(|v| f.active(v).ok());
-    let right = answers(&SpectrumFile::open(&path, None).unwrap());
-    assert!(right.iter().all(|a| a.flatten().is_some_and(|n| n > 0)));
+    let answers = |f: &SpectrumFile| [1.0, 50.0, 198.0].map(|v| f.active(v));
+    let limits = Limits::of_mesh(20_000);
+    let right = answers(&SpectrumFile::open(&path, None, limits).unwrap());
+    assert!(right.iter().all(|a| a.is_some_and(|n| n > 0)));
     let good = std::fs::read(&path).unwrap();
     for i in (0..good.len()).step_by(3) {
         let mut bad = good.clone();
         bad[i] ^= 0x11;
         std::fs::write(&path, &bad).unwrap();
-        if let Ok(file) = SpectrumFile::open(&path, Some(PLAN)) {
+        if let Ok(file) = SpectrumFile::open(&path, Some(PLAN), limits) {
             assert!(file.verify(&builder).is_err(), "byte {i}");
-            assert!(answers(&file).iter().zip(&right).all(|(a, b)| a.is_none() || a == b), "byte {i}");
+            assert_eq!(answers(&file), right, "byte {i}");
         }
         std::fs::write(&path, &good[..i]).unwrap();
-        assert!(SpectrumFile::open(&path, None).is_err(), "cut at {i}");
+        assert!(SpectrumFile::open(&path, None, limits).is_err(), "cut at {i}");
     }
 }
 
@@ -297,9 +307,9 @@ fn blocks_that_lie_behind_a_good_checksum_never_panic() {
                 let mut w = SegmentWriter::create(&path, SegmentKind::Spectrum, PLAN).unwrap();
                 bad.iter().for_each(|b| _ = w.push_block(b).unwrap());
                 w.finish().unwrap();
-                if let Ok(file) = SpectrumFile::open(&path, None) {
+                if let Ok(file) = SpectrumFile::open(&path, None, Limits::of_mesh(20_000)) {
                     assert!(file.verify(&builder).is_err());
-                    let _ = [1.0, 50.0, 198.0].map(|v| file.active(v).ok());
+                    let _ = [1.0, 50.0, 198.0].map(|v| file.active(v));
                 }
             }
         }

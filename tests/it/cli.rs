@@ -267,7 +267,8 @@ fn a_damaged_archive_or_surface_is_told() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("b.npy"), [16, 16, 16], ball);
-    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1", "--chunk-points", "1000"]);
+    let few = ["--points", "halton", "--fraction", "1", "--chunk-points", "150"];
+    ok(d, &[&["reduce", "b.npy", "-o", "b.isospan"][..], &few].concat());
     for file in [
         "mesh/000000.seg",
         "steps/000000-values-000000.seg",
@@ -527,7 +528,7 @@ fn what_is_no_regular_file_is_refused_at_once() {
     let d = dir.path();
     write_npy(&d.join("v.npy"), [20, 18, 16], waves);
     let planned = ["plan", "v.npy", "-o", "p.isospan", "-q"];
-    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "-q"]);
+    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "-q", "--points", "halton"]);
     ok(d, &planned);
     let fifo = |name: &str| {
         let made = Command::new("mkfifo").arg(d.join(name)).status().unwrap();
@@ -546,7 +547,7 @@ fn what_is_no_regular_file_is_refused_at_once() {
         assert!(text.trim_end().lines().count() == 1 && text.contains(file), "{args:?}: {text}");
     };
     let surface = ["surface", "a.isospan", "--isovalue", "0.1", "-o", "s.ply", "-q"];
-    let reduce = ["reduce", "v.npy", "-o", "a.isospan", "-q"];
+    let reduce = ["reduce", "v.npy", "-o", "a.isospan", "-q", "--points", "halton"];
     for (file, questions) in [
         (
             "a.isospan/manifest.json",
@@ -797,8 +798,8 @@ fn an_output_never_replaces_an_input() {
         vec!["render", "s.png", "-q", "-o", "s.png"],
         vec!["render", "a.isospan", "-i", "40", "-q", "-o", &into("r.png")],
         vec!["measure", "a.isospan", "--against", "v.nhdr", "-q", "--map", &into("m.vti")],
-        vec!["reduce", "a.isospan/mesh/000000.seg", "-o", "a.isospan", "--force", "-q"],
-        vec!["plan", "a.isospan/mesh/000000.seg", "-o", "a.isospan", "--force", "-q"],
+        vec!["reduce", "a.isospan/steps/000000-values-000000.seg", "-o", "a.isospan", "--force", "-q"],
+        vec!["plan", "a.isospan/steps/000000-values-000000.seg", "-o", "a.isospan", "--force", "-q"],
     ] {
         let (code, text) = fails(d, &args);
         assert!(code == 2 && text.contains("choose another name"), "{args:?}: {code}: {text}");

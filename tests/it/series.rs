@@ -447,7 +447,7 @@ fn the_same_reduction_makes_what_is_missing() {
         assert!(folder(&out) == whole);
         let lost: Vec<PathBuf> =
             whole.keys().filter(|f| !f.ends_with("manifest.json")).map(|f| out.join(f)).collect();
-        assert!(lost.len() > 8, "{lost:?}");
+        assert!(lost.len() > 6, "{lost:?}");
         for path in &lost {
             fs::remove_file(path).unwrap();
             let there = folder(&out);
@@ -524,7 +524,8 @@ fn surfaces_of_many_steps_have_a_list() {
     let passes = [1 << 30, 28 << 20, 24 << 20].map(read);
     assert!(passes[0] < passes[1] && passes[1] < passes[2], "{passes:?}");
     assert_eq!(report.steps[2].report.triangles, 0);
-    assert!(report.steps[2].report.bytes_read < report.steps[1].report.bytes_read);
+    let read = [1, 2].map(|n: usize| report.steps[n].report.bytes_read);
+    assert!(read[1] < read[0], "{read:?}");
     let (some, out) = ("1:2".parse().unwrap(), dir.path().join("t%d_{}.ply"));
     let two = SurfaceSettings { isovalues: vec![0.5, -0.25], ..SurfaceSettings::default() };
     let report = extract_series(&archive, some, &two, &out, SurfaceFormat::Ply, &Silent).unwrap();

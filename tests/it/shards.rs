@@ -60,7 +60,7 @@ impl Case {
             let args = [&["reduce", "v.npy", "-o", "whole.isospan"], &CHOICES[..]].concat();
             ok(dir.path(), &args);
             let files = folder(&dir.path().join("whole.isospan"));
-            assert_eq!(files.len(), 2 * SEGMENTS + 3, "{:?}", files.keys());
+            assert_eq!(files.len(), SEGMENTS + 3, "{:?}", files.keys());
             files
         });
         Self { dir: Self::volume(), expected: &EXPECTED }
@@ -380,23 +380,24 @@ fn commit_refuses_what_is_missing_damaged_or_foreign_and_deletes_nothing() {
     ok(d, &["plan", "v.npy", "-o", "u.isospan", "--fraction", "1/2", "--chunk-points", "121"]);
     ok(d, &["work", "u.isospan", "--shard", "0/2"]);
     let archive = d.join("t.isospan");
-    fs::remove_file(archive.join("mesh/000003.seg")).unwrap();
+    fs::remove_file(archive.join("steps/000000-sums-000003.seg")).unwrap();
     let cut = archive.join("steps/000000-values-000000.seg");
     fs::write(&cut, &fs::read(&cut).unwrap()[..1000]).unwrap();
-    fs::copy(d.join("u.isospan/mesh/000001.seg"), archive.join("mesh/000001.seg")).unwrap();
-    let flipped = archive.join("mesh/000002.seg");
+    let foreign = "steps/000000-values-000001.seg";
+    fs::copy(d.join("u.isospan").join(foreign), archive.join(foreign)).unwrap();
+    let flipped = archive.join("steps/000000-values-000002.seg");
     let mut bytes = fs::read(&flipped).unwrap();
     bytes[700] ^= 4;
     fs::write(&flipped, bytes).unwrap();
     let before = folder(&archive);
     let (code, text) = fails(d, &["commit", "t.isospan"]);
     assert_eq!(code, 3, "{text}");
-    for part in ["4 missing", "mesh/000001.seg (of another plan)", "mesh/000003.seg (not there)"] {
+    for part in ["4 missing", "values-000001.seg (of another plan)", "sums-000003.seg (not there)"] {
         assert!(text.contains(part), "{part}: {text}");
     }
     assert!(folder(&archive) == before, "nothing is deleted and nothing published");
     let files = ok(d, &["status", "t.isospan", "--missing", "--as", "files"]);
-    for part in ["values-000000.seg (damaged", "mesh/000002.seg (damaged"] {
+    for part in ["values-000000.seg (damaged", "values-000002.seg (damaged"] {
         assert!(files.contains(part) && files.lines().count() == 4, "{part}: {files}");
     }
     let status: serde_json::Value = serde_json::from_str(&ok(d, &["status", "t.isospan", "--json"])).unwrap();

@@ -39,9 +39,9 @@ fn a_spectrum_is_what_the_surfaces_are() {
         (spectrum.volume / (27.0 * 23.0 * 19.0 * 3.0) - 1.0).abs() < 1e-12,
         "the domain's volume in the world"
     );
-    assert!(spectrum.knots.len() > 20 && spectrum.bytes_read < 30_000, "{} bytes", spectrum.bytes_read);
+    assert!(spectrum.knots.len() > 15 && spectrum.bytes_read < 30_000, "{} bytes", spectrum.bytes_read);
     let mut closed = 0;
-    for knot in spectrum.knots.iter().step_by(4) {
+    for knot in spectrum.knots.iter().step_by(2) {
         let file = dir.path().join("s.ply");
         let report = surface(&out, knot.isovalue, &file, 2);
         assert_eq!(report.active_tetrahedra, knot.active_tetrahedra, "{knot:?}");
@@ -87,13 +87,13 @@ fn nothing_but_void_has_no_spectrum() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("void.npy");
     write_npy(&input, [20, 20, 20], |_, _, _| f64::NAN);
-    // Of one chunk, which has no file of a spectrum in any case, and of several, which have an
-    // index.
+    // Of one chunk, which has no file of a spectrum in any case, and of several, which
+    // have an index.
     for (name, amount, chunk_points) in [("one", 0.125, 100_000), ("several", 1.0, 1000)] {
         let out = dir.path().join(format!("{name}.isospan"));
         let amount = Amount::Fraction(amount);
         let settings =
-            ReduceSettings { nan: NanPolicy::Mask, amount, chunk_points, ..ReduceSettings::default() };
+            ReduceSettings { nan: NanPolicy::Mask, chunk_points, ..settings(SetKind::Halton, amount, 1) };
         pipeline::reduce_series(
             &[StepSource::new(&input, &OpenOptions::default())],
             &settings,

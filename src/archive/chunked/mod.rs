@@ -13,7 +13,7 @@ mod summary;
 pub use ranges::BlockRange;
 pub(crate) use ranges::{RangeDecoder, RangeEncoder};
 pub use summary::{
-    MeshSummary, ValueRange, ValueSummary, decode_value_ranges, encode_value_ranges, value_ranges,
+    MeshSizes, MeshSummary, ValueRange, ValueSummary, decode_value_ranges, encode_value_ranges, value_ranges,
 };
 
 use crate::archive::manifest::SegmentRecord;
@@ -233,6 +233,21 @@ impl ChunkSegment {
     /// The error for block `n` of a chunk whose bytes could not be decoded.
     pub fn blame(&self, chunk: ChunkId, n: u64, what: Malformed) -> Error {
         what.in_block(self.segment.path(), self.block_number(chunk, n))
+    }
+
+    /// All blocks of a chunk.
+    ///
+    /// # Errors
+    /// As [`ChunkSegment::block`].
+    ///
+    /// # Panics
+    /// When the chunk is not in the segment.
+    pub(crate) fn blocks(&self, chunk: ChunkId) -> Result<Vec<Vec<u8>>> {
+        let block = |n| {
+            let mut bytes = vec![];
+            self.block(chunk, n, &mut bytes).map(|()| bytes)
+        };
+        (0..self.block_count(chunk)).map(block).collect()
     }
 
     fn position(&self, chunk: ChunkId) -> usize {

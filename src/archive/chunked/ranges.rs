@@ -68,6 +68,11 @@ impl BlockRange {
     /// Rounds ranges outwards, none beyond all of them together.
     pub(crate) fn round(ranges: &mut [Self]) {
         let bounds = Self::bounds(ranges.iter().copied());
+        Self::round_within(ranges, bounds);
+    }
+
+    /// Rounds ranges outwards, none beyond bounds.
+    pub(crate) fn round_within(ranges: &mut [Self], bounds: [f32; 2]) {
         ranges.iter_mut().for_each(|range| *range = range.rounded(bounds));
     }
 

@@ -10,28 +10,33 @@
 
 use super::ranges::{BlockRange, RangeDecoder, RangeEncoder, greater, lesser};
 use crate::archive::values::ValueBlocks;
-use crate::archive::wire::{Cursor, Malformed, to_zstd, unzstd};
+use crate::archive::wire::{Cursor, Malformed};
 use crate::simd::with_vectors;
 
-/// Compression of the lists of ranges.
-const LEVEL: i32 = 9;
 /// The most blocks of a chunk.
 const MOST_BLOCKS: u32 = 5_000_000;
 
-/// The mesh of a chunk.
+/// Sizes of the mesh of a chunk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct MeshSummary {
+pub struct MeshSizes {
     /// Points that the chunk owns.
     pub core: u32,
     /// Points of other chunks that its tetrahedra use.
     pub halo: u32,
-    /// Tetrahedron blocks.
+    /// Tetrahedron blocks; of a lattice, bricks.
     pub tet_blocks: u32,
     /// How often the halo was widened.
     pub retries: u32,
     /// Tetrahedra that the chunk owns.
     pub tets: u64,
-    /// Their six-fold volume in lattice steps, exact.
+}
+
+/// The mesh of a chunk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MeshSummary {
+    /// Its sizes.
+    pub sizes: MeshSizes,
+    /// The six-fold volume of its tetrahedra in lattice steps, exact.
     pub volume6: i128,
     /// The same for tetrahedra that would be the chunk's, but lie outside of the data and are not
     /// stored.
@@ -42,10 +47,9 @@ impl MeshSummary {
     /// Encodes the summary as the bytes of a block: 56 of them.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
-        [self.core, self.halo, self.tet_blocks, self.retries]
-            .iter()
-            .for_each(|v| out.extend(v.to_le_bytes()));
-        out.extend(self.tets.to_le_bytes());
+        let MeshSizes { core, halo, tet_blocks, retries, tets } = self.sizes;
+        [core, halo, tet_blocks, retries].iter().for_each(|v| out.extend(v.to_le_bytes()));
+        out.extend(tets.to_le_bytes());
         out.extend(self.volume6.to_le_bytes());
         out.extend(self.outside6.to_le_bytes());
         out
@@ -57,15 +61,14 @@ impl MeshSummary {
     /// When the length is another.
     pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
-        let summary = Self {
+        let sizes = MeshSizes {
             core: c.u32("core points")?,
             halo: c.u32("halo points")?,
             tet_blocks: c.u32("tetrahedron blocks")?,
             retries: c.u32("retries")?,
             tets: c.u64("tetrahedra")?,
-            volume6: c.i128("volume")?,
-            outside6: c.i128("volume outside")?,
         };
+        let summary = Self { sizes, volume6: c.i128("volume")?, outside6: c.i128("volume outside")? };
         c.end("mesh summary")?;
         Ok(summary)
     }
@@ -104,9 +107,7 @@ impl ValueSummary {
         out.extend(self.min.to_le_bytes());
         out.extend(self.max.to_le_bytes());
         out.extend((self.ranges.len() as u32).to_le_bytes());
-        let mut coder = RangeEncoder::begin(self.ranges.iter().copied(), &mut out);
-        self.ranges.iter().for_each(|&range| coder.push(range));
-        coder.finish(&mut out);
+        out.extend(encode_ranges(&self.ranges));
         out
     }
 
@@ -121,9 +122,7 @@ impl ValueSummary {
         if count > MOST_BLOCKS {
             return Err(Malformed::new("blocks", format!("at most {MOST_BLOCKS}"), count.to_string()));
         }
-        let mut coder = RangeDecoder::begin(&mut c)?;
-        let ranges = (0..count).map(|_| coder.pull()).collect::<Result<_, _>>()?;
-        coder.end()?;
+        let ranges = decode_value_ranges(c.rest(), count as usize)?;
         Ok(Self { void, min, max, ranges })
     }
 }
@@ -132,11 +131,13 @@ impl ValueSummary {
 /// above the largest.
 pub type ValueRange = [f32; 2];
 
-/// The ranges of the value blocks of a chunk with these values.
-pub fn value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<ValueRange> {
+/// The ranges of the value blocks that are stored of a chunk with these values. They have the form
+/// of those of tetrahedra: one of voids alone has none.
+pub fn value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<BlockRange> {
+    let range = |[min, max]: ValueRange| BlockRange { min, max, tets: u32::from(min <= max) };
     with_vectors(
         #[inline(always)]
-        || (0..blocks.count()).map(|n| value_range(&values[blocks.range(n)])).collect(),
+        || (0..blocks.stored_count()).map(|n| range(value_range(&values[blocks.range(n)]))).collect(),
     )
 }
 
@@ -155,40 +156,30 @@ fn value_range(values: &[f32]) -> ValueRange {
     [first(lo).unwrap_or(lo), first(hi).unwrap_or(hi)]
 }
 
-/// The same as the bytes of a block: the least values, then the largest, compressed.
+/// The ranges of the blocks that are stored, rounded outwards, as the bytes of a block.
 pub fn encode_value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<u8> {
-    compress_ranges(&value_ranges(values, blocks))
+    let mut ranges = value_ranges(values, blocks);
+    BlockRange::round(&mut ranges);
+    encode_ranges(&ranges)
 }
 
-fn compress_ranges(ranges: &[ValueRange]) -> Vec<u8> {
-    let column = |k: usize| ranges.iter().flat_map(move |range| range[k].to_le_bytes());
-    to_zstd(&column(0).chain(column(1)).collect::<Vec<u8>>(), LEVEL)
-}
-
-fn u32s(bytes: &[u8]) -> impl Iterator<Item = u32> {
-    bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b))
-}
-
-fn f32s(bytes: &[u8]) -> impl Iterator<Item = f32> {
-    u32s(bytes).map(f32::from_bits)
+fn encode_ranges(ranges: &[BlockRange]) -> Vec<u8> {
+    let mut out = vec![];
+    let mut coder = RangeEncoder::begin(ranges.iter().copied(), &mut out);
+    ranges.iter().for_each(|&range| coder.push(range));
+    coder.finish(&mut out);
+    out
 }
 
 /// The ranges of this number of value blocks.
 ///
 /// # Errors
-/// When the length is wrong, or one of them is no range.
-pub fn decode_value_ranges(bytes: &[u8], blocks: usize) -> Result<Vec<ValueRange>, Malformed> {
-    let columns = unzstd(bytes, blocks.saturating_mul(8), "value ranges")?;
-    if columns.len() as u64 != 8 * blocks as u64 {
-        let expected = format!("{} bytes", 8 * blocks as u64);
-        return Err(Malformed::new("value ranges", expected, columns.len().to_string()));
-    }
-    let (least, largest) = columns.split_at(4 * blocks);
-    let ranges: Vec<ValueRange> = f32s(least).zip(f32s(largest)).map(<[f32; 2]>::from).collect();
-    match ranges.iter().find(|[lo, hi]| !(lo <= hi || *lo == f32::INFINITY && *hi == f32::NEG_INFINITY)) {
-        Some([lo, hi]) => Err(Malformed::new("value ranges", "least <= largest", format!("{lo} to {hi}"))),
-        None => Ok(ranges),
-    }
+/// When the bytes are those of others.
+pub fn decode_value_ranges(bytes: &[u8], blocks: usize) -> Result<Vec<BlockRange>, Malformed> {
+    let mut coder = RangeDecoder::begin(&mut Cursor::new(bytes))?;
+    let ranges = (0..blocks).map(|_| coder.pull()).collect::<Result<_, _>>()?;
+    coder.end()?;
+    Ok(ranges)
 }
 
 #[cfg(test)]
@@ -198,15 +189,8 @@ mod tests {
 
     #[test]
     fn summaries_come_back() {
-        let mesh = MeshSummary {
-            core: 1,
-            halo: 2,
-            tet_blocks: 3,
-            retries: 4,
-            tets: 5,
-            volume6: -7 << 80,
-            outside6: 8 << 80,
-        };
+        let sizes = MeshSizes { core: 1, halo: 2, tet_blocks: 3, retries: 4, tets: 5 };
+        let mesh = MeshSummary { sizes, volume6: -7 << 80, outside6: 8 << 80 };
         assert_eq!(MeshSummary::decode(&mesh.encode()).unwrap(), mesh);
         let ranges =
             vec![BlockRange { min: 1.0, max: 2.0, tets: 3 }, BlockRange { min: -4.0, max: 5.0, tets: 6 }];
@@ -217,8 +201,6 @@ mod tests {
             assert!(MeshSummary::decode(&mesh.encode()[..n]).is_err());
         }
         assert!(ValueSummary::decode(&values.encode()[..20]).is_err());
-        let odd = [&values.encode()[..12], &to_zstd(&[0; 25], LEVEL)].concat();
-        assert!(ValueSummary::decode(&odd).is_err());
     }
 
     #[test]
@@ -226,16 +208,20 @@ mod tests {
         let mut values: Vec<f32> = (0..BLOCK_VALUES as u32 + 3).map(|i| i as f32).collect();
         values[0] = f32::NAN;
         let last = (BLOCK_VALUES + 2) as f32;
-        let expected = vec![[1.0, BLOCK_VALUES as f32 - 1.0], [BLOCK_VALUES as f32, last]];
-        let bytes = encode_value_ranges(&values, &ValueBlocks::even(values.len()));
-        assert_eq!(decode_value_ranges(&bytes, 2).unwrap(), expected);
-        assert!(decode_value_ranges(&bytes, 1).is_err() && decode_value_ranges(&bytes[..15], 2).is_err());
-        let void =
-            decode_value_ranges(&encode_value_ranges(&[f32::NAN; 3], &ValueBlocks::even(3)), 1).unwrap();
-        assert_eq!(void, [[f32::INFINITY, f32::NEG_INFINITY]]);
-        for wrong in [[2.0, 1.0], [f32::NAN, 1.0], [0.0, f32::NAN]] {
-            assert!(decode_value_ranges(&compress_ranges(&[wrong]), 1).is_err(), "{wrong:?}");
+        let ends = [[1.0, BLOCK_VALUES as f32 - 1.0], [BLOCK_VALUES as f32, last]];
+        let blocks = ValueBlocks::even(values.len());
+        let ranges = value_ranges(&values, &blocks);
+        assert_eq!(ranges, ends.map(|[min, max]| BlockRange { min, max, tets: 1 }));
+        let bytes = encode_value_ranges(&values, &blocks);
+        let found = decode_value_ranges(&bytes, 2).unwrap();
+        for (range, [lo, hi]) in found.iter().zip(ends) {
+            let most = (hi - lo) / 8.0;
+            assert!((0.0..=most).contains(&(lo - range.min)) && (0.0..=most).contains(&(range.max - hi)));
         }
+        assert!(decode_value_ranges(&bytes[..15], 2).is_err());
+        let void = encode_value_ranges(&[f32::NAN; 3], &ValueBlocks::even(3));
+        let none = BlockRange { min: f32::INFINITY, max: f32::NEG_INFINITY, tets: 0 };
+        assert_eq!(decode_value_ranges(&void, 1).unwrap(), [none]);
     }
 
     #[test]
@@ -258,7 +244,7 @@ mod tests {
                 let expected: Vec<_> = one_by_one.map(bits).collect();
                 let blocks = ValueBlocks::even(values.len());
                 assert_eq!(
-                    value_ranges(&values, &blocks).into_iter().map(bits).collect::<Vec<_>>(),
+                    value_ranges(&values, &blocks).iter().map(|r| bits([r.min, r.max])).collect::<Vec<_>>(),
                     expected
                 );
             }

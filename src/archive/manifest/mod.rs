@@ -37,9 +37,13 @@ use std::path::{Path, PathBuf};
 pub const MANIFEST_NAME: &str = "manifest.json";
 /// Value of the manifest's first member.
 pub const MANIFEST_FORMAT: &str = "isospan archive";
-/// An archive of one chunk with at most this many blocks has neither index nor spectrum of its
-/// steps: both follow from the chunk's summary.
+/// An archive of one chunk with at most this many blocks has no index of its steps: that follows
+/// from the summary of the chunk.
 pub const MOST_UNINDEXED: u64 = 512;
+/// The same of a lattice whose mesh follows by formula, where an entry of the index stands for a
+/// brick: its bricks, and its chunks.
+pub const MOST_UNINDEXED_BRICKS: u64 = 4096;
+pub const MOST_UNINDEXED_CHUNKS: u64 = 8;
 /// The most bytes of a manifest.
 pub const LARGEST_MANIFEST: u64 = 1 << 30;
 
@@ -73,6 +77,11 @@ fn of_step(archive: &Path, step: u64, name: &str) -> PathBuf {
 /// Path of a value segment of a step.
 pub fn values_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
     of_step(archive, step, &format!("values-{segment:06}.seg"))
+}
+
+/// Path of the sums of a segment of a step, which is there until the step is finished.
+pub fn sums_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
+    of_step(archive, step, &format!("sums-{segment:06}.seg"))
 }
 
 /// Path of the index of a step.
@@ -383,12 +392,6 @@ impl StepPlan {
         self.quantiser.map(|q| Quantiser { origin: q.origin + self.source.offset, ..q })
     }
 
-    /// Blocks of a chunk behind those of its values: their ranges, its errors where they are
-    /// stored, its part of the spectrum, its summary.
-    pub fn blocks_behind_values(&self) -> u64 {
-        3 + u64::from(self.measured)
-    }
-
     /// The time of the step as the input gives it, else its number.
     pub fn time_or_number(&self) -> f64 {
         self.time.unwrap_or(self.number as f64)
@@ -480,9 +483,13 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Whether the steps of such a mesh have an index each: see [`MOST_UNINDEXED`].
-    pub fn is_indexed(&self) -> bool {
-        self.chunks != 1 || self.blocks > MOST_UNINDEXED
+    /// Whether the steps of the mesh of a plan have an index each: see [`MOST_UNINDEXED`].
+    pub fn is_indexed(&self, plan: &Plan) -> bool {
+        let [chunks, blocks] = match plan.lattice_cells() {
+            Some(_) => [MOST_UNINDEXED_CHUNKS, MOST_UNINDEXED_BRICKS],
+            None => [1, MOST_UNINDEXED],
+        };
+        self.chunks > chunks || self.blocks > blocks
     }
 }
 
@@ -624,19 +631,22 @@ impl Manifest {
         if !lattice.is_valid() || self.plan.brick_edge.contains(&0) {
             return bad("plan", "a lattice and bricks".into(), format!("{:?}", lattice.dims));
         }
-        check_tiling(path, "mesh", &self.mesh, self.counts.chunks)?;
+        // A mesh that follows by formula is not stored.
+        let stored = if self.plan.lattice_cells().is_some() { 0 } else { self.counts.chunks };
+        check_tiling(path, "mesh", &self.mesh, stored)?;
         let offset = self.steps.first().map_or(0.0, |step| step.plan.source.offset);
         if !self.steps.iter().all(|s| s.plan.source.offset == offset && s.plan.source.rounding >= 0.0) {
             return bad("offset of a step", format!("{offset}, as of the first"), "another".into());
         }
         for step in &self.steps {
             check_tiling(path, "values of a step", &step.values, self.counts.chunks)?;
-            if step.index.is_none() && (self.counts.chunks != 1 || step.spectrum.is_some()) {
-                return bad(
-                    "index of a step",
-                    "one, of several chunks, or with a spectrum".into(),
-                    "none".into(),
-                );
+            if step.index.is_some() != self.counts.is_indexed(&self.plan) {
+                let [expected, got] = [step.index.is_none(), step.index.is_some()]
+                    .map(|has| if has { "one" } else { "none" }.into());
+                return bad("index of a step", expected, got);
+            }
+            if step.spectrum.is_some() && self.counts.chunks == 1 {
+                return bad("spectrum of a step", "none, of one chunk".into(), "one".into());
             }
         }
         if !self.steps.is_sorted_by(|a, b| a.plan.number < b.plan.number) {
@@ -670,12 +680,6 @@ impl Manifest {
             }
         }
         Ok(())
-    }
-
-    /// The mesh (or value) segment that has a chunk, by its position in the list.
-    pub fn segment_of(segments: &[SegmentRecord], chunk: u64) -> Option<usize> {
-        let at = segments.partition_point(|s| s.first_chunk + s.chunks <= chunk);
-        (at < segments.len()).then_some(at)
     }
 }
 
@@ -1091,7 +1095,5 @@ pub(crate) mod tests {
         assert!(check_tiling(path, "mesh", &m.mesh, 5).is_ok());
         assert!(check_tiling(path, "mesh", &m.mesh, 6).is_err());
         assert!(check_tiling(path, "mesh", &m.mesh[1..], 5).is_err());
-        let found: Vec<_> = (0..6).map(|c| Manifest::segment_of(&m.mesh, c)).collect();
-        assert_eq!(found, [Some(0), Some(0), Some(1), Some(1), Some(1), None]);
     }
 }

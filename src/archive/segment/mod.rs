@@ -74,6 +74,8 @@ pub enum SegmentKind {
     Repeated = 9,
     /// Unpacked blocks of one step.
     Unpacked = 10,
+    /// What the chunks of a range add to sums over all, of one step that is not finished.
+    Sums = 11,
 }
 
 impl SegmentKind {
@@ -89,6 +91,7 @@ impl SegmentKind {
             8 => "levels".into(),
             9 => "repeated vertices".into(),
             10 => "unpacked blocks".into(),
+            11 => "sums".into(),
             other => format!("unknown kind {other}"),
         }
     }

@@ -36,8 +36,12 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 pub(crate) mod brick;
+mod groups;
 mod nodes;
 
+#[cfg(test)]
+pub(crate) use groups::MOST_BRICKS;
+pub use groups::{BrickGroups, group_bricks};
 pub use nodes::NodeCoder;
 
 /// Values in a block, the last one of a chunk excepted.
@@ -64,8 +68,6 @@ pub const VALUES_BRICK_AFTER: u8 = 49;
 pub const VALUES_NODES: u8 = 50;
 /// Codec: a brick of nodes of which some are void, pcodec of multiples of the plan's step.
 pub const VALUES_NODES_VOID: u8 = 51;
-/// Codec: nothing is stored, the values follow from nodes.
-pub const VALUES_FOLLOW: u8 = 52;
 
 /// The bits of every void value.
 const VOID: u32 = 0x7fc0_0000;
@@ -190,25 +192,30 @@ fn steps_of(bits: f64) -> f64 {
 }
 
 /// How the values of a chunk are cut into blocks: bricks of a lattice, where there are some, then
-/// [`BLOCK_VALUES`] each.
+/// [`BLOCK_VALUES`] each. Those of a lattice that follow from others are in blocks of their own,
+/// which are not stored.
 #[derive(Clone, Debug)]
 pub struct ValueBlocks {
     /// The cells of each brick, and the number of its first value.
     bricks: Vec<([u32; 3], usize)>,
-    /// Values of all bricks, and all values.
+    /// Values of all bricks, values that are stored, and all values.
     in_bricks: usize,
+    stored: usize,
     len: usize,
 }
 
 impl ValueBlocks {
-    /// Blocks of [`BLOCK_VALUES`].
+    /// Blocks of [`BLOCK_VALUES`], all of them stored.
     pub fn even(len: usize) -> Self {
-        Self { bricks: vec![], in_bricks: 0, len }
+        Self::new([], len, len)
     }
 
     /// Bricks of so many cells, 1 to 8 along each axis, with two values a cell, then blocks of
-    /// [`BLOCK_VALUES`].
-    pub fn bricks(cells: impl IntoIterator<Item = [u32; 3]>, len: usize) -> Self {
+    /// [`BLOCK_VALUES`] of the others that are `stored`, then such of the rest.
+    ///
+    /// # Panics
+    /// When more values are stored than there are, or fewer than those of bricks.
+    pub fn new(cells: impl IntoIterator<Item = [u32; 3]>, stored: usize, len: usize) -> Self {
         let mut in_bricks = 0;
         let brick = |cells: [u32; 3]| {
             let first = in_bricks;
@@ -216,12 +223,18 @@ impl ValueBlocks {
             (cells, first)
         };
         let bricks = cells.into_iter().map(brick).collect();
-        Self { bricks, in_bricks, len }
+        assert!(in_bricks <= stored && stored <= len, "{in_bricks} <= {stored} <= {len}");
+        Self { bricks, in_bricks, stored, len }
     }
 
     /// Number of blocks.
     pub fn count(&self) -> usize {
-        self.bricks.len() + (self.len - self.in_bricks).div_ceil(BLOCK_VALUES)
+        self.stored_count() + (self.len - self.stored).div_ceil(BLOCK_VALUES)
+    }
+
+    /// Number of those that are stored: they come first.
+    pub fn stored_count(&self) -> usize {
+        self.bricks.len() + (self.stored - self.in_bricks).div_ceil(BLOCK_VALUES)
     }
 
     /// Number of values.
@@ -237,6 +250,9 @@ impl ValueBlocks {
     /// The block that has a value.
     #[inline]
     pub fn of(&self, value: usize) -> usize {
+        if value >= self.stored {
+            return self.stored_count() + (value - self.stored) / BLOCK_VALUES;
+        }
         match value.checked_sub(self.in_bricks) {
             Some(behind) => self.bricks.len() + behind / BLOCK_VALUES,
             None => self.bricks.partition_point(|b| b.1 <= value) - 1,
@@ -245,10 +261,14 @@ impl ValueBlocks {
 
     /// The values of a block.
     pub fn range(&self, block: usize) -> Range<usize> {
+        if let Some(behind) = block.checked_sub(self.stored_count()) {
+            let first = self.stored + behind * BLOCK_VALUES;
+            return first..self.len.min(first + BLOCK_VALUES);
+        }
         match block.checked_sub(self.bricks.len()) {
             Some(behind) => {
                 let first = self.in_bricks + behind * BLOCK_VALUES;
-                first..self.len.min(first + BLOCK_VALUES)
+                first..self.stored.min(first + BLOCK_VALUES)
             }
             None => self.bricks[block].1..self.bricks.get(block + 1).map_or(self.in_bricks, |b| b.1),
         }
@@ -260,9 +280,9 @@ impl ValueBlocks {
     }
 }
 
-/// Encodes the values of all local vertices of a chunk, core then halo, block by block. Values that
-/// [`Quantiser::round`] has made of others are stored as steps. `before` are the values of the same
-/// vertices at the step that blocks may refer to.
+/// Encodes the values of the local vertices of a chunk, core then halo: each block that is stored.
+/// Values that [`Quantiser::round`] has made of others are stored as steps. `before` are the values
+/// of the same vertices at the step that blocks may refer to.
 ///
 /// # Panics
 /// When there is not one value a vertex before.
@@ -280,7 +300,7 @@ pub fn encode_values(
     let how = encoder.choose(values, before);
     let before = before.filter(|_| how.after);
     let encode = |n| encoder.encode(n, values, before, how.coder).to_vec();
-    (0..blocks.count()).map(encode).collect()
+    (0..blocks.stored_count()).map(encode).collect()
 }
 
 /// How pcodec is to treat the numbers of a block.
@@ -315,7 +335,7 @@ struct Encoder<'a> {
 impl Encoder<'_> {
     /// Finds out which way takes the fewest bytes, with the first block, a middle and the last one.
     fn choose(&mut self, values: &[f32], before: Option<&[f32]>) -> How {
-        let blocks = self.blocks.count();
+        let blocks = self.blocks.stored_count();
         let mut tried = vec![0, blocks / 2, blocks.saturating_sub(1)];
         tried.dedup();
         let mut bytes_of = |after: Option<&[f32]>, coder| -> usize {
@@ -550,7 +570,7 @@ mod tests {
         let q = Quantiser::new(8.0, [0.0, 100.0]);
         let cells = [[8, 8, 8], [8, 8, 2], [3, 1, 5]];
         let len = 1024 + 256 + 30 + 2000;
-        let blocks = ValueBlocks::bricks(cells, len);
+        let blocks = ValueBlocks::new(cells, len, len);
         assert_eq!((blocks.count(), blocks.range(4)), (5, 1310 + 1024..len));
         for block in 0..blocks.count() {
             assert!(blocks.range(block).all(|v| blocks.of(v) == block));

@@ -13,14 +13,13 @@
 use super::step_errors::{CompareBuffers, Measured};
 use super::step_lanes::StepLanes;
 use super::step_samples::WindowSamples;
-use crate::archive::chunked::ChunkSegment;
-use crate::archive::tables::{ChunkErrors, decode_errors};
+use crate::archive::tables::ChunkErrors;
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticePos};
-use crate::grid::{ChunkId, IndexBox};
-use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Tally, Worst};
+use crate::grid::IndexBox;
+use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally, Worst};
 use crate::mesh::tet::Tet;
 use crate::pipeline::inputs::treat_missing;
 use crate::pipeline::plan::ERROR_WINDOW;
@@ -250,40 +249,4 @@ pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) 
         });
     }
     Ok(error.of_source(source.offset, source.rounding))
-}
-
-/// The errors of a chunk. They are stored after its values, where the plan of the step says so.
-pub(in crate::pipeline) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ChunkErrors> {
-    segment.block_from_end(chunk, 2, decode_errors)
-}
-
-/// The error of the archive's step, and those in the cells of each level, added up from what its
-/// chunks have stored.
-pub(in crate::pipeline) fn stored_error(archive: &StepView) -> Result<(FieldError, Vec<LevelError>)> {
-    let levels = archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1);
-    let (mut sums, mut by_level) = (ErrorSums::default(), vec![BrickErrors::default(); levels]);
-    for number in 0..archive.layout.segment_count() {
-        let chunks = archive.layout.chunks_of(number);
-        archive.close_before(ChunkId(chunks.start));
-        for chunk in chunks.map(ChunkId) {
-            let values = archive.values_of(archive.position(), chunk)?;
-            let found = stored_errors(&values, chunk)?;
-            let is_sorted = found.levels.is_empty() == (levels == 0 || found.sums.measured == 0);
-            if found.levels.len() > levels || !is_sorted {
-                let (path, got) = (values.segment().path(), found.levels.len().to_string());
-                let at = format!("chunk {}, levels of its errors", chunk.0);
-                return Err(Error::bad_input(path, at, format!("those of {levels} levels"), got));
-            }
-            sums.merge(&found.sums);
-            by_level.iter_mut().zip(&found.levels).for_each(|(all, part)| all.merge(part));
-        }
-    }
-    let level_error = |e: &BrickErrors| LevelError {
-        samples: e.samples,
-        rms: if e.samples == 0 { 0.0 } else { e.rms() },
-        max: e.max,
-    };
-    let rounding = archive.step().plan.source.rounding;
-    let level_error = |e: &BrickErrors| level_error(e).with_rounding(rounding);
-    Ok((field_error_of(archive, &sums)?, by_level.iter().map(level_error).collect()))
 }

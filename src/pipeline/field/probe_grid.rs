@@ -182,10 +182,9 @@ impl<'a> GridScan<'a> {
         let share = move |memory: u64| memory.saturating_sub(fixed);
         let visit = Visit::new(archive, Blocks::All, &settings.resources, share)?;
         visit.check_memory(4 * WINDOW)?;
-        let plan = &archive.manifest.plan;
         // The tetrahedra of a mesh may overlap, so their volume does not show whether there are
         // gaps.
-        let has_gaps = may_overlap || visit.volume6()? != plan.lattice.volume6();
+        let has_gaps = may_overlap || !visit.have_volume_of_box()?;
         Ok(Self { visit, grid, has_gaps, may_overlap })
     }
 

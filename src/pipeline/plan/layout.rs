@@ -67,7 +67,9 @@ impl Layout {
     /// Makes the names of all files durable that the mesh and steps have, before something names
     /// them.
     pub(in crate::pipeline) fn sync(&self) -> Result<()> {
-        sync_folders([self.mesh_folder(), self.steps_folder(), self.root.clone()])
+        // Where the mesh is not stored, its folder may be missing.
+        let mesh = Some(self.mesh_folder()).filter(|folder| folder.is_dir());
+        sync_folders(mesh.into_iter().chain([self.steps_folder(), self.root.clone()]))
     }
 
     pub(in crate::pipeline) fn mesh_folder(&self) -> PathBuf {
@@ -87,6 +89,11 @@ impl Layout {
         first..(first + SEGMENT_CHUNKS).min(self.chunks)
     }
 
+    /// The segment that has a chunk.
+    pub(in crate::pipeline) fn segment_of(&self, chunk: ChunkId) -> u64 {
+        chunk.0 / SEGMENT_CHUNKS
+    }
+
     /// Whether a chunk is the first one of its segment.
     pub(in crate::pipeline) fn begins_segment(&self, chunk: ChunkId) -> bool {
         chunk.0.is_multiple_of(SEGMENT_CHUNKS)
@@ -98,6 +105,11 @@ impl Layout {
 
     pub(in crate::pipeline) fn values(&self, segment: u64) -> PathBuf {
         manifest::values_segment_path(&self.root, self.step, segment)
+    }
+
+    /// What chunks add to sums over all, until the step is finished.
+    pub(in crate::pipeline) fn sums(&self, segment: u64) -> PathBuf {
+        manifest::sums_segment_path(&self.root, self.step, segment)
     }
 
     pub(in crate::pipeline) fn index(&self) -> PathBuf {

@@ -3,8 +3,9 @@
 //!
 //! All of this is common to the steps. What depends on the step is in `step_view`.
 
+use super::mesh_sizes::sizes_of;
 use super::pools::Pools;
-use crate::archive::chunked::ChunkSegment;
+use crate::archive::chunked::{ChunkSegment, MeshSizes};
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, SegmentRecord};
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::tables::{CellBoxes, CoordinateMap};
@@ -89,7 +90,9 @@ impl OpenArchive {
             }
         }
         let layout = Layout::new(root, chunks.len(), manifest.steps[0].plan.number);
-        for records in manifest.steps.iter().map(|s| &s.values).chain([&manifest.mesh]) {
+        // A mesh that follows by formula is not stored: the manifest was checked.
+        let mesh = bcc.is_none().then_some(&manifest.mesh);
+        for records in manifest.steps.iter().map(|s| &s.values).chain(mesh) {
             let as_cut = |(n, r): (u64, &SegmentRecord)| {
                 layout.chunks_of(n) == (r.first_chunk..r.first_chunk + r.chunks)
             };
@@ -217,19 +220,22 @@ impl OpenArchive {
         Ok(file)
     }
 
-    /// The mesh segment that has a chunk.
+    /// The mesh segment that has a chunk, where the mesh is stored.
     pub(in crate::pipeline) fn mesh_of(&self, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
-        self.mesh_segment(self.segment_number(chunk))
+        self.mesh_segment(self.layout.segment_of(chunk))
+    }
+
+    /// The sizes of a chunk's mesh: stored, or by formula.
+    pub(in crate::pipeline) fn mesh_sizes(&self, chunk: ChunkId) -> Result<MeshSizes> {
+        match self.bcc_chunk(chunk) {
+            Some(bcc) => Ok(sizes_of(&bcc)),
+            None => Ok(self.mesh_of(chunk)?.mesh_summary(chunk)?.sizes),
+        }
     }
 
     /// A file that is not there makes the archive incomplete, which the same reduction repairs.
     pub(super) fn lost(&self, error: Error) -> Error {
         lost(self.layout.root(), error)
-    }
-
-    pub(super) fn segment_number(&self, chunk: ChunkId) -> u64 {
-        let number = Manifest::segment_of(&self.manifest.mesh, chunk.0);
-        number.expect("the segments of a checked manifest cover all chunks") as u64
     }
 
     /// Bytes read so far from all mesh segments.
@@ -264,6 +270,11 @@ fn lost(root: &Path, error: Error) -> Error {
 }
 
 impl OpenArchive {
+    /// Whether the mesh follows by formula: then it is not stored.
+    pub(in crate::pipeline) fn has_mesh_by_formula(&self) -> bool {
+        self.bcc.is_some()
+    }
+
     /// A chunk whose mesh follows by formula.
     pub(in crate::pipeline) fn bcc_chunk(&self, id: ChunkId) -> Option<BccChunk> {
         let mesh = self.bcc?;

@@ -131,10 +131,13 @@ impl MeshedChunk {
 }
 
 /// How the values of a lattice's chunk are cut into blocks: bricks, where those have as many values
-/// as a block.
+/// as a block. The values of points that other chunks own are not stored; where all follow from
+/// nodes, those that no brick has are not either.
 pub(super) fn value_blocks(chunk: &BccChunk) -> ValueBlocks {
-    match chunk.has_whole_bricks() {
-        true => ValueBlocks::bricks(chunk.bricks(), chunk.points()),
-        false => ValueBlocks::even(chunk.points()),
+    let points = chunk.points();
+    match (chunk.has_node_bricks(), chunk.has_whole_bricks()) {
+        (true, _) => ValueBlocks::new(chunk.bricks(), chunk.in_bricks(), points),
+        (false, true) => ValueBlocks::new(chunk.bricks(), chunk.core(), points),
+        (false, false) => ValueBlocks::new([], chunk.core(), points),
     }
 }

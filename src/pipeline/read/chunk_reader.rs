@@ -16,7 +16,7 @@
 use super::block::{Block, BlockCorners};
 use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::damaged::damaged;
-use super::node_values::NodeCache;
+use super::neighbours::Neighbours;
 use super::reader_memory::{ReaderMemory, UNPLACED};
 use super::region::Cut;
 use super::star_blocks::{ChunkBricks, StarBlocks};
@@ -57,7 +57,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
     active_bytes: u64,
-    nodes: NodeCache,
+    around: Neighbours,
     memory: ReaderMemory,
 }
 
@@ -76,7 +76,7 @@ pub(in crate::pipeline) fn bytes_per_vertex(archive: &StepView) -> u64 {
     match archive.step().plan.values {
         Values::Nodes => 56,
         _ if is_made_again(&archive.points) => 160,
-        Values::Sample | Values::Fit => 40,
+        Values::Sample | Values::Fit => 44,
     }
 }
 
@@ -93,29 +93,29 @@ impl<'a> ChunkReader<'a> {
         if let Some(bcc) = archive.bcc_chunk(id) {
             return Self::open_bcc(archive, segment, chunk, bcc, memory);
         }
-        let blocks = segment.mesh.block_count(id);
+        let blocks = segment.mesh().block_count(id);
         if blocks < 2 {
-            return Err(damaged(&segment.mesh, id, "block count", &blocks));
+            return Err(damaged(segment.mesh(), id, "block count", &blocks));
         }
-        segment.mesh.block(id, 0, &mut memory.bytes)?;
-        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
+        segment.mesh().block(id, 0, &mut memory.bytes)?;
+        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh().blame(id, 0, m))?;
         if header.core_counts.len() as u64 != chunk.brick_count() {
-            return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
+            return Err(damaged(segment.mesh(), id, "header", "it has another number of bricks"));
         }
         let (vertices, pages) = (header.len(), header.flag_pages() + header.id_pages());
         let least = header.blocks() as u64 + 1;
         if blocks < least || header.from_points && blocks != least {
-            return Err(damaged(&segment.mesh, id, "block count", &blocks));
+            return Err(damaged(segment.mesh(), id, "block count", &blocks));
         }
         let from_points = match header.from_points {
             true if !is_made_again(&archive.points) => {
-                return Err(damaged(&segment.mesh, id, "header", "it has no tetrahedra"));
+                return Err(damaged(segment.mesh(), id, "header", "it has no tetrahedra"));
             }
             true => {
                 let at = header.blocks() as u64 - 1;
-                segment.mesh.block(id, at, &mut memory.bytes)?;
+                segment.mesh().block(id, at, &mut memory.bytes)?;
                 let runs = StarRuns::decode(&memory.bytes, header.core_len() as u32);
-                Some(StarBlocks::new(runs.map_err(|m| segment.mesh.blame(id, at, m))?))
+                Some(StarBlocks::new(runs.map_err(|m| segment.mesh().blame(id, at, m))?))
             }
             false => None,
         };
@@ -144,7 +144,7 @@ impl<'a> ChunkReader<'a> {
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
-            nodes: NodeCache::default(),
+            around: Neighbours::with(std::mem::take(&mut memory.groups)),
             memory,
         })
     }
@@ -157,10 +157,6 @@ impl<'a> ChunkReader<'a> {
         bcc: BccChunk,
         mut memory: ReaderMemory,
     ) -> Result<Self> {
-        let blocks = segment.mesh.block_count(chunk.id);
-        if blocks != 1 {
-            return Err(damaged(&segment.mesh, chunk.id, "block count", &blocks));
-        }
         let vertices = bcc.points();
         let value_blocks = value_blocks(&bcc);
         expect_values(archive, &segment, chunk.id, &value_blocks)?;
@@ -180,7 +176,7 @@ impl<'a> ChunkReader<'a> {
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
-            nodes: NodeCache::default(),
+            around: Neighbours::with(std::mem::take(&mut memory.groups)),
             memory,
         })
     }
@@ -223,7 +219,7 @@ impl<'a> ChunkReader<'a> {
             return Ok(());
         }
         let got = format!("block {number} of {blocks}");
-        Err(damaged(&self.segment.mesh, self.chunk.id, "index", &got))
+        Err(damaged(self.segment.of_mesh(), self.chunk.id, "index", &got))
     }
 
     /// As [`ChunkReader::shape`], of a chunk whose mesh follows by formula.
@@ -293,7 +289,7 @@ impl<'a> ChunkReader<'a> {
     fn bricks(&self) -> ChunkBricks<'_> {
         ChunkBricks {
             archive: self.archive,
-            mesh: &self.segment.mesh,
+            mesh: self.segment.mesh(),
             chunk: &self.chunk,
             bricks: &self.bricks,
             starts: &self.starts,
@@ -317,7 +313,7 @@ impl<'a> ChunkReader<'a> {
     fn make_with(&mut self, made: &mut StarBlocks, number: u32, wanted: &Wanted<'_>) -> Result<bool> {
         if number as usize >= made.len() {
             let got = format!("block {number} of {}", made.len());
-            return Err(damaged(&self.segment.mesh, self.chunk.id, "index", &got));
+            return Err(damaged(self.segment.of_mesh(), self.chunk.id, "index", &got));
         }
         if !wanted.may_be(|| Ok(made.hull(&self.bricks(), number)))? {
             return Ok(false);
@@ -474,7 +470,7 @@ impl<'a> ChunkReader<'a> {
 
     /// Reads the bytes of a block, and returns their number.
     fn read(&mut self, number: u32) -> Result<u64> {
-        let (mesh, id) = (&self.segment.mesh, self.chunk.id);
+        let (mesh, id) = (self.segment.mesh(), self.chunk.id);
         let blocks = mesh.block_count(id);
         // The last block is the summary.
         let at = self.block_at(number);
@@ -505,7 +501,7 @@ impl<'a> ChunkReader<'a> {
         let bytes = std::mem::take(&mut self.memory.bytes);
         let decoded = decode(self, &bytes);
         self.memory.bytes = bytes;
-        decoded?.map_err(|m| self.segment.mesh.blame(self.chunk.id, self.block_at(number), m))
+        decoded?.map_err(|m| self.segment.mesh().blame(self.chunk.id, self.block_at(number), m))
     }
 
     fn decode_alone(
@@ -595,10 +591,12 @@ impl<'a> ChunkReader<'a> {
     /// Reads the ranges of the blocks of values.
     fn load_ranges(&mut self) -> Result<()> {
         if self.value_ranges.is_none() {
-            let ranges = self.archive.value_ranges(self.chunk.id, self.value_bytes.len())?;
-            // Of a moment between two steps: one that each isovalue may be in.
-            let any = || vec![[f32::NEG_INFINITY, f32::INFINITY]; self.value_bytes.len()];
-            self.value_ranges = Some(ranges.unwrap_or_else(any));
+            let ranges = self.archive.value_ranges(self.chunk.id, &self.value_blocks)?;
+            let mut ranges: Vec<ValueRange> =
+                ranges.unwrap_or_default().iter().map(|range| [range.min, range.max]).collect();
+            // What is not stored, or lies between two steps, may have any value.
+            ranges.resize(self.value_bytes.len(), [f32::NEG_INFINITY, f32::INFINITY]);
+            self.value_ranges = Some(ranges);
         }
         Ok(())
     }
@@ -626,8 +624,8 @@ impl<'a> ChunkReader<'a> {
         let ReaderMemory { values, decoded, .. } = &mut self.memory;
         let place = &mut values[self.value_blocks.range(block)];
         decoded.clear();
-        let (id, blocks, nodes) = (self.chunk.id, &self.value_blocks, &mut self.nodes);
-        let bytes = self.archive.values_block(id, block, blocks, nodes, decoded)?;
+        let (id, blocks, around) = (self.chunk.id, &self.value_blocks, &mut self.around);
+        let bytes = self.archive.values_block(id, block, blocks, around, decoded)?;
         place.copy_from_slice(decoded);
         // A block has at least the byte of its codec, unless all its nodes have been read.
         self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX).max(1);
@@ -671,7 +669,8 @@ impl<'a> ChunkReader<'a> {
     fn halo_position(&mut self, v: usize) -> Result<LatticePos> {
         self.load_page(self.pages.of_flags + v / PAGE_IDS - self.core() / PAGE_IDS)?;
         let id = self.memory.ids[v];
-        let wrong = || damaged(&self.segment.mesh, self.chunk.id, "halo", &format!("no point {:#x}", id.0));
+        let wrong =
+            || damaged(self.segment.of_mesh(), self.chunk.id, "halo", &format!("no point {:#x}", id.0));
         self.archive.points.position(id).ok_or_else(wrong)
     }
 
@@ -700,7 +699,7 @@ impl<'a> ChunkReader<'a> {
     #[cold]
     fn read_page(&mut self, page: usize) -> Result<()> {
         let (core, vertices) = (self.core(), self.vertices());
-        let (mesh, id, at) = (&self.segment.mesh, self.chunk.id, 1 + page as u64);
+        let (mesh, id, at) = (self.segment.mesh(), self.chunk.id, 1 + page as u64);
         let mut bytes = vec![];
         mesh.block(id, at, &mut bytes)?;
         let decoded = match page.checked_sub(self.pages.of_flags) {
@@ -788,7 +787,7 @@ impl<'a> ChunkReader<'a> {
 
     /// The memory, for another reader.
     pub(in crate::pipeline) fn into_memory(self) -> ReaderMemory {
-        self.memory
+        ReaderMemory { groups: self.around.groups, ..self.memory }
     }
 }
 
@@ -841,13 +840,7 @@ fn expect_values(
     id: ChunkId,
     expected: &ValueBlocks,
 ) -> Result<()> {
-    let blocks = expected.count();
-    let others = archive.step().plan.blocks_behind_values();
-    if segment.values.block_count(id) != blocks as u64 + others {
-        let got = format!("{} blocks", segment.values.block_count(id));
-        return Err(damaged(&segment.values, id, "chunk table", &got));
-    }
-    Ok(())
+    archive.brick_groups(&segment.values, id, expected).map(drop)
 }
 
 /// The values of an array at certain places, which begin with a run.

@@ -44,7 +44,7 @@ impl Frontier {
         let mut regions = vec![];
         for id in chunks {
             archive.close_before(id);
-            let retries = archive.mesh_of(id)?.mesh_summary(id)?.retries;
+            let retries = archive.mesh_sizes(id)?.retries;
             let chunk = archive.chunks.chunk(id);
             let region = estimate::region(&archive.points, &chunk.core, &domain, halo, retries);
             regions.push(([chunk.brick_lo[1], chunk.brick_lo[2]], region));

@@ -10,11 +10,14 @@
 //! ```
 
 use super::damaged::damaged;
+use super::group_cache::GroupCache;
 use super::step_view::StepView;
-use crate::archive::values::NodeCoder;
+use super::stored_values::BlockAt;
+use crate::archive::values::{NodeCoder, ValueBlocks};
 use crate::error::Result;
 use crate::grid::ChunkId;
-use crate::mesh::bcc::{AmongNodes, BccChunk, NODE_BRICK_CELLS, NodeBrick};
+use crate::mesh::bcc::{BccChunk, NODE_BRICK_CELLS, NodeBrick, PointPlace};
+use std::collections::HashMap;
 use std::ops::Range;
 
 /// The nodes of a chunk, as far as they are known.
@@ -59,7 +62,7 @@ impl NodeValues {
     }
 
     /// The value of a point whose nodes are known.
-    pub(in crate::pipeline) fn value(&self, at: AmongNodes) -> f32 {
+    pub(in crate::pipeline) fn value(&self, at: PointPlace) -> f32 {
         let [lo, hi] = at.corners();
         let (mut found, mut len) = ([0; 8], 0);
         for z in lo[2]..=hi[2] {
@@ -88,7 +91,9 @@ struct ReadNodes {
     bcc: BccChunk,
     values: NodeValues,
     /// The chunk that has each brick, and its number there.
-    homes: Vec<(ChunkId, u64)>,
+    homes: Vec<(ChunkId, usize)>,
+    /// How the values of these chunks are cut into blocks.
+    blocks: HashMap<ChunkId, ValueBlocks>,
 }
 
 impl NodeCache {
@@ -97,16 +102,17 @@ impl NodeCache {
     pub(super) fn values(
         &mut self,
         archive: &StepView,
+        groups: &mut GroupCache,
         step: usize,
         chunk: ChunkId,
         points: Range<usize>,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let nodes = self.of(archive, step, chunk)?;
-        let places = nodes.bcc.among_nodes(points);
+        let places = nodes.bcc.point_places(points);
         let mut bytes = 0;
         for &at in &places {
-            bytes += nodes.load(archive, at)?;
+            bytes += nodes.load(archive, groups, at)?;
         }
         out.extend(places.into_iter().map(|at| nodes.values.value(at)));
         Ok(bytes)
@@ -140,13 +146,13 @@ impl ReadNodes {
             let home = archive.chunks.chunk(archive.chunks.of_brick(at));
             let [x, y, z] = std::array::from_fn(|a| at[a] - home.brick_lo[a]);
             let [dx, dy] = std::array::from_fn(|a| home.brick_hi[a] - home.brick_lo[a]);
-            (home.id, (z * dy + y) * dx + x)
+            (home.id, ((z * dy + y) * dx + x) as usize)
         });
-        Ok(Self { chunk, step, homes: homes.collect(), values, bcc })
+        Ok(Self { chunk, step, homes: homes.collect(), blocks: HashMap::new(), values, bcc })
     }
 
     /// Reads the bricks that a point needs, and returns their bytes.
-    fn load(&mut self, archive: &StepView, at: AmongNodes) -> Result<u64> {
+    fn load(&mut self, archive: &StepView, groups: &mut GroupCache, at: PointPlace) -> Result<u64> {
         let mut read = 0;
         let [lo, hi] = at.corners();
         for corner in 0..8u32 {
@@ -155,10 +161,12 @@ impl ReadNodes {
             if self.values.values[brick].is_empty() {
                 let ((chunk, block), mut bytes) = (self.homes[brick], vec![]);
                 let segment = archive.values_of(self.step, chunk)?;
-                segment.block(chunk, block, &mut bytes)?;
+                let blocks = self.blocks.entry(chunk).or_insert_with(|| archive.value_blocks(chunk, 0));
+                let at = BlockAt { block, blocks };
+                let number = archive.stored_bytes(groups, self.step, chunk, at, &mut bytes)?;
                 let nodes = self.values.bricks[brick].nodes;
                 let decoded = self.values.coder.decode(nodes, &bytes);
-                self.values.put(brick, decoded.map_err(|m| segment.blame(chunk, block, m))?);
+                self.values.put(brick, decoded.map_err(|m| segment.blame(chunk, number, m))?);
                 read += bytes.len() as u64;
             }
         }

@@ -3,7 +3,7 @@
 
 use super::archive::expect_recorded;
 use super::step_view::StepView;
-use crate::archive::chunked::{BlockRange, ChunkSegment};
+use crate::archive::chunked::BlockRange;
 use crate::archive::manifest::{Plan as MeshPlan, Source};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::CoordinateMap;
@@ -13,7 +13,7 @@ use crate::grid::{ChunkId, Geometry};
 use crate::mesh::bcc::NODE_BRICK_CELLS;
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
-use crate::spectrum::{ChunkPart, LaneBuffers, Limits, SpectrumBuilder, SpectrumFile, Vertices};
+use crate::spectrum::{ChunkPart, Digits, LaneBuffers, Limits, SpectrumBuilder, SpectrumFile, Vertices};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -105,21 +105,13 @@ fn four([x, y, z]: [f64; 3]) -> [f64; 4] {
     [x, y, z, 0.0]
 }
 
-/// How finely the chunks of a mesh of `points` points are measured.
+/// How finely a mesh of `points` points is measured.
 pub(in crate::pipeline) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
+    // Of many points a spectrum is fine enough.
     let points = points.min(mesh.chunk_target);
     // Most points of such a lattice follow from others.
     let is_of_nodes = mesh.lattice_cells().is_some() && mesh.brick_edge[0] == u64::from(NODE_BRICK_CELLS);
-    Limits::of_chunks(if is_of_nodes { points / 8 } else { points })
-}
-
-/// The part of a chunk that is stored: the last but one of its blocks in a value segment.
-pub(in crate::pipeline) fn stored_part(
-    segment: &ChunkSegment,
-    chunk: ChunkId,
-    limits: Limits,
-) -> Result<ChunkPart> {
-    segment.block_from_end(chunk, 1, |bytes| ChunkPart::decode(bytes, limits))
+    Limits::of_mesh(if is_of_nodes { points / 8 } else { points })
 }
 
 /// The isosurface of one isovalue, as [`crate::spectrum`] measures it. Lengths are world units.
@@ -187,17 +179,19 @@ impl StepSpectrum {
 }
 
 impl StepView {
-    /// The contour spectrum; none where every tetrahedron is void. In a small archive it is the
-    /// part of its only chunk.
+    /// The contour spectrum; none where every tetrahedron is void. That of an archive of one chunk
+    /// is with its values.
     pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
-        if self.step().index.is_none() {
-            let limits = limits(&self.manifest.plan, self.points.len());
-            let part = stored_part(&*self.only_values()?, ChunkId(0), limits)?;
+        let limits = limits(&self.manifest.plan, self.points.len());
+        if self.manifest.counts.chunks == 1 {
+            let values = self.values_of(self.position(), ChunkId(0))?;
+            let decode = |bytes: &[u8]| ChunkPart::decode(bytes, limits, Digits::Few);
+            let part = values.block_from_end(ChunkId(0), 1, decode)?;
             return Ok(SpectrumBuilder::of_part(&part).map(SpectrumFile::of));
         }
         let Some(recorded) = &self.step().spectrum else { return Ok(None) };
-        let file =
-            SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
+        let file = SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash()), limits);
+        let file = file.map_err(|e| self.lost(e))?;
         file.segment().map_or(Ok(()), |segment| expect_recorded(segment, Some(recorded)))?;
         Ok(Some(file))
     }

@@ -12,7 +12,7 @@ use super::block_cache::BlockCache;
 use super::choice::{Moment, StepChoice};
 use super::pools::BufferPool;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{Manifest, Step};
+use crate::archive::manifest::Step;
 use crate::archive::mesh::Unpacked;
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::error::{Error, Result};
@@ -24,16 +24,31 @@ use std::ops::Deref;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// The two files that hold a range of chunks at a step.
+/// The files that hold a range of chunks at a step.
 pub(in crate::pipeline) struct OpenSegment {
-    pub(in crate::pipeline) mesh: Arc<ChunkSegment>,
+    /// None of a mesh that follows by formula.
+    mesh: Option<Arc<ChunkSegment>>,
     pub(in crate::pipeline) values: Arc<ChunkSegment>,
 }
 
 impl OpenSegment {
     /// The files, that of the mesh only if it is asked for.
     pub(in crate::pipeline) fn files(&self, with_mesh: bool) -> impl Iterator<Item = &Segment> {
-        with_mesh.then_some(&self.mesh).into_iter().chain([&self.values]).map(|file| file.segment())
+        let mesh = self.mesh.as_ref().filter(|_| with_mesh);
+        mesh.into_iter().chain([&self.values]).map(|file| file.segment())
+    }
+
+    /// The mesh, which is stored.
+    ///
+    /// # Panics
+    /// When it follows by formula.
+    pub(in crate::pipeline) fn mesh(&self) -> &ChunkSegment {
+        self.mesh.as_ref().expect("the mesh is stored")
+    }
+
+    /// The file that is named where the mesh of a chunk is wrong.
+    pub(in crate::pipeline) fn of_mesh(&self) -> &ChunkSegment {
+        self.mesh.as_ref().unwrap_or(&self.values)
     }
 }
 
@@ -123,15 +138,20 @@ impl StepView {
         step.void_points > 0 || step.plan.source.mesh.is_some()
     }
 
-    pub(super) fn step_hash(&self) -> PlanHash {
+    pub(in crate::pipeline) fn step_hash(&self) -> PlanHash {
         self.step().plan.hash(self.manifest.plan_hash)
     }
 
-    /// The index; that of a small archive is made of the ranges of its only chunk.
+    /// The index; that of a small archive is made of the ranges of its chunks.
     pub(in crate::pipeline) fn index(&self) -> Result<SpanIndex> {
         let Some(recorded) = &self.step().index else {
-            let summary = self.only_values()?.value_summary(ChunkId(0))?;
-            return Ok(SpanIndex::of_entries(index_entries(0, &summary.ranges).collect()));
+            let mut entries = vec![];
+            for chunk in 0..self.manifest.counts.chunks {
+                let summary =
+                    self.values_of(self.position(), ChunkId(chunk))?.value_summary(ChunkId(chunk))?;
+                entries.extend(index_entries(chunk, &summary.ranges));
+            }
+            return Ok(SpanIndex::of_entries(entries));
         };
         let index = SpanIndex::open(self.layout.index(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
         index.segment().map_or(Ok(()), |file| expect_recorded(file, Some(recorded)))?;
@@ -154,18 +174,13 @@ impl StepView {
 
     /// The segments of a number.
     pub(in crate::pipeline) fn segment(&self, number: u64) -> Result<OpenSegment> {
-        let mesh = self.mesh_segment(number)?;
+        let mesh = if self.has_mesh_by_formula() { None } else { Some(self.mesh_segment(number)?) };
         Ok(OpenSegment { mesh, values: self.values_segment(self.position(), number)? })
     }
 
     /// The segments that have a chunk.
     pub(in crate::pipeline) fn segment_of(&self, chunk: ChunkId) -> Result<OpenSegment> {
-        self.segment(self.segment_number(chunk))
-    }
-
-    /// The value segment of an archive of one chunk.
-    pub(super) fn only_values(&self) -> Result<Arc<ChunkSegment>> {
-        self.values_segment(self.position(), 0)
+        self.segment(self.layout.segment_of(chunk))
     }
 
     /// The value segment of a step, by its position in the manifest, and a number.
@@ -184,16 +199,16 @@ impl StepView {
 
     /// The value segment of a step, by its position in the manifest, that has a chunk.
     pub(in crate::pipeline) fn values_of(&self, step: usize, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
-        self.values_segment(step, self.segment_number(chunk))
+        self.values_segment(step, self.layout.segment_of(chunk))
     }
 
     /// Closes the segments before that of a chunk: their files, and the cached pages of their
     /// directories.
     pub(in crate::pipeline) fn close_before(&self, chunk: ChunkId) {
-        let number = Manifest::segment_of(&self.manifest.mesh, chunk.0).unwrap_or(self.manifest.mesh.len());
-        self.close_meshes_before(number as u64);
+        let number = self.layout.segment_of(chunk);
+        self.close_meshes_before(number);
         let mut open = self.values.lock().unwrap_or_else(PoisonError::into_inner);
-        let later = open.split_off(&(number as u64, 0));
+        let later = open.split_off(&(number, 0));
         let closed = std::mem::replace(&mut *open, later);
         self.read_before.fetch_add(bytes_read(closed.values()), Ordering::Relaxed);
     }

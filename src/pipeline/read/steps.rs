@@ -18,11 +18,12 @@ use super::choice::Moment;
 use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::chunk_reader::ChunkReader;
 use super::damaged::damaged;
-use super::node_values::NodeCache;
+use super::neighbours::Neighbours;
 use super::reader_memory::ReaderMemory;
 use super::step_view::StepView;
-use crate::archive::chunked::{BlockRange, ValueRange, decode_value_ranges};
-use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
+use super::stored_values::{BlockAt, KnownValues};
+use crate::archive::chunked::BlockRange;
+use crate::archive::values::ValueBlocks;
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::index::{Entry, SpanIndex, index_entries};
@@ -31,21 +32,6 @@ use crate::mesh::tet::is_active;
 use crate::pipeline::plan::Halo;
 use crate::sample::Values;
 use std::ops::Range;
-
-/// Values of a block that are known already.
-#[derive(Clone, Copy)]
-struct KnownValues<'a> {
-    /// Position in the manifest of the step that they are of.
-    step: usize,
-    values: &'a [f32],
-}
-
-/// A block of a chunk's values.
-#[derive(Clone, Copy)]
-struct BlockAt<'a> {
-    block: usize,
-    blocks: &'a ValueBlocks,
-}
 
 /// A value between two, `share` of the way from the first; void where one of them is. Monotonic in
 /// both; a zero has no sign.
@@ -98,15 +84,15 @@ impl StepView {
         id: ChunkId,
         block: usize,
         blocks: &ValueBlocks,
-        nodes: &mut NodeCache,
+        around: &mut Neighbours,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let Moment { step, beyond } = self.moment;
         let (first, block) = (out.len(), BlockAt { block, blocks });
-        let mut bytes = self.block_of_step(step, id, block, None, nodes, out)?;
+        let mut bytes = self.block_of_step(step, id, block, None, around, out)?;
         if let Some(share) = beyond {
             let mut next = vec![];
-            bytes += self.block_of_step(step + 1, id, block, None, nodes, &mut next)?;
+            bytes += self.block_of_step(step + 1, id, block, None, around, &mut next)?;
             out[first..].iter_mut().zip(next).for_each(|(a, b)| *a = mean(*a, b, share));
         }
         Ok(bytes)
@@ -120,34 +106,17 @@ impl StepView {
         id: ChunkId,
         at: BlockAt<'_>,
         known: Option<KnownValues<'_>>,
-        nodes: &mut NodeCache,
+        around: &mut Neighbours,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
+        let points = at.blocks.range(at.block);
         if self.manifest.steps[step].plan.values == Values::Nodes {
-            return nodes.values(self, step, id, at.blocks.range(at.block), out);
+            return around.nodes.values(self, &mut around.groups, step, id, points, out);
         }
-        let segment = self.values_of(step, id)?;
-        let (count, block) = (segment.block_count(id), at.block as u64);
-        if block + self.manifest.steps[step].plan.blocks_behind_values() >= count {
-            return Err(damaged(&segment, id, "chunk table", &format!("{count} blocks")));
+        if at.block >= at.blocks.stored_count() {
+            return around.values(self, step, id, points, out);
         }
-        let (mut bytes, mut found, mut read) = (vec![], vec![], 0);
-        segment.block(id, block, &mut bytes)?;
-        // The base is the step before: the manifest was checked.
-        let needed = needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some();
-        let before = match known {
-            Some(known) if needed && known.step + 1 == step => known.values,
-            _ if needed => {
-                read = self.block_of_step(step - 1, id, at, known, nodes, &mut found)?;
-                &found
-            }
-            _ => &[],
-        };
-        let (n, cells) = (at.blocks.range(at.block).len(), at.blocks.cells(at.block));
-        let quantiser = self.manifest.steps[step].plan.quantiser.as_ref();
-        let known = KnownOfBlock { n, cells, quantiser, before };
-        decode_values(&bytes, &known, out).map_err(|m| segment.blame(id, block, m))?;
-        Ok(read + bytes.len() as u64)
+        self.stored_block(&mut around.groups, step, id, at, known, out)
     }
 
     /// The values of all `vertices` of a chunk, at the step at a position in the manifest.
@@ -185,28 +154,13 @@ impl StepView {
         before: Option<&[f32]>,
     ) -> Result<Vec<f32>> {
         let mut out = Vec::with_capacity(vertices);
-        let (blocks, mut nodes) = (&self.value_blocks(id, vertices), NodeCache::default());
+        let (blocks, mut around) = (&self.value_blocks(id, vertices), Neighbours::default());
         for block in 0..blocks.count() {
             let known =
                 before.map(|values| KnownValues { step: step - 1, values: &values[blocks.range(block)] });
-            self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut nodes, &mut out)?;
+            self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut around, &mut out)?;
         }
         Ok(out)
-    }
-
-    /// The ranges of the value blocks of a chunk; none of a moment between two steps.
-    pub(in crate::pipeline) fn value_ranges(
-        &self,
-        id: ChunkId,
-        blocks: usize,
-    ) -> Result<Option<Vec<ValueRange>>> {
-        if self.is_between() {
-            return Ok(None);
-        }
-        let (segment, mut bytes) = (self.values_of(self.moment.step, id)?, vec![]);
-        segment.block(id, blocks as u64, &mut bytes)?;
-        let ranges = decode_value_ranges(&bytes, blocks);
-        ranges.map(Some).map_err(|m| segment.blame(id, blocks as u64, m))
     }
 
     /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and
@@ -217,7 +171,7 @@ impl StepView {
         }
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut ends) = (vec![], vec![]);
-        let blocks = self.segment_of(id)?.mesh.mesh_summary(id)?.tet_blocks;
+        let blocks = self.mesh_sizes(id)?.tet_blocks;
         reader.expect_all(0..blocks)?;
         for block in 0..blocks {
             reader.tets(block, &mut tets)?;
@@ -320,7 +274,7 @@ pub(in crate::pipeline) struct ValuesOverTime<'a> {
     /// Bytes that were read of each for that step, and not yet taken.
     bytes: Vec<u64>,
     decoded: Vec<f32>,
-    nodes: NodeCache,
+    around: Neighbours,
 }
 
 impl<'a> ValuesOverTime<'a> {
@@ -335,7 +289,7 @@ impl<'a> ValuesOverTime<'a> {
             at,
             bytes,
             decoded: vec![],
-            nodes: NodeCache::default(),
+            around: Neighbours::default(),
         }
     }
 
@@ -355,7 +309,7 @@ impl<'a> ValuesOverTime<'a> {
             self.chunk,
             BlockAt { block, blocks: &self.blocks },
             known,
-            &mut self.nodes,
+            &mut self.around,
             &mut self.decoded,
         )?;
         values.copy_from_slice(&self.decoded);
@@ -478,7 +432,9 @@ mod tests {
                 let mut values = vec![];
                 let blocks = archive.value_blocks(id, mesh.vertices());
                 for block in 0..blocks.count() {
-                    archive.values_block(id, block, &blocks, &mut NodeCache::default(), &mut values).unwrap();
+                    archive
+                        .values_block(id, block, &blocks, &mut Neighbours::default(), &mut values)
+                        .unwrap();
                 }
                 for (block, &end) in ends.iter().enumerate() {
                     let start = if block == 0 { 0 } else { ends[block - 1] };

@@ -94,7 +94,7 @@ impl<'a> Visit<'a> {
     fn blocks_of(&self, id: ChunkId) -> Result<Vec<u32>> {
         match &self.blocks {
             Blocks::All => {
-                let blocks = self.archive.mesh_of(id)?.mesh_summary(id)?.tet_blocks;
+                let blocks = self.archive.mesh_sizes(id)?.tet_blocks;
                 Ok(self.archive.blocks_of(id).all(blocks).collect())
             }
             Blocks::Some(entries) => {
@@ -104,14 +104,18 @@ impl<'a> Visit<'a> {
         }
     }
 
-    /// Six times the volume of all tetrahedra of the chunks, from their summaries.
-    pub(in crate::pipeline) fn volume6(&self) -> Result<i128> {
+    /// Whether the tetrahedra of the chunks have the volume of the box.
+    pub(in crate::pipeline) fn have_volume_of_box(&self) -> Result<bool> {
+        // Those of a lattice fill it.
+        if self.archive.has_mesh_by_formula() {
+            return Ok(self.chunks.len() as u64 == self.archive.chunks.len());
+        }
         let mut sum = 0i128;
         for &id in &self.chunks {
             self.archive.close_before(id);
             sum = sum.saturating_add(self.archive.mesh_of(id)?.mesh_summary(id)?.volume6);
         }
-        Ok(sum)
+        Ok(sum == self.archive.manifest.plan.lattice.volume6())
     }
 
     /// Vertices of a chunk, about: from the plan and the point set, without reading.
@@ -202,6 +206,6 @@ fn region(archive: &StepView, id: ChunkId, retries: u32) -> LatticeBox {
 
 /// A box that holds all tetrahedra of a chunk. Reads its summary.
 pub(in crate::pipeline) fn full_region(archive: &StepView, id: ChunkId) -> Result<LatticeBox> {
-    let retries = archive.mesh_of(id)?.mesh_summary(id)?.retries;
+    let retries = archive.mesh_sizes(id)?.retries;
     Ok(region(archive, id, retries))
 }

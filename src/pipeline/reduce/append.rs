@@ -72,7 +72,7 @@ pub fn append(
     let sources: Vec<_> = (last.plan.number + 1..).zip(sources).collect();
     let settings = settings_like(last, settings)?;
     let basis = Basis::Archive(&archive);
-    let job = Job { sources: &sources, settings: &settings, out, run, progress, basis };
+    let job = Job { sources: &sources, settings: &settings, out, run, progress, basis, keeps_sums: false };
     let notices = look(&job)?.notices;
     let report = add(&job, &archive)?;
     Ok(ReduceReport { notices, source_chunks: SourceChunks::of(&sources), ..report }.finished(started))

@@ -19,6 +19,7 @@ use super::job::Job;
 use super::reuse::ReusedChunks;
 use super::series::{PlannedSource, SeriesPlan, is_of_data};
 use super::sink::{SegmentFiles, has_mesh, has_values};
+use super::sums::FinishedSteps;
 use super::workers::SegmentMaker;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
@@ -79,6 +80,8 @@ pub(super) struct Build<'a> {
     pub(super) old: Option<&'a Manifest>,
     /// Whether each step is measured against its source.
     pub(super) measure: bool,
+    /// Whether what chunks add to sums stays.
+    pub(super) keeps_sums: bool,
     pub(super) shares: Shares,
     pub(super) run: &'a RunSettings,
     pub(super) progress: &'a dyn Progress,
@@ -114,7 +117,7 @@ impl<'a> Build<'a> {
     pub(super) fn new(job: &Job<'a>, layout: &'a Layout, parts: &'a MeshParts, shares: Shares) -> Self {
         let old = job.basis.archive().map(|archive| &archive.manifest);
         let (measure, run, progress) = (job.settings.measure, job.run, job.progress);
-        Self { parts, layout, old, measure, shares, run, progress }
+        Self { parts, layout, old, measure, keeps_sums: job.keeps_sums, shares, run, progress }
     }
 
     /// Makes all segments that are not there yet.
@@ -122,11 +125,13 @@ impl<'a> Build<'a> {
         let (mut made, mut next) = (Segments::default(), 0);
         made.coordinates = self.coordinates(series)?;
         let (hash, segments) = (series.plan.mesh_hash(), &source.segments);
-        let mut has_mesh = self.old.is_some() || has_mesh(hash, self.layout, segments);
+        let finished = FinishedSteps::of(self.layout, &series.plan);
+        let is_stored = self.parts.bcc.is_none();
+        let mut has_mesh = self.old.is_some() || !is_stored || has_mesh(hash, self.layout, segments);
         while next < series.plan.steps.len() {
             let is_there = |series: &SeriesPlan, n: usize| {
                 let (step, hash) = (&series.plan.steps[n], series.plan.step_hash(n));
-                has_mesh && has_values(step, hash, self.layout, segments)
+                has_mesh && has_values(step, hash, self.layout, segments, &finished)
             };
             if is_there(series, next) {
                 next += 1;
@@ -139,7 +144,7 @@ impl<'a> Build<'a> {
             {
                 end += 1;
             }
-            match self.pass(series, source, next..end, has_mesh, &mut made) {
+            match self.pass(series, source, next..end, (has_mesh, &finished), &mut made) {
                 Ok(()) => (next, has_mesh) = (end, true),
                 Err(Failed { error, bad }) => {
                     if !self.run.keep_going || bad.is_empty() || bad.len() == series.plan.steps.len() {
@@ -175,7 +180,7 @@ impl<'a> Build<'a> {
         series: &SeriesPlan,
         source: &SegmentSource<'_>,
         steps: Range<usize>,
-        has_mesh: bool,
+        (has_mesh, finished): (bool, &FinishedSteps),
         made: &mut Segments,
     ) -> std::result::Result<(), Failed> {
         let (plan, parts) = (&series.plan, self.parts);
@@ -214,10 +219,17 @@ impl<'a> Build<'a> {
             bcc: parts.bcc,
             own: source.fields.own(),
         };
-        let files = SegmentFiles::new(plan, &steps, stored.is_none(), self.layout);
+        let files = SegmentFiles::new(
+            plan,
+            &steps,
+            stored.is_none() && self.parts.bcc.is_none(),
+            self.layout,
+            finished,
+        );
         let maker = ChunkMaker {
             recipe: &recipe,
             block_tets: plan.mesh.block_tets,
+            chunks: parts.chunks.len(),
             steps: &inputs,
             stored,
             reused: reused.as_ref().map(|reused| (reused, steps.clone())),
@@ -297,6 +309,8 @@ impl<'a> Build<'a> {
         let (mesh, mut steps) = match self.old {
             Some(old) => (old.mesh.clone(), old.steps.clone()),
             None if wanted.end == 0 => return Ok(None),
+            // A mesh that follows by formula is not stored.
+            None if self.parts.bcc.is_some() => (vec![], vec![]),
             None => {
                 (self.records(source, plan.mesh_hash(), SegmentKind::Mesh, |n| self.layout.mesh(n))?, vec![])
             }

@@ -3,14 +3,15 @@
 //! For the mesh, once, these are counts, and the proof that the tetrahedra fill the box. For each
 //! step, they are its index and its spectrum.
 
-use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
+use super::sums::{FinishedSteps, StoredSums};
+use crate::archive::chunked::{ChunkSegment, MeshSizes};
+use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step, StepPlan};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::index::{BuildSettings, IndexBuilder, index_entries};
 use crate::pipeline::plan::{Layout, MeshParts, Plan, estimate};
-use crate::pipeline::read::{limits, stored_part};
+use crate::pipeline::read::{limits, sizes_of};
 use crate::pipeline::settings::RunSettings;
 use crate::spectrum::{Design, Limits, SpectrumBuilder};
 use std::path::Path;
@@ -36,20 +37,24 @@ impl ArchiveContents {
         Manifest::new(plan.mesh.clone(), self.counts, self.mesh.clone(), self.steps.clone())
     }
 
-    /// Reads the summaries of the mesh of all chunks.
+    /// Reads the summaries of the mesh of all chunks; those of a lattice follow by formula.
     pub(super) fn of_segments(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<Self> {
         let counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
         let mut contents = Self { counts, ..Self::default() };
+        if let Some(bcc) = parts.bcc {
+            for chunk in parts.chunks.iter() {
+                let [lo, hi] = parts.chunks.bricks().cells_of(&chunk);
+                contents.add_sizes(sizes_of(&bcc.chunk(lo, hi)));
+            }
+            return Ok(contents);
+        }
         let mut volume6 = 0i128;
         let hash = plan.mesh_hash();
         for number in 0..layout.segment_count() {
             let file = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(hash))?;
             for chunk in layout.chunks_of(number) {
                 let mesh = file.mesh_summary(ChunkId(chunk))?;
-                contents.counts.points += u64::from(mesh.core);
-                contents.counts.tetrahedra += mesh.tets;
-                contents.counts.blocks += u64::from(mesh.tet_blocks);
-                contents.halo_retries += u64::from(mesh.retries);
+                contents.add_sizes(mesh.sizes);
                 volume6 += mesh.volume6 + mesh.outside6;
             }
             contents.mesh.push(file.record());
@@ -58,14 +63,24 @@ impl ArchiveContents {
         Ok(contents)
     }
 
-    /// Adds the `n`-th step of the plan: builds its index, and its spectrum from what chunks have
-    /// measured, except in small archives. `coordinates` are those of a grid that has some, given
-    /// with the first step of the archive.
+    /// Adds the sizes of a chunk.
+    fn add_sizes(&mut self, sizes: MeshSizes) {
+        self.counts.points += u64::from(sizes.core);
+        self.counts.tetrahedra += sizes.tets;
+        self.counts.blocks += u64::from(sizes.tet_blocks);
+        self.halo_retries += u64::from(sizes.retries);
+    }
+
+    /// Adds the `n`-th step of the plan: builds its index, except in small archives, and its
+    /// spectrum from what chunks have measured, unless there is but one, or the step is finished.
+    /// `coordinates` are those of a grid that has some, given with the first step of the archive.
+    #[allow(clippy::too_many_arguments)]
     pub(super) fn add_step(
         &mut self,
         plan: &Plan,
         n: usize,
         layout: &Layout,
+        finished: &FinishedSteps,
         parts: &MeshParts,
         coordinates: Option<CoordinateRecord>,
         run: &RunSettings,
@@ -73,7 +88,7 @@ impl ArchiveContents {
         let (step, hash) = (&plan.steps[n], plan.step_hash(n));
         let layout = layout.at(step.number);
         let (mut values, mut void_points) = (vec![], 0);
-        let is_indexed = self.counts.is_indexed();
+        let is_indexed = self.counts.is_indexed(&plan.mesh);
         // The ranges of all points, and of the tetrahedra that are not void.
         let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
         let mut range = value_range;
@@ -87,9 +102,11 @@ impl ArchiveContents {
                 let summary = file.value_summary(ChunkId(chunk))?;
                 void_points += u64::from(summary.void);
                 value_range = [value_range[0].min(summary.min), value_range[1].max(summary.max)];
-                for entry in index_entries(chunk, &summary.ranges).filter(|_| is_indexed) {
+                for entry in index_entries(chunk, &summary.ranges) {
                     range = [range[0].min(entry.min), range[1].max(entry.max)];
-                    index.push(entry)?;
+                    if is_indexed {
+                        index.push(entry)?;
+                    }
                 }
             }
             values.push(file.record());
@@ -97,15 +114,18 @@ impl ArchiveContents {
         // Those that chunks were measured with: by the set's own number of points, which may be a
         // little off.
         let limits = limits(&plan.mesh, parts.points.len());
-        let spectrum = (is_indexed && range[0] <= range[1])
-            .then(|| sum_spectrum(&layout, hash, Design::new(range, limits), limits));
+        let spectrum = match finished.get(step.number) {
+            _ if self.counts.chunks == 1 || range[0] > range[1] => None,
+            Some(finished) => finished.spectrum,
+            None => Some(sum_spectrum(&layout, step, hash, Design::new(range, limits), limits)?),
+        };
         self.steps.push(Step {
             plan: step.clone(),
             value_range: (value_range[0] <= value_range[1]).then_some(value_range),
             void_points,
             values,
             index: is_indexed.then(|| index.finish(layout.index(), hash)).transpose()?,
-            spectrum: spectrum.transpose()?,
+            spectrum,
             coordinates,
             error: None,
             level_errors: vec![],
@@ -115,12 +135,18 @@ impl ArchiveContents {
 }
 
 /// Adds up what all chunks have measured of a step, and writes it.
-fn sum_spectrum(layout: &Layout, hash: PlanHash, design: Design, limits: Limits) -> Result<SegmentInfo> {
+fn sum_spectrum(
+    layout: &Layout,
+    step: &StepPlan,
+    hash: PlanHash,
+    design: Design,
+    limits: Limits,
+) -> Result<SegmentInfo> {
     let mut builder = SpectrumBuilder::new(design);
     for number in 0..layout.segment_count() {
-        let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
+        let sums = StoredSums::open(layout, number, step, hash)?;
         for chunk in layout.chunks_of(number) {
-            builder.add(&stored_part(&values, ChunkId(chunk), limits)?);
+            builder.add(&sums.part(ChunkId(chunk), limits)?);
         }
     }
     builder.finish(layout.spectrum(), hash)

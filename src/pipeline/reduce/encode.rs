@@ -10,11 +10,11 @@
 
 use super::encoded::EncodedChunk;
 use super::reuse::ReusedChunks;
-use crate::archive::chunked::{BlockRange, MeshSummary, ValueSummary, encode_value_ranges};
+use crate::archive::chunked::{BlockRange, MeshSizes, MeshSummary, ValueSummary, encode_value_ranges};
 use crate::archive::manifest::StepPlan;
 use crate::archive::mesh::{ChunkEncoder, ChunkVertices};
 use crate::archive::tables::{ChunkErrors, encode_errors};
-use crate::archive::values::{NodeCoder, VALUES_FOLLOW, ValueBlocks, encode_values};
+use crate::archive::values::{NodeCoder, encode_values, group_bricks};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::LatticePos;
@@ -31,6 +31,7 @@ use crate::pipeline::read::{MeshedChunk, Meter, NodeValues, StepView, spectrum};
 use crate::pipeline::settings::NanPolicy;
 use crate::pipeline::stage::StageTimes;
 use crate::sample::Values;
+use crate::spectrum::Digits;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError, RwLock};
@@ -82,6 +83,8 @@ pub(super) struct ChunkMaker<'a> {
     pub(super) recipe: &'a Recipe<'a>,
     /// Tetrahedra of a block.
     pub(super) block_tets: u32,
+    /// Chunks of the archive.
+    pub(super) chunks: u64,
     /// Steps that follow each other; at least one.
     pub(super) steps: &'a [StepInput<'a>],
     /// Where the mesh comes from, if it is there.
@@ -145,6 +148,9 @@ struct StepValues {
     nodes: Vec<Vec<Vec<u8>>>,
     errors: Vec<ChunkErrors>,
 }
+
+/// Some blocks of each step.
+type StepBlocks = Vec<Vec<Vec<u8>>>;
 
 /// As [`Meshing`].
 enum Encoding {
@@ -213,15 +219,15 @@ impl ChunkMaker<'_> {
         let mut placement = self.note(0, self.steps[0].field.place(&mesh))?;
         let outside6 = drop_outside(&mut mesh, &mut placement);
         lap.add_to(&mut times.sample);
-        let (mut mesh_blocks, ends, summary) =
-            self.encode_mesh(chunk, &mut workspace.encoder, &mut mesh, outside6);
+        let (mesh_blocks, ends) = self.encode_mesh(chunk, &mut workspace.encoder, &mut mesh, outside6);
         lap.add_to(&mut times.encode);
         let bench = &mut workspace.bench;
         let values = self.values(chunk, &mut mesh, &placement, bench, &mut times)?;
-        let value_blocks = self.encode_steps(&mesh, values, None, &ends, bench, &mut times)?;
+        let (value_blocks, sum_blocks) = self.encode_steps(&mesh, values, None, &ends, bench, &mut times)?;
+        let core = mesh.core_len();
         workspace.mesher.reuse(mesh.all_positions, mesh.tets);
-        mesh_blocks.push(summary.encode());
-        Ok(Encoding::Done(EncodedChunk { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
+        let points = core as u64;
+        Ok(Encoding::Done(EncodedChunk { points, mesh_blocks, value_blocks, sum_blocks, times }))
     }
 
     /// Encodes the values of steps on a mesh that is there, with the ends of its blocks.
@@ -263,10 +269,11 @@ impl ChunkMaker<'_> {
         lap.add_to(&mut times.mesh);
         let (before, bench) = (before.as_deref(), &mut workspace.bench);
         let values = self.values(chunk, &mut mesh, &placement, bench, &mut times)?;
-        let value_blocks = self.encode_steps(&mesh, values, before, &ends, bench, &mut times)?;
+        let (value_blocks, sum_blocks) =
+            self.encode_steps(&mesh, values, before, &ends, bench, &mut times)?;
         let points = mesh.core_len() as u64;
         workspace.mesher.reuse(mesh.all_positions, mesh.tets);
-        Ok(EncodedChunk { points, mesh_blocks: vec![], value_blocks, times })
+        Ok(EncodedChunk { points, mesh_blocks: vec![], value_blocks, sum_blocks, times })
     }
 
     /// The values of all steps, as they are stored.
@@ -303,7 +310,7 @@ impl ChunkMaker<'_> {
     /// node can be void.
     fn values_of_nodes(&self, chunk: &Chunk, vertices: usize, times: &mut StageTimes) -> Result<StepValues> {
         let bcc = self.recipe.bcc_chunk(chunk).expect("nodes are those of a lattice");
-        let (places, mut lap) = (bcc.among_nodes(0..vertices), Lap(Instant::now()));
+        let (places, mut lap) = (bcc.point_places(0..vertices), Lap(Instant::now()));
         // Where nodes are void, tetrahedra decide which samples have an error. All chunks do the
         // same: else one would count samples that its neighbours count.
         let has_no_holes =
@@ -366,8 +373,9 @@ impl ChunkMaker<'_> {
         }
     }
 
-    /// Measures and encodes all steps. The blocks of each are values, their ranges,
-    /// errors, part of the spectrum, summary.
+    /// Measures and encodes all steps. The blocks of each are values, their ranges, the spectrum of
+    /// the only chunk, summary. The sums of each are errors and the part of one of several chunks
+    /// of the spectrum.
     ///
     /// `before` are the values of the first one's base. The mesh has the tetrahedra of all blocks,
     /// as they decode, with the end of each block.
@@ -379,7 +387,7 @@ impl ChunkMaker<'_> {
         block_ends: &[usize],
         bench: &mut Bench,
         times: &mut StageTimes,
-    ) -> Result<Vec<Vec<Vec<u8>>>> {
+    ) -> Result<(StepBlocks, StepBlocks)> {
         let mut lap = Lap(Instant::now());
         let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
         let lanes = StepLanes::new(&of_steps, &mut bench.lanes);
@@ -396,24 +404,29 @@ impl ChunkMaker<'_> {
             of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
         let parts = self.meter.parts(positions, tets, &of_steps, &mut bench.spectrum)?;
         lap.add_to(&mut times.spectrum);
-        let (mut out, mut before, blocks) = (vec![], before, &mesh.value_blocks());
+        let (mut out, mut sums, mut before, blocks) = (vec![], vec![], before, &mesh.value_blocks());
         for (n, ((step, part), ranges)) in self.steps.iter().zip(&parts).zip(ranges).enumerate() {
             self.cancel.check()?;
             let values = &*values[n];
             let base = step.plan.base.map(|_| before.expect("a base is the step before"));
-            let mut encoded = match nodes.get_mut(n) {
-                Some(nodes) => encode_nodes(std::mem::take(nodes), blocks),
+            let encoded = match nodes.get_mut(n) {
+                Some(nodes) => std::mem::take(nodes),
                 None => encode_values(values, blocks, base, step.plan.quantiser.as_ref()),
             };
+            let mut encoded = group_bricks(encoded, blocks);
             encoded.push(encode_value_ranges(values, blocks));
-            encoded.extend(errors.get(n).map(encode_errors));
-            encoded.push(part.encode());
+            let mut added: Vec<_> = errors.get(n).map(encode_errors).into_iter().collect();
+            match self.chunks {
+                1 => encoded.push(part.encode(Digits::Few)),
+                _ => added.push(part.encode(Digits::All)),
+            }
+            sums.push(added);
             encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
             out.push(encoded);
             before = Some(values);
         }
         lap.add_to(&mut times.encode);
-        Ok(out)
+        Ok((out, sums))
     }
 
     /// The errors of each step in a chunk; none where they are not measured.
@@ -424,7 +437,7 @@ impl ChunkMaker<'_> {
             .chunk_errors(cells, steps, levels, |n, window, out| self.note(n, samples[n].read(window, out)))
     }
 
-    /// Encodes a chunk's mesh: its blocks, the end of each in the tetrahedra, and its summary.
+    /// Encodes a chunk's mesh: its blocks, and the end of each block of tetrahedra in these.
     /// Leaves the mesh with the tetrahedra as they decode.
     fn encode_mesh(
         &self,
@@ -432,21 +445,19 @@ impl ChunkMaker<'_> {
         encoder: &mut ChunkEncoder,
         mesh: &mut MeshedChunk,
         outside6: i128,
-    ) -> (Vec<Vec<u8>>, Vec<usize>, MeshSummary) {
-        let mut summary = MeshSummary {
+    ) -> (Vec<Vec<u8>>, Vec<usize>) {
+        // What follows by formula is not stored.
+        if let Some(chunk) = self.recipe.bcc_chunk(chunk) {
+            return (vec![], chunk.brick_ends());
+        }
+        let sizes = MeshSizes {
             core: mesh.core_len() as u32,
             halo: mesh.halo.len() as u32,
             tet_blocks: 0,
             retries: mesh.retries,
             tets: mesh.tets.len() as u64,
-            volume6: volume6(mesh.positions(), mesh.tets.iter()),
-            outside6,
         };
-        // What follows by formula is not stored.
-        if let Some(chunk) = self.recipe.bcc_chunk(chunk) {
-            summary.tet_blocks = chunk.brick_count() as u32;
-            return (vec![], chunk.brick_ends(), summary);
-        }
+        let volume6 = volume6(mesh.positions(), mesh.tets.iter());
         let vertices = ChunkVertices {
             core_counts: std::mem::take(&mut mesh.core_counts),
             halo: std::mem::take(&mut mesh.halo),
@@ -463,9 +474,11 @@ impl ChunkMaker<'_> {
             reach_unit(self.recipe.points),
         );
         ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared, .. } = vertices;
-        summary.tet_blocks = encoded.tet_blocks() as u32;
-        let ends = encoded.block_ends();
-        (encoded.blocks, ends, summary)
+        let (ends, sizes) =
+            (encoded.block_ends(), MeshSizes { tet_blocks: encoded.tet_blocks() as u32, ..sizes });
+        let mut blocks = encoded.blocks;
+        blocks.push(MeshSummary { sizes, volume6, outside6 }.encode());
+        (blocks, ends)
     }
 
     /// Reads ahead what a chunk needs.
@@ -500,12 +513,6 @@ fn add_errors(
             (at[2] * dims[1] + at[1]) * dims[0] + at[0]
         });
     }
-}
-
-/// The blocks of the values of a chunk: those of its bricks hold nodes, the others follow.
-fn encode_nodes(mut bricks: Vec<Vec<u8>>, blocks: &ValueBlocks) -> Vec<Vec<u8>> {
-    bricks.resize(blocks.count(), vec![VALUES_FOLLOW]);
-    bricks
 }
 
 /// Adds up what a stage takes.

@@ -9,5 +9,7 @@ pub(super) struct EncodedChunk {
     pub(super) mesh_blocks: Vec<Vec<u8>>,
     /// The value blocks of each step.
     pub(super) value_blocks: Vec<Vec<Vec<u8>>>,
+    /// What it adds to the sums of each step.
+    pub(super) sum_blocks: Vec<Vec<Vec<u8>>>,
     pub(super) times: StageTimes,
 }

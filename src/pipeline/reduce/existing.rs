@@ -85,7 +85,12 @@ pub(in crate::pipeline) fn strays(archive: &Path, manifest: &Manifest) -> Result
     let mut strays = vec![];
     for folder in [mesh_folder(archive), steps_folder(archive)] {
         let list = |e| Error::io("list", &folder, e);
-        for entry in fs::read_dir(&folder).map_err(list)? {
+        let entries = match fs::read_dir(&folder) {
+            // A copy of an archive whose mesh is not stored may lack the folder.
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => continue,
+            entries => entries.map_err(list)?,
+        };
+        for entry in entries {
             let path = entry.map_err(list)?.path();
             if !publish::is_temporary(&path) && !named.contains(&path) {
                 strays.push(path);

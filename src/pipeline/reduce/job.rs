@@ -23,6 +23,8 @@ pub(in crate::pipeline) struct Job<'a> {
     pub(in crate::pipeline) run: &'a RunSettings,
     pub(in crate::pipeline) progress: &'a dyn Progress,
     pub(in crate::pipeline) basis: Basis<'a>,
+    /// Whether what chunks add to sums stays in the finished archive: a search looks at it.
+    pub(in crate::pipeline) keeps_sums: bool,
 }
 
 /// What a plan is made from besides the sources.

@@ -30,6 +30,7 @@ mod reuse;
 mod search;
 mod series;
 mod sink;
+mod sums;
 mod target;
 mod target_max;
 mod tries;
@@ -58,6 +59,7 @@ pub(super) use search::TargetSearch;
 pub use series::SkippedStep;
 use std::path::Path;
 use std::time::Instant;
+pub(super) use sums::FinishedSteps;
 pub(super) use target::publish_best;
 use target::reduce_to_target;
 
@@ -83,7 +85,7 @@ pub fn reduce_series(
     let _lock = lock_for_writing(out)?;
     let existing = Existing::at(out)?;
     let sources = &numbered(sources);
-    let job = Job { sources, settings, out, run, progress, basis: Basis::New };
+    let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
     existing.refuse_other(&job)?;
     let looked = look(&job)?;
     let report = match settings.target {
@@ -122,7 +124,7 @@ pub fn estimate_series(
 ) -> Result<Estimate> {
     let existing = Existing::at(out)?;
     let (sources, progress) = (&numbered(sources), &Silent);
-    let job = Job { sources, settings, out, run, progress, basis: Basis::New };
+    let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
     existing.refuse_other(&job)?;
     if settings.target.is_some_and(|t| t.bound().is_none() || settings.adapt.is_none()) {
         let what = "how many points meet this target is found by trying: estimate a count or a fraction";

@@ -6,9 +6,9 @@ use super::contents::ArchiveContents;
 use super::existing;
 use super::report::ReduceReport;
 use super::series::SeriesPlan;
+use super::sums::{FinishedSteps, summed_error};
 use crate::archive::manifest::Manifest;
 use crate::error::{Error, Result};
-use crate::pipeline::chunk::stored_error;
 use crate::pipeline::field::{MeasureSettings, reopened_errors};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::stage::Stage;
@@ -27,16 +27,16 @@ impl Build<'_> {
             Some(manifest) => ArchiveContents::of(manifest),
             None => ArchiveContents::of_segments(plan, self.parts, layout)?,
         };
-        let first = contents.steps.len();
+        let (first, finished) = (contents.steps.len(), FinishedSteps::of(layout, plan));
         for n in 0..plan.steps.len() {
             self.run.resources.cancel.check()?;
             let coordinates = segments.coordinates.filter(|_| contents.steps.is_empty());
-            contents.add_step(plan, n, layout, self.parts, coordinates, self.run)?;
+            contents.add_step(plan, n, layout, &finished, self.parts, coordinates, self.run)?;
         }
         report.seconds.push((Stage::Commit, committing.elapsed().as_secs_f64()));
         if self.measure {
             let measuring = Instant::now();
-            self.measure_stored(series, &mut segments, &mut contents, first)?;
+            self.measure_stored(series, &mut segments, &mut contents, first, &finished)?;
             let seconds = (measuring.elapsed() + segments.measuring + segments.times.measure).as_secs_f64();
             report.seconds.push((Stage::Measure, seconds));
         }
@@ -52,7 +52,9 @@ impl Build<'_> {
             return Err(Error::io("finish", layout.root(), std::io::Error::other(text)));
         }
         manifest.write(layout.root())?;
-        existing::remove_strays(layout.root(), &manifest);
+        if !self.keeps_sums {
+            existing::remove_strays(layout.root(), &manifest);
+        }
         // No halo was made of a mesh's own tetrahedra.
         let is_own = manifest.plan.own.is_some();
         let halo_retries = if is_own { 0 } else { contents.halo_retries };
@@ -60,7 +62,7 @@ impl Build<'_> {
         report.of_archive(layout.root(), &manifest, first)
     }
 
-    /// Notes the errors of the steps from position `first` on: adds up what chunks have stored, and
+    /// Notes the errors of the steps from position `first` on: adds up those of chunks, and
     /// measures the steps of a mesh that an earlier run has made.
     fn measure_stored(
         &self,
@@ -68,19 +70,24 @@ impl Build<'_> {
         segments: &mut Segments,
         contents: &mut ArchiveContents,
         first: usize,
+        finished: &FinishedSteps,
     ) -> Result<()> {
         let settings = MeasureSettings::of_run(self.run, self.shares.workers);
         let archive = OpenArchive::of(self.layout.root(), contents.manifest(&series.plan))?;
         let mut missing = vec![];
         for (position, source) in (first..).zip(&series.sources) {
             let step = &mut contents.steps[position];
-            match segments.errors.remove(&step.plan.number) {
-                Some((error, levels)) => (step.error, step.level_errors) = (Some(error), levels),
-                None if step.plan.measured => {
-                    let (error, levels) = stored_error(&archive.step_at(position))?;
+            let before = finished.get(step.plan.number).filter(|before| before.error.is_some());
+            match (segments.errors.remove(&step.plan.number), before) {
+                (Some((error, levels)), _) => (step.error, step.level_errors) = (Some(error), levels),
+                (None, Some(before)) => {
+                    (step.error, step.level_errors) = (before.error.clone(), before.level_errors.clone());
+                }
+                (None, None) if step.plan.measured => {
+                    let (error, levels) = summed_error(&archive.step_at(position))?;
                     (step.error, step.level_errors) = (Some(error), levels);
                 }
-                None => missing.push((position, &source.source)),
+                (None, None) => missing.push((position, &source.source)),
             }
         }
         let errors = reopened_errors(&archive, &missing, &settings, self.progress)?;

@@ -131,14 +131,11 @@ impl Search {
 /// have a manifest besides.
 const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 
-/// A lattice's values are rounded to a step of this many times the RMS error, and to twice that
+/// A lattice's values are rounded to a step of this many times the RMS error. Twice that is tried
 /// where a value takes fewer than `FEW_BITS`: then most of them are as predicted, and less off than
 /// a step has it.
 const STEP: f64 = 1.4;
 const FEW_BITS: f64 = 1.8;
-/// A try with a smaller part of the bound has many more points than are needed. They take fewer
-/// bits each.
-const ABOUT: f64 = 0.75;
 /// They have this many bits while nothing is known about the error, and bits in this range
 /// otherwise.
 const USUAL_BITS: f64 = 6.0;
@@ -154,7 +151,7 @@ struct Rounding {
     bits: ValueBits,
     /// Tries whose results have been used to choose the bits.
     learned: u32,
-    /// Whether a value took few bits in one of them.
+    /// Whether a bit less is tried, since a value took few.
     few: bool,
 }
 
@@ -210,15 +207,12 @@ impl Rounding {
         }
     }
 
-    /// Chooses the bits by the results of the first and the second try, and of the first one that
-    /// is near the bound with few bits a value. Returns whether they have changed: then earlier
+    /// Chooses the bits by the results of the first and the second try; where a size is wanted also
+    /// of the first one with few bits a value. Returns whether they have changed: then earlier
     /// tries cannot be compared with later ones.
     fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
         let before = self.bits;
-        let bytes = report.steps.iter().map(|s| s.value_bytes).sum::<u64>() as f64;
-        let values = report.points as f64 * report.steps.len() as f64;
-        let is_near = target.bound().is_none() || target.reached(report) >= ABOUT * bound;
-        let few = !self.few && is_near && 8.0 * bytes < FEW_BITS * values;
+        let few = !self.few && target.bound().is_none() && bits_a_value(report) < FEW_BITS;
         let range = source_range(report).filter(|_| self.is_chosen && (few || self.learned < 2));
         if let Some([lo, hi]) = range {
             self.learned += 1;
@@ -231,6 +225,20 @@ impl Rounding {
         }
         self.bits != before
     }
+
+    /// Takes a bit less for an error of this part of the range; returns whether there is one less.
+    fn take_fewer(&mut self, target: Target, part: f64) -> bool {
+        let before = self.bits;
+        self.few = true;
+        self.choose(target, part);
+        self.bits != before
+    }
+}
+
+/// The bits that the files of values take for a value.
+fn bits_a_value(report: &ReduceReport) -> f64 {
+    let bytes = report.steps.iter().map(|s| s.value_bytes).sum::<u64>() as f64;
+    8.0 * bytes / (report.points as f64 * report.steps.len() as f64)
 }
 
 /// The best try so far.
@@ -239,6 +247,7 @@ struct BestTry {
     number: u32,
     made: Try,
     bytes: u64,
+    bits_a_value: f64,
     settings: ReduceSettings,
 }
 
@@ -374,13 +383,24 @@ impl TargetSearch {
             search.tries.clear();
             self.best = None;
         }
+        let (meets, bytes) = (made.reached <= bound, report.archive_bytes);
+        if let Some(best) = self.best.as_ref().filter(|_| self.rounding.few && !is_size)
+            && bytes as f64 > if meets { MANY_TIMES } else { 1.0 } * best.bytes as f64
+        {
+            next = None;
+        }
         // The try at the cap is all that is possible.
-        let is_best = match self.best.as_ref().map(|best| best.made) {
-            Some(best) => made.reached <= bound && made.amount < best.amount,
-            None => made.reached <= bound || next.is_none(),
+        let is_best = match &self.best {
+            Some(best) if is_size => meets && made.amount < best.made.amount,
+            Some(best) => meets && bytes < best.bytes,
+            None => meets || next.is_none(),
         };
         if !changes && is_best {
-            self.best = Some(BestTry { number: self.tries, made, bytes: report.archive_bytes, settings });
+            let bits_a_value = bits_a_value(report);
+            self.best = Some(BestTry { number: self.tries, made, bytes, bits_a_value, settings });
+        }
+        if next.is_none() && !is_size {
+            next = self.with_fewer_bits(bound, report);
         }
         self.count = next
             .map(|amount| if is_size { samples / amount } else { amount })
@@ -398,6 +418,21 @@ impl TargetSearch {
             self.try_nodes(nodes, first, report.samples);
         }
         made
+    }
+
+    /// The number of points of the next try where the best one meets an error, and one with a bit
+    /// less for each value may take fewer bytes.
+    fn with_fewer_bits(&mut self, bound: f64, report: &ReduceReport) -> Option<f64> {
+        let best = self.best.as_ref().filter(|best| best.made.reached <= bound)?;
+        let rounding = &mut self.rounding;
+        if !rounding.is_chosen || rounding.few || best.bits_a_value >= FEW_BITS {
+            return None;
+        }
+        let [lo, hi] = source_range(report)?;
+        let amount = best.made.amount;
+        let search = self.search.as_mut().filter(|_| rounding.take_fewer(self.target, bound / (hi - lo)))?;
+        search.tries.clear();
+        Some(search.aimed(Try { amount, reached: bound }).min(search.limits[1]))
     }
 
     /// Makes a lattice with a node at each sample the next try, with so many steps of the range.
@@ -426,7 +461,8 @@ impl TargetSearch {
             None => true,
         };
         if is_best {
-            self.best = Some(BestTry { number: self.tries, made, bytes, settings });
+            let bits_a_value = bits_a_value(report);
+            self.best = Some(BestTry { number: self.tries, made, bytes, bits_a_value, settings });
         }
         // Bits that the user gives leave one try.
         let has_others = nodes.limits[0] < nodes.limits[1];

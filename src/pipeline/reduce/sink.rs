@@ -1,6 +1,7 @@
-//! The files of a segment while they are made: the mesh, and the values of each step.
+//! The files of a segment while they are made: the mesh, and the values and sums of each step.
 
 use super::encoded::EncodedChunk;
+use super::sums::FinishedSteps;
 use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::manifest::StepPlan;
 use crate::archive::segment::{PlanHash, SegmentKind};
@@ -20,14 +21,22 @@ pub(super) struct SegmentFiles<'a> {
     layout: &'a Layout,
     /// The hash of the mesh, where that is made.
     mesh: Option<PlanHash>,
-    /// Number and hash of each step.
-    steps: Vec<(u64, PlanHash)>,
+    /// Number and hash of each step, and whether sums are made of it.
+    steps: Vec<(u64, PlanHash, bool)>,
 }
 
 impl<'a> SegmentFiles<'a> {
     /// The files of some steps of a plan.
-    pub(super) fn new(plan: &Plan, steps: &Range<usize>, with_mesh: bool, layout: &'a Layout) -> Self {
-        let steps = steps.clone().map(|n| (plan.steps[n].number, plan.step_hash(n))).collect();
+    pub(super) fn new(
+        plan: &Plan,
+        steps: &Range<usize>,
+        with_mesh: bool,
+        layout: &'a Layout,
+        finished: &FinishedSteps,
+    ) -> Self {
+        let needs_sums = |n: usize| finished.needs_sums(&plan.steps[n], layout.chunk_count());
+        let steps = steps.clone().map(|n| (plan.steps[n].number, plan.step_hash(n), needs_sums(n)));
+        let steps = steps.collect();
         Self { layout, mesh: with_mesh.then(|| plan.mesh_hash()), steps }
     }
 
@@ -54,7 +63,10 @@ impl<'a> SegmentFiles<'a> {
     fn parts(&self) -> impl Iterator<Item = SegmentFile> + use<> {
         let mesh = self.mesh.map(SegmentFile::Mesh);
         let steps = self.steps.clone();
-        mesh.into_iter().chain(steps.into_iter().enumerate().map(|(n, step)| SegmentFile::Values(n, step)))
+        mesh.into_iter().chain(steps.into_iter().enumerate().flat_map(|(n, (number, hash, has_sums))| {
+            let sums = has_sums.then_some(SegmentFile::Sums(n, (number, hash)));
+            std::iter::once(SegmentFile::Values(n, (number, hash))).chain(sums)
+        }))
     }
 }
 
@@ -64,10 +76,21 @@ pub(super) fn has_mesh(hash: PlanHash, layout: &Layout, segments: &Range<u64>) -
     segments.clone().all(whole)
 }
 
-/// Whether the values of a step in some segments are there.
-pub(super) fn has_values(plan: &StepPlan, hash: PlanHash, layout: &Layout, segments: &Range<u64>) -> bool {
+/// Whether the values of a step in some segments are there, and the sums that it needs.
+pub(super) fn has_values(
+    plan: &StepPlan,
+    hash: PlanHash,
+    layout: &Layout,
+    segments: &Range<u64>,
+    finished: &FinishedSteps,
+) -> bool {
     let layout = layout.at(plan.number);
-    let whole = |n| is_whole(&layout.values(n), SegmentKind::Values, hash, &layout.chunks_of(n));
+    let needs_sums = finished.needs_sums(plan, layout.chunk_count());
+    let whole = |n| {
+        let chunks = layout.chunks_of(n);
+        is_whole(&layout.values(n), SegmentKind::Values, hash, &chunks)
+            && (!needs_sums || is_whole(&layout.sums(n), SegmentKind::Sums, hash, &chunks))
+    };
     segments.clone().all(whole)
 }
 
@@ -82,6 +105,8 @@ enum SegmentFile {
     Mesh(PlanHash),
     /// The values of a step: which of the pass, its number and hash.
     Values(usize, (u64, PlanHash)),
+    /// What chunks add to its sums.
+    Sums(usize, (u64, PlanHash)),
 }
 
 impl SegmentFile {
@@ -89,6 +114,7 @@ impl SegmentFile {
         match self {
             Self::Mesh(_) => files.layout.mesh(segment),
             Self::Values(_, (number, _)) => files.layout.at(number).values(segment),
+            Self::Sums(_, (number, _)) => files.layout.at(number).sums(segment),
         }
     }
 
@@ -96,6 +122,7 @@ impl SegmentFile {
         match self {
             Self::Mesh(hash) => (SegmentKind::Mesh, hash),
             Self::Values(_, (_, hash)) => (SegmentKind::Values, hash),
+            Self::Sums(_, (_, hash)) => (SegmentKind::Sums, hash),
         }
     }
 
@@ -135,6 +162,7 @@ impl SegmentFile {
         match self {
             Self::Mesh(_) => &encoded.mesh_blocks,
             Self::Values(n, _) => &encoded.value_blocks[n],
+            Self::Sums(n, _) => &encoded.sum_blocks[n],
         }
     }
 }

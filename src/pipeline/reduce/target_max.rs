@@ -33,6 +33,7 @@ use super::planned::make;
 use super::report::{ReduceReport, TargetReport};
 use super::reuse::Round;
 use super::search::error_of;
+use super::sums::StoredSums;
 use super::tries::{full_cells, publish, rename};
 use crate::bytes::publish::remove_folder;
 use crate::cells::CellMesh;
@@ -41,7 +42,7 @@ use crate::error::{Error, Result};
 use crate::formats::{Input, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, ChunkId};
-use crate::pipeline::chunk::{ChunkTets, Originals, SampleErrors, Samples, StepLanes, stored_errors};
+use crate::pipeline::chunk::{ChunkTets, Originals, SampleErrors, Samples, StepLanes};
 use crate::pipeline::field::{AtVertices, MeasureSettings, reopened_values, store_settings};
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Halo, estimate};
@@ -69,7 +70,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         remove_folder(&trying)?;
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
         let basis = round.as_ref().map_or(Basis::New, Basis::Round);
-        let next = Job { settings: &settings, basis, out: &trying, run: &run, ..*job };
+        let next = Job { settings: &settings, basis, out: &trying, run: &run, keeps_sums: true, ..*job };
         let mut report = make(&next, &Existing::Nothing)?;
         meshed_chunks[0] += report.chunks - report.reused_chunks;
         meshed_chunks[1] += report.chunks;
@@ -186,14 +187,18 @@ impl Measuring<'_> {
 
     /// The chunks that have an error above the bound, as is stored with them.
     fn chunks_above(&self) -> Result<Vec<ChunkId>> {
-        let mut above = vec![];
-        for id in (0..self.archive.chunks.len()).map(ChunkId) {
-            self.archive.close_before(id);
-            let sums = stored_errors(&self.archive.segment_of(id)?.values, id)?.sums;
-            // The largest is that of errors rounded to f32.
-            let is_above = |error: f64| error * (1.0 + f64::from(f32::EPSILON)) > self.bound;
-            if sums.largest.is_some_and(|l| is_above((f64::from(l.original) - f64::from(l.reduced)).abs())) {
-                above.push(id);
+        let (mut above, archive) = (vec![], self.archive);
+        for number in 0..archive.layout.segment_count() {
+            let stored =
+                StoredSums::open(&archive.layout, number, &archive.step().plan, archive.step_hash())?;
+            for id in archive.layout.chunks_of(number).map(ChunkId) {
+                let sums = stored.errors(id)?.sums;
+                // The largest is that of errors rounded to f32.
+                let is_above = |error: f64| error * (1.0 + f64::from(f32::EPSILON)) > self.bound;
+                let largest = sums.largest.map(|l| (f64::from(l.original) - f64::from(l.reduced)).abs());
+                if largest.is_some_and(is_above) {
+                    above.push(id);
+                }
             }
         }
         Ok(above)

@@ -1,6 +1,6 @@
 //! The try that becomes the archive, when a target was searched for.
 
-use super::existing::replace_archive;
+use super::existing::{remove_strays, replace_archive};
 use crate::archive::manifest::Manifest;
 use crate::error::{Error, Result};
 use crate::pipeline::plan::{Attachments, Plan};
@@ -26,6 +26,7 @@ pub(super) fn publish(settings: &ReduceSettings, best: &Path, out: &Path) -> Res
     let mut manifest = Manifest::read(best)?;
     manifest.target = Some(settings.hash());
     manifest.write(best)?;
+    remove_strays(best, &manifest);
     replace_archive(best, out)
 }
 

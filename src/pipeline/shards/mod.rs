@@ -88,7 +88,7 @@ pub fn plan_shards(
     let existing = Existing::at(out)?;
     existing.refuse_overwriting(out, run.replace)?;
     let sources = &numbered(sources);
-    let job = Job { sources, settings, out, run, progress, basis: Basis::New };
+    let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
     let looked = look(&job)?;
     let search = search::begin_search(settings, looked.size.map(|size| size.bytes))?;
     let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
@@ -238,7 +238,7 @@ pub fn work_shard(
     // The plan says which steps there are: a worker leaves none out.
     let run = RunSettings { replace: false, keep_going: false, ..run.clone() };
     let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(&file));
-    let job = Job { sources, settings, out, run: &run, progress, basis };
+    let job = Job { sources, settings, out, run: &run, progress, basis, keeps_sums: false };
     let planned = reduce::plan(&job, false)?;
     planned.check()?;
     let layout = planned.layout(out);
@@ -332,7 +332,7 @@ fn publish(
     let watch = if is_read { file.expect_same_inputs(run)? } else { Watch::default() };
     let series = file.series(watch);
     let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(file));
-    let job = Job { sources, settings, out: root, run, progress, basis };
+    let job = Job { sources, settings, out: root, run, progress, basis, keeps_sums: false };
     let built = Built::of_shards(series, parts, shares, &layout, report)?;
     let report = reduce::publish(built, &job, &layout)?;
     // What commits and workers of this machine have left that were killed.

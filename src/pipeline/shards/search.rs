@@ -61,7 +61,7 @@ pub(super) fn next(
     let (settings, sources) = (&search.next_settings(), &file.numbered());
     let run = &RunSettings { replace: true, keep_going: false, ..run.clone() };
     let root = &planned_try(out, search.next_try());
-    let job = Job { sources, settings, out: root, run, progress, basis: Basis::Try(file) };
+    let job = Job { sources, settings, out: root, run, progress, basis: Basis::Try(file), keeps_sums: false };
     let reduction = reduce::plan(&job, false)?;
     let search = PlannedSearch::new(search, planned.shards, &reduction.report);
     let file = plan_file(settings, &reduction, planned.shards, file.replaces, Some(search))?;

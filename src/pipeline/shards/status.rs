@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
 use crate::pipeline::plan::{Attachments, Layout, Shard};
 use crate::pipeline::read::{Depth, SegmentState, inspect};
-use crate::pipeline::reduce::{Existing, PlanFile, plan_path, work_folder};
+use crate::pipeline::reduce::{Existing, FinishedSteps, PlanFile, plan_path, work_folder};
 use crate::pipeline::settings::RunSettings;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -36,11 +36,13 @@ struct Fault {
 pub(super) struct Inventory<'a> {
     file: &'a PlanFile,
     layout: Layout,
+    finished: FinishedSteps,
 }
 
 impl<'a> Inventory<'a> {
     pub(super) fn new(out: &Path, file: &'a PlanFile) -> Self {
-        Self { file, layout: Layout::new(out, file.chunks, 0) }
+        let layout = Layout::new(out, file.chunks, 0);
+        Self { file, finished: FinishedSteps::of(&layout, &file.plan), layout }
     }
 
     pub(super) fn segments(&self) -> u64 {
@@ -51,11 +53,18 @@ impl<'a> Inventory<'a> {
     pub(super) fn files_of(&self, segment: u64) -> Vec<Wanted> {
         let (layout, file) = (&self.layout, self.file);
         let wanted = |path, kind, hash| Wanted { path, kind, hash, chunks: layout.chunks_of(segment) };
-        let mut files = vec![wanted(layout.mesh(segment), SegmentKind::Mesh, file.mesh_hash)];
-        files.extend(file.plan.steps.iter().map(|step| {
-            let path = layout.at(step.number).values(segment);
-            wanted(path, SegmentKind::Values, step.hash(file.mesh_hash))
-        }));
+        let mut files = vec![];
+        // A mesh that follows by formula is not stored.
+        if file.plan.mesh.lattice_cells().is_none() {
+            files.push(wanted(layout.mesh(segment), SegmentKind::Mesh, file.mesh_hash));
+        }
+        for step in &file.plan.steps {
+            let (layout, hash) = (layout.at(step.number), step.hash(file.mesh_hash));
+            files.push(wanted(layout.values(segment), SegmentKind::Values, hash));
+            if self.finished.needs_sums(step, file.chunks) {
+                files.push(wanted(layout.sums(segment), SegmentKind::Sums, hash));
+            }
+        }
         files
     }
 

@@ -42,7 +42,7 @@ pub(in crate::pipeline) fn count(
     let read_before = archive.bytes_read();
     let spectrum = if !archive.is_between() { archive.spectrum()? } else { None };
     let stored = match &spectrum {
-        Some(file) => file.active(isovalue)?,
+        Some(file) => file.active(isovalue),
         None => (!archive.is_between()).then_some(0),
     };
     let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
@@ -419,7 +419,7 @@ fn chunks_at_ends(archive: &StepView) -> Result<Vec<bool>> {
         archive.close_before(id);
         // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was
         // widened.
-        Ok(reaches(0) || reaches(archive.mesh_of(id)?.mesh_summary(id)?.retries))
+        Ok(reaches(0) || reaches(archive.mesh_sizes(id)?.retries))
     };
     (0..archive.chunks.len()).map(|id| reaches_ends(ChunkId(id))).collect()
 }
@@ -454,7 +454,7 @@ fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<C
             |retries| cut.may_touch_box(&estimate::region(&archive.points, &core, &domain, halo, retries));
         // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was
         // widened.
-        Ok(reaches(0) || reaches(archive.mesh_of(id)?.mesh_summary(id)?.retries))
+        Ok(reaches(0) || reaches(archive.mesh_sizes(id)?.retries))
     };
     let keep = |w: ChunkWork| match touches(w.chunk) {
         Ok(touches) => touches.then_some(Ok(w)),

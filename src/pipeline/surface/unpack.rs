@@ -9,7 +9,7 @@
 //! The file appears when it is complete, and names the segments that it was made of. `unpacked`
 //! uses it.
 
-use crate::archive::chunked::{BlockRange, MeshSummary};
+use crate::archive::chunked::{BlockRange, MeshSizes};
 use crate::archive::manifest::{Manifest, steps_folder, unpacked_path, unpacked_step};
 use crate::archive::mesh::{Unpacked, UnpackedChunk, UnpackedWriter};
 use crate::bytes::publish::sync_folders;
@@ -292,13 +292,13 @@ fn unpack_step(
 
 /// What is known of a chunk before it is unpacked.
 struct ChunkOutline {
-    summary: MeshSummary,
+    sizes: MeshSizes,
     wanted_tets: u64,
 }
 
 impl ChunkOutline {
     fn need(&self, per_vertex: u64) -> u64 {
-        let vertices = u64::from(self.summary.core) + u64::from(self.summary.halo);
+        let vertices = u64::from(self.sizes.core) + u64::from(self.sizes.halo);
         let tets = self.wanted_tets.saturating_mul(BYTES_PER_TET);
         PER_CHUNK.saturating_add(vertices.saturating_mul(per_vertex)).saturating_add(tets)
     }
@@ -308,10 +308,9 @@ impl ChunkOutline {
 fn parts_of(archive: &StepView, range: [f32; 2]) -> Result<Vec<ChunkOutline>> {
     let part = |id: ChunkId| {
         archive.close_before(id);
-        let segment = archive.segment_of(id)?;
-        let ranges = segment.values.value_summary(id)?.ranges;
+        let ranges = archive.segment_of(id)?.values.value_summary(id)?.ranges;
         let wanted_tets = ranges.iter().filter(|r| can_answer(r, range)).map(|r| u64::from(r.tets)).sum();
-        Ok(ChunkOutline { summary: segment.mesh.mesh_summary(id)?, wanted_tets })
+        Ok(ChunkOutline { sizes: archive.mesh_sizes(id)?, wanted_tets })
     };
     let parts = (0..archive.chunks.len()).map(|id| part(ChunkId(id))).collect();
     // The chunks are read again, from the first on.

@@ -178,7 +178,8 @@ impl Inputs {
         };
         let mut blocks = vec![];
         for chunk in (0..archive.chunks.len()).map(ChunkId) {
-            blocks.extend(of_chunk(&archive.segment_of(chunk).unwrap().mesh, chunk));
+            let segment = archive.segment_of(chunk).unwrap();
+            blocks.extend(of_chunk(segment.of_mesh(), chunk));
             for step in 0..archive.manifest.steps.len() {
                 blocks.extend(of_chunk(&archive.values_of(step, chunk).unwrap(), chunk));
             }

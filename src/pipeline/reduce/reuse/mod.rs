@@ -16,7 +16,7 @@
 //! large. Whether they have does not depend on memory or threads.
 
 use super::encoded::EncodedChunk;
-use crate::archive::chunked::ChunkSegment;
+use super::sums::{StoredSums, has_sums};
 use crate::archive::manifest::{FrameRecord, Plan as MeshPlan, StepPlan};
 use crate::density::Choice;
 use crate::error::Result;
@@ -93,7 +93,10 @@ impl<'a> ReusedChunks<'a> {
         parts: &MeshParts,
         steps: usize,
     ) -> Result<Option<Self>> {
+        // The spectrum of a chunk that is the only one is stored elsewhere.
+        let several = [before.chunks.len(), parts.chunks.len()].map(|chunks| chunks > 1);
         let same_mesh = is_alike(&before.manifest.plan, &plan.mesh)
+            && several[0] == several[1]
             && before.points.order_bits() == parts.points.order_bits()
             && limits(&before.manifest.plan, before.points.len()) == limits(&plan.mesh, parts.points.len());
         let made = before.manifest.steps.iter().map(|s| &s.plan);
@@ -128,11 +131,22 @@ impl<'a> ReusedChunks<'a> {
     ) -> Result<Option<EncodedChunk>> {
         let Some(id) = self.from[chunk.0 as usize] else { return Ok(None) };
         let segment = self.before.mesh_of(id)?;
-        let points = u64::from(segment.mesh_summary(id)?.core);
-        let mesh_blocks = if mesh { blocks(&segment, id)? } else { vec![] };
-        let values = |step| blocks(&*self.before.values_of(step, id)?, id);
+        let points = u64::from(segment.mesh_summary(id)?.sizes.core);
+        let mesh_blocks = if mesh { segment.blocks(id)? } else { vec![] };
+        let values = |step| self.before.values_of(step, id)?.blocks(id);
         let value_blocks = steps.clone().map(values).collect::<Result<_>>()?;
-        Ok(Some(EncodedChunk { points, mesh_blocks, value_blocks, times: StageTimes::default() }))
+        let sum_blocks = steps.clone().map(|step| self.sums(step, id)).collect::<Result<_>>()?;
+        Ok(Some(EncodedChunk { points, mesh_blocks, value_blocks, sum_blocks, times: StageTimes::default() }))
+    }
+
+    /// What a chunk adds to the sums of a step.
+    fn sums(&self, step: usize, id: ChunkId) -> Result<Vec<Vec<u8>>> {
+        let (plan, segment) = (&self.before.manifest.steps[step].plan, self.before.layout.segment_of(id));
+        if !has_sums(plan, self.before.chunks.len()) {
+            return Ok(vec![]);
+        }
+        let hash = plan.hash(self.before.manifest.plan_hash);
+        StoredSums::open(&self.before.layout, segment, plan, hash)?.blocks(id)
     }
 
     /// Notes that no chunk before this one will be asked for again.
@@ -141,14 +155,6 @@ impl<'a> ReusedChunks<'a> {
             self.before.close_before(id);
         }
     }
-}
-
-fn blocks(segment: &ChunkSegment, id: ChunkId) -> Result<Vec<Vec<u8>>> {
-    let block = |n| {
-        let mut bytes = vec![];
-        segment.block(id, n, &mut bytes).map(|()| bytes)
-    };
-    (0..segment.block_count(id)).map(block).collect()
 }
 
 /// Whether plans differ in levels and cuts alone.
@@ -171,7 +177,7 @@ fn is_same(before: &StepView, id: ChunkId, parts: &MeshParts, chunk: &Chunk) -> 
         return Ok(false);
     }
     before.close_before(id);
-    let retries = before.mesh_of(id)?.mesh_summary(id)?.retries;
+    let retries = before.mesh_sizes(id)?.retries;
     let (plan, domain) = (&before.manifest.plan, parts.chunks.bricks().lattice.domain());
     let region = estimate::region(&parts.points, &chunk.core, &domain, Halo::of(plan), retries);
     Ok(new.same_in(old, &region))

@@ -76,7 +76,8 @@ fn make_round(
 ) -> ReduceReport {
     let (settings, run) = (&settings(values), &run(threads));
     let (sources, basis) = (&numbered(sources), round.map_or(Basis::New, Basis::Round));
-    make(&Job { sources, settings, out, run, progress: &Silent, basis }, &Existing::Nothing).unwrap()
+    make(&Job { sources, settings, out, run, progress: &Silent, basis, keeps_sums: true }, &Existing::Nothing)
+        .unwrap()
 }
 
 /// The levels of an archive with a cell at the low end of x raised by 2.
@@ -99,7 +100,7 @@ fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         if path.is_dir() {
             found.extend(files(&path).into_iter().map(|(n, bytes)| (format!("{name}/{n}"), bytes)));
-        } else {
+        } else if !name.contains("-sums-") {
             found.insert(name, fs::read(&path).unwrap());
         }
     }

@@ -1,0 +1,128 @@
+//! What chunks add to sums over all of them: errors, and parts of the spectrum.
+//!
+//! ```text
+//!  chunk ─▶ values-000000.seg        stays
+//!        ╲▶ sums-000000.seg ─▶ all chunks added up ─▶ spectrum.seg, error in the manifest ─▶ removed
+//! ```
+//!
+//! They are files of their own, next to those of the values, so that workers make them, and runs
+//! that were killed go on. A finished step has its sums, and needs the parts no more.
+
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{Manifest, Step, StepPlan};
+use crate::archive::segment::{PlanHash, Segment, SegmentKind};
+use crate::archive::tables::{ChunkErrors, decode_errors};
+use crate::error::{Error, Result};
+use crate::grid::ChunkId;
+use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError};
+use crate::pipeline::chunk::field_error_of;
+use crate::pipeline::plan::{Layout, Plan};
+use crate::pipeline::read::StepView;
+use crate::spectrum::{ChunkPart, Digits, Limits};
+
+/// Whether a step has parts of sums until it is finished. The spectrum of the only chunk of an
+/// archive is with its values.
+pub(in crate::pipeline) fn has_sums(step: &StepPlan, chunks: u64) -> bool {
+    step.measured || chunks > 1
+}
+
+/// The sums of some chunks of a step.
+pub(super) struct StoredSums {
+    segment: ChunkSegment,
+    measured: bool,
+}
+
+impl StoredSums {
+    /// Those in a segment of a step of this hash.
+    pub(super) fn open(layout: &Layout, segment: u64, step: &StepPlan, hash: PlanHash) -> Result<Self> {
+        let path = layout.at(step.number).sums(segment);
+        let segment = ChunkSegment::open(path, SegmentKind::Sums, Some(hash))?;
+        Ok(Self { segment, measured: step.measured })
+    }
+
+    /// All blocks of a chunk.
+    pub(super) fn blocks(&self, chunk: ChunkId) -> Result<Vec<Vec<u8>>> {
+        self.segment.blocks(chunk)
+    }
+
+    /// The errors of a chunk, of a step that is measured.
+    pub(super) fn errors(&self, chunk: ChunkId) -> Result<ChunkErrors> {
+        let behind = self.segment.block_count(chunk).saturating_sub(1);
+        self.segment.block_from_end(chunk, behind, decode_errors)
+    }
+
+    /// The part of a chunk of the spectrum, of an archive with several.
+    pub(super) fn part(&self, chunk: ChunkId, limits: Limits) -> Result<ChunkPart> {
+        let expected = 1 + u64::from(self.measured);
+        if self.segment.block_count(chunk) != expected {
+            let (path, got) = (self.segment.segment().path(), self.segment.block_count(chunk));
+            let at = format!("chunk {}, blocks", chunk.0);
+            return Err(Error::bad_input(path, at, expected.to_string(), got.to_string()));
+        }
+        self.segment.block_from_end(chunk, 0, |bytes| ChunkPart::decode(bytes, limits, Digits::All))
+    }
+}
+
+/// The error of the archive's step, and those in the cells of each level, added up from what its
+/// chunks have stored.
+pub(super) fn summed_error(archive: &StepView) -> Result<(FieldError, Vec<LevelError>)> {
+    let levels = archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1);
+    let (mut sums, mut by_level) = (ErrorSums::default(), vec![BrickErrors::default(); levels]);
+    let (layout, plan) = (&archive.layout, &archive.step().plan);
+    for number in 0..layout.segment_count() {
+        let stored = StoredSums::open(layout, number, plan, archive.step_hash())?;
+        for chunk in layout.chunks_of(number).map(ChunkId) {
+            let found = stored.errors(chunk)?;
+            let is_sorted = found.levels.is_empty() == (levels == 0 || found.sums.measured == 0);
+            if found.levels.len() > levels || !is_sorted {
+                let (path, got) = (layout.sums(number), found.levels.len().to_string());
+                let at = format!("chunk {}, levels of its errors", chunk.0);
+                return Err(Error::bad_input(path, at, format!("those of {levels} levels"), got));
+            }
+            sums.merge(&found.sums);
+            by_level.iter_mut().zip(&found.levels).for_each(|(all, part)| all.merge(part));
+        }
+    }
+    let level_error = |e: &BrickErrors| LevelError {
+        samples: e.samples,
+        rms: if e.samples == 0 { 0.0 } else { e.rms() },
+        max: e.max,
+    };
+    let rounding = plan.source.rounding;
+    let level_error = |e: &BrickErrors| level_error(e).with_rounding(rounding);
+    Ok((field_error_of(archive, &sums)?, by_level.iter().map(level_error).collect()))
+}
+
+/// Steps of a plan that an archive has, with their sums: its manifest and the spectra are there.
+pub(in crate::pipeline) struct FinishedSteps(Vec<Step>);
+
+impl FinishedSteps {
+    /// Those in the folder of a layout.
+    pub(in crate::pipeline) fn of(layout: &Layout, plan: &Plan) -> Self {
+        let steps = Manifest::read(layout.root()).map_or(vec![], |manifest| manifest.steps);
+        let is_of_plan = |step: &Step| {
+            let found = plan.steps.iter().position(|planned| planned.number == step.plan.number);
+            found.is_some_and(|n| plan.step_hash(n) == step.plan.hash(plan.mesh_hash()))
+        };
+        let has_spectrum = |step: &Step| {
+            let Some(recorded) = &step.spectrum else { return true };
+            let hash = step.plan.hash(plan.mesh_hash());
+            let path = layout.at(step.plan.number).spectrum();
+            let found = Segment::open(path, SegmentKind::Spectrum, Some(hash));
+            found.is_ok_and(|file| file.info() == *recorded && file.verify().is_ok())
+        };
+        let has_error = |step: &Step| step.error.is_some() || !step.plan.measured;
+        let finished = |step: &Step| is_of_plan(step) && has_error(step) && has_spectrum(step);
+        Self(steps.into_iter().filter(finished).collect())
+    }
+
+    /// The step of a number.
+    pub(in crate::pipeline) fn get(&self, number: u64) -> Option<&Step> {
+        self.0.iter().find(|step| step.plan.number == number)
+    }
+
+    /// Whether a step of the plan waits for the sums of its `chunks` chunks.
+    pub(in crate::pipeline) fn needs_sums(&self, step: &StepPlan, chunks: u64) -> bool {
+        has_sums(step, chunks) && self.get(step.number).is_none()
+    }
+}
