@@ -12,7 +12,7 @@ pub struct Limits {
 
 /// The most and the fewest knots: about 10 bytes each.
 pub(super) const MOST_KNOTS: u64 = 128;
-const FEWEST_KNOTS: u64 = 32;
+const FEWEST_KNOTS: u64 = 48;
 /// The most and the fewest levels: about a byte each.
 pub(crate) const MOST_LEVELS: u64 = 8192;
 const FEWEST_LEVELS: u64 = 256;

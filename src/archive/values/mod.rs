@@ -44,6 +44,8 @@ pub(crate) use groups::MOST_BRICKS;
 pub use groups::{BrickGroups, group_bricks};
 pub use nodes::NodeCoder;
 
+/// Values in a block that is not stored: few, as a reader needs those next to a surface alone.
+const UNSTORED_VALUES: usize = 16;
 /// Values in a block, the last one of a chunk excepted.
 pub const BLOCK_VALUES: usize = 1024;
 /// Codec: values as they are.
@@ -211,7 +213,7 @@ impl ValueBlocks {
     }
 
     /// Bricks of so many cells, 1 to 8 along each axis, with two values a cell, then blocks of
-    /// [`BLOCK_VALUES`] of the others that are `stored`, then such of the rest.
+    /// [`BLOCK_VALUES`] of the others that are `stored`, then small ones of the rest.
     ///
     /// # Panics
     /// When more values are stored than there are, or fewer than those of bricks.
@@ -229,7 +231,7 @@ impl ValueBlocks {
 
     /// Number of blocks.
     pub fn count(&self) -> usize {
-        self.stored_count() + (self.len - self.stored).div_ceil(BLOCK_VALUES)
+        self.stored_count() + (self.len - self.stored).div_ceil(UNSTORED_VALUES)
     }
 
     /// Number of those that are stored: they come first.
@@ -251,7 +253,7 @@ impl ValueBlocks {
     #[inline]
     pub fn of(&self, value: usize) -> usize {
         if value >= self.stored {
-            return self.stored_count() + (value - self.stored) / BLOCK_VALUES;
+            return self.stored_count() + (value - self.stored) / UNSTORED_VALUES;
         }
         match value.checked_sub(self.in_bricks) {
             Some(behind) => self.bricks.len() + behind / BLOCK_VALUES,
@@ -262,8 +264,8 @@ impl ValueBlocks {
     /// The values of a block.
     pub fn range(&self, block: usize) -> Range<usize> {
         if let Some(behind) = block.checked_sub(self.stored_count()) {
-            let first = self.stored + behind * BLOCK_VALUES;
-            return first..self.len.min(first + BLOCK_VALUES);
+            let first = self.stored + behind * UNSTORED_VALUES;
+            return first..self.len.min(first + UNSTORED_VALUES);
         }
         match block.checked_sub(self.bricks.len()) {
             Some(behind) => {

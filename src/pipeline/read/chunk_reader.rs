@@ -594,8 +594,13 @@ impl<'a> ChunkReader<'a> {
             let ranges = self.archive.value_ranges(self.chunk.id, &self.value_blocks)?;
             let mut ranges: Vec<ValueRange> =
                 ranges.unwrap_or_default().iter().map(|range| [range.min, range.max]).collect();
-            // What is not stored, or lies between two steps, may have any value.
-            ranges.resize(self.value_bytes.len(), [f32::NEG_INFINITY, f32::INFINITY]);
+            if self.archive.is_between() {
+                ranges.resize(self.value_bytes.len(), [f32::NEG_INFINITY, f32::INFINITY]);
+            }
+            for block in ranges.len()..self.value_bytes.len() {
+                let points = self.value_blocks.range(block);
+                ranges.push(self.around.range(self.archive, self.chunk.id, points)?);
+            }
             self.value_ranges = Some(ranges);
         }
         Ok(())

@@ -14,6 +14,7 @@ use super::group_cache::GroupCache;
 use super::node_values::NodeCache;
 use super::step_view::StepView;
 use super::stored_values::{BlockAt, KnownValues};
+use crate::archive::chunked::{BlockRange, ValueRange};
 use crate::archive::values::ValueBlocks;
 use crate::error::Result;
 use crate::grid::ChunkId;
@@ -31,6 +32,10 @@ pub(in crate::pipeline) struct Neighbours {
     chunks: HashMap<ChunkId, Arc<Owner>>,
     /// Values of blocks, by step, chunk and block.
     blocks: HashMap<(usize, ChunkId, usize), Arc<[f32]>>,
+    /// The step that was read last.
+    step: usize,
+    /// The ranges of the blocks that chunks have stored, at the step of the archive.
+    ranges: HashMap<ChunkId, Arc<[BlockRange]>>,
 }
 
 /// A chunk, and how its values are cut into blocks.
@@ -55,8 +60,10 @@ impl Neighbours {
         points: Range<usize>,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
-        // Differences refer to the step before.
-        self.blocks.retain(|key, _| key.0 == step || key.0 + 1 == step);
+        if std::mem::replace(&mut self.step, step) != step {
+            // Differences refer to the step before.
+            self.blocks.retain(|key, _| key.0 == step || key.0 + 1 == step);
+        }
         let own = self.chunk(archive, chunk)?;
         let bcc = &own.bcc;
         let mut read = 0;
@@ -81,6 +88,35 @@ impl Neighbours {
             out.push(values[number - owner.blocks.range(of_number).start]);
         }
         Ok(read)
+    }
+
+    /// A range that holds the values of points of a chunk: that of the blocks that are stored of
+    /// them. Any value may be at a point that no stored block has.
+    pub(super) fn range(
+        &mut self,
+        archive: &StepView,
+        chunk: ChunkId,
+        points: Range<usize>,
+    ) -> Result<ValueRange> {
+        let own = self.chunk(archive, chunk)?;
+        let [mut lo, mut hi] = [f32::INFINITY, f32::NEG_INFINITY];
+        for place in own.bcc.point_places(points) {
+            let home = archive.chunks.of_brick(own.bcc.home(place));
+            let owner = self.chunk(archive, home)?;
+            let ranges = match self.ranges.entry(home) {
+                Entry::Occupied(found) => found.into_mut(),
+                Entry::Vacant(empty) => {
+                    let ranges = archive.value_ranges(home, &owner.blocks)?;
+                    empty.insert(ranges.unwrap_or_default().into())
+                }
+            };
+            let block = owner.bcc.own_number(place).map(|number| owner.blocks.of(number));
+            let Some(range) = block.and_then(|block| ranges.get(block)) else {
+                return Ok([f32::NEG_INFINITY, f32::INFINITY]);
+            };
+            (lo, hi) = (lo.min(range.min), hi.max(range.max));
+        }
+        Ok([lo, hi])
     }
 
     /// The values of a block of a chunk; adds the bytes that were read.
