@@ -10,8 +10,8 @@ use std::path::PathBuf;
 /// Count the tetrahedra that isosurfaces cross.
 ///
 /// The numbers are exact, and the surfaces are not extracted.
-/// Isovalues with few digits are looked up in the archive's spectrum, which takes a few kilobytes
-/// of reading; the JSON output has the number of bytes.
+/// Isovalues with few digits are looked up in the spectrum of a large archive, which takes a few
+/// kilobytes of reading; the JSON output has the number of bytes.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json"

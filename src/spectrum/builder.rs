@@ -1,6 +1,6 @@
 //! Sums over chunks.
 
-use super::design::Design;
+use super::design::{Design, Limits};
 use super::measure::{ChunkPart, Measured};
 use super::{Knot, Spectrum};
 
@@ -30,8 +30,18 @@ impl SpectrumBuilder {
         }
     }
 
+    /// The spectrum of all chunks, whose parts were made with these limits; none if all tetrahedra
+    /// are void.
+    pub fn of_parts(parts: &[ChunkPart], limits: Limits) -> Option<Self> {
+        let ranges = parts.iter().filter_map(|part| Some(part.measured.as_ref()?.design.range));
+        let range = ranges.reduce(|[lo, hi], of| [lo.min(of[0]), hi.max(of[1])])?;
+        let mut all = Self::new(Design::new(range, limits));
+        parts.iter().for_each(|part| all.add(part));
+        Some(all)
+    }
+
     /// The spectrum of a chunk alone; none if all its tetrahedra are void.
-    pub fn of_part(part: &ChunkPart) -> Option<Self> {
+    pub(super) fn of_part(part: &ChunkPart) -> Option<Self> {
         let mut alone = Self::new(part.measured.as_ref()?.design);
         alone.add(part);
         Some(alone)

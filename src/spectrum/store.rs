@@ -23,8 +23,7 @@ impl SpectrumBuilder {
 
 /// A spectrum that has been read.
 pub struct SpectrumFile {
-    /// None of a spectrum that is stored with its only chunk.
-    segment: Option<Segment>,
+    segment: Segment,
     total: SpectrumBuilder,
     spectrum: Spectrum,
 }
@@ -47,12 +46,7 @@ impl SpectrumFile {
         let Some(total) = SpectrumBuilder::of_part(&part) else {
             return Err(Error::bad_input(segment.path(), "block 0", "tetrahedra that are not void", "none"));
         };
-        Ok(Self { segment: Some(segment), ..Self::of(total) })
-    }
-
-    /// A spectrum that has no file of its own.
-    pub fn of(total: SpectrumBuilder) -> Self {
-        Self { segment: None, spectrum: total.spectrum(), total }
+        Ok(Self { segment, spectrum: total.spectrum(), total })
     }
 
     /// The spectrum at its knots.
@@ -60,14 +54,14 @@ impl SpectrumFile {
         &self.spectrum
     }
 
-    /// The container: path, bytes read, verification. None of a spectrum that has no file.
-    pub fn segment(&self) -> Option<&Segment> {
-        self.segment.as_ref()
+    /// The container: path, bytes read, verification.
+    pub fn segment(&self) -> &Segment {
+        &self.segment
     }
 
-    /// Bytes read from its own file.
+    /// Bytes read.
     pub fn bytes_read(&self) -> u64 {
-        self.segment().map_or(0, Segment::bytes_read)
+        self.segment.bytes_read()
     }
 
     /// The number of active tetrahedra, exactly; `None` at an isovalue at which it is not stored.
@@ -88,7 +82,7 @@ impl SpectrumFile {
     /// # Errors
     /// The first thing that is wrong.
     pub fn verify(&self, expected: &SpectrumBuilder) -> Result<()> {
-        let Some(segment) = &self.segment else { return Ok(()) };
+        let segment = &self.segment;
         segment.verify()?;
         let mut found = vec![];
         segment.block(0, &mut found)?;

@@ -255,11 +255,16 @@ fn spectra_are_printed_and_drawn_and_counts_looked_up() {
     assert!(fs::read(d.join("b.png")).unwrap().starts_with(b"\x89PNG"));
     assert_eq!(fails(d, &["spectrum", "b.isospan", "--plot", "b.pdf"]).0, 2);
     assert_eq!(fails(d, &["spectrum", "b.npy"]).0, 5);
-    let counts = ok(d, &["count", "b.isospan", "-i", "-0.5,0,9", "--json"]);
-    assert_eq!(counts.lines().count(), 3);
-    assert!(counts.lines().all(|l| l.contains("\"stored\":true")), "{counts}");
+    // A small archive has no spectrum where they could be looked up.
+    let chunks = ["--points", "halton", "--fraction", "1", "--chunk-points", "3000"];
+    ok(d, &[&["reduce", "b.npy", "-o", "chunks.isospan"][..], &chunks].concat());
+    for (archive, stored) in [("b.isospan", "\"stored\":false"), ("chunks.isospan", "\"stored\":true")] {
+        let counts = ok(d, &["count", archive, "-i", "-0.5,0,9", "--json"]);
+        assert_eq!(counts.lines().count(), 3);
+        assert!(counts.lines().all(|l| l.contains(stored)), "{counts}");
+    }
     assert!(ok(d, &["info", "b.isospan"]).contains("area"));
-    assert_eq!(fs::read_dir(d).unwrap().count(), 4, "nothing but what was asked for");
+    assert_eq!(fs::read_dir(d).unwrap().count(), 5, "nothing but what was asked for");
 }
 
 #[test]

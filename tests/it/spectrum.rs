@@ -32,27 +32,43 @@ fn a_spectrum_is_what_the_surfaces_are() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("ball.nrrd");
     write_turned(&input, [28, 24, 20], ball);
-    let out = dir.path().join("ball.isospan");
-    reduce(&input, &settings(SetKind::Hammersley, Amount::Fraction(0.5), 2_000), &out, 2);
-    let spectrum = contour_spectrum(&out).unwrap();
-    assert!(
-        (spectrum.volume / (27.0 * 23.0 * 19.0 * 3.0) - 1.0).abs() < 1e-12,
-        "the domain's volume in the world"
-    );
-    assert!(spectrum.knots.len() > 20 && spectrum.bytes_read < 30_000, "{} bytes", spectrum.bytes_read);
-    let mut closed = 0;
-    for knot in spectrum.knots.iter().step_by(4) {
-        let file = dir.path().join("s.ply");
-        let report = surface(&out, knot.isovalue, &file, 2);
-        assert_eq!(report.active_tetrahedra, knot.active_tetrahedra, "{knot:?}");
-        let found = check(&read(&file));
-        assert!((found.area - knot.area).abs() <= 1e-4 * knot.area + 1e-9, "{knot:?} {}", found.area);
-        if let Some(volume) = found.volume.filter(|_| found.is_closed() && knot.area > 0.0) {
-            assert!((volume - knot.volume).abs() <= 1e-3 * knot.volume, "{knot:?} {volume}");
-            closed += 1;
+    // Small archives have none stored: it is summed from the tetrahedra of their chunks.
+    for (set, chunk_points, several, stored) in [
+        (SetKind::Hammersley, 2_000, true, true),
+        (SetKind::Hammersley, 100_000, false, false),
+        (SetKind::Bcc, 100_000, false, false),
+        (SetKind::Bcc, 1_500, true, false),
+    ] {
+        let out = dir.path().join(format!("{set:?}-{chunk_points}.isospan"));
+        let made = reduce(&input, &settings(set, Amount::Fraction(0.5), chunk_points), &out, 2);
+        assert_eq!(made.chunks > 1, several, "{set:?}: {} chunks", made.chunks);
+        assert_eq!(folder(&out).keys().any(|f| f.ends_with("000000-spectrum.seg")), stored, "{set:?}");
+        let spectrum = contour_spectrum(&out).unwrap();
+        assert!(
+            (spectrum.volume / (27.0 * 23.0 * 19.0 * 3.0) - 1.0).abs() < 1e-12,
+            "the domain's volume in the world"
+        );
+        // What a chunk of a lattice needs of others is read with it.
+        let most = if stored { 30_000 } else { made.archive_bytes * if several { 3 } else { 1 } };
+        assert!(
+            spectrum.knots.len() > 20 && spectrum.bytes_read <= most,
+            "{} of {most} bytes",
+            spectrum.bytes_read
+        );
+        let mut closed = 0;
+        for knot in spectrum.knots.iter().step_by(4) {
+            let file = dir.path().join("s.ply");
+            let report = surface(&out, knot.isovalue, &file, 2);
+            assert_eq!(report.active_tetrahedra, knot.active_tetrahedra, "{set:?} {knot:?}");
+            let found = check(&read(&file));
+            assert!((found.area - knot.area).abs() <= 1e-4 * knot.area + 1e-9, "{knot:?} {}", found.area);
+            if let Some(volume) = found.volume.filter(|_| found.is_closed() && knot.area > 0.0) {
+                assert!((volume - knot.volume).abs() <= 1e-3 * knot.volume, "{knot:?} {volume}");
+                closed += 1;
+            }
         }
+        assert!(closed > 2);
     }
-    assert!(closed > 2);
 }
 
 #[test]
@@ -87,8 +103,7 @@ fn nothing_but_void_has_no_spectrum() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("void.npy");
     write_npy(&input, [20, 20, 20], |_, _, _| f64::NAN);
-    // Of one chunk, which has no file of a spectrum in any case, and of several, which
-    // have an index.
+    // A small archive, which has no file of a spectrum in any case, and one with an index.
     for (name, amount, chunk_points) in [("one", 0.125, 100_000), ("several", 1.0, 1000)] {
         let out = dir.path().join(format!("{name}.isospan"));
         let amount = Amount::Fraction(amount);

@@ -98,7 +98,7 @@ impl SegmentKind {
 }
 
 /// The hash of everything that decides the bytes of a segment: files of different plans never mix.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlanHash(pub u128);
 
 impl PlanHash {

@@ -21,8 +21,8 @@
 //! does not fit is sorted in the scratch folder.
 
 use super::finding::Notice;
-use super::{BLOCK_TETS, MeshParts, Plan, is_made_again};
-use crate::archive::manifest::Plan as MeshPlan;
+use super::{MeshParts, Plan, is_made_again};
+use crate::archive::manifest::{BLOCK_TETS, Plan as MeshPlan};
 use crate::error::{Error, Result};
 use crate::fit::window_edge;
 use crate::geom::{LatticeBox, LatticePos};

@@ -13,7 +13,7 @@ mod layout;
 mod shard;
 
 use crate::archive::manifest::{
-    BaseStep, FrameRecord, LONGEST_CHAIN, Manifest, OwnRecord, Plan as MeshPlan, Source, StepPlan,
+    BLOCK_TETS, BaseStep, FrameRecord, LONGEST_CHAIN, Manifest, OwnRecord, Plan as MeshPlan, Source, StepPlan,
 };
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};
@@ -68,10 +68,6 @@ const TETS_A_POINT: u64 = 6;
 const MOST_CROWD: f64 = 4.0;
 /// A brick's samples (with a border) are held in memory while its points are interpolated.
 const LARGEST_BRICK_EDGE: u64 = 64;
-/// Tetrahedra a block, about. An isosurface of a smooth field crosses a tenth of the tetrahedra of
-/// blocks of 1024 that it meets, nearly a fifth of those of 256, for 1.2 bits more each; still
-/// smaller blocks take more bits, and no less time, because each has its list of vertices.
-pub(super) const BLOCK_TETS: u32 = 256;
 
 impl Plan {
     /// Makes the plan of reducing a volume.

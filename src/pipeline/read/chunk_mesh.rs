@@ -101,9 +101,8 @@ impl MeshedChunk {
     /// use become vertices around. Returns the number that each vertex had, those around last.
     pub(in crate::pipeline) fn drop_unused_halo(&mut self) -> Vec<u32> {
         let (core, vertices) = (self.core_len(), self.vertices());
-        let mut kept = vec![false; vertices];
+        let mut kept = used_corners(&self.tets, vertices);
         kept[..core].fill(true);
-        self.tets.iter().flatten().for_each(|&v| kept[v as usize] = true);
         let mut wanted = vec![false; vertices];
         self.tets.around().iter().flatten().for_each(|&v| {
             if let Some(wanted) = wanted.get_mut(v as usize) {
@@ -140,4 +139,13 @@ pub(super) fn value_blocks(chunk: &BccChunk) -> ValueBlocks {
         (false, true) => ValueBlocks::new(chunk.bricks(), chunk.core(), points),
         (false, false) => ValueBlocks::new([], chunk.core(), points),
     }
+}
+
+/// For each corner, whether some tetrahedron uses it.
+pub(in crate::pipeline) fn used_corners(tets: &[Tet], local: usize) -> Vec<bool> {
+    let mut used = vec![false; local];
+    for &v in tets.iter().flatten() {
+        used[v as usize] = true;
+    }
+    used
 }

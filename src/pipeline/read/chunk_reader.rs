@@ -14,7 +14,7 @@
 //! points are made again ([`StarBlocks`]).
 
 use super::block::{Block, BlockCorners};
-use super::chunk_mesh::{MeshedChunk, value_blocks};
+use super::chunk_mesh::{MeshedChunk, used_corners, value_blocks};
 use super::damaged::damaged;
 use super::neighbours::Neighbours;
 use super::reader_memory::{ReaderMemory, UNPLACED};
@@ -541,7 +541,13 @@ impl<'a> ChunkReader<'a> {
 
     /// Reads the values of all corners of some tetrahedra.
     pub(super) fn load_values(&mut self, tets: &[Tet]) -> Result<()> {
-        tets.iter().flatten().try_for_each(|&v| self.load_value_of(v))
+        let used = used_corners(tets, self.memory.values.len());
+        for block in 0..self.value_bytes.len() {
+            if self.value_bytes[block] == 0 && used[self.value_blocks.range(block)].contains(&true) {
+                self.read_values(block)?;
+            }
+        }
+        Ok(())
     }
 
     #[inline]

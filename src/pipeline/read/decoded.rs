@@ -43,12 +43,3 @@ impl StepView {
         Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })
     }
 }
-
-/// For each corner, whether some tetrahedron uses it.
-pub(in crate::pipeline) fn used_corners(tets: &[Tet], local: usize) -> Vec<bool> {
-    let mut used = vec![false; local];
-    for &v in tets.iter().flatten() {
-        used[v as usize] = true;
-    }
-    used
-}

@@ -41,13 +41,13 @@ pub(super) use block::{Block, BlockCorners, NumberedShape};
 pub(super) use block_cache::{CacheHit, CachedBlock, unpack_precomputed};
 pub(super) use choice::Moment;
 pub use choice::{StepChoice, StepRange};
-pub(super) use chunk_mesh::MeshedChunk;
+pub(super) use chunk_mesh::{MeshedChunk, used_corners};
 pub(super) use chunk_reader::{ChunkReader, Needed, Wanted, bytes_per_vertex};
 pub(super) use coordinates::{
     IndexToWorld, WorldBox, bounds, coordinate_hash, in_memory, in_world, index_places, world_box, world_map,
     world_of, write_coordinates,
 };
-pub(super) use decoded::{DecodedChunk, used_corners};
+pub(super) use decoded::DecodedChunk;
 pub(super) use frontier::Frontier;
 pub(super) use mesh_sizes::sizes_of;
 pub(super) use node_values::NodeValues;

@@ -1,21 +1,29 @@
 //! The contour spectrum of a step: summed chunk by chunk while chunks are made, merged when the
-//! archive is completed, and read back.
+//! archive is completed, and read back. A small archive stores none: it is summed when it is asked
+//! for.
 
 use super::archive::expect_recorded;
+use super::decoded::DecodedChunk;
 use super::step_view::StepView;
 use crate::archive::chunked::BlockRange;
 use crate::archive::manifest::{Plan as MeshPlan, Source};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::CoordinateMap;
 use crate::error::{Error, Result};
+use crate::exec::{Threads, in_order};
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
 use crate::mesh::bcc::NODE_BRICK_CELLS;
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
-use crate::spectrum::{ChunkPart, Digits, LaneBuffers, Limits, SpectrumBuilder, SpectrumFile, Vertices};
+use crate::spectrum::{ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices};
 use serde::Serialize;
 use std::path::PathBuf;
+
+/// Bytes of the chunks that are decoded at one time, about, and those of a tetrahedron with its
+/// share of the corners.
+const SUMMED_BYTES: u64 = 128 << 20;
+const BYTES_PER_TET: u64 = 40;
 
 /// The memory in which chunks are measured, kept from chunk to chunk so that its pages are not
 /// asked for again.
@@ -179,21 +187,41 @@ impl StepSpectrum {
 }
 
 impl StepView {
-    /// The contour spectrum; none where every tetrahedron is void. That of an archive of one chunk
-    /// is with its values.
-    pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
-        let limits = limits(&self.manifest.plan, self.points.len());
-        if self.manifest.counts.chunks == 1 {
-            let values = self.values_of(self.position(), ChunkId(0))?;
-            let decode = |bytes: &[u8]| ChunkPart::decode(bytes, limits, Digits::Few);
-            let part = values.block_from_end(ChunkId(0), 1, decode)?;
-            return Ok(SpectrumBuilder::of_part(&part).map(SpectrumFile::of));
-        }
+    /// The contour spectrum that is stored; none in a small archive, nor where every tetrahedron is
+    /// void.
+    pub(in crate::pipeline) fn stored_spectrum(&self) -> Result<Option<SpectrumFile>> {
         let Some(recorded) = &self.step().spectrum else { return Ok(None) };
+        let limits = limits(&self.manifest.plan, self.points.len());
         let file = SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash()), limits);
         let file = file.map_err(|e| self.lost(e))?;
-        file.segment().map_or(Ok(()), |segment| expect_recorded(segment, Some(recorded)))?;
+        expect_recorded(file.segment(), Some(recorded))?;
         Ok(Some(file))
+    }
+
+    /// The contour spectrum, and the bytes of its own file; none where every tetrahedron is void.
+    /// That of a small archive is summed from all its tetrahedra.
+    fn spectrum(&self) -> Result<Option<(Spectrum, u64)>> {
+        if self.manifest.counts.is_indexed(&self.manifest.plan) {
+            return Ok(self.stored_spectrum()?.map(|file| (file.spectrum().clone(), file.bytes_read())));
+        }
+        let meter = Meter::of_archive(self);
+        let part = |n: usize| {
+            let id = ChunkId(n as u64);
+            let blocks: Vec<u32> = self.blocks_of(id).all(self.mesh_sizes(id)?.tet_blocks).collect();
+            let DecodedChunk { positions, values, tets, .. } = self.decode(id, &blocks)?;
+            let range = [BlockRange::of(&tets, &values)];
+            let mut parts = meter.parts(&positions, &tets, &[(&values, &range)], &mut Bench::default())?;
+            Ok(parts.pop().expect("of one step"))
+        };
+        let bytes = |n| Ok(self.mesh_sizes(ChunkId(n))?.tets.saturating_mul(BYTES_PER_TET));
+        let bytes: Vec<u64> = (0..self.layout.chunk_count()).map(bytes).collect::<Result<_>>()?;
+        let mut parts = vec![];
+        let keep = |_, part| {
+            parts.push(part);
+            Ok(())
+        };
+        in_order(&bytes, SUMMED_BYTES, &Threads::new(0)?, part, keep)?;
+        Ok(SpectrumBuilder::of_parts(&parts, meter.limits()).map(|all| (all.spectrum(), 0)))
     }
 }
 
@@ -209,7 +237,7 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
         )));
     }
     let (bytes_read, read_before) = (archive.manifest_bytes()?, archive.bytes_read());
-    let Some(file) = archive.spectrum()? else {
+    let Some((spectrum, of_file)) = archive.spectrum()? else {
         let none = SpectrumReport {
             range: None,
             tetrahedra: 0,
@@ -221,7 +249,7 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
         };
         return Ok(none);
     };
-    let (spectrum, source) = (file.spectrum(), &archive.step().plan.source);
+    let source = &archive.step().plan.source;
     let knot = |k: &crate::spectrum::Knot| Knot {
         isovalue: source.in_file(k.isovalue),
         active_tetrahedra: k.active_tetrahedra,
@@ -229,7 +257,7 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
         volume: k.volume,
         gradient: k.gradient,
     };
-    let suggestions = suggest(spectrum).into_iter();
+    let suggestions = suggest(&spectrum).into_iter();
     Ok(SpectrumReport {
         range: Some(spectrum.range.map(|v| source.in_file(v))),
         tetrahedra: spectrum.tetrahedra,
@@ -239,6 +267,6 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
         suggestions: suggestions
             .map(|s| Suggestion { isovalue: source.in_file(s.isovalue), strength: s.strength })
             .collect(),
-        bytes_read: bytes_read + file.bytes_read() + archive.bytes_read() - read_before,
+        bytes_read: bytes_read + of_file + archive.bytes_read() - read_before,
     })
 }

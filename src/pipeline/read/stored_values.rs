@@ -8,6 +8,9 @@ use crate::archive::values::{BrickGroups, KnownOfBlock, ValueBlocks, decode_valu
 use crate::error::Result;
 use crate::grid::ChunkId;
 
+/// Blocks of a chunk behind those of its values: their ranges, and its summary.
+const BLOCKS_BEHIND_VALUES: u64 = 2;
+
 /// A block of a chunk's values.
 #[derive(Clone, Copy)]
 pub(super) struct BlockAt<'a> {
@@ -90,7 +93,7 @@ impl StepView {
         blocks: &ValueBlocks,
     ) -> Result<BrickGroups> {
         let count = segment.block_count(id);
-        let stored = count.checked_sub(self.blocks_behind_values());
+        let stored = count.checked_sub(BLOCKS_BEHIND_VALUES);
         let groups = stored.and_then(|stored| BrickGroups::of(blocks, stored));
         groups.ok_or_else(|| damaged(segment, id, "chunk table", &format!("{count} blocks")))
     }
@@ -107,12 +110,6 @@ impl StepView {
         }
         let segment = self.values_of(self.position(), id)?;
         let decode = |bytes: &[u8]| decode_value_ranges(bytes, blocks.stored_count());
-        segment.block_from_end(id, self.blocks_behind_values() - 1, decode).map(Some)
-    }
-
-    /// Blocks of a chunk behind those of its values: their ranges, the spectrum of the only chunk,
-    /// its summary.
-    fn blocks_behind_values(&self) -> u64 {
-        if self.manifest.counts.chunks == 1 { 3 } else { 2 }
+        segment.block_from_end(id, BLOCKS_BEHIND_VALUES - 1, decode).map(Some)
     }
 }

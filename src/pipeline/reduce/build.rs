@@ -226,14 +226,14 @@ impl<'a> Build<'a> {
             self.layout,
             finished,
         );
+        let meter = self.meter(plan, made.coordinates);
         let maker = ChunkMaker {
             recipe: &recipe,
             block_tets: plan.mesh.block_tets,
-            chunks: parts.chunks.len(),
             steps: &inputs,
             stored,
             reused: reused.as_ref().map(|reused| (reused, steps.clone())),
-            meter: &self.meter(plan, made.coordinates),
+            meter: meter.as_ref(),
             sample_errors: sample_errors(plan, &fields, &steps),
             bad_steps: BadSteps::new(series.is_several()),
             shares: self.shares,
@@ -262,12 +262,15 @@ impl<'a> Build<'a> {
         Ok(())
     }
 
-    /// The meter for the spectrum of a step.
-    fn meter(&self, plan: &Plan, coordinates: Option<CoordinateRecord>) -> Meter {
+    /// The meter for the spectrum of a step, where there may be one.
+    fn meter(&self, plan: &Plan, coordinates: Option<CoordinateRecord>) -> Option<Meter> {
+        if !plan.mesh.may_have_spectrum(self.parts.chunks.len()) {
+            return None;
+        }
         let first = self.old.map_or(plan.first(), |old| &old.steps[0].plan);
         let file = (self.layout.at(first.number).coordinates(), first.hash(plan.mesh_hash()));
         let coordinates = coordinates.map(|_| file);
-        Meter::new(&plan.mesh, self.parts.points.len(), &first.source, coordinates)
+        Some(Meter::new(&plan.mesh, self.parts.points.len(), &first.source, coordinates))
     }
 
     /// Measures steps of a mesh that were just made, while their data are still open. Steps of a

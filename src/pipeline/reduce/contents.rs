@@ -71,8 +71,8 @@ impl ArchiveContents {
         self.halo_retries += u64::from(sizes.retries);
     }
 
-    /// Adds the `n`-th step of the plan: builds its index, except in small archives, and its
-    /// spectrum from what chunks have measured, unless there is but one, or the step is finished.
+    /// Adds the `n`-th step of the plan. Except in small archives, builds its index, and its
+    /// spectrum from what chunks have measured, unless the step is finished.
     /// `coordinates` are those of a grid that has some, given with the first step of the archive.
     #[allow(clippy::too_many_arguments)]
     pub(super) fn add_step(
@@ -115,7 +115,7 @@ impl ArchiveContents {
         // little off.
         let limits = limits(&plan.mesh, parts.points.len());
         let spectrum = match finished.get(step.number) {
-            _ if self.counts.chunks == 1 || range[0] > range[1] => None,
+            _ if !is_indexed || range[0] > range[1] => None,
             Some(finished) => finished.spectrum,
             None => Some(sum_spectrum(&layout, step, hash, Design::new(range, limits), limits)?),
         };

@@ -83,15 +83,14 @@ pub(super) struct ChunkMaker<'a> {
     pub(super) recipe: &'a Recipe<'a>,
     /// Tetrahedra of a block.
     pub(super) block_tets: u32,
-    /// Chunks of the archive.
-    pub(super) chunks: u64,
     /// Steps that follow each other; at least one.
     pub(super) steps: &'a [StepInput<'a>],
     /// Where the mesh comes from, if it is there.
     pub(super) stored: Option<StoredMesh<'a>>,
     /// Chunks that an earlier try has made, and where `steps` are in that.
     pub(super) reused: Option<(&'a ReusedChunks<'a>, Range<usize>)>,
-    pub(super) meter: &'a Meter,
+    /// What parts of the spectrum are measured with; none where there will be no spectrum.
+    pub(super) meter: Option<&'a Meter>,
     /// What errors are measured with, against the samples of each step; none where they are not.
     pub(super) sample_errors: Option<(SampleErrors, Vec<Samples<'a>>)>,
     pub(super) bad_steps: BadSteps,
@@ -373,9 +372,8 @@ impl ChunkMaker<'_> {
         }
     }
 
-    /// Measures and encodes all steps. The blocks of each are values, their ranges, the spectrum of
-    /// the only chunk, summary. The sums of each are errors and the part of one of several chunks
-    /// of the spectrum.
+    /// Measures and encodes all steps. The blocks of each are values, their ranges and a summary;
+    /// the sums of each are errors, where they are measured, and the part of a spectrum.
     ///
     /// `before` are the values of the first one's base. The mesh has the tetrahedra of all blocks,
     /// as they decode, with the end of each block.
@@ -402,10 +400,11 @@ impl ChunkMaker<'_> {
         lap.add_to(&mut times.encode);
         let of_steps: Vec<(&[f32], &[BlockRange])> =
             of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
-        let parts = self.meter.parts(positions, tets, &of_steps, &mut bench.spectrum)?;
+        let measured = self.meter.map(|m| m.parts(positions, tets, &of_steps, &mut bench.spectrum));
+        let parts = measured.transpose()?.unwrap_or_default();
         lap.add_to(&mut times.spectrum);
         let (mut out, mut sums, mut before, blocks) = (vec![], vec![], before, &mesh.value_blocks());
-        for (n, ((step, part), ranges)) in self.steps.iter().zip(&parts).zip(ranges).enumerate() {
+        for (n, (step, ranges)) in self.steps.iter().zip(ranges).enumerate() {
             self.cancel.check()?;
             let values = &*values[n];
             let base = step.plan.base.map(|_| before.expect("a base is the step before"));
@@ -416,10 +415,7 @@ impl ChunkMaker<'_> {
             let mut encoded = group_bricks(encoded, blocks);
             encoded.push(encode_value_ranges(values, blocks));
             let mut added: Vec<_> = errors.get(n).map(encode_errors).into_iter().collect();
-            match self.chunks {
-                1 => encoded.push(part.encode(Digits::Few)),
-                _ => added.push(part.encode(Digits::All)),
-            }
+            added.extend(parts.get(n).map(|part| part.encode(Digits::All)));
             sums.push(added);
             encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
             out.push(encoded);

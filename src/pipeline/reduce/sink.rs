@@ -34,7 +34,7 @@ impl<'a> SegmentFiles<'a> {
         layout: &'a Layout,
         finished: &FinishedSteps,
     ) -> Self {
-        let needs_sums = |n: usize| finished.needs_sums(&plan.steps[n], layout.chunk_count());
+        let needs_sums = |n: usize| finished.needs_sums(&plan.steps[n]);
         let steps = steps.clone().map(|n| (plan.steps[n].number, plan.step_hash(n), needs_sums(n)));
         let steps = steps.collect();
         Self { layout, mesh: with_mesh.then(|| plan.mesh_hash()), steps }
@@ -85,7 +85,7 @@ pub(super) fn has_values(
     finished: &FinishedSteps,
 ) -> bool {
     let layout = layout.at(plan.number);
-    let needs_sums = finished.needs_sums(plan, layout.chunk_count());
+    let needs_sums = finished.needs_sums(plan);
     let whole = |n| {
         let chunks = layout.chunks_of(n);
         is_whole(&layout.values(n), SegmentKind::Values, hash, &chunks)

@@ -20,12 +20,6 @@ use crate::pipeline::plan::{Layout, Plan};
 use crate::pipeline::read::StepView;
 use crate::spectrum::{ChunkPart, Digits, Limits};
 
-/// Whether a step has parts of sums until it is finished. The spectrum of the only chunk of an
-/// archive is with its values.
-pub(in crate::pipeline) fn has_sums(step: &StepPlan, chunks: u64) -> bool {
-    step.measured || chunks > 1
-}
-
 /// The sums of some chunks of a step.
 pub(super) struct StoredSums {
     segment: ChunkSegment,
@@ -51,7 +45,7 @@ impl StoredSums {
         self.segment.block_from_end(chunk, behind, decode_errors)
     }
 
-    /// The part of a chunk of the spectrum, of an archive with several.
+    /// The part of a chunk of the spectrum.
     pub(super) fn part(&self, chunk: ChunkId, limits: Limits) -> Result<ChunkPart> {
         let expected = 1 + u64::from(self.measured);
         if self.segment.block_count(chunk) != expected {
@@ -94,7 +88,11 @@ pub(super) fn summed_error(archive: &StepView) -> Result<(FieldError, Vec<LevelE
 }
 
 /// Steps of a plan that an archive has, with their sums: its manifest and the spectra are there.
-pub(in crate::pipeline) struct FinishedSteps(Vec<Step>);
+pub(in crate::pipeline) struct FinishedSteps {
+    steps: Vec<Step>,
+    /// Whether chunks add to a spectrum.
+    has_parts: bool,
+}
 
 impl FinishedSteps {
     /// Those in the folder of a layout.
@@ -113,16 +111,17 @@ impl FinishedSteps {
         };
         let has_error = |step: &Step| step.error.is_some() || !step.plan.measured;
         let finished = |step: &Step| is_of_plan(step) && has_error(step) && has_spectrum(step);
-        Self(steps.into_iter().filter(finished).collect())
+        let has_parts = plan.mesh.may_have_spectrum(layout.chunk_count());
+        Self { steps: steps.into_iter().filter(finished).collect(), has_parts }
     }
 
     /// The step of a number.
     pub(in crate::pipeline) fn get(&self, number: u64) -> Option<&Step> {
-        self.0.iter().find(|step| step.plan.number == number)
+        self.steps.iter().find(|step| step.plan.number == number)
     }
 
-    /// Whether a step of the plan waits for the sums of its `chunks` chunks.
-    pub(in crate::pipeline) fn needs_sums(&self, step: &StepPlan, chunks: u64) -> bool {
-        has_sums(step, chunks) && self.get(step.number).is_none()
+    /// Whether a step of the plan waits for the sums of its chunks.
+    pub(in crate::pipeline) fn needs_sums(&self, step: &StepPlan) -> bool {
+        (step.measured || self.has_parts) && self.get(step.number).is_none()
     }
 }

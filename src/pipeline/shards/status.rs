@@ -61,7 +61,7 @@ impl<'a> Inventory<'a> {
         for step in &file.plan.steps {
             let (layout, hash) = (layout.at(step.number), step.hash(file.mesh_hash));
             files.push(wanted(layout.values(segment), SegmentKind::Values, hash));
-            if self.finished.needs_sums(step, file.chunks) {
+            if self.finished.needs_sums(step) {
                 files.push(wanted(layout.sums(segment), SegmentKind::Sums, hash));
             }
         }

@@ -40,11 +40,8 @@ pub(in crate::pipeline) fn count(
     finite(wanted)?;
     let isovalue = archive.step().plan.source.kept(wanted);
     let read_before = archive.bytes_read();
-    let spectrum = if !archive.is_between() { archive.spectrum()? } else { None };
-    let stored = match &spectrum {
-        Some(file) => file.active(isovalue),
-        None => (!archive.is_between()).then_some(0),
-    };
+    let spectrum = if archive.is_between() { None } else { archive.stored_spectrum()? };
+    let stored = spectrum.as_ref().and_then(|file| file.active(isovalue));
     let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
     let active_tetrahedra = match stored {
         Some(n) => n,

@@ -16,7 +16,7 @@
 //! large. Whether they have does not depend on memory or threads.
 
 use super::encoded::EncodedChunk;
-use super::sums::{StoredSums, has_sums};
+use super::sums::StoredSums;
 use crate::archive::manifest::{FrameRecord, Plan as MeshPlan, StepPlan};
 use crate::density::Choice;
 use crate::error::Result;
@@ -93,10 +93,7 @@ impl<'a> ReusedChunks<'a> {
         parts: &MeshParts,
         steps: usize,
     ) -> Result<Option<Self>> {
-        // The spectrum of a chunk that is the only one is stored elsewhere.
-        let several = [before.chunks.len(), parts.chunks.len()].map(|chunks| chunks > 1);
         let same_mesh = is_alike(&before.manifest.plan, &plan.mesh)
-            && several[0] == several[1]
             && before.points.order_bits() == parts.points.order_bits()
             && limits(&before.manifest.plan, before.points.len()) == limits(&plan.mesh, parts.points.len());
         let made = before.manifest.steps.iter().map(|s| &s.plan);
@@ -142,9 +139,6 @@ impl<'a> ReusedChunks<'a> {
     /// What a chunk adds to the sums of a step.
     fn sums(&self, step: usize, id: ChunkId) -> Result<Vec<Vec<u8>>> {
         let (plan, segment) = (&self.before.manifest.steps[step].plan, self.before.layout.segment_of(id));
-        if !has_sums(plan, self.before.chunks.len()) {
-            return Ok(vec![]);
-        }
         let hash = plan.hash(self.before.manifest.plan_hash);
         StoredSums::open(&self.before.layout, segment, plan, hash)?.blocks(id)
     }
