@@ -80,6 +80,23 @@ impl CellBox {
         })
     }
 
+    /// The cells from that of a number on, x fastest, without an end. The box is not empty.
+    fn from(self, number: u32) -> impl Iterator<Item = [u32; 3]> {
+        let (Self { lo, hi }, [x, y, _]) = (self, self.dims());
+        let mut next = [lo[0] + number % x, lo[1] + number / x % y, lo[2] + number / x / y];
+        std::iter::repeat_with(move || {
+            let cell = next;
+            next[0] += 1;
+            for a in 0..2 {
+                if next[a] == hi[a] {
+                    next[a] = lo[a];
+                    next[a + 1] += 1;
+                }
+            }
+            cell
+        })
+    }
+
     /// The number of a cell, x fastest.
     fn offset(&self, cell: [u32; 3]) -> u32 {
         let d = self.dims();
@@ -384,7 +401,7 @@ impl BccChunk {
             let first = first as usize;
             let wanted = numbers.start.max(first)..numbers.end.min(first + cells.len() as usize);
             if !wanted.is_empty() {
-                let cells = cells.iter().skip(wanted.start - first).take(wanted.len());
+                let cells = cells.from((wanted.start - first) as u32).take(wanted.len());
                 out.extend(cells.map(|cell| PointPlace(place(cell))));
             }
         };

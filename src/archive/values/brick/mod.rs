@@ -245,8 +245,15 @@ fn squared(d: Halves) -> i32 {
 
 /// The variance of the difference of two values that are so far apart.
 fn variance(d: Halves) -> f64 {
-    let d = f64::from(squared(d));
-    if d > 0.0 { d / d.sqrt().sqrt().sqrt() } else { 0.0 }
+    /// The square of the largest distance in a brick, and 1.
+    const DISTANCES: usize = 3 * (2 * EDGE * 2 * EDGE) + 1;
+    static ALL: OnceLock<[f64; DISTANCES]> = OnceLock::new();
+    ALL.get_or_init(|| {
+        std::array::from_fn(|squared| {
+            let d = squared as f64;
+            if d > 0.0 { d / d.sqrt().sqrt().sqrt() } else { 0.0 }
+        })
+    })[squared(d) as usize]
 }
 
 /// The weights of neighbours at such offsets, the nearest one first: those with the least expected
@@ -255,26 +262,28 @@ fn variance(d: Halves) -> f64 {
 /// pivoting.
 fn weights(near: &[Halves]) -> Vec<i16> {
     let Some((&first, rest)) = near.split_first() else { return vec![] };
-    let covariance =
-        |a: Halves, b: Halves| variance(less(a, first)) + variance(less(b, first)) - variance(less(a, b));
     let n = rest.len();
-    let mut rows: Vec<[f64; SMOOTH_NEAR]> = vec![[0.0; SMOOTH_NEAR]; n];
-    for (row, &a) in rows.iter_mut().zip(rest) {
-        for (entry, &b) in row.iter_mut().zip(rest) {
-            *entry = covariance(a, b);
+    // The others, then the value itself.
+    let mut others = [[0; 3]; SMOOTH_NEAR];
+    others[..n].copy_from_slice(rest);
+    let to_first = others.map(|a| variance(less(a, first)));
+    let mut rows = [[0.0; SMOOTH_NEAR]; SMOOTH_NEAR];
+    for (i, row) in rows[..n].iter_mut().enumerate() {
+        for (k, entry) in row[..=n].iter_mut().enumerate() {
+            *entry = to_first[i] + to_first[k] - variance(less(others[i], others[k]));
         }
-        row[n] = covariance(a, [0; 3]);
     }
     for i in 0..n {
         let pivot = rows[i][i];
-        rows[i][i..=n].iter_mut().for_each(|entry| *entry /= pivot);
-        let by = rows[i];
-        for (_, row) in rows.iter_mut().enumerate().filter(|&(j, _)| j != i) {
+        // All columns, in vectors: those before it are 0 in this row.
+        let by = rows[i].map(|entry| entry / pivot);
+        for row in &mut rows[..n] {
             let factor = row[i];
-            row[i..=n].iter_mut().zip(&by[i..=n]).for_each(|(entry, by)| *entry -= factor * by);
+            row.iter_mut().zip(&by).for_each(|(entry, by)| *entry -= factor * by);
         }
+        rows[i] = by;
     }
-    let rounded = rows.iter().map(|row| (row[n] * UNIT as f64 + 0.5).floor() as i64);
+    let rounded = rows[..n].iter().map(|row| (row[n] * UNIT as f64 + 0.5).floor() as i64);
     let mut all = vec![0];
     all.extend(rounded);
     all[0] = UNIT - all[1..].iter().sum::<i64>();
