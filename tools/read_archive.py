@@ -275,7 +275,7 @@ def read(archive, number):
         refuse(f"{archive}: its points are no lattice in bricks of {edge}^3 cells")
     if not quantiser:
         refuse(f"{archive}: its values are not rounded")
-    expect(archive, "chunks", 1, manifest["counts"]["chunks"])
+    expect(archive, "chunks", 1, manifest["counts"].get("chunks", 1))
     lattice = Lattice(plan["points"]["cells"], plan["brick_edge"])
     expect(archive, "points", len(lattice.places), manifest["counts"]["points"])
     if at_samples:
@@ -292,7 +292,7 @@ def bricks_of(archive, number, lattice, at_samples=False):
     """The bytes of each brick, and of the ranges. Behind the groups of bricks are 1024 values a block, without nodes."""
     blocks, bricks = value_blocks(archive, number), lattice.bricks
     others = len(lattice.places) - sum(2 * a * b * c for _, (a, b, c) in bricks)
-    groups = len(blocks) - 3 - (0 if at_samples else -(-others // 1024))
+    groups = len(blocks) - 2 - (0 if at_samples else -(-others // 1024))
     size, found = next(2**k for k in range(7) if -(-len(bricks) // 2**k) == groups), []
     for first, block in zip(range(0, len(bricks), size), blocks):
         last = min(size, len(bricks) - first) - 1
@@ -301,7 +301,7 @@ def bricks_of(archive, number, lattice, at_samples=False):
         for length in lengths + [len(block)]:
             found.append(block[at : at + length])
             at += length
-    return found, blocks[-3]
+    return found, blocks[-2]
 
 
 def floats(numbers, q):
