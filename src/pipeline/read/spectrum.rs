@@ -10,7 +10,6 @@ use crate::archive::manifest::{Plan as MeshPlan, Source};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::CoordinateMap;
 use crate::error::{Error, Result};
-use crate::exec::{Threads, in_order};
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
 use crate::mesh::bcc::NODE_BRICK_CELLS;
@@ -19,11 +18,6 @@ use crate::spectrum::suggest::suggest;
 use crate::spectrum::{ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices};
 use serde::Serialize;
 use std::path::PathBuf;
-
-/// Bytes of the chunks that are decoded at one time, about, and those of a tetrahedron with its
-/// share of the corners.
-const SUMMED_BYTES: u64 = 128 << 20;
-const BYTES_PER_TET: u64 = 40;
 
 /// The memory in which chunks are measured, kept from chunk to chunk so that its pages are not
 /// asked for again.
@@ -199,29 +193,21 @@ impl StepView {
     }
 
     /// The contour spectrum, and the bytes of its own file; none where every tetrahedron is void.
-    /// That of a small archive is summed from all its tetrahedra.
+    /// That of a small archive is summed from all its tetrahedra. One chunk at a time takes less
+    /// memory than making it did.
     fn spectrum(&self) -> Result<Option<(Spectrum, u64)>> {
         if self.manifest.counts.is_indexed(&self.manifest.plan) {
             return Ok(self.stored_spectrum()?.map(|file| (file.spectrum().clone(), file.bytes_read())));
         }
         let meter = Meter::of_archive(self);
-        let part = |n: usize| {
-            let id = ChunkId(n as u64);
+        let (mut bench, mut all) = (Bench::default(), vec![]);
+        for id in (0..self.layout.chunk_count()).map(ChunkId) {
             let blocks: Vec<u32> = self.blocks_of(id).all(self.mesh_sizes(id)?.tet_blocks).collect();
             let DecodedChunk { positions, values, tets, .. } = self.decode(id, &blocks)?;
             let range = [BlockRange::of(&tets, &values)];
-            let mut parts = meter.parts(&positions, &tets, &[(&values, &range)], &mut Bench::default())?;
-            Ok(parts.pop().expect("of one step"))
-        };
-        let bytes = |n| Ok(self.mesh_sizes(ChunkId(n))?.tets.saturating_mul(BYTES_PER_TET));
-        let bytes: Vec<u64> = (0..self.layout.chunk_count()).map(bytes).collect::<Result<_>>()?;
-        let mut parts = vec![];
-        let keep = |_, part| {
-            parts.push(part);
-            Ok(())
-        };
-        in_order(&bytes, SUMMED_BYTES, &Threads::new(0)?, part, keep)?;
-        Ok(SpectrumBuilder::of_parts(&parts, meter.limits()).map(|all| (all.spectrum(), 0)))
+            all.extend(meter.parts(&positions, &tets, &[(&values, &range)], &mut bench)?);
+        }
+        Ok(SpectrumBuilder::of_parts(&all, meter.limits()).map(|sum| (sum.spectrum(), 0)))
     }
 }
 
