@@ -144,7 +144,7 @@ impl<'a> ChunkReader<'a> {
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
-            around: Neighbours::with(std::mem::take(&mut memory.groups)),
+            around: Neighbours::default(),
             memory,
         })
     }
@@ -176,7 +176,7 @@ impl<'a> ChunkReader<'a> {
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
-            around: Neighbours::with(std::mem::take(&mut memory.groups)),
+            around: Neighbours::default(),
             memory,
         })
     }
@@ -798,7 +798,7 @@ impl<'a> ChunkReader<'a> {
 
     /// The memory, for another reader.
     pub(in crate::pipeline) fn into_memory(self) -> ReaderMemory {
-        ReaderMemory { groups: self.around.groups, ..self.memory }
+        self.memory
     }
 }
 

@@ -10,8 +10,8 @@
 //! ```
 
 use super::damaged::damaged;
-use super::group_cache::GroupCache;
 use super::node_values::NodeCache;
+use super::recent::RecentBlock;
 use super::step_view::StepView;
 use super::stored_values::{BlockAt, KnownValues};
 use crate::archive::chunked::{BlockRange, ValueRange};
@@ -28,7 +28,6 @@ use std::sync::Arc;
 #[derive(Default)]
 pub(in crate::pipeline) struct Neighbours {
     pub(super) nodes: NodeCache,
-    pub(super) groups: GroupCache,
     chunks: HashMap<ChunkId, Arc<Owner>>,
     /// Values of blocks, by step, chunk and block.
     blocks: HashMap<(usize, ChunkId, usize), Arc<[f32]>>,
@@ -45,11 +44,6 @@ struct Owner {
 }
 
 impl Neighbours {
-    /// Nothing yet, but blocks of files that were read for other chunks.
-    pub(super) fn with(groups: GroupCache) -> Self {
-        Self { groups, ..Self::default() }
-    }
-
     /// Appends the values of points of a chunk at the step at a position in the manifest, and
     /// returns the bytes read.
     pub(super) fn values(
@@ -135,11 +129,14 @@ impl Neighbours {
             let values = self.blocks.get(&(step, chunk, block))?;
             Some(KnownValues { step, values })
         });
-        let (mut found, at) = (vec![], BlockAt { block, blocks: &owner.blocks });
-        *read += archive.stored_block(&mut self.groups, step, chunk, at, before, &mut found)?;
-        let values: Arc<[f32]> = found.into();
-        self.blocks.insert((step, chunk, block), Arc::clone(&values));
-        Ok(values)
+        let found = archive.recent.values.get((step, chunk, block as u64), || {
+            let (mut found, at) = (vec![], BlockAt { block, blocks: &owner.blocks });
+            let bytes = archive.stored_block(step, chunk, at, before, &mut found)?;
+            Ok(RecentBlock { bytes, values: found.into() })
+        })?;
+        *read += found.bytes;
+        self.blocks.insert((step, chunk, block), Arc::clone(&found.values));
+        Ok(found.values)
     }
 
     fn chunk(&mut self, archive: &StepView, id: ChunkId) -> Result<Arc<Owner>> {

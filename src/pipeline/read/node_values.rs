@@ -10,7 +10,7 @@
 //! ```
 
 use super::damaged::damaged;
-use super::group_cache::GroupCache;
+use super::recent::RecentBlock;
 use super::step_view::StepView;
 use super::stored_values::BlockAt;
 use crate::archive::values::{NodeCoder, ValueBlocks};
@@ -19,6 +19,7 @@ use crate::grid::ChunkId;
 use crate::mesh::bcc::{BccChunk, NODE_BRICK_CELLS, NodeBrick, PointPlace};
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// The nodes of a chunk, as far as they are known.
 pub(in crate::pipeline) struct NodeValues {
@@ -27,7 +28,7 @@ pub(in crate::pipeline) struct NodeValues {
     /// Bricks along each axis.
     dims: [usize; 3],
     /// For each brick its values in parts of a step, x fastest; nothing where they are not known.
-    values: Vec<Vec<i32>>,
+    values: Vec<Arc<[i32]>>,
 }
 
 impl NodeValues {
@@ -40,7 +41,7 @@ impl NodeValues {
             }
             _ => [0; 3],
         };
-        Self { coder, values: vec![vec![]; bricks.len()], dims, bricks }
+        Self { coder, values: vec![Arc::default(); bricks.len()], dims, bricks }
     }
 
     /// The bricks, x fastest.
@@ -49,8 +50,8 @@ impl NodeValues {
     }
 
     /// Sets the values of a brick.
-    pub(in crate::pipeline) fn put(&mut self, brick: usize, values: Vec<i32>) {
-        self.values[brick] = values;
+    pub(in crate::pipeline) fn put(&mut self, brick: usize, values: impl Into<Arc<[i32]>>) {
+        self.values[brick] = values.into();
     }
 
     /// The number of the brick that has a node.
@@ -102,7 +103,6 @@ impl NodeCache {
     pub(super) fn values(
         &mut self,
         archive: &StepView,
-        groups: &mut GroupCache,
         step: usize,
         chunk: ChunkId,
         points: Range<usize>,
@@ -112,7 +112,7 @@ impl NodeCache {
         let places = nodes.bcc.point_places(points);
         let mut bytes = 0;
         for &at in &places {
-            bytes += nodes.load(archive, groups, at)?;
+            bytes += nodes.load(archive, at)?;
         }
         out.extend(places.into_iter().map(|at| nodes.values.value(at)));
         Ok(bytes)
@@ -152,22 +152,26 @@ impl ReadNodes {
     }
 
     /// Reads the bricks that a point needs, and returns their bytes.
-    fn load(&mut self, archive: &StepView, groups: &mut GroupCache, at: PointPlace) -> Result<u64> {
+    fn load(&mut self, archive: &StepView, at: PointPlace) -> Result<u64> {
         let mut read = 0;
         let [lo, hi] = at.corners();
         for corner in 0..8u32 {
             let node = std::array::from_fn(|a| if corner >> a & 1 == 1 { hi[a] } else { lo[a] });
             let brick = self.values.brick_of(node);
             if self.values.values[brick].is_empty() {
-                let ((chunk, block), mut bytes) = (self.homes[brick], vec![]);
-                let segment = archive.values_of(self.step, chunk)?;
-                let blocks = self.blocks.entry(chunk).or_insert_with(|| archive.value_blocks(chunk, 0));
-                let at = BlockAt { block, blocks };
-                let number = archive.stored_bytes(groups, self.step, chunk, at, &mut bytes)?;
-                let nodes = self.values.bricks[brick].nodes;
-                let decoded = self.values.coder.decode(nodes, &bytes);
-                self.values.put(brick, decoded.map_err(|m| segment.blame(chunk, number, m))?);
-                read += bytes.len() as u64;
+                let (step, (chunk, block)) = (self.step, self.homes[brick]);
+                let found = archive.recent.nodes.get((step, chunk, block as u64), || {
+                    let (segment, mut bytes) = (archive.values_of(step, chunk)?, vec![]);
+                    let blocks = self.blocks.entry(chunk).or_insert_with(|| archive.value_blocks(chunk, 0));
+                    let at = BlockAt { block, blocks };
+                    let number = archive.stored_bytes(step, chunk, at, &mut bytes)?;
+                    let nodes = self.values.bricks[brick].nodes;
+                    let decoded = self.values.coder.decode(nodes, &bytes);
+                    let values = decoded.map_err(|m| segment.blame(chunk, number, m))?;
+                    Ok(RecentBlock { bytes: bytes.len() as u64, values: values.into() })
+                })?;
+                self.values.put(brick, found.values);
+                read += found.bytes;
             }
         }
         Ok(read)

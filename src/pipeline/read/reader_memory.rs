@@ -1,6 +1,5 @@
 //! The memory in which chunks are read, one after another.
 
-use super::group_cache::GroupCache;
 use super::star_memory::StarMemory;
 use crate::archive::mesh::TetScratch;
 use crate::geom::{LatticePos, PointId, Site};
@@ -21,8 +20,6 @@ pub(in crate::pipeline) struct ReaderMemory {
     pub(super) bytes: Vec<u8>,
     pub(super) sites: Vec<Site>,
     pub(super) decoded: Vec<f32>,
-    /// Blocks of values that several bricks share.
-    pub(super) groups: GroupCache,
     /// Positions of the corners of a block, and what decoding it needs.
     pub(super) here: Vec<LatticePos>,
     pub(super) scratch: TetScratch,

@@ -11,6 +11,7 @@ use super::archive::{OpenArchive, bytes_read, expect_recorded};
 use super::block_cache::BlockCache;
 use super::choice::{Moment, StepChoice};
 use super::pools::BufferPool;
+use super::recent::RecentBlocks;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::Step;
 use crate::archive::mesh::Unpacked;
@@ -64,6 +65,8 @@ pub(in crate::pipeline) struct StepView {
     values: Mutex<BTreeMap<(u64, usize), Arc<ChunkSegment>>>,
     /// Bytes read from value segments that are closed again.
     read_before: AtomicU64,
+    /// Blocks of values that several chunks need.
+    pub(super) recent: RecentBlocks,
     /// Decoded blocks for the next question.
     pub(in crate::pipeline) cache: BlockCache,
     /// Buffers for it, while blocks are cached.
@@ -101,6 +104,7 @@ impl StepView {
             moment,
             values: Mutex::default(),
             read_before: AtomicU64::new(0),
+            recent: RecentBlocks::default(),
             cache: BlockCache::default(),
             spare: BufferPool::default(),
             unpacked: OnceLock::new(),

@@ -111,12 +111,16 @@ impl StepView {
     ) -> Result<u64> {
         let points = at.blocks.range(at.block);
         if self.manifest.steps[step].plan.values == Values::Nodes {
-            return around.nodes.values(self, &mut around.groups, step, id, points, out);
+            return around.nodes.values(self, step, id, points, out);
         }
         if at.block >= at.blocks.stored_count() {
             return around.values(self, step, id, points, out);
         }
-        self.stored_block(&mut around.groups, step, id, at, known, out)
+        if let Some(found) = self.recent.values.find(&(step, id, at.block as u64)) {
+            out.extend_from_slice(&found.values);
+            return Ok(found.bytes);
+        }
+        self.stored_block(step, id, at, known, out)
     }
 
     /// The values of all `vertices` of a chunk, at the step at a position in the manifest.

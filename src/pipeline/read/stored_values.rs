@@ -1,7 +1,7 @@
 //! Blocks of values that are stored: their bytes, which several bricks may share, and their ranges.
 
 use super::damaged::damaged;
-use super::group_cache::GroupCache;
+use super::recent::RecentBlock;
 use super::step_view::StepView;
 use crate::archive::chunked::{BlockRange, ChunkSegment, decode_value_ranges};
 use crate::archive::values::{BrickGroups, KnownOfBlock, ValueBlocks, decode_values, needs_before};
@@ -31,7 +31,6 @@ impl StepView {
     /// bytes that they take. `known`: the same values at a step before.
     pub(super) fn stored_block(
         &self,
-        groups: &mut GroupCache,
         step: usize,
         id: ChunkId,
         at: BlockAt<'_>,
@@ -40,13 +39,13 @@ impl StepView {
     ) -> Result<u64> {
         let segment = self.values_of(step, id)?;
         let (mut bytes, mut found, mut read) = (vec![], vec![], 0);
-        let number = self.stored_bytes(groups, step, id, at, &mut bytes)?;
+        let number = self.stored_bytes(step, id, at, &mut bytes)?;
         // The base is the step before: the manifest was checked.
         let needed = needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some();
         let before = match known {
             Some(known) if needed && known.step + 1 == step => known.values,
             _ if needed => {
-                read = self.stored_block(groups, step - 1, id, at, known, &mut found)?;
+                read = self.stored_block(step - 1, id, at, known, &mut found)?;
                 &found
             }
             _ => &[],
@@ -62,7 +61,6 @@ impl StepView {
     /// block that has them.
     pub(super) fn stored_bytes(
         &self,
-        cache: &mut GroupCache,
         step: usize,
         id: ChunkId,
         at: BlockAt<'_>,
@@ -74,14 +72,14 @@ impl StepView {
         if !groups.is_shared(at.block) {
             return segment.block(id, number, out).map(|()| number);
         }
-        let key = (segment.segment().info().content_hash, id, number);
-        let bytes = cache.get(key, || {
+        let shared = self.recent.shared.get((step, id, number), || {
             let mut bytes = vec![];
-            segment.block(id, number, &mut bytes).map(|()| bytes)
+            segment.block(id, number, &mut bytes)?;
+            Ok(RecentBlock { bytes: bytes.len() as u64, values: bytes.into() })
         })?;
-        let own = groups.part(at.block, bytes).map_err(|m| segment.blame(id, number, m))?;
+        let own = groups.part(at.block, &shared.values).map_err(|m| segment.blame(id, number, m))?;
         out.clear();
-        out.extend_from_slice(&bytes[own]);
+        out.extend_from_slice(&shared.values[own]);
         Ok(number)
     }
 
