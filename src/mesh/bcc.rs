@@ -256,7 +256,10 @@ pub(crate) struct BccChunk {
 /// The points and tetrahedra of a block, or of a whole chunk.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BccBlock {
+    number: usize,
     places: Vec<Halves>,
+    /// Cells along each axis, and whether they begin the domain there: tetrahedra follow from it.
+    shape: Option<([u32; 3], [bool; 3])>,
     /// Numbers in `places`.
     pub(crate) tets: Vec<Tet>,
 }
@@ -506,9 +509,9 @@ impl BccChunk {
         let (block, _) = self.blocks[number];
         let (lo, d) = (block.lo, block.dims());
         let nodes = CellBox { lo, hi: block.hi.map(|h| h + 1) };
-        let BccBlock { places, tets } = out;
+        out.number = number;
+        let BccBlock { places, shape, tets, .. } = out;
         places.clear();
-        tets.clear();
         places.extend(nodes.iter().map(|c| c.map(|c| 2 * c)));
         let centres = places.len() as u32;
         places.extend(block.iter().map(|c| c.map(|c| 2 * c + 1)));
@@ -534,6 +537,11 @@ impl BccChunk {
                 }));
             }
         }
+        let shape_before = shape.replace((d, lo.map(|l| l == 0)));
+        if shape_before == *shape {
+            return;
+        }
+        tets.clear();
         let node_steps = [1, d[0] + 1, (d[0] + 1) * (d[1] + 1)];
         let cell_steps = [1, d[0], d[0] * d[1]];
         for cell in (CellBox { lo: [0; 3], hi: d }).iter() {
@@ -562,9 +570,15 @@ impl BccChunk {
     }
 
     /// The numbers of the points of a block.
-    pub(crate) fn numbers(&self, block: &BccBlock, out: &mut Vec<u32>) {
-        out.clear();
-        out.extend(block.places.iter().map(|&at| self.number(at).expect("a block's points are the chunk's")));
+    pub(crate) fn numbers<'a>(&'a self, block: &'a BccBlock) -> impl Iterator<Item = u32> + 'a {
+        let (cells, first) = self.blocks[block.number];
+        block.places.iter().map(move |&at| {
+            let (cell, odd) = (at.map(|j| j / 2), at.map(|j| j % 2));
+            if odd == [odd[0]; 3] && cells.contains(cell) {
+                return first + odd[0] * cells.len() + cells.offset(cell);
+            }
+            self.number(at).expect("a block's points are the chunk's")
+        })
     }
 
     /// What is known of the points of a block: number in the chunk, position, id, and whether other
@@ -573,10 +587,10 @@ impl BccChunk {
         &'a self,
         block: &'a BccBlock,
     ) -> impl Iterator<Item = (u32, LatticePos, PointId, bool)> + 'a {
-        block.places.iter().map(|&at| {
-            let number = self.number(at).expect("a block's points are the chunk's");
+        let of_place = |(number, &at): (u32, &Halves)| {
             (number, self.mesh.position(at), self.mesh.id(at), self.is_shared(at))
-        })
+        };
+        self.numbers(block).zip(&block.places).map(of_place)
     }
 
     /// The positions of the lowest and the highest corner of a block, its neighbours' centres
@@ -597,7 +611,7 @@ impl BccChunk {
         let (mut all, mut block) = (vec![], BccBlock::default());
         for n in 0..self.block_count() {
             self.block(n, &mut block);
-            let numbers: Vec<u32> = self.corners(&block).map(|c| c.0).collect();
+            let numbers: Vec<u32> = self.numbers(&block).collect();
             all.extend(block.tets.iter().map(|t| t.map(|v| numbers[v as usize])));
         }
         all
@@ -769,6 +783,11 @@ mod tests {
             for (brick, expected) in chunk.brick_ends().into_iter().enumerate() {
                 for n in chunk.blocks_of(brick) {
                     chunk.block(n as usize, &mut block);
+                    let numbers = block.places.iter().map(|&at| chunk.number(at));
+                    assert!(numbers.eq(chunk.numbers(&block).map(Some)));
+                    let mut anew = BccBlock::default();
+                    chunk.block(n as usize, &mut anew);
+                    assert_eq!((&anew.places, &anew.tets), (&block.places, &block.tets));
                     end += block.tets.len();
                 }
                 assert_eq!(end, expected);

@@ -402,7 +402,8 @@ impl<'a> ChunkReader<'a> {
         if let (Some(bcc), Needed::ForActive(isovalues)) = (&self.bcc, needed) {
             self.expect_block(number)?;
             bcc.block(number as usize, &mut self.memory.by_formula);
-            bcc.numbers(&self.memory.by_formula, &mut out.corners.numbers);
+            out.corners.numbers.clear();
+            out.corners.numbers.extend(bcc.numbers(&self.memory.by_formula));
             if !self.is_active(isovalues, &out.corners.numbers)? {
                 out.tets.clear();
                 out.bytes = 0;
