@@ -6,12 +6,18 @@ use super::contents::ArchiveContents;
 use super::existing;
 use super::report::ReduceReport;
 use super::series::SeriesPlan;
-use super::sums::{FinishedSteps, summed_error};
-use crate::archive::manifest::Manifest;
+use super::sums::{FinishedSteps, StoredSums, summed_error};
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{Manifest, Step, StepPlan};
+use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
+use crate::grid::ChunkId;
+use crate::index::{BuildSettings, IndexBuilder, index_entries};
 use crate::pipeline::field::{MeasureSettings, reopened_errors};
-use crate::pipeline::read::OpenArchive;
+use crate::pipeline::plan::{Layout, Plan, estimate};
+use crate::pipeline::read::{OpenArchive, limits};
 use crate::pipeline::stage::Stage;
+use crate::spectrum::{Design, Limits, SpectrumBuilder};
 use std::time::Instant;
 
 impl Build<'_> {
@@ -30,8 +36,10 @@ impl Build<'_> {
         let (first, finished) = (contents.steps.len(), FinishedSteps::of(layout, plan));
         for n in 0..plan.steps.len() {
             self.run.resources.cancel.check()?;
+            // Those of a grid that has some go with the first step of the archive.
             let coordinates = segments.coordinates.filter(|_| contents.steps.is_empty());
-            contents.add_step(plan, n, layout, &finished, self.parts, coordinates, self.run)?;
+            let is_indexed = contents.counts.is_indexed(&plan.mesh);
+            contents.steps.push(Step { coordinates, ..self.step(plan, n, is_indexed, &finished)? });
         }
         report.seconds.push((Stage::Commit, committing.elapsed().as_secs_f64()));
         if self.measure {
@@ -60,6 +68,55 @@ impl Build<'_> {
         let halo_retries = if is_own { 0 } else { contents.halo_retries };
         let report = ReduceReport { halo_retries, skipped: series.skipped.clone(), ..report };
         report.of_archive(layout.root(), &manifest, first)
+    }
+
+    /// The `n`-th step of the plan, without errors. If it is indexed, builds its index, and its
+    /// spectrum from what chunks have measured, unless the step is finished.
+    fn step(&self, plan: &Plan, n: usize, is_indexed: bool, finished: &FinishedSteps) -> Result<Step> {
+        let (step, hash) = (&plan.steps[n], plan.step_hash(n));
+        let layout = self.layout.at(step.number);
+        let (mut values, mut void_points) = (vec![], 0);
+        // The ranges of all points, and of the tetrahedra that are not void.
+        let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
+        let mut range = value_range;
+        let mut index = IndexBuilder::new(&BuildSettings {
+            memory: self.run.resources.memory.saturating_sub(estimate::BASE),
+            scratch: Some(self.run.resources.scratch_folder()),
+        });
+        for number in 0..layout.segment_count() {
+            let file = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
+            for chunk in layout.chunks_of(number) {
+                let summary = file.value_summary(ChunkId(chunk))?;
+                void_points += u64::from(summary.void);
+                value_range = [value_range[0].min(summary.min), value_range[1].max(summary.max)];
+                for entry in index_entries(chunk, &summary.ranges) {
+                    range = [range[0].min(entry.min), range[1].max(entry.max)];
+                    if is_indexed {
+                        index.push(entry)?;
+                    }
+                }
+            }
+            values.push(file.record());
+        }
+        // Those that chunks were measured with: by the set's own number of points, which may be a
+        // little off.
+        let limits = limits(&plan.mesh, self.parts.points.len());
+        let spectrum = match finished.get(step.number) {
+            _ if !is_indexed || range[0] > range[1] => None,
+            Some(finished) => finished.spectrum,
+            None => Some(sum_spectrum(&layout, step, hash, Design::new(range, limits), limits)?),
+        };
+        Ok(Step {
+            plan: step.clone(),
+            value_range: (value_range[0] <= value_range[1]).then_some(value_range),
+            void_points,
+            values,
+            index: is_indexed.then(|| index.finish(layout.index(), hash)).transpose()?,
+            spectrum,
+            coordinates: None,
+            error: None,
+            level_errors: vec![],
+        })
     }
 
     /// Notes the errors of the steps from position `first` on: adds up those of chunks, and
@@ -97,4 +154,22 @@ impl Build<'_> {
         }
         Ok(())
     }
+}
+
+/// Adds up what all chunks have measured of a step, and writes it.
+fn sum_spectrum(
+    layout: &Layout,
+    step: &StepPlan,
+    hash: PlanHash,
+    design: Design,
+    limits: Limits,
+) -> Result<SegmentInfo> {
+    let mut builder = SpectrumBuilder::new(design);
+    for number in 0..layout.segment_count() {
+        let sums = StoredSums::open(layout, number, step, hash)?;
+        for chunk in layout.chunks_of(number) {
+            builder.add(&sums.part(ChunkId(chunk), limits)?);
+        }
+    }
+    builder.finish(layout.spectrum(), hash)
 }
