@@ -296,6 +296,12 @@ impl<'a> ChunkReader<'a> {
         }
     }
 
+    /// The same, and the memory in which they are read.
+    fn bricks_and_memory(&mut self) -> (ChunkBricks<'_>, &mut ReaderMemory) {
+        let Self { archive, segment, chunk, bricks, starts, memory, .. } = self;
+        (ChunkBricks { archive, mesh: segment.mesh(), chunk, bricks, starts }, memory)
+    }
+
     /// As [`ChunkReader::expect`], of whole blocks.
     pub(in crate::pipeline) fn expect_all(&mut self, blocks: impl Iterator<Item = u32>) -> Result<()> {
         self.expect(blocks.map(|number| (number, Wanted::All)))
@@ -318,16 +324,12 @@ impl<'a> ChunkReader<'a> {
         if !wanted.may_be(|| Ok(made.hull(&self.bricks(), number)))? {
             return Ok(false);
         }
-        let mut memory = std::mem::take(&mut self.memory);
-        let has_others = made.make(&self.bricks(), number, &mut memory);
-        self.memory = memory;
-        if has_others? && self.memory.halo.is_empty() {
+        let (bricks, memory) = self.bricks_and_memory();
+        if made.make(&bricks, number, memory)? && self.memory.halo.is_empty() {
             self.load_halo()?;
         }
-        let mut memory = std::mem::take(&mut self.memory);
-        let taken = made.take(&self.bricks(), &mut memory);
-        self.memory = memory;
-        taken.map(|()| true)
+        let (bricks, memory) = self.bricks_and_memory();
+        made.take(&bricks, memory).map(|()| true)
     }
 
     /// Reads the ids of all halo points, for their numbers.
@@ -763,11 +765,8 @@ impl<'a> ChunkReader<'a> {
     }
 
     fn place_brick(&mut self, n: usize) -> Result<()> {
-        let mut memory = std::mem::take(&mut self.memory);
-        let ReaderMemory { positions, ids, sites, .. } = &mut memory;
-        let placed = self.bricks().place(n, positions, ids, sites);
-        self.memory = memory;
-        placed
+        let (bricks, ReaderMemory { positions, ids, sites, .. }) = self.bricks_and_memory();
+        bricks.place(n, positions, ids, sites)
     }
 
     /// Reads the flags of all corners.
