@@ -171,20 +171,9 @@ fn error_line(report: &ReduceReport) -> Option<String> {
 
 /// How much smaller the archive is than its source, and the bits of both.
 fn size_line(report: &ReduceReport, source: u64) -> String {
-    let samples = report.samples.max(1) * report.steps.len().max(1) as u64;
-    let bits = |bytes: u64| format!("{:.2}", bytes as f64 * 8.0 / samples as f64);
-    let (ours, theirs) = (report.archive_bytes.max(1) as f64, source.max(1) as f64);
-    let ratio = if ours <= theirs {
-        format!("1/{:.1} of the source", theirs / ours)
-    } else {
-        format!("{:.1} TIMES THE SOURCE", ours / theirs)
-    };
-    let (what, ours) = (if report.mesh.is_some() { "vertex" } else { "sample" }, bits(report.archive_bytes));
-    format!(
-        "  ratio       {ratio} ({}): {ours} bits a {what}, the source {}",
-        text::bytes(source),
-        bits(source)
-    )
+    let samples = report.samples * report.steps.len().max(1) as u64;
+    let what = if report.mesh.is_some() { "vertex" } else { "sample" };
+    text::ratio_line(report.archive_bytes, source, "source", samples, what)
 }
 
 /// A step that was added: its number, what it is of, and what it takes.

@@ -87,6 +87,29 @@ pub(crate) fn figures(v: f64, digits: usize) -> f64 {
     format!("{v:.*e}", digits - 1).parse().unwrap_or(v)
 }
 
+/// The bytes of an archive to those of something else: `1/60.3 of the source`.
+pub(crate) fn ratio(ours: u64, theirs: u64, name: &str) -> String {
+    let (ours, theirs) = (ours.max(1) as f64, theirs.max(1) as f64);
+    if ours <= theirs {
+        format!("1/{:.1} of the {name}", theirs / ours)
+    } else {
+        format!("{:.1} TIMES THE {}", ours / theirs, name.to_uppercase())
+    }
+}
+
+/// The line that compares the bytes of an archive with those of its source, or of the source's
+/// samples; `of` names one of the `count` values, a sample or a vertex.
+pub(crate) fn ratio_line(ours: u64, theirs: u64, name: &str, count: u64, of: &str) -> String {
+    let bits = |bytes: u64| format!("{:.2}", bytes as f64 * 8.0 / count.max(1) as f64);
+    format!(
+        "  ratio       {} ({}): {} bits a {of}, the source {}",
+        ratio(ours, theirs, name),
+        bytes(theirs),
+        bits(ours),
+        bits(theirs)
+    )
+}
+
 /// Bytes for a person: `3.4 MiB`.
 pub(crate) fn bytes(n: u64) -> String {
     let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB"];

@@ -768,6 +768,12 @@ fn percentages_stand_for_values() {
         small["archive_bytes"].as_u64().unwrap() <= small["source_bytes"].as_u64().unwrap() / 2,
         "{small}"
     );
+    // Two steps have twice the samples of one.
+    let samples = |name: &str| json(&ok(d, &["info", name, "--json"]))["sample_bytes"].as_u64().unwrap();
+    let source = small["source_bytes"].as_u64().unwrap();
+    assert_eq!((samples("r.isospan"), samples("a.isospan")), (source, 2 * source));
+    let words = ok(d, &["info", "r.isospan"]);
+    assert!(words.contains("  ratio       1/"), "{words}");
 }
 
 /// Under any name: a link, a hard link, the raw data of a header, a file in the archive's folder.

@@ -140,6 +140,14 @@ fn a_dry_run_tells_and_makes_nothing() {
     let number = |key: &str| told[key].as_u64().unwrap_or_else(|| panic!("{key}: {told}"));
     assert!(number("chunks") > 10 && number("memory_least") < number("memory_comfortable") + 1);
     assert!(number("archive_bytes") > 5 * number("points") && number("scratch_bytes") == 0);
+    // The samples without the header of the file.
+    assert_eq!(number("source_bytes"), 60 * 52 * 47 * 4);
+    let words = reduce_with(d, "a.isospan", "1GiB", &[&settings[..], &["--dry-run"]].concat());
+    let words = String::from_utf8(words.stdout).unwrap();
+    assert!(
+        words.contains(" of the source (572.8 KiB)") || words.contains(" THE SOURCE (572.8 KiB)"),
+        "{words}"
+    );
     let short = dry("5MiB");
     assert_eq!((short.status.code(), short.stdout.is_empty()), (Some(4), false), "told, and refused");
     assert_eq!(fs::read_dir(d).unwrap().count(), 1, "nothing but the input is there");

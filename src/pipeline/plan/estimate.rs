@@ -430,8 +430,11 @@ pub struct Estimate {
     pub workers: usize,
     /// Bytes of the archive, at most; usually it has fewer.
     pub archive_bytes: u64,
-    /// Bytes that are free for it, including what is there of it already; `None` where the system
-    /// does not say.
+    /// Bytes of the source: its files, or its samples as they are stored, whichever is less. None
+    /// where that is not known.
+    pub source_bytes: Option<u64>,
+    /// Bytes that are free for the archive, including what is there of it already; `None` where
+    /// the system does not say.
     pub archive_free: Option<u64>,
     /// Bytes of the temporary copy of an input that has no random access, or of the index while it
     /// is built.
@@ -485,6 +488,7 @@ impl Estimate {
                 .points
                 .saturating_mul(q.need.archive_per_point + VALUES_PER_POINT * further)
                 + (64 << 10) * (1 + further),
+            source_bytes: None,
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
             // The copy of the input is gone when the index is built.
             scratch_bytes: q.scratch.1.max(q.need.index_scratch(q.memory)),

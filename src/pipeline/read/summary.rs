@@ -137,6 +137,8 @@ pub struct ArchiveSummary {
     pub error: Option<FieldError>,
     /// Bytes of all files, except unpacked blocks.
     pub bytes: u64,
+    /// Bytes of the samples of all steps as the source has them, not compressed; none of a mesh.
+    pub sample_bytes: Option<u64>,
 }
 
 /// A step of an archive, from its manifest.
@@ -227,6 +229,7 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
         blocks: counts.blocks,
         step: step.plan.number,
         bytes: archive.bytes()?,
+        sample_bytes: sample_bytes(archive),
         steps,
         range: step.file_range(),
         rounding: step.notable_rounding(),
@@ -234,4 +237,14 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
         suggestions: spectrum.suggestions,
         error: step.error.clone(),
     })
+}
+
+fn sample_bytes(archive: &StepView) -> Option<u64> {
+    let of_step = |step: &Step| {
+        let source = &step.plan.source;
+        let one = source.scalar.bytes() as u64;
+        let all = source.dims.iter().try_fold(one, |bytes, &n| bytes.checked_mul(n))?;
+        source.mesh.is_none().then_some(all)
+    };
+    archive.manifest.steps.iter().map(of_step).try_fold(0u64, |sum, bytes| sum.checked_add(bytes?))
 }

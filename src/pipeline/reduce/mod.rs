@@ -130,13 +130,14 @@ pub fn estimate_series(
         let what = "how many points meet this target is found by trying: estimate a count or a fraction";
         return Err(Error::usage(what));
     }
-    let notices = look(&job)?.notices;
+    let looked = look(&job)?;
     // A finished archive is compared with, in all that decides its bytes.
     let is_compared = !run.replace && existing.is_finished();
     let mut planned = plan(&job, !is_compared)?;
     if is_compared {
         existing.compare(out, &planned.series.plan, run)?;
     }
-    planned.estimate.notices = notices;
+    planned.estimate.source_bytes = looked.size.map(|size| size.bytes);
+    planned.estimate.notices = looked.notices;
     Ok(planned.estimate)
 }
