@@ -88,13 +88,18 @@ pub(crate) fn figures(v: f64, digits: usize) -> f64 {
 }
 
 /// The bytes of an archive to those of something else: `1/60.3 of the source`.
-pub(crate) fn ratio(ours: u64, theirs: u64, name: &str) -> String {
+fn ratio(ours: u64, theirs: u64, name: &str) -> String {
     let (ours, theirs) = (ours.max(1) as f64, theirs.max(1) as f64);
     if ours <= theirs {
         format!("1/{:.1} of the {name}", theirs / ours)
     } else {
         format!("{:.1} TIMES THE {}", ours / theirs, name.to_uppercase())
     }
+}
+
+/// `at most 1/3.0 of the source (3.0 MiB)`.
+pub(crate) fn at_most_of(ours: u64, source: u64) -> String {
+    format!("at most {} ({})", ratio(ours, source, "source"), bytes(source))
 }
 
 /// The line that compares the bytes of an archive with those of its source, or of the source's

@@ -15,7 +15,7 @@ use crate::error::{Result, bytes_text};
 use crate::formats::{Input, StepSource};
 use crate::geom::Lattice;
 use crate::pipeline::inputs::{Fill, Scan, Seen, Stretch, Survey, scan, survey_mesh, survey_volume, watched};
-use crate::pipeline::plan::{Finding, Notice, count_of};
+use crate::pipeline::plan::{Estimate, Finding, Notice, count_of};
 use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings};
 use crate::points::{PointSet, PointSpec, SetKind};
 use crate::sample::Interpolation;
@@ -139,6 +139,12 @@ pub(in crate::pipeline) struct Looked {
 }
 
 impl Looked {
+    /// Adds what was found to an estimate.
+    pub(in crate::pipeline) fn add_to(self, estimate: &mut Estimate) {
+        estimate.source_bytes = self.size.map(|size| size.bytes);
+        estimate.notices = self.notices;
+    }
+
     /// The report of a whole archive with what was found before, and what its size shows.
     pub(super) fn complete(self, path: &Path, report: ReduceReport, job: &Job<'_>) -> ReduceReport {
         let Self { mut notices, size } = self;

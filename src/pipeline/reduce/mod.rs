@@ -137,7 +137,6 @@ pub fn estimate_series(
     if is_compared {
         existing.compare(out, &planned.series.plan, run)?;
     }
-    planned.estimate.source_bytes = looked.size.map(|size| size.bytes);
-    planned.estimate.notices = looked.notices;
+    looked.add_to(&mut planned.estimate);
     Ok(planned.estimate)
 }

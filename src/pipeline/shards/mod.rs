@@ -96,7 +96,7 @@ pub fn plan_shards(
     let search = search.map(|search| PlannedSearch::new(search, shards, &planned.report));
     let file = plan_file(settings, &planned, shards, existing.is_finished(), search)?;
     let mut report = PlanReport::of(&file, &planned, out);
-    report.needs.notices = looked.notices;
+    looked.add_to(&mut report.needs);
     if file.search.is_some() && !run.replace && PlanFile::read(out).is_ok_and(|there| file.is_alike(&there)) {
         // The search may be at a later try.
         return Ok(report);
