@@ -587,10 +587,16 @@ impl BccChunk {
         &'a self,
         block: &'a BccBlock,
     ) -> impl Iterator<Item = (u32, LatticePos, PointId, bool)> + 'a {
-        let of_place = |(number, &at): (u32, &Halves)| {
-            (number, self.mesh.position(at), self.mesh.id(at), self.is_shared(at))
-        };
-        self.numbers(block).zip(&block.places).map(of_place)
+        let of_point = |(number, (position, id, shared))| (number, position, id, shared);
+        self.numbers(block).zip(self.points_of(block)).map(of_point)
+    }
+
+    /// The same without the numbers.
+    pub(crate) fn points_of<'a>(
+        &'a self,
+        block: &'a BccBlock,
+    ) -> impl Iterator<Item = (LatticePos, PointId, bool)> + 'a {
+        block.places.iter().map(|&at| (self.mesh.position(at), self.mesh.id(at), self.is_shared(at)))
     }
 
     /// The positions of the lowest and the highest corner of a block, its neighbours' centres

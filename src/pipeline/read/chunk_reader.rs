@@ -52,7 +52,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     value_bytes: Vec<u32>,
     value_blocks: ValueBlocks,
     /// What is known about the values that have not been read, once it was needed.
-    value_ranges: Option<Vec<ValueRange>>,
+    value_ranges: Vec<Option<ValueRange>>,
     /// For each block of values, whether a corner of an active tetrahedron is in it.
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
@@ -140,7 +140,7 @@ impl<'a> ChunkReader<'a> {
             shared,
             pages: Pages { of_flags: header.flag_pages(), read: vec![false; pages] },
             value_bytes: vec![0; value_blocks.count()],
-            value_ranges: None,
+            value_ranges: vec![],
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
@@ -172,7 +172,7 @@ impl<'a> ChunkReader<'a> {
             shared: vec![true; vertices],
             pages: Pages { of_flags: 0, read: vec![] },
             value_bytes: vec![0; value_blocks.count()],
-            value_ranges: None,
+            value_ranges: vec![],
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
@@ -184,12 +184,11 @@ impl<'a> ChunkReader<'a> {
     /// Whether some isovalue lies between the values of some corners, or their least and largest
     /// ones may be on both sides.
     fn is_active(&mut self, isovalues: &[f32], numbers: &[u32]) -> Result<bool> {
-        self.load_ranges()?;
         let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
         for &v in numbers {
             let block = self.value_blocks.of(v as usize);
-            let [least, most] = self.range_of(block);
             if self.value_bytes[block] == 0 {
+                let [least, most] = self.find_range(block)?;
                 if isovalues.iter().any(|&v| is_active(least, most, v)) {
                     self.read_values(block)?;
                 } else {
@@ -222,23 +221,31 @@ impl<'a> ChunkReader<'a> {
         Err(damaged(self.segment.of_mesh(), self.chunk.id, "index", &got))
     }
 
-    /// As [`ChunkReader::shape`], of a chunk whose mesh follows by formula.
+    /// The numbers of the corners of a block of a chunk whose mesh follows by formula. The block is
+    /// then in `memory.by_formula`.
+    fn number_bcc(&mut self, number: u32, out: &mut Vec<u32>) -> Result<()> {
+        self.by_formula(number)?;
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        out.clear();
+        out.extend(bcc.numbers(&self.memory.by_formula));
+        Ok(())
+    }
+
+    /// As [`ChunkReader::shape`], of the block in `memory.by_formula`, whose corners have their
+    /// numbers.
     fn shape_bcc(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
         out.tets.clear();
         out.bytes = 0;
-        self.by_formula(number)?;
         let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
         let [lo, hi] = bcc.hull(number as usize);
         if !wanted.may_be(|| Ok(LatticeBox { lo, hi: hi.map(|x| x + 1) }))? {
             return Ok(false);
         }
         let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
-        numbers.clear();
         positions.clear();
         ids.clear();
         shared.clear();
-        for (number, position, id, is_shared) in bcc.corners(&self.memory.by_formula) {
-            numbers.push(number);
+        for (position, id, is_shared) in bcc.points_of(&self.memory.by_formula) {
             positions.push(position);
             ids.push(id);
             shared.push(is_shared);
@@ -401,18 +408,19 @@ impl<'a> ChunkReader<'a> {
         needed: &Needed<'_>,
         out: &mut Block,
     ) -> Result<bool> {
-        if let (Some(bcc), Needed::ForActive(isovalues)) = (&self.bcc, needed) {
-            self.expect_block(number)?;
-            bcc.block(number as usize, &mut self.memory.by_formula);
-            out.corners.numbers.clear();
-            out.corners.numbers.extend(bcc.numbers(&self.memory.by_formula));
-            if !self.is_active(isovalues, &out.corners.numbers)? {
-                out.tets.clear();
-                out.bytes = 0;
-                return Ok(false);
+        let is_wanted = match needed {
+            Needed::ForActive(isovalues) if self.bcc.is_some() => {
+                self.number_bcc(number, &mut out.corners.numbers)?;
+                if !self.is_active(isovalues, &out.corners.numbers)? {
+                    out.tets.clear();
+                    out.bytes = 0;
+                    return Ok(false);
+                }
+                self.shape_bcc(number, wanted, out)?
             }
-        }
-        if !self.shape(number, wanted, out)? {
+            _ => self.shape(number, wanted, out)?,
+        };
+        if !is_wanted {
             return Ok(false);
         }
         let BlockCorners { numbers, values, .. } = &mut out.corners;
@@ -434,6 +442,7 @@ impl<'a> ChunkReader<'a> {
         out: &mut Block,
     ) -> Result<bool> {
         if self.bcc.is_some() {
+            self.number_bcc(number, &mut out.corners.numbers)?;
             return self.shape_bcc(number, wanted, out);
         }
         if self.from_points.is_some() {
@@ -570,12 +579,11 @@ impl<'a> ChunkReader<'a> {
         numbers: &[u32],
         values: &mut Vec<f32>,
     ) -> Result<()> {
-        self.load_ranges()?;
         let mut is_whole = true;
         for &v in numbers {
             let block = self.value_blocks.of(v as usize);
             if self.value_bytes[block] == 0 {
-                let [lo, hi] = self.range_of(block);
+                let [lo, hi] = self.find_range(block)?;
                 if isovalues.iter().any(|&v| is_active(lo, hi, v)) {
                     self.read_values(block)?;
                 } else {
@@ -597,26 +605,23 @@ impl<'a> ChunkReader<'a> {
         Ok(())
     }
 
-    /// Reads the ranges of the blocks of values.
-    fn load_ranges(&mut self) -> Result<()> {
-        if self.value_ranges.is_none() {
-            let ranges = self.archive.value_ranges(self.chunk.id, &self.value_blocks)?;
-            let mut ranges: Vec<ValueRange> =
-                ranges.unwrap_or_default().iter().map(|range| [range.min, range.max]).collect();
-            if self.archive.is_between() {
-                ranges.resize(self.value_bytes.len(), [f32::NEG_INFINITY, f32::INFINITY]);
-            }
-            for block in ranges.len()..self.value_bytes.len() {
-                let points = self.value_blocks.range(block);
-                ranges.push(self.around.range(self.archive, self.chunk.id, points)?);
-            }
-            self.value_ranges = Some(ranges);
+    /// A range that holds the values of a block. Those of blocks that are stored are read together.
+    fn find_range(&mut self, block: usize) -> Result<ValueRange> {
+        if self.value_ranges.is_empty() {
+            let stored = self.archive.value_ranges(self.chunk.id, &self.value_blocks)?;
+            self.value_ranges = match stored {
+                Some(stored) => stored.iter().map(|range| Some([range.min, range.max])).collect(),
+                // Between two steps.
+                None => vec![Some([f32::NEG_INFINITY, f32::INFINITY]); self.value_blocks.count()],
+            };
+            self.value_ranges.resize(self.value_blocks.count(), None);
         }
-        Ok(())
-    }
-
-    fn range_of(&self, block: usize) -> ValueRange {
-        self.value_ranges.as_ref().expect("ranges were read before")[block]
+        if let Some(range) = self.value_ranges[block] {
+            return Ok(range);
+        }
+        let range = self.around.range(self.archive, self.chunk.id, self.value_blocks.range(block))?;
+        self.value_ranges[block] = Some(range);
+        Ok(range)
     }
 
     /// The values of corners, of those that have not been read the least that they may have; NaN
@@ -628,7 +633,7 @@ impl<'a> ChunkReader<'a> {
             if self.value_bytes[block] != 0 {
                 return self.memory.values[v as usize];
             }
-            let [lo, hi] = self.range_of(block);
+            let [lo, hi] = self.value_ranges[block].expect("its range was found before");
             if lo <= hi { lo } else { f32::NAN }
         }));
     }

@@ -94,9 +94,14 @@ impl Neighbours {
     ) -> Result<ValueRange> {
         let own = self.chunk(archive, chunk)?;
         let [mut lo, mut hi] = [f32::INFINITY, f32::NEG_INFINITY];
+        // Points in a row are mostly in one brick.
+        let (mut brick, mut home, mut owner) = ([u64::MAX; 3], chunk, Arc::clone(&own));
         for place in own.bcc.point_places(points) {
-            let home = archive.chunks.of_brick(own.bcc.home(place));
-            let owner = self.chunk(archive, home)?;
+            let of_place = own.bcc.home(place);
+            if brick != of_place {
+                (brick, home) = (of_place, archive.chunks.of_brick(of_place));
+                owner = self.chunk(archive, home)?;
+            }
             let ranges = match self.ranges.entry(home) {
                 Entry::Occupied(found) => found.into_mut(),
                 Entry::Vacant(empty) => {
