@@ -36,7 +36,9 @@ fn in_words(e: &Estimate, output: &Path) -> String {
         ),
     );
     row("archive", format!("up to {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
-    e.source_bytes.iter().for_each(|&source| row("ratio", text::at_most_of(e.archive_bytes, source)));
+    if let Some(source) = e.source_bytes {
+        row("ratio", text::at_most_of(e.archive_bytes, source));
+    }
     match e.scratch_bytes {
         0 => row("scratch", "none".into()),
         n => row("scratch", format!("about {} ({} free)", text::bytes(n), free(e.scratch_free))),

@@ -91,7 +91,9 @@ fn in_words(args: &Args, r: &PlanReport) -> String {
         row("", format!("not {asked}: there {are} {all}, and each is made by one worker"));
     }
     row("archive", format!("up to {}", text::bytes(e.archive_bytes)));
-    e.source_bytes.iter().for_each(|&source| row("ratio", text::at_most_of(e.archive_bytes, source)));
+    if let Some(source) = e.source_bytes {
+        row("ratio", text::at_most_of(e.archive_bytes, source));
+    }
     let at_work = plural(e.workers as u64, "chunk");
     let (least, all) = (text::bytes(e.memory_least), text::bytes(e.memory_comfortable));
     row("each shard", format!("memory at least {least}, {all} for all threads"));

@@ -203,14 +203,6 @@ impl<'a> ChunkReader<'a> {
         Ok(isovalues.iter().any(|&v| is_active(lo, hi, v)))
     }
 
-    /// The block of this number, of a chunk whose mesh follows by formula.
-    fn by_formula(&mut self, number: u32) -> Result<()> {
-        self.expect_block(number)?;
-        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
-        bcc.block(number as usize, &mut self.memory.by_formula);
-        Ok(())
-    }
-
     /// Whether a chunk whose mesh follows by formula has a block of this number.
     fn expect_block(&self, number: u32) -> Result<()> {
         let blocks = self.bcc.as_ref().map_or(0, BccChunk::block_count);
@@ -221,26 +213,26 @@ impl<'a> ChunkReader<'a> {
         Err(damaged(self.segment.of_mesh(), self.chunk.id, "index", &got))
     }
 
-    /// The numbers of the corners of a block of a chunk whose mesh follows by formula. The block is
-    /// then in `memory.by_formula`.
-    fn number_bcc(&mut self, number: u32, out: &mut Vec<u32>) -> Result<()> {
-        self.by_formula(number)?;
-        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
-        out.clear();
-        out.extend(bcc.numbers(&self.memory.by_formula));
-        Ok(())
-    }
-
-    /// As [`ChunkReader::shape`], of the block in `memory.by_formula`, whose corners have their
-    /// numbers.
-    fn shape_bcc(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+    /// Makes a block of a chunk whose mesh follows by formula, in `memory.by_formula`, and finds
+    /// the numbers of its corners. False if its hull says that it is not wanted.
+    fn number_bcc(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
         out.tets.clear();
         out.bytes = 0;
+        self.expect_block(number)?;
         let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
         let [lo, hi] = bcc.hull(number as usize);
         if !wanted.may_be(|| Ok(LatticeBox { lo, hi: hi.map(|x| x + 1) }))? {
             return Ok(false);
         }
+        bcc.block(number as usize, &mut self.memory.by_formula);
+        out.corners.numbers.clear();
+        out.corners.numbers.extend(bcc.numbers(&self.memory.by_formula));
+        Ok(true)
+    }
+
+    /// Fills in the rest of a block that was numbered; false if it is not wanted.
+    fn place_bcc(&self, wanted: &Wanted<'_>, out: &mut Block) -> bool {
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
         let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
         positions.clear();
         ids.clear();
@@ -251,18 +243,19 @@ impl<'a> ChunkReader<'a> {
             shared.push(is_shared);
         }
         if !wanted.is(positions) {
-            return Ok(false);
+            return false;
         }
         values.resize(numbers.len(), f32::NAN);
         out.tets.extend_from_slice(&self.memory.by_formula.tets);
         *of_chunk = bcc.points();
-        Ok(true)
+        true
     }
 
     /// As [`ChunkReader::tets`], of a chunk whose mesh follows by formula.
     fn tets_bcc(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
-        self.by_formula(number)?;
+        self.expect_block(number)?;
         let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        bcc.block(number as usize, &mut self.memory.by_formula);
         let ReaderMemory { positions, ids, by_formula, .. } = &mut self.memory;
         let mut numbers = Vec::with_capacity(positions.len().min(1 << 9));
         for (number, position, id, is_shared) in bcc.corners(by_formula) {
@@ -410,13 +403,9 @@ impl<'a> ChunkReader<'a> {
     ) -> Result<bool> {
         let is_wanted = match needed {
             Needed::ForActive(isovalues) if self.bcc.is_some() => {
-                self.number_bcc(number, &mut out.corners.numbers)?;
-                if !self.is_active(isovalues, &out.corners.numbers)? {
-                    out.tets.clear();
-                    out.bytes = 0;
-                    return Ok(false);
-                }
-                self.shape_bcc(number, wanted, out)?
+                self.number_bcc(number, wanted, out)?
+                    && self.is_active(isovalues, &out.corners.numbers)?
+                    && self.place_bcc(wanted, out)
             }
             _ => self.shape(number, wanted, out)?,
         };
@@ -442,8 +431,7 @@ impl<'a> ChunkReader<'a> {
         out: &mut Block,
     ) -> Result<bool> {
         if self.bcc.is_some() {
-            self.number_bcc(number, &mut out.corners.numbers)?;
-            return self.shape_bcc(number, wanted, out);
+            return Ok(self.number_bcc(number, wanted, out)? && self.place_bcc(wanted, out));
         }
         if self.from_points.is_some() {
             return self.shape_again(number, wanted, out);
