@@ -1,13 +1,21 @@
 use super::*;
 use proptest::prelude::*;
 
-/// Results of all operations on lanes of `f64`, as bits; of which NaN does not matter.
+/// The bits of a number. Which NaN does not matter: Rust promises neither sign nor payload. The
+/// choice is between integers, since a compiler may take any NaN for `f64::NAN`.
+fn bits_of_f64(x: f64) -> u64 {
+    if x.is_nan() { 0x7ff8 << 48 } else { x.to_bits() }
+}
+
+/// [`bits_of_f64`] of fewer bits.
+fn bits_of_f32(x: f32) -> u32 {
+    if x.is_nan() { 0x7fc0 << 16 } else { x.to_bits() }
+}
+
+/// Results of all operations on lanes of `f64`, as bits.
 fn of_f64<const N: usize, V: F64xN<N>>(token: V::Token, a: &[f64; N], b: &[f64; N]) -> Vec<Vec<u64>> {
     let (a, b) = (V::load(token, a), V::load(token, b));
-    let bits = |v: V| {
-        let all = v.to_array().map(|x| if x.is_nan() { f64::NAN } else { x });
-        all.map(f64::to_bits).to_vec()
-    };
+    let bits = |v: V| v.to_array().map(bits_of_f64).to_vec();
     let narrow = |v: V| V::from_f32(token, &v.to_f32());
     let mask = a.lt(b);
     vec![
@@ -31,7 +39,7 @@ fn of_f64<const N: usize, V: F64xN<N>>(token: V::Token, a: &[f64; N], b: &[f64; 
 /// Results of all operations on lanes of `f32` and as many `u32`.
 fn of_f32<V: F32s>(token: V::Token, a: &[f32], b: &[f32], ids: &[u32], some: u32) -> Vec<Vec<u32>> {
     let (a, b, ids) = (V::load(token, a), V::load(token, b), V::U32s::load(token, ids));
-    let bits = |v: V| v.to_array().as_ref().iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+    let bits = |v: V| v.to_array().as_ref().iter().map(|&x| bits_of_f32(x)).collect::<Vec<_>>();
     let few = |all: &[u32]| all[..some.count_ones() as usize].to_vec();
     let packed = a.compress(some);
     let same = ids.eq(V::U32s::splat(token, 7));
@@ -46,7 +54,7 @@ fn of_f32<V: F32s>(token: V::Token, a: &[f32], b: &[f32], ids: &[u32], some: u32
         bits(a.max(b)),
         bits(a.reduce_min()),
         bits(V::select(a.lt(b), a, b)),
-        few(&packed.as_ref().iter().map(|x| x.to_bits()).collect::<Vec<_>>()),
+        few(&packed.as_ref().iter().map(|&x| bits_of_f32(x)).collect::<Vec<_>>()),
         few(ids.compress(some).as_ref()),
         vec![V::bitmask(a.lt(b)), V::bitmask(a.eq(b)), V::U32s::bitmask(same)],
     ]
@@ -57,7 +65,7 @@ fn of_sixteen<F: F32x16s>(token: F::Token, rows: &[[u32; 3]; 16], some: u32) -> 
     let [x, y, z] = F::U32s::from_rows(token, |n| rows[n]);
     let (f, g) = (F::from_i32(x >> 7), F::from_i32(y >> 9));
     let one = F::splat(token, 1.0);
-    let bits = |f: F| f.to_array().map(f32::to_bits).to_vec();
+    let bits = |f: F| f.to_array().map(bits_of_f32).to_vec();
     let h = (f - g) / (g + one);
     let mask = f.lt(g);
     let packed = x.compress(some)[..some.count_ones() as usize].to_vec();
