@@ -6,6 +6,7 @@
 //! deflate's best possible ratio, a text must have at least two bytes a sample, and a slab grows as
 //! its bytes arrive.
 
+use super::codec::gzip;
 use crate::bytes::ByteSource;
 use crate::error::{Error, Place, Result};
 use crate::grid::IndexBox;
@@ -13,7 +14,7 @@ use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::swap_bytes;
 use crate::volume::{ScalarType, SlabStream, VolumeInfo};
 use flate2::CrcReader;
-use flate2::bufread::{DeflateDecoder, MultiGzDecoder, ZlibDecoder};
+use flate2::bufread::{DeflateDecoder, ZlibDecoder};
 use std::io::{self, BufRead, BufReader, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -22,7 +23,7 @@ use std::sync::Arc;
 /// How a range of a file is compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Codec {
-    /// RFC 1952, one or several members.
+    /// RFC 1952, one or several members, and zeros behind them.
     Gzip,
     /// RFC 1950.
     Zlib,
@@ -33,7 +34,8 @@ pub(crate) enum Codec {
         crc32: u32,
     },
     /// Runs of AmiraMesh: a byte below 128 repeats the one that follows so often, another one is
-    /// followed by that many bytes, less 128, as they are.
+    /// followed by that many bytes, less 128, as they are. A byte of 0 ends the runs, as Amira
+    /// writes it; it may be missing.
     ByteRuns,
 }
 
@@ -45,12 +47,12 @@ impl Codec {
     pub(crate) fn reader(self, source: &Arc<ByteSource>, range: Range<u64>) -> Result<Box<dyn Read + Send>> {
         let stored = BufReader::with_capacity(1 << 16, source.reader(range)?);
         Ok(match self {
-            Self::Gzip => Box::new(MultiGzDecoder::new(stored)),
+            Self::Gzip => Box::new(gzip::Members::new(stored)),
             Self::Zlib => Box::new(ZlibDecoder::new(stored)),
             Self::Deflate { crc32 } => {
                 Box::new(Checked { decoded: CrcReader::new(DeflateDecoder::new(stored)), crc32 })
             }
-            Self::ByteRuns => Box::new(ByteRuns { stored, left: 0, repeated: None }),
+            Self::ByteRuns => Box::new(ByteRuns { stored, left: 0, repeated: None, is_over: false }),
         })
     }
 
@@ -70,6 +72,8 @@ struct ByteRuns<R> {
     /// Bytes left of a run, and the byte that it repeats, if it does.
     left: usize,
     repeated: Option<u8>,
+    /// Whether the byte that ends the runs was there.
+    is_over: bool,
 }
 
 impl<R: BufRead> ByteRuns<R> {
@@ -82,8 +86,12 @@ impl<R: BufRead> ByteRuns<R> {
 
 impl<R: BufRead> Read for ByteRuns<R> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        while self.left == 0 && !out.is_empty() {
+        while self.left == 0 && !out.is_empty() && !self.is_over {
             let Some(count) = self.byte()? else { return Ok(0) };
+            self.is_over = count == 0;
+            if self.is_over {
+                return Ok(0);
+            }
             self.left = usize::from(count & 127);
             self.repeated = None;
             if count < 128 {
@@ -202,10 +210,14 @@ impl ByteSlabs {
             .with_help("the file is cut short, or its dimensions or type are wrong")
     }
 
-    /// Reads to the end, so that the decoder sees the checksum and nothing is left over.
+    /// Reads to the end, so that the decoder sees the checksum and nothing is left over. Runs have
+    /// no checksum: one that is begun after the last sample is no loss.
     fn finish(&mut self) -> Result<()> {
         let mut one = [0; 1];
-        let n = self.decoded.read(&mut one).map_err(|e| self.damaged(&e))?;
+        let n = match self.decoded.read(&mut one) {
+            Err(e) if self.codec == Codec::ByteRuns && e.kind() == io::ErrorKind::UnexpectedEof => 0,
+            read => read.map_err(|e| self.damaged(&e))?,
+        };
         if n == 0 {
             return Ok(());
         }

@@ -576,16 +576,31 @@ mod tests {
     fn labels_in_runs_after_another_array() {
         let lattice =
             format!("{UNIFORM}Lattice {{ float[3] Flow }} @1\nLattice {{ byte Labels }} @2(HxByteRLE,9)\n");
-        let runs = [12, 5, 0x83, 1, 2, 3, 9, 7, 0];
-        // The last byte is the end of the runs: none follow.
+        let runs = [12, 5, 0x83, 1, 2, 3, 9, 7];
         let head = header("BINARY-LITTLE-ENDIAN", &lattice.replace(",9)", ",8)"));
-        let file = [head.as_bytes(), b"@1\n", &[64; 24 * 12], b"\n@2\n", &runs[..8], b"\n"].concat();
+        let file = [head.as_bytes(), b"@1\n", &[64; 24 * 12], b"\n@2\n", &runs, b"\n"].concat();
         let dir = tempfile::tempdir().unwrap();
         let source = open_volume(&write(&dir, "a.am", &file), &OpenOptions::default()).unwrap();
         assert_eq!(source.info().field.name, "Labels");
         let expected: Vec<f32> = [vec![5.0; 12], vec![1.0, 2.0, 3.0], vec![7.0; 9]].concat();
         assert_eq!(read_all(source).1, expected);
         torture("a.am", &file, file.len() - 1);
+        // Amira ends the runs with a byte of 0. What follows the last sample is not needed.
+        for tail in [&[0][..], &[0, 0], &[0, 9, 7], &[3], &[0x80]] {
+            let length = format!(",{})", 8 + tail.len());
+            let head = header("BINARY-LITTLE-ENDIAN", &lattice.replace(",9)", &length));
+            let file = [head.as_bytes(), b"@1\n", &[64; 24 * 12], b"\n@2\n", &runs, tail].concat();
+            let source = open_volume(&write(&dir, "a.am", &file), &OpenOptions::default()).unwrap();
+            assert_eq!(read_all(source).1, expected, "{tail:?}");
+        }
+        // Runs that end before the last sample, or go on behind it.
+        for runs in [&[12, 5, 0, 12, 7][..], &[12, 5, 12, 7, 1, 7], &[12, 5, 11, 7, 0], &[12, 5, 0x8c, 7]] {
+            let length = format!(",{})", runs.len());
+            let head = header("BINARY-LITTLE-ENDIAN", &lattice.replace(",9)", &length));
+            let file = [head.as_bytes(), b"@1\n", &[64; 24 * 12], b"\n@2\n", runs].concat();
+            let source = open_volume(&write(&dir, "a.am", &file), &OpenOptions::default()).unwrap();
+            assert!(crate::formats::tests::try_read_all(source).is_err(), "{runs:?}");
+        }
     }
 
     #[test]

@@ -8,6 +8,7 @@ pub(in crate::formats) mod blosc;
 pub(in crate::formats) mod blosc2;
 #[cfg(feature = "hdf5")]
 mod front;
+pub(in crate::formats) mod gzip;
 #[cfg(feature = "hdf5")]
 pub(in crate::formats) mod lz4;
 #[cfg(feature = "hdf5")]

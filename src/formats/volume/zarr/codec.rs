@@ -1,7 +1,7 @@
 //! Decodes the stored bytes of a chunk into samples.
 
-use crate::formats::shared::codec::{blosc, read_to_end, unshuffle, unzstd};
-use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
+use crate::formats::shared::codec::{blosc, gzip, read_to_end, unshuffle, unzstd};
+use flate2::bufread::ZlibDecoder;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Codec {
@@ -36,7 +36,7 @@ impl Codec {
         let mut out = vec![];
         match self {
             Self::Blosc => blosc::decode(stored, limit, &mut out)?,
-            Self::Gzip => read_to_end(MultiGzDecoder::new(stored), limit, &mut out)?,
+            Self::Gzip => read_to_end(gzip::Members::new(stored), limit, &mut out)?,
             Self::Zlib => read_to_end(ZlibDecoder::new(stored), limit, &mut out)?,
             Self::Zstd => out = unzstd(stored, limit)?,
             Self::Lz4 => {

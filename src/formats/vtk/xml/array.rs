@@ -549,8 +549,8 @@ impl Blocks {
         Ok((put as usize, status))
     }
 
-    /// Checks the end of the current block, which has been handed out: its checksum, and that
-    /// nothing follows.
+    /// Checks the end of the current block, which has been handed out: its checksum, and that it
+    /// has no more values. Bytes after that are passed over, as zlib does.
     fn end_block(&mut self) -> Result<()> {
         match &self.codec {
             // Before the first block.
@@ -571,9 +571,9 @@ impl Blocks {
         let Codec::Zlib { inflate, compressed, input, used } = &mut self.codec else {
             unreachable!("LZ4 was handled above")
         };
-        if *compressed > 0 || *used < input.len() {
-            return Err(self.data.wrong("the end of a zlib block", "bytes after it"));
-        }
+        self.data.skip(std::mem::take(compressed))?;
+        input.clear();
+        *used = 0;
         inflate.reset(true);
         Ok(())
     }
