@@ -30,10 +30,9 @@
 //!
 //! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is
 //! read where there is exactly one with one component (VTK's writer puts the active scalars there
-//! and all others under `FIELD`), else the only array with one component. Cell data of structured
-//! points are samples in the middles of the cells: one fewer along each axis, the first half a step
-//! from the origin. They are read where no array of the point data is a scalar, or by their name;
-//! those of grids are refused.
+//! and all others under `FIELD`), else the only array with one component. Cell data are samples in
+//! the middles of the cells: one fewer along each axis. They are read where no array of the point
+//! data is a scalar, or by their name.
 //!
 //! A `long` is taken to have 8 bytes, as on every 64-bit Unix; `char` is signed; a binary
 //! `vtkIdType` is stored in 4 bytes, even if it has more in memory. Arrays of bits and strings are
@@ -46,7 +45,7 @@ use crate::bytes::ByteSource;
 use crate::cells::{CellMesh, Center, GHOSTS, HIDDEN, NumberStream};
 use crate::error::{Error, Result};
 use crate::formats::shared::OpenOptions;
-use crate::formats::shared::centers::{Picked, first_sample, pick, samples};
+use crate::formats::shared::centers::{Middles, Picked, along_axis, first_sample, pick, samples};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header;
@@ -89,7 +88,7 @@ impl Format for VtkLegacy {
     }
 
     fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        coordinates(&Arc::new(ByteSource::open(path, options.io)?))
+        coordinates(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
     }
 
     fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
@@ -100,7 +99,7 @@ impl Format for VtkLegacy {
 /// Opens the structured points of a legacy VTK file.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a malformed file, another kind of dataset, cell data of a grid, bits;
+/// [`Error::BadInput`] for a malformed file, another kind of dataset, bits;
 /// [`Error::Usage`] when several fields ask for a choice.
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     open_source(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
@@ -114,7 +113,11 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
     let of_center = arrays_of(&file, center).iter();
     let mut readable = of_center.filter(|a| a.name != GHOSTS && a.field().is_some());
     let chosen = readable.nth(index).expect("it was picked among those");
-    let first = first_sample(file.dims, center);
+    let first = match file.dataset {
+        Dataset::StructuredPoints => first_sample(file.dims, center),
+        // The grid's coordinates say where its samples are.
+        _ => [0.0; 3],
+    };
     let origin = std::array::from_fn(|a| file.origin[a] + first[a] * file.spacing[a]);
     let info = VolumeInfo {
         path: path.to_path_buf(),
@@ -189,13 +192,18 @@ fn numbers(source: &Arc<ByteSource>, file: &Scanned, data: &Range<u64>, scalar: 
     }
 }
 
-/// The coordinates of a rectilinear or curvilinear grid; `None` of structured points.
+/// The coordinates of the samples of a field of a rectilinear or curvilinear grid; `None` of
+/// structured points.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a malformed file.
-pub(crate) fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> {
+/// As [`open`].
+pub(crate) fn coordinates(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Option<GridCoordinates>> {
     let path = source.path();
     let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
+    if file.dataset == Dataset::StructuredPoints {
+        return Ok(None);
+    }
+    let center = choose(path, &file, wanted)?.center;
     let part = |array: Option<(u64, &Array)>, keyword: &str, expected: u64| {
         let Some((n, array)) = array.filter(|(n, _)| *n == expected) else {
             let got = array.map_or("none".into(), |(n, _)| n.to_string());
@@ -217,13 +225,16 @@ pub(crate) fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordin
                 axis.resize(n as usize, 0.0);
                 stream.fill(axis)?;
             }
-            Ok(Some(GridCoordinates::Axes(axes)))
+            Ok(Some(GridCoordinates::Axes(axes.map(|axis| along_axis(axis, center)))))
         }
         Dataset::StructuredGrid => {
             let found = file.points.as_ref().map(|array| (file.point_count, array));
             sample_bytes(path, file.dims, ScalarType::F64)?;
             let (_, stream) = part(found, "POINTS", file.dims.iter().product())?;
-            Ok(Some(GridCoordinates::Points(Box::new(stream))))
+            Ok(Some(GridCoordinates::Points(match center {
+                Center::Point => Box::new(stream),
+                Center::Cell => Box::new(Middles::new(Box::new(stream), file.dims)),
+            })))
         }
         _ => Ok(None),
     }
@@ -281,23 +292,12 @@ fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
     let fields =
         |center| arrays_of(file, center).iter().filter(|a| a.name != GHOSTS).filter_map(Array::field);
     let of = |center| fields(center).collect::<Vec<_>>();
-    let (points, mut cells) = (of(Center::Point), of(Center::Cell));
-    if file.dataset != Dataset::StructuredPoints {
-        cells.clear();
-    }
+    let (points, cells) = (of(Center::Point), of(Center::Cell));
     let missing = |name: &str| !points.iter().chain(&cells).any(|f| f.name == name);
     if let Some(name) = wanted.filter(|name| missing(name)) {
-        if file.arrays.iter().any(|a| a.name == name) {
+        if file.arrays.iter().chain(&file.cell_arrays).any(|a| a.name == name) {
             return refuse("one of bits or strings".into(), "write it as unsigned_char");
         }
-        if file.cell_arrays.iter().any(|a| a.name == name) {
-            return refuse("cell data of that name".into(), "convert cell data to point data first");
-        }
-    }
-    if points.is_empty() && cells.is_empty() && !file.cell_arrays.is_empty() {
-        let names: Vec<&str> = file.cell_arrays.iter().map(|a| &a.name[..]).collect();
-        let got = format!("cell data only: {}", names.join(", "));
-        return refuse(got, "convert cell data to point data first");
     }
     let active = |center| {
         let active = |a: &&Array| a.is_scalars && a.field().is_some_and(|f| f.components == 1);

@@ -191,9 +191,8 @@ fn the_field_is_chosen_or_asked_for() {
     assert!(refused(several.as_bytes(), None).contains("two w%rds (uint16), colors (2 x float32"));
     let grid = text.replace("STRUCTURED_POINTS", "STRUCTURED_GRID").replace("ORIGIN 1 2 3", "");
     let grid = grid.replace("spacing 0.5 2 4", "");
-    assert!(refused(grid.as_bytes(), Some("cells")).contains("cell data of that name"));
     let (cells_only, _) = grid.split_once("POINT_DATA").unwrap();
-    assert!(refused(cells_only.as_bytes(), None).contains("cell data only: cells"));
+    assert!(refused(cells_only.as_bytes(), Some("speed")).contains("no scalar field speed"));
 }
 
 #[test]
@@ -209,6 +208,38 @@ fn cell_data_of_structured_points_are_samples_in_the_middles() {
     }
     let text = String::from_utf8(Fixture::new(false).bytes).unwrap().replace("CELL_DATA 6", "CELL_DATA 24");
     assert!(refused(text.as_bytes(), None).contains("CELL_DATA 6"));
+}
+
+#[test]
+fn cell_data_of_grids_are_samples_in_the_middles() {
+    let head = "# vtk DataFile Version 3.0\ntitle\nASCII\nDATASET";
+    let cells = "CELL_DATA 6\nSCALARS c float 1\nLOOKUP_TABLE default\n1 2 3 4 5 6\n";
+    let rectilinear = format!(
+        "{head} RECTILINEAR_GRID\nDIMENSIONS 4 3 2\nX_COORDINATES 4 float\n0 1 4 9\nY_COORDINATES 3 float\n\
+         0 2 4\nZ_COORDINATES 2 float\n5 3\n{cells}"
+    );
+    let points: Vec<String> = (0..24)
+        .map(|i| format!("{} {} {}", (i % 4) * (i % 4) + i / 4 % 3, 2 * (i / 4 % 3), i / 12))
+        .collect();
+    let structured =
+        format!("{head} STRUCTURED_GRID\nDIMENSIONS 4 3 2\nPOINTS 24 float\n{}\n{cells}", points.join("\n"));
+    let dir = tempfile::tempdir().unwrap();
+    for text in [rectilinear, structured] {
+        let path = crate::formats::tests::write(&dir, "a.vtk", text.as_bytes());
+        let (info, values) = read_all(open(&path, &OpenOptions::default()).unwrap());
+        assert_eq!((info.dims, values), ([3, 2, 1], vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+        match crate::formats::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap() {
+            GridCoordinates::Axes(axes) => {
+                assert_eq!(axes, [vec![0.5, 2.5, 6.5], vec![1.0, 3.0], vec![4.0]]);
+            }
+            GridCoordinates::Points(mut stream) => {
+                let mut points = vec![0.0; 18];
+                stream.fill(&mut points).unwrap();
+                stream.finish().unwrap();
+                assert_eq!((&points[..3], &points[15..]), (&[1.0, 1.0, 0.5][..], &[8.0, 3.0, 0.5][..]));
+            }
+        }
+    }
 }
 
 #[test]

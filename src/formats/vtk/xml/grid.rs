@@ -12,21 +12,27 @@ use super::cells::{LISTS, blocks_of};
 use super::head::{Document, Element};
 use super::image::{Image, Joined, What, arrays, name_of, points_of};
 use crate::bytes::ByteSource;
-use crate::cells::NumberStream;
+use crate::cells::{Center, NumberStream};
 use crate::error::Result;
+use crate::formats::shared::centers::{Middles, along_axis};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::header;
 use crate::formats::shared::numbers::to_f64;
 use crate::volume::ScalarType;
 use std::sync::Arc;
 
-/// The coordinates of a grid; `None` of an image.
-pub(super) fn coordinates(image: &Image) -> Result<Option<GridCoordinates>> {
-    match image.kind {
-        "RectilinearGrid" => axes(image).map(Some),
-        "StructuredGrid" => points(image).map(Some),
-        _ => Ok(None),
+/// The coordinates of the samples of a field; `None` of an image. Values of cells are those of
+/// their middles.
+pub(super) fn coordinates(image: &Image, wanted: Option<&str>) -> Result<Option<GridCoordinates>> {
+    if image.kind == "ImageData" {
+        return Ok(None);
     }
+    let center = image.choice(wanted)?.center;
+    Ok(Some(match (image.kind, center) {
+        ("RectilinearGrid", _) => GridCoordinates::Axes(axes(image)?.map(|axis| along_axis(axis, center))),
+        (_, Center::Point) => GridCoordinates::Points(points(image)?),
+        (_, Center::Cell) => GridCoordinates::Points(Box::new(Middles::new(points(image)?, image.points()))),
+    }))
 }
 
 /// The number of the field data that is called `TimeValue`; of an index that of its first file.
@@ -54,7 +60,7 @@ pub(super) fn time(doc: &Document) -> Result<Option<f64>> {
 }
 
 /// The tables of all pieces, joined.
-fn axes(image: &Image) -> Result<GridCoordinates> {
+fn axes(image: &Image) -> Result<[Vec<f64>; 3]> {
     let mut out: [Vec<f64>; 3] = Default::default();
     for piece in &image.pieces {
         let doc = piece.document()?;
@@ -79,10 +85,11 @@ fn axes(image: &Image) -> Result<GridCoordinates> {
             }
         }
     }
-    Ok(GridCoordinates::Axes(out))
+    Ok(out)
 }
 
-fn points(image: &Image) -> Result<GridCoordinates> {
+/// x, y, z of all points.
+fn points(image: &Image) -> Result<Box<dyn NumberStream>> {
     let dims = image.points();
     let first = image.pieces[0].document()?;
     let array = points_of(&first, &image.pieces[0], None)?;
@@ -94,7 +101,7 @@ fn points(image: &Image) -> Result<GridCoordinates> {
         return Err(doc.wrong(&doc.data, "an Extent that can be counted", "a larger one"));
     }
     let joined = Joined::new(dims, scalar, What::Points, image.pieces.clone())?;
-    Ok(GridCoordinates::Points(Box::new(JoinedNumbers { joined, scalar, bytes: vec![], used: 0 })))
+    Ok(Box::new(JoinedNumbers { joined, scalar, bytes: vec![], used: 0 }))
 }
 
 /// The numbers of all pieces, in the order of the samples.

@@ -63,6 +63,12 @@ impl Image {
         Ok(Self { doc, kind, whole, pieces, files })
     }
 
+    /// The field to read, and all that can be listed.
+    pub(super) fn choice(&self, wanted: Option<&str>) -> Result<Picked> {
+        let doc = self.pieces[0].document()?;
+        choose(self, (&doc, self.pieces[0].element(&doc)?), wanted)
+    }
+
     /// The samples of all points along x, y, z.
     pub(super) fn points(&self) -> [u64; 3] {
         self.whole.dims
@@ -419,20 +425,7 @@ fn data_of(piece: &Element, center: Center) -> Option<&Element> {
 /// The field to read, and all that can be listed.
 fn choose(image: &Image, (doc, piece): (&Document, &Element), wanted: Option<&str>) -> Result<Picked> {
     let of = |center| fields(doc, data_of(piece, center));
-    let (points, mut cells) = (of(Center::Point)?, of(Center::Cell)?);
-    if doc.kind != "ImageData" {
-        let cell_fields: Vec<String> = cells.drain(..).map(|f| f.name).collect();
-        let refused = |expected: String, got: String| {
-            Err(doc.wrong(piece, expected, got).with_help("convert cell data to point data first"))
-        };
-        let missing = |name: &str| !points.iter().any(|f| f.name == name && f.components == 1);
-        if let Some(name) = wanted.filter(|n| missing(n) && cell_fields.iter().any(|c| c == n)) {
-            return refused(format!("point data '{name}'"), "cell data of that name".into());
-        }
-        if points.is_empty() && !cell_fields.is_empty() {
-            return refused("point data".into(), format!("cell data only: {}", cell_fields.join(", ")));
-        }
-    }
+    let (points, cells) = (of(Center::Point)?, of(Center::Cell)?);
     let active = |center| data_of(piece, center).and_then(|d| d.attribute("Scalars"));
     pick(image.doc.source.path(), points, cells, wanted, active)
 }

@@ -29,9 +29,9 @@
 //! pieces of one file. A missing file, a part of the image in no file, and samples that two pieces
 //! have with different numbers are errors.
 //!
-//! **Cell data** of an image are samples in the middles of its cells: one fewer along each axis,
+//! **Cell data** are samples in the middles of the cells: one fewer along each axis, in an image
 //! the first half a step from the origin. They are read where there is no scalar point data, or by
-//! their name. Those of rectilinear and curvilinear grids are refused.
+//! their name.
 //!
 //! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space;
 //! [`coordinates`] gives the positions of their samples.
@@ -83,7 +83,8 @@ impl Format for VtkXml {
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
-        [&b"<?xml"[..], b"<VTKFile"].iter().any(|tag| head.text().starts_with(tag))
+        // Other XML, such as XDMF, is of other programs.
+        head.text().starts_with(b"<") && head.bytes.windows(8).any(|tag| tag == b"<VTKFile")
     }
 
     fn is_mesh(&self, head: &Head<'_>) -> bool {
@@ -99,7 +100,7 @@ impl Format for VtkXml {
     }
 
     fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        coordinates(&Arc::new(ByteSource::open(path, options.io)?))
+        coordinates(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
     }
 
     fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
@@ -110,18 +111,18 @@ impl Format for VtkXml {
 /// Opens the image of a `.vti` file, or the samples of the grid of a `.vtr` or `.vts` file.
 ///
 /// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data of
-/// a grid, vectors; [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, vectors;
+/// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     image::open(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
 }
 
-/// The coordinates of a `.vtr` or `.vts` file; `None` of an image.
+/// The coordinates of the samples of a field of a `.vtr` or `.vts` file; `None` of an image.
 ///
 /// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file.
-pub(crate) fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> {
-    grid::coordinates(&Image::open(source)?)
+/// As [`open`].
+pub(crate) fn coordinates(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Option<GridCoordinates>> {
+    grid::coordinates(&Image::open(source)?, wanted)
 }
 
 /// The time that a file, or the first one that an index lists, has in its field data as

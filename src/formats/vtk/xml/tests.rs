@@ -341,6 +341,59 @@ fn cell_data_of_an_image_are_samples_in_the_middles() {
     assert!(refused(&apart, None).contains("none for sample (1, 0, 0)"));
 }
 
+/// A grid of 5 x 4 x 3 points with cell data alone: x is uneven, points of a curvilinear one are
+/// sheared besides.
+fn grid_of_cells(encoding: Encoding, kind: &str) -> Vec<u8> {
+    let mut file = encoding.file(kind, "WholeExtent=\"0 4 0 3 0 2\"");
+    file.text("<Piece Extent=\"0 4 0 3 0 2\">\n<CellData>\n");
+    file.array("c", 1, &(0..24).collect::<Vec<i16>>());
+    file.text("</CellData>\n");
+    if kind == "RectilinearGrid" {
+        file.text("<Coordinates>\n");
+        file.array("x", 1, &[0.0f32, 1.0, 4.0, 9.0, 16.0]);
+        file.array("y", 1, &[0.0f32, 2.0, 4.0, 6.0]);
+        file.array("z", 1, &[5.0f32, 4.0, 2.0]);
+        file.text("</Coordinates></Piece>\n");
+    } else {
+        let each = (0..3).flat_map(|z| (0..4).flat_map(move |y| (0..5).map(move |x| [x, y, z])));
+        let points = each.map(|p| p.map(|n: u8| f32::from(n))).flat_map(|[x, y, z]| [x * x + y, 2.0 * y, z]);
+        file.text("<Points>\n");
+        file.array("p", 3, &points.collect::<Vec<f32>>());
+        file.text("</Points></Piece>\n");
+    }
+    file.finish()
+}
+
+#[test]
+fn cell_data_of_grids_are_samples_in_the_middles() {
+    for encoding in every_encoding() {
+        for kind in ["RectilinearGrid", "StructuredGrid"] {
+            let bytes = grid_of_cells(encoding, kind);
+            let (info, values) = read_all(open_bytes(&bytes, None).unwrap());
+            assert_eq!(
+                (info.dims, &info.field.name[..], values),
+                ([4, 3, 2], "c", (0..24).map(|i| i as f32).collect()),
+                "{encoding:?}"
+            );
+            let dir = tempfile::tempdir().unwrap();
+            let path = crate::formats::tests::write(&dir, "a.vtr", &bytes);
+            let found = crate::formats::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap();
+            match found {
+                GridCoordinates::Axes(axes) => {
+                    assert_eq!(axes, [vec![0.5, 2.5, 6.5, 12.5], vec![1.0, 3.0, 5.0], vec![4.5, 3.0]])
+                }
+                GridCoordinates::Points(mut stream) => {
+                    let mut points = vec![0.0; 3 * 24];
+                    stream.fill(&mut points).unwrap();
+                    stream.finish().unwrap();
+                    assert_eq!(points[..6], [1.0, 1.0, 0.5, 3.0, 1.0, 0.5]);
+                    assert_eq!(points[3 * 23..], [12.5 + 2.5, 5.0, 1.5]);
+                }
+            }
+        }
+    }
+}
+
 fn refused(bytes: &[u8], field: Option<&str>) -> String {
     let source = open_bytes(bytes, field);
     let error = source.and_then(try_read_all).expect_err("the file is refused");
@@ -358,10 +411,6 @@ fn the_field_is_chosen_or_asked_for() {
     assert!(open_bytes(no_active.as_bytes(), Some("b")).is_ok());
     assert!(refused(good.as_bytes(), Some("v")).contains("no scalar field v"));
     assert!(refused(good.as_bytes(), Some("w")).contains("no scalar field w"));
-    let grid = good.replace("ImageData", "StructuredGrid");
-    assert!(refused(grid.as_bytes(), Some("cell")).contains("cell data of that name"));
-    let cells_only = grid.replace("PointData", "OtherData");
-    assert!(refused(cells_only.as_bytes(), None).contains("cell data only: cell"));
     // The only scalar array needs no mark.
     let one = no_active
         .replace("Name=\"a &amp; c\" NumberOfComponents=\"1\"", "Name=\"a\" NumberOfComponents=\"3\"");
@@ -551,7 +600,6 @@ fn real_files_that_are_no_scalar_image_are_refused_by_name() {
     for (name, says) in [
         ("variants/vase_4component_u8.vti", "Scalars_ (4 x uint8, not scalar)"),
         ("variants/QuadraticTetra.vtu", "an unstructured grid (.vtu)"),
-        ("variants/vtkio/RectilinearGrid_ascii.vtr", "cell data only"),
         ("variants/vtkio/hexahedron_lzma_inline_binary.vtu", "UnstructuredGrid"),
         ("variants/vtkio/polyEx0.vtp", "a surface (.vtp)"),
         ("variants/vtkio/cube.pvtp", "PPolyData"),
