@@ -20,7 +20,8 @@
 //! | 53, 54 | "MAP ", MACHST | byte order: 44 44 or 44 41 little-endian, 11 11 big-endian |
 //!
 //! Sample (i, j, k) is at `origin + i·c + j·r + k·s`, where c, r and s are the edges of the cell
-//! along columns, rows and sections, divided by MX, MY or MZ. The cell may be oblique. Where the
+//! along columns, rows and sections, divided by MX, MY or MZ. The cell may be oblique. MX, MY, MZ
+//! and edges below 0 are errors, as for CCP-EM's mrcfile; those of 0 are not given. Where the
 //! stamp names no byte order, that in which the mode is known counts. The volumes of a stack are
 //! the fields `v0`, `v1`, …. Refused by name: complex numbers, samples of 4 bits, stacks of images.
 //!
@@ -242,8 +243,23 @@ impl Header {
         }
     }
 
+    /// MX, MY, MZ and the edges of the cell; 0 where they are not given.
+    fn cell(&self) -> Result<([i64; 3], [f64; 3])> {
+        let (samples, edges) = (self.integers(8), self.floats(11));
+        let help = "correct the header, e.g. with voxel_size of Python's mrcfile";
+        if let Some(n) = samples.into_iter().find(|&n| n < 0) {
+            let error = self.bad("MX, MY, MZ, byte 28", "samples along a cell, not below 0", n.to_string());
+            return Err(error.with_help(help));
+        }
+        if let Some(edge) = edges.into_iter().find(|edge| !(0.0..f64::INFINITY).contains(edge)) {
+            let expected = "edges of a cell in ångström, not below 0";
+            return Err(self.bad("CELLA, byte 40", expected, edge.to_string()).with_help(help));
+        }
+        Ok((samples, edges))
+    }
+
     fn geometry(&self) -> Result<Geometry> {
-        let (axes, samples, edges) = (self.axes()?, self.integers(8), self.floats(11));
+        let (axes, (samples, edges)) = (self.axes()?, self.cell()?);
         let directions = self.directions()?;
         let spacing: [f64; 3] = std::array::from_fn(|a| match (samples[a], edges[a]) {
             // Not given.
@@ -425,7 +441,13 @@ mod tests {
             (&[(24, -8i32 as u32)], "NSYMBT"),
             (&[(24, 8)], "cut short"),
             (&[(17, 2)], "MAPC"),
-            (&[(11, float(f32::NAN))], "cell"),
+            (
+                &[(11, float(f32::NAN))],
+                "CELLA, byte 40: expected edges of a cell in ångström, not below 0, got NaN",
+            ),
+            (&[(12, float(-4.5))], "CELLA, byte 40"),
+            (&[(13, float(f32::INFINITY))], "CELLA, byte 40"),
+            (&[(9, -3i32 as u32)], "MX, MY, MZ, byte 28"),
             (&[(14, float(10.0)), (15, float(100.0)), (16, float(20.0))], "CELLB"),
         ] {
             let error = open_volume(
