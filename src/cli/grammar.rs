@@ -8,7 +8,7 @@
 //!  error           2.5  1%                  size            4GiB  500MB  50%
 //!  box             10:20,:,5:               triple          1,1,2.5
 //!  times           0,0.5,2   0,0.5,...      time span       2d  12h  30m  90s
-//!  type            uint16  <f4              shard           3/16
+//!  type            uint16  u16  <f4         shard           3/16
 //!  length          0.5  0.1%             opacity         0.3  30%
 //!  plane           z=40  x=50%          slab            z=40:  x=:50%  y=10:20
 //! ```
@@ -17,6 +17,7 @@
 //! which flag.
 
 use super::step::Times;
+use isospan::exec::MOST_THREADS;
 use isospan::formats::raw::SampleType;
 use isospan::pipeline::{Bound, NanPolicy, Roi, Shard, StepRange, ValueBits};
 use isospan::render::{ColourMap, Paint, Up, parse_colour};
@@ -75,6 +76,11 @@ where
         let found = whole(text).ok().filter(|n| bounds.contains(n));
         expected(found, &format!("a whole number from {} to {}", bounds.start(), bounds.end()))
     }
+}
+
+/// Threads: `8`, or 0 for as many as the process may use.
+pub(crate) fn threads(text: &str) -> Parsed<usize> {
+    whole_in(0..=MOST_THREADS)(text)
 }
 
 /// A whole number above 0.
@@ -401,7 +407,10 @@ pub(crate) fn span(text: &str) -> Parsed<Duration> {
 /// The type of a sample, as NumPy names it: `uint16`, `<u2`, `>f4`.
 pub(crate) fn sample_type(text: &str) -> Parsed<SampleType> {
     let names = ScalarType::ALL.map(ScalarType::name).join(" ");
-    expected(SampleType::from_name(text), &format!("a type, as in uint16 or '<f4'; the types are {names}"))
+    expected(
+        SampleType::from_name(text),
+        &format!("a type, as in uint16, u16 or '<f4'; the types are {names}"),
+    )
 }
 
 /// `3/16`.
@@ -466,6 +475,8 @@ mod tests {
         refused(positive_number, &["0", "-1"]);
         refused(whole::<u8>, &["", "-1", "1.5", "256"]);
         refused(natural, &["0"]);
+        assert_eq!((threads("0"), threads("4096")), (Ok(0), Ok(4096)));
+        refused(threads, &["", "-1", "4097", "18446744073709551615", "18446744073709551616"]);
         refused(whole_in(2..=5u32), &["1", "6"]);
     }
 
@@ -556,6 +567,7 @@ mod tests {
         refused(up, &["", "w", "+x"]);
         refused(paint, &["", "red", "#12"]);
         refused(background, &["", "none"]);
-        refused(sample_type, &["", "u16", "u8", "i8", "float", "<u3", "complex64"]);
+        assert_eq!(["u16", "uint16", "ushort"].map(|name| sample_type(name).is_ok()), [true; 3]);
+        refused(sample_type, &["", "char", "long", "<u3", "complex64"]);
     }
 }

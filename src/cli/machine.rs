@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads; 0 means as many as the process may use.
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "0", value_parser = grammar::whole::<usize>, allow_negative_numbers = true)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "0", value_parser = grammar::threads, allow_negative_numbers = true)]
     pub(crate) threads: usize,
     /// Limit of memory: 4GiB, 500MB or 50% [default: half of what the process may use]. Pages of
     /// mapped files do not count.

@@ -32,13 +32,20 @@ pub(crate) use threads::Threads;
 
 use crate::error::{Error, Result};
 
+/// The most threads that can be asked for: more than any machine has, few enough to be started.
+pub const MOST_THREADS: usize = 4096;
+
 /// A pool of `threads` worker threads of our own; 0 means as many as the process may use. If the
 /// system refuses this number, the pool has half of it, and so on down to one. The results are the
 /// same.
 ///
 /// # Errors
-/// [`Error::Io`] when the system refuses even one thread.
+/// [`Error::Usage`] for more than [`MOST_THREADS`]; [`Error::Io`] when the system refuses even one
+/// thread.
 pub fn pool(threads: usize) -> Result<rayon::ThreadPool> {
+    if threads > MOST_THREADS {
+        return Err(Error::usage(format!("{threads} threads: ask for {MOST_THREADS} at the most")));
+    }
     let threads = if threads == 0 { available_threads() } else { threads };
     fewer_if_refused(threads, |threads| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("isospan-{i}")).build()
@@ -78,6 +85,7 @@ mod tests {
         assert_eq!(fewer_if_refused(16, start(5)), Ok(4));
         assert_eq!(fewer_if_refused(7, start(1)), Ok(1));
         assert_eq!(fewer_if_refused(7, start(0)), Err("refused"));
+        assert_eq!(pool(usize::MAX).err().map(|e| e.exit_code()), Some(2));
         let line = no_thread("refused").to_string();
         assert!(line.contains("ulimit -u") && !line.contains('\n'), "{line}");
     }

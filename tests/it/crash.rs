@@ -168,8 +168,13 @@ fn a_killed_run_is_continued_chunk_by_chunk() {
 #[test]
 fn signals_stop_a_run_in_a_state_that_continues() {
     let case = Case::new();
-    let signals =
-        [("TERM", Signal::TERM), ("INT", Signal::INT), ("USR1", Signal::USR1), ("XCPU", Signal::XCPU)];
+    let signals = [
+        ("TERM", Signal::TERM),
+        ("INT", Signal::INT),
+        ("HUP", Signal::HUP),
+        ("USR1", Signal::USR1),
+        ("XCPU", Signal::XCPU),
+    ];
     for (n, (name, number)) in (3u32..).zip(signals) {
         let out = format!("{name}.isospan");
         let stopped = (0..60u32).find_map(|tries| {

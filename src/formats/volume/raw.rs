@@ -30,20 +30,55 @@ pub struct SampleType {
 }
 
 impl SampleType {
-    /// The type of a name of NumPy: "uint16", or with the byte order "<u2", ">f4", "|u1".
+    /// The type of a name: of NumPy and Zarr, "uint16", or with the byte order "<u2", ">f4", "|u1";
+    /// of Rust, "u16", "f32"; of C, "unsigned short", "uint16_t", "float". In any case.
     ///
-    /// "u8" and "i8" without byte order are no names: NumPy means eight bytes, others eight bits.
+    /// "u8" and "i8" have eight bits, as in Rust and of most programs that read raw files. NumPy
+    /// means eight bytes, which a file's length shows. C's `char` and `long` are no names, since
+    /// they are not the same everywhere.
     pub fn from_name(name: &str) -> Option<Self> {
+        let name = name.trim().to_ascii_lowercase();
         let (order, code) = name.split_at_checked(1)?;
         let big_endian = match order {
             "<" => Some(false),
             ">" => Some(true),
             "|" => None,
-            _ => return ScalarType::from_name(name).map(|scalar| Self { scalar, big_endian: None }),
+            _ => return named(&name).map(|scalar| Self { scalar, big_endian: None }),
         };
         let found = ScalarType::from_code(code).map(|scalar| Self { scalar, big_endian });
         found.filter(|t| t.big_endian.is_some() || t.scalar.bytes() == 1)
     }
+}
+
+/// Names of C and of programs, without blanks, hyphens, "_t" and "int" at the end.
+const NAMED: [(ScalarType, &[&str]); 11] = [
+    (ScalarType::U8, &["uchar", "unsignedchar", "byte", "ubyte"]),
+    (ScalarType::I8, &["schar", "signedchar"]),
+    (ScalarType::U16, &["ushort", "unsignedshort"]),
+    (ScalarType::I16, &["short", "signedshort"]),
+    (ScalarType::U32, &["u", "unsigned"]),
+    (ScalarType::I32, &["", "signed"]),
+    (ScalarType::U64, &["ulonglong", "unsignedlonglong"]),
+    (ScalarType::I64, &["longlong", "signedlonglong"]),
+    (ScalarType::F16, &["half"]),
+    (ScalarType::F32, &["float", "single"]),
+    (ScalarType::F64, &["double"]),
+];
+
+/// The type of a name in lower case.
+fn named(name: &str) -> Option<ScalarType> {
+    let plain = name.strip_suffix("_t").unwrap_or(name);
+    let of_rust = |t: &ScalarType| format!("{}{}", &t.name()[..1], 8 * t.bytes());
+    let known = ScalarType::from_name(plain);
+    let known = known.or_else(|| ScalarType::ALL.into_iter().find(|t| of_rust(t) == name));
+    let known = known.or_else(|| ScalarType::from_code(name));
+    known.or_else(|| {
+        let joined = plain.replace([' ', '-', '_'], "");
+        let short = joined.strip_suffix("int").unwrap_or(&joined);
+        // Of nothing at all nothing is left, too.
+        let found = NAMED.iter().find(|(_, names)| names.contains(&short) && !joined.is_empty());
+        found.map(|&(scalar, _)| scalar)
+    })
 }
 
 /// Opens a headerless file.
@@ -133,6 +168,51 @@ mod tests {
             assert_eq!((info.dims, info.geometry.spacing), ([4, 3, 2], [1.0, 2.0, 0.5]));
             assert_eq!(info.geometry.origin, [-1.0, 0.0, 9.0]);
             assert_eq!(values, (0..24).map(|i| (1000 + i) as f32).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn types_have_the_names_that_programs_give_them() {
+        use ScalarType::*;
+        for (scalar, names) in [
+            (U8, &["u8", "uint8", "|u1", "u1", "UINT8", "uint8_t", "uchar", "unsigned char", "byte"][..]),
+            (I8, &["i8", "int8", "|i1", "i1", "int8_t", "signed char"]),
+            (U16, &["u16", "uint16", "<u2", ">u2", "u2", "uint16_t", "ushort", "unsigned short", "UShort"]),
+            (I16, &["i16", "int16", "<i2", "i2", "int16_t", "short", "short int", "signed short int"]),
+            (U32, &["u32", "uint32", "<u4", "u4", "uint32_t", "uint", "unsigned int", "unsigned"]),
+            (I32, &["i32", "int32", "<i4", "i4", "int32_t", "int", "signed int"]),
+            (U64, &["u64", "uint64", "<u8", "uint64_t", "unsigned long long", "ulonglong"]),
+            (I64, &["i64", "int64", "<i8", "int64_t", "long long"]),
+            (F16, &["f16", "float16", "<f2", "f2", "half"]),
+            (F32, &["f32", "float32", "<f4", ">f4", "f4", "float", "Float32", "single"]),
+            (F64, &["f64", "float64", "<f8", "f8", "double"]),
+        ] {
+            for name in names {
+                let found = SampleType::from_name(name).expect(name);
+                let big_endian = match &name[..1] {
+                    "<" => Some(false),
+                    ">" => Some(true),
+                    _ => None,
+                };
+                assert_eq!(found, SampleType { scalar, big_endian }, "{name}");
+            }
+        }
+        for name in [
+            "",
+            " ",
+            "char",
+            "long",
+            "long int",
+            "<u3",
+            "|u2",
+            "<u16",
+            "u12",
+            "f8x",
+            "f128",
+            "_t",
+            "complex64",
+        ] {
+            assert_eq!(SampleType::from_name(name), None, "{name}");
         }
     }
 
