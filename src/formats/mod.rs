@@ -30,6 +30,7 @@ pub use series::{StepSource, order_in_doubt, packed_frames, steps_of, unpack_fra
 pub use shared::coordinates;
 pub use shared::{OpenOptions, RawLayout, pick_field};
 pub(crate) use volume::brick_map;
+pub(crate) use volume::folder::passed_over;
 pub use volume::nifti::UnpackedFrames;
 pub use volume::{raw, samples};
 

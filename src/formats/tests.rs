@@ -93,6 +93,44 @@ pub(crate) fn torture(name: &str, bytes: &[u8], needed: usize) {
     }
 }
 
+/// As the libraries of N5, neuroglancer's (cloud-volume) and OpenFOAM write them.
+#[test]
+fn folders_of_other_programs_are_named() {
+    let n5 =
+        r#"{"dataType":"uint8","compression":{"type":"gzip"},"blockSize":[64,64,64],"dimensions":[9,9,9]}"#;
+    let info = r#"{"data_type": "uint8", "num_channels": 1, "scales": [{"key": "8_8_8"}], "type": "image"}"#;
+    let meshes = r#"{"@type": "neuroglancer_multilod_draco"}"#;
+    for (file, content, kind, help) in [
+        ("attributes.json", r#"{"n5":"2.5.1"}"#, "an N5 container", "OME-Zarr"),
+        ("attributes.json", n5, "an array of N5", "OME-Zarr"),
+        ("info", info, "a precomputed volume of neuroglancer", ".npy"),
+        ("info", meshes, "precomputed data of neuroglancer", ".npy"),
+        ("system/controlDict", "FoamFile {}", "an OpenFOAM case", "foamToVTK"),
+        ("slice_01.bmp", "BM\x36\x10\0\0\0\0\0\0", "a BMP picture", "TIFF slices"),
+        ("info", "{}", "none of these", "name a file in it"),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(file);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, content).unwrap();
+        let refused = |path: &Path| {
+            let error = open_volume(path, &OpenOptions::default()).err().expect("refused");
+            assert_eq!(error.exit_code(), 5);
+            error.to_string()
+        };
+        let line = refused(dir.path());
+        assert!(line.contains(kind) && line.contains(help), "{line}");
+        if matches!(file, "attributes.json" | "info") {
+            let line = refused(&path);
+            assert!(line.contains(kind), "{line}");
+        }
+        if file.ends_with(".bmp") {
+            let line = refused(&dir.path().join("*.bmp"));
+            assert!(line.contains(kind) && line.contains(help), "{line}");
+        }
+    }
+}
+
 fn field(name: &str, components: u32) -> FieldInfo {
     FieldInfo { name: name.into(), scalar: ScalarType::F32, components }
 }
@@ -126,6 +164,18 @@ fn unknown_kinds_are_told_what_is_read() {
         ("a.czi", &b"ZISRAWFILE\0"[..], "a Zeiss CZI file", "bfconvert"),
         ("a.vgl", b"FORMAT\n", "a file of VGStudio", "--dims"),
         ("p", b"\nFoamFile\n{", "an OpenFOAM file", "foamToVTK"),
+        ("case.foam", b"\n", "an OpenFOAM case", "foamToVTK"),
+        ("slice", b"BM\x36\x10\0\0\0\0\0\0\x36\0\0\0", "a BMP picture", "TIFF slices"),
+        ("BM", b"BM and other letters", "none of these", "--dims"),
+        ("slice", b"RIFF\x10\0\0\0WEBPVP8 ", "a WebP picture", "TIFF slices"),
+        (
+            "a.xmf",
+            b"<?xml version=\"1.0\" ?>\n<!DOCTYPE Xdmf>\n<Xdmf Version=\"3.0\">",
+            "an XDMF file",
+            "HDF5",
+        ),
+        ("a.sgy", b"C 1 CLIENT", "SEG-Y", "segyio"),
+        ("a.mgz", b"\0\0\0\x01", "FreeSurfer", "mri_convert"),
         ("a.other", b"what", "none of these: it begins with 77 68 61 74", "--dims"),
     ] {
         let line = open(name, bytes).to_string();
@@ -135,6 +185,10 @@ fn unknown_kinds_are_told_what_is_read() {
     write(&scans, "IM0002", b"ZISRAWFILE\0");
     let line = open_volume(scans.path(), &OpenOptions::default()).err().expect("refused").to_string();
     assert!(line.contains("a Zeiss CZI file") && line.contains("bfconvert"), "{line}");
+    // A case is named by an empty file; that of another name is empty.
+    let line = open("case.foam", b"").to_string();
+    assert!(line.contains("an OpenFOAM case") && line.contains("foamToVTK"), "{line}");
+    assert!(open("case", b"").to_string().contains("empty"));
     assert_eq!(open("a.raw", b"1234").exit_code(), 2);
     let layout = RawLayout { dims: [2; 3], scalar: ScalarType::U8, big_endian: false, offset: 0 };
     let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };

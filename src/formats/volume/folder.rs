@@ -3,13 +3,16 @@
 use super::dicom;
 use super::stack;
 use super::tiff;
+use super::zarr;
 use crate::bytes::IoMode;
+use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::formats::shared::format::Head;
 use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
-use crate::volume::VolumeSource;
-use std::path::Path;
+use crate::volume::{VolumeInfo, VolumeSource};
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
 
 /// Opens a folder or a pattern.
 ///
@@ -27,6 +30,9 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
         }
         let slices = stack::matching(path)?;
         if let Some(other) = slices.iter().find(|slice| !has_suffix(slice, &tiff::SUFFIXES)) {
+            if let Some(unread) = unread_of(other) {
+                return Err(unread.error(path, "pattern", "slices (*.tif) or DICOM"));
+            }
             return Err(Error::bad_input(
                 path,
                 "pattern",
@@ -52,17 +58,37 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
     if let Some(source) = dicom::open_folder(path, options)? {
         return Ok(source);
     }
-    let (got, help) = match unread_in(path) {
-        Some(Unread { name, help }) => (format!("{name}, which isospan does not read"), help),
-        None => ("none of these".into(), "name a file in it, or a pattern for its slices, in quotes"),
-    };
-    Err(Error::bad_input(path, "folder", "slices (*.tif), DICOM, or a Zarr array or group", got)
-        .with_help(help))
+    let expected = "slices (*.tif), DICOM, or a Zarr array or group";
+    Err(match Unread::of_folder(path).or_else(|| unread_in(path)) {
+        Some(unread) => unread.error(path, "folder", expected),
+        None => Error::bad_input(path, "folder", expected, "none of these")
+            .with_help("name a file in it, or a pattern for its slices, in quotes"),
+    })
 }
 
-/// The kind of the first file of a folder, by its name, if it is one that is not read.
+/// The files of a folder that are no part of the volume that it was read as, by their names. A Zarr
+/// array is no such folder: it may have any files.
+pub(crate) fn passed_over(info: &VolumeInfo) -> Vec<String> {
+    let folder = &info.path;
+    let is_in_it = |file: &PathBuf| file.parent() == Some(folder);
+    if is_remote(folder) || !folder.is_dir() || !info.data_files.iter().all(is_in_it) || is_zarr(folder) {
+        return vec![];
+    }
+    let read: HashSet<&PathBuf> = info.data_files.iter().collect();
+    let files = stack::files(folder).unwrap_or_default().into_iter().filter(|file| !read.contains(file));
+    files.filter_map(|file| Some(file.file_name()?.to_string_lossy().into_owned())).collect()
+}
+
+fn is_zarr(folder: &Path) -> bool {
+    zarr::is_zarr(folder).unwrap_or(true)
+}
+
+/// The kind of the first files of a folder, by their names, that is not read.
 fn unread_in(folder: &Path) -> Option<Unread> {
-    let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
-    let first = files.filter(|path| path.is_file()).min()?;
-    Unread::of(&Head::of(&first, IoMode::Read).ok()?)
+    const LOOKED_AT: usize = 16;
+    stack::files(folder).ok()?.iter().take(LOOKED_AT).find_map(|file| unread_of(file))
+}
+
+fn unread_of(file: &Path) -> Option<Unread> {
+    Unread::of(&Head::of(file, IoMode::Read).ok()?)
 }

@@ -51,6 +51,13 @@ pub enum Finding {
         /// Least and largest.
         range: [f64; 2],
     },
+    /// Files of a folder that are no part of the volume, such as the reports beside a DICOM series.
+    PassedOver {
+        /// Their names, the first ones of many.
+        files: Vec<String>,
+        /// How many there are.
+        count: u64,
+    },
     /// More points are asked for than there are samples.
     MorePoints {
         /// Points asked for.

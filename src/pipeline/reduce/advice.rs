@@ -12,7 +12,7 @@ use crate::bytes::place;
 use crate::bytes::remote::is_remote;
 use crate::cells::CellMesh;
 use crate::error::{Result, bytes_text};
-use crate::formats::{Input, StepSource};
+use crate::formats::{Input, StepSource, passed_over};
 use crate::geom::Lattice;
 use crate::pipeline::inputs::{Fill, Scan, Seen, Stretch, Survey, scan, survey_mesh, survey_volume, watched};
 use crate::pipeline::plan::{Estimate, Finding, Notice, count_of};
@@ -85,6 +85,22 @@ impl Notice {
             grouped(of)
         );
         Self::new(path, Finding::Stretched { count, value, others }, &text)
+    }
+
+    /// That files of a folder are no part of the volume, if there are some.
+    fn of_passed_over(info: &VolumeInfo) -> Option<Self> {
+        const SHOWN: usize = 5;
+        let mut files = passed_over(info);
+        let count = files.len() as u64;
+        files.truncate(SHOWN);
+        let more = if count > SHOWN as u64 { ", …" } else { "" };
+        let [noun, verb] = if count == 1 { ["file", "is no slice"] } else { ["files", "are no slices"] };
+        let text = format!(
+            "{} {noun} of the folder {verb}, and passed over: {}{more}",
+            grouped(count),
+            files.join(", ")
+        );
+        (count > 0).then(|| Self::new(&info.path, Finding::PassedOver { files, count }, &text))
     }
 
     /// That the own vertices of a mesh would be the better archive; `why` says so of the one that
@@ -217,6 +233,9 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
         let Ok(input) = source.open() else { continue };
         if matches!(&input, Input::Volume(volume) if Lattice::new(volume.info().dims).is_err()) {
             continue;
+        }
+        if let Input::Volume(volume) = &input {
+            out.notices.extend(Notice::of_passed_over(volume.info()));
         }
         if out.size.is_none() {
             out.size = size_of(&input, sources);
@@ -437,7 +456,8 @@ fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
 pub fn scan_with_notices(source: VolumeSource) -> Result<(VolumeInfo, Scan, Vec<Notice>)> {
     let (source, watched) = watched(source)?;
     let (info, found) = scan(source)?;
-    let notices = of_survey(&info.path, watched.survey(), None, NanPolicy::Error);
+    let mut notices: Vec<Notice> = Notice::of_passed_over(&info).into_iter().collect();
+    notices.extend(of_survey(&info.path, watched.survey(), None, NanPolicy::Error));
     Ok((info, found, notices))
 }
 

@@ -17,6 +17,7 @@ use std::path::Path;
 pub(super) type Tag = u32;
 
 pub(super) const TRANSFER_SYNTAX: Tag = 0x0002_0010;
+pub(super) const CLASS: Tag = 0x0008_0016;
 pub(super) const SERIES: Tag = 0x0020_000e;
 pub(super) const POSITION: Tag = 0x0020_0032;
 pub(super) const ORIENTATION: Tag = 0x0020_0037;
@@ -41,6 +42,11 @@ pub(super) const LOOKUP: Tag = 0x0028_3000;
 pub(super) const MEASURES: Tag = 0x0028_9110;
 pub(super) const TRANSFORMATION: Tag = 0x0028_9145;
 pub(super) const PET_UNITS: Tag = 0x0054_1001;
+pub(super) const SEGMENTATION: Tag = 0x0062_0001;
+pub(super) const MOST_FRACTION: Tag = 0x0062_000e;
+pub(super) const DOSE_UNITS: Tag = 0x3004_0002;
+pub(super) const DOSE_OFFSETS: Tag = 0x3004_000c;
+pub(super) const DOSE_SCALING: Tag = 0x3004_000e;
 pub(super) const SHARED: Tag = 0x5200_9229;
 pub(super) const PER_FRAME: Tag = 0x5200_9230;
 pub(super) const FLOATS: Tag = 0x7fe0_0008;
@@ -49,12 +55,13 @@ pub(super) const PIXELS: Tag = 0x7fe0_0010;
 
 /// What is kept, and whether it is a sequence.
 #[rustfmt::skip]
-const WANTED: [(Tag, bool); 30] = [
-    (TRANSFER_SYNTAX, false), (SERIES, false), (POSITION, false),
+const WANTED: [(Tag, bool); 36] = [
+    (TRANSFER_SYNTAX, false), (CLASS, false), (SERIES, false), (POSITION, false),
     (ORIENTATION, false), (PLANE_POSITION, true), (PLANE_ORIENTATION, true), (SAMPLES, false), (COLOURS, false),
     (FRAMES, false), (ROWS, false), (COLUMNS, false), (PIXEL_SPACING, false), (ALLOCATED, false), (STORED, false),
     (HIGH_BIT, false), (SIGNED, false), (PADDING, false), (PADDING_LIMIT, false), (INTERCEPT, false),
     (SLOPE, false), (RESCALE_TYPE, false), (LOOKUP, true), (MEASURES, true), (TRANSFORMATION, true), (PET_UNITS, false), (SHARED, true), (PER_FRAME, true),
+    (SEGMENTATION, false), (MOST_FRACTION, false), (DOSE_UNITS, false), (DOSE_OFFSETS, false), (DOSE_SCALING, false),
     (FLOATS, false), (DOUBLES, false), (PIXELS, false),
 ];
 
@@ -292,14 +299,22 @@ impl<'a> Reader<'a> {
 
     /// The numbers of an element that is text.
     pub(super) fn numbers<const N: usize>(&self, of: &DataSet, tag: Tag) -> Result<Option<[f64; N]>> {
+        let Some(values) = self.list(of, tag, N)? else { return Ok(None) };
+        Ok(<[f64; N]>::try_from(values).ok())
+    }
+
+    /// So many numbers of an element that is text.
+    pub(super) fn list(&self, of: &DataSet, tag: Tag, count: usize) -> Result<Option<Vec<f64>>> {
         let Some(text) = self.text(of, tag) else { return Ok(None) };
-        let values: Vec<f64> = text.split('\\').filter_map(|word| word.trim().parse().ok()).collect();
-        let count = text.split('\\').count();
-        match <[f64; N]>::try_from(values) {
-            Ok(values) if count == N && values.iter().all(|v| v.is_finite()) => Ok(Some(values)),
-            _ => {
-                let expected = if N == 1 { "a number".into() } else { format!("{N} numbers") };
-                Err(Error::bad_input(self.path, format!("element {}", shown(tag)), expected, text))
+        let number = |word: &str| word.trim().parse().ok().filter(|v: &f64| v.is_finite());
+        let values: Option<Vec<f64>> = text.split('\\').map(number).collect();
+        match values.filter(|values| values.len() == count) {
+            Some(values) => Ok(Some(values)),
+            None => {
+                let expected = if count == 1 { "a number".into() } else { format!("{count} numbers") };
+                let got =
+                    if text.len() > 200 { format!("{} others", text.split('\\').count()) } else { text };
+                Err(Error::bad_input(self.path, format!("element {}", shown(tag)), expected, got))
             }
         }
     }

@@ -1,7 +1,7 @@
 //! What one file says of its frames.
 
 use super::element::*;
-use super::has_magic;
+use super::{dose, has_magic};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
@@ -78,13 +78,22 @@ impl Layout {
 
 impl DicomFile {
     /// Reads what describes the samples.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a damaged file, one that is no image, or one of a kind that is not
+    /// read.
     pub(super) fn read(source: &ByteSource) -> Result<Self> {
+        Self::read_image(source)?.ok_or_else(|| no_image(source.path()))
+    }
+
+    /// As [`DicomFile::read`]; `None` of what is no image: a report, a plan, the index of a medium.
+    pub(super) fn read_image(source: &ByteSource) -> Result<Option<Self>> {
         let file = Self::parse(source.path(), source.slice(0..source.len())?);
         source.check()?;
         file
     }
 
-    fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
+    fn parse(path: &Path, bytes: &[u8]) -> Result<Option<Self>> {
         if !has_magic(bytes) {
             return Err(Error::bad_input(path, "byte 128", "'DICM', as in a DICOM file", "other bytes")
                 .with_help("a file without this head is read after dcmconv wrote it again"));
@@ -96,6 +105,10 @@ impl DicomFile {
         let encoding = encoding(path, &syntax)?;
         let mut reader = Reader::new(path, bytes, encoding);
         let all = reader.data_set(at)?;
+        // An image that was cut short still has its size.
+        if ![ROWS, PIXELS, FLOATS, DOUBLES].into_iter().any(|tag| all.has(tag)) {
+            return Ok(None);
+        }
         let layout = layout(path, &reader, &all)?;
         let [count] = reader.numbers(&all, FRAMES)?.unwrap_or([1.0]);
         if !(1.0..=MOST_FRAMES as f64).contains(&count) || count.fract() != 0.0 {
@@ -121,12 +134,13 @@ impl DicomFile {
                 .with_help("the file is cut short or damaged"));
         }
         let series = reader.text(&all, SERIES).ok_or_else(|| missing(path, "Series Instance UID", SERIES))?;
-        let mut frames = vec![];
+        let (mut frames, planes) = (vec![], dose::planes(path, &reader, &all, count as usize)?);
         for number in 0..count as usize {
             let at = pixels.start as u64 + number as u64 * layout.frame_bytes();
-            frames.push(frame(path, &reader, &all, (number, count as usize), at)?);
+            let plane = planes.as_ref().map(|planes| planes[number]);
+            frames.push(frame(path, &reader, &all, (number, count as usize), at, plane)?);
         }
-        Ok(Self { path: path.into(), series, layout, frames, big_endian: encoding.big_endian })
+        Ok(Some(Self { path: path.into(), series, layout, frames, big_endian: encoding.big_endian }))
     }
 }
 
@@ -164,7 +178,7 @@ fn layout(path: &Path, reader: &Reader<'_>, all: &DataSet) -> Result<Layout> {
         None if all.has(FLOATS) || all.has(DOUBLES) => {
             return wrong("Pixel Data", "integers", "floats (Float Pixel Data)".into());
         }
-        None => return wrong("Pixel Data", "samples", "none: the file is no image".into()),
+        None => return Err(no_image(path)),
     }
     let integer = |tag, name: &str| reader.integer(all, tag)?.ok_or_else(|| missing(path, name, tag));
     let colours = reader.text(all, COLOURS).unwrap_or_default();
@@ -222,6 +236,7 @@ fn frame(
     all: &DataSet,
     (number, count): (usize, usize),
     at: u64,
+    plane: Option<[f64; 3]>,
 ) -> Result<Frame> {
     let own = all.items(PER_FRAME);
     if !own.is_empty() && own.len() != count {
@@ -233,19 +248,15 @@ fn frame(
     let in_groups = |group: Tag| groups.into_iter().flatten().find_map(|g| g.items(group).first());
     let find = |group: Tag| in_groups(group).unwrap_or(all);
     let orientation = reader.numbers(find(PLANE_ORIENTATION), ORIENTATION)?;
-    let position = reader.numbers(find(PLANE_POSITION), POSITION)?;
+    let position = plane.map_or_else(|| reader.numbers(find(PLANE_POSITION), POSITION), |p| Ok(Some(p)))?;
     let spacing = reader.numbers(find(MEASURES), PIXEL_SPACING)?;
-    if count > 1 && in_groups(PLANE_POSITION).is_none() {
+    if count > 1 && plane.is_none() && in_groups(PLANE_POSITION).is_none() {
         let expected = "a Plane Position Sequence for each frame";
         return Err(Error::bad_input(path, "functional groups", expected, "none")
             .with_help("convert it to NIfTI with dcm2niix, or to NRRD with 3D Slicer"));
     }
     let values = find(TRANSFORMATION);
-    let [slope] = reader.numbers(values, SLOPE)?.unwrap_or([1.0]);
-    let [intercept] = reader.numbers(values, INTERCEPT)?.unwrap_or([0.0]);
-    if slope == 0.0 {
-        return Err(Error::bad_input(path, "Rescale Slope", "a number other than 0", "0"));
-    }
+    let [slope, intercept] = scaling(path, reader, all, values)?;
     Ok(Frame {
         at,
         position: position.ok_or_else(|| missing(path, "Image Position (Patient)", POSITION))?,
@@ -257,8 +268,35 @@ fn frame(
     })
 }
 
-/// The unit of values: Rescale Type, or Units of PET. "US" means that it is not specified.
+/// Slope and intercept of values: Rescale, and what dose grids and segmentations have besides.
+fn scaling(path: &Path, reader: &Reader<'_>, all: &DataSet, values: &DataSet) -> Result<[f64; 2]> {
+    let [slope] = reader.numbers(values, SLOPE)?.unwrap_or([1.0]);
+    let [intercept] = reader.numbers(values, INTERCEPT)?.unwrap_or([0.0]);
+    if slope == 0.0 {
+        return Err(Error::bad_input(path, "Rescale Slope", "a number other than 0", "0"));
+    }
+    let by = dose::scaling(path, reader, all)?.unwrap_or(1.0) * fraction(path, reader, all)?;
+    Ok([slope * by, intercept * by])
+}
+
+/// What one step of a segmentation of fractions is; 1 of all else.
+fn fraction(path: &Path, reader: &Reader<'_>, all: &DataSet) -> Result<f64> {
+    if reader.text(all, SEGMENTATION).is_none_or(|kind| kind != "FRACTIONAL") {
+        return Ok(1.0);
+    }
+    let most = reader.integer(all, MOST_FRACTION)?;
+    match most.ok_or_else(|| missing(path, "Maximum Fractional Value", MOST_FRACTION))? {
+        0 => Err(Error::bad_input(path, "Maximum Fractional Value", "a number above 0", "0")),
+        most => Ok(1.0 / f64::from(most)),
+    }
+}
+
+/// The unit of values: Rescale Type, Units of PET or Dose Units. "US" means that it is not
+/// specified.
 fn unit(reader: &Reader<'_>, all: &DataSet, values: &DataSet) -> Option<Unit> {
+    if reader.text(all, DOSE_UNITS).is_some_and(|unit| unit == "GY") {
+        return Unit::new("Gy");
+    }
     match (&*reader.text(all, PET_UNITS).unwrap_or_default(), reader.text(values, RESCALE_TYPE)) {
         ("BQML", _) => Unit::new("Bq/mL"),
         ("CNTS", _) => Unit::new("counts"),
@@ -267,6 +305,10 @@ fn unit(reader: &Reader<'_>, all: &DataSet, values: &DataSet) -> Option<Unit> {
     }
 }
 
-fn missing(path: &Path, name: &str, tag: Tag) -> Error {
+fn no_image(path: &Path) -> Error {
+    Error::bad_input(path, "Pixel Data", "samples", "none: the file is no image")
+}
+
+pub(super) fn missing(path: &Path, name: &str, tag: Tag) -> Error {
     Error::bad_input(path, format!("{name} {}", shown(tag)), "a value", "none")
 }

@@ -7,7 +7,8 @@
 //! Each slice says where it lies: Image Position (the middle of its first sample, in mm, in the
 //! patient's coordinates), Image Orientation (the directions of rows and columns) and Pixel
 //! Spacing. Slices are ordered along the normal of their plane, whatever their names are. Files of
-//! many frames ("enhanced") say the same in functional groups, shared or of each frame.
+//! many frames ("enhanced") say the same in functional groups, shared or of each frame; dose grids
+//! have a vector of offsets (see `dose`). In a folder, files that are no images are passed over.
 //!
 //! A volume that is not whole would be silently wrong. So these are errors that name the files: two
 //! series in one folder, two slices at one place (times or echoes), a gap, unequal spacing, slices
@@ -15,7 +16,8 @@
 //! lookup tables, and frames without a position.
 //!
 //! Values are those of Rescale Slope and Intercept; where these differ from slice to slice (PET),
-//! they are computed as `f64`. The Pixel Padding Value means "no data". Bits above Bits Stored may
+//! they are computed as `f64`. Segmentations of fractions are divided by Maximum Fractional Value,
+//! dose grids are multiplied by Dose Grid Scaling. The Pixel Padding Value means "no data". Bits above Bits Stored may
 //! be overlays, and are not part of a sample.
 //!
 //! Files are read where they lie, some rows at a time. Memory: what describes the frames.
@@ -24,6 +26,7 @@
 //! needed.
 //! The format: the DICOM standard, parts PS3.3 (C.7.6) and PS3.5 (7).
 
+mod dose;
 mod element;
 mod file;
 mod series;
@@ -112,9 +115,18 @@ pub(super) fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<V
             .with_help("fetch the file again, or choose the slices by a pattern, in quotes"));
     }
     options.refuse_geometry(path, "a DICOM series")?;
-    let read = |file: &PathBuf| DicomFile::read(&Arc::new(ByteSource::open(file, options.io)?));
-    let files = files.iter().map(read).collect::<Result<Vec<_>>>()?;
-    open(path, files, None, options).map(Some)
+    // The index of a medium, reports and plans are no slices; `passed_over` names them.
+    let mut images = vec![];
+    for file in &files {
+        images.extend(DicomFile::read_image(&ByteSource::open(file, options.io)?)?);
+    }
+    if images.is_empty() {
+        let got = format!("{} without samples, as {}", files.len(), files[0].display());
+        return Err(
+            Error::bad_input(path, "slices", "DICOM images", got).with_help("name the folder of the images")
+        );
+    }
+    open(path, images, None, options).map(Some)
 }
 
 /// Opens the frames of all files as one volume.
