@@ -28,6 +28,7 @@ use crate::formats::volume::{
 };
 use crate::formats::vtk::{legacy::VtkLegacy, xml::VtkXml};
 use crate::volume::VolumeSource;
+use crate::volume::chunked::refuse_many_chunks;
 use std::path::Path;
 
 /// All formats, in the order in which they are looked for.
@@ -127,7 +128,11 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
             if format.has_spacing() {
                 options.refuse_geometry(path, format.name())?;
             }
-            format.volume(path, options)
+            let source = format.volume(path, options)?;
+            if let VolumeSource::Chunked(chunks) = &source {
+                refuse_many_chunks(path, source.info().dims, chunks.chunk_dims())?;
+            }
+            Ok(source)
         }
         (None, _) if head.is_folder => folder::open(path, options),
         (None, Some(_)) => raw::open(path, options),

@@ -24,6 +24,7 @@ use crate::volume::strided::convert_row;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader};
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -54,6 +55,25 @@ pub trait ChunkSource: Send + Sync {
     /// # Errors
     /// When the file cannot be read or decoded.
     fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()>;
+}
+
+/// The most chunks of a volume: opening so many files takes days.
+const MOST_CHUNKS: u64 = 1 << 32;
+
+/// Refuses a volume of so many chunks that reading it does not end.
+///
+/// # Errors
+/// [`Error::BadInput`].
+pub(crate) fn refuse_many_chunks(path: &Path, dims: [u64; 3], chunk: [u64; 3]) -> Result<()> {
+    let grid: [u64; 3] = std::array::from_fn(|a| dims[a].div_ceil(chunk[a].max(1)));
+    let count = grid.into_iter().fold(1, u64::saturating_mul);
+    if count <= MOST_CHUNKS {
+        return Ok(());
+    }
+    let list = |[x, y, z]: [u64; 3]| format!("{x} x {y} x {z}");
+    let got = format!("{} of {} samples each", list(grid), list(chunk));
+    Err(Error::bad_input(path, "chunks", format!("at most {MOST_CHUNKS} of them"), got)
+        .with_help("write the array again in larger chunks"))
 }
 
 /// What decides how many chunks are cached, known without the file.

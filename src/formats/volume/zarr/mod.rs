@@ -58,7 +58,7 @@ use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::grid::Geometry;
-use crate::volume::chunked::{ChunkSlabs, ChunkSource};
+use crate::volume::chunked::{ChunkSlabs, ChunkSource, refuse_many_chunks};
 use crate::volume::strided::swap_bytes;
 use crate::volume::units::{Unit, Units, common};
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
@@ -194,6 +194,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
     sample_bytes(&array.file, dims, array.scalar)?;
     check_chunks(&array)?;
+    refuse_many_chunks(&array.file, dims, axes.map(|a| a.map_or(1, |a| array.unit()[a])))?;
     let lines = lines(&array, axes, options.io)?;
     if image.is_some() || lines.iter().any(Option::is_some) {
         options.refuse_geometry(path, "a Zarr array with coordinates")?;
