@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.sequence import Sequence
-from pydicom.uid import ExplicitVRBigEndian, ExplicitVRLittleEndian, ImplicitVRLittleEndian
+from pydicom.uid import (
+    BasicTextSRStorage,
+    ExplicitVRBigEndian,
+    ExplicitVRLittleEndian,
+    ImplicitVRLittleEndian,
+    RTDoseStorage,
+    SegmentationStorage,
+)
 
 OUT = Path(__file__).resolve().parent.parent / "tests" / "data" / "dicom"
 CT, ENHANCED = "1.2.840.10008.5.1.4.1.1.2", "1.2.840.10008.5.1.4.1.1.2.1"
@@ -93,8 +100,61 @@ def enhanced(name, slopes):
     save(data, name)
 
 
+def dose(name, orientation, position, offsets):
+    """A dose grid of three frames: 32 bits, a scale, and offsets of the frames."""
+    data = new(name, RTDoseStorage, ImplicitVRLittleEndian)
+    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 32, 32, 31, 0
+    data.ImagePositionPatient, data.ImageOrientationPatient = position, orientation
+    data.PixelSpacing, data.NumberOfFrames = [0.5, 0.75], len(offsets)
+    data.FrameIncrementPointer, data.GridFrameOffsetVector = 0x3004000C, offsets
+    data.DoseUnits, data.DoseType, data.DoseGridScaling = "GY", "PHYSICAL", "2.5e-4"
+    data.PixelData = np.stack([SLICE + 20 * z for z in range(len(offsets))]).astype("<u4").tobytes()
+    data["PixelData"].VR = "OW"
+    save(data, name)
+
+
+def fractions(name):
+    """A segmentation of fractions, of 0 to 200."""
+    data = new(name, SegmentationStorage, ExplicitVRLittleEndian)
+    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 8, 8, 7, 0
+    data.SegmentationType, data.SegmentationFractionalType = "FRACTIONAL", "OCCUPANCY"
+    data.MaximumFractionalValue, data.NumberOfFrames = 200, 2
+    group, measures, plane = Dataset(), Dataset(), Dataset()
+    measures.PixelSpacing, plane.ImageOrientationPatient = [0.5, 0.75], ORIENTATION
+    group.PixelMeasuresSequence, group.PlaneOrientationSequence = Sequence([measures]), Sequence([plane])
+    data.SharedFunctionalGroupsSequence = Sequence([group])
+    frames = []
+    for z in range(2):
+        frame, place = Dataset(), Dataset()
+        place.ImagePositionPatient = position(z)
+        frame.PlanePositionSequence = Sequence([place])
+        frames.append(frame)
+    data.PerFrameFunctionalGroupsSequence = Sequence(frames)
+    data.PixelData = np.stack([10 * SLICE, SLICE]).astype("u1").tobytes()
+    save(data, name)
+
+
+def report(name):
+    """A report, which is no image."""
+    data = new(name, BasicTextSRStorage, ExplicitVRLittleEndian)
+    for image in ["SamplesPerPixel", "PhotometricInterpretation", "Rows", "Columns", "BitsAllocated", "BitsStored"]:
+        delattr(data, image)
+    del data.HighBit, data.PixelRepresentation
+    item = Dataset()
+    item.RelationshipType, item.ValueType, item.TextValue = "CONTAINS", "TEXT", "nothing of note"
+    data.ValueType, data.ContentSequence = "CONTAINER", Sequence([item])
+    save(data, name)
+
+
 if __name__ == "__main__":
     OUT.mkdir(parents=True, exist_ok=True)
     series()
     enhanced("enhanced.dcm", (1, 1, 1))
     enhanced("slopes.dcm", (1, 2, 4))
+    transverse = [1, 0, 0, 0, 1, 0]
+    dose("dose.dcm", ORIENTATION, position(0), [0, 2, 4])
+    dose("dose_places.dcm", transverse, [-10, 20, -30.5], [-30.5, -28.5, -26.5])
+    # Frames that go down, seen from the feet.
+    dose("dose_feet.dcm", [-1, 0, 0, 0, 1, 0], [10, 20, 30.5], [30.5, 28.5, 26.5])
+    fractions("fractions.dcm")
+    report("report")

@@ -89,6 +89,26 @@ fn ordinary_data_are_silent() {
     assert_eq!(notices(dir.path(), &["reduce", "a.npy", "b.npy", "-o", "s.isospan"]), [""; 0]);
 }
 
+/// A report beside a series of pydicom's is no slice, and is not lost without a word.
+#[test]
+fn files_that_are_no_slices_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dicom");
+    fs::create_dir(d.join("scan")).unwrap();
+    for slice in ["a", "b", "c", "d", "e"] {
+        fs::copy(data.join("series").join(slice), d.join("scan").join(slice)).unwrap();
+    }
+    let reduce = ["reduce", "scan", "-o", "a.isospan"];
+    assert_eq!(notices(d, &["info", "scan"]), [""; 0]);
+    fs::copy(data.join("report"), d.join("scan/report")).unwrap();
+    fs::write(d.join("scan/notes.txt"), "a text").unwrap();
+    let line = "isospan: scan: 2 files of the folder are no slices, and passed over: notes.txt, report";
+    assert_eq!(notices(d, &["info", "scan"]), [line]);
+    assert_eq!(notices(d, &[&reduce[..], &["--dry-run"]].concat()), [line]);
+    assert_eq!(notices(d, &reduce), [line]);
+}
+
 #[test]
 fn a_constant_field_and_a_stretched_range_are_named() {
     let dir = tempfile::tempdir().unwrap();

@@ -78,6 +78,74 @@ fn frames_of_one_file_are_a_volume() {
     assert!(line.contains("name the folder"), "{line}");
 }
 
+/// Offsets are along the normal from 0 on, or the z of each frame.
+#[test]
+fn dose_grids_are_placed_and_scaled() {
+    let expected: Vec<f32> = (0..60).map(|i| (2.5e-4 * f64::from(i)) as f32).collect();
+    let descending = [&expected[40..], &expected[20..40], &expected[..20]].concat();
+    for (name, first, last, expected) in [
+        ("dose.dcm", [100.0, -7.25, 30.5], [96.0, -4.25, 29.0], &expected),
+        ("dose_places.dcm", [-10.0, 20.0, -30.5], [-7.0, 21.5, -26.5], &expected),
+        // Seen from the feet, the normal goes down, and so do the frames.
+        ("dose_feet.dcm", [10.0, 20.0, 30.5], [7.0, 21.5, 26.5], &expected),
+    ] {
+        let (info, values) = read_all(open_default(&data(name)).unwrap());
+        assert_eq!((info.dims, info.field.scalar, &values), ([5, 4, 3], ScalarType::U32, expected), "{name}");
+        let place = |at| info.geometry.to_world(at);
+        assert_eq!((place([0.0; 3]), place([4.0, 3.0, 2.0])), (first, last), "{name}");
+        assert_eq!(info.units.value.as_ref().map(ToString::to_string).as_deref(), Some("Gy"));
+        torture(name, &std::fs::read(data(name)).unwrap(), usize::MAX);
+    }
+    // Frames that go against the normal are put in order.
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(data("dose.dcm")).unwrap();
+    let path = write(&dir, "a.dcm", &replaced(&bytes, br"0\2\4 ", br"0\-2\-4"));
+    let (info, values) = read_all(open_default(&path).unwrap());
+    assert_eq!((info.geometry.to_world([0.0; 3]), values), ([104.0, -7.25, 30.5], descending));
+    for (from, to, says) in [
+        (&br"0\2\4 "[..], &br"1\2\4 "[..], "Grid Frame Offset Vector: expected 0 first"),
+        (br"0\2\4 ", br"0\2   ", "3 numbers"),
+        (br"0\2\4 ", br"0\2\9 ", "slices 2 mm apart"),
+        (br"0\2\4 ", br"0\2\x ", "3 numbers"),
+        (b"2.5e-4", b"-2.5e4", "Dose Grid Scaling: expected a number above 0"),
+        (b"2.5e-4", b"      ", "Dose Grid Scaling (3004,000e)"),
+    ] {
+        let line = refused(&write(&dir, "a.dcm", &replaced(&bytes, from, to)));
+        assert!(line.contains(says), "{says}: {line}");
+    }
+}
+
+#[test]
+fn fractions_are_parts_of_the_largest() {
+    let (info, values) = read_all(open_default(&data("fractions.dcm")).unwrap());
+    // The second frame lies before the first along the normal.
+    let tens = (0..20).map(|i| (f64::from(10 * i) * (1.0 / 200.0)) as f32);
+    let ones = (0..20).map(|i| (f64::from(i) * (1.0 / 200.0)) as f32);
+    assert_eq!((info.dims, values), ([5, 4, 2], tens.chain(ones).collect::<Vec<_>>()));
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(data("fractions.dcm")).unwrap();
+    let line = refused(&write(&dir, "a.dcm", &replaced(&bytes, b"US\x02\0\xc8\0", b"US\x02\0\0\0")));
+    assert!(line.contains("Maximum Fractional Value"), "{line}");
+}
+
+#[test]
+fn files_that_are_no_images_are_passed_over() {
+    let dir = copy("a", |bytes| bytes);
+    let whole = read_all(open_default(dir.path()).unwrap()).1;
+    std::fs::copy(data("report"), dir.path().join("report")).unwrap();
+    write(&dir, "DICOMDIR", b"an index");
+    write(&dir, "notes.txt", b"a text");
+    let (info, values) = read_all(open_default(dir.path()).unwrap());
+    assert_eq!((values, info.data_files.len()), (whole, 5));
+    assert_eq!(crate::formats::passed_over(&info), ["DICOMDIR", "notes.txt", "report"]);
+    let line = refused(&data("report"));
+    assert!(line.contains("no image"), "{line}");
+    let reports = tempfile::tempdir().unwrap();
+    std::fs::copy(data("report"), reports.path().join("report")).unwrap();
+    let line = refused(reports.path());
+    assert!(line.contains("expected DICOM images"), "{line}");
+}
+
 #[test]
 fn slices_that_are_not_one_volume_are_refused_by_name() {
     let place = br"92.5\-7.25\30.5  ";
