@@ -134,6 +134,8 @@ pub(crate) enum Tail {
     Nothing,
     /// Anything: other fields, which are not read.
     Ignored,
+    /// Anything, read for the checksum at its end.
+    Checked,
 }
 
 /// Samples from a compressed range of a file.
@@ -236,8 +238,12 @@ impl SlabStream for ByteSlabs {
         self.skip_before()?;
         out.clear();
         let Some(slab) = self.walk.next() else {
-            if self.tail == Tail::Nothing {
-                self.finish()?;
+            match self.tail {
+                Tail::Nothing => self.finish()?,
+                Tail::Checked => {
+                    io::copy(&mut self.decoded, &mut io::sink()).map_err(|e| self.damaged(&e))?;
+                }
+                Tail::Ignored => {}
             }
             return Ok(None);
         };

@@ -88,8 +88,9 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let codec = Codec::Deflate { crc32: member.stored.crc32 };
     let skip = array.data_at as u64;
+    // As NumPy does, what follows an array in its member is passed over.
     let slabs =
-        ByteSlabs::new(info, &source, member.stored.bytes, codec, skip, array.big_endian, Tail::Nothing)?;
+        ByteSlabs::new(info, &source, member.stored.bytes, codec, skip, array.big_endian, Tail::Checked)?;
     Ok(VolumeSource::Stream(Box::new(slabs)))
 }
 
@@ -124,7 +125,7 @@ impl Member {
     fn check_length(&self, array: &Array, source: Arc<ByteSource>) -> Result<Arc<ByteSource>> {
         let samples = array.dims.iter().product::<u64>() * array.scalar.bytes() as u64;
         let (needed, got) = (array.data_at as u64 + samples, self.stored.bytes.end - self.stored.bytes.start);
-        if got == needed {
+        if got >= needed {
             return Ok(source);
         }
         Err(Error::bad_input(source.path(), &self.name, format!("{needed} bytes"), format!("{got} bytes")))
@@ -202,6 +203,21 @@ mod tests {
         let stored =
             zip(&[("a.npy", npy(1, "'<u2'", true, "(2, 3, 4)", &samples(false, true)))], false, false);
         check(&write(&dir, "a.npz", &stored), &options(None));
+    }
+
+    #[test]
+    fn bytes_after_an_array_are_passed_over() {
+        let dir = tempfile::tempdir().unwrap();
+        for deflate in [false, true] {
+            let longer = [volume(), vec![7; 70_000]].concat();
+            let mut file = zip(&[("a.npy", longer)], deflate, false);
+            check(&write(&dir, "a.npz", &file), &options(None));
+            let entry = file.windows(4).position(|w| w == b"PK\x01\x02").unwrap();
+            file[entry + 16] ^= 1;
+            let source = open(&write(&dir, "a.npz", &file), &options(None)).unwrap();
+            let read = crate::formats::tests::try_read_all(source);
+            assert_eq!(read.is_err(), deflate, "the checksum is that of all bytes");
+        }
     }
 
     #[test]

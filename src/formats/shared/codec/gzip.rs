@@ -43,6 +43,9 @@ impl<R: BufRead> Read for Members<R> {
     }
 }
 
+/// The first byte of a member.
+const BEGIN: u8 = 0x1f;
+
 /// Whether the bytes after a member do not begin another one.
 fn is_no_member<R: BufRead>(member: &GzDecoder<R>, why: &io::Error) -> bool {
     member.header().is_none() && why.kind() == ErrorKind::InvalidInput
@@ -52,10 +55,14 @@ fn is_no_member<R: BufRead>(member: &GzDecoder<R>, why: &io::Error) -> bool {
 fn next<R: BufRead>(mut stored: R) -> io::Result<Option<GzDecoder<R>>> {
     loop {
         let bytes = stored.fill_buf()?;
-        let (zeros, all) = (bytes.iter().take_while(|&&b| b == 0).count(), bytes.len());
+        let (zeros, first) = match bytes.iter().position(|&b| b != 0) {
+            Some(at) => (at, Some(bytes[at])),
+            None => (bytes.len(), None),
+        };
+        let is_over = first.is_some() || bytes.is_empty();
         stored.consume(zeros);
-        if all == 0 || zeros < all {
-            return Ok((all > 0).then(|| GzDecoder::new(stored)));
+        if is_over {
+            return Ok((first == Some(BEGIN)).then(|| GzDecoder::new(stored)));
         }
     }
 }
@@ -92,6 +99,8 @@ mod tests {
             (&[&FIRST, &SECOND, b"other bytes"], &both),
             (&[&FIRST, &SECOND, &[0; 5], b"other bytes"], &both),
             (&[&FIRST, b"other bytes", &SECOND], &b"first ".to_vec()),
+            (&[&FIRST, &SECOND, b"few"], &both),
+            (&[&FIRST, &SECOND, b"\x1fno member"], &both),
         ] {
             assert_eq!(decoded(parts).unwrap(), *expected);
         }
