@@ -1,14 +1,16 @@
 //! How much memory the process may use: the least of what the cgroup, the address-space limit and
 //! the system leave.
 
+use crate::error::{Error, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Bytes that this process may use: the least of the memory limits of its cgroups (versions 1
-/// and 2), its address-space limit, and the system's available memory. Where none of them can be
-/// read, 1 GiB.
+/// and 2), what is left of its address space, and the system's available memory. Where none of them
+/// can be read, 1 GiB.
 pub fn usable_memory() -> u64 {
-    let limits = [cgroup_limit(), address_space_limit(), available_memory()];
+    let left = address_space().map(|[limit, used]| limit.saturating_sub(used));
+    let limits = [cgroup_limit(), left, available_memory()];
     limits.into_iter().flatten().min().unwrap_or(1 << 30)
 }
 
@@ -19,14 +21,37 @@ fn available_memory() -> Option<u64> {
     kib.checked_mul(1024)
 }
 
+/// The limit of the address space (ulimit -v), if there is one, and what is used of it: the program
+/// itself takes some.
 #[cfg(unix)]
-fn address_space_limit() -> Option<u64> {
-    rustix::process::getrlimit(rustix::process::Resource::As).current
+fn address_space() -> Option<[u64; 2]> {
+    let limit = rustix::process::getrlimit(rustix::process::Resource::As).current?;
+    let text = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let used = text.lines().find_map(|l| l.strip_prefix("VmSize:"));
+    let used: Option<u64> = used.and_then(|kib| kib.trim().strip_suffix("kB")?.trim().parse().ok());
+    Some([limit, used.unwrap_or(0).saturating_mul(1024)])
 }
 
 #[cfg(not(unix))]
-fn address_space_limit() -> Option<u64> {
+fn address_space() -> Option<[u64; 2]> {
     None
+}
+
+/// Address space that a small question takes: some threads, and what they read.
+const LEAST: u64 = 12 << 20;
+
+/// Refuses a limit of the address space that leaves no room to work. A program that is refused
+/// memory later has no better way than to abort.
+///
+/// # Errors
+/// [`Error::Budget`].
+pub fn expect_address_space() -> Result<()> {
+    match address_space() {
+        Some([limit, used]) if limit < used.saturating_add(LEAST) => {
+            Err(Error::memory("ulimit -v", used.saturating_add(LEAST), limit))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The least limit on the way from the process's cgroup to the root.
@@ -66,5 +91,6 @@ mod tests {
     #[test]
     fn some_memory_is_usable() {
         assert!(super::usable_memory() > 16 << 20);
+        assert!(super::expect_address_space().is_ok());
     }
 }

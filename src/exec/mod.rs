@@ -22,7 +22,7 @@ pub(crate) use ahead::will_read;
 pub use budget::{MemoryBudget, Permit};
 pub use cancel::CancelToken;
 pub(crate) use clock::Clock;
-pub use limits::usable_memory;
+pub use limits::{expect_address_space, usable_memory};
 pub(crate) use ordered::in_order;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;

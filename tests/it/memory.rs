@@ -40,6 +40,38 @@ fn the_budget_decides_no_byte() {
     }
 }
 
+/// A limit of the address space that leaves the program no room is one line, not an abort. Below
+/// the size of the program the system's loader ends it without a word.
+#[test]
+#[cfg(unix)]
+fn a_small_address_space_is_refused_in_a_line() {
+    use std::os::unix::process::ExitStatusExt;
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("w.npy"), [20, 20, 20], waves);
+    assert!(isospan(d, &["reduce", "-q", "w.npy", "-o", "w.isospan"]).status.success());
+    let (mut refused, mut done) = (0, 0);
+    for kib in (20_000u64..160_000).step_by(4_000) {
+        for args in [
+            &["unpack", "w.isospan", "-q", "--force"][..],
+            &["render", "w.isospan", "-q", "--isovalue", "0.1", "--size", "40,40", "-o", "w.png", "--force"],
+        ] {
+            let limited = format!("ulimit -v {kib}; exec \"$0\" \"$@\"");
+            let limited = ["-c", &limited, env!("CARGO_BIN_EXE_isospan"), "--progress", "none"];
+            let out = Command::new("bash").current_dir(d).args(limited).args(args).output().unwrap();
+            let text = String::from_utf8_lossy(&out.stderr);
+            assert_ne!(out.status.signal(), Some(6), "{kib} {args:?}: {text}");
+            let is_line = text.trim_end().lines().count() == 1;
+            match out.status.code() {
+                Some(4) => refused += u32::from(is_line && text.contains("not enough memory")),
+                Some(0) => done += 1,
+                _ => assert!(text.is_empty() || is_line, "{kib} {args:?}: {text}"),
+            }
+        }
+    }
+    assert!(refused > 0 && done > 0, "{refused} refused, {done} done");
+}
+
 /// The number of "213MiB".
 fn mebibytes(text: &str) -> u64 {
     text.strip_suffix("MiB").unwrap().parse().unwrap()
