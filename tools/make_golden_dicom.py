@@ -14,6 +14,7 @@ from pydicom.uid import (
     ExplicitVRBigEndian,
     ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
+    ParametricMapStorage,
     RTDoseStorage,
     SegmentationStorage,
 )
@@ -113,15 +114,15 @@ def dose(name, orientation, position, offsets):
     save(data, name)
 
 
-def fractions(name):
-    """A segmentation of fractions, of 0 to 200."""
-    data = new(name, SegmentationStorage, ExplicitVRLittleEndian)
-    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 8, 8, 7, 0
-    data.SegmentationType, data.SegmentationFractionalType = "FRACTIONAL", "OCCUPANCY"
-    data.MaximumFractionalValue, data.NumberOfFrames = 200, 2
+def frames_of(kind, name, more=None):
+    """A new file of two frames, with functional groups."""
+    data = new(name, kind, ExplicitVRLittleEndian)
+    data.NumberOfFrames = 2
     group, measures, plane = Dataset(), Dataset(), Dataset()
     measures.PixelSpacing, plane.ImageOrientationPatient = [0.5, 0.75], ORIENTATION
     group.PixelMeasuresSequence, group.PlaneOrientationSequence = Sequence([measures]), Sequence([plane])
+    if more:
+        group.RealWorldValueMappingSequence = Sequence([more])
     data.SharedFunctionalGroupsSequence = Sequence([group])
     frames = []
     for z in range(2):
@@ -130,6 +131,26 @@ def fractions(name):
         frame.PlanePositionSequence = Sequence([place])
         frames.append(frame)
     data.PerFrameFunctionalGroupsSequence = Sequence(frames)
+    return data
+
+
+def parametric_map(name):
+    """A map whose values are 0.5 of the stored numbers, less 3."""
+    mapping = Dataset()
+    mapping.RealWorldValueSlope, mapping.RealWorldValueIntercept = 0.5, -3.0
+    data = frames_of(ParametricMapStorage, name, mapping)
+    data.PixelRepresentation = 0
+    data.PixelData = np.stack([SLICE, SLICE + 20]).astype("<u2").tobytes()
+    data["PixelData"].VR = "OW"
+    save(data, name)
+
+
+def fractions(name):
+    """A segmentation of fractions, of 0 to 200."""
+    data = frames_of(SegmentationStorage, name)
+    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 8, 8, 7, 0
+    data.SegmentationType, data.SegmentationFractionalType = "FRACTIONAL", "OCCUPANCY"
+    data.MaximumFractionalValue = 200
     data.PixelData = np.stack([10 * SLICE, SLICE]).astype("u1").tobytes()
     save(data, name)
 
@@ -157,4 +178,5 @@ if __name__ == "__main__":
     # Frames that go down, seen from the feet.
     dose("dose_feet.dcm", [-1, 0, 0, 0, 1, 0], [10, 20, 30.5], [30.5, 28.5, 26.5])
     fractions("fractions.dcm")
+    parametric_map("map.dcm")
     report("report")

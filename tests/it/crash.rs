@@ -199,6 +199,31 @@ fn signals_stop_a_run_in_a_state_that_continues() {
     }
 }
 
+/// What nohup started goes on when the terminal closes.
+#[test]
+#[cfg(target_os = "linux")]
+fn an_ignored_hangup_stays_ignored() {
+    let case = Case::new();
+    for tries in 1..5u32 {
+        let out = format!("n{tries}.isospan");
+        let child = Command::new("bash")
+            .current_dir(case.path())
+            .args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_isospan")])
+            .args(reduce_to(&out))
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(case.took * tries / 5);
+        send_signal(child.id(), Signal::HUP);
+        let (status, text) = end(child);
+        assert!(status.success() || status.signal() == Some(1) && tries == 1, "{status}: {text}");
+        if status.success() {
+            case.same(&out);
+        }
+    }
+}
+
 /// Whoever does not want to wait for the chunk presses twice.
 #[test]
 fn a_second_interrupt_ends_a_run_at_once() {

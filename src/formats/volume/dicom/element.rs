@@ -41,6 +41,9 @@ pub(super) const RESCALE_TYPE: Tag = 0x0028_1054;
 pub(super) const LOOKUP: Tag = 0x0028_3000;
 pub(super) const MEASURES: Tag = 0x0028_9110;
 pub(super) const TRANSFORMATION: Tag = 0x0028_9145;
+pub(super) const MAPPING: Tag = 0x0040_9096;
+pub(super) const MAPPED_INTERCEPT: Tag = 0x0040_9224;
+pub(super) const MAPPED_SLOPE: Tag = 0x0040_9225;
 pub(super) const PET_UNITS: Tag = 0x0054_1001;
 pub(super) const SEGMENTATION: Tag = 0x0062_0001;
 pub(super) const MOST_FRACTION: Tag = 0x0062_000e;
@@ -55,13 +58,13 @@ pub(super) const PIXELS: Tag = 0x7fe0_0010;
 
 /// What is kept, and whether it is a sequence.
 #[rustfmt::skip]
-const WANTED: [(Tag, bool); 36] = [
+const WANTED: [(Tag, bool); 39] = [
     (TRANSFER_SYNTAX, false), (CLASS, false), (SERIES, false), (POSITION, false),
     (ORIENTATION, false), (PLANE_POSITION, true), (PLANE_ORIENTATION, true), (SAMPLES, false), (COLOURS, false),
     (FRAMES, false), (ROWS, false), (COLUMNS, false), (PIXEL_SPACING, false), (ALLOCATED, false), (STORED, false),
     (HIGH_BIT, false), (SIGNED, false), (PADDING, false), (PADDING_LIMIT, false), (INTERCEPT, false),
     (SLOPE, false), (RESCALE_TYPE, false), (LOOKUP, true), (MEASURES, true), (TRANSFORMATION, true), (PET_UNITS, false), (SHARED, true), (PER_FRAME, true),
-    (SEGMENTATION, false), (MOST_FRACTION, false), (DOSE_UNITS, false), (DOSE_OFFSETS, false), (DOSE_SCALING, false),
+    (MAPPING, true), (MAPPED_SLOPE, false), (MAPPED_INTERCEPT, false), (SEGMENTATION, false), (MOST_FRACTION, false), (DOSE_UNITS, false), (DOSE_OFFSETS, false), (DOSE_SCALING, false),
     (FLOATS, false), (DOUBLES, false), (PIXELS, false),
 ];
 
@@ -315,6 +318,26 @@ impl<'a> Reader<'a> {
                 let got =
                     if text.len() > 200 { format!("{} others", text.split('\\').count()) } else { text };
                 Err(Error::bad_input(self.path, format!("element {}", shown(tag)), expected, got))
+            }
+        }
+    }
+
+    /// The finite number of an element that is one `f64`; `None` where there is none.
+    pub(super) fn double(&self, of: &DataSet, tag: Tag) -> Result<Option<f64>> {
+        let Some(element) = of.find(tag).filter(|e| !e.value.is_empty()) else { return Ok(None) };
+        let bytes = <[u8; 8]>::try_from(&self.bytes[element.value.clone()]).ok();
+        let number = bytes
+            .map(|b| if self.encoding.big_endian { f64::from_be_bytes(b) } else { f64::from_le_bytes(b) });
+        match number.filter(|n| n.is_finite()) {
+            Some(number) => Ok(Some(number)),
+            None => {
+                let got = number.map_or(format!("{} bytes", element.value.len()), |n| n.to_string());
+                Err(Error::bad_input(
+                    self.path,
+                    format!("element {}", shown(tag)),
+                    "a number of 8 bytes",
+                    got,
+                ))
             }
         }
     }

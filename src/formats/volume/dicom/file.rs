@@ -256,7 +256,15 @@ fn frame(
             .with_help("convert it to NIfTI with dcm2niix, or to NRRD with 3D Slicer"));
     }
     let values = find(TRANSFORMATION);
-    let [slope, intercept] = scaling(path, reader, all, values)?;
+    if let Some(spacing) = spacing.filter(|s: &[f64; 2]| s.iter().any(|&s| s <= 0.0)) {
+        let got = format!("{} and {}", spacing[0], spacing[1]);
+        return Err(Error::bad_input(path, "Pixel Spacing", "distances above 0", got));
+    }
+    let is_map = reader.text(all, CLASS).is_some_and(|class| class == PARAMETRIC_MAP);
+    let [slope, intercept] = match is_map {
+        true => mapping(path, reader, find(MAPPING))?,
+        false => scaling(path, reader, all, values)?,
+    };
     Ok(Frame {
         at,
         position: position.ok_or_else(|| missing(path, "Image Position (Patient)", POSITION))?,
@@ -277,6 +285,22 @@ fn scaling(path: &Path, reader: &Reader<'_>, all: &DataSet, values: &DataSet) ->
     }
     let by = dose::scaling(path, reader, all)?.unwrap_or(1.0) * fraction(path, reader, all)?;
     Ok([slope * by, intercept * by])
+}
+
+/// The class of parametric maps.
+const PARAMETRIC_MAP: &str = "1.2.840.10008.5.1.4.1.1.30";
+
+/// Slope and intercept of a parametric map: those of its first Real World Value Mapping.
+fn mapping(path: &Path, reader: &Reader<'_>, item: &DataSet) -> Result<[f64; 2]> {
+    let numbers = [reader.double(item, MAPPED_SLOPE)?, reader.double(item, MAPPED_INTERCEPT)?];
+    match numbers {
+        [Some(slope), Some(intercept)] if slope != 0.0 => Ok([slope, intercept]),
+        [slope, _] => {
+            let expected = "Real World Value Slope, other than 0, and Intercept";
+            let got = slope.map_or("none, or a table".into(), |slope| format!("a slope of {slope}"));
+            Err(Error::bad_input(path, "Real World Value Mapping", expected, got))
+        }
+    }
 }
 
 /// What one step of a segmentation of fractions is; 1 of all else.

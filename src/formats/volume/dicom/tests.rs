@@ -118,7 +118,6 @@ fn dose_grids_are_placed_and_scaled() {
 #[test]
 fn fractions_are_parts_of_the_largest() {
     let (info, values) = read_all(open_default(&data("fractions.dcm")).unwrap());
-    // The second frame lies before the first along the normal.
     let tens = (0..20).map(|i| (f64::from(10 * i) * (1.0 / 200.0)) as f32);
     let ones = (0..20).map(|i| (f64::from(i) * (1.0 / 200.0)) as f32);
     assert_eq!((info.dims, values), ([5, 4, 2], tens.chain(ones).collect::<Vec<_>>()));
@@ -126,6 +125,18 @@ fn fractions_are_parts_of_the_largest() {
     let bytes = std::fs::read(data("fractions.dcm")).unwrap();
     let line = refused(&write(&dir, "a.dcm", &replaced(&bytes, b"US\x02\0\xc8\0", b"US\x02\0\0\0")));
     assert!(line.contains("Maximum Fractional Value"), "{line}");
+}
+
+#[test]
+fn maps_have_the_values_of_the_world() {
+    let (info, values) = read_all(open_default(&data("map.dcm")).unwrap());
+    let expected: Vec<f32> = (0..40).map(|i| 0.5 * i as f32 - 3.0).collect();
+    assert_eq!((info.dims, info.slope, info.intercept, values), ([5, 4, 2], 0.5, -3.0, expected));
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(data("map.dcm")).unwrap();
+    let tag = |n: u8| [0x40, 0, n, 0x92, b'F', b'D'];
+    let line = refused(&write(&dir, "a.dcm", &replaced(&bytes, &tag(0x25), &tag(0x26))));
+    assert!(line.contains("Real World Value Mapping: expected"), "{line}");
 }
 
 #[test]
@@ -158,6 +169,7 @@ fn slices_that_are_not_one_volume_are_refused_by_name() {
         (place, br"92.5\-7.25       ", "3 numbers"),
         (direction, br"0.0\1.0\0.0\0.0\0.1\-1.0", "one for all slices"),
         (br"0.5\0.75", br"0.5\0.70", "Pixel Spacing"),
+        (br"0.5\0.75", br"-.5\0.75", "Pixel Spacing: expected distances above 0"),
         (b"1.2.3.4\0", b"1.2.3.5\0", "one series, got 2, as in a and d"),
         (b"1.2.840.10008.1.2.1\0", b"1.2.840.10008.1.2.5\0", "RLE (1.2.840.10008.1.2.5)"),
         (b"MONOCHROME2", b"RGB        ", "RGB"),
