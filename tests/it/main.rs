@@ -24,6 +24,8 @@ mod given;
 mod grids;
 mod io;
 mod lattice;
+#[cfg(feature = "remote")]
+mod liars;
 mod machines;
 mod measure;
 mod memory;

@@ -71,11 +71,12 @@ impl Origin {
 
     #[cfg_attr(not(feature = "remote"), allow(unused_variables, reason = "a host knows its names"))]
     fn get(&self, path: &Path, wanted: &Wanted) -> io::Result<Answer> {
-        match self {
+        let answer = match self {
             #[cfg(feature = "remote")]
             Self::Server(server, key) => server.get(path, key, wanted),
             Self::Host(host, name) => host.get(name, wanted),
-        }
+        };
+        answer?.expect(wanted)
     }
 }
 
@@ -97,9 +98,7 @@ impl RemoteFile {
         let Answer { len, tag, range, bytes } = origin.get(path, &Wanted::Last(PAGE)).map_err(failed)?;
         let number = origin.cache().number_of(path, len, tag);
         let file = Self { origin, path: path.to_path_buf(), number, len, tag };
-        if range.end == len {
-            file.keep(range, &bytes);
-        }
+        file.keep(range, &bytes);
         Ok(file)
     }
 
@@ -162,14 +161,9 @@ impl RemoteFile {
     }
 
     fn fetch(&self, wanted: Range<u64>) -> io::Result<Vec<u8>> {
-        let count = wanted.end - wanted.start;
-        let Answer { len, tag, range, bytes } = self.origin.get(&self.path, &Wanted::At(wanted.clone()))?;
-        if (len, tag) != (self.len, self.tag) || range != wanted || bytes.len() as u64 != count {
-            let text = format!(
-                "asked for bytes {wanted:?} of {}, got {} bytes of {range:?} of {len}: it was changed meanwhile",
-                self.len,
-                bytes.len()
-            );
+        let Answer { len, tag, bytes, .. } = self.origin.get(&self.path, &Wanted::At(wanted))?;
+        if (len, tag) != (self.len, self.tag) {
+            let text = format!("it had {} bytes, now {len}: it was changed meanwhile", self.len);
             return Err(io::Error::other(text));
         }
         Ok(bytes)

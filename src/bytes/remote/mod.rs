@@ -14,8 +14,13 @@
 //! Keys and region come from the environment, as for Amazon's own tools (`AWS_ACCESS_KEY_ID`,
 //! `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT_URL`; `AWS_SKIP_SIGNATURE=true` for public
 //! buckets). Failed requests are tried again by the client; a server that does not exist, or does
-//! not answer, is given up within about half a minute. At most 32 requests are under way to a
-//! server. One that answers a range with the whole file is an error.
+//! not answer, is given up within half a minute, all tries together, and not asked again for some
+//! seconds. At most 32 requests are under way to a server. One that answers a range with the whole
+//! file is an error.
+//!
+//! **A server's word is not believed.** Of an answer are read as many bytes as were asked for, of
+//! a failure the first ones. An answer that has less or more than it says, or something else than
+//! was asked for, is an error. It must go on coming: see `client`.
 //!
 //! **What is not there.** A server's 404 says that there is no such file. Anything else is an
 //! error, 403 too: S3 gives that for a missing file where the keys may not list the bucket, but
@@ -27,6 +32,8 @@
 //! Without the feature `remote` there is no such file: opening one says so. A program in which
 //! there is no client, as a web page's, gives ranges of its own ([`add_host`]).
 
+#[cfg(feature = "remote")]
+mod client;
 mod file;
 mod host;
 mod pages;
@@ -85,6 +92,30 @@ struct Answer {
     range: Range<u64>,
     bytes: Vec<u8>,
 }
+
+impl Answer {
+    /// Refuses what was not asked for, and less or more than was said.
+    fn expect(self, wanted: &Wanted) -> io::Result<Self> {
+        let expected = match wanted {
+            Wanted::Last(count) => self.len.saturating_sub(*count)..self.len,
+            Wanted::At(range) => range.clone(),
+        };
+        let is_whole = self.bytes.len() as u64 == expected.end.saturating_sub(expected.start);
+        if self.range == expected && self.range.end <= self.len && self.len <= LONGEST && is_whole {
+            return Ok(self);
+        }
+        let text = format!(
+            "asked for bytes {expected:?}, got {} bytes, which are called {:?} of {}",
+            self.bytes.len(),
+            self.range,
+            self.len
+        );
+        Err(io::Error::other(text))
+    }
+}
+
+/// No file is longer.
+const LONGEST: u64 = i64::MAX as u64;
 
 /// Bytes of pages that are kept of a server, at most.
 pub(crate) const PAGES_BYTES: u64 = 32 << 20;
@@ -233,6 +264,39 @@ mod tests {
         assert!(missing.contains("host://one/other"), "{missing}");
         let unknown = RemoteFile::open(Path::new("host://three/file")).err().unwrap().to_string();
         assert!(unknown.contains("'three'"), "{unknown}");
+    }
+
+    /// Answers that are not what they say: another length of the file, range and bytes.
+    struct Liar(u64, Range<u64>, usize);
+
+    impl Ranges for Liar {
+        fn get(&self, _: &str, _: &Wanted) -> io::Result<Fetched> {
+            Ok(Fetched { len: self.0, range: self.1.clone(), bytes: vec![1; self.2] })
+        }
+    }
+
+    #[test]
+    fn an_answer_that_is_not_what_it_says_is_an_error() {
+        let all = file::PAGE;
+        for (n, liar) in [
+            Liar(all, 0..all, 0),
+            Liar(all, 0..all, all as usize - 1),
+            Liar(all, 0..all, all as usize + 1),
+            Liar(all, 1..all, all as usize - 1),
+            Liar(2 * all, 0..all, all as usize),
+            Liar(all, 0..2 * all, 2 * all as usize),
+            Liar(u64::MAX, u64::MAX - all..u64::MAX, all as usize),
+            Liar(u64::MAX, u64::MAX..0, 0),
+            Liar(0, 0..all, all as usize),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            add_host(&format!("liar-{n}"), liar);
+            let path = format!("host://liar-{n}/file");
+            let error = RemoteFile::open(Path::new(&path)).err().unwrap_or_else(|| panic!("{n}"));
+            assert!(error.to_string().contains("asked for bytes"), "{n}: {error}");
+        }
     }
 
     #[cfg(feature = "remote")]

@@ -1,5 +1,6 @@
 //! The servers that this process has talked to: requests, and what they said.
 
+use super::client::Bounded;
 use super::pages::ServerCache;
 use super::{Answer, Seen, Wanted};
 use crate::error::{Error, Result};
@@ -19,7 +20,8 @@ use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
-use tokio_stream::StreamExt;
+use tokio::time::timeout_at;
+use tokio_stream::{Stream, StreamExt};
 use url::{Position, Url};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
@@ -35,12 +37,30 @@ const IN_ANSWER: usize = 1000;
 /// Small files that are kept for that long, and the most bytes of one.
 const SMALL: (usize, usize) = (256, 256 << 10);
 
+/// A request is given up after so long, with all its tries, unless bytes of the file come.
+const LIMIT: Duration = Duration::from_secs(30);
+/// So many bytes of a file must come within that time, or all.
+const STRIDE: usize = 1 << 20;
+/// A server that was given up is not asked again for so long: many may wait for it.
+const SILENT_FOR: Duration = Duration::from_secs(10);
+/// Letters of a server's words that are shown.
+const WORDS: usize = 400;
+
+/// When a server answered last, and when it was given up.
+#[derive(Default)]
+struct Heard {
+    answered: Option<Instant>,
+    given_up: Option<Instant>,
+}
+
 /// A server or bucket, and what was fetched from it.
 pub(super) struct Server {
     store: Arc<dyn ObjectStore>,
     /// Whether it lists what it has: a store, not a web server.
     lists: bool,
     room: Semaphore,
+    bounded: Bounded,
+    heard: Mutex<Heard>,
     pub(super) cache: ServerCache,
     /// By hashes of paths.
     seen: Mutex<HashMap<u128, Seen>>,
@@ -75,33 +95,99 @@ impl Server {
         self.cache.asked();
         let answer = wait(async {
             let _room = self.room.acquire().await;
-            let got = self.store.get_opts(key, GetOptions { range, ..GetOptions::default() }).await;
-            let got = got.map_err(|e| self.failed(path, e))?;
+            let begun = self.begin()?;
+            let got = self.store.get_opts(key, GetOptions { range, ..GetOptions::default() });
+            let got = self.within(begun, path, got).await?;
             let (len, tag, range) = (got.meta.size, tag_of(&got.meta), got.range.clone());
             // A server's word about a length allocates nothing that was not expected.
-            if range.end.saturating_sub(range.start) > most {
+            let said = range.end.saturating_sub(range.start);
+            if said > most {
                 return Err(io::Error::other(format!("{len} bytes, where at most {most} are expected")));
             }
-            let bytes = got.bytes().await.map_err(|e| self.failed(path, e))?;
+            let bytes = self.bytes_of(begun, path, got.into_stream(), said).await?;
             self.note(path, Some(len), tag);
-            Ok(Answer { len, tag, range, bytes: bytes.into() })
+            Ok(Answer { len, tag, range, bytes })
         })??;
         self.cache.got(&answer.bytes);
         Ok(answer)
+    }
+
+    /// A request begins now.
+    fn begin(&self) -> io::Result<Instant> {
+        let heard = lock(&self.heard);
+        if heard.given_up.is_some_and(|at| at.elapsed() < SILENT_FOR) {
+            return Err(silent("it was given up just now"));
+        }
+        Ok(Instant::now())
+    }
+
+    /// An answer that must be there in time. A server of which nothing at all has come meanwhile is
+    /// given up.
+    async fn within<T>(
+        &self,
+        begun: Instant,
+        path: &Path,
+        answer: impl Future<Output = object_store::Result<T>>,
+    ) -> io::Result<T> {
+        let answer = timeout_at((begun + LIMIT).into(), answer).await;
+        let mut heard = lock(&self.heard);
+        match answer {
+            Ok(Ok(answer)) => {
+                *heard = Heard { answered: Some(Instant::now()), given_up: None };
+                return Ok(answer);
+            }
+            Ok(Err(object_store::Error::NotFound { .. })) => heard.answered = Some(Instant::now()),
+            _ if heard.answered.is_none_or(|at| at < begun) && begun.elapsed() > TRIES_END => {
+                heard.given_up = Some(Instant::now());
+            }
+            _ => {}
+        }
+        drop(heard);
+        match answer {
+            Ok(answer) => answer.map_err(|e| self.failed(path, e)),
+            Err(_) => Err(silent("no answer")),
+        }
+    }
+
+    /// The bytes of an answer that is said to have so many.
+    async fn bytes_of(
+        &self,
+        begun: Instant,
+        path: &Path,
+        mut stream: impl Stream<Item = object_store::Result<impl AsRef<[u8]>>> + Unpin,
+        said: u64,
+    ) -> io::Result<Vec<u8>> {
+        let (mut bytes, mut due, mut next): (Vec<u8>, _, _) = (vec![], begun + LIMIT, STRIDE);
+        let is_more = loop {
+            let piece = timeout_at(due.into(), stream.next()).await;
+            let piece = piece.map_err(|_| silent(&format!("{} of {said} bytes", bytes.len())))?;
+            let Some(piece) = piece else { break false };
+            let piece = piece.map_err(|e| self.failed(path, e))?;
+            if (bytes.len() + piece.as_ref().len()) as u64 > said {
+                break true;
+            }
+            bytes.extend_from_slice(piece.as_ref());
+            if bytes.len() >= next {
+                (due, next) = (Instant::now() + LIMIT, bytes.len() + STRIDE);
+            }
+        };
+        if is_more || bytes.len() as u64 != said {
+            let got = if is_more { "more".to_owned() } else { bytes.len().to_string() };
+            return Err(io::Error::other(format!("the server says {said} bytes and sends {got}")));
+        }
+        Ok(bytes)
     }
 
     /// Asks about a file, without its bytes.
     async fn head(&self, path: &Path, key: &Key) -> io::Result<()> {
         self.cache.asked();
         let _room = self.room.acquire().await;
-        match self.store.get_opts(key, GetOptions { head: true, ..GetOptions::default() }).await {
+        let begun = self.begin()?;
+        let asked = self.store.get_opts(key, GetOptions { head: true, ..GetOptions::default() });
+        match self.within(begun, path, asked).await {
             Ok(got) => self.note(path, Some(got.meta.size), tag_of(&got.meta)),
-            Err(e) => {
-                let failed = self.failed(path, e);
-                if failed.kind() != io::ErrorKind::NotFound {
-                    return Err(failed);
-                }
-            }
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+            Err(e) => return Err(e),
         }
         Ok(())
     }
@@ -110,8 +196,11 @@ impl Server {
     /// it does not name stays, and all do where it is refused, or the folder has many more files.
     async fn look_in_listing(&self, files: &mut Listed<'_>) {
         let room = self.room.acquire().await;
+        let Ok(begun) = self.begin() else { return };
+        self.bounded.begin_listing();
         let (mut listing, mut count) = (self.store.list(folder_of(files.keys()).as_ref()), 0);
-        while let Some(about) = listing.next().await {
+        let due = begun + LIMIT;
+        while let Some(about) = timeout_at(due.into(), listing.next()).await.unwrap_or(None) {
             if count % IN_ANSWER == 0 {
                 self.cache.asked();
             }
@@ -152,7 +241,10 @@ impl Server {
 
     /// The reason of a failure, in one line. A file that is not there is noted.
     fn failed(&self, path: &Path, error: object_store::Error) -> io::Error {
-        let text = one_line(&error);
+        let mut text = one_line(&error);
+        if text.chars().count() > WORDS {
+            text = text.chars().take(WORDS).chain(['.'; 3]).collect();
+        }
         let kind = match error {
             // Nor a bucket that is missing, nor a request that is not answered, is a missing file.
             object_store::Error::NotFound { .. }
@@ -230,6 +322,12 @@ fn one_line(error: &dyn std::error::Error) -> String {
     }
 }
 
+/// The error of a server that says nothing.
+fn silent(what: &str) -> io::Error {
+    let text = format!("the server is given up after {} seconds: {what}", LIMIT.as_secs());
+    io::Error::new(io::ErrorKind::TimedOut, text)
+}
+
 /// Runs a request to its end.
 fn wait<T>(request: impl Future<Output = T>) -> io::Result<T> {
     static RUNTIME: LazyLock<io::Result<Runtime>> = LazyLock::new(|| {
@@ -280,8 +378,12 @@ pub(crate) fn folders_in(path: &Path) -> Result<Vec<String>> {
             .with_help("name the array in it that is meant, or write the group's consolidated metadata"));
     }
     server.cache.asked();
-    let list = wait(server.store.list_with_delimiter(Some(&key)))
-        .and_then(|l| l.map_err(|e| server.failed(path, e)));
+    let list = wait(async {
+        let begun = server.begin()?;
+        server.bounded.begin_listing();
+        server.within(begun, path, server.store.list_with_delimiter(Some(&key))).await
+    })
+    .flatten();
     let folders = list.map_err(|e| Error::io("list", path, e))?.common_prefixes;
     Ok(folders.iter().filter_map(|folder| folder.filename().map(str::to_owned)).collect())
 }
@@ -359,10 +461,13 @@ pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
     }
     // Another library of the process may have chosen the cipher suites before.
     let _ = rustls::crypto::ring::default_provider().install_default();
+    let bounded = Bounded::default();
     let server = Arc::new(Server {
-        store: client(&scheme, &url).map_err(|e| bad(one_line(&e)))?,
+        store: client(&scheme, &url, &bounded).map_err(|e| bad(one_line(&e)))?,
         lists: matches!(scheme, ObjectStoreScheme::AmazonS3),
         room: Semaphore::new(AT_ONCE),
+        bounded,
+        heard: Mutex::default(),
         cache: ServerCache::default(),
         seen: Mutex::default(),
         small: Mutex::default(),
@@ -371,26 +476,37 @@ pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
     Ok((server, key))
 }
 
-/// Failed requests are tried again, but none is begun later than this. A request without an
-/// answer takes half a minute itself, one whose server cannot be reached five seconds: the
-/// defaults of the client.
+/// Failed requests are tried again, but none is begun later than this. One whose server cannot be
+/// reached takes five seconds, the default of the client.
 const TRIES_END: Duration = Duration::from_secs(15);
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
 /// A client of the server of an address.
-fn client(scheme: &ObjectStoreScheme, url: &Url) -> object_store::Result<Arc<dyn ObjectStore>> {
+fn client(
+    scheme: &ObjectStoreScheme,
+    url: &Url,
+    bounded: &Bounded,
+) -> object_store::Result<Arc<dyn ObjectStore>> {
     let backoff = BackoffConfig { max_backoff: LONGEST_PAUSE, ..BackoffConfig::default() };
     let retry = RetryConfig { backoff, retry_timeout: TRIES_END, ..RetryConfig::default() };
     let options = options(url).into_iter();
     if matches!(scheme, ObjectStoreScheme::AmazonS3) {
-        let builder = AmazonS3Builder::new().with_url(url.as_str()).with_retry(retry);
+        let builder = AmazonS3Builder::new()
+            .with_client_options(Bounded::options())
+            .with_http_connector(bounded.clone())
+            .with_url(url.as_str())
+            .with_retry(retry);
         let builder = options.fold(builder, |builder, (key, value)| match key.parse() {
             Ok(key) => builder.with_config(key, value),
             Err(_) => builder,
         });
         return Ok(Arc::new(builder.build()?));
     }
-    let builder = HttpBuilder::new().with_url(&url[..Position::BeforePath]).with_retry(retry);
+    let builder = HttpBuilder::new()
+        .with_client_options(Bounded::options())
+        .with_http_connector(bounded.clone())
+        .with_url(&url[..Position::BeforePath])
+        .with_retry(retry);
     let builder = options.fold(builder, |builder, (key, value)| match key.parse() {
         Ok(key) => builder.with_config(key, value),
         Err(_) => builder,
@@ -427,6 +543,8 @@ mod tests {
             store: Arc::new(store),
             lists: true,
             room: Semaphore::new(AT_ONCE),
+            bounded: Bounded::default(),
+            heard: Mutex::default(),
             cache: ServerCache::default(),
             seen: Mutex::default(),
             small: Mutex::default(),
