@@ -1,12 +1,13 @@
 //! `isospan view`: archives in a browser, served from this machine to itself.
 //!
 //! ```text
-//!  browser ─▶ server: token, host, limits ─▶ answers: blocking work in a slot ─▶ bytes, streamed
+//!  browser ─▶ connections ─▶ server: token, host, limits ─▶ answers: blocking work in a slot ─▶ bytes, streamed
 //!  page: the files of tools/viewer/page, compiled in          archives: those that are open
 //! ```
 
 mod answers;
 mod archives;
+mod connections;
 pub(super) mod page;
 mod server;
 
@@ -17,10 +18,11 @@ use archives::Archives;
 use isospan::{Error, Result};
 use std::io::Write as _;
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 use std::time::Instant;
+use tempfile::NamedTempFile;
 
 /// Show archives in a browser.
 ///
@@ -57,6 +59,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let stop = means.cancel.clone();
     let token = token()?;
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
+    // Removed when the server ends.
+    let mut door = None;
     let started = |address: SocketAddr| -> Result<()> {
         let url = format!("http://{address}/{token}/");
         if args.json {
@@ -65,9 +69,33 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             super::print(&format!("{url}\n"))?;
             talk.note("the page is served until Ctrl-C; who has the address can see the archives");
         }
-        if args.open { open_in_browser(&url) } else { Ok(()) }
+        if args.open {
+            door = Some(door_to(&url, args.scratch.as_deref())?);
+            door.as_ref().map_or(Ok(()), |door| open_in_browser(door.path()))
+        } else {
+            Ok(())
+        }
     };
     server::serve(archives, means, address, &token, &stop, started)
+}
+
+/// A file that leads to the page, which this user alone can read. A browser is started with its
+/// name: what a program is started with, every user of the machine can see.
+fn door_to(url: &str, scratch: Option<&Path>) -> Result<NamedTempFile> {
+    let folder = scratch.map_or_else(std::env::temp_dir, Path::to_path_buf);
+    let failed = |e| Error::io("write a file in", &folder, e);
+    let mut file = tempfile::Builder::new()
+        .prefix("isospan-view-")
+        .suffix(".html")
+        .tempfile_in(&folder)
+        .map_err(failed)?;
+    let page = format!(
+        "<!DOCTYPE html>\n<meta charset=\"utf-8\">\n<meta name=\"referrer\" content=\"no-referrer\">\n\
+         <meta http-equiv=\"refresh\" content=\"0; url={url}\">\n\
+         <title>isospan</title>\n<a href=\"{url}\">isospan view</a>\n"
+    );
+    file.write_all(page.as_bytes()).and_then(|()| file.flush()).map_err(failed)?;
+    Ok(file)
 }
 
 /// Milliseconds on a clock that never goes back.
@@ -86,14 +114,15 @@ fn token() -> Result<String> {
 
 /// Starts the default browser. Where there is none, a line on standard error says so, and the page
 /// is still served.
-fn open_in_browser(url: &str) -> Result<()> {
+fn open_in_browser(page: &Path) -> Result<()> {
     let program = match std::env::consts::OS {
         "macos" => "open",
         "windows" => "explorer",
         _ => "xdg-open",
     };
-    let quiet =
-        |c: &mut Command| c.arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    let quiet = |c: &mut Command| {
+        c.arg(page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()
+    };
     if let Err(e) = quiet(&mut Command::new(program)) {
         let _ =
             writeln!(std::io::stderr(), "isospan: cannot start {program} ({e}); open the address by hand");

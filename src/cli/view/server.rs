@@ -3,48 +3,40 @@
 //! It listens on 127.0.0.1. Every address begins with a random token, so other users of the machine
 //! and pages of other sites cannot ask. The `Host` header must name this server, so no name of
 //! another site leads here. The numbers of open connections and of working requests are limited;
-//! others wait. An idle connection is closed.
+//! others wait. A request's head must come within seconds, and a connection without a request is
+//! closed when another one waits (`connections`): who only connects keeps nobody out.
 
 use super::answers::{self, Sink};
 use super::archives::Archives;
+use super::connections::{Busy, Limited, Seat};
 use super::page;
-use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::extract::{Path, Query, Request, State};
+use axum::extract::{ConnectInfo, Path, Query, Request, State};
 use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{AppendHeaders, IntoResponse, Response};
 use axum::routing::{MethodRouter, get};
-use axum::serve::Listener;
+use axum::{Extension, Router};
 use isospan::exec::CancelToken;
 use isospan::{Error, Resources, Result};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
-use std::future::Future as _;
-use std::io;
 use std::net::SocketAddr;
-use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::runtime::Builder;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
-use tokio::time::{Instant, Sleep};
+use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
 
-/// Connections at one time; a browser opens six.
-const CONNECTIONS: usize = 64;
 /// Requests that work at one time.
 const SLOTS: usize = 2;
 /// Each of them has a quarter of the memory. Another quarter is for decoded blocks.
 pub(super) const SHARE: u64 = 4;
 /// Pieces of an answer that wait for a slow reader.
 const PIECES: usize = 4;
-/// A connection on which nothing comes or goes for so long is closed.
-const QUIET: Duration = Duration::from_secs(300);
 /// Bytes of a piece of an answer.
 const PIECE: usize = 256 << 10;
 /// How often the token of the signals is checked.
@@ -56,6 +48,8 @@ struct Server {
     means: Resources,
     /// `127.0.0.1:PORT` and `localhost:PORT`.
     hosts: [String; 2],
+    /// What addresses begin with: the token between slashes.
+    prefix: String,
     slots: Arc<Semaphore>,
     jobs: Arc<Jobs>,
 }
@@ -116,19 +110,19 @@ pub(super) fn serve(
             archives,
             means: means.clone().with_memory(means.memory / SHARE),
             hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")],
+            prefix: format!("/{token}/"),
             slots: Arc::new(Semaphore::new(SLOTS)),
             jobs: Arc::default(),
         });
         started(address)?;
-        let limited = Limited { listener, open: Arc::new(Semaphore::new(CONNECTIONS)) };
-        let app = router(server.clone(), token);
+        let app = router(server.clone(), token).into_make_service_with_connect_info::<Seat>();
         let stopped = async {
             while !stop.is_cancelled() {
                 tokio::time::sleep(LOOK).await;
             }
         };
         tokio::select! {
-            served = axum::serve(limited, app) => served.map_err(failed),
+            served = axum::serve(Limited::new(listener), app) => served.map_err(failed),
             () = stopped => {
                 server.jobs.stop();
                 Ok(())
@@ -163,9 +157,18 @@ fn router(server: Arc<Server>, token: &str) -> Router {
 }
 
 /// Refuses what does not come from our own page, and forbids pages of others to use what we answer.
-async fn guard(State(server): State<Arc<Server>>, request: Request, next: Next) -> Response {
+async fn guard(
+    State(server): State<Arc<Server>>,
+    ConnectInfo(seat): ConnectInfo<Seat>,
+    mut request: Request,
+    next: Next,
+) -> Response {
     let host = request.headers().get(header::HOST).and_then(|h| h.to_str().ok());
-    let mut response = if !host.is_some_and(|h| server.hosts.iter().any(|own| own == h)) {
+    let is_our_name = host.is_some_and(|h| server.hosts.iter().any(|own| own == h));
+    let is_known = is_our_name && request.uri().path().starts_with(&server.prefix);
+    // The connection is in use until the answer is made; the answer goes on with it.
+    request.extensions_mut().insert(seat.begin(is_known));
+    let mut response = if !is_our_name {
         refusal(StatusCode::MISDIRECTED_REQUEST, "this server has another name")
     } else if request.method() != Method::GET && request.method() != Method::HEAD {
         refusal(StatusCode::METHOD_NOT_ALLOWED, "only GET is answered")
@@ -217,29 +220,35 @@ const JSON: Kind = Kind { content: "application/json", in_parts: false };
 const NUMBERS: Kind = Kind { content: "application/octet-stream", in_parts: false };
 const PARTS: Kind = Kind { in_parts: true, ..NUMBERS };
 
-async fn archives(State(server): State<Arc<Server>>) -> Response {
-    answer(server, JSON, |server, _, sink| answers::archives(&server.archives, sink)).await
+async fn archives(State(server): State<Arc<Server>>, Extension(busy): Extension<Busy>) -> Response {
+    answer(server, busy, JSON, |server, _, sink| answers::archives(&server.archives, sink)).await
 }
 
-async fn colours(State(server): State<Arc<Server>>) -> Response {
-    answer(server, JSON, |_, _, sink| answers::colours(sink)).await
+async fn colours(State(server): State<Arc<Server>>, Extension(busy): Extension<Busy>) -> Response {
+    answer(server, busy, JSON, |_, _, sink| answers::colours(sink)).await
 }
 
 /// A question about an archive: the archives, which of them, the parameters, what may be used.
 type Question<Q> = fn(&Archives, usize, &Q, &Resources, &mut dyn Sink) -> Result<()>;
 
 fn ask<Q: DeserializeOwned + Send + 'static>(kind: Kind, question: Question<Q>) -> MethodRouter<Arc<Server>> {
-    get(move |State(server): State<Arc<Server>>, Path(archive): Path<usize>, Query(query): Query<Q>| {
-        answer(server, kind, move |server, resources, sink| {
-            question(&server.archives, archive, &query, resources, sink)
-        })
-    })
+    get(
+        move |State(server): State<Arc<Server>>,
+              Extension(busy): Extension<Busy>,
+              Path(archive): Path<usize>,
+              Query(query): Query<Q>| {
+            answer(server, busy, kind, move |server, resources, sink| {
+                question(&server.archives, archive, &query, resources, sink)
+            })
+        },
+    )
 }
 
 /// Does blocking work in a slot, and streams what comes of it. The work stops when its reader is
 /// gone.
 async fn answer(
     server: Arc<Server>,
+    busy: Busy,
     kind: Kind,
     work: impl FnOnce(&Server, &Resources, &mut dyn Sink) -> Result<()> + Send + 'static,
 ) -> Response {
@@ -262,9 +271,9 @@ async fn answer(
         Some(Err(e)) => refused(&e),
         Some(Ok(first)) => {
             let all = tokio_stream::once(Ok(first)).chain(ReceiverStream::new(pieces));
-            // The job ends with the stream that holds it.
+            // The job ends with the stream that holds it, and the connection is in use until then.
             let all = all.map(move |piece| {
-                let _ = &job;
+                let _ = (&job, &busy);
                 piece
             });
             (content, Body::from_stream(all)).into_response()
@@ -313,84 +322,5 @@ impl Stream {
             // A reader that is gone needs no error.
             let _ = self.to.blocking_send(Err(e));
         }
-    }
-}
-
-/// Takes so many connections at one time; those that are quiet for long are closed.
-struct Limited {
-    listener: TcpListener,
-    open: Arc<Semaphore>,
-}
-
-impl Listener for Limited {
-    type Io = Connection;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (Connection, SocketAddr) {
-        loop {
-            // The semaphore is never closed.
-            let Ok(permit) = self.open.clone().acquire_owned().await else { continue };
-            match self.listener.accept().await {
-                Ok((stream, address)) => {
-                    let quiet = Box::pin(tokio::time::sleep(QUIET));
-                    return (Connection { stream, quiet, _permit: permit }, address);
-                }
-                // Too many open files, or a connection that ended at once: others go on.
-                Err(_) => tokio::time::sleep(LOOK).await,
-            }
-        }
-    }
-
-    fn local_addr(&self) -> io::Result<SocketAddr> {
-        self.listener.local_addr()
-    }
-}
-
-/// A connection, and its part of the limit. What goes out counts, too: an answer may take long.
-struct Connection {
-    stream: TcpStream,
-    /// Ends when nothing has come or gone for long.
-    quiet: Pin<Box<Sleep>>,
-    _permit: OwnedSemaphorePermit,
-}
-
-impl Connection {
-    /// Looks at what was done: something, or nothing for how long.
-    fn timed<T>(&mut self, context: &mut Context<'_>, done: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
-        if done.is_ready() {
-            self.quiet.as_mut().reset(Instant::now() + QUIET);
-            return done;
-        }
-        self.quiet.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into()))
-    }
-}
-
-impl tokio::io::AsyncRead for Connection {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        buffer: &mut tokio::io::ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        let done = Pin::new(&mut self.stream).poll_read(context, buffer);
-        self.timed(context, done)
-    }
-}
-
-impl tokio::io::AsyncWrite for Connection {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        let done = Pin::new(&mut self.stream).poll_write(context, bytes);
-        self.timed(context, done)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(context)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
     }
 }
