@@ -13,17 +13,26 @@
 //! The file is removed with the lock. So a process that has locked it checks that it is still the
 //! file of that name: the previous owner may have removed it in between.
 //!
+//! **The name may be taken** by what is not ours: a link, a pipe, another name of a user's file, a
+//! file of that name. It is never followed, emptied or removed: the archive is refused until it is
+//! moved away. Ours is a regular file with one name that says which process locks it, or an empty
+//! one of this user, left by a process that ended before it could say so.
+//!
 //! Workers of a planned reduction take no lock: those of one segment write the same bytes.
 
+use crate::bytes::plain::{is_named, is_of_this_user, kind_of, names_of, open_plain};
 use crate::bytes::publish::host;
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::path::{Path, PathBuf};
+
+/// Bytes of a lock file, at most: a host's name has up to 64 letters.
+const MOST: u64 = 200;
 
 /// Held by the writer of an archive; dropping it lets others write.
 #[derive(Debug)]
-pub(crate) struct WriterLock {
+pub struct WriterLock {
     file: File,
     path: PathBuf,
 }
@@ -34,21 +43,20 @@ impl WriterLock {
     /// # Errors
     /// [`Error::Busy`] when another process, or thread, writes it; [`Error::Io`] when its folder
     /// cannot be written.
-    pub(crate) fn acquire(archive: &Path) -> Result<Self> {
+    pub fn acquire(archive: &Path) -> Result<Self> {
         let path = lock_path(archive)?;
         loop {
-            let mut options = File::options();
-            let file = options.read(true).write(true).create(true).truncate(false).open(&path);
-            let file = file.map_err(|e| Error::io("create", &path, e))?;
+            let Some(file) = open(&path)? else { continue };
             match file.try_lock() {
                 Err(TryLockError::WouldBlock) => {
-                    let writer = writer(&path);
+                    let writer = text_of(&file).trim().to_owned();
                     return Err(Error::Busy { path: archive.to_path_buf(), writer });
                 }
                 // Without locks the name of the file is of no use.
                 Ok(()) | Err(TryLockError::Error(_)) => {}
             }
             if is_named(&file, &path) {
+                expect_ours(&file, &path)?;
                 let lock = Self { file, path };
                 lock.sign();
                 return Ok(lock);
@@ -59,7 +67,7 @@ impl WriterLock {
     /// Says whose the lock is. This is for messages only, so a failure is ignored.
     fn sign(&self) {
         let mut file = &self.file;
-        let _ = file.set_len(0);
+        let _ = file.set_len(0).and_then(|()| file.rewind());
         let _ = writeln!(file, "process {} on {}", std::process::id(), host());
     }
 }
@@ -67,7 +75,9 @@ impl WriterLock {
 impl Drop for WriterLock {
     fn drop(&mut self) {
         // Removed while it is locked: no other process can have taken it.
-        let _ = std::fs::remove_file(&self.path);
+        if is_named(&self.file, &self.path) {
+            let _ = std::fs::remove_file(&self.path);
+        }
     }
 }
 
@@ -77,25 +87,62 @@ fn lock_path(archive: &Path) -> Result<PathBuf> {
     Ok(archive.with_file_name(format!(".{}.lock", name.to_string_lossy())))
 }
 
-fn writer(path: &Path) -> String {
-    let mut text = String::new();
-    let read = File::open(path).and_then(|file| file.take(200).read_to_string(&mut text));
-    read.map_or_else(|_| String::new(), |_| text.trim().to_owned())
+/// Opens the file of a lock, or makes it; `None` when another process has made or removed it
+/// meanwhile.
+fn open(path: &Path) -> Result<Option<File>> {
+    let made = open_plain(path, File::options().read(true).write(true).create_new(true));
+    let opened = match made {
+        Err(e) if e.kind() == ErrorKind::AlreadyExists => {
+            open_plain(path, File::options().read(true).write(true))
+        }
+        made => made,
+    };
+    match opened {
+        Ok(file) => Ok(Some(file)),
+        Err(e) if matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {
+            // A folder that is not there, or cannot be written, stays so.
+            let is_there = path.parent().is_none_or(|p| p.as_os_str().is_empty() || p.is_dir());
+            if is_there { Ok(None) } else { Err(Error::io("create", path, e)) }
+        }
+        Err(e) => match std::fs::symlink_metadata(path) {
+            Ok(about) if !about.is_file() => Err(not_ours(path, &format!("it is {}", kind_of(&about)))),
+            _ => Err(Error::io("create", path, e)),
+        },
+    }
 }
 
-/// Whether an open file is still the one of its name.
-fn is_named(file: &File, path: &Path) -> bool {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let place = |about: std::io::Result<std::fs::Metadata>| about.map(|a| (a.dev(), a.ino())).ok();
-        place(file.metadata()).is_some_and(|own| place(std::fs::metadata(path)) == Some(own))
+/// Refuses a file that is not a lock of this program.
+fn expect_ours(file: &File, path: &Path) -> Result<()> {
+    let about = file.metadata().map_err(|e| Error::io("look at", path, e))?;
+    if names_of(&about) > 1 {
+        return Err(not_ours(path, "the file has another name, too (a hard link)"));
     }
-    #[cfg(not(unix))]
-    {
-        let _ = (file, path);
-        true
-    }
+    let is_ours = match about.len() {
+        0 => is_of_this_user(&about),
+        len => len <= MOST && is_signature(&text_of(file)),
+    };
+    if is_ours { Ok(()) } else { Err(not_ours(path, "it holds something else")) }
+}
+
+fn not_ours(path: &Path, why: &str) -> Error {
+    let path = path.display();
+    Error::usage(format!("{path} is the name of a lock, but {why}: move it away, it is not touched"))
+}
+
+/// Whether a text is what [`WriterLock::sign`] writes.
+fn is_signature(text: &str) -> bool {
+    let of = |text: &str| -> Option<bool> {
+        let (process, host) = text.strip_prefix("process ")?.strip_suffix('\n')?.split_once(" on ")?;
+        Some(process.parse::<u32>().is_ok() && host.chars().all(|c| c.is_ascii_alphanumeric() || c == '_'))
+    };
+    of(text).unwrap_or(false)
+}
+
+/// What a lock file says.
+fn text_of(file: &File) -> String {
+    let (mut file, mut text) = (file, String::new());
+    let read = file.rewind().and_then(|()| file.take(MOST + 1).read_to_string(&mut text));
+    read.map_or_else(|_| String::new(), |_| text)
 }
 
 #[cfg(test)]
@@ -135,5 +182,55 @@ mod tests {
             threads.into_iter().map(|thread| thread.join().unwrap()).sum()
         });
         assert!(taken > 0);
+    }
+
+    #[test]
+    fn what_a_killed_writer_left_is_taken_over() {
+        let dir = tempfile::tempdir().unwrap();
+        let archive = dir.path().join("a.isospan");
+        for left in [String::new(), format!("process {} on {}\n", 1 << 30, host())] {
+            std::fs::write(dir.path().join(".a.isospan.lock"), left).unwrap();
+            drop(WriterLock::acquire(&archive).unwrap());
+            assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+        }
+    }
+
+    /// A lock's name that is taken stays as it is, and what it leads to.
+    #[cfg(unix)]
+    fn refused(what: &str, make: impl Fn(&Path, &Path)) {
+        let dir = tempfile::tempdir().unwrap();
+        let (archive, lock) = (dir.path().join("a.isospan"), dir.path().join(".a.isospan.lock"));
+        let letter = dir.path().join("letter");
+        // Of the length and the words of a lock, too.
+        for text in ["dear", "process 4711 on here\n", ""] {
+            std::fs::write(&letter, text).unwrap();
+            make(&letter, &lock);
+            let before = std::fs::symlink_metadata(&lock).unwrap();
+            let error = WriterLock::acquire(&archive).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{what}: {error}");
+            let words = error.to_string();
+            assert!(words.contains(".a.isospan.lock") && words.contains(what), "{what}: {words}");
+            let after = std::fs::symlink_metadata(&lock).unwrap();
+            let state = |m: std::fs::Metadata| (m.file_type(), m.len(), m.modified().unwrap());
+            assert_eq!(state(before), state(after), "{what}");
+            assert_eq!(std::fs::read_to_string(&letter).unwrap(), text, "{what}");
+            std::fs::remove_file(&lock).or_else(|_| std::fs::remove_dir(&lock)).unwrap();
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_name_that_is_taken_is_refused_and_left_alone() {
+        refused("a link", |letter, lock| std::os::unix::fs::symlink(letter, lock).unwrap());
+        refused("a link", |_, lock| std::os::unix::fs::symlink("none", lock).unwrap());
+        refused("a link", |_, lock| std::os::unix::fs::symlink(lock, lock).unwrap());
+        refused("a hard link", |letter, lock| std::fs::hard_link(letter, lock).unwrap());
+        refused("a folder", |_, lock| std::fs::create_dir(lock).unwrap());
+        refused("something else", |_, lock| std::fs::write(lock, "a user's own text").unwrap());
+        refused("something else", |_, lock| std::fs::write(lock, vec![b'p'; 300]).unwrap());
+        refused("a pipe", |_, lock| {
+            assert!(std::process::Command::new("mkfifo").arg(lock).status().unwrap().success());
+        });
+        refused("a socket", |_, lock| drop(std::os::unix::net::UnixListener::bind(lock).unwrap()));
     }
 }

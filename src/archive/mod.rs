@@ -14,7 +14,8 @@
 #![doc = include_str!("FORMAT.md")]
 
 pub mod chunked;
-pub(crate) mod lock;
+#[doc(hidden)]
+pub mod lock;
 pub mod manifest;
 pub mod mesh;
 mod range_coder;

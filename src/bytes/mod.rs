@@ -36,15 +36,17 @@ pub(crate) mod filesystem;
 mod mmap;
 pub(crate) mod paged;
 pub(crate) mod place;
+pub(crate) mod plain;
 pub(crate) mod publish;
 pub mod remote;
 pub(crate) mod sorter;
+mod stage;
 pub(crate) mod store;
 
 use crate::error::{Error, Fault, Place, Result};
 use borrowed::Borrowed;
-pub use publish::replace_folder;
 use remote::{RemoteFile, is_remote};
+pub use stage::Stage;
 use std::fmt;
 use std::fs::File;
 use std::io::{self, Read};
@@ -485,6 +487,28 @@ pub(crate) fn open_regular(path: &Path) -> Result<File> {
     let file = options.open(path).map_err(|e| Error::io("open", path, e))?;
     expect_regular(path, &file.metadata().map_err(|e| Error::io("read the length of", path, e))?)?;
     Ok(file)
+}
+
+/// Opens a regular file for reading that no link leads to. Never waits.
+///
+/// # Errors
+/// Those of the system; [`io::ErrorKind::InvalidInput`] for a link, a folder, a pipe, a socket or a
+/// device.
+#[doc(hidden)]
+pub fn open_unlinked(path: &Path) -> io::Result<File> {
+    plain::open_plain(path, File::options().read(true))
+}
+
+/// Writes a file that appears whole or not at all. What had its name is replaced, and no link is
+/// followed.
+///
+/// # Errors
+/// [`Error::Io`].
+#[doc(hidden)]
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
+    let mut out = publish::Unpublished::create(path)?;
+    out.write(bytes)?;
+    out.publish()
 }
 
 /// Reads a regular file of at most `most` bytes into memory.

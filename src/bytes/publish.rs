@@ -21,6 +21,7 @@
 //! its temporary, where the file system has locks. That covers what a process number cannot show
 //! (containers that share a host's name, numbers used again).
 
+use super::plain::{names_of, open_plain};
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -232,7 +233,7 @@ pub(crate) fn sync_folders(folders: impl IntoIterator<Item = PathBuf>) -> Result
     folders.into_iter().try_for_each(|folder| sync(&folder))
 }
 
-fn sync_folder(path: &Path) -> Result<()> {
+pub(super) fn sync_folder(path: &Path) -> Result<()> {
     sync(folder_of(path))
 }
 
@@ -242,7 +243,13 @@ fn sync_folder(path: &Path) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Io`]; what was there is in its place.
-pub fn replace_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
+pub(crate) fn replace_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
+    swap_folder(new, out, aside)?;
+    remove_folder(aside)
+}
+
+/// As [`replace_folder`], but what was there stays under `aside`.
+pub(super) fn swap_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
     let failed = |e| Error::io("replace", out, e);
     match () {
         () if !out.exists() => std::fs::rename(new, out).map_err(failed)?,
@@ -250,13 +257,12 @@ pub fn replace_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
         () => {
             std::fs::rename(out, aside).map_err(failed)?;
             if let Err(e) = std::fs::rename(new, out) {
-                restore_folder(out, aside)?;
+                std::fs::rename(aside, out).map_err(|e| Error::io("restore", out, e))?;
                 return Err(failed(e));
             }
         }
     }
-    sync_folder(out)?;
-    remove_folder(aside)
+    sync_folder(out)
 }
 
 /// Undoes what a run did that was killed within [`replace_folder`], or finishes it.
@@ -408,17 +414,17 @@ pub(crate) fn final_name(name: &str) -> Option<&str> {
 }
 
 /// The process in a temporary's name, if it was made on this host.
-fn process_of(name: &str, host: &str) -> Option<u32> {
+pub(super) fn process_of(name: &str, host: &str) -> Option<u32> {
     let (_, rest) = name.strip_prefix('.')?.rsplit_once(TEMPORARY_MARK)?;
     let mut parts = rest.strip_prefix(host)?.strip_prefix('-')?.split('-');
     parts.next()?.parse().ok()
 }
 
-/// Opens a temporary for reading and writing; `None` of a link, a pipe or a device, which no writer
-/// makes.
+/// Opens a temporary for reading and writing; `None` of what no writer makes: a link, a pipe, a
+/// device, another name of a file.
 pub(crate) fn open_own(path: &Path) -> Option<File> {
-    let is_file = std::fs::symlink_metadata(path).is_ok_and(|about| about.is_file());
-    is_file.then(|| File::options().read(true).write(true).open(path).ok())?
+    let file = open_plain(path, File::options().read(true).write(true)).ok()?;
+    (names_of(&file.metadata().ok()?) == 1).then_some(file)
 }
 
 fn dead_file(path: PathBuf, process: u32) -> Option<Dead> {
@@ -439,7 +445,7 @@ fn dead_file(path: PathBuf, process: u32) -> Option<Dead> {
 }
 
 /// Whether there is a process of this number.
-fn is_alive(process: u32) -> bool {
+pub(super) fn is_alive(process: u32) -> bool {
     #[cfg(unix)]
     {
         let pid = i32::try_from(process).ok().and_then(rustix::process::Pid::from_raw);

@@ -239,10 +239,7 @@ fn keep(archive: &Path, job: Option<String>, summary: &Summary) -> Result<()> {
     // Two short runs may end within a second.
     let name = format!("{}-{}", date(now), job.unwrap_or_else(|| std::process::id().to_string()));
     for (form, text) in [("json", super::json_line("nightly", summary)?), ("txt", in_words(summary, true))] {
-        let part = folder.join(format!(".{name}.{form}.part"));
-        std::fs::write(&part, text)
-            .and_then(|()| std::fs::rename(&part, folder.join(format!("{name}.{form}"))))
-            .map_err(|e| Error::io("write", &part, e))?;
+        isospan::bytes::write_file(&folder.join(format!("{name}.{form}")), text.as_bytes())?;
     }
     Ok(())
 }

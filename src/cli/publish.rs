@@ -4,20 +4,26 @@
 //!  FOLDER: index.html, style.css, *.js      the page of `isospan view`
 //!          worker.js, isospan.wasm.gz       the queries, which a worker of the page runs
 //!          licences.txt                     of all that is in these files
+//!          published.json                   all other files, with their lengths and hashes
 //!          NAME.isospan/                    copies of the archives, read by ranges
 //! ```
 //!
-//! All is written beside the folder, which gets its name last.
+//! All is written beside the folder and synced; the folder gets its name last. `--force` replaces
+//! what the list in a folder names, as it was written. A folder that holds anything else is refused.
+
+mod own;
 
 use super::output::{Force, exists, expect_no_input};
 use super::progress::Talk;
 use super::text;
 use super::view::page;
+use isospan::archive::lock::WriterLock;
+use isospan::bytes::Stage;
 use isospan::bytes::remote::is_remote;
-use isospan::bytes::replace_folder;
 use isospan::exec::CancelToken;
-use isospan::pipeline::archive_files;
+use isospan::pipeline::copy_archive;
 use isospan::{Archive, Error, Result};
+use own::{LIST, List};
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -63,24 +69,24 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let out = &args.output;
     let names = names_of(&args.archives)?;
     expect_no_input(out, &args.archives)?;
-    expect_room(out, args.force)?;
-    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let work = tempfile::Builder::new()
-        .prefix(".isospan-publish-")
-        .tempdir_in(parent)
-        .map_err(|e| Error::io("write to", parent, e))?;
+    expect_place(out)?;
+    let _lock = WriterLock::acquire(out)?;
+    let stage = Stage::begin(out)?;
+    let published = expect_room(out, args.force)?;
     let mut folder = Folder {
-        // The temporary folder itself is for this user alone.
-        path: work.path().join("new"),
+        path: stage.new_folder(),
+        list: List::default(),
         report: Report { folder: out.clone(), archives: names.clone(), ..Report::default() },
         cancel: super::signals::cancel_token(),
     };
-    folder.make("")?;
     for (archive, name) in args.archives.iter().zip(&names) {
         folder.copy_archive(archive, name)?;
     }
     folder.write_page(&names)?;
-    replace_folder(&folder.path, out, &work.path().join("old"))?;
+    folder.write_list()?;
+    if let Some(old) = stage.publish(published.is_some())? {
+        published.unwrap_or_default().remove_from(&old, out)?;
+    }
     let report = folder.report;
     if args.json {
         return super::print_json("publish", &report);
@@ -94,8 +100,12 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 
 /// The names that archives have in the folder.
 fn names_of(archives: &[PathBuf]) -> Result<Vec<String>> {
-    let pages =
-        page::FILES.iter().map(|file| file.name).chain(["worker.js", "isospan.wasm.gz", "licences.txt"]);
+    let pages = page::FILES.iter().map(|file| file.name).chain([
+        "worker.js",
+        "isospan.wasm.gz",
+        "licences.txt",
+        LIST,
+    ]);
     let mut taken: Vec<String> = pages.map(str::to_owned).collect();
     let mut names = vec![];
     for archive in archives {
@@ -123,76 +133,90 @@ fn names_of(archives: &[PathBuf]) -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// Refuses a folder that exists, unless it is empty, or is to be replaced and was published.
-fn expect_room(out: &Path, force: Force) -> Result<()> {
+/// Refuses a place where no folder can be written, before anything is made beside it.
+fn expect_place(out: &Path) -> Result<()> {
     let refuse = |why: String| Err(Error::usage(format!("cannot write {}: {why}", out.display())));
     if out.file_name().is_none() {
         return refuse("give the name of a folder".into());
     }
-    let Ok(about) = fs::metadata(out) else {
-        return match out.parent() {
+    match fs::symlink_metadata(out) {
+        Ok(about) if about.is_symlink() => refuse("it is a link; give the name of a folder".into()),
+        Ok(about) if !about.is_dir() => refuse("it is a file; give the name of a folder".into()),
+        Ok(_) => Ok(()),
+        Err(_) => match out.parent() {
             Some(parent) if !parent.as_os_str().is_empty() && !parent.is_dir() => {
                 refuse(format!("there is no folder {}; create it first", parent.display()))
             }
             _ => Ok(()),
-        };
+        },
+    }
+}
+
+/// Refuses a folder that exists, unless it is empty, or is to be replaced and holds what was
+/// published. Returns the list of what is to be replaced.
+fn expect_room(out: &Path, force: Force) -> Result<Option<List>> {
+    let is_empty = match fs::read_dir(out) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => true,
+        entries => entries.map_err(|e| Error::io("list", out, e))?.next().is_none(),
     };
-    if !about.is_dir() {
-        return refuse("it is a file; give the name of a folder".into());
+    match () {
+        () if is_empty => Ok(None),
+        () if !force.is_given() => Err(exists(out)),
+        () => List::of_all_in(out).map(Some),
     }
-    if fs::read_dir(out).map_err(|e| Error::io("list", out, e))?.next().is_none() {
-        return Ok(());
-    }
-    if !force.is_given() {
-        return Err(exists(out));
-    }
-    if !out.join("isospan.wasm.gz").is_file() {
-        return refuse("it is no folder that isospan publish made; choose another name".into());
-    }
-    Ok(())
 }
 
 /// A folder on its way.
 struct Folder {
     path: PathBuf,
+    list: List,
     report: Report,
     cancel: CancelToken,
 }
 
 impl Folder {
-    fn make(&self, name: &str) -> Result<()> {
-        let path = self.path.join(name);
-        fs::create_dir_all(&path).map_err(|e| Error::io("create the folder", path, e))
-    }
-
     /// Writes a file. It may be read by whom this user's files may be read by.
-    fn write(&mut self, name: &Path, from: &mut dyn Read, read: &Path) -> Result<()> {
+    fn write(&mut self, name: &str, from: &mut dyn Read) -> Result<()> {
         let path = self.path.join(name);
-        let mut file = File::create(&path).map_err(|e| Error::io("create", &path, e))?;
-        let mut piece = vec![0; 1 << 20];
+        let mut file = File::create_new(&path).map_err(|e| Error::io("create", &path, e))?;
+        let (mut piece, mut hash, mut bytes) = (vec![0; 1 << 20], own::Hash::default(), 0);
         loop {
             self.cancel.check()?;
-            let count = from.read(&mut piece).map_err(|e| Error::io("read", read, e))?;
+            let count = from.read(&mut piece).map_err(|e| Error::io("write", &path, e))?;
             if count == 0 {
                 break;
             }
+            hash.update(&piece[..count]);
             file.write_all(&piece[..count]).map_err(|e| Error::io("write", &path, e))?;
-            self.report.bytes += count as u64;
+            bytes += count as u64;
         }
-        self.report.files += 1;
+        file.sync_all().map_err(|e| Error::io("sync", &path, e))?;
+        self.wrote(name.to_owned(), bytes, hash.digest());
         Ok(())
     }
 
+    fn wrote(&mut self, name: String, bytes: u64, hash: u64) {
+        self.report.files += 1;
+        self.report.bytes += bytes;
+        self.list.add(name, bytes, hash);
+    }
+
     fn copy_archive(&mut self, archive: &Path, name: &str) -> Result<()> {
-        for file in archive_files(archive)? {
-            let (from, to) = (archive.join(&file), Path::new(name).join(&file));
-            self.make(&to.parent().unwrap_or(Path::new("")).to_string_lossy())?;
-            let mut open = File::open(&from).map_err(|e| Error::io("open", &from, e))?;
-            self.write(&to, &mut open, &from)?;
+        let copy = self.path.join(name);
+        for file in copy_archive(archive, &copy, &self.cancel)? {
+            let parts = file.name.iter().map(|part| part.to_string_lossy());
+            let name = parts.fold(name.to_owned(), |name, part| format!("{name}/{part}"));
+            self.wrote(name, file.bytes, file.hash);
         }
-        // What was written to meanwhile, or is not whole, does not open.
-        Archive::open(self.path.join(name))?.info()?;
+        // What is not whole does not open.
+        Archive::open(copy)?.info()?;
         Ok(())
+    }
+
+    /// The list of all files, the last one.
+    fn write_list(&mut self) -> Result<()> {
+        let text = self.list.to_text();
+        self.write(LIST, &mut text.as_bytes())
     }
 
     fn write_page(&mut self, names: &[String]) -> Result<()> {
@@ -202,15 +226,15 @@ impl Folder {
             if n == 0 {
                 content = with_archives(&String::from_utf8_lossy(&content), names).into_bytes();
             }
-            self.write(Path::new(file.name), &mut &content[..], Path::new(file.name))?;
+            self.write(file.name, &mut &content[..])?;
         }
         let licences = unpacked("licences.txt", page::LICENCES_GZ)?;
-        self.write(Path::new("licences.txt"), &mut &licences[..], Path::new("licences.txt"))?;
+        self.write("licences.txt", &mut &licences[..])?;
         let mut worker = page::WORKER;
-        self.write(Path::new("worker.js"), &mut worker, Path::new("worker.js"))?;
-        let (name, wasm) = (Path::new("isospan.wasm.gz"), queries()?);
+        self.write("worker.js", &mut worker)?;
+        let wasm = queries()?;
         let mut packed = flate2::read::GzEncoder::new(&wasm[..], flate2::Compression::best());
-        self.write(name, &mut packed, name)
+        self.write("isospan.wasm.gz", &mut packed)
     }
 }
 

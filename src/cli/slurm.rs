@@ -12,6 +12,7 @@ use isospan::pipeline::{Planned, planned, work_folder};
 use isospan::{Error, Result};
 use serde::Serialize;
 use std::ffi::OsString;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -109,7 +110,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let texts = TEMPLATES.map(|template| job.fill(template));
     // A script may have been changed by hand.
     let changed = |(path, text): &(&PathBuf, &String)| {
-        path.exists() && std::fs::read(path).ok().as_deref() != Some(text.as_bytes())
+        let mut found = vec![];
+        let read = isospan::bytes::open_unlinked(path)
+            .and_then(|file| file.take(text.len() as u64 + 1).read_to_end(&mut found));
+        std::fs::symlink_metadata(path).is_ok() && (read.is_err() || found != text.as_bytes())
     };
     if let Some((path, _)) = scripts.iter().zip(&texts).find(changed).filter(|_| !args.force.is_given()) {
         return Err(exists(path));
@@ -248,7 +252,7 @@ fn in_directive(path: &Path) -> Result<String> {
 }
 
 fn write_script(path: &Path, text: &str) -> Result<()> {
-    std::fs::write(path, text).map_err(|e| Error::io("write", path, e))?;
+    isospan::bytes::write_file(path, text.as_bytes())?;
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;

@@ -49,8 +49,8 @@ pub use read::{
     StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
-    AppendSettings, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, archive_files,
-    mesh_notices, plan_path, scan_with_notices, work_folder,
+    AppendSettings, CopiedFile, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, archive_files,
+    copy_archive, mesh_notices, plan_path, scan_with_notices, work_folder,
 };
 #[doc(hidden)]
 pub use reduce::{estimate_series, reduce_series};

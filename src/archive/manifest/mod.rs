@@ -30,6 +30,7 @@ use self::record::{is_default, is_one, is_usual_geometry, is_zero, one};
 use crate::archive::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo};
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
+use crate::bytes::plain::open_plain;
 use crate::bytes::publish::Unpublished;
 use crate::bytes::read_whole;
 use crate::bytes::remote::{is_remote, read_all};
@@ -40,6 +41,8 @@ use crate::sample::{Interpolation, Values};
 use crate::volume::units::Units;
 use crate::volume::{ScalarType, shifted::shortest};
 use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 /// Name of the manifest in the archive's folder.
@@ -375,6 +378,18 @@ impl Manifest {
         let manifest = Self::parse(&read_whole(&path, LARGEST_MANIFEST)?, &path)?;
         manifest.check(&path)?;
         Ok(manifest)
+    }
+
+    /// As [`Manifest::read`], of an archive on this machine, with the bytes of the file. No link is
+    /// followed.
+    pub(crate) fn read_plain(archive: &Path) -> Result<(Self, Vec<u8>)> {
+        let (path, mut bytes) = (archive.join(MANIFEST_NAME), vec![]);
+        let read = open_plain(&path, File::options().read(true))
+            .and_then(|file| file.take(LARGEST_MANIFEST).read_to_end(&mut bytes));
+        read.map_err(|e| Error::io("read", &path, e))?;
+        let manifest = Self::parse(&bytes, &path)?;
+        manifest.check(&path)?;
+        Ok((manifest, bytes))
     }
 
     fn parse(bytes: &[u8], path: &Path) -> Result<Self> {

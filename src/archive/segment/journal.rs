@@ -79,7 +79,7 @@ impl Journal {
     /// An empty journal of a temporary.
     pub(in crate::archive) fn create(temporary: &Path) -> Result<Self> {
         let path = name(temporary);
-        let file = File::options().read(true).write(true).create(true).truncate(true).open(&path);
+        let file = File::options().read(true).write(true).create_new(true).open(&path);
         let file = file.map_err(|e| Error::io("create", &path, e))?;
         // As for the temporary itself: a writer that holds the lock is alive.
         let _ = file.try_lock();

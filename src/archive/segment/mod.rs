@@ -12,12 +12,15 @@
 //!
 //! Every byte is specified in [the format](super#the-bytes).
 
+mod copy;
 mod frame;
 mod journal;
 mod positioned;
 mod read;
 mod write;
 
+pub use self::copy::Copied;
+pub(crate) use self::copy::{Known, copy_segment};
 pub(super) use self::journal::{Journal, Record};
 pub use self::read::Segment;
 pub(crate) use self::read::{BlockPlace, segment_plan};

@@ -280,7 +280,7 @@ impl Segment {
     }
 }
 
-fn at_frame(m: Malformed, path: &Path, part: &str) -> Error {
+pub(super) fn at_frame(m: Malformed, path: &Path, part: &str) -> Error {
     Error::bad_input(path, format!("{part}: {}", m.at), m.expected, m.got)
         .of_fault(m.fault)
         .with_help("the file is damaged, or was not written by this version of isospan")

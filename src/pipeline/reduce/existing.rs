@@ -20,7 +20,7 @@ use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, is_coordinates, mesh_folder,
     mesh_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
 };
-use crate::archive::segment::{PlanHash, segment_plan};
+use crate::archive::segment::{PlanHash, SegmentInfo, segment_plan};
 use crate::bytes::publish::{self, TEMPORARY_MARK};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
@@ -31,20 +31,19 @@ use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The segments that the manifest of an archive names, and their lengths.
-fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, u64)> {
-    let mesh = (0..).zip(&manifest.mesh).map(|(n, s)| (mesh_segment_path(archive, n), s.info.bytes));
+/// The segments that the manifest of an archive names.
+pub(super) fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, SegmentInfo)> {
+    let mesh = (0..).zip(&manifest.mesh).map(|(n, s)| (mesh_segment_path(archive, n), s.info));
     let of_step = |step: &Step| {
         let number = step.plan.number;
         let values = (0..).zip(&step.values);
-        let values = values.map(|(n, s)| (values_segment_path(archive, number, n), s.info.bytes));
+        let values = values.map(|(n, s)| (values_segment_path(archive, number, n), s.info));
         let others = [
             step.index.map(|i| (index_path(archive, number), i)),
             step.spectrum.map(|i| (spectrum_path(archive, number), i)),
             step.coordinates.map(|c| (coordinates_path(archive, number), c.info)),
         ];
-        let others = others.into_iter().flatten().map(|(path, info)| (path, info.bytes));
-        values.chain(others).collect::<Vec<_>>()
+        values.chain(others.into_iter().flatten()).collect::<Vec<_>>()
     };
     mesh.chain(manifest.steps.iter().flat_map(of_step)).collect()
 }
@@ -66,7 +65,9 @@ pub fn archive_files(archive: &Path) -> Result<Vec<PathBuf>> {
 /// Whether a file that the manifest of an archive names is not there, or not as long as it was. The
 /// contents of files are not checked.
 pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
-    let gone = |(path, bytes): &(PathBuf, u64)| fs::metadata(path).map_or(true, |f| f.len() != *bytes);
+    let gone = |(path, info): &(PathBuf, SegmentInfo)| {
+        fs::metadata(path).map_or(true, |f| !f.is_file() || f.len() != info.bytes)
+    };
     segments(archive, manifest).iter().any(gone) || !Attachments::missing(archive, &manifest.plan).is_empty()
 }
 
