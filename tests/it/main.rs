@@ -50,8 +50,12 @@ mod servers;
 mod shards;
 mod shared_data;
 mod slurm;
+#[cfg(unix)]
+mod special;
 mod spectrum;
 mod stretched;
 mod units;
 mod unpack;
+#[cfg(all(feature = "view", unix))]
+mod view;
 mod writers;

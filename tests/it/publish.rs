@@ -90,6 +90,7 @@ mod command {
             "licences.txt",
             "local.js",
             "main.js",
+            "published.json",
             "scene.js",
             "source.js",
             "spectrum.js",
@@ -103,9 +104,7 @@ mod command {
 
         // What is there stays, unless it is such a folder and --force is given.
         refused(d, &["waves.isospan", "-o", "viewer"], "--force");
-        fs::write(d.join("viewer/old"), "old").unwrap();
         done(d, &["waves.isospan", "-o", "viewer", "--force"]);
-        assert!(!d.join("viewer/old").exists());
         fs::create_dir(d.join("mine")).unwrap();
         done(d, &["waves.isospan", "-o", "mine"]);
         fs::create_dir(d.join("other")).unwrap();
@@ -122,6 +121,201 @@ mod command {
         let mut left: Vec<_> = fs::read_dir(d).unwrap().map(|e| e.unwrap().file_name()).collect();
         left.sort();
         assert_eq!(left, ["mine", "other", "viewer", "waves.isospan", "waves.npy"], "nothing half-written");
+    }
+}
+
+/// What a folder holds that `publish` did not write stays, and keeps the folder.
+#[cfg(all(feature = "view", unix))]
+mod others {
+    use super::*;
+    use std::process::{Command, Stdio};
+    use std::time::{Duration, Instant};
+
+    /// The exit code and the words of a command that may take a minute.
+    fn publish(dir: &Path, args: &[&str]) -> (Option<i32>, String) {
+        let program = env!("CARGO_BIN_EXE_isospan");
+        let output = Command::new("timeout")
+            .args(["-s", "KILL", "60", program, "publish"])
+            .args(args)
+            .current_dir(dir)
+            .output()
+            .unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    }
+
+    /// Each file, folder and link below a folder, without following one.
+    fn state(folder: &Path) -> BTreeMap<PathBuf, String> {
+        let (mut found, mut folders) = (BTreeMap::new(), vec![folder.to_path_buf()]);
+        while let Some(here) = folders.pop() {
+            for entry in fs::read_dir(here).unwrap() {
+                let (path, about) = entry.map(|e| (e.path(), e.file_type().unwrap())).unwrap();
+                if about.is_dir() {
+                    folders.push(path.clone());
+                }
+                let text =
+                    if about.is_file() { xxhash_rust::xxh3::xxh3_64(&fs::read(&path).unwrap()) } else { 0 };
+                found.insert(path, format!("{about:?} {text}"));
+            }
+        }
+        found
+    }
+
+    fn pipe(at: &Path) {
+        assert!(Command::new("mkfifo").arg(at).status().unwrap().success());
+    }
+
+    #[test]
+    fn a_folder_that_holds_anything_else_is_refused_by_name() {
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let d = dir.path();
+        archive(d);
+        assert_eq!(publish(d, &["waves.isospan", "-o", "fresh"]).0, Some(0));
+        let add: &[(&str, &dyn Fn(&Path))] = &[
+            ("photo.jpg", &|v| fs::write(v.join("photo.jpg"), "photo").unwrap()),
+            (".git", &|v| {
+                fs::create_dir_all(v.join(".git/objects")).unwrap();
+                fs::write(v.join(".git/HEAD"), "ref: refs/heads/main").unwrap();
+            }),
+            ("empty", &|v| fs::create_dir(v.join("empty")).unwrap()),
+            ("notes", &|v| fs::write(v.join("waves.isospan/mesh/notes"), "notes").unwrap()),
+            ("link", &|v| symlink("/etc/hostname", v.join("link")).unwrap()),
+            ("pipe", &|v| pipe(&v.join("pipe"))),
+            ("style.css was changed", &|v| fs::write(v.join("style.css"), "body { color: red }").unwrap()),
+            ("main.js was changed", &|v| {
+                fs::rename(v.join("main.js"), v.with_extension("js")).unwrap();
+                symlink(v.with_extension("js"), v.join("main.js")).unwrap();
+            }),
+            ("published.json", &|v| fs::remove_file(v.join("published.json")).unwrap()),
+            ("published.json", &|v| fs::write(v.join("published.json"), "{}").unwrap()),
+            ("published.json", &|v| {
+                fs::remove_file(v.join("published.json")).unwrap();
+                pipe(&v.join("published.json"));
+            }),
+        ];
+        for (n, (what, change)) in add.iter().enumerate() {
+            let name = format!("viewer-{n}");
+            assert_eq!(publish(d, &["waves.isospan", "-o", &name]).0, Some(0));
+            change(&d.join(&name));
+            let before = state(&d.join(&name));
+            let (code, words) = publish(d, &["waves.isospan", "-o", &name, "--force"]);
+            assert!(code == Some(2) && words.contains(what) && words.lines().count() == 1, "{what}: {words}");
+            assert!(state(&d.join(&name)) == before, "{what}");
+        }
+        // A file of ours alone makes no folder ours.
+        fs::create_dir(d.join("home")).unwrap();
+        fs::write(d.join("home/isospan.wasm.gz"), "wasm").unwrap();
+        fs::write(d.join("home/letter"), "dear").unwrap();
+        let (code, words) = publish(d, &["waves.isospan", "-o", "home", "--force"]);
+        assert!(code == Some(2) && words.contains("isospan publish made"), "{words}");
+        assert_eq!(state(&d.join("home")).len(), 2);
+        // A link to a folder is none.
+        symlink("fresh", d.join("link")).unwrap();
+        let (code, words) = publish(d, &["waves.isospan", "-o", "link", "--force"]);
+        assert!(code == Some(2) && words.contains("it is a link"), "{words}");
+        // What is left of a folder is replaced.
+        fs::remove_file(d.join("fresh/style.css")).unwrap();
+        assert_eq!(publish(d, &["waves.isospan", "-o", "fresh", "--force"]).0, Some(0));
+        assert!(d.join("fresh/style.css").exists());
+        let hidden = fs::read_dir(d)
+            .unwrap()
+            .filter(|e| e.as_ref().unwrap().file_name().to_string_lossy().starts_with('.'));
+        assert_eq!(hidden.count(), 0, "nothing is left");
+    }
+
+    #[test]
+    fn an_archive_is_copied_by_its_manifest_alone() {
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let d = dir.path();
+        let archive = archive(d);
+        fs::write(d.join("key"), "private").unwrap();
+        let segment = archive.join("mesh/000000.seg");
+        let whole = fs::read(&segment).unwrap();
+        let swap = |make: &dyn Fn(&Path)| {
+            fs::remove_file(&segment).unwrap();
+            make(&segment);
+        };
+        let ways: &[(&str, &dyn Fn(&Path))] = &[
+            ("a link to a key", &|at| symlink(d.join("key"), at).unwrap()),
+            ("a link to the segment", &|at| {
+                fs::write(d.join("copy.seg"), &whole).unwrap();
+                symlink(d.join("copy.seg"), at).unwrap();
+            }),
+            ("a link to nothing", &|at| symlink("none", at).unwrap()),
+            ("zeros without end", &|at| symlink("/dev/zero", at).unwrap()),
+            ("a pipe", &|at| pipe(at)),
+            ("another file", &|at| fs::write(at, vec![7; whole.len()]).unwrap()),
+            ("a byte more", &|at| fs::write(at, [&whole[..], &[0]].concat()).unwrap()),
+            ("a byte else", &|at| {
+                let mut other = whole.clone();
+                other[whole.len() / 2] ^= 1;
+                fs::write(at, other).unwrap();
+            }),
+        ];
+        for (what, make) in ways {
+            swap(make);
+            let (code, words) = publish(d, &["waves.isospan", "-o", "viewer"]);
+            assert!(code.is_some_and(|c| c != 0 && c < 100), "{what}: {code:?} {words}");
+            assert!(words.contains("000000.seg") && words.lines().count() == 1, "{what}: {words}");
+            assert!(!d.join("viewer").exists(), "{what}");
+        }
+        swap(&|at| fs::write(at, &whole).unwrap());
+        // Folders and the manifest are no links either.
+        for name in ["mesh", "manifest.json"] {
+            let away = d.join(format!("away-{name}"));
+            fs::rename(archive.join(name), &away).unwrap();
+            symlink(&away, archive.join(name)).unwrap();
+            let (code, words) = publish(d, &["waves.isospan", "-o", "viewer"]);
+            assert!(code.is_some_and(|c| c != 0 && c < 100) && words.contains(name), "{name}: {words}");
+            fs::remove_file(archive.join(name)).unwrap();
+            fs::rename(&away, archive.join(name)).unwrap();
+        }
+        assert_eq!(publish(d, &["waves.isospan", "-o", "viewer"]).0, Some(0));
+        let hidden = fs::read_dir(d)
+            .unwrap()
+            .filter(|e| e.as_ref().unwrap().file_name().to_string_lossy().starts_with('.'));
+        assert_eq!(hidden.count(), 0, "nothing is left");
+    }
+
+    /// Kills at any time: there is a whole folder or none, and the next run leaves nothing else.
+    #[test]
+    fn a_killed_run_leaves_a_whole_folder_or_none() {
+        let dir = tempfile::tempdir().unwrap();
+        let d = dir.path();
+        archive(d);
+        let begun = Instant::now();
+        assert_eq!(publish(d, &["waves.isospan", "-o", "viewer"]).0, Some(0));
+        let (whole, time) = (all_files(&d.join("viewer")), begun.elapsed());
+        // More rounds by hand: ISOSPAN_KILLS=100.
+        let rounds: u32 = std::env::var("ISOSPAN_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(8);
+        let mut killed = 0;
+        for round in 0..rounds {
+            let is_new = round % 2 == 1;
+            if is_new {
+                fs::remove_dir_all(d.join("viewer")).unwrap();
+            }
+            let mut child = Command::new(env!("CARGO_BIN_EXE_isospan"))
+                .args(["publish", "waves.isospan", "-o", "viewer", "--force", "-q"])
+                .current_dir(d)
+                .stdout(Stdio::null())
+                .spawn()
+                .unwrap();
+            std::thread::sleep(time.mul_f64(f64::from(round + 1) / f64::from(rounds)));
+            killed += u32::from(child.try_wait().unwrap().is_none());
+            child.kill().unwrap();
+            child.wait().unwrap();
+            let is_there = d.join("viewer").exists();
+            assert!(is_there || is_new, "the folder is lost");
+            assert!(!is_there || all_files(&d.join("viewer")) == whole, "round {round}: half a folder");
+            let (code, words) = publish(d, &["waves.isospan", "-o", "viewer", "--force", "-q"]);
+            assert!(code == Some(0) && all_files(&d.join("viewer")) == whole, "round {round}: {words}");
+            let mut names: Vec<_> = fs::read_dir(d).unwrap().map(|e| e.unwrap().file_name()).collect();
+            names.sort();
+            assert_eq!(names, ["viewer", "waves.isospan", "waves.npy"], "round {round}");
+        }
+        println!("{killed} of {rounds} were killed");
+        assert!(killed > 0 && begun.elapsed() < Duration::from_secs(3600));
     }
 }
 

@@ -193,6 +193,7 @@ impl Existing {
         match self {
             Self::Foreign => Err(foreign(out)),
             Self::Finished(_) | Self::Damaged if !replace => Err(exists(out)),
+            _ if replace => refuse_strangers(out),
             _ => Ok(()),
         }
     }
@@ -249,6 +250,7 @@ impl State {
     /// Empties the folder where it has files of something else.
     pub(in crate::pipeline) fn make_place(&self, layout: &Layout) -> Result<()> {
         let Self::Other = self else { return Ok(()) };
+        refuse_strangers(layout.root())?;
         // First the manifest: from then on it is no archive.
         let manifest = layout.root().join(MANIFEST_NAME);
         match fs::remove_file(&manifest) {
@@ -265,15 +267,48 @@ impl State {
 pub(in crate::pipeline) fn lock_for_writing(out: &Path) -> Result<WriterLock> {
     refuse_name(out)?;
     let lock = WriterLock::acquire(out)?;
+    let work = work_folder(out);
+    if fs::symlink_metadata(&work).is_ok_and(|about| !about.is_dir()) {
+        let text = "is no folder, but the name of one in which isospan works: move it away";
+        return Err(Error::usage(format!("{} {text}", work.display())));
+    }
     publish::restore_folder(out, &old_archive(out))?;
     Ok(lock)
 }
 
 /// Puts a new archive in the place of the one of its name, which was whole until then.
 pub(in crate::pipeline) fn replace_archive(new: &Path, out: &Path) -> Result<()> {
+    refuse_strangers(out)?;
     publish::replace_folder(new, out, &old_archive(out))?;
     // There may be a plan, or logs.
     let _ = fs::remove_dir(work_folder(out));
+    Ok(())
+}
+
+/// Refuses to remove an archive whose folders hold what no archive has: a user's files. Those beside
+/// the folders are found by [`Existing::at`].
+fn refuse_strangers(out: &Path) -> Result<()> {
+    let refuse = |path: &Path| {
+        let (out, path) = (out.display(), path.display());
+        Err(Error::usage(format!("cannot replace {out}: {path} is no file of an archive; move it away")))
+    };
+    for folder in [mesh_folder(out), steps_folder(out)] {
+        let list = |e| Error::io("list", &folder, e);
+        match fs::symlink_metadata(&folder) {
+            Ok(about) if !about.is_dir() => return refuse(&folder),
+            Ok(_) => {}
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => continue,
+            Err(e) => return Err(list(e)),
+        }
+        for entry in fs::read_dir(&folder).map_err(list)? {
+            let entry = entry.map_err(list)?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let is_called = name.ends_with(".seg") || name.contains(TEMPORARY_MARK);
+            if !is_called || entry.file_type().map_err(list)?.is_dir() {
+                return refuse(&entry.path());
+            }
+        }
+    }
     Ok(())
 }
 
