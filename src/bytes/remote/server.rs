@@ -46,13 +46,6 @@ const SILENT_FOR: Duration = Duration::from_secs(10);
 /// Letters of a server's words that are shown.
 const WORDS: usize = 400;
 
-/// When a server answered last, and when it was given up.
-#[derive(Default)]
-struct Heard {
-    answered: Option<Instant>,
-    given_up: Option<Instant>,
-}
-
 /// A server or bucket, and what was fetched from it.
 pub(super) struct Server {
     store: Arc<dyn ObjectStore>,
@@ -60,7 +53,8 @@ pub(super) struct Server {
     lists: bool,
     room: Semaphore,
     bounded: Bounded,
-    heard: Mutex<Heard>,
+    /// When it was given up last, and why.
+    given_up: Mutex<Option<(Instant, String)>>,
     pub(super) cache: ServerCache,
     /// By hashes of paths.
     seen: Mutex<HashMap<u128, Seen>>,
@@ -114,39 +108,38 @@ impl Server {
 
     /// A request begins now.
     fn begin(&self) -> io::Result<Instant> {
-        let heard = lock(&self.heard);
-        if heard.given_up.is_some_and(|at| at.elapsed() < SILENT_FOR) {
-            return Err(silent("it was given up just now"));
+        match &*lock(&self.given_up) {
+            Some((at, why)) if at.elapsed() < SILENT_FOR => {
+                Err(io::Error::new(io::ErrorKind::TimedOut, why.clone()))
+            }
+            _ => Ok(Instant::now()),
         }
-        Ok(Instant::now())
     }
 
-    /// An answer that must be there in time. A server of which nothing at all has come meanwhile is
-    /// given up.
+    /// The server is given up, of which nothing came in time but this.
+    fn give_up(&self, came: &str) -> io::Error {
+        let why = format!("the server is given up: {came} within {} seconds", LIMIT.as_secs());
+        *lock(&self.given_up) = Some((Instant::now(), why.clone()));
+        io::Error::new(io::ErrorKind::TimedOut, why)
+    }
+
+    /// An answer that must be there in time.
     async fn within<T>(
         &self,
         begun: Instant,
         path: &Path,
         answer: impl Future<Output = object_store::Result<T>>,
     ) -> io::Result<T> {
-        let answer = timeout_at((begun + LIMIT).into(), answer).await;
-        let mut heard = lock(&self.heard);
-        match answer {
-            Ok(Ok(answer)) => {
-                *heard = Heard { answered: Some(Instant::now()), given_up: None };
-                return Ok(answer);
+        let Ok(answer) = timeout_at((begun + LIMIT).into(), answer).await else {
+            return Err(self.give_up("no answer"));
+        };
+        answer.map_err(|e| {
+            let failed = self.failed(path, e);
+            if begun.elapsed() > TRIES_END {
+                *lock(&self.given_up) = Some((Instant::now(), failed.to_string()));
             }
-            Ok(Err(object_store::Error::NotFound { .. })) => heard.answered = Some(Instant::now()),
-            _ if heard.answered.is_none_or(|at| at < begun) && begun.elapsed() > TRIES_END => {
-                heard.given_up = Some(Instant::now());
-            }
-            _ => {}
-        }
-        drop(heard);
-        match answer {
-            Ok(answer) => answer.map_err(|e| self.failed(path, e)),
-            Err(_) => Err(silent("no answer")),
-        }
+            failed
+        })
     }
 
     /// The bytes of an answer that is said to have so many.
@@ -160,7 +153,7 @@ impl Server {
         let (mut bytes, mut due, mut next): (Vec<u8>, _, _) = (vec![], begun + LIMIT, STRIDE);
         let is_more = loop {
             let piece = timeout_at(due.into(), stream.next()).await;
-            let piece = piece.map_err(|_| silent(&format!("{} of {said} bytes", bytes.len())))?;
+            let piece = piece.map_err(|_| self.give_up(&format!("{} of {said} bytes", bytes.len())))?;
             let Some(piece) = piece else { break false };
             let piece = piece.map_err(|e| self.failed(path, e))?;
             if (bytes.len() + piece.as_ref().len()) as u64 > said {
@@ -322,12 +315,6 @@ fn one_line(error: &dyn std::error::Error) -> String {
     }
 }
 
-/// The error of a server that says nothing.
-fn silent(what: &str) -> io::Error {
-    let text = format!("the server is given up after {} seconds: {what}", LIMIT.as_secs());
-    io::Error::new(io::ErrorKind::TimedOut, text)
-}
-
 /// Runs a request to its end.
 fn wait<T>(request: impl Future<Output = T>) -> io::Result<T> {
     static RUNTIME: LazyLock<io::Result<Runtime>> = LazyLock::new(|| {
@@ -467,7 +454,7 @@ pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
         lists: matches!(scheme, ObjectStoreScheme::AmazonS3),
         room: Semaphore::new(AT_ONCE),
         bounded,
-        heard: Mutex::default(),
+        given_up: Mutex::default(),
         cache: ServerCache::default(),
         seen: Mutex::default(),
         small: Mutex::default(),
@@ -544,7 +531,7 @@ mod tests {
             lists: true,
             room: Semaphore::new(AT_ONCE),
             bounded: Bounded::default(),
-            heard: Mutex::default(),
+            given_up: Mutex::default(),
             cache: ServerCache::default(),
             seen: Mutex::default(),
             small: Mutex::default(),
