@@ -66,6 +66,7 @@ pub fn info_of(name: &str, dims: [u64; 3], scalar: ScalarType) -> VolumeInfo {
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: vec![],
     }
 }

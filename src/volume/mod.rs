@@ -170,6 +170,9 @@ pub struct VolumeInfo {
     /// The units that the file names.
     #[serde(default, skip_serializing_if = "Units::are_unknown")]
     pub units: Units,
+    /// What a reader converted, took or left out, a line each.
+    #[serde(skip)]
+    pub notes: Vec<String>,
     /// The files that hold the samples, where that is not the file that was named.
     #[serde(default)]
     pub data_files: Vec<PathBuf>,

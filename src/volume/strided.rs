@@ -520,6 +520,7 @@ mod tests {
             intercept: 0.0,
             missing: None,
             units: Units::default(),
+            notes: vec![],
             data_files: vec![],
         }
     }

@@ -2,19 +2,21 @@
 //! common to HDF5, NetCDF and Zarr.
 //!
 //! ```text
-//!  temp(time, lev, lat, lon)        the last three axes are a volume, the first has its frames
+//!  temp(time, lev, lat, lon)        three axes are a volume, that of time has its frames: see [`layout`]
 //!    scale_factor, add_offset       value = scale_factor · stored + add_offset
 //!    _FillValue, missing_value      the stored number that means "no data"
 //!    valid_range, valid_min, …      what is outside has no value
 //!  lat(lat), lon(lon), …            coordinates: spacing and origin, or a rectilinear grid
 //! ```
 
+use super::axes::{Layout, layout};
 use super::coordinates::{GridCoordinates, rectilinear, regular};
 use super::header::geometry;
+use super::lengths::Lengths;
 use super::{Frames, OpenOptions};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
-use crate::volume::units::{Unit, Units, common};
+use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
 use std::collections::HashMap;
 use std::path::Path;
@@ -213,27 +215,70 @@ pub(in crate::formats) fn kind_of_coordinate(name: &str, axis: &str, units: &str
     }
 }
 
-/// What the units of a variable and of its coordinates along x, y, z and t say. A length has a unit
-/// where those of the three axes agree; degrees are no lengths.
-pub(in crate::formats) fn units(value: &str, space: [Option<String>; 3], time: Option<String>) -> Units {
-    let along = |unit: Option<String>| unit.and_then(|unit| Unit::length(&unit));
-    let length = common(space.map(along)).filter(|unit| !unit.as_str().starts_with("degree"));
+/// What the units of a variable, of lengths and of its coordinates of time say.
+pub(in crate::formats) fn units(value: &str, lengths: &Lengths, time: Option<String>) -> Units {
+    let length = lengths.unit.clone();
     Units { value: Unit::new(value), length, time: time.and_then(|unit| Unit::time(&unit)) }
 }
 
-/// A volume of an array: the last three axes, at one entry of each axis before.
+/// The lengths along x, y and z of the world, by the units of the coordinates along an array's last
+/// three axes. Degrees are no lengths.
+pub(in crate::formats) fn lengths(of_axes: [Option<String>; 3], world: [usize; 3]) -> Lengths {
+    let mut units = [None, None, None];
+    for (unit, axis) in of_axes.into_iter().zip(world) {
+        units[axis] = unit.and_then(|unit| Unit::length(&unit));
+    }
+    let mut found = Lengths::of_any(units);
+    found.unit = found.unit.filter(|unit| !unit.as_str().starts_with("degree"));
+    found
+}
+
+/// Coordinates along an array's last three axes, as lengths in one unit.
+pub(in crate::formats) fn in_one_unit(
+    lines: [Option<Line>; 3],
+    lengths: &Lengths,
+    world: [usize; 3],
+) -> [Option<Line>; 3] {
+    let mut axes = world.into_iter();
+    lines.map(|line| {
+        let axis = axes.next().unwrap_or(0);
+        line.map(|line| if lengths.is_as_stated(axis) { line } else { line.map(|v| lengths.along(axis, v)) })
+    })
+}
+
+/// A volume of an array: three axes, at one entry of each other axis.
 #[derive(Clone, Debug)]
 pub(in crate::formats) struct Part {
     pub(in crate::formats) info: FieldInfo,
     /// The name of the array.
     pub(in crate::formats) array: String,
-    /// The entry of each axis before the last three.
-    pub(in crate::formats) before: Vec<u64>,
-    /// Whether it is one of several channels of the array, or one of several frames.
-    pub(in crate::formats) is_channel: bool,
-    pub(in crate::formats) is_frame: bool,
-    /// The axis of the world along which each of the last three lies, the last one first.
+    /// The axes of the volume, the last one first.
+    pub(in crate::formats) axes: [usize; 3],
+    /// The entry of each axis; 0 of those of the volume.
+    pub(in crate::formats) entries: Vec<u64>,
+    /// The channel, where the array has several.
+    pub(in crate::formats) channel: Option<u64>,
+    /// The axis whose entries are frames, where it is one of several frames.
+    pub(in crate::formats) frames: Option<usize>,
+    /// The axis of the world along which each axis of the volume lies.
     pub(in crate::formats) world: [usize; 3],
+}
+
+impl Part {
+    /// Whether it is one of several channels.
+    pub(in crate::formats) fn is_channel(&self) -> bool {
+        self.channel.is_some()
+    }
+
+    /// Whether it is one of several frames.
+    pub(in crate::formats) fn is_frame(&self) -> bool {
+        self.frames.is_some()
+    }
+
+    /// Samples along the axes of the volume, given those of the array.
+    pub(in crate::formats) fn dims(&self, shape: &[u64]) -> [u64; 3] {
+        self.axes.map(|axis| shape[axis])
+    }
 }
 
 /// What a convention says about arrays.
@@ -259,55 +304,66 @@ pub(in crate::formats) fn parts_of(
     scalar: ScalarType,
     rules: Rules,
 ) -> Result<Vec<Part>> {
-    let rank = shape.len();
-    let before = &shape[..rank - 3];
-    let last: [char; 3] = std::array::from_fn(|a| kinds[rank - 1 - a]);
-    let place = |kind: char| ['x', 'y', 'z'].iter().position(|&k| k == kind);
-    let world = last.map(place);
-    let all = (0..3).all(|a| world.contains(&Some(a)));
-    let world: [usize; 3] = if all { world.map(|w| w.unwrap_or(0)) } else { [0, 1, 2] };
-    let has_channels = kinds[0] == 'c' && shape[0] > 1;
-    let part = |name_of_part: String, before: Vec<u64>, components: u32| Part {
-        info: FieldInfo { name: name_of_part, scalar, components },
-        array: name.into(),
-        is_channel: has_channels,
-        is_frame: before.len() == 1 && shape[0] > 1 && components == 1 && !has_channels,
-        before,
-        world,
-    };
-    let refuse = |expected: &str, help: &str| {
+    let refuse = |expected: &str| {
         let axis =
             |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
         let got: Vec<String> = shape.iter().zip(kinds).map(axis).collect();
-        Err(Error::bad_input(path, name, expected, got.join(" x ")).with_help(help))
+        Error::bad_input(path, name, expected, got.join(" x "))
+            .with_help("write the part that is wanted to a dataset of its own, its axes z, y, x")
     };
-    let ours = "write the part that is wanted to a dataset of its own, its axes z, y, x";
-    let few = shape[rank - 1] <= 4 && rank == 4 && shape[1] > 4 && shape[2] > 4;
-    let unnamed = rules != Rules::Plain || kinds.iter().all(|&k| k == '?');
-    let vectors = few && unnamed || rank == 4 && rules == Rules::Vectors;
-    if rank > 3 && shape[rank - 1] > 1 && (last[0] == 'c' || vectors) {
-        let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
-        return Ok(vec![part(name.into(), vec![0; before.len()], components)]);
+    if let Some(vectors) = vectors(name, (shape, kinds), scalar, rules) {
+        return Ok(vec![vectors]);
     }
-    let others = if rank == 4 { 1 } else { 0 };
-    if few && unnamed || kinds.iter().zip(shape).skip(others).any(|(&k, &n)| k == 'c' && n > 1) {
-        return refuse("one number a sample, or channels as the first of four axes", ours);
+    let Layout { space, series, channels } = layout(shape, kinds).map_err(refuse)?;
+    let count = |axis: Option<usize>| axis.map_or(1, |axis| shape[axis]);
+    let all = count(series).checked_mul(count(channels)).filter(|&all| all <= MOST_FRAMES);
+    if all.is_none() || rules != Rules::Plain && all != Some(1) {
+        let expected = "three axes of space, and others of at most 65536 frames and channels";
+        return Err(refuse(if rules == Rules::Plain { expected } else { "three axes" }));
     }
-    if rank > 3 && last.contains(&'t') || kinds.iter().zip(before).any(|(&k, &n)| place(k).is_some() && n > 1)
-    {
-        return refuse("time as the first axis, before z, y and x", "write the dataset again in this order");
-    }
-    match before {
-        &[entries] if entries != 1 && entries <= MOST_FRAMES && rules == Rules::Plain => {
-            let kind = if kinds[0] == 'c' { 'c' } else { 't' };
-            Ok((0..entries).map(|n| part(format!("{name}:{kind}{n}"), vec![n], 1)).collect())
+    let numbers = |axis: Option<usize>| -> Vec<Option<u64>> {
+        axis.map_or_else(|| vec![None], |axis| (0..shape[axis]).map(Some).collect())
+    };
+    let mut parts = vec![];
+    for channel in numbers(channels) {
+        for frame in numbers(series) {
+            let mut entries = vec![0; shape.len()];
+            for (axis, number) in [(channels, channel), (series, frame)] {
+                if let (Some(axis), Some(number)) = (axis, number) {
+                    entries[axis] = number;
+                }
+            }
+            let of_channel = channel.map_or(String::new(), |c| format!(":c{c}"));
+            let of_frame = frame.map_or(String::new(), |t| format!(":t{t}"));
+            let name_of_part = format!("{name}{of_channel}{of_frame}");
+            let info = FieldInfo { name: name_of_part, scalar, components: 1 };
+            let (array, world) = (name.into(), world_of(space.map(|axis| kinds[axis])));
+            parts.push(Part { info, array, axes: space, entries, channel, frames: series, world });
         }
-        _ if before.iter().all(|&n| n == 1) => Ok(vec![part(name.into(), vec![0; before.len()], 1)]),
-        _ => {
-            let expected = "three axes, one more of at most 65536 frames before them, others of one entry";
-            refuse(expected, "write the part that is wanted to a dataset of its own")
-        }
     }
+    Ok(parts)
+}
+
+/// The axes of the world of three axes of these kinds: x, y, z by their names, else in this order.
+fn world_of(kinds: [char; 3]) -> [usize; 3] {
+    let places = kinds.map(|kind| ['x', 'y', 'z'].iter().position(|&k| k == kind));
+    let are_all = (0..3).all(|axis| places.contains(&Some(axis)));
+    if are_all { places.map(|place| place.unwrap_or(0)) } else { [0, 1, 2] }
+}
+
+/// The field of an array of vectors, or of colours, which are the last of its axes.
+fn vectors(name: &str, (shape, kinds): (&[u64], &[char]), scalar: ScalarType, rules: Rules) -> Option<Part> {
+    let rank = shape.len();
+    let is_named = rules == Rules::Plain && kinds.iter().any(|&kind| kind != '?');
+    let is_short = rank == 4 && shape[3] <= 4 && shape[1] > 4 && shape[2] > 4 && !is_named;
+    let is_told = rank == 4 && rules == Rules::Vectors || rules != Rules::Plain && kinds[rank - 1] == 'c';
+    if rank < 4 || shape[rank - 1] < 2 || !(is_short || is_told) {
+        return None;
+    }
+    let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
+    let info = FieldInfo { name: name.into(), scalar, components };
+    let (axes, entries) = ([rank - 2, rank - 3, rank - 4], vec![0; rank]);
+    Some(Part { info, array: name.into(), axes, entries, channel: None, frames: None, world: [0, 1, 2] })
 }
 
 /// The name of the field that is asked for, with the channel.
@@ -324,14 +380,14 @@ pub(in crate::formats) fn with_channel<'a>(
     let usage = |text: String| Err(Error::usage(format!("{}: {text}", path.display())));
     if let Some(field) = &options.field {
         return match field.rsplit_once(":c") {
-            Some((_, of_field)) if of_field != number => {
+            Some((_, of_field)) if of_field.split(':').next() != Some(number) => {
                 usage(format!("{field} is another channel than --channel {channel}"))
             }
             Some(_) => Ok(Some(field.clone())),
             None => Ok(Some(format!("{field}:c{number}"))),
         };
     }
-    let mut arrays: Vec<&str> = parts.filter(|p| p.is_channel).map(|p| p.array.as_str()).collect();
+    let mut arrays: Vec<&str> = parts.filter(|p| p.is_channel()).map(|p| p.array.as_str()).collect();
     arrays.dedup();
     match arrays[..] {
         [] => usage("no dataset has channels: leave out --channel".into()),
@@ -351,7 +407,8 @@ pub(in crate::formats) fn frames<'a>(
     times: Option<Vec<f64>>,
 ) -> Frames {
     let all = parts.clone().count();
-    let frames: Vec<&Part> = parts.filter(|p| p.array == first.array).collect();
+    let is_of_it = |p: &&Part| p.array == first.array && p.channel == first.channel;
+    let frames: Vec<&Part> = parts.filter(is_of_it).collect();
     if !is_chosen && (frames.len() != all || all == 1) {
         return vec![];
     }
@@ -366,12 +423,13 @@ pub(in crate::formats) fn times<'a, P: AsRef<Part> + 'a>(
     mut of_array: impl FnMut(&P) -> Option<Vec<f64>>,
 ) -> HashMap<String, f64> {
     let (mut out, mut last) = (HashMap::new(), (String::new(), None));
-    for of_file in parts.filter(|p| p.as_ref().is_frame) {
+    for of_file in parts {
         let part = of_file.as_ref();
+        let Some(axis) = part.frames else { continue };
         if last.0 != part.array {
             last = (part.array.clone(), of_array(of_file));
         }
-        let time = last.1.as_ref().and_then(|t| t.get(part.before[0] as usize));
+        let time = last.1.as_ref().and_then(|t| t.get(part.entries[axis] as usize));
         out.extend(time.filter(|t| t.is_finite()).map(|&t| (part.info.name.clone(), t)));
     }
     out
@@ -388,6 +446,12 @@ impl Line {
     /// Coordinates of double or single precision.
     pub(in crate::formats) fn new(values: Vec<f64>, single: bool) -> Self {
         Self { regular: regular(&values, single), values }
+    }
+
+    /// The same in another unit.
+    fn map(self, unit: impl Fn(f64) -> f64) -> Self {
+        let regular = self.regular.map(|(start, step)| (unit(start), unit(step)));
+        Self { values: self.values.into_iter().map(unit).collect(), regular }
     }
 }
 

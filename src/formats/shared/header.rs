@@ -127,6 +127,7 @@ pub(in crate::formats) fn plain_info(
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: vec![],
     }
 }

@@ -107,6 +107,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         intercept: 0.0,
         missing: None,
         units: Units::of_length(header.unit()),
+        notes: vec![],
         data_files: vec![],
     };
     let offset = HEADER as u64 + header.extended()? + number as u64 * bytes;

@@ -76,6 +76,8 @@ pub enum Finding {
         /// Whether the archive's bytes are an estimate, before it is made.
         estimated: bool,
     },
+    /// What a reader converted, took or left out, as the text says.
+    Reading,
 }
 
 impl fmt::Display for Notice {

@@ -63,6 +63,11 @@ impl Notice {
         Self::new(path, Finding::Fill { value, share, others: fill.others }, &text)
     }
 
+    /// What the reader of a volume says.
+    fn of_reading(info: &VolumeInfo) -> impl Iterator<Item = Self> + '_ {
+        info.notes.iter().map(|note| Self::new(&info.path, Finding::Reading, note))
+    }
+
     fn of_stretch(path: &Path, found: &Stretch, nan: NanPolicy) -> Self {
         let Stretch { count, of, value, is_one_value, others } = *found;
         let [lo, hi] = others.map(number);
@@ -224,6 +229,11 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
                 out.notices.extend(of_numbers(&input, source, sources.len(), settings, &size));
             }
         }
+        if let Input::Volume(volume) = &input {
+            let is_new = |n: &Notice| !out.notices.iter().any(|said| same_reading(said, n));
+            let new: Vec<Notice> = Notice::of_reading(volume.info()).filter(is_new).collect();
+            out.notices.extend(new);
+        }
         let found = match input {
             // Much is decoded for a few samples: in a stream, all before them.
             Input::Volume(VolumeSource::Stream(_) | VolumeSource::Chunked(_)) if n > 0 => continue,
@@ -246,6 +256,12 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
         out.notices.extend(constants.into_iter().next());
     }
     Ok(out)
+}
+
+/// Whether a reader said the same of two steps.
+fn same_reading(a: &Notice, b: &Notice) -> bool {
+    let after = |n: &Notice| n.text.strip_prefix(&n.path.display().to_string()).map(str::to_owned);
+    a.finding == b.finding && after(a) == after(b)
 }
 
 /// Whether two findings, of two steps, are one.
@@ -437,8 +453,14 @@ fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
 pub fn scan_with_notices(source: VolumeSource) -> Result<(VolumeInfo, Scan, Vec<Notice>)> {
     let (source, watched) = watched(source)?;
     let (info, found) = scan(source)?;
-    let notices = of_survey(&info.path, watched.survey(), None, NanPolicy::Error);
+    let mut notices = header_notices(&info);
+    notices.extend(of_survey(&info.path, watched.survey(), None, NanPolicy::Error));
     Ok((info, found, notices))
+}
+
+/// What the header of a volume shows, without its samples.
+pub fn header_notices(info: &VolumeInfo) -> Vec<Notice> {
+    Notice::of_reading(info).collect()
 }
 
 /// What a reduction of a mesh's field should heed.

@@ -225,6 +225,7 @@ impl BrickedVolume {
             intercept: header.intercept,
             missing: header.missing,
             units: header.units,
+            notes: vec![],
             data_files: vec![],
         };
         Ok(Self { info, source, layout })

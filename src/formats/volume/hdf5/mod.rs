@@ -6,10 +6,12 @@
 //! ```
 //!
 //! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
-//! a sample, named by their path. Axes before the last three must have one entry. In a dataset of
-//! four axes each entry of the first is a field of its own. They are the steps `name:t0`,
-//! `name:t1`, …; `name` is all of them, as a series. If the first axis is one of channels, they are
-//! the fields `name:c0`, `name:c1`, …. Links to one dataset are one field.
+//! a sample, named by their path. In a dataset with more axes those of space are found by their
+//! names, in any places, else they are the last three (see [`layout`](crate::formats::shared::axes)).
+//! Each entry of an axis of time, or of the first of four, is a field of its own. They are the steps
+//! `name:t0`, `name:t1`, …; `name` is all of them, as a series. Entries of an axis of channels are
+//! the fields `name:c0`, `name:c1`, …, with frames `name:c0:t0`. Other axes must have one entry.
+//! Links to one dataset are one field.
 //!
 //! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
 //! are what their names say: time, x, y, z in any order, channels. If the last of four axes without
@@ -61,6 +63,7 @@ use crate::formats::shared::cf::{
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
+use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, pick_field};
@@ -157,6 +160,9 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let is_netcdf = dialect == Dialect::Plain && is_netcdf(path, &file);
     let mut info = field.volume_info(path, dialect, is_netcdf, info, geometry)?;
     info.fields = fields;
+    if dialect == Dialect::Plain {
+        info.notes.extend(field.lengths(&tree).note);
+    }
     info.units = match dialect {
         Dialect::Plain => field.units(&tree),
         _ => units,
@@ -212,13 +218,15 @@ pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions, wanted: Opt
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
     let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
-    let number = match wanted {
+    let named = OpenOptions { field: wanted.map(str::to_owned), ..options.clone() };
+    let wanted = cf::with_channel(path, &named, tree.fields.iter().map(|f| &f.part))?;
+    let number = match &wanted {
         Some(name) => tree.first_frame(&file, name),
-        None => tree.fields.first().filter(|f| f.part.is_frame).map(|_| 0),
+        None => tree.fields.first().filter(|f| f.part.is_frame()).map(|_| 0),
     };
     let Some(first) = number.map(|n| &tree.fields[n]) else { return Ok(vec![]) };
     let parts = tree.fields.iter().map(|f| &f.part);
-    Ok(cf::frames(parts, &first.part, wanted.is_some(), first.line(0, &tree)))
+    Ok(cf::frames(parts, &first.part, wanted.is_some(), first.times(&tree)))
 }
 
 /// The times of frames by the names of their fields, where their datasets have them.
@@ -229,7 +237,7 @@ pub(in crate::formats) fn times(path: &Path, options: &OpenOptions) -> Result<Ha
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
     let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
-    Ok(cf::times(tree.fields.iter(), |field| field.line(0, &tree)))
+    Ok(cf::times(tree.fields.iter(), |field| field.times(&tree)))
 }
 
 fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
@@ -412,7 +420,7 @@ impl Tree {
     /// The first frame of the dataset with four axes that a user's word means.
     fn first_frame(&self, file: &Hdf5File, wanted: &str) -> Option<usize> {
         let first = self.full_name(file, &format!("{wanted}:t0"));
-        self.fields.iter().position(|f| f.part.is_frame && f.part.info.name == first)
+        self.fields.iter().position(|f| f.part.is_frame() && f.part.info.name == first)
     }
 
     /// The field that a user's word means: the path with or without its first "/", or that of
@@ -428,7 +436,7 @@ impl Tree {
         // The name of a dataset with frames is not the name of a frame.
         let found =
             self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| match frame {
-                None => !f.part.is_frame && !f.part.is_channel,
+                None => !f.part.is_frame() && !f.part.is_channel(),
                 Some(frame) => f.part.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame),
             });
         found.map_or_else(|| wanted.to_string(), |f| f.part.info.name.clone())
@@ -605,8 +613,12 @@ fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
 impl Field {
     /// Samples along x, y, z.
     fn dims(&self) -> [u64; 3] {
-        let shape = self.dataset.shape();
-        std::array::from_fn(|a| shape[shape.len() - 1 - a])
+        self.part.dims(self.dataset.shape())
+    }
+
+    /// The times of the frames.
+    fn times(&self, tree: &Tree) -> Option<Vec<f64>> {
+        self.line(self.part.frames?, tree)
     }
 
     fn volume_info(
@@ -641,13 +653,22 @@ impl Field {
 
     /// The coordinates along x, y, z, where the file has them.
     fn lines(&self, tree: &Tree) -> [Option<Line>; 3] {
-        let (rank, dims) = (self.dataset.ndim(), self.dims());
-        std::array::from_fn(|a| {
-            let (_, line) = tree.line_of(&self.part.array, &self.dataset, rank - 1 - a)?;
+        let dims = self.dims();
+        let lines = std::array::from_fn(|a| {
+            let axis = self.part.axes[a];
+            let (_, line) = tree.line_of(&self.part.array, &self.dataset, axis)?;
             let single = matches!(line.dtype(), Datatype::FloatingPoint { size: 4, .. });
-            let values = self.line(rank - 1 - a, tree).filter(|l| l.len() as u64 == dims[a])?;
+            let values = self.line(axis, tree).filter(|l| l.len() as u64 == dims[a])?;
             Some(Line::new(values, single))
-        })
+        });
+        cf::in_one_unit(lines, &self.lengths(tree), self.part.world)
+    }
+
+    /// The lengths along the axes of the world.
+    fn lengths(&self, tree: &Tree) -> Lengths {
+        let unit = |of: &Dataset| of.attribute("units").ok().and_then(|a| attribute_text(&a));
+        let of_axis = |axis: usize| unit(tree.line_of(&self.part.array, &self.dataset, axis)?.1);
+        cf::lengths(self.part.axes.map(of_axis), self.part.world)
     }
 
     /// Spacing, origin and directions, from the coordinate variables, or from what other attributes
@@ -674,8 +695,7 @@ impl Field {
         }
         let tags = self.dataset.attribute("axistags").ok().and_then(|a| attribute_text(&a));
         let tags: serde_json::Value = tags.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
-        let rank = self.dataset.ndim();
-        let size = |a: usize| tags["axes"][rank - 1 - a]["resolution"].as_f64();
+        let size = |a: usize| tags["axes"][self.part.axes[a]]["resolution"].as_f64();
         Ok(std::array::from_fn(|a| size(a).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(1.0)))
     }
 
@@ -683,10 +703,9 @@ impl Field {
     fn units(&self, tree: &Tree) -> Units {
         let text = |of: &Dataset| of.attribute("units").ok().and_then(|a| attribute_text(&a));
         let of_axis = |axis: usize| text(tree.line_of(&self.part.array, &self.dataset, axis)?.1);
-        let rank = self.dataset.ndim();
-        let space = [1, 2, 3].map(|back| of_axis(rank - back));
-        let time = (rank > 3).then(|| of_axis(0)).flatten();
-        let mut units = cf::units(&text(&self.dataset).unwrap_or_default(), space, time);
+        let kinds = tree.axis_kinds(&self.part.array, &self.dataset);
+        let time = self.part.frames.or_else(|| kinds.iter().position(|&k| k == 't')).and_then(of_axis);
+        let mut units = cf::units(&text(&self.dataset).unwrap_or_default(), &self.lengths(tree), time);
         let has_lines = self.lines(tree).iter().any(Option::is_some);
         if !has_lines && self.dataset.attribute("element_size_um").is_ok() {
             units.length = Unit::length("µm");
@@ -721,25 +740,25 @@ impl Field {
             HdfMessage::DataLayout(message) => Some(&message.layout),
             _ => None,
         });
-        let (d, bytes) = (self.dims(), self.part.info.scalar.bytes() as u64);
-        let frame = sample_bytes(path, d, self.part.info.scalar)?;
-        let frames = self.dataset.shape()[..self.part.before.len()].iter().product::<u64>();
+        sample_bytes(path, self.dims(), self.part.info.scalar)?;
         let Some(DataLayout::Contiguous { address, size }) = layout else { return Ok(None) };
-        if elsewhere || frame.checked_mul(frames) != Some(*size) {
+        let (shape, bytes) = (self.dataset.shape(), self.part.info.scalar.bytes() as u64);
+        let mut steps = vec![bytes; shape.len()];
+        for axis in (1..shape.len()).rev() {
+            steps[axis - 1] = steps[axis].saturating_mul(shape[axis]);
+        }
+        if elsewhere || steps[0].checked_mul(shape[0]) != Some(*size) {
             return Ok(None);
         }
-        let number = self.part.before.first().copied().unwrap_or(0);
+        let begin = self.part.entries.iter().zip(&steps).map(|(entry, step)| entry * step).sum::<u64>();
         if Cursor::is_undefined_offset(*address, file.superblock().offset_size) {
             return Ok(None);
         }
         let at = file.superblock().base_address.checked_add(*address);
-        let Some(at) = at.and_then(|at| at.checked_add(number * frame)) else { return Ok(None) };
-        if at.checked_add(frame).is_none() {
-            return Ok(None);
-        }
-        // They fit, as all samples have fewer than 2^63 bytes.
-        let strides = [bytes, bytes * d[0], bytes * d[0] * d[1]].map(|s| s as i64);
-        Ok(Some((at, strides)))
+        let Some(at) = at.filter(|at| at.checked_add(*size).is_some()) else { return Ok(None) };
+        let strides = self.part.axes.map(|axis| i64::try_from(steps[axis]));
+        let [Ok(x), Ok(y), Ok(z)] = strides else { return Ok(None) };
+        Ok(Some((at + begin, [x, y, z])))
     }
 }
 
@@ -838,7 +857,9 @@ struct Pieces {
     dataset: Dataset,
     /// How it is stored, unless it is in one part.
     chunks: Option<Chunks>,
-    before: Vec<u64>,
+    /// The axes of the volume, the last one first, and the entry of each other axis.
+    axes: [usize; 3],
+    entries: Vec<u64>,
     /// Size of a piece: a multiple of the chunks', or all along an axis.
     piece: [u64; 3],
     /// The type in the file.
@@ -850,11 +871,13 @@ struct Pieces {
 impl Pieces {
     fn new(mut info: VolumeInfo, file: &Hdf5File, field: &Field, convert: Option<Convert>) -> Result<Self> {
         let scalar = info.field.scalar;
-        let chunks = Chunks::of(file, &field.dataset, scalar.bytes(), field.big_endian).map_err(|e| {
-            let expected = "chunks of the dataset's axes and at most 256 MiB";
-            Error::bad_input(&info.path, &info.field.name, expected, e.to_string())
-                .with_help("write the dataset again in smaller chunks (h5repack -l)")
-        })?;
+        let axes = field.part.axes;
+        let chunks =
+            Chunks::of(file, &field.dataset, axes, scalar.bytes(), field.big_endian).map_err(|e| {
+                let expected = "chunks of the dataset's axes and at most 256 MiB";
+                Error::bad_input(&info.path, &info.field.name, expected, e.to_string())
+                    .with_help("write the dataset again in smaller chunks (h5repack -l)")
+            })?;
         if convert.is_some() {
             info.field.scalar = ScalarType::F64;
         }
@@ -867,18 +890,21 @@ impl Pieces {
                 piece[a] = (2 * piece[a]).min(dims[a]);
             }
         }
-        let (dataset, before) = (field.dataset.clone(), field.part.before.clone());
-        Ok(Self { info, dataset, chunks, before, piece, scalar, convert })
+        let (dataset, entries) = (field.dataset.clone(), field.part.entries.clone());
+        Ok(Self { info, dataset, chunks, axes, entries, piece, scalar, convert })
     }
 
     /// The samples of a box as little-endian bytes of the type in the file.
     fn stored(&self, part: IndexBox, out: &mut Vec<u8>) -> hdf5_reader::error::Result<()> {
         if let Some(chunks) = &self.chunks {
-            return chunks.read(&self.before, part, out);
+            return chunks.read(&self.entries, part, out);
         }
         let range = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
-        let before = self.before.iter().map(|&at| range(at, at + 1));
-        let selections = before.chain([2, 1, 0].map(|a| range(part.lo[a], part.hi[a]))).collect();
+        let selection = |(axis, &at): (usize, &u64)| match self.axes.iter().position(|&a| a == axis) {
+            Some(a) => range(part.lo[a], part.hi[a]),
+            None => range(at, at + 1),
+        };
+        let selections = self.entries.iter().enumerate().map(selection).collect();
         little_endian(&self.dataset, self.scalar, &SliceInfo { selections }, out)
     }
 }

@@ -28,6 +28,7 @@ use crate::formats::shared::cf::{self, Convert, Line, MOST_COORDINATES, Part, Ru
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
+use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, pick_field};
@@ -84,23 +85,26 @@ impl Format for NetCdf {
 
     fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
         let file = File::open(path, options)?;
-        let first = match &options.field {
+        let wanted = cf::with_channel(path, options, file.fields.iter().map(|f| &f.part))?;
+        let first = match &wanted {
             Some(name) => {
                 let first = format!("{name}:t0");
-                file.fields.iter().find(|f| f.part.is_frame && f.part.info.name == first)
+                file.fields.iter().find(|f| f.part.is_frame() && f.part.info.name == first)
             }
-            None => file.fields.first().filter(|f| f.part.is_frame),
+            None => file.fields.first().filter(|f| f.part.is_frame()),
         };
         let Some(first) = first else { return Ok(Some(vec![])) };
-        let times = file.line(first, 0)?.map(|line| line.values);
+        let times = first.part.frames.map_or(Ok(None), |axis| file.line(first, axis))?;
+        let times = times.map(|line| line.values);
         let parts = file.fields.iter().map(|f| &f.part);
-        Ok(Some(cf::frames(parts, &first.part, options.field.is_some(), times)))
+        Ok(Some(cf::frames(parts, &first.part, wanted.is_some(), times)))
     }
 
     fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
         let file = File::open(path, options)?;
         let mut failed = Ok(());
-        let times = cf::times(file.fields.iter(), |field| match file.line(field, 0) {
+        let of_frames = |field: &Field| field.part.frames.map_or(Ok(None), |axis| file.line(field, axis));
+        let times = cf::times(file.fields.iter(), |field| match of_frames(field) {
             Ok(line) => line.map(|line| line.values),
             Err(e) => {
                 failed = Err(e);
@@ -132,6 +136,7 @@ fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     info.fields = file.infos();
     let convert = variable.packing(path, info.field.scalar)?.into_info(&mut info);
     info.units = file.units(field);
+    info.notes.extend(file.lengths(field).note);
     let (at, strides) = file.place(field)?;
     let volume = StridedVolume::new(info, file.source.clone(), at, true, strides)?;
     Ok(match convert {
@@ -219,9 +224,8 @@ impl<'a> File<'a> {
     fn units(&self, field: &Field) -> Units {
         let variable = &self.header.variables[field.variable];
         let of_axis = |axis: usize| Some(self.coordinate(variable.dims[axis])?.text("units"));
-        let rank = variable.dims.len();
-        let space = [1, 2, 3].map(|back| of_axis(rank - back));
-        cf::units(&variable.text("units"), space, (rank > 3).then(|| of_axis(0)).flatten())
+        let time = self.time_axis(field).and_then(of_axis);
+        cf::units(&variable.text("units"), &self.lengths(field), time)
     }
 
     fn infos(&self) -> Vec<FieldInfo> {
@@ -247,8 +251,7 @@ impl<'a> File<'a> {
 
     /// Samples along x, y, z.
     fn dims(&self, field: &Field) -> [u64; 3] {
-        let shape = self.header.shape(&self.header.variables[field.variable]);
-        std::array::from_fn(|a| shape[shape.len() - 1 - a])
+        field.part.dims(&self.header.shape(&self.header.variables[field.variable]))
     }
 
     /// Byte of the first sample, and bytes a step along x, y, z.
@@ -262,21 +265,33 @@ impl<'a> File<'a> {
                 .with_help("the header is damaged")
         };
         let mut at = variable.begin;
-        for (&entry, &step) in field.part.before.iter().zip(&steps) {
+        for (&entry, &step) in field.part.entries.iter().zip(&steps) {
             at = entry.checked_mul(step).and_then(|by| at.checked_add(by)).ok_or_else(large)?;
         }
         let mut strides = [0; 3];
-        for (a, stride) in strides.iter_mut().enumerate() {
-            *stride = i64::try_from(steps[steps.len() - 1 - a]).map_err(|_| large())?;
+        for (axis, stride) in field.part.axes.into_iter().zip(&mut strides) {
+            *stride = i64::try_from(steps[axis]).map_err(|_| large())?;
         }
         Ok((at, strides))
     }
 
     /// The coordinates along x, y, z, where the file has them.
     fn lines(&self, field: &Field) -> Result<[Option<Line>; 3]> {
-        let rank = self.header.variables[field.variable].dims.len();
-        let [x, y, z] = [1, 2, 3].map(|back| self.line(field, rank - back));
-        Ok([x?, y?, z?])
+        let [x, y, z] = field.part.axes.map(|axis| self.line(field, axis));
+        Ok(cf::in_one_unit([x?, y?, z?], &self.lengths(field), field.part.world))
+    }
+
+    /// The lengths along the axes of the world.
+    fn lengths(&self, field: &Field) -> Lengths {
+        let dims = &self.header.variables[field.variable].dims;
+        let of_axis = |axis: usize| Some(self.coordinate(dims[axis])?.text("units"));
+        cf::lengths(field.part.axes.map(of_axis), field.part.world)
+    }
+
+    /// The axis of time of a field.
+    fn time_axis(&self, field: &Field) -> Option<usize> {
+        let dims = &self.header.variables[field.variable].dims;
+        field.part.frames.or_else(|| dims.iter().position(|&dim| self.kind(dim) == 't'))
     }
 
     /// The coordinates along an axis of a variable, where the file has them.

@@ -25,7 +25,8 @@
 //! `NAME:c1`, …; their frames are `NAME:LABEL:t0`, …. All others must have one entry. Spacing and
 //! origin are those of `coordinateTransformations`; else of the arrays next to the array that are
 //! named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1
-//! and 0. `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
+//! and 0. Units of single axes become one, and a scale that is stored as another array is refused.
+//! `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
 //! without names are refused if the last has at most four entries: these are vectors, or colours. A
 //! chunk of several frames is decoded for each of them.
 //!
@@ -54,13 +55,14 @@ use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
+use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::grid::Geometry;
 use crate::volume::chunked::{ChunkSlabs, ChunkSource};
 use crate::volume::strided::swap_bytes;
-use crate::volume::units::{Unit, Units, common};
+use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
@@ -199,7 +201,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         options.refuse_geometry(path, "a Zarr array with coordinates")?;
     }
     let geometry = match &image {
-        Some(_) => placed(&array, image.as_ref(), axes)?,
+        Some(image) => image.placed(&array, axes)?,
         None => given_geometry(path, options, cf::placed(&array.file, &lines, [0, 1, 2], [1.0; 3])?)?,
     };
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
@@ -209,9 +211,14 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
     let convert = packing(&array)?.into_info(&mut info);
+    let lengths = match &image {
+        Some(image) => image.lengths(axes)?,
+        None => line_lengths(&array, axes),
+    };
+    info.notes.extend(lengths.note.clone());
     info.units = match &image {
-        Some(image) => image.units(&array, axes, time),
-        None => cf::units(text(&array, "units"), axes.map(|a| line_unit(&array, a)), line_unit(&array, time)),
+        Some(image) => image.units(&array, &lengths, time),
+        None => cf::units(text(&array, "units"), &lengths, line_unit(&array, time)),
     };
     info.field = field;
     if convert.is_some() {
@@ -280,7 +287,7 @@ fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(&Field) -> bo
         };
         let time = match around {
             Some(image) => {
-                let (scale, shift) = image.scale_and_shift(array, frame.axis);
+                let (scale, shift) = image.scale_and_shift(array, frame.axis)?;
                 Some(shift + scale * frame.number as f64)
             }
             None => line(array, frame.axis, IoMode::Auto)?
@@ -316,7 +323,12 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
 /// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
 fn lines(array: &Array, axes: Axes, io: IoMode) -> Result<[Option<Line>; 3]> {
     let [x, y, z] = axes.map(|axis| axis.map_or(Ok(None), |axis| line(array, axis, io)));
-    Ok([x?, y?, z?])
+    Ok(cf::in_one_unit([x?, y?, z?], &line_lengths(array, axes), [0, 1, 2]))
+}
+
+/// The lengths along x, y, z, by the units of these arrays.
+fn line_lengths(array: &Array, axes: Axes) -> Lengths {
+    cf::lengths(axes.map(|axis| line_unit(array, axis)), [0, 1, 2])
 }
 
 /// The numbers of the array of one axis that is named like an axis of an array, and lies next to
@@ -550,6 +562,9 @@ fn level(path: &Path, options: &OpenOptions, image: Option<&Image>, arrays: &Nam
     Err(Error::usage(format!("{}: {text}", path.display())))
 }
 
+/// Where OME-Zarr says the place of samples.
+const TRANSFORMATIONS: &str = "coordinateTransformations";
+
 /// An image of an OME-Zarr group: its `multiscales` entry.
 #[derive(Clone, Debug)]
 struct Image {
@@ -599,33 +614,75 @@ impl Image {
         self.multiscale["datasets"].as_array().into_iter().flatten()
     }
 
-    /// The units of the axes, and of values where the array has them. An axis that the image does
-    /// not have is no obstacle.
-    fn units(&self, array: &Array, space: Axes, time: Option<usize>) -> Units {
-        let of_axis = |axis: usize| self.multiscale["axes"][axis]["unit"].as_str();
-        let along = space.into_iter().flatten().map(|axis| of_axis(axis).and_then(Unit::length));
+    fn unit(&self, axis: usize) -> Option<&str> {
+        self.multiscale["axes"][axis]["unit"].as_str()
+    }
+
+    /// The lengths along x, y, z. An axis that the image does not have is no obstacle.
+    fn lengths(&self, space: Axes) -> Result<Lengths> {
+        let first = space.into_iter().flatten().next();
+        let units = space.map(|axis| self.unit(axis.or(first)?).and_then(Unit::length));
+        Lengths::of_space(&self.group, "multiscales, units of the axes", units)
+    }
+
+    /// The units of the axes, and of values where the array has them.
+    fn units(&self, array: &Array, lengths: &Lengths, time: Option<usize>) -> Units {
         Units {
             value: Unit::new(text(array, "units")),
-            length: common(along),
-            time: time.and_then(of_axis).and_then(Unit::time),
+            length: lengths.unit.clone(),
+            time: time.and_then(|axis| self.unit(axis)).and_then(Unit::time),
         }
     }
 
+    /// Scale and translation of an array's samples along x, y, z.
+    fn placed(&self, array: &Array, axes: Axes) -> Result<Geometry> {
+        let (mut spacing, mut origin) = ([1.0; 3], [0.0; 3]);
+        for (a, axis) in axes.into_iter().enumerate() {
+            if let Some(axis) = axis {
+                (spacing[a], origin[a]) = self.scale_and_shift(array, axis)?;
+            }
+        }
+        let lengths = self.lengths(axes)?;
+        let (origin, spacing) = (lengths.of_vector(origin), lengths.of_vector(spacing));
+        geometry(&self.group, TRANSFORMATIONS, origin, scaled_axes(spacing))
+    }
+
     /// Scale and translation of an array's entries along one of its axes.
-    fn scale_and_shift(&self, array: &Array, axis: usize) -> (f64, f64) {
+    fn scale_and_shift(&self, array: &Array, axis: usize) -> Result<(f64, f64)> {
         let level = self.levels().find(|l| self.group.join(path_of(l)) == array.folder);
-        let lists = [
-            level.map(|l| &l["coordinateTransformations"]),
-            Some(&self.multiscale["coordinateTransformations"]),
-        ];
+        let lists = [level.map(|l| &l[TRANSFORMATIONS]), Some(&self.multiscale[TRANSFORMATIONS])];
         let (mut scale, mut shift) = (1.0, 0.0);
         for step in lists.into_iter().flatten().filter_map(Value::as_array).flatten() {
-            let value =
-                |key: &str, default: f64| step[key].get(axis).and_then(Value::as_f64).unwrap_or(default);
-            let by = value("scale", 1.0);
-            (scale, shift) = (scale * by, shift * by + value("translation", 0.0));
+            let (by, then) = self.transformation(step, array.shape.len(), axis)?;
+            (scale, shift) = (scale * by, shift * by + then);
         }
-        (scale, shift)
+        Ok((scale, shift))
+    }
+
+    /// What one transformation does along an axis of `rank` axes.
+    fn transformation(&self, step: &Value, rank: usize, axis: usize) -> Result<(f64, f64)> {
+        let kind = step["type"].as_str().unwrap_or_default();
+        let wrong = |got: String| {
+            let expected = "the numbers of a scale or translation, one for each axis";
+            Error::bad_input(&self.group, TRANSFORMATIONS, expected, got)
+        };
+        if let Some(path) = step["path"].as_str() {
+            let got = format!("a {kind} that is stored as the array {path:?}");
+            return Err(wrong(got).with_help("write its numbers into the metadata"));
+        }
+        if !matches!(kind, "" | "identity" | "scale" | "translation") {
+            let got = format!("a transformation of the type {kind:?}");
+            return Err(wrong(got).with_help("resample the image to a grid with scale and translation"));
+        }
+        let number = |key: &str| -> Result<Option<f64>> {
+            let list = &step[key];
+            if list.is_null() && kind != key {
+                return Ok(None);
+            }
+            let number = list.as_array().filter(|l| l.len() == rank).and_then(|l| l[axis].as_f64());
+            number.map(Some).ok_or_else(|| wrong(format!("{key} {list} for {rank} axes")))
+        };
+        Ok((number("scale")?.unwrap_or(1.0), number("translation")?.unwrap_or(0.0)))
     }
 }
 
@@ -742,18 +799,6 @@ fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
         "three axes, one of time, one of channels (65536 frames of channels at most), others of one entry";
     Err(Error::bad_input(&array.file, "shape", expected, got)
         .with_help("write one channel, or the part that is wanted, to an array of its own; or name its axes"))
-}
-
-/// Scale and translation of an array's samples along x, y, z.
-fn placed(array: &Array, image: Option<&Image>, axes: Axes) -> Result<Geometry> {
-    let Some(image) = image else { return Ok(Geometry::default()) };
-    let of_axis = axes.map(|axis| axis.map_or((1.0, 0.0), |axis| image.scale_and_shift(array, axis)));
-    geometry(
-        &image.group,
-        "coordinateTransformations",
-        of_axis.map(|(_, shift)| shift),
-        scaled_axes(of_axis.map(|(scale, _)| scale)),
-    )
 }
 
 fn check_chunks(array: &Array) -> Result<()> {

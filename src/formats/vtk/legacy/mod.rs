@@ -136,6 +136,7 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: vec![],
     };
     let data = chosen.data.clone();

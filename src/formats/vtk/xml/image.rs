@@ -91,6 +91,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: image.files.clone(),
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;
