@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/axes.h5 and axes_units.nc: arrays with axes in other places than the usual ones,
+"""Writes tests/data/axes_named.h5 and axes_units.nc: arrays with axes in other places than the usual ones,
 and coordinates in several units.
 
     python3 -m pip install h5py netCDF4 numpy
@@ -29,7 +29,7 @@ def tags(axes):
     return json.dumps({"axes": [{"key": a, "typeFlags": 2, "resolution": 0, "description": ""} for a in axes]})
 
 
-with h5py.File(DATA / "axes.h5", "w", libver="earliest") as file:
+with h5py.File(DATA / "axes_named.h5", "w", libver="earliest") as file:
     for name, axes, single, chunk in [
         ("one_channel", "zyxc", "c", None),
         ("one_channel_in_chunks", "zyxc", "c", (2, 3, 4, 1)),

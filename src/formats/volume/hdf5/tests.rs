@@ -443,7 +443,7 @@ fn of_axes(time: usize, channel: usize) -> Vec<f32> {
 
 #[test]
 fn axes_are_found_by_their_names() {
-    let path = data("axes.h5");
+    let path = data("axes_named.h5");
     let read = |field: &str, channel: Option<&str>| {
         let field = Some(field.to_string());
         let options = OpenOptions { field, channel: channel.map(String::from), ..OpenOptions::default() };
