@@ -50,7 +50,7 @@ pub use read::{
 };
 pub use reduce::{
     AppendSettings, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, archive_files,
-    mesh_notices, plan_path, scan_with_notices, work_folder,
+    header_notices, mesh_notices, plan_path, scan_with_notices, work_folder,
 };
 #[doc(hidden)]
 pub use reduce::{estimate_series, reduce_series};

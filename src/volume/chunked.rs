@@ -601,6 +601,7 @@ mod tests {
             missing: Some(203.0),
             units: Units::default(),
             data_files: vec![],
+            assumed: crate::volume::Assumed::default(),
         }))
     }
 

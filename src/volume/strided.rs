@@ -521,6 +521,7 @@ mod tests {
             missing: None,
             units: Units::default(),
             data_files: vec![],
+            assumed: crate::volume::Assumed::default(),
         }
     }
 

@@ -44,7 +44,7 @@ use crate::formats::StepSource;
 use crate::pipeline::plan::Estimate;
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 pub(super) use advice::look;
-pub use advice::{mesh_notices, scan_with_notices};
+pub use advice::{header_notices, mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
 pub use existing::archive_files;
 pub(super) use existing::{Existing, lock_for_writing, replace_archive, strays, sweep};

@@ -29,6 +29,7 @@ fn boxes(dims: [u64; 3], boxes: Vec<IndexBox>) -> Box<dyn SlabStream> {
         missing: Some(203.0),
         units: Units::default(),
         data_files: vec![],
+        assumed: crate::volume::Assumed::default(),
     };
     Box::new(Boxes { info, boxes: boxes.into_iter() })
 }

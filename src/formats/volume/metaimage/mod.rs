@@ -32,7 +32,7 @@ use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_b
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -70,7 +70,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let encoding = header.encoding()?;
     let local = matches!(header.require("ElementDataFile")?, "LOCAL" | "Local" | "local");
     let format = format!("MetaImage ({}, {})", if local { "attached" } else { "detached" }, encoding.name());
-    let info = plain_info(path, format, dims, scalar, header.geometry()?);
+    let mut info = plain_info(path, format, dims, scalar, header.geometry()?);
+    info.assumed = Assumed::in_header([header.any(&SPACING).is_none(); 3]);
     pick_field(path, &info.fields, options.field.as_deref())?;
     let parts = if local { vec![Arc::clone(&source)] } else { header.files(dims, options.io)? };
     let start = header.start(&parts, local, encoding, bytes / parts.len() as u64)?;
@@ -93,6 +94,9 @@ impl Encoding {
         }
     }
 }
+
+/// The keys of the spacing.
+const SPACING: [&str; 2] = ["ElementSpacing", "ElementSize"];
 
 struct Header<'a> {
     path: &'a Path,
@@ -215,7 +219,7 @@ impl<'a> Header<'a> {
             Some((key, text)) => numbers::<f64, 3>(self.path, key, text),
             None => Ok(default),
         };
-        let spacing = read(&["ElementSpacing", "ElementSize"], [1.0; 3])?;
+        let spacing = read(&SPACING, [1.0; 3])?;
         let origin = read(&["Offset", "Position", "Origin"], [0.0; 3])?;
         let matrix = match self.any(&["TransformMatrix", "Rotation", "Orientation"]) {
             Some((key, text)) => numbers::<f64, 9>(self.path, key, text)?,

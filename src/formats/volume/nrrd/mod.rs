@@ -35,7 +35,7 @@ use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units, common};
-use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -78,6 +78,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let place = if header.get("datafile").is_some() { "detached" } else { "attached" };
     let format = format!("NRRD ({place}, {})", encoding.name());
     let mut info = plain_info(path, format, dims, scalar, header.geometry(dims)?);
+    info.assumed = Assumed::in_header(header.assumed());
     info.units = header.units();
     pick_field(path, &info.fields, options.field.as_deref())?;
     header.samples(info, data, encoding)
@@ -274,6 +275,17 @@ impl<'a> Header<'a> {
         });
         let value = self.get("sampleunits").and_then(|text| Unit::new(text.trim_matches('"')));
         Units { value, length, time: None }
+    }
+
+    /// Axes whose spacing is not known.
+    fn assumed(&self) -> [bool; 3] {
+        let is_known = |name: &str, axis: usize| {
+            let word = self.get(name).and_then(|text| text.split_whitespace().nth(axis));
+            word.is_some_and(|word| !word.eq_ignore_ascii_case("nan"))
+        };
+        let has_ends = |axis: usize| is_known("axismins", axis) && is_known("axismaxs", axis);
+        let has_directions = self.get("spacedirections").is_some();
+        std::array::from_fn(|axis| !has_directions && !is_known("spacings", axis) && !has_ends(axis))
     }
 
     /// Spacing and first position of each axis from `spacings`, `axis mins`, `axis maxs`; NaN means

@@ -279,10 +279,12 @@ fn info(
     sample_bytes(path, dims, scalar)?;
     let big = if tiff.big { "Big" } else { "" };
     let format = format!("{big}{kind}, {})", page.compression.name());
+    let assumed = options.assumed([spacing(page).is_none(); 3]);
     let spacing = spacing(page).filter(|s| s.iter().all(|v| v.is_finite() && *v > 0.0)).unwrap_or([1.0; 3]);
     let geometry = geometry(path, "spacing", [0.0; 3], scaled_axes(spacing))?;
     let geometry = given_geometry(path, options, geometry)?;
     let mut info = plain_info(path, format, dims, scalar, geometry);
+    info.assumed = assumed;
     // What a user gives has no unit of the file.
     info.units = Units::of_length(length_unit(page).filter(|_| options.spacing.is_none()));
     pick_field(path, &info.fields, options.field.as_deref())?;
