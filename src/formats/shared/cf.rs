@@ -46,7 +46,8 @@ pub(in crate::formats) fn kind_of_coordinate(name: &str, axis: &str, units: &str
         "Y" => 'y',
         "Z" => 'z',
         "T" => 't',
-        _ if units.contains(" since ") => 't',
+        // With a date, or as CDO writes absolute times.
+        _ if units.contains(" since ") || units.starts_with("day as %") => 't',
         _ if ["degrees_east", "degree_east", "degrees_E"].contains(&units) => 'x',
         _ if ["degrees_north", "degree_north", "degrees_N"].contains(&units) => 'y',
         _ => kind_of_name(name),

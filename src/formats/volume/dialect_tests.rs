@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::formats::shared::OpenOptions;
-use crate::formats::tests::{read_all, write};
+use crate::formats::tests::{read_all, torture, write};
 use crate::formats::{open_coordinates, open_volume, steps_of};
 use crate::volume::{VolumeInfo, VolumeSource};
 use serde_json::{Value, json};
@@ -92,6 +92,23 @@ fn minc_1_that_is_not_read_is_named() {
     ] {
         let line = refusal(&write(&dir, "a.mnc", &changed("minc1_bytes.mnc", from, to)), None);
         assert!(line.contains(reason), "{line}");
+    }
+}
+
+#[test]
+fn damage_is_an_error_or_an_answer() {
+    let bytes = fs::read(data("minc1_shorts.mnc")).unwrap();
+    torture("a.mnc", &bytes, 4);
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = fs::read(data("tomviz.emd")).unwrap();
+    for at in (0..bytes.len()).step_by(13) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0xff;
+        let path = write(&dir, "a.emd", &damaged);
+        if let Err(e) = open(&path, None) {
+            let line = e.to_string();
+            assert!(!line.contains('\n') && line.contains("a.emd"), "{line}");
+        }
     }
 }
 
@@ -326,4 +343,38 @@ fn files_that_count_from_their_own_dates_are_one_series() {
     named.units.time = Some("h".parse().unwrap());
     let times: Vec<_> = steps_of(&files, &named).unwrap().iter().map(|step| step.time).collect();
     assert_eq!(times, [Some(7.5); 3]);
+}
+
+#[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
+fn files_of_others_have_their_right_answers() {
+    let folder = crate::formats::tests::shared_data().join("turn3");
+    let path = |name: &str| folder.join(name);
+    if !folder.is_dir() {
+        return;
+    }
+    let range = |values: &[f32]| {
+        let finite = values.iter().copied().filter(|v| v.is_finite());
+        [finite.clone().fold(f32::INFINITY, f32::min), finite.fold(f32::NEG_INFINITY, f32::max)]
+    };
+    for (name, spacing, origin) in
+        [("tiny.mnc", [2.0; 3], [-20.0, -20.0, -10.0]), ("minc1-no-att.mnc", [1.0; 3], [0.0; 3])]
+    {
+        let (info, values) = read_all(open(&path(name), None).unwrap());
+        assert_eq!((info.geometry.spacing, info.geometry.origin), (spacing, origin), "{name}");
+        let found = range(&values).map(|v| (v * 1e4).round() / 1e4);
+        assert_eq!(found, [0.2078, 0.7490], "{name}");
+    }
+    let info = open(&path("emd_tomviz.emd"), None).unwrap().info().clone();
+    assert_eq!(info.dims, [14, 18, 22]);
+    assert_eq!(info.geometry.to_world([1.0, 1.0, 1.0]), [0.5, 1.0, 1.5]);
+    assert_eq!(info.geometry.to_world([1.0, 0.0, 0.0]), [0.0, 0.0, 1.5], "what is fastest lies along z");
+    let info = open(&path("q6.hspy"), None).unwrap().info().clone();
+    assert_eq!((info.geometry.spacing, info.geometry.origin), ([1.0, 2.0, 3.0], [5.0; 3]));
+    assert!(refusal(&path("q6_ugrid.nc"), None).contains("UGRID"));
+    assert!(refusal(&path("s6_timelatlon.nc"), None).contains("14 (t) x 18 (y) x 22 (x)"));
+    let (_, values) = read_all(open(&path("s6_unsigned3.nc"), None).unwrap());
+    assert_eq!(range(&values), [0.0, 200.0]);
+    let (_, values) = read_all(open(&path("s6_packed.nc"), None).unwrap());
+    assert_eq!((range(&values), values.iter().filter(|v| v.is_nan()).count()), ([273.15, 373.15], 48));
 }

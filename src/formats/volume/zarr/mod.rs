@@ -810,11 +810,15 @@ struct AllAxes {
     channel: Option<usize>,
 }
 
-/// What an axis is, by the array of its coordinates where there is one, else by its name.
+/// What an axis is, by its name, else by the array of its coordinates where there is one: on a
+/// server it costs requests to look for that.
 fn kind_of(array: &Array, axis: usize, name: &str) -> char {
-    match line_array(array, axis) {
-        Ok(Some(line)) => cf::kind_of_coordinate(name, text(&line, "axis"), text(&line, "units")),
-        _ => cf::kind_of_name(name),
+    match cf::kind_of_name(name) {
+        '?' => line_array(array, axis)
+            .ok()
+            .flatten()
+            .map_or('?', |line| cf::kind_of_coordinate(name, text(&line, "axis"), text(&line, "units"))),
+        known => known,
     }
 }
 
