@@ -522,6 +522,7 @@ mod tests {
             units: Units::default(),
             notes: vec![],
             data_files: vec![],
+            assumed: crate::volume::Assumed::default(),
         }
     }
 

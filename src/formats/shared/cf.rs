@@ -4,20 +4,23 @@
 //! ```text
 //!  temp(time, lev, lat, lon)        three axes are a volume, that of time has its frames: see [`layout`]
 //!    scale_factor, add_offset       value = scale_factor · stored + add_offset
-//!    _FillValue, missing_value      the stored number that means "no data"
+//!    _FillValue, missing_value      the stored numbers that mean "no data"
 //!    valid_range, valid_min, …      what is outside has no value
+//!    _Unsigned                      signed integers that stand for unsigned ones
 //!  lat(lat), lon(lon), …            coordinates: spacing and origin, or a rectilinear grid
+//!  time(time), time()               the time of each frame, or that of all
 //! ```
 
 use super::axes::{Layout, layout};
 use super::coordinates::{GridCoordinates, rectilinear, regular};
 use super::header::geometry;
 use super::lengths::Lengths;
+pub(in crate::formats) use super::packing::{Attributes, Convert, Numbers, Packing, netcdf_fill, signed_as};
 use super::{Frames, OpenOptions};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
+use crate::volume::{FieldInfo, ScalarType};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -26,176 +29,13 @@ const MOST_FRAMES: u64 = 1 << 16;
 /// The most samples of a coordinate variable that is read.
 pub(in crate::formats) const MOST_COORDINATES: u64 = 1 << 24;
 
-/// The numbers of an attribute.
-pub(in crate::formats) struct Numbers {
-    pub(in crate::formats) values: Vec<f64>,
-    /// Whether they are stored as floats.
-    pub(in crate::formats) are_floats: bool,
-}
-
-/// The attributes of an array.
-pub(in crate::formats) trait Attributes {
-    /// The numbers of an attribute; `None` where there is none of this name.
-    ///
-    /// # Errors
-    /// [`Error::BadInput`] where it has no numbers.
-    fn numbers(&self, name: &str) -> Result<Option<Numbers>>;
-
-    /// The error of attributes that say something else than what is expected.
-    fn wrong(&self, names: &str, expected: &str, got: String) -> Error;
-
-    /// An attribute that is one number; `None` where there is none of this name.
-    ///
-    /// # Errors
-    /// [`Error::BadInput`] where it is not one number.
-    fn number(&self, name: &str) -> Result<Option<f64>> {
-        let Some(Numbers { values, .. }) = self.numbers(name)? else { return Ok(None) };
-        match values[..] {
-            [value] => Ok(Some(value)),
-            _ => Err(self.wrong(name, "one number", format!("{} values", values.len()))),
-        }
-    }
-}
-
-/// What attributes say about stored numbers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::formats) struct Packing {
-    pub(in crate::formats) slope: f64,
-    pub(in crate::formats) intercept: f64,
-    /// The stored number that means "no data".
-    pub(in crate::formats) missing: Option<f64>,
-    /// The stored numbers that have values, where there is such a range.
-    pub(in crate::formats) valid: Option<[f64; 2]>,
-}
-
-impl Packing {
-    /// What the attributes of an array of this type say. `usual` gives the stored number that means
-    /// "no data" where no attribute names one, for numbers that are packed or not.
-    ///
-    /// # Errors
-    /// [`Error::BadInput`] for attributes that contradict each other, or are not numbers.
-    pub(in crate::formats) fn of(
-        attributes: &impl Attributes,
-        scalar: ScalarType,
-        usual: impl FnOnce(bool) -> Option<f64>,
-    ) -> Result<Self> {
-        let (scale, offset) = (attributes.number("scale_factor")?, attributes.number("add_offset")?);
-        let (slope, intercept) = (scale.unwrap_or(1.0), offset.unwrap_or(0.0));
-        if !(slope.is_finite() && slope != 0.0 && intercept.is_finite()) {
-            let expected = "finite numbers, the first not 0";
-            let got = format!("{slope} and {intercept}");
-            return Err(attributes.wrong("scale_factor, add_offset", expected, got));
-        }
-        let missing = match [attributes.number("_FillValue")?, attributes.number("missing_value")?] {
-            [None, None] => usual(scale.is_some() || offset.is_some()),
-            [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
-                let got = format!("{a} and {b}");
-                return Err(attributes
-                    .wrong("_FillValue, missing_value", "one value", got)
-                    .with_help("replace the one by the other, and delete its attribute"));
-            }
-            both => both.into_iter().flatten().find(|v| !v.is_nan()),
-        };
-        // What is not a number is missing anyway.
-        let missing = missing.filter(|v| !v.is_nan());
-        let valid = valid_range(attributes, scalar, [slope, intercept])?;
-        Ok(Self { slope, intercept, missing, valid })
-    }
-
-    /// The conversion of stored numbers where some have no value by their range; else `None`, and
-    /// `info` has all of it.
-    pub(in crate::formats) fn into_info(self, info: &mut VolumeInfo) -> Option<Convert> {
-        let Self { slope, intercept, missing, valid } = self;
-        let Some(valid) = valid else {
-            (info.slope, info.intercept, info.missing) = (slope, intercept, missing);
-            return None;
-        };
-        Some(Convert { valid, missing, lines: vec![[slope, intercept]], slices: [1, 1] })
-    }
-
-    /// Applies slope and intercept to the numbers of a coordinate variable.
-    pub(in crate::formats) fn unpack(&self, numbers: &mut [f64]) {
-        numbers.iter_mut().for_each(|v| *v = self.slope * *v + self.intercept);
-    }
-}
-
-/// The value of samples that were never written, in the library of NetCDF.
-#[allow(clippy::excessive_precision)]
-pub(in crate::formats) fn netcdf_fill(scalar: ScalarType) -> Option<f64> {
-    Some(match scalar {
-        // Every byte may be a value.
-        ScalarType::I8 | ScalarType::U8 => return None,
-        ScalarType::I16 => -32767.0,
-        ScalarType::U16 => 65535.0,
-        ScalarType::I32 => -2_147_483_647.0,
-        ScalarType::U32 => 4_294_967_295.0,
-        ScalarType::I64 => -9_223_372_036_854_775_806.0,
-        ScalarType::U64 => 18_446_744_073_709_551_614.0,
-        ScalarType::F16 | ScalarType::F32 | ScalarType::F64 => 9.969_209_968_386_869_047e36,
-    })
-}
-
-/// The range of stored numbers that have values.
-fn valid_range(
-    attributes: &impl Attributes,
-    scalar: ScalarType,
-    [slope, intercept]: [f64; 2],
-) -> Result<Option<[f64; 2]>> {
-    let all = [f64::NEG_INFINITY, f64::INFINITY];
-    let (mut valid, mut are_floats) = (all, false);
-    for (name, at, count) in [("valid_range", 0, 2), ("valid_min", 0, 1), ("valid_max", 1, 1)] {
-        let Some(numbers) = attributes.numbers(name)? else { continue };
-        if numbers.values.len() != count {
-            let got = format!("{} of them", numbers.values.len());
-            return Err(attributes.wrong(name, &format!("{count} number(s)"), got));
-        }
-        valid[at..at + count].copy_from_slice(&numbers.values);
-        are_floats |= numbers.are_floats;
-    }
-    if valid == all {
-        return Ok(None);
-    }
-    // Where packed integers have a range of floats, it is that of the values.
-    if !scalar.is_float() && are_floats {
-        valid = valid.map(|v| (v - intercept) / slope);
-        valid.sort_by(f64::total_cmp);
-    }
-    Ok(Some(valid))
-}
-
-/// How stored numbers become values. What is outside of `valid` has none.
-#[derive(Clone, Debug, PartialEq)]
-pub(in crate::formats) struct Convert {
-    pub(in crate::formats) valid: [f64; 2],
-    /// Stored number that means no data.
-    pub(in crate::formats) missing: Option<f64>,
-    /// Slope and intercept of each slice along the slowest axes.
-    pub(in crate::formats) lines: Vec<[f64; 2]>,
-    /// Slices of the lines along y and z: 1 where they do not differ along it.
-    pub(in crate::formats) slices: [u64; 2],
-}
-
-impl Convert {
-    /// The value of a stored number of a row.
-    pub(in crate::formats) fn value(&self, stored: f64, [y, z]: [u64; 2]) -> f64 {
-        let [lo, hi] = self.valid;
-        if !(lo..=hi).contains(&stored) || self.missing == Some(stored) {
-            return f64::NAN;
-        }
-        let at = |n: u64, count: u64| if count == 1 { 0 } else { n };
-        let [slope, intercept] =
-            self.lines[(at(z, self.slices[1]) * self.slices[0] + at(y, self.slices[0])) as usize];
-        slope * stored + intercept
-    }
-}
-
 /// The kind of an axis with this name: x, y, z, t (time), c (channels, components), or '?'.
 pub(in crate::formats) fn kind_of_name(name: &str) -> char {
     match name.rsplit('/').next().unwrap_or(name).to_ascii_lowercase().as_str() {
         "x" | "lon" | "longitude" => 'x',
         "y" | "lat" | "latitude" => 'y',
         "z" | "lev" | "level" | "depth" | "height" | "altitude" | "plev" => 'z',
-        "t" | "time" => 't',
+        "t" | "time" | "times" | "valid_time" => 't',
         "c" | "channel" | "channels" | "component" | "components" | "band" | "rgb" => 'c',
         _ => '?',
     }
@@ -208,7 +48,8 @@ pub(in crate::formats) fn kind_of_coordinate(name: &str, axis: &str, units: &str
         "Y" => 'y',
         "Z" => 'z',
         "T" => 't',
-        _ if units.contains(" since ") => 't',
+        // With a date, or as CDO writes absolute times.
+        _ if units.contains(" since ") || units.starts_with("day as %") => 't',
         _ if ["degrees_east", "degree_east", "degrees_E"].contains(&units) => 'x',
         _ if ["degrees_north", "degree_north", "degrees_N"].contains(&units) => 'y',
         _ => kind_of_name(name),
@@ -260,6 +101,8 @@ pub(in crate::formats) struct Part {
     pub(in crate::formats) channel: Option<u64>,
     /// The axis whose entries are frames, where it is one of several frames.
     pub(in crate::formats) frames: Option<usize>,
+    /// The axis of time, which may have one entry.
+    pub(in crate::formats) time: Option<usize>,
     /// The axis of the world along which each axis of the volume lies.
     pub(in crate::formats) world: [usize; 3],
 }
@@ -308,8 +151,13 @@ pub(in crate::formats) fn parts_of(
         let axis =
             |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
         let got: Vec<String> = shape.iter().zip(kinds).map(axis).collect();
-        Error::bad_input(path, name, expected, got.join(" x "))
-            .with_help("write the part that is wanted to a dataset of its own, its axes z, y, x")
+        let help = if shape.len() == 3 && kinds.contains(&'t') {
+            "time is no place: cut out a volume of one time; to read times as z, rename the axis \
+             and leave out its coordinates (xarray: rename(time='z').drop_vars('z'))"
+        } else {
+            "write the part that is wanted to a dataset of its own, its axes z, y, x"
+        };
+        Error::bad_input(path, name, expected, got.join(" x ")).with_help(help)
     };
     if let Some(vectors) = vectors(name, (shape, kinds), scalar, rules) {
         return Ok(vec![vectors]);
@@ -324,6 +172,7 @@ pub(in crate::formats) fn parts_of(
     let numbers = |axis: Option<usize>| -> Vec<Option<u64>> {
         axis.map_or_else(|| vec![None], |axis| (0..shape[axis]).map(Some).collect())
     };
+    let time = series.or_else(|| kinds.iter().position(|&kind| kind == 't'));
     let mut parts = vec![];
     for channel in numbers(channels) {
         for frame in numbers(series) {
@@ -338,7 +187,7 @@ pub(in crate::formats) fn parts_of(
             let name_of_part = format!("{name}{of_channel}{of_frame}");
             let info = FieldInfo { name: name_of_part, scalar, components: 1 };
             let (array, world) = (name.into(), world_of(space.map(|axis| kinds[axis])));
-            parts.push(Part { info, array, axes: space, entries, channel, frames: series, world });
+            parts.push(Part { info, array, axes: space, entries, channel, frames: series, time, world });
         }
     }
     Ok(parts)
@@ -363,7 +212,76 @@ fn vectors(name: &str, (shape, kinds): (&[u64], &[char]), scalar: ScalarType, ru
     let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
     let info = FieldInfo { name: name.into(), scalar, components };
     let (axes, entries) = ([rank - 2, rank - 3, rank - 4], vec![0; rank]);
-    Some(Part { info, array: name.into(), axes, entries, channel: None, frames: None, world: [0, 1, 2] })
+    let (array, world) = (name.into(), [0, 1, 2]);
+    Some(Part { info, array, axes, entries, channel: None, frames: None, time: None, world })
+}
+
+/// Names of the dimensions that meshes of climate models have for their cells, in lower case.
+const CELLS: [&str; 9] = ["ncells", "nedges", "nvertices", "ncol", "cell", "nod2", "nod3", "node", "nele"];
+
+/// Fails for an array on the parts of an unstructured mesh, given the names of its dimensions: UGRID
+/// and CDO say so, other models by the names alone.
+///
+/// # Errors
+/// [`Error::BadInput`] for such an array.
+pub(in crate::formats) fn refuse_mesh(attributes: &impl Attributes, dims: &[String]) -> Result<()> {
+    let (mesh, location) = (attributes.text("mesh"), attributes.text("location"));
+    let got = if !mesh.is_empty() && ["node", "edge", "face", "volume"].contains(&&*location) {
+        format!("values on each {location} of the mesh '{}' (UGRID)", shown(&mesh))
+    } else if attributes.text("CDI_grid_type") == "unstructured" {
+        "values on an unstructured grid, as CDI_grid_type tells".into()
+    } else if let Some(dim) = dims.iter().find(|dim| CELLS.contains(&&*dim.to_ascii_lowercase())) {
+        format!("values on the cells of a mesh, as the dimension '{}' tells", shown(dim))
+    } else {
+        return Ok(());
+    };
+    Err(attributes
+        .wrong("axes", "a grid with axes x, y and z", got)
+        .with_help("interpolate it to such a grid (cdo remapcon, UXarray), or write mesh and values as .vtu"))
+}
+
+/// A name from a file, for a message.
+fn shown(name: &str) -> String {
+    name.chars().filter(|c| !c.is_control()).take(60).collect()
+}
+
+/// A convention of whole files in which arrays of three axes are no volumes, or are placed by what
+/// is not read: by the attributes `Conventions` and `file_format`, or what stands for them. Its name,
+/// and what to do.
+pub(in crate::formats) fn refused_convention(text: &str) -> Option<(&'static str, &'static str)> {
+    let known = [
+        ("AMBER", "a trajectory of AMBER", OF_ATOMS),
+        ("Pande", "a trajectory of MDTraj", OF_ATOMS),
+        ("ETSF", "a file of ETSF, whose cell is not read", "write the density as .xsf, then as .vti"),
+    ];
+    let found = known.into_iter().find(|(word, ..)| text.starts_with(word));
+    found.map(|(_, what, help)| (what, help))
+}
+
+/// What to do with positions of atoms.
+pub(in crate::formats) const OF_ATOMS: &str = "atoms are no volume: make a density map of them first";
+
+/// The variables that may tell the time of an array without an axis of time, given its attribute
+/// `coordinates`, or that of the file; and the most axes that they may have. One that is not named
+/// there has none: with an axis it is that of other arrays.
+pub(in crate::formats) fn names_of_time(coordinates: &str) -> impl Iterator<Item = (&str, usize)> {
+    coordinates.split_whitespace().map(|name| (name, 1)).chain([("time", 0)])
+}
+
+/// The time of all fields, where they have one and the same; `None` of a series.
+pub(in crate::formats) fn common_time<'a, P: AsRef<Part> + 'a>(
+    fields: impl Iterator<Item = &'a P>,
+    mut time_of: impl FnMut(&P) -> Option<f64>,
+) -> Option<f64> {
+    let mut found = None;
+    for field in fields {
+        let time = time_of(field).filter(|t| t.is_finite() && !field.as_ref().is_frame())?;
+        if found.is_some_and(|found| found != time) {
+            return None;
+        }
+        found = Some(time);
+    }
+    found
 }
 
 /// The name of the field that is asked for, with the channel.
@@ -452,6 +370,13 @@ impl Line {
     fn map(self, unit: impl Fn(f64) -> f64) -> Self {
         let regular = self.regular.map(|(start, step)| (unit(start), unit(step)));
         Self { values: self.values.into_iter().map(unit).collect(), regular }
+    }
+
+    /// Coordinates in even steps, their values as far as they are not too many.
+    #[cfg_attr(not(feature = "hdf5"), expect(dead_code, reason = "such axes are those of HDF5"))]
+    pub(in crate::formats) fn even(start: f64, step: f64, count: u64) -> Self {
+        let values = (0..count.min(MOST_COORDINATES)).map(|i| start + step * i as f64).collect();
+        Self { regular: Some((start, step)), values }
     }
 }
 

@@ -66,13 +66,9 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let array = Array::parse(path, source.head_from(0)?)?;
     let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
-    let info = plain_info(
-        path,
-        format,
-        array.dims,
-        array.scalar,
-        given_geometry(path, options, Geometry::default())?,
-    );
+    let geometry = given_geometry(path, options, Geometry::default())?;
+    let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
+    info.assumed = options.assumed([true; 3]);
     pick_field(path, &info.fields, options.field.as_deref())?;
     let (at, big) = (array.data_at as u64, array.big_endian);
     let strides = array.strides(path)?;

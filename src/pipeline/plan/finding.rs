@@ -51,6 +51,11 @@ pub enum Finding {
         /// Least and largest.
         range: [f64; 2],
     },
+    /// Nothing says how far samples lie apart along some axes: a spacing of 1 is assumed.
+    AssumedSpacing {
+        /// Along x, y, z.
+        axes: [bool; 3],
+    },
     /// More points are asked for than there are samples.
     MorePoints {
         /// Points asked for.

@@ -19,7 +19,7 @@ use crate::pipeline::plan::{Estimate, Finding, Notice, count_of};
 use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings};
 use crate::points::{PointSet, PointSpec, SetKind};
 use crate::sample::Interpolation;
-use crate::volume::{VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, VolumeInfo, VolumeSource};
 use std::path::{Path, PathBuf};
 
 /// The most steps of a series that are surveyed, evenly spread; all of them share the samples that
@@ -66,6 +66,22 @@ impl Notice {
     /// What the reader of a volume says.
     fn of_reading(info: &VolumeInfo) -> impl Iterator<Item = Self> + '_ {
         info.notes.iter().map(|note| Self::new(&info.path, Finding::Reading, note))
+    }
+
+    /// That a file does not say how far its samples lie apart, if it does not.
+    fn of_assumed(info: &VolumeInfo) -> Option<Self> {
+        let Assumed { axes, can_be_given } = info.assumed;
+        let named = ["x", "y", "z"].into_iter().zip(axes).filter(|(_, is_assumed)| *is_assumed);
+        let named: Vec<&str> = named.map(|(name, _)| name).collect();
+        let along = match named.len() {
+            0 => return None,
+            3 => String::new(),
+            _ => format!(" along {}", named.join(" and ")),
+        };
+        let help = if can_be_given { "--spacing X,Y,Z gives another" } else { "write it into the file" };
+        let text =
+            format!("it does not say how far samples lie apart{along}: a spacing of 1 is assumed; {help}");
+        Some(Self::new(&info.path, Finding::AssumedSpacing { axes }, &text))
     }
 
     fn of_stretch(path: &Path, found: &Stretch, nan: NanPolicy) -> Self {
@@ -233,6 +249,12 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
             let is_new = |n: &Notice| !out.notices.iter().any(|said| same_reading(said, n));
             let new: Vec<Notice> = Notice::of_reading(volume.info()).filter(is_new).collect();
             out.notices.extend(new);
+        }
+        if let Input::Volume(volume) = &input
+            && let Some(assumed) = Notice::of_assumed(volume.info()).filter(|_| !further)
+            && !out.notices.iter().any(|n| is_same(&n.finding, &assumed.finding))
+        {
+            out.notices.push(assumed);
         }
         let found = match input {
             // Much is decoded for a few samples: in a stream, all before them.
@@ -460,7 +482,7 @@ pub fn scan_with_notices(source: VolumeSource) -> Result<(VolumeInfo, Scan, Vec<
 
 /// What the header of a volume shows, without its samples.
 pub fn header_notices(info: &VolumeInfo) -> Vec<Notice> {
-    Notice::of_reading(info).collect()
+    Notice::of_assumed(info).into_iter().chain(Notice::of_reading(info)).collect()
 }
 
 /// What a reduction of a mesh's field should heed.

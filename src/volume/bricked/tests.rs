@@ -30,6 +30,7 @@ fn boxes(dims: [u64; 3], boxes: Vec<IndexBox>) -> Box<dyn SlabStream> {
         units: Units::default(),
         notes: vec![],
         data_files: vec![],
+        assumed: crate::volume::Assumed::default(),
     };
     Box::new(Boxes { info, boxes: boxes.into_iter() })
 }

@@ -35,7 +35,7 @@ use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_b
 use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -84,6 +84,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let local = matches!(header.require("ElementDataFile")?, "LOCAL" | "Local" | "local");
     let format = format!("MetaImage ({}, {})", if local { "attached" } else { "detached" }, encoding.name());
     let mut info = plain_info(path, format, dims, scalar, header.geometry()?);
+    info.assumed = Assumed::in_header([header.any(&SPACING).is_none(); 3]);
     frames::check_last(frames, options, |options| open(path, options))?;
     let (frame, fields) = frames::choose(path, frames, scalar, options)?;
     (info.field, info.fields) = (fields[frame as usize].clone(), fields);
@@ -123,6 +124,9 @@ impl Encoding {
 
 /// The keys of the place of the first sample.
 const OFFSET: [&str; 3] = ["Offset", "Position", "Origin"];
+
+/// The keys of the spacing.
+const SPACING: [&str; 2] = ["ElementSpacing", "ElementSize"];
 
 struct Header<'a> {
     path: &'a Path,
@@ -232,7 +236,7 @@ impl<'a> Header<'a> {
     /// The time of the first volume, and from each to the next.
     fn times(&self) -> Result<[f64; 2]> {
         let [.., start] = self.per_axis(&OFFSET, 0.0)?;
-        let [.., step] = self.per_axis(&["ElementSpacing", "ElementSize"], 1.0)?;
+        let [.., step] = self.per_axis(&SPACING, 1.0)?;
         Ok([start, step])
     }
 
@@ -290,7 +294,7 @@ impl<'a> Header<'a> {
     }
 
     fn geometry(&self) -> Result<Geometry> {
-        let [x, y, z, _] = self.per_axis(&["ElementSpacing", "ElementSize"], 1.0)?;
+        let [x, y, z, _] = self.per_axis(&SPACING, 1.0)?;
         let [o_x, o_y, o_z, _] = self.per_axis(&OFFSET, 0.0)?;
         let (spacing, directions) = ([x, y, z], self.directions()?);
         let columns = std::array::from_fn(|a| directions[a].map(|d| d * spacing[a]));

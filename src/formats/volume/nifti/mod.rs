@@ -39,7 +39,7 @@ use crate::formats::shared::{Frames, OpenOptions, has_suffix, known_times, pick_
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use std::collections::HashMap;
 use std::io::{BufWriter, Read, Write};
@@ -118,6 +118,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         units: header.units(),
         notes: header.notes(frames),
         data_files: vec![data.path().to_path_buf()],
+        assumed: Assumed::in_header(header.assumed()),
     };
     let offset = offset + frame * frame_bytes;
     if gzip {
@@ -485,6 +486,12 @@ impl Header {
             return Err(self.bad("scl_inter", "a finite number", intercept.to_string()));
         }
         Ok((slope, intercept))
+    }
+
+    /// Axes whose spacing is not known: nothing but `pixdim` says it, which is 0.
+    fn assumed(&self) -> [bool; 3] {
+        let has_rows = self.integer((254, 2), (348, 4)) > 0;
+        std::array::from_fn(|a| !has_rows && self.float(76, 104, a + 1) == 0.0)
     }
 
     fn geometry(&self) -> Result<Geometry> {

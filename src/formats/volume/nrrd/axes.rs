@@ -13,7 +13,7 @@ use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::{Frames, axes::layout};
 use crate::grid::Geometry;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{ScalarType, VolumeInfo};
+use crate::volume::{Assumed, ScalarType, VolumeInfo};
 
 /// The most axes of an NRRD.
 const MOST_AXES: u32 = 16;
@@ -101,6 +101,7 @@ impl Axes {
     pub(super) fn describe(&self, header: &Header<'_>, info: &mut VolumeInfo) -> Result<()> {
         let lengths = self.lengths(header)?;
         info.geometry = self.geometry(header, &lengths)?;
+        info.assumed = Assumed::in_header(self.space.map(|axis| header.is_assumed(axis)));
         let value = header.get("sampleunits").and_then(|text| Unit::new(text.trim_matches('"')));
         let times = header.quoted("units", self.sizes.len());
         let time = self.series.filter(|_| self.is_time).and_then(|axis| Unit::time(times.get(axis)?));
@@ -212,6 +213,16 @@ impl Header<'_> {
             kinds.push(kind);
         }
         Ok(kinds)
+    }
+
+    /// Whether the spacing of an axis is not known.
+    fn is_assumed(&self, axis: usize) -> bool {
+        let is_known = |name: &str| {
+            let word = self.get(name).and_then(|text| text.split_whitespace().nth(axis));
+            word.is_some_and(|word| !word.eq_ignore_ascii_case("nan"))
+        };
+        let has_ends = is_known("axismins") && is_known("axismaxs");
+        self.get("spacedirections").is_none() && !is_known("spacings") && !has_ends
     }
 
     fn components(&self, axis: usize) -> Error {

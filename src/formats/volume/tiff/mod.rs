@@ -46,7 +46,7 @@ use crate::formats::shared::{Frames, OpenOptions, pick_field};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
-use crate::volume::{VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, VolumeInfo, VolumeSource};
 use ifd::Tiff;
 pub(in crate::formats) use ifd::has_magic;
 use page::{Page, Shape};
@@ -286,6 +286,7 @@ fn info(
     let geometry = given_geometry(path, options, geometry)?;
     let mut info = plain_info(path, format, dims, scalar, geometry);
     (info.units, info.notes) = (Units::of_length(place.unit), place.notes);
+    info.assumed = Assumed { axes: place.missing, can_be_given: true };
     pick_field(path, &info.fields, options.field.as_deref())?;
     Ok(info)
 }

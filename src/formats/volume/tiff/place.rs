@@ -20,13 +20,15 @@ pub(super) struct Place {
     /// Along x, y, z.
     pub(super) spacing: [f64; 3],
     pub(super) unit: Option<Unit>,
+    /// Axes along which nothing says it: 1 is taken.
+    pub(super) missing: [bool; 3],
     /// Lines for the user.
     pub(super) notes: Vec<String>,
 }
 
 impl Default for Place {
     fn default() -> Self {
-        Self { spacing: [1.0; 3], unit: None, notes: vec![] }
+        Self { spacing: [1.0; 3], unit: None, missing: [false; 3], notes: vec![] }
     }
 }
 
@@ -37,14 +39,14 @@ impl Place {
     /// [`Error::BadInput`](crate::Error::BadInput) where the axes have units that are not known.
     pub(super) fn of(path: &Path, page: &Page) -> Result<Self> {
         let text = &page.description;
-        let (names, sizes, units) = if text.starts_with("ImageJ=") {
-            (["XResolution", "YResolution", "spacing="], of_imagej(page), imagej_units(text))
+        let (sizes, units) = if text.starts_with("ImageJ=") {
+            (of_imagej(page), imagej_units(text))
         } else {
-            (["PhysicalSizeX", "PhysicalSizeY", "PhysicalSizeZ"], of_ome(text), ome_units(text))
+            (of_ome(text), ome_units(text))
         };
         let sizes = sizes.map(|size| size.filter(|s| s.is_finite() && *s > 0.0));
         if sizes == [None; 3] {
-            return Ok(Self::default());
+            return Ok(Self { missing: [true; 3], ..Self::default() });
         }
         // An axis without a size has no unit of its own.
         let first = sizes.iter().position(Option::is_some).unwrap_or(0);
@@ -52,13 +54,8 @@ impl Place {
         let units = std::array::from_fn(|axis| of_axis(axis).as_deref().and_then(Unit::length));
         let lengths = Lengths::of_space(path, "description, units of the axes", units)?;
         let spacing = std::array::from_fn(|axis| sizes[axis].map_or(1.0, |size| lengths.along(axis, size)));
-        let missing: Vec<&str> =
-            (0..3).filter(|&axis| sizes[axis].is_none()).map(|axis| names[axis]).collect();
-        let unit = lengths.unit.as_ref().map_or(String::new(), |unit| format!(" {unit}"));
-        let missing = (!missing.is_empty()).then(|| {
-            format!("it has no {}: 1{unit} is taken; --spacing X,Y,Z gives another", missing.join(" and "))
-        });
-        Ok(Self { spacing, unit: lengths.unit, notes: lengths.note.into_iter().chain(missing).collect() })
+        let (missing, notes) = (sizes.map(|size| size.is_none()), lengths.note.into_iter().collect());
+        Ok(Self { spacing, unit: lengths.unit, missing, notes })
     }
 }
 

@@ -519,11 +519,15 @@ fn channels_of_imagej_stacks_of_one_page() {
 
 /// Spacing, unit and notes of a file with a description, or the error.
 fn described(text: &str, more: &[(u16, u16, Vec<u8>)]) -> Result<([f64; 3], Option<String>, Vec<String>)> {
+    let info = info_of(text, more)?;
+    Ok((info.geometry.spacing, info.units.length.map(|unit| unit.to_string()), info.notes))
+}
+
+fn info_of(text: &str, more: &[(u16, u16, Vec<u8>)]) -> Result<VolumeInfo> {
     let dir = tempfile::tempdir().unwrap();
     let more = [&[(270, 2, format!("{text}\0").into_bytes())], more].concat();
     let path = write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 2, &more));
-    let info = crate::formats::open_volume(&path, &OpenOptions::default())?.info().clone();
-    Ok((info.geometry.spacing, info.units.length.map(|unit| unit.to_string()), info.notes))
+    Ok(crate::formats::open_volume(&path, &OpenOptions::default())?.info().clone())
 }
 
 #[test]
@@ -558,13 +562,13 @@ fn units_of_single_axes_become_one() {
 #[test]
 fn a_size_that_is_missing_is_named_and_the_others_stay() {
     let ome = "<OME><Image><Pixels SizeC=\"1\" SizeT=\"1\" PhysicalSizeX=\"0.5\" PhysicalSizeY=\"0.25\">";
-    let (spacing, unit, notes) = described(ome, &[]).unwrap();
-    assert_eq!((spacing, unit.as_deref()), ([0.5, 0.25, 1.0], Some("µm")));
-    assert!(notes.len() == 1 && notes[0].contains("no PhysicalSizeZ: 1 µm"), "{notes:?}");
+    let info = info_of(ome, &[]).unwrap();
+    assert_eq!((info.geometry.spacing, info.assumed.axes), ([0.5, 0.25, 1.0], [false, false, true]));
+    assert_eq!(info.units, Units::of_length(Unit::length("µm")));
     let imagej = "ImageJ=1.53t\nimages=2\nslices=2\nunit=mm\n";
-    let (spacing, _, notes) = described(imagej, &[]).unwrap();
-    assert_eq!(spacing, [1.0; 3]);
-    assert!(notes.len() == 1 && notes[0].contains("spacing=") && notes[0].contains("--spacing"), "{notes:?}");
+    let info = info_of(imagej, &[]).unwrap();
+    assert_eq!((info.geometry.spacing, info.assumed.axes), ([1.0; 3], [false, false, true]));
+    assert!(info.assumed.can_be_given);
 }
 
 #[test]
