@@ -19,21 +19,21 @@ def variables(name, version, types):
     """Each type with and without records, coordinates, packing, ranges, and what is refused."""
     with netCDF4.Dataset(OUT / name, "w", format=version) as f:
         f.title = "odd"
-        for axis, count in (("time", None), ("lev", 4), ("lat", 3), ("lon", 5), ("bare", 3)):
+        for axis, count in (("runs", None), ("lev", 4), ("lat", 3), ("lon", 5), ("bare", 3)):
             f.createDimension(axis, count)
         for axis, values in (("lev", [1000, 925, 700, 500]), ("lat", [30, 20, 10]), ("lon", range(5))):
             f.createVariable(axis, "f4", (axis,))[:] = list(values)
         f["lat"].units, f["lon"].units = "degrees_north", "degrees_east"
-        time = f.createVariable("time", "f8", ("time",))
-        time.units = "hours since 2000-01-01"
+        runs = f.createVariable("runs", "f8", ("runs",))
+        runs.units = "hours of the whole run"
         for kind in types:
             f.createVariable("fixed_" + kind, kind, ("lev", "lat", "lon"))
-            f.createVariable("record_" + kind, kind, ("time", "lat", "lon"))
-        packed = f.createVariable("packed", "i2", ("time", "lev", "lat", "lon"), fill_value=-999)
+            f.createVariable("record_" + kind, kind, ("runs", "lat", "lon"))
+        packed = f.createVariable("packed", "i2", ("runs", "lev", "lat", "lon"), fill_value=-999)
         packed.scale_factor, packed.add_offset = 0.5, 10.0
         ranged = f.createVariable("ranged", "i2", ("bare", "lat", "lon"))
         ranged.scale_factor, ranged.valid_range = 2.0, np.array([3, 40], "i2")
-        f.createVariable("unwritten", "f4", ("time", "lat", "lon"))
+        f.createVariable("unwritten", "f4", ("runs", "lat", "lon"))
         f.createVariable("even", "f8", ("bare", "lat", "lon"))
         f.createVariable("text", "S1", ("bare", "lat", "lon"))
         f.createVariable("unsigned", "i1", ("bare", "lat", "lon"))._Unsigned = "true"
@@ -41,7 +41,7 @@ def variables(name, version, types):
         for kind in types:
             f["fixed_" + kind][:] = RAMP
             f["record_" + kind][:] = RAMP
-        time[:] = [0, 6, 18, 24]
+        runs[:] = [0, 6, 18, 24]
         packed[:] = np.stack([RAMP + 100 * t for t in range(4)])
         packed[1, 0, 0, 0] = -999
         ranged[:] = np.arange(45).reshape(3, 3, 5)
@@ -62,11 +62,11 @@ def one_variable():
 def small():
     """One field, so that it is read without a choice: what tools/fuzz damages."""
     with netCDF4.Dataset(OUT / "netcdf3_small.nc", "w", format="NETCDF3_64BIT_DATA") as f:
-        for axis, count in (("time", None), ("y", 3), ("x", 5)):
+        for axis, count in (("runs", None), ("y", 3), ("x", 5)):
             f.createDimension(axis, count)
-        for axis, values in (("time", [0, 1, 2, 4]), ("y", [0.0, 0.5, 1.0])):
+        for axis, values in (("runs", [0, 1, 2, 4]), ("y", [0.0, 0.5, 1.0])):
             f.createVariable(axis, "f8", (axis,))[:] = values
-        v = f.createVariable("v", "i2", ("time", "y", "x"), fill_value=-1)
+        v = f.createVariable("v", "i2", ("runs", "y", "x"), fill_value=-1)
         v.set_auto_maskandscale(False)
         v.scale_factor, v.valid_range = 0.5, np.array([0, 50], "i2")
         v[:] = RAMP

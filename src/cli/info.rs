@@ -54,7 +54,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
         formats::Input::Mesh(mesh) => return super::info_mesh::run(&mesh, !args.no_scan, args.json, talk),
     };
     let (info, scan, notices) = if args.no_scan {
-        (source.info().clone(), None, vec![])
+        (source.info().clone(), None, pipeline::header_notices(source.info()))
     } else {
         let (info, scan, notices) = pipeline::scan_with_notices(source)?;
         (info, Some(scan), notices)

@@ -25,8 +25,8 @@ mod vtk;
 
 pub use kinds::{Input, is_mesh, open_coordinates, open_input, open_mesh, open_volume};
 pub(crate) use mesh::{tet_arrays, tetrahedra};
-pub(crate) use series::listed_files;
 pub use series::{StepSource, order_in_doubt, packed_frames, steps_of, unpack_frames};
+pub(crate) use series::{counted_from, listed_files};
 pub use shared::coordinates;
 pub use shared::{OpenOptions, RawLayout, pick_field};
 pub(crate) use volume::brick_map;

@@ -6,7 +6,7 @@
 //! | a pattern, `"step_*.vti"`, `"run_?/out.vtu"` | the files that match, by the numbers in their names |
 //! | `.pvd` (ParaView) | its data sets, with their times |
 //! | `.series` (ParaView, JSON) | its files, with their times |
-//! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
+//! | a 4-D NIfTI, MetaImage or NRRD file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
 //! A pattern that matches TIFF files is one volume, whose slices they are. The time of a VTK file
@@ -24,8 +24,9 @@ use crate::formats::volume::nifti::UnpackedFrames;
 use crate::formats::volume::stack::{by_numbers, rise};
 use crate::formats::volume::tiff;
 use crate::volume::chunked::DecodeCount;
+use crate::volume::dates::conversion;
 use crate::volume::slabs::ReaderSlabs;
-use crate::volume::units::Units;
+use crate::volume::units::{Unit, Units};
 use crate::volume::{SharedVolume, SlabStream, VolumeReader, VolumeSource};
 use quick_xml::Reader;
 use quick_xml::events::Event;
@@ -117,6 +118,17 @@ impl StepSource {
                 other => other,
             }),
         }
+    }
+
+    /// How its time is counted, where its file states that.
+    fn counted(&self) -> Option<Counted> {
+        if self.stated.is_none() || self.time != self.stated || self.options.units.time.is_some() {
+            return None;
+        }
+        let unit = open_volume(&self.path, &self.options).ok()?.info().units.time.clone()?;
+        let format = single(&self.path, &self.options).ok()??;
+        let calendar = format.calendar(&self.path, &self.options).ok()?;
+        Some(Counted { unit, calendar })
     }
 
     /// How often chunks of this source were decoded, by all its readers here.
@@ -228,7 +240,42 @@ pub fn steps_of(inputs: &[PathBuf], options: &OpenOptions) -> Result<Vec<StepSou
             steps.extend(steps_in(&path, options, time));
         }
     }
-    Ok(steps)
+    Ok(counted_alike(steps))
+}
+
+/// Steps whose times all count from the date of the first one.
+fn counted_alike(steps: Vec<StepSource>) -> Vec<StepSource> {
+    let is_one = |steps: &[StepSource]| steps.windows(2).all(|pair| pair[0].path == pair[1].path);
+    let Some(first) = steps.first().filter(|_| !is_one(&steps)).and_then(StepSource::counted) else {
+        return steps;
+    };
+    counted_from(steps, &first.unit)
+}
+
+/// The same steps with times in a unit, where their files count from another date.
+pub(crate) fn counted_from(steps: Vec<StepSource>, unit: &Unit) -> Vec<StepSource> {
+    let mut last: Option<(PathBuf, Option<Counted>)> = None;
+    let in_unit = |step: StepSource| {
+        let known = last.take().filter(|(path, _)| *path == step.path);
+        let (path, counted) = known.unwrap_or_else(|| (step.path.clone(), step.counted()));
+        let found = counted.as_ref().filter(|counted| counted.unit != *unit);
+        let by = found.and_then(|own| conversion(own.unit.as_str(), unit.as_str(), &own.calendar));
+        last = Some((path, counted));
+        match (by, step.time) {
+            // The file's unit is not that of such a time.
+            (Some([factor, summand]), Some(time)) if step.stated.is_some() => {
+                StepSource { time: Some(factor * time + summand), stated: None, ..step }
+            }
+            _ => step,
+        }
+    };
+    steps.into_iter().map(in_unit).collect()
+}
+
+/// How the times of a file are counted.
+struct Counted {
+    unit: Unit,
+    calendar: String,
 }
 
 /// The files that an input stands for, and their times.

@@ -50,7 +50,7 @@ pub use read::{
 };
 pub use reduce::{
     AppendSettings, CopiedFile, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, archive_files,
-    copy_archive, mesh_notices, plan_path, scan_with_notices, work_folder,
+    copy_archive, header_notices, mesh_notices, plan_path, scan_with_notices, work_folder,
 };
 #[doc(hidden)]
 pub use reduce::{estimate_series, reduce_series};

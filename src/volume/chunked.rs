@@ -620,7 +620,9 @@ mod tests {
             intercept: 1.0,
             missing: Some(203.0),
             units: Units::default(),
+            notes: vec![],
             data_files: vec![],
+            assumed: crate::volume::Assumed::default(),
         }))
     }
 

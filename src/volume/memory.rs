@@ -12,7 +12,7 @@
 
 use super::strided::StridedVolume;
 use super::units::Units;
-use super::{FieldInfo, ScalarType, VolumeInfo};
+use super::{Assumed, FieldInfo, ScalarType, VolumeInfo};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
@@ -66,7 +66,9 @@ pub fn info_of(name: &str, dims: [u64; 3], scalar: ScalarType) -> VolumeInfo {
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: vec![],
+        assumed: Assumed::default(),
     }
 }
 

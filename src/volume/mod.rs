@@ -8,6 +8,7 @@
 pub(crate) mod ahead;
 pub mod bricked;
 pub mod chunked;
+pub(crate) mod dates;
 pub mod memory;
 pub(crate) mod shifted;
 pub mod slabs;
@@ -170,9 +171,31 @@ pub struct VolumeInfo {
     /// The units that the file names.
     #[serde(default, skip_serializing_if = "Units::are_unknown")]
     pub units: Units,
+    /// What a reader converted, took or left out, a line each.
+    #[serde(skip)]
+    pub notes: Vec<String>,
     /// The files that hold the samples, where that is not the file that was named.
     #[serde(default)]
     pub data_files: Vec<PathBuf>,
+    /// What the geometry assumes, as the file does not say it.
+    #[serde(skip)]
+    pub assumed: Assumed,
+}
+
+/// Axes along which nothing says how far samples lie apart: a spacing of 1 is assumed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Assumed {
+    /// Along x, y, z.
+    pub axes: [bool; 3],
+    /// Whether the user may give the spacing of such a file.
+    pub can_be_given: bool,
+}
+
+impl Assumed {
+    /// Of a file whose format has a place for the spacing.
+    pub(crate) fn in_header(axes: [bool; 3]) -> Self {
+        Self { axes, can_be_given: false }
+    }
 }
 
 impl VolumeInfo {

@@ -520,7 +520,9 @@ mod tests {
             intercept: 0.0,
             missing: None,
             units: Units::default(),
+            notes: vec![],
             data_files: vec![],
+            assumed: crate::volume::Assumed::default(),
         }
     }
 

@@ -1,4 +1,5 @@
-//! Units, as files and users name them. They are shown, and nothing is converted.
+//! Units, as files and users name them. They are shown; only lengths along axes that have different
+//! units are converted, by the readers of files.
 //!
 //! A name from a file reaches terminals, pictures and pages. So it is one line of bounded length,
 //! without control characters, from the moment on at which it is a [`Unit`].
@@ -14,6 +15,29 @@ const LONGEST: usize = 60;
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
 #[serde(transparent)]
 pub struct Unit(String);
+
+/// Prefixes of the metre: name, symbol, power of ten.
+const PREFIXES: [(&str, &str, i32); 19] = [
+    ("", "", 0),
+    ("exa", "E", 18),
+    ("peta", "P", 15),
+    ("tera", "T", 12),
+    ("giga", "G", 9),
+    ("mega", "M", 6),
+    ("kilo", "k", 3),
+    ("hecto", "h", 2),
+    ("deca", "da", 1),
+    ("deka", "da", 1),
+    ("deci", "d", -1),
+    ("centi", "c", -2),
+    ("milli", "m", -3),
+    ("micro", "µ", -6),
+    ("micro", "u", -6),
+    ("nano", "n", -9),
+    ("pico", "p", -12),
+    ("femto", "f", -15),
+    ("atto", "a", -18),
+];
 
 /// Characters that are not seen, or that change the direction of what follows.
 fn is_hidden(c: char) -> bool {
@@ -71,6 +95,33 @@ impl Unit {
             _ => return Some(unit),
         };
         Some(Self(one.into()))
+    }
+
+    /// Metres in one of this unit of length, as a number times a power of ten; `None` of what is
+    /// not known as one.
+    pub fn metres(&self) -> Option<(f64, i32)> {
+        let text = self.0.replace('μ', "µ");
+        let symbol = |(_, prefix, _): &&(&str, &str, i32)| text.strip_suffix('m') == Some(*prefix);
+        if let Some((.., power)) = PREFIXES.iter().find(symbol) {
+            return Some((1.0, *power));
+        }
+        let lower = text.to_lowercase();
+        // A plural, where it is no symbol.
+        let name = if lower.len() > 4 { lower.strip_suffix('s').unwrap_or(&lower) } else { &lower };
+        let prefix = name.strip_suffix("meter").or(name.strip_suffix("metre"));
+        if let Some((.., power)) = prefix.and_then(|p| PREFIXES.iter().find(|(name, ..)| *name == p)) {
+            return Some((1.0, *power));
+        }
+        Some(match name {
+            "micron" => (1.0, -6),
+            "å" | "angstrom" | "ångström" => (1.0, -10),
+            "in" | "inch" | "inche" => (2.54, -2),
+            "ft" | "foot" | "feet" => (3.048, -1),
+            "yd" | "yard" => (9.144, -1),
+            "mi" | "mile" => (1.609_344, 3),
+            "thou" | "mil" => (2.54, -5),
+            _ => return None,
+        })
     }
 
     /// Its name.
@@ -179,6 +230,31 @@ mod tests {
         assert_eq!(Unit::length("pixel"), None);
         assert_eq!(text(Unit::time("seconds")).as_deref(), Some("s"));
         assert_eq!(text(Unit::time("days since 2000-01-01")).as_deref(), Some("days since 2000-01-01"));
+    }
+
+    #[test]
+    fn metres_of_known_units() {
+        let of = |text: &str| Unit::length(text).and_then(|unit| unit.metres());
+        for (text, metres) in [
+            ("m", Some((1.0, 0))),
+            ("Mm", Some((1.0, 6))),
+            ("mm", Some((1.0, -3))),
+            ("μm", Some((1.0, -6))),
+            ("micrometer", Some((1.0, -6))),
+            ("Microns", Some((1.0, -6))),
+            ("Kilometres", Some((1.0, 3))),
+            ("pm", Some((1.0, -12))),
+            ("decimeter", Some((1.0, -1))),
+            ("\u{212b}", Some((1.0, -10))),
+            ("inches", Some((2.54, -2))),
+            ("ms", None),
+            ("hPa", None),
+            ("degrees_east", None),
+            ("MM", None),
+            ("furlong", None),
+        ] {
+            assert_eq!(of(text), metres, "{text}");
+        }
     }
 
     #[test]

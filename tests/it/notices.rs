@@ -19,7 +19,9 @@ fn run_to(dir: &Path, args: &[&str], code: i32) -> (String, Vec<String>) {
     assert_eq!(out.status.code(), Some(code), "{args:?}: {stderr}");
     // A slow machine reports progress after ten seconds.
     let is_progress = |l: &str| l.starts_with("isospan: --memory ") || l.contains(" a second, ");
-    let lines = stderr.lines().filter(|l| !is_progress(l));
+    // NPY never says how far samples lie apart; one test is about that.
+    let is_npy = |l: &str| l.contains(".npy: it does not say how far samples lie apart");
+    let lines = stderr.lines().filter(|l| !is_progress(l) && !is_npy(l));
     (stdout, lines.map(str::to_owned).collect())
 }
 
@@ -34,7 +36,9 @@ fn smooth(x: f64, y: f64, z: f64) -> f64 {
 
 fn bytes(path: &Path, dims: [usize; 3], value: impl Fn(usize, usize, usize) -> u8) {
     let [nx, ny, nz] = dims;
-    let header = format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: {nx} {ny} {nz}\nencoding: raw\n\n");
+    let header = format!(
+        "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {nx} {ny} {nz}\nspacings: 1 1 1\nencoding: raw\n\n"
+    );
     let samples = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
     let samples = samples.map(|[x, y, z]| value(x, y, z));
     fs::write(path, header.into_bytes().into_iter().chain(samples).collect::<Vec<u8>>()).unwrap();
@@ -107,6 +111,39 @@ fn files_that_are_no_slices_are_named() {
     assert_eq!(notices(d, &["info", "scan"]), [line]);
     assert_eq!(notices(d, &[&reduce[..], &["--dry-run"]].concat()), [line]);
     assert_eq!(notices(d, &reduce), [line]);
+}
+
+#[test]
+fn a_spacing_that_is_assumed_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("p.npy"), [9, 8, 7], smooth);
+    let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 9 8 7\nspacings: 1 nan 1\nencoding: raw\n\n";
+    let samples: Vec<u8> = (0..504usize).map(|n| (n * n % 251) as u8).collect();
+    fs::write(d.join("p.nrrd"), [header.as_bytes(), &samples].concat()).unwrap();
+    let said = |args: &[&str]| {
+        let out = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(args).output().unwrap();
+        assert_eq!(out.status.code(), Some(0), "{args:?}");
+        String::from_utf8(out.stderr).unwrap()
+    };
+    let npy = "isospan: p.npy: it does not say how far samples lie apart: a spacing of 1 is assumed; \
+               --spacing X,Y,Z gives another\n";
+    let nrrd = "isospan: p.nrrd: it does not say how far samples lie apart along y: a spacing of 1 is assumed; \
+                write it into the file\n";
+    for (input, line) in [("p.npy", npy), ("p.nrrd", nrrd)] {
+        let out = format!("{input}.isospan");
+        assert_eq!(said(&["info", input]), line);
+        assert_eq!(said(&["info", input, "--no-scan"]), line);
+        assert_eq!(said(&["reduce", input, "-o", &out, "--progress", "none"]), line);
+        // The archive has one already.
+        assert_eq!(said(&["append", &out, input, "--progress", "none"]), "");
+    }
+    let given = ["--spacing", "2,2,2", "--progress", "none"];
+    assert_eq!(said(&[&["info", "p.npy"][..], &given[..2]].concat()), "");
+    assert_eq!(said(&[&["reduce", "p.npy", "-o", "g.isospan"][..], &given].concat()), "");
+    let json: serde_json::Value = serde_json::from_str(&run(d, &["info", "p.nrrd", "--json"]).0).unwrap();
+    assert_eq!(json["notices"][0]["kind"], "assumed-spacing");
+    assert_eq!(json["notices"][0]["axes"], serde_json::json!([false, true, false]));
 }
 
 #[test]

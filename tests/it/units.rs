@@ -188,3 +188,34 @@ fn pictures_and_texts_have_units() {
     let told = ok(d, &["probe", "units.isospan", "--grid", "3,3,3", "-o", "p.npy"]);
     assert!(told.contains("values in K"), "{told}");
 }
+
+/// The file of each night may count from a date of its own.
+#[test]
+fn times_are_counted_from_the_date_of_the_first_step() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let bytes = std::fs::read(data("dialects/cf3.nc")).unwrap();
+    let night = |name: &str, date: &[u8; 10]| {
+        let mut bytes = bytes.clone();
+        for at in 0..bytes.len() - 10 {
+            if bytes[at..].starts_with(b"2000-01-01") {
+                bytes[at..at + 10].copy_from_slice(date);
+            }
+        }
+        std::fs::write(d.join(name), bytes).unwrap();
+    };
+    for (name, date) in [("a.nc", b"2000-01-01"), ("b.nc", b"2000-01-02"), ("c.nc", b"2000-01-03")] {
+        night(name, date);
+    }
+    let few = ["--points", "regular", "--fraction", "1"];
+    ok(d, &[&["reduce", "a.nc", "b.nc", "-o", "s.isospan", "--field", "record"][..], &few].concat());
+    ok(d, &["append", "s.isospan", "c.nc"]);
+    let report = info(d, "s.isospan");
+    let times: Vec<f64> = (0..3).map(|n| report["steps"][n]["time"].as_f64().unwrap()).collect();
+    assert_eq!(times, [7.5, 31.5, 55.5]);
+    assert_eq!(report["units"]["time"], "hours since 2000-01-01");
+    // Its time is before that of the last step.
+    night("d.nc", b"1999-12-31");
+    let (code, _, err) = run(d, &["append", "s.isospan", "d.nc", "--field", "record"]);
+    assert!(code != 0 && err.contains("-16.5"), "{err}");
+}

@@ -54,6 +54,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
                 include_bytes!("../../tests/data/filter_blosc2.h5").to_vec(),
                 include_bytes!("../../tests/data/filter_lz4.h5").to_vec(),
                 include_bytes!("../../tests/data/filter_lzf.h5").to_vec(),
+                include_bytes!("../../tests/data/dialects/tomviz.emd").to_vec(),
             ],
         ),
         of(
@@ -61,6 +62,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
             vec![
                 include_bytes!("../../tests/data/netcdf3_single.nc").to_vec(),
                 include_bytes!("../../tests/data/netcdf3_small.nc").to_vec(),
+                include_bytes!("../../tests/data/dialects/minc1_shorts.mnc").to_vec(),
             ],
         ),
         of(

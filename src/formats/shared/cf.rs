@@ -2,20 +2,25 @@
 //! common to HDF5, NetCDF and Zarr.
 //!
 //! ```text
-//!  temp(time, lev, lat, lon)        the last three axes are a volume, the first has its frames
+//!  temp(time, lev, lat, lon)        three axes are a volume, that of time has its frames: see [`layout`]
 //!    scale_factor, add_offset       value = scale_factor · stored + add_offset
-//!    _FillValue, missing_value      the stored number that means "no data"
+//!    _FillValue, missing_value      the stored numbers that mean "no data"
 //!    valid_range, valid_min, …      what is outside has no value
+//!    _Unsigned                      signed integers that stand for unsigned ones
 //!  lat(lat), lon(lon), …            coordinates: spacing and origin, or a rectilinear grid
+//!  time(time), time()               the time of each frame, or that of all
 //! ```
 
+use super::axes::{Layout, layout};
 use super::coordinates::{GridCoordinates, rectilinear, regular};
 use super::header::geometry;
+use super::lengths::Lengths;
+pub(in crate::formats) use super::packing::{Attributes, Convert, Numbers, Packing, netcdf_fill, signed_as};
 use super::{Frames, OpenOptions};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
-use crate::volume::units::{Unit, Units, common};
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
+use crate::volume::units::{Unit, Units};
+use crate::volume::{FieldInfo, ScalarType};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -24,176 +29,13 @@ const MOST_FRAMES: u64 = 1 << 16;
 /// The most samples of a coordinate variable that is read.
 pub(in crate::formats) const MOST_COORDINATES: u64 = 1 << 24;
 
-/// The numbers of an attribute.
-pub(in crate::formats) struct Numbers {
-    pub(in crate::formats) values: Vec<f64>,
-    /// Whether they are stored as floats.
-    pub(in crate::formats) are_floats: bool,
-}
-
-/// The attributes of an array.
-pub(in crate::formats) trait Attributes {
-    /// The numbers of an attribute; `None` where there is none of this name.
-    ///
-    /// # Errors
-    /// [`Error::BadInput`] where it has no numbers.
-    fn numbers(&self, name: &str) -> Result<Option<Numbers>>;
-
-    /// The error of attributes that say something else than what is expected.
-    fn wrong(&self, names: &str, expected: &str, got: String) -> Error;
-
-    /// An attribute that is one number; `None` where there is none of this name.
-    ///
-    /// # Errors
-    /// [`Error::BadInput`] where it is not one number.
-    fn number(&self, name: &str) -> Result<Option<f64>> {
-        let Some(Numbers { values, .. }) = self.numbers(name)? else { return Ok(None) };
-        match values[..] {
-            [value] => Ok(Some(value)),
-            _ => Err(self.wrong(name, "one number", format!("{} values", values.len()))),
-        }
-    }
-}
-
-/// What attributes say about stored numbers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::formats) struct Packing {
-    pub(in crate::formats) slope: f64,
-    pub(in crate::formats) intercept: f64,
-    /// The stored number that means "no data".
-    pub(in crate::formats) missing: Option<f64>,
-    /// The stored numbers that have values, where there is such a range.
-    pub(in crate::formats) valid: Option<[f64; 2]>,
-}
-
-impl Packing {
-    /// What the attributes of an array of this type say. `usual` gives the stored number that means
-    /// "no data" where no attribute names one, for numbers that are packed or not.
-    ///
-    /// # Errors
-    /// [`Error::BadInput`] for attributes that contradict each other, or are not numbers.
-    pub(in crate::formats) fn of(
-        attributes: &impl Attributes,
-        scalar: ScalarType,
-        usual: impl FnOnce(bool) -> Option<f64>,
-    ) -> Result<Self> {
-        let (scale, offset) = (attributes.number("scale_factor")?, attributes.number("add_offset")?);
-        let (slope, intercept) = (scale.unwrap_or(1.0), offset.unwrap_or(0.0));
-        if !(slope.is_finite() && slope != 0.0 && intercept.is_finite()) {
-            let expected = "finite numbers, the first not 0";
-            let got = format!("{slope} and {intercept}");
-            return Err(attributes.wrong("scale_factor, add_offset", expected, got));
-        }
-        let missing = match [attributes.number("_FillValue")?, attributes.number("missing_value")?] {
-            [None, None] => usual(scale.is_some() || offset.is_some()),
-            [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
-                let got = format!("{a} and {b}");
-                return Err(attributes
-                    .wrong("_FillValue, missing_value", "one value", got)
-                    .with_help("replace the one by the other, and delete its attribute"));
-            }
-            both => both.into_iter().flatten().find(|v| !v.is_nan()),
-        };
-        // What is not a number is missing anyway.
-        let missing = missing.filter(|v| !v.is_nan());
-        let valid = valid_range(attributes, scalar, [slope, intercept])?;
-        Ok(Self { slope, intercept, missing, valid })
-    }
-
-    /// The conversion of stored numbers where some have no value by their range; else `None`, and
-    /// `info` has all of it.
-    pub(in crate::formats) fn into_info(self, info: &mut VolumeInfo) -> Option<Convert> {
-        let Self { slope, intercept, missing, valid } = self;
-        let Some(valid) = valid else {
-            (info.slope, info.intercept, info.missing) = (slope, intercept, missing);
-            return None;
-        };
-        Some(Convert { valid, missing, lines: vec![[slope, intercept]], slices: [1, 1] })
-    }
-
-    /// Applies slope and intercept to the numbers of a coordinate variable.
-    pub(in crate::formats) fn unpack(&self, numbers: &mut [f64]) {
-        numbers.iter_mut().for_each(|v| *v = self.slope * *v + self.intercept);
-    }
-}
-
-/// The value of samples that were never written, in the library of NetCDF.
-#[allow(clippy::excessive_precision)]
-pub(in crate::formats) fn netcdf_fill(scalar: ScalarType) -> Option<f64> {
-    Some(match scalar {
-        // Every byte may be a value.
-        ScalarType::I8 | ScalarType::U8 => return None,
-        ScalarType::I16 => -32767.0,
-        ScalarType::U16 => 65535.0,
-        ScalarType::I32 => -2_147_483_647.0,
-        ScalarType::U32 => 4_294_967_295.0,
-        ScalarType::I64 => -9_223_372_036_854_775_806.0,
-        ScalarType::U64 => 18_446_744_073_709_551_614.0,
-        ScalarType::F16 | ScalarType::F32 | ScalarType::F64 => 9.969_209_968_386_869_047e36,
-    })
-}
-
-/// The range of stored numbers that have values.
-fn valid_range(
-    attributes: &impl Attributes,
-    scalar: ScalarType,
-    [slope, intercept]: [f64; 2],
-) -> Result<Option<[f64; 2]>> {
-    let all = [f64::NEG_INFINITY, f64::INFINITY];
-    let (mut valid, mut are_floats) = (all, false);
-    for (name, at, count) in [("valid_range", 0, 2), ("valid_min", 0, 1), ("valid_max", 1, 1)] {
-        let Some(numbers) = attributes.numbers(name)? else { continue };
-        if numbers.values.len() != count {
-            let got = format!("{} of them", numbers.values.len());
-            return Err(attributes.wrong(name, &format!("{count} number(s)"), got));
-        }
-        valid[at..at + count].copy_from_slice(&numbers.values);
-        are_floats |= numbers.are_floats;
-    }
-    if valid == all {
-        return Ok(None);
-    }
-    // Where packed integers have a range of floats, it is that of the values.
-    if !scalar.is_float() && are_floats {
-        valid = valid.map(|v| (v - intercept) / slope);
-        valid.sort_by(f64::total_cmp);
-    }
-    Ok(Some(valid))
-}
-
-/// How stored numbers become values. What is outside of `valid` has none.
-#[derive(Clone, Debug, PartialEq)]
-pub(in crate::formats) struct Convert {
-    pub(in crate::formats) valid: [f64; 2],
-    /// Stored number that means no data.
-    pub(in crate::formats) missing: Option<f64>,
-    /// Slope and intercept of each slice along the slowest axes.
-    pub(in crate::formats) lines: Vec<[f64; 2]>,
-    /// Slices of the lines along y and z: 1 where they do not differ along it.
-    pub(in crate::formats) slices: [u64; 2],
-}
-
-impl Convert {
-    /// The value of a stored number of a row.
-    pub(in crate::formats) fn value(&self, stored: f64, [y, z]: [u64; 2]) -> f64 {
-        let [lo, hi] = self.valid;
-        if !(lo..=hi).contains(&stored) || self.missing == Some(stored) {
-            return f64::NAN;
-        }
-        let at = |n: u64, count: u64| if count == 1 { 0 } else { n };
-        let [slope, intercept] =
-            self.lines[(at(z, self.slices[1]) * self.slices[0] + at(y, self.slices[0])) as usize];
-        slope * stored + intercept
-    }
-}
-
 /// The kind of an axis with this name: x, y, z, t (time), c (channels, components), or '?'.
 pub(in crate::formats) fn kind_of_name(name: &str) -> char {
     match name.rsplit('/').next().unwrap_or(name).to_ascii_lowercase().as_str() {
         "x" | "lon" | "longitude" => 'x',
         "y" | "lat" | "latitude" => 'y',
         "z" | "lev" | "level" | "depth" | "height" | "altitude" | "plev" => 'z',
-        "t" | "time" => 't',
+        "t" | "time" | "times" | "valid_time" => 't',
         "c" | "channel" | "channels" | "component" | "components" | "band" | "rgb" => 'c',
         _ => '?',
     }
@@ -206,34 +48,80 @@ pub(in crate::formats) fn kind_of_coordinate(name: &str, axis: &str, units: &str
         "Y" => 'y',
         "Z" => 'z',
         "T" => 't',
-        _ if units.contains(" since ") => 't',
+        // With a date, or as CDO writes absolute times.
+        _ if units.contains(" since ") || units.starts_with("day as %") => 't',
         _ if ["degrees_east", "degree_east", "degrees_E"].contains(&units) => 'x',
         _ if ["degrees_north", "degree_north", "degrees_N"].contains(&units) => 'y',
         _ => kind_of_name(name),
     }
 }
 
-/// What the units of a variable and of its coordinates along x, y, z and t say. A length has a unit
-/// where those of the three axes agree; degrees are no lengths.
-pub(in crate::formats) fn units(value: &str, space: [Option<String>; 3], time: Option<String>) -> Units {
-    let along = |unit: Option<String>| unit.and_then(|unit| Unit::length(&unit));
-    let length = common(space.map(along)).filter(|unit| !unit.as_str().starts_with("degree"));
+/// What the units of a variable, of lengths and of its coordinates of time say.
+pub(in crate::formats) fn units(value: &str, lengths: &Lengths, time: Option<String>) -> Units {
+    let length = lengths.unit.clone();
     Units { value: Unit::new(value), length, time: time.and_then(|unit| Unit::time(&unit)) }
 }
 
-/// A volume of an array: the last three axes, at one entry of each axis before.
+/// The lengths along x, y and z of the world, by the units of the coordinates along an array's last
+/// three axes. Degrees are no lengths.
+pub(in crate::formats) fn lengths(of_axes: [Option<String>; 3], world: [usize; 3]) -> Lengths {
+    let mut units = [None, None, None];
+    for (unit, axis) in of_axes.into_iter().zip(world) {
+        units[axis] = unit.and_then(|unit| Unit::length(&unit));
+    }
+    let mut found = Lengths::of_any(units);
+    found.unit = found.unit.filter(|unit| !unit.as_str().starts_with("degree"));
+    found
+}
+
+/// Coordinates along an array's last three axes, as lengths in one unit.
+pub(in crate::formats) fn in_one_unit(
+    lines: [Option<Line>; 3],
+    lengths: &Lengths,
+    world: [usize; 3],
+) -> [Option<Line>; 3] {
+    let mut axes = world.into_iter();
+    lines.map(|line| {
+        let axis = axes.next().unwrap_or(0);
+        line.map(|line| if lengths.is_as_stated(axis) { line } else { line.map(|v| lengths.along(axis, v)) })
+    })
+}
+
+/// A volume of an array: three axes, at one entry of each other axis.
 #[derive(Clone, Debug)]
 pub(in crate::formats) struct Part {
     pub(in crate::formats) info: FieldInfo,
     /// The name of the array.
     pub(in crate::formats) array: String,
-    /// The entry of each axis before the last three.
-    pub(in crate::formats) before: Vec<u64>,
-    /// Whether it is one of several channels of the array, or one of several frames.
-    pub(in crate::formats) is_channel: bool,
-    pub(in crate::formats) is_frame: bool,
-    /// The axis of the world along which each of the last three lies, the last one first.
+    /// The axes of the volume, the last one first.
+    pub(in crate::formats) axes: [usize; 3],
+    /// The entry of each axis; 0 of those of the volume.
+    pub(in crate::formats) entries: Vec<u64>,
+    /// The channel, where the array has several.
+    pub(in crate::formats) channel: Option<u64>,
+    /// The axis whose entries are frames, where it is one of several frames.
+    pub(in crate::formats) frames: Option<usize>,
+    /// The axis of time, which may have one entry.
+    pub(in crate::formats) time: Option<usize>,
+    /// The axis of the world along which each axis of the volume lies.
     pub(in crate::formats) world: [usize; 3],
+}
+
+impl Part {
+    /// Whether it is one of several channels.
+    pub(in crate::formats) fn is_channel(&self) -> bool {
+        self.channel.is_some()
+    }
+
+    /// Whether it is one of several frames.
+    pub(in crate::formats) fn is_frame(&self) -> bool {
+        self.frames.is_some()
+    }
+
+    /// Samples along the axes of the volume, given those of the array.
+    pub(in crate::formats) fn dims(&self, shape: &[u64]) -> [u64; 3] {
+        self.axes.map(|axis| shape[axis])
+    }
 }
 
 /// What a convention says about arrays.
@@ -259,55 +147,141 @@ pub(in crate::formats) fn parts_of(
     scalar: ScalarType,
     rules: Rules,
 ) -> Result<Vec<Part>> {
-    let rank = shape.len();
-    let before = &shape[..rank - 3];
-    let last: [char; 3] = std::array::from_fn(|a| kinds[rank - 1 - a]);
-    let place = |kind: char| ['x', 'y', 'z'].iter().position(|&k| k == kind);
-    let world = last.map(place);
-    let all = (0..3).all(|a| world.contains(&Some(a)));
-    let world: [usize; 3] = if all { world.map(|w| w.unwrap_or(0)) } else { [0, 1, 2] };
-    let has_channels = kinds[0] == 'c' && shape[0] > 1;
-    let part = |name_of_part: String, before: Vec<u64>, components: u32| Part {
-        info: FieldInfo { name: name_of_part, scalar, components },
-        array: name.into(),
-        is_channel: has_channels,
-        is_frame: before.len() == 1 && shape[0] > 1 && components == 1 && !has_channels,
-        before,
-        world,
-    };
-    let refuse = |expected: &str, help: &str| {
+    let refuse = |expected: &str| {
         let axis =
             |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
         let got: Vec<String> = shape.iter().zip(kinds).map(axis).collect();
-        Err(Error::bad_input(path, name, expected, got.join(" x ")).with_help(help))
+        let help = if shape.len() == 3 && kinds.contains(&'t') {
+            "time is no place: cut out a volume of one time; to read times as z, rename the axis \
+             and leave out its coordinates (xarray: rename(time='z').drop_vars('z'))"
+        } else {
+            "write the part that is wanted to a dataset of its own, its axes z, y, x"
+        };
+        Error::bad_input(path, name, expected, got.join(" x ")).with_help(help)
     };
-    let ours = "write the part that is wanted to a dataset of its own, its axes z, y, x";
-    let few = shape[rank - 1] <= 4 && rank == 4 && shape[1] > 4 && shape[2] > 4;
-    let unnamed = rules != Rules::Plain || kinds.iter().all(|&k| k == '?');
-    let vectors = few && unnamed || rank == 4 && rules == Rules::Vectors;
-    if rank > 3 && shape[rank - 1] > 1 && (last[0] == 'c' || vectors) {
-        let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
-        return Ok(vec![part(name.into(), vec![0; before.len()], components)]);
+    if let Some(vectors) = vectors(name, (shape, kinds), scalar, rules) {
+        return Ok(vec![vectors]);
     }
-    let others = if rank == 4 { 1 } else { 0 };
-    if few && unnamed || kinds.iter().zip(shape).skip(others).any(|(&k, &n)| k == 'c' && n > 1) {
-        return refuse("one number a sample, or channels as the first of four axes", ours);
+    let Layout { space, series, channels } = layout(shape, kinds).map_err(refuse)?;
+    let count = |axis: Option<usize>| axis.map_or(1, |axis| shape[axis]);
+    let all = count(series).checked_mul(count(channels)).filter(|&all| all <= MOST_FRAMES);
+    if all.is_none() || rules != Rules::Plain && all != Some(1) {
+        let expected = "three axes of space, and others of at most 65536 frames and channels";
+        return Err(refuse(if rules == Rules::Plain { expected } else { "three axes" }));
     }
-    if rank > 3 && last.contains(&'t') || kinds.iter().zip(before).any(|(&k, &n)| place(k).is_some() && n > 1)
-    {
-        return refuse("time as the first axis, before z, y and x", "write the dataset again in this order");
-    }
-    match before {
-        &[entries] if entries != 1 && entries <= MOST_FRAMES && rules == Rules::Plain => {
-            let kind = if kinds[0] == 'c' { 'c' } else { 't' };
-            Ok((0..entries).map(|n| part(format!("{name}:{kind}{n}"), vec![n], 1)).collect())
+    let numbers = |axis: Option<usize>| -> Vec<Option<u64>> {
+        axis.map_or_else(|| vec![None], |axis| (0..shape[axis]).map(Some).collect())
+    };
+    let time = series.or_else(|| kinds.iter().position(|&kind| kind == 't'));
+    let mut parts = vec![];
+    for channel in numbers(channels) {
+        for frame in numbers(series) {
+            let mut entries = vec![0; shape.len()];
+            for (axis, number) in [(channels, channel), (series, frame)] {
+                if let (Some(axis), Some(number)) = (axis, number) {
+                    entries[axis] = number;
+                }
+            }
+            let of_channel = channel.map_or(String::new(), |c| format!(":c{c}"));
+            let of_frame = frame.map_or(String::new(), |t| format!(":t{t}"));
+            let name_of_part = format!("{name}{of_channel}{of_frame}");
+            let info = FieldInfo { name: name_of_part, scalar, components: 1 };
+            let (array, world) = (name.into(), world_of(space.map(|axis| kinds[axis])));
+            parts.push(Part { info, array, axes: space, entries, channel, frames: series, time, world });
         }
-        _ if before.iter().all(|&n| n == 1) => Ok(vec![part(name.into(), vec![0; before.len()], 1)]),
-        _ => {
-            let expected = "three axes, one more of at most 65536 frames before them, others of one entry";
-            refuse(expected, "write the part that is wanted to a dataset of its own")
-        }
     }
+    Ok(parts)
+}
+
+/// The axes of the world of three axes of these kinds: x, y, z by their names, else in this order.
+fn world_of(kinds: [char; 3]) -> [usize; 3] {
+    let places = kinds.map(|kind| ['x', 'y', 'z'].iter().position(|&k| k == kind));
+    let are_all = (0..3).all(|axis| places.contains(&Some(axis)));
+    if are_all { places.map(|place| place.unwrap_or(0)) } else { [0, 1, 2] }
+}
+
+/// The field of an array of vectors, or of colours, which are the last of its axes.
+fn vectors(name: &str, (shape, kinds): (&[u64], &[char]), scalar: ScalarType, rules: Rules) -> Option<Part> {
+    let rank = shape.len();
+    let is_named = rules == Rules::Plain && kinds.iter().any(|&kind| kind != '?');
+    let is_short = rank == 4 && shape[3] <= 4 && shape[1] > 4 && shape[2] > 4 && !is_named;
+    let is_told = rank == 4 && rules == Rules::Vectors || rules != Rules::Plain && kinds[rank - 1] == 'c';
+    if rank < 4 || shape[rank - 1] < 2 || !(is_short || is_told) {
+        return None;
+    }
+    let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
+    let info = FieldInfo { name: name.into(), scalar, components };
+    let (axes, entries) = ([rank - 2, rank - 3, rank - 4], vec![0; rank]);
+    let (array, world) = (name.into(), [0, 1, 2]);
+    Some(Part { info, array, axes, entries, channel: None, frames: None, time: None, world })
+}
+
+/// Names of the dimensions that meshes of climate models have for their cells, in lower case.
+const CELLS: [&str; 9] = ["ncells", "nedges", "nvertices", "ncol", "cell", "nod2", "nod3", "node", "nele"];
+
+/// Fails for an array on the parts of an unstructured mesh, given the names of its dimensions: UGRID
+/// and CDO say so, other models by the names alone.
+///
+/// # Errors
+/// [`Error::BadInput`] for such an array.
+pub(in crate::formats) fn refuse_mesh(attributes: &impl Attributes, dims: &[String]) -> Result<()> {
+    let (mesh, location) = (attributes.text("mesh"), attributes.text("location"));
+    let got = if !mesh.is_empty() && ["node", "edge", "face", "volume"].contains(&&*location) {
+        format!("values on each {location} of the mesh '{}' (UGRID)", shown(&mesh))
+    } else if attributes.text("CDI_grid_type") == "unstructured" {
+        "values on an unstructured grid, as CDI_grid_type tells".into()
+    } else if let Some(dim) = dims.iter().find(|dim| CELLS.contains(&&*dim.to_ascii_lowercase())) {
+        format!("values on the cells of a mesh, as the dimension '{}' tells", shown(dim))
+    } else {
+        return Ok(());
+    };
+    Err(attributes
+        .wrong("axes", "a grid with axes x, y and z", got)
+        .with_help("interpolate it to such a grid (cdo remapcon, UXarray), or write mesh and values as .vtu"))
+}
+
+/// A name from a file, for a message.
+fn shown(name: &str) -> String {
+    name.chars().filter(|c| !c.is_control()).take(60).collect()
+}
+
+/// A convention of whole files in which arrays of three axes are no volumes, or are placed by what
+/// is not read: by the attributes `Conventions` and `file_format`, or what stands for them. Its name,
+/// and what to do.
+pub(in crate::formats) fn refused_convention(text: &str) -> Option<(&'static str, &'static str)> {
+    let known = [
+        ("AMBER", "a trajectory of AMBER", OF_ATOMS),
+        ("Pande", "a trajectory of MDTraj", OF_ATOMS),
+        ("ETSF", "a file of ETSF, whose cell is not read", "write the density as .xsf, then as .vti"),
+    ];
+    let found = known.into_iter().find(|(word, ..)| text.starts_with(word));
+    found.map(|(_, what, help)| (what, help))
+}
+
+/// What to do with positions of atoms.
+pub(in crate::formats) const OF_ATOMS: &str = "atoms are no volume: make a density map of them first";
+
+/// The variables that may tell the time of an array without an axis of time, given its attribute
+/// `coordinates`, or that of the file; and the most axes that they may have. One that is not named
+/// there has none: with an axis it is that of other arrays.
+pub(in crate::formats) fn names_of_time(coordinates: &str) -> impl Iterator<Item = (&str, usize)> {
+    coordinates.split_whitespace().map(|name| (name, 1)).chain([("time", 0)])
+}
+
+/// The time of all fields, where they have one and the same; `None` of a series.
+pub(in crate::formats) fn common_time<'a, P: AsRef<Part> + 'a>(
+    fields: impl Iterator<Item = &'a P>,
+    mut time_of: impl FnMut(&P) -> Option<f64>,
+) -> Option<f64> {
+    let mut found = None;
+    for field in fields {
+        let time = time_of(field).filter(|t| t.is_finite() && !field.as_ref().is_frame())?;
+        if found.is_some_and(|found| found != time) {
+            return None;
+        }
+        found = Some(time);
+    }
+    found
 }
 
 /// The name of the field that is asked for, with the channel.
@@ -324,14 +298,14 @@ pub(in crate::formats) fn with_channel<'a>(
     let usage = |text: String| Err(Error::usage(format!("{}: {text}", path.display())));
     if let Some(field) = &options.field {
         return match field.rsplit_once(":c") {
-            Some((_, of_field)) if of_field != number => {
+            Some((_, of_field)) if of_field.split(':').next() != Some(number) => {
                 usage(format!("{field} is another channel than --channel {channel}"))
             }
             Some(_) => Ok(Some(field.clone())),
             None => Ok(Some(format!("{field}:c{number}"))),
         };
     }
-    let mut arrays: Vec<&str> = parts.filter(|p| p.is_channel).map(|p| p.array.as_str()).collect();
+    let mut arrays: Vec<&str> = parts.filter(|p| p.is_channel()).map(|p| p.array.as_str()).collect();
     arrays.dedup();
     match arrays[..] {
         [] => usage("no dataset has channels: leave out --channel".into()),
@@ -351,7 +325,8 @@ pub(in crate::formats) fn frames<'a>(
     times: Option<Vec<f64>>,
 ) -> Frames {
     let all = parts.clone().count();
-    let frames: Vec<&Part> = parts.filter(|p| p.array == first.array).collect();
+    let is_of_it = |p: &&Part| p.array == first.array && p.channel == first.channel;
+    let frames: Vec<&Part> = parts.filter(is_of_it).collect();
     if !is_chosen && (frames.len() != all || all == 1) {
         return vec![];
     }
@@ -366,12 +341,13 @@ pub(in crate::formats) fn times<'a, P: AsRef<Part> + 'a>(
     mut of_array: impl FnMut(&P) -> Option<Vec<f64>>,
 ) -> HashMap<String, f64> {
     let (mut out, mut last) = (HashMap::new(), (String::new(), None));
-    for of_file in parts.filter(|p| p.as_ref().is_frame) {
+    for of_file in parts {
         let part = of_file.as_ref();
+        let Some(axis) = part.frames else { continue };
         if last.0 != part.array {
             last = (part.array.clone(), of_array(of_file));
         }
-        let time = last.1.as_ref().and_then(|t| t.get(part.before[0] as usize));
+        let time = last.1.as_ref().and_then(|t| t.get(part.entries[axis] as usize));
         out.extend(time.filter(|t| t.is_finite()).map(|&t| (part.info.name.clone(), t)));
     }
     out
@@ -388,6 +364,19 @@ impl Line {
     /// Coordinates of double or single precision.
     pub(in crate::formats) fn new(values: Vec<f64>, single: bool) -> Self {
         Self { regular: regular(&values, single), values }
+    }
+
+    /// The same in another unit.
+    fn map(self, unit: impl Fn(f64) -> f64) -> Self {
+        let regular = self.regular.map(|(start, step)| (unit(start), unit(step)));
+        Self { values: self.values.into_iter().map(unit).collect(), regular }
+    }
+
+    /// Coordinates in even steps, their values as far as they are not too many.
+    #[cfg_attr(not(feature = "hdf5"), expect(dead_code, reason = "such axes are those of HDF5"))]
+    pub(in crate::formats) fn even(start: f64, step: f64, count: u64) -> Self {
+        let values = (0..count.min(MOST_COORDINATES)).map(|i| start + step * i as f64).collect();
+        Self { regular: Some((start, step)), values }
     }
 }
 

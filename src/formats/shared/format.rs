@@ -155,6 +155,11 @@ pub(in crate::formats) trait Format: Sync {
         Ok(None)
     }
 
+    /// The calendar of the times that a file states, by CF's name; "" of the usual one.
+    fn calendar(&self, _: &Path, _: &OpenOptions) -> Result<String> {
+        Ok(String::new())
+    }
+
     /// The steps in a file that is a series, or in its field of the name in the options.
     fn frames(&self, _: &Path, _: &OpenOptions) -> Result<Option<Frames>> {
         Ok(None)

@@ -7,7 +7,7 @@ use crate::bytes::{ByteSource, IoMode, place};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
 use crate::volume::units::Units;
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
+use crate::volume::{Assumed, FieldInfo, ScalarType, VolumeInfo};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
@@ -127,7 +127,9 @@ pub(in crate::formats) fn plain_info(
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: vec![],
+        assumed: Assumed::default(),
     }
 }
 

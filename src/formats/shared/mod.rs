@@ -1,6 +1,7 @@
 //! What several readers need: options, fields, headers, streams of bytes and of text.
 
 pub(in crate::formats) mod arrays;
+pub(in crate::formats) mod axes;
 pub(in crate::formats) mod centers;
 pub(in crate::formats) mod cf;
 pub(in crate::formats) mod codec;
@@ -8,10 +9,14 @@ pub mod coordinates;
 pub(in crate::formats) mod entries;
 mod fields;
 pub(in crate::formats) mod format;
+pub(in crate::formats) mod frames;
 pub(in crate::formats) mod hdf5_head;
 pub(in crate::formats) mod header;
+pub(in crate::formats) mod lengths;
+pub(in crate::formats) mod minc;
 pub(in crate::formats) mod numbers;
 mod options;
+mod packing;
 pub(in crate::formats) mod ranges;
 pub(in crate::formats) mod sink;
 pub(in crate::formats) mod stream;

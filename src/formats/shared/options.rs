@@ -2,8 +2,8 @@
 
 use crate::bytes::IoMode;
 use crate::error::{Error, Result};
-use crate::volume::ScalarType;
 use crate::volume::units::Units;
+use crate::volume::{Assumed, ScalarType};
 use std::path::{Path, PathBuf};
 
 /// How to open a volume.
@@ -54,6 +54,13 @@ impl OpenOptions {
         }
         let text = "it has no levels to choose from: leave out --scale";
         Err(Error::usage(format!("{}: {text}", path.display())))
+    }
+
+    /// What is assumed of a file that does not say how far samples lie apart along some axes.
+    pub(in crate::formats) fn assumed(&self, axes: [bool; 3]) -> Assumed {
+        let is_given = self.spacing.is_some();
+        // Of a file with some coordinates no spacing is taken.
+        Assumed { axes: axes.map(|axis| axis && !is_given), can_be_given: axes == [true; 3] }
     }
 
     /// Refuses a spacing and an origin for a file that has its own.

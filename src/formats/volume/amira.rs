@@ -29,7 +29,7 @@ use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_b
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::{StridedVolume, swap_bytes};
-use crate::volume::{FieldInfo, ScalarType, VolumeSource};
+use crate::volume::{Assumed, FieldInfo, ScalarType, VolumeSource};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -83,7 +83,9 @@ fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let fields: Vec<FieldInfo> = on_lattice().map(|a| a.field.clone()).collect();
     let array = on_lattice().nth(pick_field(path, &fields, options.field.as_deref())?).expect("one of them");
     let format = format!("AmiraMesh ({})", array.packed.as_ref().map_or(file.kind.name(), |p| p.name));
-    let geometry = match file.lines()? {
+    let lines = file.lines()?;
+    let assumed = Assumed::in_header([lines.is_none() && file.bounds.is_none(); 3]);
+    let geometry = match lines {
         Some(lines) => match placed(&lines) {
             Some([origin, spacing]) => file.geometry(origin, spacing)?,
             None => file.plain_geometry()?,
@@ -93,6 +95,7 @@ fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let scalar = array.field.scalar;
     sample_bytes(path, file.dims, scalar)?;
     let mut info = plain_info(path, format, file.dims, scalar, geometry);
+    info.assumed = assumed;
     (info.field, info.fields) = (array.field.clone(), fields);
     let (range, big_endian) = (file.bytes_of(array)?, file.kind == Kind::Big);
     let source = Arc::clone(&file.source);

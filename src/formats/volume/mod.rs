@@ -22,3 +22,6 @@ pub mod samples;
 pub(in crate::formats) mod stack;
 pub(in crate::formats) mod tiff;
 pub(in crate::formats) mod zarr;
+
+#[cfg(all(test, feature = "hdf5"))]
+mod dialect_tests;

@@ -38,7 +38,7 @@ use crate::formats::shared::{OpenOptions, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -108,7 +108,9 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         intercept: 0.0,
         missing: None,
         units: Units::of_length(header.unit()),
+        notes: vec![],
         data_files: vec![],
+        assumed: Assumed::in_header([header.unit().is_none(); 3]),
     };
     let offset = HEADER as u64 + header.extended()? + number as u64 * bytes;
     if gzip {

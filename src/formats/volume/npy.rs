@@ -11,13 +11,14 @@
 //! An array is indexed `[z, y, x]`, as volumes are in NumPy: a shape of (256, 128, 64) has 64
 //! samples along x. In memory order that is x fastest, unless `fortran_order` is true: then z is
 //! fastest, and the same array gives the same volume. `bool` is read as `u8` 0 and 1. The reader
-//! refuses by name: other than three axes, complex numbers, long double, records, objects.
+//! refuses by name: other than three axes (further ones of one entry apart), complex numbers, long double, records, objects.
 //! `.npz` archives are read by [`crate::formats::volume::npz`].
 //!
 //! The format: NumPy Enhancement Proposal 1, and `numpy.lib.format`.
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
+use crate::formats::shared::axes::layout;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::sample_bytes;
@@ -65,13 +66,9 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let array = Array::parse(path, source.head_from(0)?)?;
     let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
-    let info = plain_info(
-        path,
-        format,
-        array.dims,
-        array.scalar,
-        given_geometry(path, options, Geometry::default())?,
-    );
+    let geometry = given_geometry(path, options, Geometry::default())?;
+    let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
+    info.assumed = options.assumed([true; 3]);
     pick_field(path, &info.fields, options.field.as_deref())?;
     let (at, big) = (array.data_at as u64, array.big_endian);
     let strides = array.strides(path)?;
@@ -190,14 +187,16 @@ fn element(descr: &str) -> Option<(ScalarType, bool)> {
     }
 }
 
-/// Samples along x, y, z of a shape "(z, y, x)".
+/// Samples along x, y, z of a shape "(z, y, x)"; further axes have one entry.
 fn shape(text: &str) -> Option<[u64; 3]> {
     let inner = text.strip_prefix('(')?.strip_suffix(')')?.trim_end();
     let parts = inner.strip_suffix(',').unwrap_or(inner).split(',');
     // Python 2 wrote long integers with an L.
     let numbers: Option<Vec<u64>> = parts.map(|n| n.trim().trim_end_matches('L').parse().ok()).collect();
-    let [z, y, x] = numbers?.try_into().ok()?;
-    Some([x, y, z])
+    let numbers = numbers?;
+    let found = layout(&numbers, &vec!['?'; numbers.len()]).ok()?;
+    let is_one = found.series.is_none() && found.channels.is_none();
+    is_one.then(|| found.space.map(|axis| numbers[axis]))
 }
 
 #[cfg(test)]
@@ -247,6 +246,19 @@ pub(in crate::formats) mod tests {
     }
 
     #[test]
+    fn axes_of_one_entry_are_left_out() {
+        let dir = tempfile::tempdir().unwrap();
+        for fortran in [false, true] {
+            let file = npy(1, "'<u2'", fortran, "(1, 2, 3, 4)", &samples(false, fortran));
+            check(&write(&dir, "a.npy", &file), &OpenOptions::default());
+        }
+        // One channel, as ilastik exports it.
+        let file = npy(1, "'|u1'", false, "(5, 6, 7, 1)", &(0..210).collect::<Vec<u8>>());
+        let (info, values) = read_all(open(&write(&dir, "a.npy", &file), &OpenOptions::default()).unwrap());
+        assert_eq!((info.dims, values), ([7, 6, 5], (0..210).map(|i| i as f32).collect()));
+    }
+
+    #[test]
     fn every_type_of_number() {
         let dir = tempfile::tempdir().unwrap();
         for (descr, bytes) in [
@@ -277,7 +289,8 @@ pub(in crate::formats) mod tests {
             ("'<u2'", "(2, 12)", "shape"),
             ("'<u2'", "(24,)", "shape"),
             ("'<u2'", "()", "shape"),
-            ("'<u2'", "(1, 2, 3, 4)", "shape"),
+            ("'<u2'", "(2, 1, 3, 4)", "shape"),
+            ("'<u2'", "(2, 9, 9, 2)", "shape"),
             ("'<u2'", "(2, 3, -4)", "shape"),
             ("'<u2'", "(2, 0, 4)", "dimensions"),
             ("'<u2'", "(4294967296, 4294967296, 4294967296)", "dimensions"),

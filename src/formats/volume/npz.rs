@@ -74,6 +74,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let format = if member.stored.deflated { "NPZ (deflated)" } else { "NPZ (stored)" };
     let geometry = given_geometry(path, options, Geometry::default())?;
     let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
+    info.assumed = options.assumed([true; 3]);
     info.field = field(&member, &array);
     info.fields = fields;
     if !member.stored.deflated {

@@ -93,7 +93,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let gzip = source.len() > 2 && source.slice(0..2)? == [0x1f, 0x8b] && has_extension(path, "gz");
     let format = if gzip { "raw (gzip)" } else { "raw" };
-    let info = plain_info(path, format, layout.dims, layout.scalar, geometry);
+    let mut info = plain_info(path, format, layout.dims, layout.scalar, geometry);
+    info.assumed = options.assumed([true; 3]);
     pick_field(path, &info.fields, options.field.as_deref())?;
     if gzip {
         let range = 0..source.len();

@@ -58,6 +58,11 @@ pub enum Finding {
         /// How many there are.
         count: u64,
     },
+    /// Nothing says how far samples lie apart along some axes: a spacing of 1 is assumed.
+    AssumedSpacing {
+        /// Along x, y, z.
+        axes: [bool; 3],
+    },
     /// More points are asked for than there are samples.
     MorePoints {
         /// Points asked for.
@@ -83,6 +88,8 @@ pub enum Finding {
         /// Whether the archive's bytes are an estimate, before it is made.
         estimated: bool,
     },
+    /// What a reader converted, took or left out, as the text says.
+    Reading,
 }
 
 impl fmt::Display for Notice {

@@ -19,7 +19,7 @@ use crate::pipeline::plan::{Estimate, Finding, Notice, count_of};
 use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings};
 use crate::points::{PointSet, PointSpec, SetKind};
 use crate::sample::Interpolation;
-use crate::volume::{VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, VolumeInfo, VolumeSource};
 use std::path::{Path, PathBuf};
 
 /// The most steps of a series that are surveyed, evenly spread; all of them share the samples that
@@ -61,6 +61,27 @@ impl Notice {
             number(hi)
         );
         Self::new(path, Finding::Fill { value, share, others: fill.others }, &text)
+    }
+
+    /// What the reader of a volume says.
+    fn of_reading(info: &VolumeInfo) -> impl Iterator<Item = Self> + '_ {
+        info.notes.iter().map(|note| Self::new(&info.path, Finding::Reading, note))
+    }
+
+    /// That a file does not say how far its samples lie apart, if it does not.
+    fn of_assumed(info: &VolumeInfo) -> Option<Self> {
+        let Assumed { axes, can_be_given } = info.assumed;
+        let named = ["x", "y", "z"].into_iter().zip(axes).filter(|(_, is_assumed)| *is_assumed);
+        let named: Vec<&str> = named.map(|(name, _)| name).collect();
+        let along = match named.len() {
+            0 => return None,
+            3 => String::new(),
+            _ => format!(" along {}", named.join(" and ")),
+        };
+        let help = if can_be_given { "--spacing X,Y,Z gives another" } else { "write it into the file" };
+        let text =
+            format!("it does not say how far samples lie apart{along}: a spacing of 1 is assumed; {help}");
+        Some(Self::new(&info.path, Finding::AssumedSpacing { axes }, &text))
     }
 
     fn of_stretch(path: &Path, found: &Stretch, nan: NanPolicy) -> Self {
@@ -234,14 +255,20 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
         if matches!(&input, Input::Volume(volume) if Lattice::new(volume.info().dims).is_err()) {
             continue;
         }
-        if let Input::Volume(volume) = &input {
-            out.notices.extend(Notice::of_passed_over(volume.info()));
-        }
         if out.size.is_none() {
             out.size = size_of(&input, sources);
             if let Some(size) = out.size.filter(|_| !further) {
                 out.notices.extend(of_numbers(&input, source, sources.len(), settings, &size));
             }
+        }
+        if let Input::Volume(volume) = &input {
+            let is_new = |n: &Notice| {
+                // Of an archive that there is already, the spacing is known.
+                let is_known = further && matches!(n.finding, Finding::AssumedSpacing { .. });
+                !is_known && !out.notices.iter().any(|said| says_the_same(said, n))
+            };
+            let new: Vec<Notice> = header_notices(volume.info()).into_iter().filter(is_new).collect();
+            out.notices.extend(new);
         }
         let found = match input {
             // Much is decoded for a few samples: in a stream, all before them.
@@ -265,6 +292,12 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
         out.notices.extend(constants.into_iter().next());
     }
     Ok(out)
+}
+
+/// Whether two notices, of two steps, differ in nothing but the file.
+fn says_the_same(a: &Notice, b: &Notice) -> bool {
+    let after = |n: &Notice| n.text.strip_prefix(&n.path.display().to_string()).map(str::to_owned);
+    a.finding == b.finding && after(a) == after(b)
 }
 
 /// Whether two findings, of two steps, are one.
@@ -456,9 +489,15 @@ fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
 pub fn scan_with_notices(source: VolumeSource) -> Result<(VolumeInfo, Scan, Vec<Notice>)> {
     let (source, watched) = watched(source)?;
     let (info, found) = scan(source)?;
-    let mut notices: Vec<Notice> = Notice::of_passed_over(&info).into_iter().collect();
+    let mut notices = header_notices(&info);
     notices.extend(of_survey(&info.path, watched.survey(), None, NanPolicy::Error));
     Ok((info, found, notices))
+}
+
+/// What the header of a volume shows, without its samples.
+pub fn header_notices(info: &VolumeInfo) -> Vec<Notice> {
+    let files = Notice::of_passed_over(info).into_iter();
+    files.chain(Notice::of_assumed(info)).chain(Notice::of_reading(info)).collect()
 }
 
 /// What a reduction of a mesh's field should heed.

@@ -68,7 +68,12 @@ pub fn append(
     let archive = OpenArchive::open(out)?;
     let last = archive.manifest.steps.last().expect("an archive that was opened has a step");
     let field = &last.plan.source.field;
-    let sources = sources.iter().map(|source| with_field(source, field));
+    let sources = sources.iter().map(|source| with_field(source, field)).collect();
+    // Each night's file may count from a date of its own.
+    let sources = match &last.plan.source.units.time {
+        Some(unit) => formats::counted_from(sources, unit),
+        None => sources,
+    };
     let sources: Vec<_> = (last.plan.number + 1..).zip(sources).collect();
     let settings = settings_like(last, settings)?;
     let basis = Basis::Archive(&archive);

@@ -45,7 +45,7 @@ use crate::formats::StepSource;
 use crate::pipeline::plan::Estimate;
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 pub(super) use advice::look;
-pub use advice::{mesh_notices, scan_with_notices};
+pub use advice::{header_notices, mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
 pub use copy::{CopiedFile, copy_archive};
 pub use existing::archive_files;

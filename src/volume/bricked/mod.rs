@@ -38,7 +38,7 @@ use crate::error::{Error, Fault, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::convert_row;
 use crate::volume::units::Units;
-use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeReader};
+use crate::volume::{Assumed, FieldInfo, SlabStream, VolumeInfo, VolumeReader};
 use byteorder::{ByteOrder, LE};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -225,7 +225,9 @@ impl BrickedVolume {
             intercept: header.intercept,
             missing: header.missing,
             units: header.units,
+            notes: vec![],
             data_files: vec![],
+            assumed: Assumed::default(),
         };
         Ok(Self { info, source, layout })
     }

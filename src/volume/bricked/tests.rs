@@ -28,7 +28,9 @@ fn boxes(dims: [u64; 3], boxes: Vec<IndexBox>) -> Box<dyn SlabStream> {
         intercept: -1.1,
         missing: Some(203.0),
         units: Units::default(),
+        notes: vec![],
         data_files: vec![],
+        assumed: crate::volume::Assumed::default(),
     };
     Box::new(Boxes { info, boxes: boxes.into_iter() })
 }

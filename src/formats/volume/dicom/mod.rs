@@ -155,7 +155,12 @@ fn open(
     if varies {
         let lines = series.slices.iter().map(|s| [s.slope, s.intercept]).collect();
         let valid = [f64::NEG_INFINITY, f64::INFINITY];
-        convert = Some(Convert { valid, missing: series.layout.padding, lines, slices: [1, dims[2]] });
+        convert = Some(Convert {
+            valid,
+            missing: series.layout.padding.into_iter().collect(),
+            lines,
+            slices: [1, dims[2]],
+        });
     } else {
         (info.slope, info.intercept, info.missing) = (first.slope, first.intercept, series.layout.padding);
     }

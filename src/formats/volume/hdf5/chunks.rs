@@ -40,6 +40,8 @@ pub(super) struct Chunks {
     /// Samples of the dataset and of a chunk along each axis, slowest first.
     shape: Vec<u64>,
     chunk: Vec<u32>,
+    /// The axes of the volume, the last one first.
+    axes: [usize; 3],
     most_dims: Option<Vec<u64>>,
     /// Where the index begins, or the only chunk; `None` where nothing was ever written.
     address: Option<u64>,
@@ -55,8 +57,8 @@ pub(super) struct Chunks {
     groups: Mutex<Vec<(Group, Arc<[Entry]>)>>,
 }
 
-/// A box of chunks: its place along the axes before the last three, and its first chunk along x, y,
-/// z.
+/// A box of chunks: its place along all axes, 0 along those of the volume, and its first chunk along
+/// these.
 type Group = (Vec<u64>, [u64; 3]);
 
 /// A chunk in the file, and its number in its group.
@@ -71,10 +73,12 @@ struct Entry {
 }
 
 impl Chunks {
-    /// The chunks of a dataset whose samples have `size` bytes; `None` where it has none.
+    /// The chunks of a dataset whose samples have `size` bytes, for volumes of three of its axes, the
+    /// last one first; `None` where it has none.
     pub(super) fn of(
         file: &Hdf5File,
         dataset: &Dataset,
+        axes: [usize; 3],
         size: usize,
         big_endian: bool,
     ) -> Result<Option<Self>> {
@@ -114,6 +118,7 @@ impl Chunks {
             groups: Mutex::default(),
             shape,
             chunk,
+            axes,
             indexing,
             filters,
             fill,
@@ -123,7 +128,7 @@ impl Chunks {
 
     /// Samples of a chunk along x, y, z.
     pub(super) fn dims(&self) -> [u64; 3] {
-        std::array::from_fn(|a| u64::from(self.chunk[self.chunk.len() - 1 - a]))
+        self.axes.map(|axis| u64::from(self.chunk[axis]))
     }
 
     /// Bytes of a decoded chunk.
@@ -141,8 +146,7 @@ impl Chunks {
 
     /// Chunks along x, y, z.
     fn grid(&self) -> [u64; 3] {
-        let (dims, rank) = (self.dims(), self.shape.len());
-        std::array::from_fn(|a| self.shape[rank - 1 - a].div_ceil(dims[a]))
+        self.axes.map(|axis| self.shape[axis].div_ceil(u64::from(self.chunk[axis])))
     }
 
     /// Chunks of a group along x, y, z.
@@ -155,9 +159,8 @@ impl Chunks {
         })
     }
 
-    /// The samples of a box at the place `before` of the axes before the last three: little-endian,
-    /// x fastest, in `out`.
-    pub(super) fn read(&self, before: &[u64], part: IndexBox, out: &mut Vec<u8>) -> Result<()> {
+    /// The samples of a box at some entries of the other axes: little-endian, x fastest, in `out`.
+    pub(super) fn read(&self, entries: &[u64], part: IndexBox, out: &mut Vec<u8>) -> Result<()> {
         let (size, dims) = (self.fill.len(), self.dims());
         out.clear();
         out.resize(part.len() * size, 0);
@@ -165,7 +168,7 @@ impl Chunks {
         for z in range(2) {
             for y in range(1) {
                 for x in range(0) {
-                    self.add_chunk(before, [x, y, z], part, out)?;
+                    self.add_chunk(entries, [x, y, z], part, out)?;
                 }
             }
         }
@@ -176,12 +179,13 @@ impl Chunks {
     }
 
     /// Copies the samples of a chunk that lie in a box to it.
-    fn add_chunk(&self, before: &[u64], at: [u64; 3], part: IndexBox, out: &mut [u8]) -> Result<()> {
+    fn add_chunk(&self, entries: &[u64], at: [u64; 3], part: IndexBox, out: &mut [u8]) -> Result<()> {
         let (size, dims) = (self.fill.len(), self.dims());
         let sizes = self.chunk.iter().map(|&c| u64::from(c));
-        let outer: Vec<u64> = before.iter().zip(sizes.clone()).map(|(&b, c)| b / c).collect();
-        // The number, in the chunk, of the first sample at `before`.
-        let within = before.iter().zip(sizes).fold(0, |n, (&b, c)| n * c + b % c);
+        let outer: Vec<u64> = entries.iter().zip(sizes.clone()).map(|(&b, c)| b / c).collect();
+        // The number, in the chunk, of the first sample at these entries.
+        let within = entries.iter().zip(sizes).fold(0, |n, (&b, c)| n * c + b % c);
+        let [step_x, step_y, step_z] = self.axes.map(|axis| self.step(axis));
         let bytes = self.entry(&outer, at)?.map(|entry| self.decoded(entry)).transpose()?;
         let first: [u64; 3] = std::array::from_fn(|a| at[a] * dims[a]);
         let lo: [u64; 3] = std::array::from_fn(|a| first[a].max(part.lo[a]));
@@ -192,15 +196,26 @@ impl Chunks {
             for y in lo[1]..hi[1] {
                 let to = ((z - part.lo[2]) * ny + y - part.lo[1]) * nx + lo[0] - part.lo[0];
                 let to = &mut out[to as usize * size..][..row];
-                let from = (within * dims[2] + z - first[2]) * dims[1] + y - first[1];
-                let from = from * dims[0] + lo[0] - first[0];
+                let from = within + (z - first[2]) * step_z + (y - first[1]) * step_y;
+                let from = from + (lo[0] - first[0]) * step_x;
                 match &bytes {
-                    Some(bytes) => to.copy_from_slice(&bytes[from as usize * size..][..row]),
+                    Some(bytes) if step_x == 1 => to.copy_from_slice(&bytes[from as usize * size..][..row]),
+                    Some(bytes) => {
+                        let samples = bytes[from as usize * size..].chunks(size * step_x as usize);
+                        to.chunks_exact_mut(size)
+                            .zip(samples)
+                            .for_each(|(s, of)| s.copy_from_slice(&of[..size]));
+                    }
                     None => to.chunks_exact_mut(size).for_each(|s| s.copy_from_slice(&self.fill)),
                 }
             }
         }
         Ok(())
+    }
+
+    /// Samples of a chunk from one entry of an axis to the next.
+    fn step(&self, axis: usize) -> u64 {
+        self.chunk[axis + 1..].iter().map(|&c| u64::from(c)).product()
     }
 
     /// The bytes of a chunk, as many as its samples take.
@@ -252,15 +267,17 @@ impl Chunks {
     fn entries(&self, (before, lo): &Group) -> Result<Arc<[Entry]>> {
         let (grid, dims) = (self.grid(), self.group_dims());
         let hi: [u64; 3] = std::array::from_fn(|a| (lo[a] + dims[a]).min(grid[a]));
-        let inner = |at: [u64; 3]| [at[2], at[1], at[0]];
-        let first = [&before[..], &inner(*lo)].concat();
-        let last = [&before[..], &inner(hi.map(|h| h - 1))].concat();
+        let place = |of_volume: [u64; 3]| {
+            let mut place = before.clone();
+            self.axes.into_iter().zip(of_volume).for_each(|(axis, at)| place[axis] = at);
+            place
+        };
+        let (first, last) = (place(*lo), place(hi.map(|h| h - 1)));
         let mut entries = vec![];
         for found in self.listed(&first, &last)? {
-            let at = self.place(&found.offsets)?;
-            let (outer, inner) = at.split_at(before.len());
-            let at: [u64; 3] = std::array::from_fn(|a| inner[2 - a]);
-            if outer != &before[..] || (0..3).any(|a| !(lo[a]..hi[a]).contains(&at[a])) {
+            let mut outer = self.place(&found.offsets)?;
+            let at = self.axes.map(|axis| std::mem::take(&mut outer[axis]));
+            if outer != *before || (0..3).any(|a| !(lo[a]..hi[a]).contains(&at[a])) {
                 // Another group, or beyond the end of a dataset that was made smaller.
                 continue;
             }
@@ -387,7 +404,9 @@ mod tests {
                 if dataset.ndim() < 3 {
                     continue;
                 }
-                let chunks = Chunks::of(&file, &dataset, scalar.bytes(), big_endian).unwrap();
+                let rank = dataset.ndim();
+                let axes = [rank - 1, rank - 2, rank - 3];
+                let chunks = Chunks::of(&file, &dataset, axes, scalar.bytes(), big_endian).unwrap();
                 let Some(mut chunks) = chunks else { continue };
                 let mut expected = vec![];
                 let all = SliceInfo::all(dataset.ndim());
@@ -410,6 +429,7 @@ mod tests {
                             })
                             .collect();
                         before.reverse();
+                        before.extend([0; 3]);
                         let read = chunks.read(&before, whole, &mut part);
                         assert_eq!(read.is_ok(), is_read, "{name} {}: {read:?}", dataset.name());
                         if !is_read {

@@ -6,22 +6,26 @@
 //! | VTKHDF | `/VTKHDF`, its `Type` | an image is read here, a mesh and a surface elsewhere; other types are refused |
 //! | MINC 2 | `/minc-2.0` | read; of irregular spacing, or with a time axis, refused |
 //! | ITK | `/ITKImage` | read |
-//! | Imaris, BigDataViewer, Dream.3D, Chimera, EMAN2, openPMD, CGNS, MED; Exodus II of another name | groups and attributes | refused |
+//! | EMD, HyperSpy | groups with `emd_group_type`, or `axis-0` | read, see the module `axes` |
+//! | those of the table below | groups and attributes of the root group | refused |
+//! | Enzo, H5Part, PFLOTRAN, Velox, Data Exchange; VizSchema | names of groups; `vsMesh` | refused |
 //!
 //! The refused ones keep their voxel size, or their axes, where a plain reader does not look, so
 //! the result would be wrong.
 
-use super::{Field, Tree, attribute_numbers, attribute_text, damaged};
+use super::{Tree, attribute_numbers, attribute_text, damaged};
 use crate::cells::Center;
 use crate::error::{Error, Result};
 use crate::formats::shared::centers::{Picked, first_sample, pick, samples};
-use crate::formats::shared::cf::{Convert, Rules};
+use crate::formats::shared::cf::{Convert, OF_ATOMS, Rules, refused_convention};
 use crate::formats::shared::header::geometry;
+use crate::formats::shared::minc;
 use crate::grid::Geometry;
-use crate::volume::units::{Unit, Units, common};
-use crate::volume::{FieldInfo, ScalarType};
+use crate::volume::FieldInfo;
+use crate::volume::units::Units;
+use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
-use hdf5_reader::{Hdf5File, messages::datatype::Datatype};
+use hdf5_reader::{Dataset, Hdf5File};
 use std::path::Path;
 
 /// The convention of a file.
@@ -36,19 +40,64 @@ pub(super) enum Dialect {
 
 /// What is refused: a group or an attribute of the root group, the program that writes it, and what
 /// to do.
-const REFUSED: [(&str, &str, &str); 10] = [
+const REFUSED: [(&str, &str, &str); 19] = [
     ("DataSetInfo", "an Imaris file (.ims)", AS_TIFF),
     ("ImarisDataSet", "an Imaris file (.ims)", AS_TIFF),
     ("t00000", "a BigDataViewer file, whose voxel size is in its .xml", AS_TIFF),
     ("DataContainers", "a Dream.3D file", "write the array as .vti"),
+    ("DataStructure", "a DREAM3D-NX file", "write the array as .vti"),
     ("Chimera", "a Chimera map", "save it as .nrrd, or its array as NPY"),
     ("MDF", "an EMAN2 image", "convert it with e2proc3d.py to .nrrd"),
     ("openPMD", "an openPMD file", "write the mesh's array as .vti, with its gridSpacing"),
     ("CGNSLibraryVersion", "a CGNS file", "convert it to .vtu"),
     ("INFOS_GENERALES", "a MED file", "convert it to .vtu"),
     ("floating_point_word_size", "an Exodus II file of another name", "let its name end in .exo"),
+    ("Chombo_global", "a Chombo file", OF_LEVELS),
+    ("unknown names", "a FLASH file", OF_LEVELS),
+    ("NumMeshBlocks", "an Athena++ file", OF_LEVELS),
+    ("gridded_data_format", "a file of the Grid Data Format", OF_LEVELS),
+    ("Parameters and Global Attributes", "a file of the Einstein Toolkit (Carpet)", OF_LEVELS),
+    ("_silolibinfo", "a Silo file", "convert it to .vti or .vtu, with VisIt"),
+    ("cxi_version", "a CXI file", "write the array that is wanted as .vti"),
+    ("h5md", "an H5MD file", OF_ATOMS),
 ];
 const AS_TIFF: &str = "export it as OME-Zarr, or as TIFF slices";
+/// What to do with boxes of several resolutions.
+const OF_LEVELS: &str = "resample it to one grid, with yt or VisIt, and write that as .vti";
+
+/// What is refused by groups and datasets whose names vary, or are common ones: see [`REFUSED`].
+fn refused_by_members(
+    root: &Group,
+    groups: &[String],
+    datasets: &[String],
+) -> Option<(String, &'static str)> {
+    let starting = |start: &str| groups.iter().find(|name| name.starts_with(start));
+    let has = |list: &[String], name: &str| list.iter().any(|n| n == name);
+    let within = |group: &str, names: &[&str]| {
+        let members = root.group(group).and_then(|g| g.member_names()).unwrap_or_default();
+        names.iter().any(|name| has(&members.0, name) || has(&members.1, name))
+    };
+    if let Some(name) = starting("Grid0000") {
+        return Some((format!("a file of Enzo, as '{name}' tells"), OF_LEVELS));
+    }
+    if let Some(name) = starting("Step#") {
+        return Some((format!("an H5Part file, as '{name}' tells"), "write the field as .vti"));
+    }
+    if has(groups, "Coordinates") && starting("Time:").or_else(|| starting("   1 Time")).is_some() {
+        let help = "write the field as .vti: here the first axis is x";
+        return Some(("a PFLOTRAN file, as its groups of times tell".into(), help));
+    }
+    let of_velox = ["Image", "Spectrum", "SpectrumImage", "SpectrumStream", "Line"];
+    if has(datasets, "Version") && within("Data", &of_velox) {
+        let help = "its frames are the last axis: write the stack as .nrrd or TIFF, with HyperSpy or Velox";
+        return Some(("a Velox file (.emd), as '/Data' and '/Version' tell".into(), help));
+    }
+    if within("exchange", &["theta"]) {
+        let help = "reconstruct the volume first, with tomopy or another program";
+        return Some(("projections of Data Exchange, as '/exchange/theta' tells".into(), help));
+    }
+    None
+}
 
 impl Dialect {
     /// The convention that a file follows.
@@ -62,6 +111,13 @@ impl Dialect {
         let marked = |name: &str| has(name) || root.attribute(name).is_ok();
         if let Some((name, what, help)) = REFUSED.into_iter().find(|(name, ..)| marked(name)) {
             let got = format!("{what}, as '{name}' tells");
+            return Err(refused(path, "kind of HDF5 file", got, help));
+        }
+        let of_words = ["Conventions", "conventions", "file_format"].iter().find_map(|name| {
+            let text = root.attribute(name).ok().and_then(|a| attribute_text(&a))?;
+            refused_convention(&text).map(|(what, help)| (what.to_string(), help))
+        });
+        if let Some((got, help)) = of_words.or_else(|| refused_by_members(&root, &groups, &datasets)) {
             return Err(refused(path, "kind of HDF5 file", got, help));
         }
         match () {
@@ -96,14 +152,14 @@ impl Dialect {
         match self {
             Self::Plain => "",
             Self::Vtk => "VTKHDF/",
-            Self::Minc => "minc-2.0/image/0/image",
+            Self::Minc => IMAGE,
             Self::Itk => "ITKImage/0/VoxelData",
         }
     }
 }
 
 fn refused(path: &Path, at: &str, got: impl Into<String>, help: &str) -> Error {
-    let expected = "plain datasets, NetCDF, a VTKHDF image, MINC 2 or ITK";
+    let expected = "plain datasets, NetCDF, a VTKHDF image, MINC 2, ITK, EMD or HyperSpy";
     Error::bad_input(path, at, expected, got).with_help(help)
 }
 
@@ -248,125 +304,82 @@ pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
 
 /// The image of a MINC file: axes by `dimorder`, values scaled slice by slice.
 pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
-    let at = "minc-2.0/image/0/image";
     let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
-    let wanted = wanted.map(|w| if w == "image" { at } else { w });
+    let wanted = wanted.map(|w| if w == "image" { IMAGE } else { w });
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
     let field = &tree.fields[number];
-    let bad = |what: &str, expected: &str, got: String| {
-        Error::bad_input(path, format!("{at}, {what}"), expected, got)
-            .with_help("convert it: mnc2nii, or mincresample to regular axes")
-    };
-    let order = field.dataset.attribute("dimorder").ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
-    let names: Vec<&str> = order.split(',').map(str::trim).filter(|n| !n.is_empty()).collect();
-    let axes = names.iter().map(|n| ["xspace", "yspace", "zspace"].iter().position(|a| a == n));
-    let axes: Option<Vec<usize>> = axes.collect();
-    let axes = axes.filter(|a| a.len() == 3 && (0..3).all(|n| a.contains(&n)) && field.dataset.ndim() == 3);
-    if axes.is_none() {
-        let got = format!("'{order}'");
-        return Err(bad("dimorder", "xspace, yspace and zspace in some order", got));
-    }
-    let (mut columns, mut origin, mut lengths) = ([[0.0; 3]; 3], [0.0; 3], vec![]);
-    for (n, name) in names.iter().enumerate() {
-        let axis = dimension(path, file, name)?;
-        // The last name is the fastest axis, our x.
-        columns[2 - n] = axis.direction.map(|d| d * axis.step);
-        lengths.push(axis.unit);
-        for (o, d) in origin.iter_mut().zip(axis.direction) {
-            *o += d * axis.start;
-        }
-    }
-    let geometry = geometry(path, "start, step and direction_cosines", origin, columns)?;
-    let convert = match field.part.info.scalar {
-        ScalarType::F32 | ScalarType::F64 => None,
-        scalar => Some(slices(path, file, field, scalar, bad)?),
-    };
+    let file = Minc { path, file };
+    let order = minc::Variables::text(&file, "image", "dimorder");
+    let axes = order.split(',').map(|name| name.trim().to_string()).filter(|name| !name.is_empty());
+    let axes: Vec<String> = axes.collect();
+    let scalar = field.part.info.scalar;
+    let stored = minc::Stored { axes: &axes, shape: field.dataset.shape(), scalar };
+    let minc::Image { geometry, convert, units } = minc::image(&file, &stored)?;
     let name = |f: FieldInfo| FieldInfo { name: "image".into(), ..f };
     let fields: Vec<FieldInfo> = fields.into_iter().map(name).collect();
-    let value = field.dataset.attribute("units").ok().and_then(|a| attribute_text(&a));
-    let value = value.and_then(|unit| Unit::new(&unit));
-    let units = Units { value, ..Units::of_length(common(lengths)) };
     Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert, units })
 }
 
-struct Dimension {
-    start: f64,
-    step: f64,
-    direction: [f64; 3],
-    unit: Option<Unit>,
+/// The image of a MINC file.
+const IMAGE: &str = "minc-2.0/image/0/image";
+
+/// The variables of a MINC file.
+struct Minc<'a> {
+    path: &'a Path,
+    file: &'a Hdf5File,
 }
 
-/// An axis of a MINC file.
-fn dimension(path: &Path, file: &Hdf5File, name: &str) -> Result<Dimension> {
-    let full = format!("minc-2.0/dimensions/{name}");
-    let dataset = file.dataset(&full).map_err(|e| damaged(path, &full, &e))?;
-    let list = |key: &str| dataset.attribute(key).ok().and_then(|a| attribute_numbers(&a));
-    let one = |key: &str, default: f64| list(key).and_then(|v| v.first().copied()).unwrap_or(default);
-    let spacing = dataset.attribute("spacing").ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
-    if spacing.starts_with("irregular") {
-        return Err(Error::bad_input(path, full, "regular spacing", "irregular spacing")
-            .with_help("resample it to regular axes (mincresample)"));
+impl Minc<'_> {
+    fn attribute(&self, variable: &str, name: &str) -> Option<Attribute> {
+        self.file.dataset(&minc::Variables::place(self, variable)).ok()?.attribute(name).ok()
     }
-    let mut axis = [0.0; 3];
-    axis[["xspace", "yspace", "zspace"].iter().position(|a| *a == name).unwrap_or(0)] = 1.0;
-    let direction = list("direction_cosines").map_or(Ok(axis), |v| {
-        <[f64; 3]>::try_from(v).map_err(|v| {
-            let got = format!("{} of them", v.len());
-            Error::bad_input(path, format!("{full}, direction_cosines"), "three numbers", got)
-        })
-    })?;
-    let unit = dataset.attribute("units").ok().and_then(|a| attribute_text(&a));
-    let unit = unit.and_then(|unit| Unit::length(&unit));
-    Ok(Dimension { start: one("start", 0.0), step: one("step", 1.0), direction, unit })
 }
 
-/// The lines from stored integers to values: `valid_range` is stretched to `image-min` …
-/// `image-max` of each slice.
-fn slices(
-    path: &Path,
-    file: &Hdf5File,
-    field: &Field,
-    scalar: ScalarType,
-    bad: impl Fn(&str, &str, String) -> Error,
-) -> Result<Convert> {
-    let bits = 8 * scalar.bytes() as i32;
-    let signed = matches!(field.dataset.dtype(), Datatype::FixedPoint { signed: true, .. });
-    let full = if signed {
-        [-libm::exp2(f64::from(bits - 1)), libm::exp2(f64::from(bits - 1)) - 1.0]
-    } else {
-        [0.0, libm::exp2(f64::from(bits)) - 1.0]
-    };
-    let valid = field.dataset.attribute("valid_range").ok().and_then(|a| attribute_numbers(&a));
-    let valid = valid.map_or(Ok(full), |v| <[f64; 2]>::try_from(v).map_err(|v| format!("{v:?}")));
-    let valid = valid.and_then(|[a, b]| if a < b { Ok([a, b]) } else { Err(format!("{a} .. {b}")) });
-    let valid = valid.map_err(|got| bad("valid_range", "two numbers, the first the lesser", got))?;
-    let shape = field.dataset.shape();
-    let table = |name: &str| -> Result<(Vec<f64>, usize)> {
-        let full = format!("minc-2.0/image/0/{name}");
-        let dataset = file.dataset(&full).map_err(|e| damaged(path, &full, &e))?;
-        let (own, (scalar, _)) = (dataset.shape().to_vec(), super::scalar_of(path, &full, &dataset)?);
-        if own.len() > 2 || own != shape[..own.len()] {
-            let expected = "one number, one a slice, or one a row";
-            return Err(bad(name, expected, format!("{own:?} of them")));
+impl minc::Variables for Minc<'_> {
+    fn path(&self) -> &Path {
+        self.path
+    }
+
+    fn place(&self, variable: &str) -> String {
+        let folder = if variable.starts_with("image") { "image/0" } else { "dimensions" };
+        format!("minc-2.0/{folder}/{variable}")
+    }
+
+    fn text(&self, variable: &str, attribute: &str) -> String {
+        self.attribute(variable, attribute).and_then(|a| attribute_text(&a)).unwrap_or_default()
+    }
+
+    fn numbers(&self, variable: &str, attribute: &str) -> Option<Vec<f64>> {
+        self.attribute(variable, attribute).and_then(|a| attribute_numbers(&a))
+    }
+
+    fn table(&self, variable: &str, most: u64) -> Result<Option<(Vec<u64>, Vec<f64>)>> {
+        let full = self.place(variable);
+        let dataset = self.file.dataset(&full).map_err(|e| damaged(self.path, &full, &e))?;
+        if dataset.ndim() > 2 || dataset.num_elements().map_or(true, |n| n > most) {
+            return Ok(None);
         }
-        let numbers = super::all_f64(&dataset, scalar).map_err(|e| damaged(path, &full, &e))?;
-        Ok((numbers, own.len()))
-    };
-    let ((least, rank), (most, other)) = (table("image-min")?, table("image-max")?);
-    if rank != other || least.len() != most.len() {
-        return Err(bad("image-min, image-max", "as many of either", format!("{rank} and {other} axes")));
+        let (scalar, _) = super::scalar_of(self.path, &full, &dataset)?;
+        let numbers = super::all_f64(&dataset, scalar).map_err(|e| damaged(self.path, &full, &e))?;
+        Ok(Some((dataset.shape().to_vec(), numbers)))
     }
-    let line = |(lo, hi): (&f64, &f64)| {
-        let slope = (hi - lo) / (valid[1] - valid[0]);
-        [slope, lo - slope * valid[0]]
-    };
-    let lines: Vec<[f64; 2]> = least.iter().zip(&most).map(line).collect();
-    if let Some(wrong) = lines.iter().position(|l| !l[0].is_finite() || !l[1].is_finite()) {
-        let got = format!("{} and {}", least[wrong], most[wrong]);
-        return Err(bad("image-min, image-max", "finite numbers", got));
+}
+
+/// Fails for a dataset whose attributes, or the names of its axes, say that it is no volume, or is
+/// placed by what is not read.
+///
+/// # Errors
+/// [`Error::BadInput`] for such a dataset.
+pub(super) fn refuse_dataset(path: &Path, name: &str, dataset: &Dataset, axes: &[String]) -> Result<()> {
+    if axes.iter().any(|axis| axis == "rotation_angle") {
+        let got = "projections, as the axis 'rotation_angle' tells";
+        return Err(refused(path, name, got, "reconstruct the volume first, with tomopy or another program"));
     }
-    let slices = [if rank > 1 { shape[1] } else { 1 }, if rank > 0 { shape[0] } else { 1 }];
-    Ok(Convert { valid, missing: None, lines, slices })
+    if dataset.attribute("vsMesh").is_ok() {
+        let got = "a variable of VizSchema, as 'vsMesh' tells: its first axis is x";
+        return Err(refused(path, name, got, "write it as .vti, with the bounds of its mesh"));
+    }
+    Ok(())
 }
 
 /// Groups that NeXus marks: the names of the axes of the datasets in an `NXdata`.

@@ -6,10 +6,12 @@
 //! ```
 //!
 //! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
-//! a sample, named by their path. Axes before the last three must have one entry. In a dataset of
-//! four axes each entry of the first is a field of its own. They are the steps `name:t0`,
-//! `name:t1`, …; `name` is all of them, as a series. If the first axis is one of channels, they are
-//! the fields `name:c0`, `name:c1`, …. Links to one dataset are one field.
+//! a sample, named by their path. In a dataset with more axes those of space are found by their
+//! names, in any places, else they are the last three (see [`layout`](crate::formats::shared::axes)).
+//! Each entry of an axis of time, or of the first of four, is a field of its own. They are the steps
+//! `name:t0`, `name:t1`, …; `name` is all of them, as a series. Entries of an axis of channels are
+//! the fields `name:c0`, `name:c1`, …, with frames `name:c0:t0`. Other axes must have one entry.
+//! Links to one dataset are one field.
 //!
 //! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
 //! are what their names say: time, x, y, z in any order, channels. If the last of four axes without
@@ -18,7 +20,7 @@
 //!
 //! These attributes are used: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
 //! `valid_range`, `valid_min`, `valid_max`; `element_size_um` (z, y, x); coordinate variables
-//! (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a step they are
+//! (`DIMENSION_LIST`, `axes` of NeXus, or what the module `axes` knows): where all are regular to a thousandth of a step they are
 //! spacing and origin, else the dataset is a rectilinear grid. Without any of these, the spacing is
 //! 1 and the origin is 0.
 //!
@@ -48,6 +50,7 @@
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
 mod arrays;
+mod axes;
 mod chunks;
 mod dialect;
 mod filters;
@@ -56,11 +59,12 @@ use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::{
     self, Attributes, Convert, Line, MOST_COORDINATES, Numbers, Packing, Part, kind_of_coordinate,
-    kind_of_name,
+    kind_of_name, signed_as,
 };
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
+use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, pick_field};
@@ -70,6 +74,7 @@ use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 pub(in crate::formats) use arrays::{arrays, vtk_kind};
+use axes::Axes;
 use chunks::Chunks;
 use dialect::{Dialect, Placed};
 use half::f16;
@@ -125,6 +130,14 @@ impl Format for Hdf5 {
         frames(path, options, options.field.as_deref()).map(Some)
     }
 
+    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
+        time(path, options)
+    }
+
+    fn calendar(&self, path: &Path, options: &OpenOptions) -> Result<String> {
+        calendar(path, options)
+    }
+
     fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
         times(path, options)
     }
@@ -155,10 +168,19 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let geometry = given_geometry(path, options, geometry)?;
     let is_netcdf = dialect == Dialect::Plain && is_netcdf(path, &file);
-    let mut info = field.volume_info(path, dialect, is_netcdf, info, geometry)?;
+    let format = match tree.axes_of(&field.part.array) {
+        Some(axes) => axes.program,
+        None if is_netcdf => "NetCDF-4",
+        None => dialect.name(),
+    };
+    let mut info = field.volume_info(path, format, info, geometry)?;
     info.fields = fields;
+    if dialect == Dialect::Plain {
+        info.notes.extend(field.lengths(&tree).note);
+        info.assumed = options.assumed(field.assumed(path, &tree)?);
+    }
     info.units = match dialect {
-        Dialect::Plain => field.units(&tree),
+        Dialect::Plain => field.units(&tree, &file),
         _ => units,
     };
     let convert = match dialect {
@@ -212,13 +234,53 @@ pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions, wanted: Opt
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
     let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
-    let number = match wanted {
+    let named = OpenOptions { field: wanted.map(str::to_owned), ..options.clone() };
+    let wanted = cf::with_channel(path, &named, tree.fields.iter().map(|f| &f.part))?;
+    let number = match &wanted {
         Some(name) => tree.first_frame(&file, name),
-        None => tree.fields.first().filter(|f| f.part.is_frame).map(|_| 0),
+        None => tree.fields.first().filter(|f| f.part.is_frame()).map(|_| 0),
     };
     let Some(first) = number.map(|n| &tree.fields[n]) else { return Ok(vec![]) };
     let parts = tree.fields.iter().map(|f| &f.part);
-    Ok(cf::frames(parts, &first.part, wanted.is_some(), first.line(0, &tree)))
+    Ok(cf::frames(parts, &first.part, wanted.is_some(), first.times(&tree)))
+}
+
+/// The time of the field that is read, or of all of them, where it is one time.
+///
+/// # Errors
+/// As [`open`].
+fn time(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let dialect = Dialect::of(path, &file)?;
+    if dialect != Dialect::Plain {
+        return Ok(None);
+    }
+    let mut tree = Tree::of(path, &file, dialect)?;
+    if options.field.is_none() {
+        return Ok(cf::common_time(tree.fields.iter(), |field| field.time(&tree, &file)));
+    }
+    let number = tree.pick(path, &file, dialect, options)?.number;
+    Ok(tree.fields[number].time(&tree, &file))
+}
+
+/// The calendar of the times of the field that is read; "" where none is named.
+///
+/// # Errors
+/// As [`open`].
+fn calendar(path: &Path, options: &OpenOptions) -> Result<String> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let dialect = Dialect::of(path, &file)?;
+    let mut tree = Tree::of(path, &file, dialect)?;
+    let field = tree.pick(path, &file, dialect, options)?.number;
+    let field = &tree.fields[field];
+    let of = |time: &Dataset| time.attribute("calendar").ok().and_then(|a| attribute_text(&a));
+    let found = match field.part.time {
+        Some(axis) => tree.line_of(&field.part.array, &field.dataset, axis).and_then(|(_, time)| of(time)),
+        None => field.single_time(&file).and_then(|(time, _)| of(&time)),
+    };
+    Ok(found.unwrap_or_default())
 }
 
 /// The times of frames by the names of their fields, where their datasets have them.
@@ -229,7 +291,7 @@ pub(in crate::formats) fn times(path: &Path, options: &OpenOptions) -> Result<Ha
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
     let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
-    Ok(cf::times(tree.fields.iter(), |field| field.line(0, &tree)))
+    Ok(cf::times(tree.fields.iter(), |field| field.times(&tree)))
 }
 
 fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
@@ -290,13 +352,16 @@ struct Tree {
     lines: Vec<(String, Dataset)>,
     /// The axes of the datasets in groups that NeXus marks, by the paths of the groups.
     axes: HashMap<String, Vec<String>>,
+    /// What other programs say of the axes of datasets, by the paths of their groups.
+    described: HashMap<String, Axes>,
     /// Datasets of three axes or more that cannot be read, and why.
     refused: Vec<(String, Error)>,
 }
 
 impl Tree {
     fn of(path: &Path, file: &Hdf5File, dialect: Dialect) -> Result<Self> {
-        let mut tree = Self { fields: vec![], lines: vec![], axes: HashMap::new(), refused: vec![] };
+        let (axes, described) = (HashMap::new(), HashMap::new());
+        let mut tree = Self { fields: vec![], lines: vec![], axes, described, refused: vec![] };
         let mut volumes = vec![];
         let root = file.root_group().map_err(|e| damaged(path, "/", &e))?;
         let (mut groups, mut seen) = (vec![(String::new(), root)], HashSet::new());
@@ -307,8 +372,7 @@ impl Tree {
             }
         }
         for (name, dataset) in volumes.into_iter().filter(|(n, _)| n.starts_with(dialect.within())) {
-            let kinds = tree.axis_kinds(&name, &dataset);
-            match fields_of(path, &name, &dataset, &kinds, dialect) {
+            match tree.fields_of(path, &name, &dataset, dialect) {
                 Ok(fields) => tree.fields.extend(fields),
                 Err(e) => tree.refused.push((name, e)),
             }
@@ -332,6 +396,11 @@ impl Tree {
         if let Some(axes) = dialect::nexus_axes(path, group, &format!("/{prefix}"), &datasets)? {
             self.axes.insert(prefix.to_string(), axes);
         }
+        let members = [groups, datasets];
+        if let Some(axes) = Axes::of(path, &format!("/{prefix}"), group, &members)? {
+            self.described.insert(prefix.to_string(), axes);
+        }
+        let [groups, datasets] = members;
         for short in datasets {
             let name = format!("{prefix}{short}");
             match group.dataset(&short) {
@@ -351,9 +420,30 @@ impl Tree {
         groups.into_iter().map(open).collect()
     }
 
+    /// The fields of a dataset with three axes or more.
+    fn fields_of(&self, path: &Path, name: &str, dataset: &Dataset, dialect: Dialect) -> Result<Vec<Field>> {
+        if dialect == Dialect::Plain {
+            let names = (0..dataset.ndim()).filter_map(|axis| self.line_of(name, dataset, axis));
+            let names = names.map(|(path, _)| path.rsplit('/').next().unwrap_or(path).to_string());
+            let names: Vec<String> = names.collect();
+            cf::refuse_mesh(&Named { path, name, dataset }, &names)?;
+            dialect::refuse_dataset(path, name, dataset, &names)?;
+        }
+        if let Some(axes) = self.axes_of(name) {
+            axes.check(path, name, dataset)?;
+        }
+        let kinds = self.axis_kinds(name, dataset);
+        let (scalar, big_endian) = scalar_of(path, name, dataset)?;
+        let parts = cf::parts_of(path, name, (dataset.shape(), &kinds), scalar, dialect.rules())?;
+        Ok(parts.into_iter().map(|part| Field { part, dataset: dataset.clone(), big_endian }).collect())
+    }
+
     /// What each axis of a dataset is: x, y, z, t (time), c (channels, components), or '?'.
     fn axis_kinds(&self, name: &str, dataset: &Dataset) -> Vec<char> {
         let rank = dataset.ndim();
+        if let Some(axes) = self.axes_of(name) {
+            return (0..rank).map(|axis| axes.kind(axis)).collect();
+        }
         let labels = dataset.attribute("DIMENSION_LABELS").ok().and_then(|a| a.read_strings().ok());
         let tags = dataset.attribute("axistags").ok().and_then(|a| attribute_text(&a));
         let tags: serde_json::Value = tags.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
@@ -412,7 +502,7 @@ impl Tree {
     /// The first frame of the dataset with four axes that a user's word means.
     fn first_frame(&self, file: &Hdf5File, wanted: &str) -> Option<usize> {
         let first = self.full_name(file, &format!("{wanted}:t0"));
-        self.fields.iter().position(|f| f.part.is_frame && f.part.info.name == first)
+        self.fields.iter().position(|f| f.part.is_frame() && f.part.info.name == first)
     }
 
     /// The field that a user's word means: the path with or without its first "/", or that of
@@ -428,7 +518,7 @@ impl Tree {
         // The name of a dataset with frames is not the name of a frame.
         let found =
             self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| match frame {
-                None => !f.part.is_frame && !f.part.is_channel,
+                None => !f.part.is_frame() && !f.part.is_channel(),
                 Some(frame) => f.part.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame),
             });
         found.map_or_else(|| wanted.to_string(), |f| f.part.info.name.clone())
@@ -470,6 +560,11 @@ fn kind_of_line(path: &str, line: &Dataset) -> char {
     kind_of_coordinate(path, &text("axis"), &text("units"))
 }
 
+/// The unit that a dataset names.
+fn unit_of(dataset: &Dataset) -> Option<String> {
+    dataset.attribute("units").ok().and_then(|a| attribute_text(&a))
+}
+
 /// A dataset's attributes.
 struct Named<'a> {
     path: &'a Path,
@@ -485,6 +580,10 @@ impl Attributes for Named<'_> {
             Some(values) => Ok(Some(Numbers { values, are_floats })),
             None => Err(self.wrong(name, "numbers", kind(&attribute.datatype).into())),
         }
+    }
+
+    fn text(&self, name: &str) -> String {
+        self.dataset.attribute(name).ok().and_then(|a| attribute_text(&a)).unwrap_or_default()
     }
 
     fn wrong(&self, names: &str, expected: &str, got: String) -> Error {
@@ -527,21 +626,15 @@ fn any_nonzero(dataset: &Dataset, scalar: ScalarType) -> bool {
         || all_f64(dataset, scalar).map_or(true, |all| all.iter().any(|&v| v != 0.0))
 }
 
-/// The fields of a dataset with three axes or more.
-fn fields_of(
-    path: &Path,
-    name: &str,
-    dataset: &Dataset,
-    kinds: &[char],
-    dialect: Dialect,
-) -> Result<Vec<Field>> {
-    let (scalar, big_endian) = scalar_of(path, name, dataset)?;
-    let parts = cf::parts_of(path, name, (dataset.shape(), kinds), scalar, dialect.rules())?;
-    Ok(parts.into_iter().map(|part| Field { part, dataset: dataset.clone(), big_endian }).collect())
+/// The type of a dataset's samples, as `_Unsigned` says, and whether they are big-endian.
+fn scalar_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, bool)> {
+    let (stored, big_endian) = stored_of(path, name, dataset)?;
+    let unsigned = dataset.attribute("_Unsigned").ok().and_then(|a| attribute_text(&a));
+    Ok((signed_as(stored, &unsigned.unwrap_or_default()), big_endian))
 }
 
-/// The type of a dataset's samples, and whether they are big-endian.
-fn scalar_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, bool)> {
+/// The type of a dataset's stored numbers, and whether they are big-endian.
+fn stored_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, bool)> {
     let refuse = |got: String| {
         Error::bad_input(path, name, "integers of 8 to 64 bits, or 16-, 32- or 64-bit IEEE floats", got)
             .with_help("write the numbers that are wanted to a dataset of such a type")
@@ -559,9 +652,6 @@ fn scalar_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, 
     let usual = scalar.filter(|&s| is_usual(s, &raw));
     let scalar =
         usual.ok_or_else(|| refuse(format!("numbers of {} bytes in another form", size(dataset))))?;
-    if dataset.attribute("_Unsigned").is_ok_and(|a| a.read_string().is_ok_and(|s| s == "true")) {
-        return Err(refuse("signed integers that _Unsigned declares to be unsigned".into()));
-    }
     Ok((scalar, *order == ByteOrder::BigEndian))
 }
 
@@ -605,21 +695,23 @@ fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
 impl Field {
     /// Samples along x, y, z.
     fn dims(&self) -> [u64; 3] {
-        let shape = self.dataset.shape();
-        std::array::from_fn(|a| shape[shape.len() - 1 - a])
+        self.part.dims(self.dataset.shape())
+    }
+
+    /// The times of the frames.
+    fn times(&self, tree: &Tree) -> Option<Vec<f64>> {
+        self.line(self.part.frames?, tree)
     }
 
     fn volume_info(
         &self,
         path: &Path,
-        dialect: Dialect,
-        is_netcdf: bool,
+        format: &str,
         field: FieldInfo,
         geometry: Geometry,
     ) -> Result<VolumeInfo> {
         let dims = self.dims();
         sample_bytes(path, dims, self.part.info.scalar)?;
-        let format = if is_netcdf { "NetCDF-4" } else { dialect.name() };
         let mut info = plain_info(path, format, dims, self.part.info.scalar, geometry);
         if self.dataset.chunks().is_some() {
             info.format += " (chunked)";
@@ -635,19 +727,29 @@ impl Field {
     /// What the attributes say about stored numbers.
     fn packing(&self, path: &Path, is_netcdf: bool) -> Result<Packing> {
         let named = Named { path, name: &self.part.info.name, dataset: &self.dataset };
-        let scalar = self.part.info.scalar;
-        Packing::of(&named, scalar, |_| if is_netcdf { cf::netcdf_fill(scalar) } else { None })
+        let (stored, _) = stored_of(path, named.name, &self.dataset)?;
+        Packing::of(&named, stored, |_| if is_netcdf { cf::netcdf_fill(stored) } else { None })
     }
 
     /// The coordinates along x, y, z, where the file has them.
     fn lines(&self, tree: &Tree) -> [Option<Line>; 3] {
-        let (rank, dims) = (self.dataset.ndim(), self.dims());
-        std::array::from_fn(|a| {
-            let (_, line) = tree.line_of(&self.part.array, &self.dataset, rank - 1 - a)?;
+        let dims = self.dims();
+        let lines = std::array::from_fn(|a| {
+            let axis = self.part.axes[a];
+            if let Some(line) = self.described_line(axis, tree) {
+                return Some(line);
+            }
+            let (_, line) = tree.line_of(&self.part.array, &self.dataset, axis)?;
             let single = matches!(line.dtype(), Datatype::FloatingPoint { size: 4, .. });
-            let values = self.line(rank - 1 - a, tree).filter(|l| l.len() as u64 == dims[a])?;
+            let values = self.line(axis, tree).filter(|l| l.len() as u64 == dims[a])?;
             Some(Line::new(values, single))
-        })
+        });
+        cf::in_one_unit(lines, &self.lengths(tree), self.part.world)
+    }
+
+    /// The lengths along the axes of the world.
+    fn lengths(&self, tree: &Tree) -> Lengths {
+        cf::lengths(self.part.axes.map(|axis| self.axis_unit(axis, tree)), self.part.world)
     }
 
     /// Spacing, origin and directions, from the coordinate variables, or from what other attributes
@@ -655,13 +757,19 @@ impl Field {
     fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
         let lines = self.lines(tree);
         let none = lines.iter().all(Option::is_none);
-        let sizes = if none { self.voxel_sizes(path)? } else { [1.0; 3] };
-        cf::placed(path, &lines, self.part.world, sizes)
+        let sizes = if none { self.voxel_sizes(path)? } else { [None; 3] };
+        cf::placed(path, &lines, self.part.world, sizes.map(|size| size.unwrap_or(1.0)))
     }
 
-    /// The sizes of voxels along x, y, z: `element_size_um` of ilastik and Fiji, `axistags` of
-    /// vigra.
-    fn voxel_sizes(&self, path: &Path) -> Result<[f64; 3]> {
+    /// Axes whose spacing is not known.
+    fn assumed(&self, path: &Path, tree: &Tree) -> Result<[bool; 3]> {
+        let lines = self.lines(tree).map(|line| line.is_none());
+        Ok(if lines == [true; 3] { self.voxel_sizes(path)?.map(|size| size.is_none()) } else { lines })
+    }
+
+    /// The sizes of voxels along x, y, z, where they are known: `element_size_um` of ilastik and
+    /// Fiji, `axistags` of vigra.
+    fn voxel_sizes(&self, path: &Path) -> Result<[Option<f64>; 3]> {
         if let Ok(attribute) = self.dataset.attribute("element_size_um") {
             let sizes = attribute_numbers(&attribute).unwrap_or_default();
             let good = sizes.len() >= 3 && sizes.iter().all(|s| s.is_finite() && *s > 0.0);
@@ -670,23 +778,29 @@ impl Field {
                 let at = self.at("element_size_um");
                 return Err(Error::bad_input(path, at, expected, format!("{sizes:?}")));
             }
-            return Ok(std::array::from_fn(|a| sizes[sizes.len() - 1 - a]));
+            return Ok(std::array::from_fn(|a| Some(sizes[sizes.len() - 1 - a])));
         }
         let tags = self.dataset.attribute("axistags").ok().and_then(|a| attribute_text(&a));
         let tags: serde_json::Value = tags.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
-        let rank = self.dataset.ndim();
-        let size = |a: usize| tags["axes"][rank - 1 - a]["resolution"].as_f64();
-        Ok(std::array::from_fn(|a| size(a).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(1.0)))
+        let size = |a: usize| tags["axes"][self.part.axes[a]]["resolution"].as_f64();
+        Ok(std::array::from_fn(|a| size(a).filter(|s| s.is_finite() && *s > 0.0)))
+    }
+
+    /// The unit of the coordinates along an axis.
+    fn axis_unit(&self, axis: usize, tree: &Tree) -> Option<String> {
+        match tree.axes_of(&self.part.array) {
+            Some(axes) => axes.unit(axis),
+            None => unit_of(tree.line_of(&self.part.array, &self.dataset, axis)?.1),
+        }
     }
 
     /// What the attributes say of units.
-    fn units(&self, tree: &Tree) -> Units {
-        let text = |of: &Dataset| of.attribute("units").ok().and_then(|a| attribute_text(&a));
-        let of_axis = |axis: usize| text(tree.line_of(&self.part.array, &self.dataset, axis)?.1);
-        let rank = self.dataset.ndim();
-        let space = [1, 2, 3].map(|back| of_axis(rank - back));
-        let time = (rank > 3).then(|| of_axis(0)).flatten();
-        let mut units = cf::units(&text(&self.dataset).unwrap_or_default(), space, time);
+    fn units(&self, tree: &Tree, file: &Hdf5File) -> Units {
+        let time = match self.part.time {
+            Some(axis) => self.axis_unit(axis, tree),
+            None => self.single_time(file).and_then(|(time, _)| unit_of(&time)),
+        };
+        let mut units = cf::units(&unit_of(&self.dataset).unwrap_or_default(), &self.lengths(tree), time);
         let has_lines = self.lines(tree).iter().any(Option::is_some);
         if !has_lines && self.dataset.attribute("element_size_um").is_ok() {
             units.length = Unit::length("µm");
@@ -694,8 +808,37 @@ impl Field {
         units
     }
 
+    /// The time of the field.
+    fn time(&self, tree: &Tree, file: &Hdf5File) -> Option<f64> {
+        match self.part.time {
+            Some(axis) => self.line(axis, tree)?.get(self.part.entries[axis] as usize).copied(),
+            None => self.single_time(file).map(|(_, time)| time),
+        }
+    }
+
+    /// The dataset with the one time of a dataset that has no axis of time, and that time.
+    fn single_time(&self, file: &Hdf5File) -> Option<(Dataset, f64)> {
+        let text = |a: Attribute| attribute_text(&a);
+        let own = self.dataset.attribute("coordinates").ok().and_then(text);
+        let all = file.root_group().ok().and_then(|root| root.attribute("coordinates").ok()).and_then(text);
+        let coordinates = [own.unwrap_or_default(), all.unwrap_or_default()].join(" ");
+        let group = self.part.array.rfind('/').map_or("", |at| &self.part.array[..=at]);
+        cf::names_of_time(&coordinates).find_map(|(name, most_axes)| {
+            let path = format!("{group}{name}");
+            let found = file.dataset(&path).or_else(|_| file.dataset(name)).ok()?;
+            let is_one = found.ndim() <= most_axes && found.num_elements().is_ok_and(|n| n == 1);
+            let time = Some(found).filter(|found| is_one && kind_of_line(&path, found) == 't')?;
+            let (scalar, _) = scalar_of(Path::new(""), "", &time).ok()?;
+            let value = all_f64(&time, scalar).ok()?.first().copied()?;
+            Some((time, value))
+        })
+    }
+
     /// The numbers of the coordinate variable of an axis.
     fn line(&self, axis: usize, tree: &Tree) -> Option<Vec<f64>> {
+        if let Some(line) = self.described_line(axis, tree) {
+            return Some(line.values);
+        }
         let (path, line) = tree.line_of(&self.part.array, &self.dataset, axis)?;
         // A dimension without coordinates has a dataset too, of zeros.
         let name = line.attribute("NAME").ok().and_then(|a| a.read_string().ok()).unwrap_or_default();
@@ -721,54 +864,26 @@ impl Field {
             HdfMessage::DataLayout(message) => Some(&message.layout),
             _ => None,
         });
-        let (d, bytes) = (self.dims(), self.part.info.scalar.bytes() as u64);
-        let frame = sample_bytes(path, d, self.part.info.scalar)?;
-        let frames = self.dataset.shape()[..self.part.before.len()].iter().product::<u64>();
+        sample_bytes(path, self.dims(), self.part.info.scalar)?;
         let Some(DataLayout::Contiguous { address, size }) = layout else { return Ok(None) };
-        if elsewhere || frame.checked_mul(frames) != Some(*size) {
+        let (shape, bytes) = (self.dataset.shape(), self.part.info.scalar.bytes() as u64);
+        let mut steps = vec![bytes; shape.len()];
+        for axis in (1..shape.len()).rev() {
+            steps[axis - 1] = steps[axis].saturating_mul(shape[axis]);
+        }
+        if elsewhere || steps[0].checked_mul(shape[0]) != Some(*size) {
             return Ok(None);
         }
-        let number = self.part.before.first().copied().unwrap_or(0);
+        let begin = self.part.entries.iter().zip(&steps).map(|(entry, step)| entry * step).sum::<u64>();
         if Cursor::is_undefined_offset(*address, file.superblock().offset_size) {
             return Ok(None);
         }
         let at = file.superblock().base_address.checked_add(*address);
-        let Some(at) = at.and_then(|at| at.checked_add(number * frame)) else { return Ok(None) };
-        if at.checked_add(frame).is_none() {
-            return Ok(None);
-        }
-        // They fit, as all samples have fewer than 2^63 bytes.
-        let strides = [bytes, bytes * d[0], bytes * d[0] * d[1]].map(|s| s as i64);
-        Ok(Some((at, strides)))
+        let Some(at) = at.filter(|at| at.checked_add(*size).is_some()) else { return Ok(None) };
+        let strides = self.part.axes.map(|axis| i64::try_from(steps[axis]));
+        let [Ok(x), Ok(y), Ok(z)] = strides else { return Ok(None) };
+        Ok(Some((at + begin, [x, y, z])))
     }
-}
-
-/// Runs `$body` with the samples `$samples`, in their own type, of a selection of a dataset.
-macro_rules! with_samples {
-    ($dataset:expr, $selection:expr, $scalar:expr, $samples:ident, $body:expr) => {{
-        macro_rules! of {
-            ($type:ty) => {{
-                let $samples = $dataset.read_slice::<$type>($selection)?;
-                $body
-            }};
-        }
-        match $scalar {
-            ScalarType::U8 => of!(u8),
-            ScalarType::I8 => of!(i8),
-            ScalarType::U16 => of!(u16),
-            ScalarType::I16 => of!(i16),
-            ScalarType::U32 => of!(u32),
-            ScalarType::I32 => of!(i32),
-            ScalarType::U64 => of!(u64),
-            ScalarType::I64 => of!(i64),
-            ScalarType::F16 => {
-                let $samples = $dataset.read_slice::<Half>($selection)?.mapv(|half| half.0.to_f32());
-                $body
-            }
-            ScalarType::F32 => of!(f32),
-            ScalarType::F64 => of!(f64),
-        }
-    }};
 }
 
 /// A half, as the reader of HDF5 decodes it.
@@ -807,28 +922,47 @@ fn values(
     selection: &SliceInfo,
     out: &mut Vec<f64>,
 ) -> hdf5_reader::error::Result<()> {
-    with_samples!(dataset, selection, scalar, samples, out.extend(samples.iter().map(|&v| v as f64)));
+    let mut bytes = vec![];
+    little_endian(dataset, scalar, selection, &mut bytes)?;
+    let first = out.len();
+    out.resize(first + bytes.len() / scalar.bytes(), 0.0);
+    to_f64(scalar, &bytes, &mut out[first..]);
     Ok(())
 }
 
-/// A box of a dataset as little-endian bytes.
+/// A box of a dataset as little-endian bytes, in `out`, which is empty.
 fn little_endian(
     dataset: &Dataset,
     scalar: ScalarType,
     selection: &SliceInfo,
     out: &mut Vec<u8>,
 ) -> hdf5_reader::error::Result<()> {
-    let size = scalar.bytes();
-    if scalar == ScalarType::F16 {
-        let samples = dataset.read_slice::<Half>(selection)?;
-        out.extend(samples.iter().flat_map(|half| half.0.to_le_bytes()));
-        return Ok(());
+    // The reader has the type of the file, which may stand for another.
+    let stored = match dataset.dtype() {
+        Datatype::FixedPoint { signed, .. } => signed_as(scalar, if *signed { "false" } else { "true" }),
+        _ => scalar,
+    };
+    macro_rules! of {
+        ($type:ty) => {
+            out.extend(dataset.read_slice::<$type>(selection)?.iter().flat_map(|v| v.to_le_bytes()))
+        };
     }
-    with_samples!(dataset, selection, scalar, samples, {
-        out.resize(samples.len() * size, 0);
-        let to = out.chunks_exact_mut(size);
-        to.zip(samples.iter()).for_each(|(to, v)| to.copy_from_slice(&v.to_le_bytes()));
-    });
+    match stored {
+        ScalarType::U8 => of!(u8),
+        ScalarType::I8 => of!(i8),
+        ScalarType::U16 => of!(u16),
+        ScalarType::I16 => of!(i16),
+        ScalarType::U32 => of!(u32),
+        ScalarType::I32 => of!(i32),
+        ScalarType::U64 => of!(u64),
+        ScalarType::I64 => of!(i64),
+        ScalarType::F16 => {
+            let samples = dataset.read_slice::<Half>(selection)?;
+            out.extend(samples.iter().flat_map(|half| half.0.to_le_bytes()));
+        }
+        ScalarType::F32 => of!(f32),
+        ScalarType::F64 => of!(f64),
+    }
     Ok(())
 }
 
@@ -838,7 +972,9 @@ struct Pieces {
     dataset: Dataset,
     /// How it is stored, unless it is in one part.
     chunks: Option<Chunks>,
-    before: Vec<u64>,
+    /// The axes of the volume, the last one first, and the entry of each other axis.
+    axes: [usize; 3],
+    entries: Vec<u64>,
     /// Size of a piece: a multiple of the chunks', or all along an axis.
     piece: [u64; 3],
     /// The type in the file.
@@ -850,11 +986,13 @@ struct Pieces {
 impl Pieces {
     fn new(mut info: VolumeInfo, file: &Hdf5File, field: &Field, convert: Option<Convert>) -> Result<Self> {
         let scalar = info.field.scalar;
-        let chunks = Chunks::of(file, &field.dataset, scalar.bytes(), field.big_endian).map_err(|e| {
-            let expected = "chunks of the dataset's axes and at most 256 MiB";
-            Error::bad_input(&info.path, &info.field.name, expected, e.to_string())
-                .with_help("write the dataset again in smaller chunks (h5repack -l)")
-        })?;
+        let axes = field.part.axes;
+        let chunks =
+            Chunks::of(file, &field.dataset, axes, scalar.bytes(), field.big_endian).map_err(|e| {
+                let expected = "chunks of the dataset's axes and at most 256 MiB";
+                Error::bad_input(&info.path, &info.field.name, expected, e.to_string())
+                    .with_help("write the dataset again in smaller chunks (h5repack -l)")
+            })?;
         if convert.is_some() {
             info.field.scalar = ScalarType::F64;
         }
@@ -867,18 +1005,21 @@ impl Pieces {
                 piece[a] = (2 * piece[a]).min(dims[a]);
             }
         }
-        let (dataset, before) = (field.dataset.clone(), field.part.before.clone());
-        Ok(Self { info, dataset, chunks, before, piece, scalar, convert })
+        let (dataset, entries) = (field.dataset.clone(), field.part.entries.clone());
+        Ok(Self { info, dataset, chunks, axes, entries, piece, scalar, convert })
     }
 
     /// The samples of a box as little-endian bytes of the type in the file.
     fn stored(&self, part: IndexBox, out: &mut Vec<u8>) -> hdf5_reader::error::Result<()> {
         if let Some(chunks) = &self.chunks {
-            return chunks.read(&self.before, part, out);
+            return chunks.read(&self.entries, part, out);
         }
         let range = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
-        let before = self.before.iter().map(|&at| range(at, at + 1));
-        let selections = before.chain([2, 1, 0].map(|a| range(part.lo[a], part.hi[a]))).collect();
+        let selection = |(axis, &at): (usize, &u64)| match self.axes.iter().position(|&a| a == axis) {
+            Some(a) => range(part.lo[a], part.hi[a]),
+            None => range(at, at + 1),
+        };
+        let selections = self.entries.iter().enumerate().map(selection).collect();
         little_endian(&self.dataset, self.scalar, &SliceInfo { selections }, out)
     }
 }
@@ -914,13 +1055,8 @@ impl ChunkSource for Pieces {
         if let Some(convert) = &self.convert {
             let mut numbers = vec![0.0; part.len()];
             to_f64(self.scalar, out, &mut numbers);
-            let ([nx, ny, _], mut i) = (part.dims(), 0u64);
             out.clear();
-            out.extend(numbers.into_iter().flat_map(|stored| {
-                let at = [lo[1] + i / nx % ny, lo[2] + i / (nx * ny)];
-                i += 1;
-                convert.value(stored, at).to_le_bytes()
-            }));
+            convert.push_values(&numbers, part, out);
         }
         Ok(())
     }

@@ -17,9 +17,11 @@
 //! ElementDataFile = LIST             or a name on each of the lines that follow
 //! ```
 //!
-//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. The
-//! reader refuses by name: other than three axes, several channels, arrays, compressed or text data
-//! in several files. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK
+//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. A fourth
+//! axis is one of time: its volumes are the fields "t0", "t1", …, with times by its spacing and
+//! offset. The reader refuses by name: other numbers of axes, a fourth axis that is not at right
+//! angles to space, several channels, arrays, compressed or text data in several files, a series as
+//! text. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK
 //! do.
 //!
 //! The format: <https://itk.org/Wiki/ITK/MetaIO/Documentation>.
@@ -27,12 +29,14 @@
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::shared::format::Format;
+use crate::formats::shared::frames;
 use crate::formats::shared::header::{Lines, geometry, numbered_files, numbers, open_files, plain_info};
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
-use crate::formats::shared::{OpenOptions, pick_field};
+use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -55,6 +59,15 @@ impl Format for MetaImage {
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         open(path, options)
     }
+
+    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+        // A name is that of one frame.
+        if options.field.is_some() { Ok(None) } else { frames_in(path, options).map(Some) }
+    }
+
+    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        frames_in(path, options).map(known_times)
+    }
 }
 
 /// Opens a MetaImage file.
@@ -65,16 +78,31 @@ impl Format for MetaImage {
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let header = Header::parse(&source)?;
-    let (dims, scalar) = (header.dims()?, header.scalar()?);
-    let bytes = sample_bytes(path, dims, scalar)?;
+    let ([dims, [frames, ..]], scalar) = (header.dims()?, header.scalar()?);
+    let bytes = sample_bytes(path, [dims[0], dims[1], dims[2].saturating_mul(frames)], scalar)?;
     let encoding = header.encoding()?;
     let local = matches!(header.require("ElementDataFile")?, "LOCAL" | "Local" | "local");
     let format = format!("MetaImage ({}, {})", if local { "attached" } else { "detached" }, encoding.name());
-    let info = plain_info(path, format, dims, scalar, header.geometry()?);
-    pick_field(path, &info.fields, options.field.as_deref())?;
-    let parts = if local { vec![Arc::clone(&source)] } else { header.files(dims, options.io)? };
+    let mut info = plain_info(path, format, dims, scalar, header.geometry()?);
+    info.assumed = Assumed::in_header([header.any(&SPACING).is_none(); 3]);
+    frames::check_last(frames, options, |options| open(path, options))?;
+    let (frame, fields) = frames::choose(path, frames, scalar, options)?;
+    (info.field, info.fields) = (fields[frame as usize].clone(), fields);
+    let slices = dims[2].saturating_mul(frames);
+    let parts = if local { vec![Arc::clone(&source)] } else { header.files(slices, options.io)? };
     let start = header.start(&parts, local, encoding, bytes / parts.len() as u64)?;
-    header.samples(info, parts, start, encoding)
+    header.samples(info, parts, start, encoding, [frame, frames])
+}
+
+/// The volumes of a series, by the names of their fields; none where there is one volume.
+fn frames_in(path: &Path, options: &OpenOptions) -> Result<Frames> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let header = Header::parse(&source)?;
+    let [_, [count, ..]] = header.dims()?;
+    let frames = frames::list(count, Some(header.times()?));
+    let any = OpenOptions { field: None, ..options.clone() };
+    frames::check_last(frames.len().max(1) as u64, &any, |options| open(path, options))?;
+    Ok(frames)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +121,12 @@ impl Encoding {
         }
     }
 }
+
+/// The keys of the place of the first sample.
+const OFFSET: [&str; 3] = ["Offset", "Position", "Origin"];
+
+/// The keys of the spacing.
+const SPACING: [&str; 2] = ["ElementSpacing", "ElementSize"];
 
 struct Header<'a> {
     path: &'a Path,
@@ -159,21 +193,70 @@ impl<'a> Header<'a> {
         Ok(numbers::<T, 1>(self.path, key, self.get(key).unwrap_or(default))?[0])
     }
 
-    fn dims(&self) -> Result<[u64; 3]> {
+    /// Axes: 3, or 4 of a series.
+    fn axes(&self) -> Result<usize> {
+        let [n] = numbers::<u32, 1>(self.path, "NDims", self.require("NDims")?)?;
+        match n {
+            3 | 4 => Ok(n as usize),
+            _ => Err(Error::bad_input(self.path, "NDims", "3, or 4 for a series", n.to_string())
+                .with_help("only volumes are read; cut out one")),
+        }
+    }
+
+    /// Samples along x, y, z, and volumes.
+    fn dims(&self) -> Result<[[u64; 3]; 2]> {
         if let Some(kind) = self.get("ObjectType").filter(|k| !k.eq_ignore_ascii_case("Image")) {
             return Err(Error::bad_input(self.path, "ObjectType", "Image", kind));
         }
-        let n: u32 = self.require("NDims").and_then(|v| Ok(numbers::<u32, 1>(self.path, "NDims", v)?[0]))?;
-        if n != 3 {
-            return Err(Error::bad_input(self.path, "NDims", "3", n.to_string())
-                .with_help("only volumes are read; cut out one"));
-        }
+        let axes = self.axes()?;
         let channels: u32 = self.integer("ElementNumberOfChannels", "1")?;
         if channels != 1 {
             return Err(Error::bad_input(self.path, "ElementNumberOfChannels", "1", channels.to_string())
                 .with_help("colours and vectors are not read; write one component to a file of its own"));
         }
-        numbers(self.path, "DimSize", self.require("DimSize")?)
+        let sizes = self.require("DimSize")?;
+        if axes == 3 {
+            return Ok([numbers(self.path, "DimSize", sizes)?, [1; 3]]);
+        }
+        let [x, y, z, frames] = numbers::<u64, 4>(self.path, "DimSize", sizes)?;
+        frames::check_count(self.path, "DimSize", frames)?;
+        Ok([[x, y, z], [frames, 1, 1]])
+    }
+
+    /// The numbers of a key, one for each of at most four axes.
+    fn per_axis(&self, keys: &[&'static str], default: f64) -> Result<[f64; 4]> {
+        let Some((key, text)) = self.any(keys) else { return Ok([default; 4]) };
+        if self.axes()? == 4 {
+            return numbers(self.path, key, text);
+        }
+        let [x, y, z] = numbers(self.path, key, text)?;
+        Ok([x, y, z, default])
+    }
+
+    /// The time of the first volume, and from each to the next.
+    fn times(&self) -> Result<[f64; 2]> {
+        let [.., start] = self.per_axis(&OFFSET, 0.0)?;
+        let [.., step] = self.per_axis(&SPACING, 1.0)?;
+        Ok([start, step])
+    }
+
+    /// The directions of the axes of space.
+    fn directions(&self) -> Result<[[f64; 3]; 3]> {
+        let usual: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| f64::from(a == b)));
+        let Some((key, text)) = self.any(&["TransformMatrix", "Rotation", "Orientation"]) else {
+            return Ok(usual);
+        };
+        if self.axes()? == 3 {
+            let matrix = numbers::<f64, 9>(self.path, key, text)?;
+            return Ok(std::array::from_fn(|a| std::array::from_fn(|b| matrix[3 * a + b])));
+        }
+        let matrix = numbers::<f64, 16>(self.path, key, text)?;
+        let is_apart = (0..3).all(|a| matrix[4 * a + 3] == 0.0 && matrix[12 + a] == 0.0);
+        if !is_apart || matrix[15] != 1.0 {
+            let expected = "a fourth axis at right angles to those of space (0 0 0 1)";
+            return Err(Error::bad_input(self.path, key, expected, text));
+        }
+        Ok(std::array::from_fn(|a| std::array::from_fn(|b| matrix[4 * a + b])))
     }
 
     fn scalar(&self) -> Result<ScalarType> {
@@ -211,25 +294,18 @@ impl<'a> Header<'a> {
     }
 
     fn geometry(&self) -> Result<Geometry> {
-        let read = |keys: &[&'static str], default: [f64; 3]| match self.any(keys) {
-            Some((key, text)) => numbers::<f64, 3>(self.path, key, text),
-            None => Ok(default),
-        };
-        let spacing = read(&["ElementSpacing", "ElementSize"], [1.0; 3])?;
-        let origin = read(&["Offset", "Position", "Origin"], [0.0; 3])?;
-        let matrix = match self.any(&["TransformMatrix", "Rotation", "Orientation"]) {
-            Some((key, text)) => numbers::<f64, 9>(self.path, key, text)?,
-            None => [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        };
-        let columns = std::array::from_fn(|a| std::array::from_fn(|b| matrix[3 * a + b] * spacing[a]));
-        geometry(self.path, "ElementSpacing and TransformMatrix", origin, columns)
+        let [x, y, z, _] = self.per_axis(&SPACING, 1.0)?;
+        let [o_x, o_y, o_z, _] = self.per_axis(&OFFSET, 0.0)?;
+        let (spacing, directions) = ([x, y, z], self.directions()?);
+        let columns = std::array::from_fn(|a| directions[a].map(|d| d * spacing[a]));
+        geometry(self.path, "ElementSpacing and TransformMatrix", [o_x, o_y, o_z], columns)
     }
 
     /// The files next to the header that hold the samples.
-    fn files(&self, dims: [u64; 3], io: IoMode) -> Result<Vec<Arc<ByteSource>>> {
+    fn files(&self, slices: u64, io: IoMode) -> Result<Vec<Arc<ByteSource>>> {
         let value = self.require("ElementDataFile")?;
         let words: Vec<&str> = value.split_whitespace().collect();
-        let last = dims[2].to_string();
+        let last = slices.to_string();
         let (names, dim) = match words[..] {
             ["LIST"] => (self.listed.clone(), None),
             ["LIST", dim] => (self.listed.clone(), Some(dim)),
@@ -239,9 +315,9 @@ impl<'a> Header<'a> {
         };
         if !matches!(dim, None | Some("2" | "3"))
             || names.is_empty()
-            || !dims[2].is_multiple_of(names.len() as u64)
+            || !slices.is_multiple_of(names.len() as u64)
         {
-            let got = format!("{} file(s) for {} slices: {value}", names.len(), dims[2]);
+            let got = format!("{} file(s) for {slices} slices: {value}", names.len());
             let expected = "the same number of whole slices in every file";
             return Err(Error::bad_input(self.path, "ElementDataFile", expected, got));
         }
@@ -297,6 +373,7 @@ impl<'a> Header<'a> {
         parts: Vec<Arc<ByteSource>>,
         start: u64,
         encoding: Encoding,
+        [frame, frames]: [u64; 2],
     ) -> Result<VolumeSource> {
         info.data_files = parts.iter().map(|p| p.path().to_path_buf()).collect();
         let big = self.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)?;
@@ -304,8 +381,9 @@ impl<'a> Header<'a> {
         if encoding == Encoding::Raw {
             let strides =
                 StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
-            let slices = info.dims[2] / count;
-            let volume = StridedVolume::stacked(info, parts, slices, start, big, strides)?;
+            let slices = [info.dims[2], strides[2] as u64];
+            let (parts, each) = frames::parts_of(self.path, &parts, start, [frame, frames], slices)?;
+            let volume = StridedVolume::stacked_at(info, parts, each, big, strides)?;
             return Ok(volume.source());
         }
         let [part] = &parts[..] else {
@@ -317,6 +395,13 @@ impl<'a> Header<'a> {
                 got,
             ));
         };
+        if encoding == Encoding::Text && frames > 1 {
+            let got = "text of several volumes";
+            return Err(Error::bad_input(self.path, "BinaryData", "binary data of a series", got)
+                .with_help("write it again as binary data"));
+        }
+        let before = frame * sample_bytes(self.path, info.dims, info.field.scalar)?;
+        let tail = if frame + 1 == frames { Tail::Nothing } else { Tail::Ignored };
         let stream: Box<dyn SlabStream> = if encoding == Encoding::Text {
             Box::new(TextSlabs::new(info, Arc::clone(part), start..part.len().max(start))?)
         } else {
@@ -325,7 +410,7 @@ impl<'a> Header<'a> {
             let start = range.start..range.end.min(range.start.saturating_add(2));
             let gzip = part.slice(start)?.starts_with(&[0x1f, 0x8b]);
             let codec = if gzip { Codec::Gzip } else { Codec::Zlib };
-            Box::new(ByteSlabs::new(info, part, range, codec, 0, big, Tail::Nothing)?)
+            Box::new(ByteSlabs::new(info, part, range, codec, before, big, tail)?)
         };
         Ok(VolumeSource::Stream(stream))
     }

@@ -97,7 +97,8 @@ fn what_is_not_read_is_named() {
     let good = String::from_utf8(with("ElementDataFile = LOCAL\n", b"")).unwrap();
     let extra = |line: &str| format!("NDims = 3\n{line}");
     for (from, to, message) in [
-        ("NDims = 3", "NDims = 4".to_string(), "NDims"),
+        ("NDims = 3", "NDims = 2".to_string(), "NDims"),
+        ("NDims = 3", "NDims = 4".to_string(), "DimSize"),
         ("Image", "Tube".into(), "Tube"),
         ("MET_USHORT", "MET_FLOAT_ARRAY".into(), "MET_FLOAT_ARRAY"),
         ("NDims = 3", extra("ElementNumberOfChannels = 3"), "ElementNumberOfChannels"),
@@ -125,4 +126,58 @@ fn damage_is_refused() {
     torture("a.mha", &file, file.len());
     let file = with("CompressedData = True\nElementDataFile = LOCAL\n", &zlib(&ramp(false)));
     torture("a.mha", &file, file.len());
+}
+
+const SERIES: &str = "ObjectType = Image\nNDims = 4\nDimSize = 4 3 2 3\nElementType = MET_USHORT\n\
+    ElementSpacing = 2 2 3 0.5\nOffset = 1 2 3 10\n";
+
+/// The volumes of a series with these lines, and their times.
+fn series(dir: &tempfile::TempDir, fields: &str, data: &[u8]) -> Result<(Vec<Vec<f32>>, Vec<Option<f64>>)> {
+    let file = write(dir, "a.mha", &[format!("{SERIES}{fields}").as_bytes(), data].concat());
+    let steps = crate::formats::steps_of(&[file], &OpenOptions::default())?;
+    let read = |step: &crate::formats::StepSource| {
+        let (info, values) = read_all(open(&step.path, &step.options)?);
+        assert_eq!((info.dims, info.geometry.origin), ([4, 3, 2], [1.0, 2.0, 3.0]));
+        assert_eq!(info.geometry.spacing, [2.0, 2.0, 3.0]);
+        Ok(values)
+    };
+    Ok((steps.iter().map(read).collect::<Result<_>>()?, steps.iter().map(|step| step.time).collect()))
+}
+
+#[test]
+fn a_fourth_axis_is_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let data: Vec<u8> = (0..72u16).flat_map(u16::to_le_bytes).collect();
+    let expected: Vec<Vec<f32>> = (0..3).map(|t| (0..24).map(|i| (24 * t + i) as f32).collect()).collect();
+    let expected = (expected, vec![Some(10.0), Some(10.5), Some(11.0)]);
+    let local = "TransformMatrix = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\nElementDataFile = LOCAL\n";
+    assert_eq!(series(&dir, local, &data).unwrap(), expected);
+    let packed = format!("CompressedData = True\n{local}");
+    assert_eq!(series(&dir, &packed, &zlib(&data)).unwrap(), expected);
+    // A file for each volume, for each slice, or some.
+    write(&dir, "all.raw", &data);
+    for (prefix, bytes) in [("v", 48), ("s", 24)] {
+        for (n, part) in data.chunks(bytes).enumerate() {
+            write(&dir, &format!("{prefix}{n}.raw"), part);
+        }
+    }
+    for files in ["all.raw", "v%d.raw 0 2 1", "s%d.raw 0 5 1", "LIST\nv0.raw\nv1.raw\nv2.raw\n"] {
+        assert_eq!(series(&dir, &format!("ElementDataFile = {files}\n"), b"").unwrap(), expected, "{files}");
+    }
+}
+
+#[test]
+fn a_fourth_axis_that_is_not_read_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    for (fields, word) in [
+        ("TransformMatrix = 1 0 0 0.1 0 1 0 0 0 0 1 0 0 0 0 1\nElementDataFile = LOCAL\n", "right angles"),
+        ("BinaryData = False\nElementDataFile = LOCAL\n", "binary data of a series"),
+        ("ElementDataFile = LOCAL\n", "bytes"),
+    ] {
+        let error = series(&dir, fields, &[0; 100]).unwrap_err();
+        assert!(error.exit_code() == 5 && error.to_string().contains(word), "{error}");
+    }
+    let five = SERIES.replace("NDims = 4", "NDims = 5") + "ElementDataFile = LOCAL\n";
+    let error = open(&write(&dir, "b.mha", five.as_bytes()), &OpenOptions::default()).err().unwrap();
+    assert!(error.to_string().contains("NDims"), "{error}");
 }

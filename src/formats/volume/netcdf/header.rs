@@ -1,7 +1,7 @@
 //! The header of a NetCDF-3 file.
 
 use crate::error::{Error, Result};
-use crate::formats::shared::cf::{Attributes, Numbers, Packing, netcdf_fill};
+use crate::formats::shared::cf::{Attributes, Numbers, Packing, netcdf_fill, signed_as};
 use crate::formats::shared::numbers::to_f64;
 use crate::volume::ScalarType;
 use crate::volume::strided::swap_bytes;
@@ -13,6 +13,7 @@ pub(super) struct Header {
     version: u8,
     pub(super) dims: Vec<Dim>,
     pub(super) variables: Vec<Variable>,
+    attributes: Vec<Attribute>,
     records: u64,
     /// Bytes of a record of all variables.
     record_bytes: u64,
@@ -79,7 +80,7 @@ impl Kind {
 }
 
 /// The attributes that are used.
-const USED: [&str; 11] = [
+const USED: [&str; 28] = [
     "scale_factor",
     "add_offset",
     "_FillValue",
@@ -91,6 +92,25 @@ const USED: [&str; 11] = [
     "units",
     "_Unsigned",
     "elem_type",
+    // Of time, meshes and conventions of files.
+    "coordinates",
+    "calendar",
+    "mesh",
+    "location",
+    "CDI_grid_type",
+    "Conventions",
+    "conventions",
+    "file_format",
+    "floating_point_word_size",
+    "xyz_origin",
+    // Of MINC.
+    "varid",
+    "signtype",
+    "spacing",
+    "start",
+    "step",
+    "direction_cosines",
+    "minc_version",
 ];
 /// The most bytes of an attribute that is used.
 const MOST_ATTRIBUTE: u64 = 64 << 10;
@@ -117,13 +137,13 @@ impl Header {
         for _ in 0..count {
             dims.push(Dim { name: cursor.name("dimensions")?, size: cursor.size("dimensions")? });
         }
-        cursor.attributes()?;
+        let attributes = cursor.attributes()?;
         let count = cursor.list(VARIABLES, "variables")?;
         let mut variables = vec![];
         for _ in 0..count {
             variables.push(cursor.variable(&dims)?);
         }
-        let mut header = Self { version, dims, variables, records, record_bytes: 0 };
+        let mut header = Self { version, dims, variables, attributes, records, record_bytes: 0 };
         header.record_bytes = header.bytes_of_record(path)?;
         if is_unknown {
             header.records = header.records_in(length);
@@ -138,6 +158,26 @@ impl Header {
             2 => "NetCDF-3 (64-bit offset)",
             _ => "NetCDF-3 (CDF-5)",
         }
+    }
+
+    /// The text of an attribute of the file; "" where there is no such text.
+    pub(super) fn text(&self, name: &str) -> String {
+        text_of(&self.attributes, name)
+    }
+
+    /// Whether the file has an attribute.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.attributes.iter().any(|a| a.name == name)
+    }
+
+    /// A variable by its name.
+    pub(super) fn variable(&self, name: &str) -> Option<&Variable> {
+        self.variables.iter().find(|v| v.name == name)
+    }
+
+    /// The names of a variable's dimensions.
+    pub(super) fn dim_names(&self, variable: &Variable) -> Vec<String> {
+        variable.dims.iter().map(|&dim| self.dims[dim].name.clone()).collect()
     }
 
     /// The size of a dimension.
@@ -196,20 +236,22 @@ impl Header {
 }
 
 impl Variable {
-    /// The type of its samples.
+    /// The type of its samples, as `_Unsigned` says.
     ///
     /// # Errors
-    /// [`Error::BadInput`] for text, and for integers that an attribute declares to be unsigned.
+    /// [`Error::BadInput`] for text.
     pub(super) fn scalar(&self, path: &Path) -> Result<ScalarType> {
-        let refuse = |got: &str| {
-            Error::bad_input(path, &*self.name, "numbers", got)
-                .with_help("write the numbers that are wanted to a variable of such a type")
-        };
+        Ok(signed_as(self.stored(path)?, &self.text("_Unsigned")))
+    }
+
+    /// The type of its stored numbers.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for text.
+    pub(super) fn stored(&self, path: &Path) -> Result<ScalarType> {
         match self.kind {
-            Kind::Text => Err(refuse("text")),
-            Kind::Number(_) if self.text("_Unsigned") == "true" => {
-                Err(refuse("signed integers that _Unsigned declares to be unsigned"))
-            }
+            Kind::Text => Err(Error::bad_input(path, &*self.name, "numbers", "text")
+                .with_help("write the numbers that are wanted to a variable of such a type")),
             Kind::Number(scalar) => Ok(scalar),
         }
     }
@@ -221,15 +263,33 @@ impl Variable {
 
     /// The text of an attribute; none where there is no such text.
     pub(super) fn text(&self, name: &str) -> String {
-        let found = self.attributes.iter().find(|a| a.name == name && a.kind == Kind::Text);
-        found.map_or_else(String::new, |a| {
-            String::from_utf8_lossy(&a.bytes).trim_end_matches('\0').to_string()
-        })
+        text_of(&self.attributes, name)
+    }
+
+    /// The numbers of an attribute; `None` where there are none of this name.
+    pub(super) fn numbers(&self, name: &str) -> Option<Numbers> {
+        let found = self.attributes.iter().find(|a| a.name == name)?;
+        let Kind::Number(scalar) = found.kind else { return None };
+        let (mut bytes, size) = (found.bytes.clone(), scalar.bytes());
+        swap_bytes(&mut bytes, size);
+        let mut values = vec![0.0; bytes.len() / size];
+        to_f64(scalar, &bytes, &mut values);
+        Some(Numbers { values, are_floats: scalar.is_float() })
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.attributes.iter().any(|a| a.name == name)
     }
 
     /// What the attributes say about stored numbers.
-    pub(super) fn packing(&self, path: &Path, scalar: ScalarType) -> Result<Packing> {
-        Packing::of(&OfVariable { path, variable: self }, scalar, |_| netcdf_fill(scalar))
+    pub(super) fn packing(&self, path: &Path) -> Result<Packing> {
+        let stored = self.stored(path)?;
+        Packing::of(&self.of(path), stored, |_| netcdf_fill(stored))
+    }
+
+    /// Its attributes, for those who ask for them by the rules of CF.
+    pub(super) fn of<'a>(&'a self, path: &'a Path) -> OfVariable<'a> {
+        OfVariable { path, variable: self }
     }
 
     fn too_large(&self, path: &Path) -> Error {
@@ -238,23 +298,28 @@ impl Variable {
     }
 }
 
+/// The text of one of some attributes; "" where there is no such text.
+fn text_of(attributes: &[Attribute], name: &str) -> String {
+    let found = attributes.iter().find(|a| a.name == name && a.kind == Kind::Text);
+    found.map_or_else(String::new, |a| String::from_utf8_lossy(&a.bytes).trim_end_matches('\0').to_string())
+}
+
 /// A variable's attributes.
-struct OfVariable<'a> {
+pub(super) struct OfVariable<'a> {
     path: &'a Path,
     variable: &'a Variable,
 }
 
 impl Attributes for OfVariable<'_> {
     fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
-        let Some(found) = self.variable.attributes.iter().find(|a| a.name == name) else { return Ok(None) };
-        let Kind::Number(scalar) = found.kind else {
-            return Err(self.wrong(name, "numbers", "text".into()));
-        };
-        let (mut bytes, size) = (found.bytes.clone(), scalar.bytes());
-        swap_bytes(&mut bytes, size);
-        let mut values = vec![0.0; bytes.len() / size];
-        to_f64(scalar, &bytes, &mut values);
-        Ok(Some(Numbers { values, are_floats: scalar.is_float() }))
+        match self.variable.numbers(name) {
+            None if self.variable.has(name) => Err(self.wrong(name, "numbers", "text".into())),
+            found => Ok(found),
+        }
+    }
+
+    fn text(&self, name: &str) -> String {
+        self.variable.text(name)
     }
 
     fn wrong(&self, names: &str, expected: &str, got: String) -> Error {

@@ -13,13 +13,15 @@
 //!
 //! Variables of three axes or more are the fields, as in NetCDF-4: see `hdf5` for frames and
 //! channels, and [`cf`] for attributes and coordinates. Where no attribute names a value that means
-//! "no data", it is the fill value of the library for that type, of bytes none. Memory: the
-//! header's attributes, and with a valid range a piece of 128 KiB.
+//! "no data", it is the fill value of the library for that type, of bytes none. Files of MINC 1 are
+//! read by their own rules, see [`minc`]; for other conventions see the module `dialect`. Memory:
+//! the header's attributes, and of converted numbers a piece of 128 KiB.
 //!
 //! The reader is our own, since the format is small, and no scratch copy may be needed. The format:
 //! "NetCDF Classic Format Specification", Unidata.
 
 mod arrays;
+mod dialect;
 mod header;
 
 use crate::bytes::ByteSource;
@@ -28,6 +30,8 @@ use crate::formats::shared::cf::{self, Convert, Line, MOST_COORDINATES, Part, Ru
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
+use crate::formats::shared::lengths::Lengths;
+use crate::formats::shared::minc;
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, pick_field};
@@ -37,6 +41,7 @@ use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 pub(in crate::formats) use arrays::arrays;
+use dialect::Dialect;
 use header::{Header, Variable};
 use std::collections::HashMap;
 use std::path::Path;
@@ -78,29 +83,51 @@ impl Format for NetCdf {
         let mut file = File::open(path, options)?;
         let number = file.pick(options)?;
         let field = &file.fields[number];
+        if file.dialect == Dialect::Minc {
+            return Ok(None);
+        }
         let lines = file.lines(field)?;
         cf::grid_of(path, &field.part.info.name, lines, field.part.world, file.dims(field))
     }
 
     fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
         let file = File::open(path, options)?;
-        let first = match &options.field {
+        let wanted = cf::with_channel(path, options, file.fields.iter().map(|f| &f.part))?;
+        let first = match &wanted {
             Some(name) => {
                 let first = format!("{name}:t0");
-                file.fields.iter().find(|f| f.part.is_frame && f.part.info.name == first)
+                file.fields.iter().find(|f| f.part.is_frame() && f.part.info.name == first)
             }
-            None => file.fields.first().filter(|f| f.part.is_frame),
+            None => file.fields.first().filter(|f| f.part.is_frame()),
         };
         let Some(first) = first else { return Ok(Some(vec![])) };
-        let times = file.line(first, 0)?.map(|line| line.values);
+        let times = first.part.frames.map_or(Ok(None), |axis| file.line(first, axis))?;
+        let times = times.map(|line| line.values);
         let parts = file.fields.iter().map(|f| &f.part);
-        Ok(Some(cf::frames(parts, &first.part, options.field.is_some(), times)))
+        Ok(Some(cf::frames(parts, &first.part, wanted.is_some(), times)))
+    }
+
+    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
+        let mut file = File::open(path, options)?;
+        if options.field.is_none() {
+            return Ok(cf::common_time(file.fields.iter(), |field| file.time(field).ok().flatten()));
+        }
+        let number = file.pick(options)?;
+        file.time(&file.fields[number])
+    }
+
+    fn calendar(&self, path: &Path, options: &OpenOptions) -> Result<String> {
+        let mut file = File::open(path, options)?;
+        let number = file.pick(options)?;
+        let time = file.time_variable(&file.fields[number]);
+        Ok(time.map_or_else(String::new, |time| time.text("calendar")))
     }
 
     fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
         let file = File::open(path, options)?;
         let mut failed = Ok(());
-        let times = cf::times(file.fields.iter(), |field| match file.line(field, 0) {
+        let of_frames = |field: &Field| field.part.frames.map_or(Ok(None), |axis| file.line(field, axis));
+        let times = cf::times(file.fields.iter(), |field| match of_frames(field) {
             Ok(line) => line.map(|line| line.values),
             Err(e) => {
                 failed = Err(e);
@@ -120,6 +147,9 @@ fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let mut file = File::open(path, options)?;
     let number = file.pick(options)?;
     let field = &file.fields[number];
+    if file.dialect == Dialect::Minc {
+        return file.image(field, options);
+    }
     let lines = file.lines(field)?;
     if lines.iter().any(Option::is_some) {
         options.refuse_geometry(path, "a file with coordinates")?;
@@ -127,17 +157,12 @@ fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let geometry = cf::placed(path, &lines, field.part.world, [1.0; 3])?;
     let geometry = given_geometry(path, options, geometry)?;
     let variable = &file.header.variables[field.variable];
-    let mut info = plain_info(path, file.header.name(), file.dims(field), field.part.info.scalar, geometry);
-    info.field = field.part.info.clone();
-    info.fields = file.infos();
-    let convert = variable.packing(path, info.field.scalar)?.into_info(&mut info);
+    let mut info = file.info(field, geometry);
+    info.assumed = options.assumed([0, 1, 2].map(|a| lines[a].is_none()));
+    let convert = variable.packing(path)?.into_info(&mut info);
     info.units = file.units(field);
-    let (at, strides) = file.place(field)?;
-    let volume = StridedVolume::new(info, file.source.clone(), at, true, strides)?;
-    Ok(match convert {
-        None => volume.source(),
-        Some(convert) => VolumeSource::Chunked(Arc::new(Pieces::new(volume, convert))),
-    })
+    info.notes.extend(file.lengths(field).note);
+    file.source(field, info, convert)
 }
 
 /// A file whose header was read.
@@ -145,6 +170,7 @@ struct File<'a> {
     path: &'a Path,
     source: Arc<ByteSource>,
     header: Header,
+    dialect: Dialect,
     fields: Vec<Field>,
     /// Variables of three axes or more that are not read, and why.
     refused: Vec<(String, Error)>,
@@ -167,9 +193,10 @@ impl<'a> File<'a> {
         let source = Arc::new(ByteSource::open(path, options.io)?);
         let header = Header::parse(path, source.head_from(0)?, source.len())?;
         source.check()?;
-        let mut file = Self { path, source, header, fields: vec![], refused: vec![] };
+        let dialect = Dialect::of(path, &header)?;
+        let mut file = Self { path, source, header, dialect, fields: vec![], refused: vec![] };
         for (number, variable) in file.header.variables.iter().enumerate() {
-            if variable.dims.len() < 3 {
+            if variable.dims.len() < 3 || !dialect.has_field(&variable.name) {
                 continue;
             }
             match file.parts(variable) {
@@ -189,13 +216,21 @@ impl<'a> File<'a> {
 
     /// The fields of a variable.
     fn parts(&self, variable: &Variable) -> Result<Vec<Part>> {
-        let scalar = variable.scalar(self.path)?;
+        let scalar = match self.dialect {
+            Dialect::Plain => variable.scalar(self.path)?,
+            Dialect::Minc => dialect::scalar_of_minc(variable, self.path)?,
+        };
         let shape = self.header.shape(variable);
         if shape.contains(&0) {
             let got = format!("{shape:?} of them");
             return Err(Error::bad_input(self.path, &*variable.name, "samples along each axis", got)
                 .with_help("the file has no records yet, or an empty dimension"));
         }
+        if self.dialect == Dialect::Minc {
+            let kinds = vec!['?'; shape.len()];
+            return cf::parts_of(self.path, &variable.name, (&shape, &kinds), scalar, Rules::Volumes);
+        }
+        cf::refuse_mesh(&variable.of(self.path), &self.header.dim_names(variable))?;
         let kinds: Vec<char> = variable.dims.iter().map(|&dim| self.kind(dim)).collect();
         cf::parts_of(self.path, &variable.name, (&shape, &kinds), scalar, Rules::Plain)
     }
@@ -218,10 +253,71 @@ impl<'a> File<'a> {
     /// What the attributes say of units.
     fn units(&self, field: &Field) -> Units {
         let variable = &self.header.variables[field.variable];
-        let of_axis = |axis: usize| Some(self.coordinate(variable.dims[axis])?.text("units"));
-        let rank = variable.dims.len();
-        let space = [1, 2, 3].map(|back| of_axis(rank - back));
-        cf::units(&variable.text("units"), space, (rank > 3).then(|| of_axis(0)).flatten())
+        let time = self.time_variable(field).map(|time| time.text("units"));
+        cf::units(&variable.text("units"), &self.lengths(field), time)
+    }
+
+    /// The variable with the times of a field, or with its one time.
+    fn time_variable(&self, field: &Field) -> Option<&Variable> {
+        let variable = &self.header.variables[field.variable];
+        match field.part.time {
+            Some(axis) => self.coordinate(variable.dims[axis]),
+            None => self.single_time(variable),
+        }
+    }
+
+    /// The variable with the one time of a variable that has no axis of time.
+    fn single_time(&self, variable: &Variable) -> Option<&Variable> {
+        let coordinates = [variable.text("coordinates"), self.header.text("coordinates")].join(" ");
+        cf::names_of_time(&coordinates).find_map(|(name, most_axes)| {
+            let v = self.header.variable(name)?;
+            let kind = cf::kind_of_coordinate(name, &v.text("axis"), &v.text("units"));
+            let is_one = v.dims.len() <= most_axes && self.header.shape(v).iter().all(|&n| n == 1);
+            (kind == 't' && is_one && v.scalar(self.path).is_ok()).then_some(v)
+        })
+    }
+
+    /// The time of a field.
+    fn time(&self, field: &Field) -> Result<Option<f64>> {
+        if self.dialect == Dialect::Minc {
+            return Ok(None);
+        }
+        let variable = &self.header.variables[field.variable];
+        let Some(axis) = field.part.time else {
+            let time = self.single_time(variable).map(|time| self.small(time)).transpose()?;
+            return Ok(time.and_then(|numbers| numbers.first().copied()));
+        };
+        let line = self.line(field, axis)?;
+        Ok(line.and_then(|line| line.values.get(field.part.entries[axis] as usize).copied()))
+    }
+
+    fn info(&self, field: &Field, geometry: Geometry) -> VolumeInfo {
+        let (scalar, dims) = (field.part.info.scalar, self.dims(field));
+        let mut info = plain_info(self.path, self.header.name(), dims, scalar, geometry);
+        info.field = field.part.info.clone();
+        info.fields = self.infos();
+        info
+    }
+
+    /// The samples of a field, as they are stored or converted.
+    fn source(&self, field: &Field, info: VolumeInfo, convert: Option<Convert>) -> Result<VolumeSource> {
+        let (at, strides) = self.place(field)?;
+        let volume = StridedVolume::new(info, self.source.clone(), at, true, strides)?;
+        Ok(match convert {
+            None => volume.source(),
+            Some(convert) => VolumeSource::Chunked(Arc::new(Pieces::new(volume, convert))),
+        })
+    }
+
+    /// The image of a MINC file.
+    fn image(&self, field: &Field, options: &OpenOptions) -> Result<VolumeSource> {
+        options.refuse_geometry(self.path, "a MINC file")?;
+        let variable = &self.header.variables[field.variable];
+        let (axes, shape) = (self.header.dim_names(variable), self.header.shape(variable));
+        let stored = minc::Stored { axes: &axes, shape: &shape, scalar: field.part.info.scalar };
+        let minc::Image { geometry, convert, units } = minc::image(self, &stored)?;
+        let info = VolumeInfo { format: "MINC 1".into(), units, ..self.info(field, geometry) };
+        self.source(field, info, convert)
     }
 
     fn infos(&self) -> Vec<FieldInfo> {
@@ -247,8 +343,7 @@ impl<'a> File<'a> {
 
     /// Samples along x, y, z.
     fn dims(&self, field: &Field) -> [u64; 3] {
-        let shape = self.header.shape(&self.header.variables[field.variable]);
-        std::array::from_fn(|a| shape[shape.len() - 1 - a])
+        field.part.dims(&self.header.shape(&self.header.variables[field.variable]))
     }
 
     /// Byte of the first sample, and bytes a step along x, y, z.
@@ -262,21 +357,27 @@ impl<'a> File<'a> {
                 .with_help("the header is damaged")
         };
         let mut at = variable.begin;
-        for (&entry, &step) in field.part.before.iter().zip(&steps) {
+        for (&entry, &step) in field.part.entries.iter().zip(&steps) {
             at = entry.checked_mul(step).and_then(|by| at.checked_add(by)).ok_or_else(large)?;
         }
         let mut strides = [0; 3];
-        for (a, stride) in strides.iter_mut().enumerate() {
-            *stride = i64::try_from(steps[steps.len() - 1 - a]).map_err(|_| large())?;
+        for (axis, stride) in field.part.axes.into_iter().zip(&mut strides) {
+            *stride = i64::try_from(steps[axis]).map_err(|_| large())?;
         }
         Ok((at, strides))
     }
 
     /// The coordinates along x, y, z, where the file has them.
     fn lines(&self, field: &Field) -> Result<[Option<Line>; 3]> {
-        let rank = self.header.variables[field.variable].dims.len();
-        let [x, y, z] = [1, 2, 3].map(|back| self.line(field, rank - back));
-        Ok([x?, y?, z?])
+        let [x, y, z] = field.part.axes.map(|axis| self.line(field, axis));
+        Ok(cf::in_one_unit([x?, y?, z?], &self.lengths(field), field.part.world))
+    }
+
+    /// The lengths along the axes of the world.
+    fn lengths(&self, field: &Field) -> Lengths {
+        let dims = &self.header.variables[field.variable].dims;
+        let of_axis = |axis: usize| Some(self.coordinate(dims[axis])?.text("units"));
+        cf::lengths(field.part.axes.map(of_axis), field.part.world)
     }
 
     /// The coordinates along an axis of a variable, where the file has them.
@@ -289,20 +390,59 @@ impl<'a> File<'a> {
         if count > MOST_COORDINATES {
             return Ok(None);
         }
-        let step = self.header.steps(self.path, variable)?[0];
-        let stride = i64::try_from(step).unwrap_or(i64::MAX);
-        // Along y: those of records are far apart, and are read each by itself.
-        let dims = [1, count, 1];
+        Ok(Some(Line::new(self.small(variable)?, scalar == ScalarType::F32)))
+    }
+
+    /// The numbers of a variable of at most two axes.
+    fn small(&self, variable: &Variable) -> Result<Vec<f64>> {
+        let scalar = variable.scalar(self.path)?;
+        let size = scalar.bytes() as i64;
+        // Not along x: the numbers of records are far apart, and are read each by itself.
+        let (mut dims, mut strides) = ([1; 3], [size; 3]);
+        let (shape, steps) = (self.header.shape(variable), self.header.steps(self.path, variable)?);
+        for (axis, (&count, &step)) in shape.iter().rev().zip(steps.iter().rev()).enumerate().take(2) {
+            (dims[1 + axis], strides[1 + axis]) = (count, i64::try_from(step).unwrap_or(i64::MAX));
+        }
         let mut info = plain_info(self.path, self.header.name(), dims, scalar, Geometry::default());
         info.field.name.clone_from(&variable.name);
-        let strides = [scalar.bytes() as i64, stride, stride];
         let reader = StridedVolume::new(info, self.source.clone(), variable.begin, true, strides)?;
-        let mut bytes = vec![0; count as usize * scalar.bytes()];
+        let count = IndexBox::whole(dims).len();
+        let mut bytes = vec![0; count * scalar.bytes()];
         reader.read_stored(IndexBox::whole(dims), &mut bytes)?;
-        let mut values = vec![0.0; count as usize];
+        let mut values = vec![0.0; count];
         to_f64(scalar, &bytes, &mut values);
-        variable.packing(self.path, scalar)?.unpack(&mut values);
-        Ok(Some(Line::new(values, scalar == ScalarType::F32)))
+        variable.packing(self.path)?.unpack(&mut values);
+        Ok(values)
+    }
+}
+
+impl minc::Variables for File<'_> {
+    fn path(&self) -> &Path {
+        self.path
+    }
+
+    fn place(&self, variable: &str) -> String {
+        variable.into()
+    }
+
+    fn text(&self, variable: &str, attribute: &str) -> String {
+        self.header.variable(variable).map_or_else(String::new, |v| v.text(attribute))
+    }
+
+    fn numbers(&self, variable: &str, attribute: &str) -> Option<Vec<f64>> {
+        Some(self.header.variable(variable)?.numbers(attribute)?.values)
+    }
+
+    fn table(&self, variable: &str, most: u64) -> Result<Option<(Vec<u64>, Vec<f64>)>> {
+        let found = self.header.variable(variable).ok_or_else(|| {
+            Error::bad_input(self.path, variable, "the values of the ends of the valid range", "none")
+        })?;
+        let shape = self.header.shape(found);
+        let count = shape.iter().try_fold(1u64, |n, &d| n.checked_mul(d));
+        if shape.len() > 2 || count.is_none_or(|n| n > most) {
+            return Ok(None);
+        }
+        Ok(Some((shape, self.small(found)?)))
     }
 }
 
@@ -353,7 +493,7 @@ impl ChunkSource for Pieces {
         let mut numbers = vec![0.0; voxels.len()];
         to_f64(scalar, &stored, &mut numbers);
         out.clear();
-        out.extend(numbers.into_iter().flat_map(|v| self.convert.value(v, [0, 0]).to_le_bytes()));
+        self.convert.push_values(&numbers, voxels, out);
         Ok(())
     }
 }

@@ -119,8 +119,7 @@ fn coordinates_place_samples_and_steps() {
 
 #[test]
 fn what_is_not_read_is_named() {
-    for (field, reason) in [("text", "got text"), ("unsigned", "_Unsigned"), ("none", "no scalar field none")]
-    {
+    for (field, reason) in [("text", "got text"), ("none", "no scalar field none")] {
         let error = open_field(FILES[0], field).err().expect("refused");
         assert!(error.to_string().contains(reason), "{error}");
     }
@@ -164,4 +163,42 @@ fn units_are_those_of_the_variable_and_its_axes() {
     // Degrees are no lengths, and what a terminal would obey is left out.
     assert_eq!(units("odd"), [text("[31m kg m-3"), None, None]);
     assert_eq!(units("share"), [None, text("m"), None]);
+}
+
+#[test]
+fn units_of_single_axes_become_one() {
+    let info = |field: &str| open_field("axes_units.nc", field).unwrap().info().clone();
+    let mixed = info("mixed");
+    assert_eq!((mixed.geometry.spacing, mixed.geometry.origin), ([2.0, 500.0, 50.0], [10.0, 1000.0, 100.0]));
+    assert_eq!(mixed.units.length.as_ref().map(|unit| unit.as_str()), Some("m"));
+    assert!(mixed.notes[0].contains("y from km"), "{:?}", mixed.notes);
+    let Some(GridCoordinates::Axes([x, y, z])) =
+        open_coordinates(&data("axes_units.nc"), &options("uneven")).unwrap()
+    else {
+        panic!("depth is uneven")
+    };
+    assert_eq!((x[1], y[1], z), (12.0, 1500.0, vec![0.0, 1000.0, 3000.0, 6000.0, 10_000.0]));
+    let found = info("geographic");
+    assert_eq!((found.geometry.spacing, found.units.length), ([1.0, 1.0, 50.0], None));
+    assert!(
+        found.notes[0].contains("degrees_east (x)") && found.notes[0].contains("m (z)"),
+        "{:?}",
+        found.notes
+    );
+}
+
+#[test]
+fn time_may_be_any_axis() {
+    let path = data("axes_units.nc");
+    let steps = steps_of(std::slice::from_ref(&path), &options("time_last")).unwrap();
+    assert_eq!(steps.iter().map(|step| step.time).collect::<Vec<_>>(), [Some(3.0), Some(4.0)]);
+    let (info, values) = read_all(open_volume(&path, &steps[1].options).unwrap());
+    let place = |i: usize| (i % 5, i / 5 % 7, i / 35);
+    let expected: Vec<f32> =
+        (0..210).map(place).map(|(z, x, y)| (1000 + x + 7 * y + 42 * z) as f32).collect();
+    assert_eq!((info.dims, values), ([5, 7, 6], expected));
+    // y varies slowest, and is in km.
+    assert_eq!(info.geometry.spacing, [50.0, 2.0, 500.0]);
+    assert_eq!(info.geometry.origin, [10.0, 1000.0, 100.0]);
+    assert_eq!(info.units.time.as_ref().map(|unit| unit.as_str()), Some("hours since 2000-01-01"));
 }

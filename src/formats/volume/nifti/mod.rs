@@ -32,13 +32,14 @@ use crate::bytes::{ByteSource, IoMode, place};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::frames::{self, fields};
 use crate::formats::shared::header::{geometry, scaled_axes};
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, known_times, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use std::collections::HashMap;
 use std::io::{BufWriter, Read, Write};
@@ -115,7 +116,9 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         intercept,
         missing: None,
         units: header.units(),
+        notes: header.notes(frames),
         data_files: vec![data.path().to_path_buf()],
+        assumed: Assumed::in_header(header.assumed()),
     };
     let offset = offset + frame * frame_bytes;
     if gzip {
@@ -140,10 +143,8 @@ pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<F
     // Refuses a header that claims more frames than there are, before they are listed.
     let first = OpenOptions { field: Some("t0".into()), ..options.clone() };
     open(path, &first)?;
-    let (step, start) = (header.float(76, 104, 4), header.float(136, 216, 0));
-    let known = step > 0.0 && step.is_finite() && start.is_finite();
-    let time = |t: u64| known.then_some(start + t as f64 * step);
-    Ok((0..frames).map(|t| (format!("t{t}"), time(t))).collect())
+    let times = [header.float(136, 216, 0), header.float(76, 104, 4)];
+    Ok(frames::list(frames, header.spectral_unit().is_none().then_some(times)))
 }
 
 /// Bytes of the samples of all frames, unpacked, of a gzipped file with several; `None` of other
@@ -289,11 +290,6 @@ fn check_size(data: &ByteSource, gzip: bool, offset: u64, frames: u64, frame_byt
         .with_help("the file is cut short, or its dimensions or type are wrong"))
 }
 
-fn fields(frames: u64, scalar: ScalarType) -> Vec<FieldInfo> {
-    let one = |name: String| FieldInfo { name, scalar, components: 1 };
-    if frames == 1 { vec![one("data".into())] } else { (0..frames).map(|t| one(format!("t{t}"))).collect() }
-}
-
 /// The header's bytes, and how to read them.
 struct Header {
     path: PathBuf,
@@ -393,6 +389,22 @@ impl Header {
         Units { value: None, length, time }
     }
 
+    /// The unit of a fourth axis that is not one of time.
+    fn spectral_unit(&self) -> Option<&'static str> {
+        match self.integer((123, 1), (500, 4)) & 0x38 {
+            32 => Some("Hz"),
+            40 => Some("ppm"),
+            48 => Some("rad/s"),
+            _ => None,
+        }
+    }
+
+    fn notes(&self, frames: u64) -> Vec<String> {
+        let note =
+            |unit| format!("its fourth axis is in {unit}, which is no time: the volumes have no times");
+        self.spectral_unit().filter(|_| frames > 1).map(note).into_iter().collect()
+    }
+
     fn dim(&self, axis: usize) -> i64 {
         self.integer((40 + 2 * axis, 2), (16 + 8 * axis, 8))
     }
@@ -474,6 +486,12 @@ impl Header {
             return Err(self.bad("scl_inter", "a finite number", intercept.to_string()));
         }
         Ok((slope, intercept))
+    }
+
+    /// Axes whose spacing is not known: nothing but `pixdim` says it, which is 0.
+    fn assumed(&self) -> [bool; 3] {
+        let has_rows = self.integer((254, 2), (348, 4)) > 0;
+        std::array::from_fn(|a| !has_rows && self.float(76, 104, a + 1) == 0.0)
     }
 
     fn geometry(&self) -> Result<Geometry> {

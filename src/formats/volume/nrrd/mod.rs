@@ -18,24 +18,28 @@
 //!
 //! `line skip` lines of the data file come before the samples, and then `byte skip` bytes, which
 //! count decoded bytes in a compressed file; `byte skip: -1` means that the samples are the last
-//! bytes. The reader takes three spatial axes of one number a sample. It refuses by name: other
-//! numbers of axes, colour and vector axes, bzip2 and hex, compressed or text data in several
-//! files.
+//! bytes. The reader takes three axes of space, and one more of time or of a list, whose volumes are
+//! the fields "t0", "t1", … (see the module `axes`); their times follow from that axis' spacing and
+//! minimum. Units of single axes become one. It refuses by name: other numbers of axes, colour and
+//! vector axes, bzip2 and hex, compressed or text data in several files, and such data of a series
+//! whose volumes do not follow each other.
 //!
 //! The format: <https://teem.sourceforge.net/nrrd/format.html>.
+
+mod axes;
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::shared::format::{Format, Head};
-use crate::formats::shared::header::{
-    Lines, geometry, numbered_files, numbers, open_files, plain_info, scaled_axes,
-};
+use crate::formats::shared::frames;
+use crate::formats::shared::header::{Lines, numbered_files, numbers, open_files, plain_info};
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
-use crate::formats::shared::{OpenOptions, pick_field};
+use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
-use crate::volume::units::{Unit, Units, common};
 use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
+use axes::Axes;
+use std::collections::HashMap;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -63,6 +67,15 @@ impl Format for Nrrd {
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         open(path, options)
     }
+
+    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+        // A name is that of one frame.
+        if options.field.is_some() { Ok(None) } else { frames_in(path, options).map(Some) }
+    }
+
+    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        frames_in(path, options).map(known_times)
+    }
 }
 
 /// Opens an NRRD file, attached (`.nrrd`) or detached (`.nhdr`).
@@ -72,15 +85,27 @@ impl Format for Nrrd {
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let header = Header::parse(&source)?;
-    let (dims, scalar) = (header.dims()?, header.scalar()?);
-    let data = header.data(Arc::clone(&source), dims, options.io)?;
+    let (axes, scalar) = (Axes::of(&header)?, header.scalar()?);
+    let data = header.data(Arc::clone(&source), &axes, options.io)?;
     let encoding = header.encoding()?;
     let place = if header.get("datafile").is_some() { "detached" } else { "attached" };
     let format = format!("NRRD ({place}, {})", encoding.name());
-    let mut info = plain_info(path, format, dims, scalar, header.geometry(dims)?);
-    info.units = header.units();
-    pick_field(path, &info.fields, options.field.as_deref())?;
-    header.samples(info, data, encoding)
+    let mut info = plain_info(path, format, axes.dims(), scalar, Geometry::default());
+    axes.describe(&header, &mut info)?;
+    frames::check_last(axes.frames(), options, |options| open(path, options))?;
+    let (frame, fields) = frames::choose(path, axes.frames(), scalar, options)?;
+    (info.field, info.fields) = (fields[frame as usize].clone(), fields);
+    header.samples(info, data, encoding, &axes, frame)
+}
+
+/// The volumes of a series, by the names of their fields; none where there is one volume.
+fn frames_in(path: &Path, options: &OpenOptions) -> Result<Frames> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let header = Header::parse(&source)?;
+    let frames = Axes::of(&header)?.list(&header)?;
+    let any = OpenOptions { field: None, ..options.clone() };
+    frames::check_last(frames.len().max(1) as u64, &any, |options| open(path, options))?;
+    Ok(frames)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -173,23 +198,6 @@ impl<'a> Header<'a> {
         self.get(name).ok_or_else(missing)
     }
 
-    fn dims(&self) -> Result<[u64; 3]> {
-        let [n] = numbers::<u32, 1>(self.path, "dimension", self.require("dimension")?)?;
-        if n != 3 {
-            return Err(Error::bad_input(self.path, "dimension", "3", n.to_string()).with_help(
-                "only volumes with one number a sample are read; cut out one, e.g. with `unu slice`",
-            ));
-        }
-        let kinds: Vec<&str> = self.get("kinds").unwrap_or("").split_whitespace().collect();
-        let spatial = ["domain", "space", "time", "none", "???"];
-        if let Some(kind) = kinds.iter().find(|k| !spatial.contains(&k.to_ascii_lowercase().as_str())) {
-            return Err(Error::bad_input(self.path, "kinds", "three spatial axes", *kind).with_help(
-                "colours, vectors and lists are not read; cut out one component, e.g. with `unu slice`",
-            ));
-        }
-        numbers(self.path, "sizes", self.require("sizes")?)
-    }
-
     fn scalar(&self) -> Result<ScalarType> {
         let name = self.require("type")?.to_ascii_lowercase();
         let words: Vec<&str> = name.split_whitespace().collect();
@@ -245,84 +253,30 @@ impl<'a> Header<'a> {
         }
     }
 
-    fn geometry(&self, dims: [u64; 3]) -> Result<Geometry> {
-        let origin = match self.get("spaceorigin") {
-            Some(text) => self.vectors("space origin", text, 1)?[0],
-            None => [0.0; 3],
-        };
-        if let Some(text) = self.get("spacedirections") {
-            let columns = self.vectors("space directions", text, 3)?;
-            return geometry(self.path, "space directions", origin, [columns[0], columns[1], columns[2]]);
-        }
-        let (spacing, start) = self.per_axis(dims)?;
-        let origin = if self.get("spaceorigin").is_some() { origin } else { start };
-        geometry(self.path, "spacings", origin, scaled_axes(spacing))
-    }
-
-    /// The units of values, and of lengths where all axes have the same one.
-    fn units(&self) -> Units {
-        let names = |name: &str| {
-            let text = self.get(name).unwrap_or_default();
-            // Each in quotes.
-            let quoted: Vec<&str> = text.split('"').skip(1).step_by(2).collect();
-            if quoted.len() == 3 { common(quoted.into_iter().map(Unit::length)) } else { None }
-        };
-        let length = names(if self.get("space").or(self.get("spacedimension")).is_some() {
-            "spaceunits"
-        } else {
-            "units"
-        });
-        let value = self.get("sampleunits").and_then(|text| Unit::new(text.trim_matches('"')));
-        Units { value, length, time: None }
-    }
-
-    /// Spacing and first position of each axis from `spacings`, `axis mins`, `axis maxs`; NaN means
-    /// unknown there.
-    fn per_axis(&self, dims: [u64; 3]) -> Result<([f64; 3], [f64; 3])> {
-        let read = |name: &str, label: &str| match self.get(name) {
-            Some(text) => numbers::<f64, 3>(self.path, label, text),
-            None => Ok([f64::NAN; 3]),
-        };
-        let (given, mins, maxs) =
-            (read("spacings", "spacings")?, read("axismins", "axis mins")?, read("axismaxs", "axis maxs")?);
-        let (mut spacing, mut start) = ([1.0; 3], [0.0; 3]);
-        let centers: Vec<&str> =
-            self.get("centers").or(self.get("centerings")).unwrap_or("").split_whitespace().collect();
-        for a in 0..3 {
-            // A cell-centred axis goes from the outer face of its first sample to that of its last.
-            let cell = centers.get(a).is_some_and(|c| *c == "cell");
-            let steps = if cell { dims[a] } else { dims[a].saturating_sub(1).max(1) } as f64;
-            if !given[a].is_nan() {
-                spacing[a] = given[a];
-            } else if !mins[a].is_nan() && !maxs[a].is_nan() {
-                spacing[a] = (maxs[a] - mins[a]) / steps;
-            }
-            if !mins[a].is_nan() {
-                start[a] = mins[a] + if cell { 0.5 * spacing[a] } else { 0.0 };
-            }
-        }
-        Ok((spacing, start))
-    }
-
-    /// `count` vectors "(x,y,z)".
-    fn vectors(&self, at: &str, text: &str, count: usize) -> Result<Vec<[f64; 3]>> {
+    /// `count` vectors "(x,y,z)"; `None` of an axis that has "none".
+    fn vectors(&self, at: &str, text: &str, count: usize) -> Result<Vec<Option<[f64; 3]>>> {
         let wrong = || {
-            Error::bad_input(self.path, at, format!("{count} vector(s) of the form (x,y,z)"), text)
-                .with_help("axes without a direction (colours, vectors, time) are not read")
+            let expected = format!("{count} vector(s) of the form (x,y,z), or none for an axis of no space");
+            Error::bad_input(self.path, at, expected, text)
         };
         let (mut vectors, mut rest) = (vec![], text.trim());
         while !rest.is_empty() {
+            if let Some(after) = rest.strip_prefix("none") {
+                vectors.push(None);
+                rest = after.trim_start();
+                continue;
+            }
             let (inside, after) = rest.strip_prefix('(').and_then(|r| r.split_once(')')).ok_or_else(wrong)?;
             let parts =
                 inside.split(',').map(|x| x.trim().parse()).collect::<std::result::Result<Vec<f64>, _>>();
-            vectors.push(parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(wrong)?);
+            vectors.push(Some(parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(wrong)?));
             rest = after.trim_start();
         }
         if vectors.len() == count { Ok(vectors) } else { Err(wrong()) }
     }
 
     /// The files that hold the samples.
-    fn data(&self, header: Arc<ByteSource>, dims: [u64; 3], io: IoMode) -> Result<Data> {
+    fn data(&self, header: Arc<ByteSource>, axes: &Axes, io: IoMode) -> Result<Data> {
         let Some(value) = self.get("datafile") else {
             return Ok(Data { parts: vec![header], start: self.end });
         };
@@ -338,11 +292,13 @@ impl<'a> Header<'a> {
             }
             _ => (vec![value.to_string()], Some("3")),
         };
+        let slices = axes.dims()[2].saturating_mul(axes.frames());
         if !matches!(dim, None | Some("2" | "3"))
             || names.is_empty()
-            || !dims[2].is_multiple_of(names.len() as u64)
+            || !slices.is_multiple_of(names.len() as u64)
+            || names.len() > 1 && !axes.are_in_order()
         {
-            let got = format!("{} file(s) for {} slices: {value}", names.len(), dims[2]);
+            let got = format!("{} file(s) for {slices} slices: {value}", names.len());
             return Err(Error::bad_input(
                 self.path,
                 "data file",
@@ -353,10 +309,18 @@ impl<'a> Header<'a> {
         Ok(Data { parts: open_files(self.path, "data file", &names, io)?, start: 0 })
     }
 
-    fn samples(&self, mut info: VolumeInfo, data: Data, encoding: Encoding) -> Result<VolumeSource> {
+    fn samples(
+        &self,
+        mut info: VolumeInfo,
+        data: Data,
+        encoding: Encoding,
+        axes: &Axes,
+        frame: u64,
+    ) -> Result<VolumeSource> {
         info.data_files = data.parts.iter().map(|p| p.path().to_path_buf()).collect();
-        let scalar = info.field.scalar;
-        let needed = sample_bytes(self.path, info.dims, scalar)?;
+        let (scalar, frames) = (info.field.scalar, axes.frames());
+        let [x, y, z] = info.dims;
+        let needed = sample_bytes(self.path, [x, y, z.saturating_mul(frames)], scalar)?;
         let parts = data.parts.len() as u64;
         let [byte_skip] = numbers::<i64, 1>(self.path, "byte skip", self.get("byteskip").unwrap_or("0"))?;
         if byte_skip < -1 {
@@ -368,22 +332,9 @@ impl<'a> Header<'a> {
                 Ok(skip) => self.skip_lines(first, data.start)?.saturating_add(skip),
                 Err(_) => self.last_bytes(first, needed / parts)?,
             };
-            let strides = StridedVolume::packed_strides(info.dims, scalar).expect("fewer than 2^63 bytes");
-            let (slices, big) = (info.dims[2] / parts, self.big_endian(scalar)?);
-            self.same_layout(&data.parts)?;
-            let volume = StridedVolume::stacked(info, data.parts, slices, offset, big, strides)?;
-            return Ok(volume.source());
+            return self.mapped(info, &data, offset, axes, frame);
         }
-        if parts > 1 {
-            let got = format!("{parts} files of {} data", encoding.name());
-            return Err(Error::bad_input(
-                self.path,
-                "data file",
-                "one file, or several with encoding raw",
-                got,
-            )
-            .with_help("join them, e.g. with `unu save -f nrrd -e gzip`"));
-        }
+        self.check_stream(&data, encoding, axes)?;
         let start = self.skip_lines(first, data.start)?;
         if encoding == Encoding::Ascii {
             let start = start.saturating_add(u64::try_from(byte_skip).unwrap_or(0));
@@ -395,9 +346,54 @@ impl<'a> Header<'a> {
             Ok(skip) => skip,
             Err(_) => self.decoded_before(first, start, needed)?,
         };
+        let skip = skip.saturating_add(frame * (needed / frames));
+        let tail = if frame + 1 == frames { Tail::Nothing } else { Tail::Ignored };
         let big = self.big_endian(scalar)?;
-        let slabs = ByteSlabs::new(info, first, range, Codec::Gzip, skip, big, Tail::Nothing)?;
+        let slabs = ByteSlabs::new(info, first, range, Codec::Gzip, skip, big, tail)?;
         Ok(VolumeSource::Stream(Box::new(slabs)))
+    }
+
+    /// A volume that is read where it lies.
+    fn mapped(
+        &self,
+        info: VolumeInfo,
+        data: &Data,
+        offset: u64,
+        axes: &Axes,
+        frame: u64,
+    ) -> Result<VolumeSource> {
+        let big = self.big_endian(info.field.scalar)?;
+        self.same_layout(&data.parts)?;
+        let [x, y, z, volume] = axes.strides(info.field.scalar);
+        // All samples have fewer than 2^63 bytes.
+        let strides = [x, y, z].map(|step| step as i64);
+        if !axes.are_in_order() {
+            let at = offset.saturating_add(frame * volume);
+            let volume = StridedVolume::new(info, Arc::clone(&data.parts[0]), at, big, strides)?;
+            return Ok(volume.source());
+        }
+        let slices = [info.dims[2], z];
+        let (parts, each) = frames::parts_of(self.path, &data.parts, offset, [frame, axes.frames()], slices)?;
+        Ok(StridedVolume::stacked_at(info, parts, each, big, strides)?.source())
+    }
+
+    /// Refuses compressed and text data that cannot be read front to back.
+    fn check_stream(&self, data: &Data, encoding: Encoding, axes: &Axes) -> Result<()> {
+        let parts = data.parts.len();
+        if parts > 1 {
+            let got = format!("{parts} files of {} data", encoding.name());
+            let expected = "one file, or several with encoding raw";
+            return Err(Error::bad_input(self.path, "data file", expected, got)
+                .with_help("join them, e.g. with `unu save -f nrrd -e gzip`"));
+        }
+        if !axes.are_in_order() || encoding == Encoding::Ascii && axes.frames() > 1 {
+            let got = format!("{} data of volumes that are interleaved, or text", encoding.name());
+            let expected = "volumes one after the other (their axis the last), or encoding raw";
+            return Err(Error::bad_input(self.path, "encoding", expected, got).with_help(
+                "write it raw (`unu save -f nrrd -e raw`), or make the axis the last (`unu permute`)",
+            ));
+        }
+        Ok(())
     }
 
     /// Slices in several files all start at the same byte, so skips that depend on a file's content

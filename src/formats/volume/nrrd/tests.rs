@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::formats::tests::{gzip, ramp, read_all, torture, try_read_all, write};
+use crate::volume::units::Unit;
 
 const HEAD: &str = "NRRD0004\n# c\ntype: unsigned short\ndimension: 3\nsizes: 4 3 2\nkey:=a: b\n";
 
@@ -91,7 +92,8 @@ fn what_is_not_read_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let good = String::from_utf8(with("endian: little\nencoding: raw\n", b"")).unwrap();
     for (from, to, message) in [
-        ("dimension: 3", "dimension: 4", "dimension"),
+        ("dimension: 3", "dimension: 2", "dimension"),
+        ("dimension: 3", "dimension: 4", "sizes"),
         ("encoding: raw", "encoding: bzip2", "bzip2"),
         ("encoding: raw", "encoding: hex", "hex"),
         ("endian: little", "endian: middle", "middle"),
@@ -142,7 +144,102 @@ fn units_of_axes_and_samples() {
     let of_space = format!("{space}space units: \"mm\" \"mm\" \"mm\"\nsample units: Hounsfield\n");
     assert_eq!(units(&of_space), [text("Hounsfield"), text("mm")]);
     assert_eq!(units("units: \"um\" \"um\" \"um\"\n"), [None, text("µm")]);
-    for unknown in ["units: \"mm\" \"mm\" \"m\"\n", "units: \"mm\" \"\" \"mm\"\n", "units: mm\n", "", space] {
+    for unknown in ["units: \"mm\" \"\" \"mm\"\n", "units: mm\n", "", space] {
         assert_eq!(units(unknown), [None, None], "{unknown}");
     }
+}
+
+#[test]
+fn units_of_single_axes_become_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let info = |fields: &str| {
+        let fields = format!("{fields}endian: little\nencoding: raw\n");
+        let file = write(&dir, "a.nrrd", &with(&fields, &ramp(false)));
+        open(&file, &OpenOptions::default()).map(|opened| opened.info().clone())
+    };
+    let space = "space dimension: 3\nspace directions: (1,0,0) (0,2,0) (0,0,3)\nspace origin: (10,20,30)\n";
+    let found = info(&format!("{space}space units: \"mm\" \"mm\" \"um\"\n")).unwrap();
+    assert_eq!((found.geometry.spacing, found.geometry.origin), ([1.0, 2.0, 0.003], [10.0, 20.0, 0.03]));
+    assert_eq!(found.units.length, Unit::length("mm"));
+    assert!(found.notes[0].contains("z from µm"), "{:?}", found.notes);
+    // Units of space are those of the world's axes, whatever the axes of the samples are.
+    let turned = "space dimension: 3\nspace directions: (0,0,1) (0,2,0) (3,0,0)\nspace origin: (10,20,30)\n";
+    let found = info(&format!("{turned}space units: \"mm\" \"mm\" \"um\"\n")).unwrap();
+    assert_eq!((found.geometry.spacing, found.geometry.origin), ([0.001, 2.0, 3.0], [10.0, 20.0, 0.03]));
+    let found = info("spacings: 1 2 3\nunits: \"mm\" \"cm\" \"m\"\n").unwrap();
+    assert_eq!(found.geometry.spacing, [1.0, 20.0, 3000.0]);
+    let error = info("units: \"mm\" \"parsecs ago\" \"mm\"\n").unwrap_err().to_string();
+    assert!(error.contains("parsecs ago") && error.contains("units"), "{error}");
+}
+
+/// The samples of three volumes of 4 x 3 x 2 of a file with these lines, and its times.
+fn series(fields: &str, data: &[u8]) -> Result<(Vec<Vec<f32>>, Vec<Option<f64>>, VolumeInfo)> {
+    let dir = tempfile::tempdir().unwrap();
+    let head = format!("NRRD0005\ntype: ushort\ndimension: 4\n{fields}endian: little\n\n");
+    let file = write(&dir, "a.nrrd", &[head.as_bytes(), data].concat());
+    let steps = crate::formats::steps_of(&[file], &OpenOptions::default())?;
+    let mut infos = vec![];
+    let values = steps.iter().map(|step| {
+        let (info, values) = read_all(open(&step.path, &step.options)?);
+        infos.push(info);
+        Ok(values)
+    });
+    let values = values.collect::<Result<Vec<_>>>()?;
+    Ok((values, steps.iter().map(|step| step.time).collect(), infos.swap_remove(0)))
+}
+
+#[test]
+fn a_fourth_axis_has_the_volumes_of_a_series() {
+    let numbers =
+        |of: &dyn Fn(u16) -> u16| -> Vec<u8> { (0..72).flat_map(|i| of(i).to_le_bytes()).collect() };
+    let expected: Vec<Vec<f32>> = (0..3).map(|t| (0..24).map(|i| (24 * t + i) as f32).collect()).collect();
+    let last = numbers(&|i| i);
+    let space = "space: left-posterior-superior\nspace origin: (1,2,3)\n";
+    let times = [Some(10.0), Some(10.5), Some(11.0)];
+    let of_time = "spacings: nan nan nan 0.5\naxis mins: nan nan nan 10\nunits: \"\" \"\" \"\" \"s\"\n";
+    let directions = "space directions: (2,0,0) (0,2,0) (0,0,3) none\n";
+    for (kinds, has_times) in [("domain domain domain time", true), ("domain domain domain list", false)] {
+        let head = format!("sizes: 4 3 2 3\nkinds: {kinds}\n{space}{directions}{of_time}");
+        for (encoding, data) in [("raw", last.clone()), ("gzip", gzip(&last))] {
+            let (values, found, info) = series(&format!("{head}encoding: {encoding}\n"), &data).unwrap();
+            assert_eq!((info.dims, &values), ([4, 3, 2], &expected), "{kinds}, {encoding}");
+            assert_eq!((info.geometry.spacing, info.geometry.origin), ([2.0, 2.0, 3.0], [1.0, 2.0, 3.0]));
+            assert_eq!(found == times, has_times, "{kinds}: {found:?}");
+            assert_eq!(info.units.time.is_some(), has_times, "{kinds}");
+        }
+    }
+    // Slicer's sequences have the volumes as the fastest axis.
+    let first = numbers(&|i| 24 * (i % 3) + i / 3);
+    let directions = "space directions: none (2,0,0) (0,2,0) (0,0,3)\n";
+    let head = format!("sizes: 3 4 3 2\nkinds: list domain domain domain\n{space}{directions}");
+    let (values, found, info) = series(&format!("{head}encoding: raw\n"), &first).unwrap();
+    assert_eq!((info.dims, values, found), ([4, 3, 2], expected.clone(), vec![None; 3]));
+    let error = series(&format!("{head}encoding: gzip\n"), &gzip(&first)).unwrap_err().to_string();
+    assert!(error.contains("interleaved") && error.contains("encoding"), "{error}");
+    // Nothing says what the last axis is.
+    let (values, _, info) = series("sizes: 4 3 2 3\nencoding: raw\n", &last).unwrap();
+    assert_eq!(values, expected);
+    assert!(info.notes[0].contains("axis 3"), "{:?}", info.notes);
+}
+
+#[test]
+fn axes_that_are_no_space_and_no_series_are_refused() {
+    let data = vec![0; 1000];
+    for (fields, word) in [
+        ("sizes: 4 3 2 3\nkinds: domain domain domain vector\n", "vector"),
+        ("sizes: 3 9 9 2\nkinds: RGB-color domain domain domain\n", "RGB-color"),
+        ("sizes: 3 9 9 2\n", "sizes 3 9 9 2"),
+        ("sizes: 4 3 2 3\nkinds: domain domain time time\n", "time time"),
+        ("sizes: 4 3 2 99999\nkinds: domain domain domain time\n", "65536"),
+        ("sizes: 4 3 2 50\nkinds: domain domain domain time\n", "byte"),
+    ] {
+        let error = series(&format!("{fields}encoding: raw\n"), &data).unwrap_err();
+        assert!(error.exit_code() == 5 && error.to_string().contains(word), "{error}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let head =
+        "NRRD0005\ntype: uchar\ndimension: 3\nsizes: 4 3 2\nkinds: domain domain time\nencoding: raw\n\n";
+    let file = write(&dir, "a.nrrd", &[head.as_bytes(), &data].concat());
+    let error = open(&file, &OpenOptions::default()).err().unwrap().to_string();
+    assert!(error.contains("three axes of space") && error.contains("time"), "{error}");
 }

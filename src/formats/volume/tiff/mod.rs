@@ -24,9 +24,8 @@
 //! page, whose description has the number of images that follow each other: they are read too.
 //!
 //! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
-//! spacing comes from ImageJ's description (`spacing=` and the resolution tags that go with it) or
-//! OME-XML's `PhysicalSizeX`, `Y`, `Z` (when their units agree); without either it is 1. What the
-//! user gives replaces it. Rows are in the file's order: the tag for orientation is not applied.
+//! spacing comes from ImageJ's description or from OME-XML (see the module `place`); without either it
+//! is 1. What the user gives replaces it. Rows are in the file's order: the tag for orientation is not applied.
 //!
 //! The parser is our own, because mapping in place needs the places of the strips, and they are
 //! most of TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
@@ -34,6 +33,7 @@
 
 mod ifd;
 mod page;
+mod place;
 mod planes;
 mod slices;
 
@@ -45,11 +45,12 @@ use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, pick_field};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
-use crate::volume::units::{Unit, Units};
-use crate::volume::{VolumeInfo, VolumeSource};
+use crate::volume::units::Units;
+use crate::volume::{Assumed, VolumeInfo, VolumeSource};
 use ifd::Tiff;
 pub(in crate::formats) use ifd::has_magic;
 use page::{Page, Shape};
+use place::{Place, imagej, ome};
 use planes::Planes;
 use slices::SliceFiles;
 use std::path::{Path, PathBuf};
@@ -279,12 +280,13 @@ fn info(
     sample_bytes(path, dims, scalar)?;
     let big = if tiff.big { "Big" } else { "" };
     let format = format!("{big}{kind}, {})", page.compression.name());
-    let spacing = spacing(page).filter(|s| s.iter().all(|v| v.is_finite() && *v > 0.0)).unwrap_or([1.0; 3]);
-    let geometry = geometry(path, "spacing", [0.0; 3], scaled_axes(spacing))?;
+    // What a user gives has no unit of the file.
+    let place = if options.spacing.is_some() { Place::default() } else { Place::of(path, page)? };
+    let geometry = geometry(path, "spacing", [0.0; 3], scaled_axes(place.spacing))?;
     let geometry = given_geometry(path, options, geometry)?;
     let mut info = plain_info(path, format, dims, scalar, geometry);
-    // What a user gives has no unit of the file.
-    info.units = Units::of_length(length_unit(page).filter(|_| options.spacing.is_none()));
+    (info.units, info.notes) = (Units::of_length(place.unit), place.notes);
+    info.assumed = Assumed { axes: place.missing, can_be_given: true };
     pick_field(path, &info.fields, options.field.as_deref())?;
     Ok(info)
 }
@@ -327,51 +329,6 @@ fn packed(info: &VolumeInfo) -> Result<[i64; 3]> {
 /// The number of images that an ImageJ description states; 1 without one.
 fn images(description: &str) -> u64 {
     imagej(description, "images").and_then(|v| v.parse().ok()).unwrap_or(1)
-}
-
-/// A value of an ImageJ description: lines "key=value" after "ImageJ=version".
-fn imagej<'a>(description: &'a str, key: &str) -> Option<&'a str> {
-    let lines = description.starts_with("ImageJ=").then(|| description.lines())?;
-    lines.filter_map(|l| l.split_once('=')).find(|(k, _)| *k == key).map(|(_, v)| v.trim())
-}
-
-/// An attribute of OME-XML's first `Pixels`.
-fn ome<'a>(description: &'a str, key: &str) -> Option<&'a str> {
-    let pixels = description.contains("<OME").then(|| description.find("<Pixels"))??;
-    let tag = &description[pixels..];
-    let tag = &tag[..tag.find('>')?];
-    let at = tag.find(&format!(" {key}=\""))? + key.len() + 3;
-    tag[at..].split('"').next()
-}
-
-/// Spacing along x, y, z where the file has all three.
-fn spacing(page: &Page) -> Option<[f64; 3]> {
-    let text = &page.description;
-    if text.starts_with("ImageJ=") {
-        // Without "spacing=" ImageJ takes slices to be one unit apart.
-        let z = imagej(text, "spacing").map_or(Some(1.0), |v| v.parse::<f64>().ok())?;
-        let [x, y] = page.resolution.unwrap_or([1.0; 2]);
-        return Some([x.recip(), y.recip(), z.abs()]);
-    }
-    let axes = ["X", "Y", "Z"];
-    let unit = |a: &str| ome(text, &format!("PhysicalSize{a}Unit"));
-    if axes.iter().any(|a| unit(a) != unit("X")) {
-        return None;
-    }
-    let sizes = axes.map(|a| ome(text, &format!("PhysicalSize{a}")).and_then(|v| v.parse::<f64>().ok()));
-    Some([sizes[0]?, sizes[1]?, sizes[2]?])
-}
-
-/// The unit of the spacing: ImageJ's "unit=", in which "µ" is escaped; that of OME-XML, which has
-/// µm where it names none.
-fn length_unit(page: &Page) -> Option<Unit> {
-    let text = &page.description;
-    spacing(page)?;
-    if text.starts_with("ImageJ=") {
-        return Unit::length(&imagej(text, "unit")?.replace("\\u00B5", "µ"));
-    }
-    let unit = ome(text, "PhysicalSizeXUnit").unwrap_or("µm");
-    Unit::length(&unit.replace("&#181;", "µ").replace("&#xB5;", "µ").replace("&#xb5;", "µ"))
 }
 
 /// All pages of a file, read where they lie.

@@ -35,7 +35,7 @@ impl Planes {
     pub(super) fn of(path: &Path, description: &str) -> Result<Option<Self>> {
         let number = |text: Option<&str>| text.and_then(|v| v.parse::<u64>().ok()).unwrap_or(1).max(1);
         let of_imagej = |key: &str| number(imagej(description, key));
-        let of_ome = |key: &str| number(ome(description, key));
+        let of_ome = |key: &str| number(ome(description, key).as_deref());
         let count = of_imagej("channels").max(of_ome("SizeC"));
         let moments = of_imagej("frames").max(of_ome("SizeT"));
         if (count, moments) == (1, 1) {
@@ -50,7 +50,7 @@ impl Planes {
         let slices = if description.starts_with("ImageJ=") {
             of_imagej("slices").max(of_imagej("images") / (count * moments))
         } else {
-            let text = ome(description, "DimensionOrder").unwrap_or("XYCZT");
+            let text = ome(description, "DimensionOrder").unwrap_or_else(|| "XYCZT".into());
             let axes: Vec<char> = text.chars().skip(2).collect();
             order = axes.try_into().unwrap_or(order);
             let mut sorted = order;

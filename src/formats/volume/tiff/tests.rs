@@ -3,6 +3,7 @@ use crate::formats::open_volume;
 use crate::formats::tests::{read_all, survives, torture, write};
 use crate::grid::IndexBox;
 use crate::volume::ScalarType;
+use crate::volume::units::Unit;
 use std::io::Write;
 
 /// How a page is written.
@@ -516,20 +517,58 @@ fn channels_of_imagej_stacks_of_one_page() {
     }
 }
 
-#[test]
-fn ome_spacing_needs_one_unit() {
+/// Spacing, unit and notes of a file with a description, or the error.
+fn described(text: &str, more: &[(u16, u16, Vec<u8>)]) -> Result<([f64; 3], Option<String>, Vec<String>)> {
+    let info = info_of(text, more)?;
+    Ok((info.geometry.spacing, info.units.length.map(|unit| unit.to_string()), info.notes))
+}
+
+fn info_of(text: &str, more: &[(u16, u16, Vec<u8>)]) -> Result<VolumeInfo> {
     let dir = tempfile::tempdir().unwrap();
-    for (unit, expected) in [("µm", [0.5, 0.5, 2.0]), ("mm", [1.0; 3])] {
-        let text = format!(
-            "<OME><Image><Pixels SizeC=\"1\" SizeT=\"1\" PhysicalSizeX=\"0.5\" PhysicalSizeY=\"0.5\" \
-             PhysicalSizeZ=\"2\" PhysicalSizeXUnit=\"µm\" PhysicalSizeYUnit=\"µm\" PhysicalSizeZUnit=\"{unit}\">\0"
-        );
-        let more = [(270, 2, text.into_bytes())];
-        let (info, _) = open_ok(&write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 2, &more)));
-        assert_eq!(info.geometry.spacing, expected);
-        let found = Units::of_length(Unit::length("µm").filter(|_| unit == "µm"));
-        assert_eq!(info.units, found, "{unit}");
-    }
+    let more = [&[(270, 2, format!("{text}\0").into_bytes())], more].concat();
+    let path = write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 2, &more));
+    Ok(crate::formats::open_volume(&path, &OpenOptions::default())?.info().clone())
+}
+
+#[test]
+fn units_of_single_axes_become_one() {
+    let ome = |sizes: &str| format!("<OME><Image><Pixels SizeC=\"1\" SizeT=\"1\" {sizes}>");
+    let of = |x: &str, y: &str, z: &str| {
+        ome(&format!(
+            "PhysicalSizeX=\"0.5\" PhysicalSizeXUnit=\"{x}\" PhysicalSizeY=\"500\" PhysicalSizeYUnit=\"{y}\" \
+             PhysicalSizeZ=\"0.002\" PhysicalSizeZUnit=\"{z}\""
+        ))
+    };
+    let (spacing, unit, notes) = described(&of("&#181;m", "nm", "mm"), &[]).unwrap();
+    assert_eq!((spacing, unit.as_deref()), ([0.5, 0.5, 2.0], Some("µm")));
+    assert!(notes[0].contains("y from nm, z from mm"), "{notes:?}");
+    let (spacing, unit, notes) = described(&of("mm", "mm", "mm"), &[]).unwrap();
+    assert_eq!((spacing, unit.as_deref(), notes), ([0.5, 500.0, 0.002], Some("mm"), vec![]));
+    let error = described(&of("mm", "furlong", "mm"), &[]).unwrap_err().to_string();
+    assert!(error.contains("furlong"), "{error}");
+
+    let resolution = [
+        (282, 5, [2u32, 1].map(u32::to_le_bytes).concat()),
+        (283, 5, [4u32, 1].map(u32::to_le_bytes).concat()),
+    ];
+    let imagej = "ImageJ=1.53t\nimages=2\nslices=2\nspacing=2.5\n";
+    let (spacing, unit, _) =
+        described(&format!("{imagej}unit=nm\nyunit=\\u00B5m\nzunit=\\u03BCm\n"), &resolution).unwrap();
+    assert_eq!((spacing, unit.as_deref()), ([0.5, 250.0, 2500.0], Some("nm")));
+    let (spacing, unit, notes) = described(&format!("{imagej}unit=\\u03BCm\n"), &resolution).unwrap();
+    assert_eq!((spacing, unit.as_deref(), notes), ([0.5, 0.25, 2.5], Some("µm"), vec![]));
+}
+
+#[test]
+fn a_size_that_is_missing_is_named_and_the_others_stay() {
+    let ome = "<OME><Image><Pixels SizeC=\"1\" SizeT=\"1\" PhysicalSizeX=\"0.5\" PhysicalSizeY=\"0.25\">";
+    let info = info_of(ome, &[]).unwrap();
+    assert_eq!((info.geometry.spacing, info.assumed.axes), ([0.5, 0.25, 1.0], [false, false, true]));
+    assert_eq!(info.units, Units::of_length(Unit::length("µm")));
+    let imagej = "ImageJ=1.53t\nimages=2\nslices=2\nunit=mm\n";
+    let info = info_of(imagej, &[]).unwrap();
+    assert_eq!((info.geometry.spacing, info.assumed.axes), ([1.0; 3], [false, false, true]));
+    assert!(info.assumed.can_be_given);
 }
 
 #[test]

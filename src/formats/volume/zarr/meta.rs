@@ -4,6 +4,7 @@
 use super::codec::Codec;
 use super::store::read_if_there;
 use crate::error::{Error, Result};
+use crate::formats::shared::cf::signed_as;
 use crate::volume::ScalarType;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -65,6 +66,19 @@ pub(super) fn json(file: &Path) -> Result<Option<Value>> {
 
 /// The metadata of the array in a folder; `None` where there is no array.
 pub(super) fn array(folder: &Path) -> Result<Option<Array>> {
+    let mut array = stored_array(folder)?;
+    if let Some(array) = &mut array {
+        let unsigned = match &array.attributes["_Unsigned"] {
+            Value::Bool(is_unsigned) => is_unsigned.to_string(),
+            other => other.as_str().unwrap_or_default().to_string(),
+        };
+        array.scalar = signed_as(array.scalar, &unsigned);
+    }
+    Ok(array)
+}
+
+/// The same, with the type of the stored numbers.
+fn stored_array(folder: &Path) -> Result<Option<Array>> {
     let file = folder.join("zarr.json");
     let of_3 = json(&file);
     if let Ok(Some(json)) = of_3 {
@@ -327,6 +341,9 @@ impl Parser<'_> {
 impl Array {
     /// The file of a chunk (or shard) by its place in the grid.
     pub(super) fn chunk_file(&self, at: &[u64]) -> PathBuf {
+        if at.is_empty() {
+            return self.folder.join(if self.key.prefix { "c" } else { "0" });
+        }
         let mut name = if self.key.prefix { format!("c{}", self.key.separator) } else { String::new() };
         let numbers: Vec<String> = at.iter().map(u64::to_string).collect();
         name.push_str(&numbers.join(&self.key.separator.to_string()));

@@ -25,7 +25,8 @@
 //! `NAME:c1`, …; their frames are `NAME:LABEL:t0`, …. All others must have one entry. Spacing and
 //! origin are those of `coordinateTransformations`; else of the arrays next to the array that are
 //! named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1
-//! and 0. `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
+//! and 0. Units of single axes become one, and a scale that is stored as another array is refused.
+//! `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are used. Four axes
 //! without names are refused if the last has at most four entries: these are vectors, or colours. A
 //! chunk of several frames is decoded for each of them.
 //!
@@ -54,13 +55,14 @@ use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
+use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::grid::Geometry;
 use crate::volume::chunked::{ChunkSlabs, ChunkSource, refuse_many_chunks};
 use crate::volume::strided::swap_bytes;
-use crate::volume::units::{Unit, Units, common};
+use crate::volume::units::{Unit, Units};
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
@@ -114,6 +116,20 @@ impl Format for Zarr {
 
     fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
         frames(path, options).map(Some)
+    }
+
+    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
+        time(path, options)
+    }
+
+    fn calendar(&self, path: &Path, options: &OpenOptions) -> Result<String> {
+        let _archive = store::held(path, options.io)?;
+        let (image, arrays) = arrays(path)?;
+        let fields = fields(image.as_ref(), &arrays)?;
+        let field = &fields[choose(path, options, image.as_ref(), &arrays, &fields)?];
+        let array = &arrays[field.array].1;
+        let times = times_of(array, field.frame.map(|frame| frame.axis).or(field.record), options.io);
+        Ok(times.map_or_else(String::new, |times| times.calendar))
     }
 
     fn times(&self, path: &Path, _: &OpenOptions) -> Result<HashMap<String, f64>> {
@@ -183,7 +199,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let fields = fields(image.as_ref(), &arrays)?;
     let number = choose(path, options, image.as_ref(), &arrays, &fields)?;
     let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
-    let Field { info: field, array, axes, fixed, frame, .. } =
+    let Field { info: field, array, axes, fixed, frame, record, .. } =
         fields.into_iter().nth(number).expect("one of them");
     let array = arrays.into_iter().nth(array).expect("a field's array").1;
     let image = match image {
@@ -200,7 +216,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         options.refuse_geometry(path, "a Zarr array with coordinates")?;
     }
     let geometry = match &image {
-        Some(_) => placed(&array, image.as_ref(), axes)?,
+        Some(image) => image.placed(&array, axes)?,
         None => given_geometry(path, options, cf::placed(&array.file, &lines, [0, 1, 2], [1.0; 3])?)?,
     };
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
@@ -209,10 +225,22 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
     let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
+    if image.is_none() {
+        refuse_hyperspy(&array)?;
+        info.assumed = options.assumed([0, 1, 2].map(|a| lines[a].is_none()));
+    }
     let convert = packing(&array)?.into_info(&mut info);
+    let lengths = match &image {
+        Some(image) => image.lengths(axes)?,
+        None => line_lengths(&array, axes),
+    };
+    info.notes.extend(lengths.note.clone());
     info.units = match &image {
-        Some(image) => image.units(&array, axes, time),
-        None => cf::units(text(&array, "units"), axes.map(|a| line_unit(&array, a)), line_unit(&array, time)),
+        Some(image) => image.units(&array, &lengths, time),
+        None => {
+            let time = times_of(&array, time.or(record), options.io).map(|times| times.unit);
+            cf::units(text(&array, "units"), &lengths, time)
+        }
     };
     info.field = field;
     if convert.is_some() {
@@ -225,6 +253,23 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     };
     let chunks = Chunks { archive, convert, ..Chunks::new(info, array, axes, fixed, options.io) };
     Ok(VolumeSource::Chunked(Arc::new(chunks)))
+}
+
+/// Fails for an array of HyperSpy (.zspy), whose axes are groups beside it.
+fn refuse_hyperspy(array: &Array) -> Result<()> {
+    let axis = array.folder.parent().map(|group| group.join("axis-0"));
+    let Some(axis) = axis.filter(|axis| !is_remote(axis)) else { return Ok(()) };
+    let of_3 = meta::json(&axis.join("zarr.json"))?.map(|json| json["attributes"].clone());
+    let attributes = match of_3 {
+        None => meta::json(&axis.join(".zattrs"))?,
+        found => found,
+    };
+    if attributes.is_none_or(|attributes| attributes.get("navigate").is_none()) {
+        return Ok(());
+    }
+    let got = "an array of HyperSpy (.zspy), whose axes are the groups 'axis-0' and so on beside it";
+    Err(Error::bad_input(&array.folder, "kind of Zarr array", "OME-Zarr, or coordinates of CF", got)
+        .with_help("save it as .hspy"))
 }
 
 /// The number of the field that is read.
@@ -263,6 +308,55 @@ pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<F
     wanted.map_or(Ok(vec![]), |wanted| frames_of(image.as_ref(), &arrays, |f| wanted.is_series(f)))
 }
 
+/// The time of the array that is read, or of all of them, where it is one time. OME-Zarr states
+/// none for a single frame.
+fn time(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
+    let _archive = store::held(path, options.io)?;
+    let (image, arrays) = arrays(path)?;
+    if image.is_some() {
+        return Ok(None);
+    }
+    let fields = fields(None, &arrays)?;
+    let of_field = |field: &Field| {
+        let axis = field.frame.map(|frame| frame.axis).or(field.record);
+        let times = times_of(&arrays[field.array].1, axis, options.io)?;
+        times.values.get(field.frame.map_or(0, |frame| frame.number) as usize).copied()
+    };
+    if options.field.is_some() {
+        return Ok(of_field(&fields[choose(path, options, None, &arrays, &fields)?]));
+    }
+    let times: Vec<Option<f64>> = fields.iter().map(of_field).collect();
+    let is_series = fields.iter().any(|field| field.frame.is_some());
+    Ok(common(times).filter(|_| !is_series))
+}
+
+/// The times of an array.
+struct Times {
+    values: Vec<f64>,
+    unit: String,
+    calendar: String,
+}
+
+/// The times along an axis, else the single one of an array beside it. None where it has no such
+/// coordinates.
+fn times_of(array: &Array, axis: Option<usize>, io: IoMode) -> Option<Times> {
+    let times = |own: Array| {
+        let [unit, calendar] = ["units", "calendar"].map(|name| text(&own, name).to_owned());
+        Some(Times { values: numbers(own, io).ok()?, unit, calendar })
+    };
+    if axis.is_some() {
+        return times(line_array(array, axis?).ok()??);
+    }
+    let group = array.folder.parent()?;
+    let names = cf::names_of_time(text(array, "coordinates")).filter(|(name, _)| is_inside(name));
+    names.into_iter().find_map(|(name, most_axes)| {
+        let own = meta::array(&group.join(name)).ok()??;
+        let kind = cf::kind_of_coordinate(name, text(&own, "axis"), text(&own, "units"));
+        let is_one = own.shape.len() <= most_axes && own.shape.iter().all(|&n| n == 1);
+        if kind == 't' && is_one { times(own) } else { None }
+    })
+}
+
 /// The frames of all arrays.
 pub(in crate::formats) fn all_frames(path: &Path) -> Result<Frames> {
     let _archive = store::held(path, IoMode::Auto)?;
@@ -281,7 +375,7 @@ fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(&Field) -> bo
         };
         let time = match around {
             Some(image) => {
-                let (scale, shift) = image.scale_and_shift(array, frame.axis);
+                let (scale, shift) = image.scale_and_shift(array, frame.axis)?;
                 Some(shift + scale * frame.number as f64)
             }
             None => line(array, frame.axis, IoMode::Auto)?
@@ -317,7 +411,12 @@ pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Res
 /// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
 fn lines(array: &Array, axes: Axes, io: IoMode) -> Result<[Option<Line>; 3]> {
     let [x, y, z] = axes.map(|axis| axis.map_or(Ok(None), |axis| line(array, axis, io)));
-    Ok([x?, y?, z?])
+    Ok(cf::in_one_unit([x?, y?, z?], &line_lengths(array, axes), [0, 1, 2]))
+}
+
+/// The lengths along x, y, z, by the units of these arrays.
+fn line_lengths(array: &Array, axes: Axes) -> Lengths {
+    cf::lengths(axes.map(|axis| line_unit(array, axis)), [0, 1, 2])
 }
 
 /// The numbers of the array of one axis that is named like an axis of an array, and lies next to
@@ -343,12 +442,18 @@ fn line_array(array: &Array, axis: usize) -> Result<Option<Array>> {
 
 fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
     let Some(own) = line_array(array, axis)? else { return Ok(None) };
-    check_chunks(&own)?;
     let single = own.scalar == ScalarType::F32;
+    Ok(Some(Line::new(numbers(own, io)?, single)))
+}
+
+/// The numbers of an array of at most one axis.
+fn numbers(own: Array, io: IoMode) -> Result<Vec<f64>> {
+    check_chunks(&own)?;
     let packing = packing(&own)?;
-    let info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
-    let scalar = own.scalar;
-    let chunks = Chunks::new(info, own, [Some(0), None, None], vec![], io);
+    let count = own.shape.first().copied().unwrap_or(1);
+    let info = plain_info(&own.file, "Zarr", [count, 1, 1], own.scalar, Geometry::default());
+    let (scalar, along) = (own.scalar, (!own.shape.is_empty()).then_some(0));
+    let chunks = Chunks::new(info, own, [along, None, None], vec![], io);
     let (mut chunks, mut bytes, mut out) = (ChunkSlabs::new(Arc::new(chunks)), vec![], vec![]);
     while chunks.next_slab(&mut bytes)?.is_some() {
         let mut part = vec![0.0; bytes.len() / scalar.bytes()];
@@ -356,7 +461,7 @@ fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
         out.extend(part);
     }
     packing.unpack(&mut out);
-    Ok(Some(Line::new(out, single)))
+    Ok(out)
 }
 
 /// An attribute that is text, else "".
@@ -391,6 +496,13 @@ impl Attributes for Array {
         Ok(Some(Numbers { values, are_floats: list.iter().any(|v| !v.is_i64() && !v.is_u64()) }))
     }
 
+    fn text(&self, name: &str) -> String {
+        match &self.attributes[name] {
+            Value::Bool(word) => word.to_string(),
+            other => other.as_str().unwrap_or_default().to_owned(),
+        }
+    }
+
     fn wrong(&self, names: &str, expected: &str, got: String) -> Error {
         Error::bad_input(attributes_file(self), names, expected, got)
     }
@@ -423,6 +535,8 @@ struct Field {
     axes: Axes,
     channel: Option<Channel>,
     frame: Option<Entry>,
+    /// The axis of time, where it has one entry.
+    record: Option<usize>,
     /// The entries of both.
     fixed: Vec<Entry>,
 }
@@ -446,7 +560,11 @@ fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
             None => image_around(&array.folder)?,
         };
         let image = image.or(around.as_ref());
-        let AllAxes { space, time, channel } = match axes(array, image) {
+        let found = match image {
+            None => cf::refuse_mesh(array, array.names.as_deref().unwrap_or_default()),
+            Some(_) => Ok(()),
+        };
+        let AllAxes { space, time, record, channel } = match found.and_then(|()| axes(array, image)) {
             Ok(found) => found,
             Err(e) => {
                 refused = refused.or(Some(e));
@@ -470,6 +588,7 @@ fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
                     fixed: of_channel.into_iter().chain(frame).collect(),
                     channel: channel.cloned(),
                     frame,
+                    record,
                 });
             }
         }
@@ -551,6 +670,9 @@ fn level(path: &Path, options: &OpenOptions, image: Option<&Image>, arrays: &Nam
     Err(Error::usage(format!("{}: {text}", path.display())))
 }
 
+/// Where OME-Zarr says the place of samples.
+const TRANSFORMATIONS: &str = "coordinateTransformations";
+
 /// An image of an OME-Zarr group: its `multiscales` entry.
 #[derive(Clone, Debug)]
 struct Image {
@@ -600,33 +722,75 @@ impl Image {
         self.multiscale["datasets"].as_array().into_iter().flatten()
     }
 
-    /// The units of the axes, and of values where the array has them. An axis that the image does
-    /// not have is no obstacle.
-    fn units(&self, array: &Array, space: Axes, time: Option<usize>) -> Units {
-        let of_axis = |axis: usize| self.multiscale["axes"][axis]["unit"].as_str();
-        let along = space.into_iter().flatten().map(|axis| of_axis(axis).and_then(Unit::length));
+    fn unit(&self, axis: usize) -> Option<&str> {
+        self.multiscale["axes"][axis]["unit"].as_str()
+    }
+
+    /// The lengths along x, y, z. An axis that the image does not have is no obstacle.
+    fn lengths(&self, space: Axes) -> Result<Lengths> {
+        let first = space.into_iter().flatten().next();
+        let units = space.map(|axis| self.unit(axis.or(first)?).and_then(Unit::length));
+        Lengths::of_space(&self.group, "multiscales, units of the axes", units)
+    }
+
+    /// The units of the axes, and of values where the array has them.
+    fn units(&self, array: &Array, lengths: &Lengths, time: Option<usize>) -> Units {
         Units {
             value: Unit::new(text(array, "units")),
-            length: common(along),
-            time: time.and_then(of_axis).and_then(Unit::time),
+            length: lengths.unit.clone(),
+            time: time.and_then(|axis| self.unit(axis)).and_then(Unit::time),
         }
     }
 
+    /// Scale and translation of an array's samples along x, y, z.
+    fn placed(&self, array: &Array, axes: Axes) -> Result<Geometry> {
+        let (mut spacing, mut origin) = ([1.0; 3], [0.0; 3]);
+        for (a, axis) in axes.into_iter().enumerate() {
+            if let Some(axis) = axis {
+                (spacing[a], origin[a]) = self.scale_and_shift(array, axis)?;
+            }
+        }
+        let lengths = self.lengths(axes)?;
+        let (origin, spacing) = (lengths.of_vector(origin), lengths.of_vector(spacing));
+        geometry(&self.group, TRANSFORMATIONS, origin, scaled_axes(spacing))
+    }
+
     /// Scale and translation of an array's entries along one of its axes.
-    fn scale_and_shift(&self, array: &Array, axis: usize) -> (f64, f64) {
+    fn scale_and_shift(&self, array: &Array, axis: usize) -> Result<(f64, f64)> {
         let level = self.levels().find(|l| self.group.join(path_of(l)) == array.folder);
-        let lists = [
-            level.map(|l| &l["coordinateTransformations"]),
-            Some(&self.multiscale["coordinateTransformations"]),
-        ];
+        let lists = [level.map(|l| &l[TRANSFORMATIONS]), Some(&self.multiscale[TRANSFORMATIONS])];
         let (mut scale, mut shift) = (1.0, 0.0);
         for step in lists.into_iter().flatten().filter_map(Value::as_array).flatten() {
-            let value =
-                |key: &str, default: f64| step[key].get(axis).and_then(Value::as_f64).unwrap_or(default);
-            let by = value("scale", 1.0);
-            (scale, shift) = (scale * by, shift * by + value("translation", 0.0));
+            let (by, then) = self.transformation(step, array.shape.len(), axis)?;
+            (scale, shift) = (scale * by, shift * by + then);
         }
-        (scale, shift)
+        Ok((scale, shift))
+    }
+
+    /// What one transformation does along an axis of `rank` axes.
+    fn transformation(&self, step: &Value, rank: usize, axis: usize) -> Result<(f64, f64)> {
+        let kind = step["type"].as_str().unwrap_or_default();
+        let wrong = |got: String| {
+            let expected = "the numbers of a scale or translation, one for each axis";
+            Error::bad_input(&self.group, TRANSFORMATIONS, expected, got)
+        };
+        if let Some(path) = step["path"].as_str() {
+            let got = format!("a {kind} that is stored as the array {path:?}");
+            return Err(wrong(got).with_help("write its numbers into the metadata"));
+        }
+        if !matches!(kind, "" | "identity" | "scale" | "translation") {
+            let got = format!("a transformation of the type {kind:?}");
+            return Err(wrong(got).with_help("resample the image to a grid with scale and translation"));
+        }
+        let number = |key: &str| -> Result<Option<f64>> {
+            let list = &step[key];
+            if list.is_null() && kind != key {
+                return Ok(None);
+            }
+            let number = list.as_array().filter(|l| l.len() == rank).and_then(|l| l[axis].as_f64());
+            number.map(Some).ok_or_else(|| wrong(format!("{key} {list} for {rank} axes")))
+        };
+        Ok((number("scale")?.unwrap_or(1.0), number("translation")?.unwrap_or(0.0)))
     }
 }
 
@@ -699,7 +863,21 @@ fn is_inside(path: &str) -> bool {
 struct AllAxes {
     space: Axes,
     time: Option<usize>,
+    /// The axis of time, where it has one entry.
+    record: Option<usize>,
     channel: Option<usize>,
+}
+
+/// What an axis is, by its name, else by the array of its coordinates where there is one: on a
+/// server it costs requests to look for that.
+fn kind_of(array: &Array, axis: usize, name: &str) -> char {
+    match cf::kind_of_name(name) {
+        '?' => line_array(array, axis)
+            .ok()
+            .flatten()
+            .map_or('?', |line| cf::kind_of_coordinate(name, text(&line, "axis"), text(&line, "units"))),
+        known => known,
+    }
 }
 
 fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
@@ -711,50 +889,44 @@ fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
     let first = || image.filter(|_| rank == 5).map(|_| ["t", "c", "z", "y", "x"].map(String::from).into());
     let names: Option<Vec<String>> = of_image.or_else(|| array.names.clone()).filter(|n| n.len() == rank);
     let names = names.or_else(first);
-    let find = |name: &str| names.as_ref()?.iter().position(|n| n.eq_ignore_ascii_case(name));
-    let named = ["x", "y", "z"].map(find);
+    let kind = |axis: usize| match &names {
+        None => '?',
+        Some(names) if image.is_some() => cf::kind_of_name(&names[axis]),
+        Some(names) => kind_of(array, axis, &names[axis]),
+    };
+    let kinds: Vec<char> = (0..rank).map(kind).collect();
+    // Names that are as short as this count before those of coordinates.
+    let called = |kind: char| names.as_ref()?.iter().position(|n| n.eq_ignore_ascii_case(&kind.to_string()));
+    let find = |kind: char| called(kind).or_else(|| kinds.iter().position(|&k| k == kind));
+    let named = ['x', 'y', 'z'].map(find);
     let space = if named.iter().all(Option::is_some) {
         named
     } else {
         std::array::from_fn(|a| rank.checked_sub(a + 1))
     };
-    let others = (0..rank).filter(|a| !space.contains(&Some(*a)) && array.shape[*a] != 1).collect::<Vec<_>>();
-    let is_called = |axis: usize, known: &[&str]| {
-        names.as_ref().is_some_and(|names| known.iter().any(|k| names[axis].eq_ignore_ascii_case(k)))
-    };
-    let is_time =
-        |&axis: &usize| is_called(axis, &["t", "time"]) || names.is_none() && (axis, rank) == (0, 4);
+    let all_others: Vec<usize> = (0..rank).filter(|a| !space.contains(&Some(*a))).collect();
+    let record = all_others.iter().copied().find(|&axis| kinds[axis] == 't' && array.shape[axis] == 1);
+    let others: Vec<usize> = all_others.into_iter().filter(|&axis| array.shape[axis] != 1).collect();
+    let is_time = |&axis: &usize| kinds[axis] == 't' || names.is_none() && (axis, rank) == (0, 4);
     let time = others.iter().copied().find(is_time);
-    let channel = others.iter().copied().find(|&axis| is_called(axis, &["c", "channel", "channels"]));
+    let channel = others.iter().copied().find(|&axis| kinds[axis] == 'c');
+    let is_space = space.iter().flatten().all(|&axis| !matches!(kinds[axis], 't' | 'c'));
     let understood = usize::from(time.is_some()) + usize::from(channel.is_some());
     let count = others.iter().try_fold(1u64, |n, &axis| n.checked_mul(array.shape[axis]));
     // The last of four axes that is as short as this has the components of vectors, or colours.
     let has_components = names.is_none() && rank == 4 && array.shape[3] <= 4 && array.shape[2] > 4;
     let is_few = count.is_some_and(|n| (1..=MOST_FRAMES).contains(&n));
-    if rank >= 3 && others.len() == understood && is_few && !(has_components && time.is_some()) {
-        return Ok(AllAxes { space, time, channel });
+    if rank >= 3 && is_space && others.len() == understood && is_few && !(has_components && time.is_some()) {
+        return Ok(AllAxes { space, time, record, channel });
     }
     let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
     let got = match &names {
         Some(names) => format!("{} ({})", shape.join(" x "), names.join(", ")),
         None => shape.join(" x "),
     };
-    let expected =
-        "three axes, one of time, one of channels (65536 frames of channels at most), others of one entry";
+    let expected = "three axes of space, one of time, one of channels (65536 frames of channels at most), others of one entry";
     Err(Error::bad_input(&array.file, "shape", expected, got)
         .with_help("write one channel, or the part that is wanted, to an array of its own; or name its axes"))
-}
-
-/// Scale and translation of an array's samples along x, y, z.
-fn placed(array: &Array, image: Option<&Image>, axes: Axes) -> Result<Geometry> {
-    let Some(image) = image else { return Ok(Geometry::default()) };
-    let of_axis = axes.map(|axis| axis.map_or((1.0, 0.0), |axis| image.scale_and_shift(array, axis)));
-    geometry(
-        &image.group,
-        "coordinateTransformations",
-        of_axis.map(|(_, shift)| shift),
-        scaled_axes(of_axis.map(|(scale, _)| scale)),
-    )
 }
 
 fn check_chunks(array: &Array) -> Result<()> {

@@ -481,8 +481,10 @@ fn metadata_that_are_not_read_are_named() {
     write(&dir, ".zarray", b"{");
     assert!(refusal(dir.path()).contains("JSON"));
     put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
-    put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["t", "y", "x"] }));
+    put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["a", "y", "x"] }));
     check_fill(dir.path(), 4.0);
+    put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["t", "y", "x"] }));
+    assert!(refusal(dir.path()).contains("three axes of space"));
 }
 
 #[test]
@@ -513,7 +515,6 @@ fn attributes_of_cf_are_followed() {
             json!({ "scale_factor": 0 }),
             "scale_factor, add_offset: expected finite numbers, the first not 0, got 0 and 0",
         ),
-        (json!({ "_FillValue": 1, "missing_value": 2 }), "expected one value, got 1 and 2"),
     ] {
         let dir = tempfile::tempdir().unwrap();
         put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
@@ -901,4 +902,48 @@ fn a_short_last_axis_without_a_name_has_components() {
     put(dir.path(), ".zarray", &meta);
     let line = read(dir.path(), None).unwrap_err().to_string();
     assert!(line.contains("6 x 6 x 6 x 3") && line.contains("write one channel"), "{line}");
+}
+
+/// An OME-Zarr image of one level with these axes and transformations.
+fn image(folder: &Path, units: [&str; 3], transformations: &Value) {
+    put(folder, ".zgroup", &json!({ "zarr_format": 2 }));
+    let axis = |(name, unit): (&str, &str)| json!({ "name": name, "type": "space", "unit": unit });
+    let axes: Vec<Value> = ["z", "y", "x"].into_iter().zip(units).map(axis).collect();
+    let datasets = json!([{ "path": "0", "coordinateTransformations": transformations }]);
+    put(folder, ".zattrs", &json!({ "multiscales": [{ "axes": axes, "datasets": datasets }] }));
+    put(&folder.join("0"), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+}
+
+#[test]
+fn units_of_single_axes_become_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let scale = json!([{ "type": "scale", "scale": [3.0, 2.0, 1.0] },
+        { "type": "translation", "translation": [30.0, 20.0, 10.0] }]);
+    image(dir.path(), ["micrometer", "nanometer", "nanometer"], &scale);
+    let info = open(dir.path(), &OpenOptions::default()).unwrap().info().clone();
+    assert_eq!(info.geometry.spacing, [1.0, 2.0, 3000.0]);
+    assert_eq!(info.geometry.origin, [10.0, 20.0, 30_000.0]);
+    assert_eq!(info.units, Units::of_length(Unit::length("nm")));
+    assert!(info.notes[0].contains("z from µm"), "{:?}", info.notes);
+    image(dir.path(), ["micrometer", "cubit", "nanometer"], &scale);
+    assert!(refusal(dir.path()).contains("cubit"));
+}
+
+#[test]
+fn transformations_that_are_not_read_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    for (step, word) in [
+        (json!({ "type": "scale", "path": "scales/0" }), "scales/0"),
+        (json!({ "type": "translation", "path": "there" }), "a translation that is stored"),
+        (json!({ "type": "affine", "affine": [[1, 0, 0, 0]] }), "affine"),
+        (json!({ "type": "scale", "scale": [1.0, 2.0] }), "[1.0,2.0] for 3 axes"),
+        (json!({ "type": "scale" }), "scale null"),
+        (json!({ "type": "scale", "scale": [1.0, "2", 3.0] }), "for 3 axes"),
+    ] {
+        image(dir.path(), ["mm", "mm", "mm"], &json!([step]));
+        let line = refusal(dir.path());
+        assert!(line.contains("coordinateTransformations") && line.contains(word), "{line}");
+    }
+    image(dir.path(), ["mm", "mm", "mm"], &json!([{ "type": "identity" }]));
+    assert_eq!(open(dir.path(), &OpenOptions::default()).unwrap().info().geometry.spacing, [1.0; 3]);
 }

@@ -53,7 +53,7 @@ use crate::formats::shared::ranges::RangeNumbers;
 use crate::formats::shared::stream::{TextSlabs, sample_bytes};
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
-use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
 use scan::{Array, Dataset, Scanned, Scanner, Type};
 use std::ops::Range;
 use std::path::Path;
@@ -139,7 +139,9 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: vec![],
+        assumed: Assumed::default(),
     };
     let data = chosen.data.clone();
     if !file.binary {

@@ -16,7 +16,7 @@ use crate::volume::chunked::ChunkSource;
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
-use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -97,7 +97,9 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
         intercept: 0.0,
         missing: None,
         units: Units::default(),
+        notes: vec![],
         data_files: image.files.clone(),
+        assumed: Assumed::default(),
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;
     let pieces = centred(&image, center)?;

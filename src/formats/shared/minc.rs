@@ -1,0 +1,172 @@
+//! Images of MINC, of version 1 (NetCDF-3) and 2 (HDF5).
+//!
+//! ```text
+//!  xspace, yspace, zspace           start, step, direction_cosines, units: where samples lie
+//!  image                            stored numbers; valid_range, signtype
+//!  image-min, image-max             the values of the ends of the valid range: one pair for all,
+//!                                   or one for each slice or row
+//! ```
+
+use super::cf::{Convert, MOST_COORDINATES};
+use super::header::geometry;
+use crate::error::{Error, Result};
+use crate::grid::Geometry;
+use crate::volume::ScalarType;
+use crate::volume::units::{Unit, Units, common};
+use std::path::Path;
+
+/// The axes of space, in the order x, y, z.
+const SPACE: [&str; 3] = ["xspace", "yspace", "zspace"];
+
+/// The variables of a MINC file, by their names in MINC.
+pub(in crate::formats) trait Variables {
+    fn path(&self) -> &Path;
+
+    /// A variable's place in the file, for messages.
+    fn place(&self, variable: &str) -> String;
+
+    /// The text of an attribute; "" where there is no such text.
+    fn text(&self, variable: &str, attribute: &str) -> String;
+
+    /// The numbers of an attribute; `None` where there are none of this name.
+    fn numbers(&self, variable: &str, attribute: &str) -> Option<Vec<f64>>;
+
+    /// The sizes of a variable of at most two axes and `most` numbers, and these numbers; `None` of
+    /// others.
+    ///
+    /// # Errors
+    /// When it is not there, or cannot be read.
+    fn table(&self, variable: &str, most: u64) -> Result<Option<(Vec<u64>, Vec<f64>)>>;
+}
+
+/// How an image is stored.
+pub(in crate::formats) struct Stored<'a> {
+    /// The names of its axes, slowest first.
+    pub(in crate::formats) axes: &'a [String],
+    pub(in crate::formats) shape: &'a [u64],
+    pub(in crate::formats) scalar: ScalarType,
+}
+
+/// What a file says of its image.
+pub(in crate::formats) struct Image {
+    pub(in crate::formats) geometry: Geometry,
+    /// How stored numbers become values, where they are not values themselves.
+    pub(in crate::formats) convert: Option<Convert>,
+    pub(in crate::formats) units: Units,
+}
+
+/// Reads what a file says of its image.
+///
+/// # Errors
+/// [`Error::BadInput`] for other axes than those of space, irregular ones, and ranges that are none.
+pub(in crate::formats) fn image(file: &impl Variables, stored: &Stored<'_>) -> Result<Image> {
+    let axes: Vec<&String> = stored.axes.iter().filter(|name| SPACE.contains(&name.as_str())).collect();
+    let is_space =
+        stored.axes.len() == 3 && axes.len() == 3 && SPACE.iter().all(|n| axes.iter().any(|a| a == n));
+    if !is_space || stored.shape.len() != 3 {
+        let got = format!("'{}'", stored.axes.join(","));
+        return Err(bad(file, "dimorder", "xspace, yspace and zspace in some order", got));
+    }
+    let (mut columns, mut origin, mut lengths) = ([[0.0; 3]; 3], [0.0; 3], vec![]);
+    for (n, name) in stored.axes.iter().enumerate() {
+        let axis = axis(file, name)?;
+        // The last name is the fastest axis, our x.
+        columns[2 - n] = axis.direction.map(|d| d * axis.step);
+        lengths.push(axis.unit);
+        for (o, d) in origin.iter_mut().zip(axis.direction) {
+            *o += d * axis.start;
+        }
+    }
+    if lengths.iter().any(|unit| *unit != lengths[0]) {
+        let shown = |unit: &Option<Unit>| unit.as_ref().map_or("none", Unit::as_str).to_owned();
+        let got = lengths.iter().map(shown).collect::<Vec<_>>().join(", ");
+        return Err(bad(file, "units of the dimensions", "one unit for all", got));
+    }
+    let geometry = geometry(file.path(), "start, step and direction_cosines", origin, columns)?;
+    let convert = if stored.scalar.is_float() { None } else { Some(slices(file, stored)?) };
+    let value = Unit::new(&file.text("image", "units"));
+    Ok(Image { geometry, convert, units: Units { value, ..Units::of_length(common(lengths)) } })
+}
+
+fn bad(file: &impl Variables, what: &str, expected: &str, got: String) -> Error {
+    Error::bad_input(file.path(), format!("{}, {what}", file.place("image")), expected, got)
+        .with_help("convert it: mnc2nii, or mincresample to regular axes")
+}
+
+struct Axis {
+    start: f64,
+    step: f64,
+    direction: [f64; 3],
+    unit: Option<Unit>,
+}
+
+/// An axis of an image.
+fn axis(file: &impl Variables, name: &str) -> Result<Axis> {
+    if file.text(name, "spacing").starts_with("irregular") {
+        return Err(Error::bad_input(file.path(), file.place(name), "regular spacing", "irregular spacing")
+            .with_help("resample it to regular axes (mincresample)"));
+    }
+    let one =
+        |key: &str, default: f64| file.numbers(name, key).and_then(|v| v.first().copied()).unwrap_or(default);
+    let own = SPACE.map(|axis| if axis == name { 1.0 } else { 0.0 });
+    let direction = file.numbers(name, "direction_cosines").map_or(Ok(own), |v| {
+        <[f64; 3]>::try_from(v).map_err(|v| {
+            let (at, got) =
+                (format!("{}, direction_cosines", file.place(name)), format!("{} of them", v.len()));
+            Error::bad_input(file.path(), at, "three numbers", got)
+        })
+    })?;
+    let unit = Unit::length(&file.text(name, "units"));
+    Ok(Axis { start: one("start", 0.0), step: one("step", 1.0), direction, unit })
+}
+
+/// The stored numbers that have values.
+fn valid_range(file: &impl Variables, scalar: ScalarType) -> Result<[f64; 2]> {
+    let bits = 8 * scalar.bytes() as i32;
+    let half = libm::exp2(f64::from(bits - 1));
+    let full = match scalar {
+        ScalarType::U8 | ScalarType::U16 | ScalarType::U32 | ScalarType::U64 => [0.0, 2.0 * half - 1.0],
+        _ => [-half, half - 1.0],
+    };
+    let end = |name: &str, usual: f64| {
+        file.numbers("image", name).and_then(|v| v.first().copied()).unwrap_or(usual)
+    };
+    let valid = match file.numbers("image", "valid_range") {
+        Some(valid) => valid,
+        None => vec![end("valid_min", full[0]), end("valid_max", full[1])],
+    };
+    match valid[..] {
+        [a, b] if a < b => Ok([a, b]),
+        _ => Err(bad(file, "valid_range", "two numbers, the first the lesser", format!("{valid:?}"))),
+    }
+}
+
+/// The lines from stored integers to values: the valid range is stretched to `image-min` …
+/// `image-max` of each slice.
+fn slices(file: &impl Variables, stored: &Stored<'_>) -> Result<Convert> {
+    let (valid, shape) = (valid_range(file, stored.scalar)?, stored.shape);
+    let table = |name: &str| -> Result<(Vec<f64>, usize)> {
+        let found = file.table(name, MOST_COORDINATES)?;
+        let of_slices = found.filter(|(own, _)| *own == shape[..own.len()]);
+        let (own, numbers) = of_slices.ok_or_else(|| {
+            bad(file, name, "one number, one a slice, or one a row", "another number of them".into())
+        })?;
+        Ok((numbers, own.len()))
+    };
+    let ((least, rank), (most, other)) = (table("image-min")?, table("image-max")?);
+    if rank != other || least.len() != most.len() {
+        let got = format!("{rank} and {other} axes");
+        return Err(bad(file, "image-min, image-max", "as many of either", got));
+    }
+    let line = |(lo, hi): (&f64, &f64)| {
+        let slope = (hi - lo) / (valid[1] - valid[0]);
+        [slope, lo - slope * valid[0]]
+    };
+    let lines: Vec<[f64; 2]> = least.iter().zip(&most).map(line).collect();
+    if let Some(wrong) = lines.iter().position(|l| !l[0].is_finite() || !l[1].is_finite()) {
+        let got = format!("{} and {}", least[wrong], most[wrong]);
+        return Err(bad(file, "image-min, image-max", "finite numbers", got));
+    }
+    let slices = [if rank > 1 { shape[1] } else { 1 }, if rank > 0 { shape[0] } else { 1 }];
+    Ok(Convert { valid, missing: vec![], lines, slices })
+}
