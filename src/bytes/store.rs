@@ -36,6 +36,11 @@ impl<T: Pod> Store<T> {
         Self { tail: memory, ..Self::new(memory_bytes, scratch) }
     }
 
+    /// An empty store in the same folder, of a part of the memory that another one has.
+    pub(crate) fn beside<U: Pod>(other: &Store<U>, part: usize) -> Self {
+        Self::new(other.most.saturating_mul(size_of::<U>()) / part, &other.scratch)
+    }
+
     pub(crate) fn len(&self) -> u64 {
         self.written + self.tail.len() as u64
     }

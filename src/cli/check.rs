@@ -5,6 +5,7 @@ use super::progress::Talk;
 use super::text;
 use isospan::formats::surface::load_surface;
 use isospan::pipeline::{self, ArchiveCheck, ArchiveSummary, Roi, RoiSpace};
+use isospan::surface::SurfaceSource;
 use isospan::surface::check::{CheckSettings, Domain, OpenEdges, SurfaceReport, check_source, check_within};
 use isospan::surface::edit::clip::HalfSpace;
 use isospan::{Archive, Error, Result};
@@ -74,14 +75,15 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             "--within an archive of a mesh, or of a rectilinear or curvilinear grid, is not possible: its domain is no box",
         ));
     }
-    let cuts = summary.as_ref().zip(args.roi).map_or(vec![], |(s, roi)| cuts(&roi, s));
+    let surface = load_surface(&args.input, &settings)?;
+    let origin = surface.origin();
+    let cuts = summary.as_ref().zip(args.roi).map_or(vec![], |(s, roi)| cuts(&roi, s, origin));
     let domain = summary.as_ref().map(|s| Domain {
         geometry: &s.geometry,
         dims: s.dims,
         cuts: &cuts,
         tolerance: BOUNDARY_TOLERANCE,
     });
-    let surface = load_surface(&args.input, &settings)?;
     let (report, open) = match (&domain, &within) {
         (Some(domain), Some(archive)) => {
             let (report, open) =
@@ -120,12 +122,12 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 }
 
 /// The planes of a box, and how far a vertex may lie from each.
-fn cuts(roi: &Roi, summary: &ArchiveSummary) -> Vec<(HalfSpace, f64)> {
+fn cuts(roi: &Roi, summary: &ArchiveSummary, origin: [f64; 3]) -> Vec<(HalfSpace, f64)> {
     let unit = match roi.space {
         RoiSpace::Index => 1.0,
         RoiSpace::World => summary.geometry.spacing.into_iter().fold(f64::INFINITY, f64::min),
     };
-    let planes = roi.half_spaces(&summary.geometry, summary.dims);
+    let planes = roi.half_spaces(&summary.geometry, summary.dims, origin);
     planes.into_iter().map(|plane| (plane, BOUNDARY_TOLERANCE * unit)).collect()
 }
 

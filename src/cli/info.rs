@@ -372,7 +372,7 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
     if let Some(samples) = s.sample_bytes {
         let count = s.dims.iter().product::<u64>() * s.steps.len() as u64;
-        let _ = writeln!(out, "{}", text::ratio_line(s.bytes, samples, "samples", count, "sample"));
+        let _ = writeln!(out, "{}", text::bits_line(s.bytes, samples, count));
     }
     out
 }

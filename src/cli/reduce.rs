@@ -173,7 +173,7 @@ fn error_line(report: &ReduceReport) -> Option<String> {
 fn size_line(report: &ReduceReport, source: u64) -> String {
     let samples = report.samples * report.steps.len().max(1) as u64;
     let what = if report.mesh.is_some() { "vertex" } else { "sample" };
-    text::ratio_line(report.archive_bytes, source, "source", samples, what)
+    text::ratio_line(report.archive_bytes, source, samples, what)
 }
 
 /// A step that was added: its number, what it is of, and what it takes.

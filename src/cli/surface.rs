@@ -47,7 +47,7 @@ pub(crate) struct Args {
     /// isovalues go to one file; an array 'isovalue' of the points (.vtp, .vtkhdf, .ply) or groups
     /// (.obj) distinguish them, and .stl and .glb do not. With {} in the name, each isovalue gets
     /// its own file: surface_{}.ply. All formats have world coordinates as they are, .glb too,
-    /// whose viewers take y for up.
+    /// whose viewers take y for up; but far from 0, .stl has them less a place that is printed.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// The format [default: as the file's name ends; ply for standard output].
@@ -218,11 +218,12 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         let report = archive.write_series(steps, &settings, &args.output, format, &*bar);
         bar.end();
         let report = report?;
-        return if args.json {
-            super::print_json("surface.series", &report)
+        if args.json {
+            super::print_json("surface.series", &report)?;
         } else {
-            super::print(&series_text(&report, args.stats))
-        };
+            super::print(&series_text(&report, args.stats))?;
+        }
+        return expect_area(&args.output, report.steps.iter().map(|s| &s.report));
     }
     let step = archive.at(args.step.choice())?;
     let report = step.write_surface(&settings, &args.output, format, &*bar);
@@ -230,9 +231,27 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let report = with_opening(report?, archive.opening());
     talk.stages(&report.seconds);
     if args.json {
-        return super::print_json("surface", &report);
+        super::print_json("surface", &report)?;
+    } else {
+        super::print(&in_words(&report, args.stats))?;
     }
-    super::print(&in_words(&report, args.stats))
+    expect_area(&args.output, [&report])
+}
+
+/// Refuses surfaces that `isospan check` would refuse: the files are there, and are not sound.
+fn expect_area<'a>(
+    output: &Path,
+    reports: impl IntoIterator<Item = &'a SurfaceReport> + Clone,
+) -> Result<()> {
+    let sum = |of: fn(&SurfaceReport) -> u64| reports.clone().into_iter().map(of).sum::<u64>();
+    let (without, all) = (sum(|r| r.without_area), sum(|r| r.triangles));
+    if without == 0 {
+        return Ok(());
+    }
+    let got =
+        format!("{} of {} without, for f32 rounds their corners", text::count(without), text::count(all));
+    Err(Error::bad_input(output, "surface", "triangles that have an area", got)
+        .with_help("the file is as good as f32 allows: reduce with fewer points, or decimate it"))
 }
 
 /// Refuses to replace a file by an empty surface.
@@ -321,6 +340,9 @@ fn to_standard_output(
     if args.json {
         return refuse("--json and -o - both write to standard output: give -o the name of a file");
     }
+    if is_closed(std::io::stdout()) {
+        return refuse("standard output is closed: redirect it, or give -o the name of a file");
+    }
     if std::io::stdout().is_terminal() {
         return refuse("standard output is a terminal: redirect it, or give -o the name of a file");
     }
@@ -337,10 +359,34 @@ fn to_standard_output(
     let mut out = std::io::stdout().lock();
     std::io::copy(&mut bytes, &mut out)
         .and_then(|_| out.flush())
-        .map_err(|e| Error::io("write to", "standard output", e))?;
+        .map_err(|e| Error::io("write the whole surface to", "standard output", not_wanted(e)))?;
     report.surfaces.iter_mut().for_each(|s| s.file = "standard output".into());
     in_words(&report, args.stats).lines().for_each(|line| talk.note(line));
-    Ok(())
+    expect_area("standard output".as_ref(), [&report])
+}
+
+/// The error of a reader that has closed its end: of a report it is none, of a surface it is one.
+fn not_wanted(error: std::io::Error) -> std::io::Error {
+    match error.kind() {
+        std::io::ErrorKind::BrokenPipe => std::io::Error::other("its reader has closed it"),
+        _ => error,
+    }
+}
+
+/// Whether a process was started with a file closed: the system's null device stands in for it
+/// then, open for reading too.
+#[cfg(unix)]
+fn is_closed(file: impl std::os::fd::AsFd) -> bool {
+    let (Ok(about), Ok(null)) = (rustix::fs::fstat(&file), rustix::fs::stat("/dev/null")) else {
+        return false;
+    };
+    let is_null = about.st_rdev == null.st_rdev && about.st_mode == null.st_mode;
+    is_null && rustix::fs::fcntl_getfl(&file).is_ok_and(|flags| flags.contains(rustix::fs::OFlags::RDWR))
+}
+
+#[cfg(not(unix))]
+fn is_closed(_: impl Sized) -> bool {
+    false
 }
 
 /// The report of the whole command, in which opening the archive is part of the first stage.
@@ -370,6 +416,9 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
             text::number(s.time),
             names.join(" ")
         );
+    }
+    if let Some(shifted) = report.steps.iter().find(|s| s.report.shift.is_some()) {
+        out += &shift_text(&shifted.report);
     }
     for list in &report.lists {
         let _ = writeln!(out, "{}", list.display());
@@ -436,11 +485,21 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             text::bytes(report.file_bytes)
         );
     }
+    out += &shift_text(report);
     if let Some(without) = report.without_value.filter(|&n| n > 0) {
         let (without, all) = (text::count(without), text::count(report.vertices));
         let _ = writeln!(out, "  colours       {without} of {all} vertices have no value, and are grey");
     }
     out
+}
+
+/// What coordinates in the file are less, where they are.
+fn shift_text(report: &SurfaceReport) -> String {
+    report.shift.map_or_else(String::new, |[x, y, z]| {
+        format!(
+            "  coordinates   are less {x} {y} {z}, for f32 does not tell them apart; .vtp .vtkhdf .ply .obj have doubles\n"
+        )
+    })
 }
 
 /// What was done to a surface, a line each.

@@ -87,32 +87,39 @@ pub(crate) fn figures(v: f64, digits: usize) -> f64 {
     format!("{v:.*e}", digits - 1).parse().unwrap_or(v)
 }
 
-/// The bytes of an archive to those of something else: `1/60.3 of the source`.
-fn ratio(ours: u64, theirs: u64, name: &str) -> String {
+/// The bytes of an archive to those of its source: `1/60.3 of the source`.
+fn ratio(ours: u64, theirs: u64) -> String {
     let (ours, theirs) = (ours.max(1) as f64, theirs.max(1) as f64);
     if ours <= theirs {
-        format!("1/{:.1} of the {name}", theirs / ours)
+        format!("1/{:.1} of the source", theirs / ours)
     } else {
-        format!("{:.1} TIMES THE {}", ours / theirs, name.to_uppercase())
+        format!("{:.1} TIMES THE SOURCE", ours / theirs)
     }
 }
 
 /// `at most 1/3.0 of the source (3.0 MiB)`.
 pub(crate) fn at_most_of(ours: u64, source: u64) -> String {
-    format!("at most {} ({})", ratio(ours, source, "source"), bytes(source))
+    format!("at most {} ({})", ratio(ours, source), bytes(source))
 }
 
-/// The line that compares the bytes of an archive with those of its source, or of the source's
-/// samples; `of` names one of the `count` values, a sample or a vertex.
-pub(crate) fn ratio_line(ours: u64, theirs: u64, name: &str, count: u64, of: &str) -> String {
+/// The line that compares the bytes of an archive with those of its source; `of` names one of the
+/// `count` values, a sample or a vertex.
+pub(crate) fn ratio_line(ours: u64, theirs: u64, count: u64, of: &str) -> String {
     let bits = |bytes: u64| format!("{:.2}", bytes as f64 * 8.0 / count.max(1) as f64);
     format!(
         "  ratio       {} ({}): {} bits a {of}, the source {}",
-        ratio(ours, theirs, name),
+        ratio(ours, theirs),
         bytes(theirs),
         bits(ours),
         bits(theirs)
     )
+}
+
+/// The line that says the bits that an archive has for each sample, where the size of its source is
+/// not known; the ratio is that to the source alone.
+pub(crate) fn bits_line(ours: u64, samples: u64, count: u64) -> String {
+    let bits = |bytes: u64| format!("{:.2}", bytes as f64 * 8.0 / count.max(1) as f64);
+    format!("  bits        {} a sample, of {} in the source ({})", bits(ours), bits(samples), bytes(samples))
 }
 
 /// Bytes for a person: `3.4 MiB`.

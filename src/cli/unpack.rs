@@ -9,14 +9,14 @@ use isospan::archive::manifest::unpacked_path;
 use isospan::pipeline::{StepRange, UnpackReport, UnpackSettings, remove_unpacked, unpack, unpack_need};
 use isospan::{Archive, Error, Resources, Result};
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Store the blocks of an archive as surfaces use them.
 ///
 /// This trades disk for speed. The archive grows by about 60 bytes per tetrahedron, and surfaces
 /// take a fraction of the time. They are the same, byte for byte. All commands that make surfaces
 /// use the file from then on. It is mapped, so the system can take its memory back at any time. It
-/// stays valid when steps are appended.
+/// stays valid when steps are appended. Steps that are unpacked already stay as they are.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan unpack scan.isospan\n  isospan unpack run.isospan --all-steps --range 0.4:0.6"
@@ -64,6 +64,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             Some(range) => range.of(Archive::open(&args.archive)?.at(args.step.choice())?.value_range())?,
             None => all.range,
         },
+        keep: !args.force.is_given(),
     };
     if !isospan::pipeline::is_archive(&args.archive) {
         return Err(Error::bad_input(&args.archive, "archive", "a folder made by isospan reduce", "none"));
@@ -72,8 +73,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         remove_unpacked(&args.archive, &settings, args.step.is_given() || settings.steps.is_some())?
     } else {
         let need = unpack_need(&args.archive, &settings)?;
-        if !args.force.is_given() && !args.dry_run {
-            expect_packed(args, &settings)?;
+        if let Some(step) = need.other_range.filter(|_| settings.keep && !args.dry_run) {
+            return Err(exists(&unpacked_path(&args.archive, step)));
         }
         let free =
             need.free.map_or_else(String::new, |free| format!(" of {} that are free", text::bytes(free)));
@@ -82,6 +83,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             text::bytes(need.bytes),
             text::count(need.tetrahedra)
         );
+        let is_done = need.unpacked > 0 && need.tetrahedra == 0;
+        if is_done && !args.json {
+            return super::print(&nothing_text(&args.archive));
+        }
         if args.dry_run {
             return if args.json {
                 super::print_json("unpack.estimate", &need)
@@ -92,7 +97,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
                 ))
             };
         }
-        talk.note(&format!("writes {about}; unpack --remove removes them"));
+        if !is_done {
+            talk.note(&format!("writes {about}; unpack --remove removes them"));
+        }
         let bar = talk.progress();
         let report = unpack(&args.archive, &settings, &*bar);
         bar.end();
@@ -104,12 +111,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     super::print(&if args.remove { removed_text(&report) } else { unpacked_text(&report) })
 }
 
-/// Refuses steps that are unpacked already.
-fn expect_packed(args: &Args, settings: &UnpackSettings) -> Result<()> {
-    let asked = Archive::open(&args.archive)?.at(args.step.choice())?.info()?;
-    let is_meant = |n: u64| settings.steps.map_or(n == asked.step, |range| range.contains(n));
-    let unpacked = asked.steps.iter().find(|s| is_meant(s.number) && s.unpacked_bytes.is_some());
-    unpacked.map_or(Ok(()), |step| Err(exists(&unpacked_path(&args.archive, step.number))))
+/// What is said where all steps are unpacked already.
+fn nothing_text(archive: &Path) -> String {
+    format!("{}: unpacked already for this range; --force does it again\n", archive.display())
 }
 
 fn unpacked_text(report: &UnpackReport) -> String {

@@ -32,6 +32,7 @@
 //!         .map(|[x, y]| Vertex { position: [x, y, z], normal: [0.0; 3] })
 //!         .to_vec(),
 //!     triangles: vec![[0, 1, 2], [0, 2, 3]],
+//!     ..TriMesh::default()
 //! };
 //! let report = compare(&square(0.0), &square(0.25), &CompareSettings::default())?;
 //! assert!((report.hausdorff - 0.25).abs() < 1e-12 && (report.rms - 0.25).abs() < 1e-12);
@@ -49,7 +50,7 @@ pub use nearest::{Nearest, NearestPoint, Triangles};
 use crate::error::{Error, Result};
 use crate::exec::{Resources, pool};
 use crate::surface::check::{CheckSettings, SurfaceReport, check_source};
-use crate::surface::{SurfaceSource, Vertex};
+use crate::surface::{SurfaceSource, Vertex, vertices_from};
 use nearest::Walk;
 use rayon::prelude::*;
 use samples::AreaSamples;
@@ -147,7 +148,8 @@ pub fn compare(
         CheckSettings { memory: settings.resources.memory, scratch: settings.resources.scratch_folder() };
     let reports = [check_source(a, None, &check)?.0, check_source(b, None, &check)?.0];
     settings.resources.cancel.check()?;
-    let [a, b] = [Triangles::read(a)?, Triangles::read(b)?];
+    let origin = common_origin(a, b);
+    let [a, b] = [Triangles::read_from(a, origin)?, Triangles::read_from(b, origin)?];
     let diagonal = a.diagonal_with(&b);
     let pool = pool(settings.resources.threads)?;
     let one_way = |from: &Triangles, to: &Triangles| -> Result<OneWay> {
@@ -189,11 +191,12 @@ pub fn distances(
     if least > settings.resources.memory {
         return Err(Error::memory("", least, settings.resources.memory));
     }
-    let to = Triangles::read(to)?;
+    let origin = common_origin(from, to);
+    let to = Triangles::read_from(to, origin)?;
     let nearest = Nearest::new(&to, to.diagonal_with(&to) * ZERO);
     let pool = pool(settings.resources.threads)?;
     let mut all = Vec::with_capacity(from.vertex_count() as usize);
-    from.vertices(&mut |batch| {
+    vertices_from(from, origin, &mut |batch| {
         settings.resources.cancel.check()?;
         let part: Vec<f32> = pool.install(|| {
             let of = |walk: &mut Walk, v: &Vertex| {
@@ -205,6 +208,11 @@ pub fn distances(
         Ok(())
     })?;
     Ok(all)
+}
+
+/// What the positions of two surfaces are counted from: one of them may be far from 0.
+fn common_origin(a: &dyn SurfaceSource, b: &dyn SurfaceSource) -> [f64; 3] {
+    if a.origin() == [0.0; 3] { b.origin() } else { a.origin() }
 }
 
 /// Distances below this part of the diagonal count as 0.
@@ -266,7 +274,7 @@ fn measure(from: &Triangles, to: &Nearest<'_>, settings: &CompareSettings) -> Re
     all.note_max(vertices.max, vertices.max_at);
     Ok(OneWay {
         max: all.max,
-        max_at: all.max_at,
+        max_at: std::array::from_fn(|k| from.origin[k] + all.max_at[k]),
         mean: all.sum / n,
         rms: (all.squares / n).sqrt(),
         rms_normal_degrees: (all.angles / n).sqrt().to_degrees(),

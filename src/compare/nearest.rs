@@ -1,7 +1,7 @@
 //! The nearest point of a surface.
 
 use crate::error::{Error, Result};
-use crate::surface::SurfaceSource;
+use crate::surface::{SurfaceSource, vertices_from};
 use glam::DVec3;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
@@ -15,10 +15,12 @@ const LARGEST: f32 = 1e15;
 /// The triangles of a surface, in memory: 12 bytes a vertex and 12 a triangle.
 #[derive(Clone, Debug, Default)]
 pub struct Triangles {
-    /// Positions of the vertices.
+    /// Positions of the vertices, less `origin`.
     pub positions: Vec<[f32; 3]>,
     /// Corners: numbers into `positions`. Triangles that named other vertices were left out.
     pub triangles: Vec<[u32; 3]>,
+    /// The place in the world that positions are counted from.
+    pub origin: [f64; 3],
 }
 
 impl Triangles {
@@ -28,8 +30,13 @@ impl Triangles {
     /// [`Error::Usage`] for one without triangles, or with coordinates beyond 10^15; those of the
     /// source.
     pub fn read(source: &dyn SurfaceSource) -> Result<Self> {
-        let mut all = Self::default();
-        source.vertices(&mut |batch| {
+        Self::read_from(source, source.origin())
+    }
+
+    /// Reads a surface, with positions that are counted from a place of the world.
+    pub(super) fn read_from(source: &dyn SurfaceSource, origin: [f64; 3]) -> Result<Self> {
+        let mut all = Self { origin, ..Self::default() };
+        vertices_from(source, origin, &mut |batch| {
             all.positions.extend(batch.iter().map(|v| v.position));
             Ok(())
         })?;
@@ -123,8 +130,8 @@ impl<'a> Nearest<'a> {
         Self { surface, hierarchy, zero: zero * zero }
     }
 
-    /// The point of the surface nearest to `p`; of several triangles it may lie on, any, but always
-    /// the same.
+    /// The point of the surface nearest to `p`, which counts from its origin; of several triangles
+    /// it may lie on, any, but always the same.
     pub fn nearest(&self, p: [f64; 3], walk: &mut Walk) -> NearestPoint {
         self.nearest_aligned(p, DVec3::ZERO, walk)
     }

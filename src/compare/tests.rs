@@ -69,7 +69,7 @@ fn sphere(times: u32) -> TriMesh {
             })
             .collect();
     }
-    TriMesh { vertices: points.into_iter().map(vertex).collect(), triangles }
+    TriMesh { vertices: points.into_iter().map(vertex).collect(), triangles, ..TriMesh::default() }
 }
 
 fn settings(samples: u64) -> CompareSettings {
@@ -159,7 +159,7 @@ fn samples_are_even_by_area() {
     let vertices =
         [[0.0; 3], [3.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 5.0], [1.0, 0.0, 5.0], [0.0, 1.0, 5.0]];
     let mesh =
-        TriMesh { vertices: vertices.map(vertex).to_vec(), triangles: vec![[0, 1, 2], [0, 1, 1], [3, 4, 5]] };
+        TriMesh { vertices: vertices.map(vertex).to_vec(), triangles: vec![[0, 1, 2], [0, 1, 1], [3, 4, 5]], ..TriMesh::default() };
     let triangles = Triangles::read(&mesh).unwrap();
     let samples = AreaSamples::new(&triangles, 4_000).unwrap();
     let points: Vec<[f64; 3]> = (0..4_000).map(|k| samples.get(k).0).collect();
@@ -182,9 +182,9 @@ fn what_cannot_be_compared_is_refused() {
     };
     assert_eq!(refused(&TriMesh::default(), 1 << 30), 2);
     let line =
-        TriMesh { vertices: vec![vertex([0.0; 3]), vertex([1.0, 0.0, 0.0])], triangles: vec![[0, 1, 1]] };
+        TriMesh { vertices: vec![vertex([0.0; 3]), vertex([1.0, 0.0, 0.0])], triangles: vec![[0, 1, 1]], ..TriMesh::default() };
     assert_eq!(refused(&line, 1 << 30), 2);
-    let far = TriMesh { vertices: vec![vertex([1e20, 0.0, 0.0]); 3], triangles: vec![[0, 1, 2]] };
+    let far = TriMesh { vertices: vec![vertex([1e20, 0.0, 0.0]); 3], triangles: vec![[0, 1, 2]], ..TriMesh::default() };
     assert_eq!(refused(&far, 1 << 30), 2);
     assert_eq!(refused(&ball, 1 << 20), 4);
 }

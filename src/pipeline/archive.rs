@@ -39,7 +39,7 @@ use std::sync::Arc;
 /// assert!(mesh.triangles.len() as u64 >= count.active_tetrahedra);
 ///
 /// // The surface lies where the field has the isovalue.
-/// let points: Vec<[f64; 3]> = mesh.vertices.iter().map(|v| v.position.map(f64::from)).collect();
+/// let points: Vec<[f64; 3]> = mesh.vertices.iter().map(|v| v.world(mesh.origin)).collect();
 /// let values = archive.probe(&points)?;
 /// assert!(values.iter().all(|v| (v - isovalue).abs() < 1e-2 * (hi - lo)));
 /// # Ok(())

@@ -443,7 +443,7 @@ impl Step {
     ///
     /// # Errors
     /// As [`Step::probe`]; [`crate::Error::Usage`] for a rectilinear or curvilinear grid.
-    pub fn edges_at_missing(&self, edges: &[[[f32; 3]; 2]]) -> Result<u64> {
+    pub fn edges_at_missing(&self, edges: &[[[f64; 3]; 2]]) -> Result<u64> {
         self.view.refuse_coordinates("a search for missing samples")?;
         let source = &self.view.step().plan.source;
         edges_at_missing(edges, &source.geometry, source.dims, |points| self.probe(points))

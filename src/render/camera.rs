@@ -209,8 +209,9 @@ fn axes(camera: &Camera) -> [DVec3; 3] {
 
 fn each_vertex(surfaces: &[&dyn SurfaceSource], mut each: impl FnMut(DVec3)) -> Result<()> {
     for surface in surfaces {
+        let origin = surface.origin();
         surface.vertices(&mut |batch| {
-            batch.iter().for_each(|v| each(DVec3::from_array(v.position.map(f64::from))));
+            batch.iter().for_each(|v| each(DVec3::from_array(v.world(origin))));
             Ok(())
         })?;
     }
@@ -227,7 +228,7 @@ mod tests {
             position: std::array::from_fn(|a| if n >> a & 1 == 1 { hi[a] } else { 0.0 }),
             normal: [0.0; 3],
         };
-        TriMesh { vertices: (0..8).map(corner).collect(), triangles: vec![] }
+        TriMesh { vertices: (0..8).map(corner).collect(), triangles: vec![], ..TriMesh::default() }
     }
 
     #[test]

@@ -294,10 +294,10 @@ fn place(
     settings: &RenderSettings,
 ) -> Result<Store<Placed>> {
     let mut vertices = Store::new(memory, &settings.resources.scratch_folder());
-    let mut values = subject.values.iter();
+    let (mut values, origin) = (subject.values.iter(), subject.surface.origin());
     subject.surface.vertices(&mut |batch| {
         for v in batch {
-            let position = view.in_camera_space(DVec3::from_array(v.position.map(f64::from))).as_vec3();
+            let position = view.in_camera_space(DVec3::from_array(v.world(origin))).as_vec3();
             let value = values.next().copied().unwrap_or(0.0);
             vertices.push(Placed { position: position.to_array(), normal: view.turn(v.normal), value })?;
         }

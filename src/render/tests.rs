@@ -108,6 +108,7 @@ fn triangles_with_a_common_edge_leave_no_gap_and_no_overlap() {
     let mut mesh = TriMesh {
         vertices: (0..n).map(|k| Vertex { position: rim(k), normal: [0.0, 0.0, 1.0] }).collect(),
         triangles: vec![],
+        ..TriMesh::default()
     };
     mesh.vertices.push(Vertex { position: [0.1, -0.2, 0.0], normal: [0.0, 0.0, 1.0] });
     mesh.triangles = (0..n).map(|k| [k, (k + 1) % n, n]).collect();
@@ -138,6 +139,7 @@ fn a_roof_shades_what_lies_below() {
     let both = TriMesh {
         vertices: [plate(2.0, 0.0), plate(0.4, 0.5)].concat(),
         triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+        ..TriMesh::default()
     };
     let camera = Camera { elevation: 35.0, azimuth: 0.0, perspective: false, ..Camera::default() };
     let view = View::fit(&camera, &[&both], [120, 90]).unwrap();
@@ -145,7 +147,7 @@ fn a_roof_shades_what_lies_below() {
         let settings = RenderSettings { lights, ..settings(2) };
         render(&[of(mesh, GREY)], &view, &settings).unwrap()
     };
-    let floor = TriMesh { vertices: both.vertices.clone(), triangles: both.triangles[..2].to_vec() };
+    let floor = TriMesh { vertices: both.vertices.clone(), triangles: both.triangles[..2].to_vec(), ..TriMesh::default() };
     let darkest = |image: &Image| image.pixels.iter().map(lightness).min().unwrap();
     assert!(darkest(&drawn(&both, 48)) + 60 < darkest(&drawn(&floor, 48)));
     assert_eq!(
@@ -168,7 +170,7 @@ fn a_transparent_background_is_transparent() {
 fn plate(z: f32) -> TriMesh {
     let at = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
     let vertices = at.map(|[x, y]| Vertex { position: [x, y, z], normal: [0.0, 0.0, 1.0] });
-    TriMesh { vertices: vertices.to_vec(), triangles: vec![[0, 1, 2], [0, 2, 3]] }
+    TriMesh { vertices: vertices.to_vec(), triangles: vec![[0, 1, 2], [0, 2, 3]], ..TriMesh::default() }
 }
 
 #[test]
@@ -229,7 +231,8 @@ fn a_transparent_surface_shows_what_is_inside_and_throws_no_shadow() {
             .iter()
             .map(|v| Vertex { position: v.position.map(|c| c / 2.0), ..*v })
             .collect(),
-        ..inner
+        ..inner,
+        ..TriMesh::default()
     };
     let view = View::fit(&Camera::default(), &[&outer], [90, 80]).unwrap();
     let [red, blue] = [[220, 30, 30], [30, 30, 220]].map(Paint::Plain);

@@ -18,6 +18,8 @@ mod defaults;
 mod determinism;
 mod documents;
 mod edges;
+mod exits;
+mod far;
 mod fitted_meshes;
 mod fuzz_finds;
 mod given;

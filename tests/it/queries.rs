@@ -347,7 +347,7 @@ fn a_surface_that_ends_at_missing_samples_is_sound() {
     let geometry = Geometry::default();
     let domain = Domain { geometry: &geometry, dims: [34, 30, 28], cuts: &[], tolerance: 1e-2 };
     let open = |mesh: &TriMesh| {
-        let mut at_missing = |edges: &[[[f32; 3]; 2]]| asked.edges_at_missing(edges);
+        let mut at_missing = |edges: &[[[f64; 3]; 2]]| asked.edges_at_missing(edges);
         check_within(mesh, &domain, &CheckSettings::default(), &mut at_missing).unwrap().1
     };
     let whole = asked.surface(0.3).unwrap();

@@ -413,7 +413,11 @@ const LIST: &str = "<VTKFile type=\"vtkMultiBlockDataSet\"><vtkMultiBlockDataSet
 fn surface(folder: &Path, format: SurfaceFormat) -> Result<Vec<u8>> {
     let position = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let vertices = position.map(|position| Vertex { position, normal: [0.0, 0.6, 0.8] }).to_vec();
-    let mesh = TriMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]] };
+    let mesh = TriMesh {
+        vertices,
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        ..TriMesh::default()
+    };
     let out = folder.join(format!("seed.{}", format.extension()));
     let meta =
         SurfaceMeta { isovalue: Some(1.5), comments: vec!["a comment".into()], parts: vec![], values: None };

@@ -52,8 +52,12 @@ mod tests {
     fn a_fold_has_its_angle() {
         let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 1.0]];
         let vertices = vertices.map(|position| Vertex { position, normal: [0.0; 3] }).to_vec();
-        let fold = TriMesh { vertices: vertices.clone(), triangles: vec![[0, 1, 2], [1, 0, 3]] };
+        let fold = TriMesh {
+            vertices: vertices.clone(),
+            triangles: vec![[0, 1, 2], [1, 0, 3]],
+            ..TriMesh::default()
+        };
         assert!((roughness(&fold) - 45.0).abs() < 1e-9, "{}", roughness(&fold));
-        assert_eq!(roughness(&TriMesh { vertices, triangles: vec![[0, 1, 2]] }), 0.0);
+        assert_eq!(roughness(&TriMesh { vertices, triangles: vec![[0, 1, 2]], ..TriMesh::default() }), 0.0);
     }
 }

@@ -307,6 +307,14 @@ class Page:
         rows = self.page.eval_on_selector_all("#statistics > *", "all => all.map(e => e.textContent)")
         return dict(zip(rows[::2], rows[1::2]))
 
+    def numbers(self):
+        """The statistics, when all of them are there."""
+        end = time.monotonic() + 30
+        while self.statistics()["volume inside"] == "…":
+            assert time.monotonic() < end, f"{self.statistics()}; {self.wrong}"
+            self.page.wait_for_timeout(20)
+        return self.statistics()
+
     def triangles(self):
         return int(self.statistics()["triangles"].replace(",", ""))
 
@@ -458,6 +466,13 @@ def placed(browser, server):
     page.close()
 
 
+def volume_of(step, isovalue):
+    """The volume inside of an isosurface of the ball, as the program has it."""
+    command = [PROGRAM, "spectrum", BALL, "--step", str(step), "--json"]
+    knots = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["knots"]
+    return numpy.interp(isovalue, [k["isovalue"] for k in knots], [k["volume"] for k in knots])
+
+
 def narrow(browser, server):
     page = Page(browser, server, "#archive=1", viewport={"width": 360, "height": 740}, color_scheme="dark",
                 has_touch=True)
@@ -467,9 +482,15 @@ def narrow(browser, server):
     assert (abs(first - first[5, 5]).sum(axis=2) > 60).mean() > 0.03
     # Time: another step, then playing.
     area = page.statistics()["area"]
+    # The spectrum of a step may come after its surface: no number is that of the step before.
+    page.page.route("**/spectrum*", lambda route: (time.sleep(0.5), route.continue_()))
     page.after(lambda: page.set("#step", 3))
-    statistics = page.statistics()
+    statistics = page.numbers()
     assert statistics["area"] != area
+    isovalue = float(page.page.input_value("#surfaces input[type=number]"))
+    shown, true = float(statistics["volume inside"].split()[1].replace(",", "")), volume_of(3, isovalue)
+    assert abs(shown / true - 1) < 1e-2, f"a volume of {shown}, where the program has {true}"
+    assert abs(volume_of(0, isovalue) / true - 1) > 2e-2, "the steps differ, or nothing is tested"
     # Everything has its unit.
     assert statistics["area"].endswith(" µm²") and statistics["volume inside"].endswith(" µm³"), statistics
     assert statistics["error of the field, RMS"].endswith(" K") and statistics["error, largest"].endswith(" K"), statistics

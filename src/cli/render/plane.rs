@@ -5,7 +5,7 @@ use super::super::grammar::AXES;
 use super::super::text;
 use super::Colours;
 use isospan::pipeline::{ProbeSettings, Step};
-use isospan::surface::{TriMesh, Vertex};
+use isospan::surface::{TriMesh, Vertex, nearby_origin};
 use isospan::volume::units::Unit;
 use isospan::{Error, Resources, Result};
 
@@ -54,11 +54,21 @@ impl Slice {
     /// Its rectangle, as a surface.
     pub(super) fn rectangle(&self) -> TriMesh {
         let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
-        TriMesh { vertices: corners.map(|c| self.vertex(c)).to_vec(), triangles: vec![[0, 1, 2], [0, 2, 3]] }
+        self.mesh(corners.map(|c| self.vertex(c)).to_vec(), vec![[0, 1, 2], [0, 2, 3]])
+    }
+
+    /// What positions on it are counted from.
+    fn origin(&self) -> [f64; 3] {
+        nearby_origin(self.hull, [0.0; 3])
+    }
+
+    fn mesh(&self, vertices: Vec<Vertex>, triangles: Vec<[u32; 3]>) -> TriMesh {
+        TriMesh { vertices, triangles, origin: self.origin() }
     }
 
     fn vertex(&self, share: [f64; 2]) -> Vertex {
-        Vertex { position: self.place(share).map(|c| c as f32), normal: [0.0; 3] }
+        let (place, origin) = (self.place(share), self.origin());
+        Vertex { position: std::array::from_fn(|k| (place[k] - origin[k]) as f32), normal: [0.0; 3] }
     }
 
     /// The values at shares of its sides.
@@ -105,7 +115,7 @@ impl Slice {
         };
         let has_values = |t: &[u32; 3]| t.iter().all(|&v| !shares[v as usize].is_nan());
         let triangles = (0..w * h).flat_map(cell).filter(has_values).collect();
-        Ok((TriMesh { vertices, triangles }, shares))
+        Ok((self.mesh(vertices, triangles), shares))
     }
 
     /// A picture of the field on it, with axes in world units, which may have a name: so wide and

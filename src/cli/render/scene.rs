@@ -427,14 +427,15 @@ impl Job<'_> {
         if slabs.is_empty() {
             return Ok(Some(surface));
         }
-        let mut own = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+        let (mut own, origin) = ([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], surface.origin());
         surface.vertices(&mut |batch| {
-            let hull = hull_of(batch.iter().map(|v| v.position.map(f64::from)).chain(own));
+            let hull = hull_of(batch.iter().map(|v| v.world(origin)).chain(own));
             own = hull;
             Ok(())
         })?;
         let hull = of.map_or(Some(own), |opened| opened.hull);
-        let scale = [0, 1, 2].map(|a| own[0][a].abs().max(own[1][a].abs()));
+        let scale = [0, 1, 2].map(|a| own.map(|corner| (corner[a] - origin[a]).abs()));
+        let scale = scale.map(|[lo, hi]| lo.max(hi));
         let mut half_spaces = vec![];
         for slab in slabs {
             let Slab { axis, range } = *slab;

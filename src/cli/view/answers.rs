@@ -145,10 +145,10 @@ fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
 }
 
 /// Parts, each with a length and JSON in front. A part of a surface has counts; then vertices
-/// (position and normal, 3 × f32 each), numbers of earlier vertices that change (u32), what they
-/// become, and triangles (3 × u32). Parts of a preview come first where the surface is cut or has
-/// holes; the first other one replaces them. The values of the field that colours a surface (f32)
-/// are a part after its triangles. The last part has the report.
+/// (position and normal, 3 × f32 each; positions count from `origin`), numbers of earlier vertices
+/// that change (u32), what they become, and triangles (3 × u32). Parts of a preview come first
+/// where the surface is cut or has holes; the first other one replaces them. The values of the
+/// field that colours a surface (f32) are a part after its triangles. The last part has the report.
 pub(super) fn surface(
     archives: &Archives,
     archive: usize,
@@ -187,6 +187,7 @@ fn part_of_surface(part: &SurfacePart<'_>, sink: &mut dyn Sink) -> Result<()> {
         "changed": part.changed.len(),
         "triangles": part.added.triangle_count(),
         "chunks": part.chunks,
+        "origin": part.added.origin(),
         "preview": part.is_preview,
     });
     json_part(&head, sink)?;

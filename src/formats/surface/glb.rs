@@ -14,16 +14,18 @@
 //! position, as the format demands: this takes one more pass over the vertices before the first
 //! byte is written. The isovalue and the comments are `asset.extras`. Coordinates are the world's,
 //! as in all our formats, though glTF says metres and y up. A surface without triangles is a scene
-//! without a mesh, as glTF has no empty arrays.
+//! without a mesh, as glTF has no empty arrays. A surface that is far from 0 has its origin as the
+//! translation of its node.
 //!
 //! All lengths are 32 bits wide, so a file ends at 4 GiB: about 89 million vertices with twice as
 //! many triangles. Larger surfaces are refused before a byte is written. One primitive always
 //! suffices: 2^32 indices alone are 16 GiB.
 //!
 //! We read the triangles of all meshes, as stored, in place: only the tree of the JSON text,
-//! usually a few KiB, is in memory. Files whose true shape needs more than this are refused: node
-//! transforms, sparse accessors, data in other files, required extensions (compression), strips and
-//! fans. Primitives that are points or lines are skipped.
+//! usually a few KiB, is in memory. The translation of a node without a parent or children counts.
+//! Files whose true shape needs more than this are refused: other node transforms, sparse
+//! accessors, data in other files, required extensions (compression), strips and fans. Primitives
+//! that are points or lines are skipped.
 
 use super::ply::check_indices;
 use super::values::linear;
@@ -31,9 +33,10 @@ use super::{ReadLimits, SurfaceMeta, each_triangle, each_value, each_vertex, is_
 use crate::error::{Error, Result};
 use crate::formats::shared::sink::Sink;
 use crate::surface::weld::StoredSurface;
-use crate::surface::{SurfaceSource, Vertex};
+use crate::surface::{SurfaceSource, world_of};
 use byteorder::{ByteOrder, LE};
 use serde_json::{Value, json};
+use std::collections::HashMap;
 use std::path::Path;
 
 const MAGIC: &[u8; 4] = b"glTF";
@@ -95,7 +98,11 @@ pub(in crate::formats) fn write(
     } else {
         vertex_bytes(meta) * source.vertex_count() + 12 * source.triangle_count()
     };
-    let mut text = document(source.vertex_count(), source.triangle_count(), bounds, meta).to_string();
+    let mut document = document(source.vertex_count(), source.triangle_count(), bounds, meta);
+    if bin > 0 && source.origin() != [0.0; 3] {
+        document["nodes"][0]["translation"] = json!(source.origin());
+    }
+    let mut text = document.to_string();
     if text.len() as u64 > JSON_ROOM - 64 {
         return Err(Error::usage("the comments of a GLB file hold at most 1 MiB: give shorter ones"));
     }
@@ -125,7 +132,7 @@ pub(in crate::formats) fn write(
         })?;
         // No number of a file may be NaN.
         each_value(source, sink, values, |buffer, value| {
-            let value = if value.is_finite() { value } else { 0.0 };
+            let value = if value.is_finite() { values.whole(value) as f32 } else { 0.0 };
             buffer.extend_from_slice(&value.to_le_bytes());
         })?;
     }
@@ -194,9 +201,11 @@ pub(in crate::formats) fn read(
 ) -> Result<()> {
     let file = File::parse(path, bytes, limits)?;
     file.refuse_what_changes_the_shape()?;
+    let places = file.places()?;
     for (m, one) in list(&file.json, "meshes").iter().enumerate() {
         for (p, primitive) in list(one, "primitives").iter().enumerate() {
-            file.add_primitive(primitive, &format!("mesh {m}, primitive {p}"), out)?;
+            let place = places.get(&m).copied().unwrap_or_default();
+            file.add_primitive(primitive, &format!("mesh {m}, primitive {p}"), place, out)?;
         }
     }
     check_indices(path, out)
@@ -279,14 +288,39 @@ impl<'a> File<'a> {
                 .wrong("extensionsRequired", "none", got)
                 .with_help("save the file without compression and other extensions"));
         }
-        let moved =
-            |n: &Value| ["matrix", "translation", "rotation", "scale"].iter().any(|t| n.get(t).is_some());
-        if let Some(n) = list(&self.json, "nodes").iter().position(moved) {
-            return Err(self
-                .wrong(format!("node {n}"), "a mesh in its own coordinates", "a transform")
-                .with_help("apply the transforms first"));
+        let moved = |n: &Value| ["matrix", "rotation", "scale"].iter().any(|t| n.get(t).is_some());
+        match list(&self.json, "nodes").iter().position(moved) {
+            Some(n) => Err(self.transformed(n)),
+            None => Ok(()),
         }
-        Ok(())
+    }
+
+    fn transformed(&self, node: usize) -> Error {
+        self.wrong(format!("node {node}"), "a mesh in its own coordinates", "a transform")
+            .with_help("apply the transforms first")
+    }
+
+    /// What is added to the positions of each mesh: the translation of its node, where that has
+    /// neither a parent nor children, and is alone with the mesh.
+    fn places(&self) -> Result<HashMap<usize, [f64; 3]>> {
+        let nodes = list(&self.json, "nodes");
+        let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
+        let children = || nodes.iter().flat_map(|node| list(node, "children")).filter_map(number);
+        let mesh_of = |node: &Value| node.get("mesh").and_then(number);
+        let mut places = HashMap::new();
+        for (n, node) in nodes.iter().enumerate().filter(|(_, node)| node.get("translation").is_some()) {
+            let numbers: Option<Vec<f64>> = list(node, "translation").iter().map(Value::as_f64).collect();
+            let place = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+            let (Some(place), Some(mesh)) = (place, mesh_of(node)) else { return Err(self.transformed(n)) };
+            let is_alone = list(node, "children").is_empty()
+                && !children().any(|child| child == n)
+                && nodes.iter().filter(|other| mesh_of(other) == Some(mesh)).count() == 1;
+            if !is_alone {
+                return Err(self.transformed(n));
+            }
+            places.insert(mesh, place);
+        }
+        Ok(places)
     }
 
     /// An unsigned member, or `default` without it.
@@ -349,14 +383,20 @@ impl<'a> File<'a> {
         self.elements(accessor, "VEC3", |c| (c as u64 == FLOAT).then_some(12))
     }
 
-    fn add_primitive(&self, primitive: &Value, at: &str, out: &mut StoredSurface) -> Result<()> {
+    fn add_primitive(
+        &self,
+        primitive: &Value,
+        at: &str,
+        place: [f64; 3],
+        out: &mut StoredSurface,
+    ) -> Result<()> {
         match self.number(primitive, "mode", Some(TRIANGLES))? as u64 {
             TRIANGLES => {}
             0..TRIANGLES => return Ok(()),
             other => return Err(self.wrong(at, "triangles (mode 4)", format!("mode {other}"))),
         }
         let first = out.vertex_count();
-        let count = self.add_vertices(primitive, at, out)?;
+        let count = self.add_vertices(primitive, at, place, out)?;
         let indices = match primitive.get("indices") {
             Some(_) => Some(self.indices(self.number(primitive, "indices", None)?)?),
             None => None,
@@ -378,7 +418,13 @@ impl<'a> File<'a> {
     }
 
     /// Adds the vertices of a primitive, and returns their number.
-    fn add_vertices(&self, primitive: &Value, at: &str, out: &mut StoredSurface) -> Result<usize> {
+    fn add_vertices(
+        &self,
+        primitive: &Value,
+        at: &str,
+        place: [f64; 3],
+        out: &mut StoredSurface,
+    ) -> Result<usize> {
         let none = Value::Null;
         let attributes = primitive.get("attributes").unwrap_or(&none);
         let positions = self.vectors(self.number(attributes, "POSITION", None)?)?;
@@ -390,12 +436,12 @@ impl<'a> File<'a> {
             return Err(self.wrong(at, format!("{} normals", positions.count), other.to_string()));
         }
         for n in 0..positions.count {
-            let position = positions.vector(n);
-            if !is_finite(&position) {
+            let position = world_of(positions.vector(n), place);
+            if !is_finite(&position.map(|x| x as f32)) {
                 return Err(self.wrong(at, "finite positions", format!("{position:?} for vertex {n}")));
             }
             let normal = normals.as_ref().map_or([0.0; 3], |normals| normals.vector(n));
-            out.push_vertex(Vertex { position, normal })?;
+            out.push_double(position, normal)?;
         }
         Ok(positions.count)
     }

@@ -19,6 +19,11 @@
 //! Polygons are cut into fans of triangles. Vertex normals are kept where the format stores them
 //! with the vertices (PLY, VTP, GLB, VTKHDF) and are zero otherwise. Positions are stored as `f32`;
 //! one that is not finite is an error.
+//!
+//! **Far from 0** `f32` does not tell the vertices of a small surface apart. Such a surface is in
+//! memory as `f32` less an origin ([`SurfaceSource::origin`]). PLY, VTP and VTKHDF then have
+//! doubles, OBJ decimals of more digits. GLB has the origin as the translation of its node, STL in
+//! its comment alone: [`SurfaceFormat::shifts`].
 
 pub mod glb;
 pub mod obj;
@@ -74,6 +79,11 @@ impl SurfaceFormat {
             Self::Glb => "glb",
             Self::VtkHdf => "vtkhdf",
         }
+    }
+
+    /// Whether positions in a file of a surface that has an origin are less that origin.
+    pub fn shifts(self) -> bool {
+        matches!(self, Self::Stl | Self::Glb)
     }
 
     /// Refuses a format that has no values at vertices.
@@ -264,10 +274,9 @@ pub fn read_surface(path: &Path) -> Result<TriMesh> {
 /// cannot be read.
 pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurface> {
     let limits = ReadLimits::of(settings);
-    let mut surface = StoredSurface::new(&BuilderSettings {
-        memory_bytes: settings.of_source(),
-        scratch: settings.scratch.clone(),
-    });
+    let memory_bytes = settings.of_source();
+    let mut surface =
+        StoredSurface::new(&BuilderSettings { memory_bytes, scratch: settings.scratch.clone() });
     let out = &mut surface;
     let source = Arc::new(ByteSource::map(path)?);
     let bytes = source.slice(0..source.len())?;
@@ -290,7 +299,9 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
         .with_help("convert it, or give the file the extension of its format")),
     };
     source.check()?;
-    read.map(|()| surface)
+    read?;
+    surface.settle()?;
+    Ok(surface)
 }
 
 /// What a reader may use while it reads, in addition to the surface itself.
@@ -424,6 +435,25 @@ pub(in crate::formats) fn each_triangle(
     Ok(())
 }
 
+/// Appends the place of a vertex, as doubles where its surface has an origin.
+pub(in crate::formats) fn put_place(buffer: &mut Vec<u8>, v: &Vertex, origin: [f64; 3]) {
+    if origin == [0.0; 3] {
+        return put_floats(buffer, v.position);
+    }
+    v.world(origin).iter().for_each(|x| buffer.extend_from_slice(&x.to_le_bytes()));
+}
+
+/// Bytes of a coordinate of a surface, in formats that have doubles.
+pub(in crate::formats) fn coordinate_bytes(source: &dyn SurfaceSource) -> u64 {
+    if source.origin() == [0.0; 3] { 4 } else { 8 }
+}
+
+/// What positions are less, in words; of a surface that has an origin.
+pub(in crate::formats) fn origin_line(source: &dyn SurfaceSource) -> Option<String> {
+    let [x, y, z] = source.origin();
+    (source.origin() != [0.0; 3]).then(|| format!("coordinates are less {x} {y} {z}"))
+}
+
 /// Appends numbers, little-endian.
 pub(in crate::formats) fn put_floats(buffer: &mut Vec<u8>, numbers: [f32; 3]) {
     let mut bytes = [0; 12];
@@ -454,6 +484,7 @@ impl Fan {
 #[cfg(test)]
 pub(in crate::formats) mod tests {
     use super::*;
+    use crate::surface::check::check;
 
     /// The surface that a reader reads, in memory.
     pub(in crate::formats) fn in_memory(
@@ -461,6 +492,7 @@ pub(in crate::formats) mod tests {
     ) -> Result<TriMesh> {
         let mut surface = StoredSurface::new(&BuilderSettings::default());
         read(&mut surface)?;
+        surface.settle()?;
         TriMesh::from_source(&surface)
     }
 
@@ -478,6 +510,9 @@ pub(in crate::formats) mod tests {
     }
 
     impl SurfaceSource for InMemory {
+        fn origin(&self) -> [f64; 3] {
+            self.mesh.origin
+        }
         fn vertex_count(&self) -> u64 {
             self.mesh.vertices.len() as u64 + self.lie[0]
         }
@@ -498,15 +533,26 @@ pub(in crate::formats) mod tests {
             let length = position.iter().map(|c| c * c).sum::<f32>().sqrt();
             Vertex { position, normal: position.map(|c| c / length) }
         };
-        TriMesh {
-            vertices: vec![
-                v([0.1, 1.0 / 3.0, 1e-20]),
-                v([16_777_216.0, 0.0, 1.5e10]),
-                v([-0.0, 7.0, f32::MIN_POSITIVE]),
-                v([3.4e38, -2.5, 1e-7]),
-            ],
-            triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]],
-        }
+        let vertices = vec![
+            v([0.1, 1.0 / 3.0, 1e-20]),
+            v([16_777_216.0, 0.0, 1.5e10]),
+            v([-0.0, 7.0, f32::MIN_POSITIVE]),
+            v([3.4e38, -2.5, 1e-7]),
+        ];
+        TriMesh::new(vertices, vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    }
+
+    /// A small tetrahedron at coordinates of a map, which `f32` does not tell apart.
+    pub(in crate::formats) fn far_tetrahedron() -> TriMesh {
+        let v = |position: [f32; 3]| Vertex { position, normal: [0.0, 0.0, 1.0] };
+        let vertices = vec![
+            v([0.125, 0.25, -0.5]),
+            v([0.375, 0.0, 0.25]),
+            v([-0.25, 0.375, 0.0]),
+            v([0.0, -0.25, 0.375]),
+        ];
+        let triangles = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        TriMesh { vertices, triangles, origin: [448_262.5, -5_411_932.25, 310.0] }
     }
 
     pub(in crate::formats) fn source(mesh: TriMesh) -> InMemory {
@@ -561,6 +607,30 @@ pub(in crate::formats) mod tests {
             SurfaceFormat::ALL.len(),
             "no temporary file is left"
         );
+    }
+
+    #[test]
+    fn what_is_far_from_0_keeps_its_digits() {
+        let dir = tempfile::tempdir().unwrap();
+        let (mesh, report) = (far_tetrahedron(), check(&far_tetrahedron()));
+        assert_eq!(report.zero_area_triangles, 0);
+        for format in SurfaceFormat::ALL {
+            let path = dir.path().join("far").with_extension(format.extension());
+            write_surface(&source(mesh.clone()), &path, format, &meta()).unwrap();
+            let back = read_surface(&path).unwrap();
+            let shift = if format == SurfaceFormat::Stl { mesh.origin } else { [0.0; 3] };
+            let corners = |m: &TriMesh, shift: [f64; 3]| -> Vec<[[f64; 3]; 3]> {
+                let at = |v: u32| m.vertices[v as usize].world(m.origin);
+                let less = |p: [f64; 3]| std::array::from_fn(|k| p[k] - shift[k]);
+                m.triangles.iter().map(|t| t.map(|v| less(at(v)))).collect()
+            };
+            assert_eq!(corners(&back, [0.0; 3]), corners(&mesh, shift), "{format:?}");
+            let checked = check(&back);
+            assert_eq!((checked.area, checked.zero_area_triangles), (report.area, 0), "{format:?}");
+        }
+        let stl = std::fs::read(dir.path().join("far.stl")).unwrap();
+        let header = String::from_utf8_lossy(&stl[..80]).into_owned();
+        assert!(header.contains("less 448262.5 -5411932.25 310"), "{header}");
     }
 
     #[test]

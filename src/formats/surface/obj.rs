@@ -2,7 +2,8 @@
 //!
 //! A line is a statement: `v x y z` is a vertex, `vn x y z` a normal, `f a//a b//b c//c` a face of
 //! vertex and normal numbers, both counted from 1. Several surfaces in one file are groups,
-//! `g isovalue_600`. We write the shortest decimals that read back as the same `f32`.
+//! `g isovalue_600`. We write the shortest decimals that read back as the same `f32`; of a surface
+//! that is far from 0, as the same `f64`.
 //!
 //! We read `v` and `f` in all their forms (`a`, `a/t`, `a//n`, `a/t/n`; negative numbers count back
 //! from the last vertex; polygons become fans; `\` continues a line). Statements that do not affect
@@ -16,6 +17,7 @@ use crate::formats::shared::sink::Sink;
 use crate::formats::shared::text::Words;
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
+use std::fmt;
 use std::io::Write;
 use std::path::Path;
 
@@ -73,12 +75,20 @@ pub(in crate::formats) fn write(
         // A backslash at the end would continue the comment into the data.
         sink.put(format!("# {}\n", line.replace('\\', "/")).as_bytes())?;
     }
+    let (origin, is_far) = (source.origin(), source.origin() != [0.0; 3]);
+    let place = |v: &Vertex| -> [Decimal; 3] {
+        if is_far { v.world(origin).map(Decimal::Double) } else { v.position.map(Decimal::Single) }
+    };
     match meta.values.as_deref() {
         // Colours after a position are what most programs read (MeshLab, Blender, CloudCompare).
         Some(values) => each_vertex_with(source, sink, Some(values), |text, _, v, value| {
-            let [x, y, z] = v.position;
+            let [x, y, z] = place(v);
             let [r, g, b] = values.colour(value).map(|c| f32::from(c) / 255.0);
             put(text, format_args!("v {x} {y} {z} {r:.4} {g:.4} {b:.4}\n"));
+        })?,
+        None if is_far => each_vertex(source, sink, |text, _, v| {
+            let [x, y, z] = place(v);
+            put(text, format_args!("v {x} {y} {z}\n"));
         })?,
         None => each_vertex(source, sink, |text, _, v| statement(text, "v", v.position))?,
     }
@@ -103,6 +113,21 @@ fn groups(meta: &SurfaceMeta) -> Vec<(u64, String)> {
         (start, format!("isovalue_{}", part.isovalue))
     };
     meta.parts.iter().map(group).collect()
+}
+
+/// A coordinate, written as the shortest decimal that reads back as the same number.
+enum Decimal {
+    Single(f32),
+    Double(f64),
+}
+
+impl fmt::Display for Decimal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Single(x) => x.fmt(f),
+            Self::Double(x) => x.fmt(f),
+        }
+    }
 }
 
 fn put(text: &mut Vec<u8>, what: std::fmt::Arguments<'_>) {
@@ -142,7 +167,8 @@ pub(in crate::formats) fn read(path: &Path, bytes: &[u8], out: &mut StoredSurfac
         match parts.next() {
             None => {}
             Some("v") => {
-                out.push_vertex(vertex(parts).ok_or_else(|| wrong("v and three finite numbers"))?)?
+                let place = vertex(parts).ok_or_else(|| wrong("v and three finite numbers"))?;
+                out.push_double(place, [0.0; 3])?;
             }
             Some("f") => {
                 let corners = face(parts, out.vertex_count(), &mut polygon);
@@ -159,10 +185,10 @@ pub(in crate::formats) fn read(path: &Path, bytes: &[u8], out: &mut StoredSurfac
 }
 
 /// x, y, z; a weight or a colour may follow.
-fn vertex<'a>(parts: impl Iterator<Item = &'a str>) -> Option<Vertex> {
-    let numbers: Vec<f32> = parts.map(|p| p.parse().ok()).collect::<Option<_>>()?;
-    let position: [f32; 3] = numbers.get(..3)?.try_into().ok()?;
-    is_finite(&position).then_some(Vertex { position, normal: [0.0; 3] })
+fn vertex<'a>(parts: impl Iterator<Item = &'a str>) -> Option<[f64; 3]> {
+    let numbers: Vec<f64> = parts.map(|p| p.parse().ok()).collect::<Option<_>>()?;
+    let place: [f64; 3] = numbers.get(..3)?.try_into().ok()?;
+    is_finite(&place.map(|x| x as f32)).then_some(place)
 }
 
 /// The vertices of a face, counted from 0.

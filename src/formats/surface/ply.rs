@@ -15,17 +15,20 @@
 //! ```
 //!
 //! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are
-//! more than 2³¹-1 vertices. Several surfaces in one file have a seventh property, `float isovalue`
-//! (`double` where one has more digits). In a file that we read, `vertex` needs `x`, `y`, `z`
-//! (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or `vertex_index`; all other
-//! elements and properties are skipped. Triangle strips are refused.
+//! more than 2³¹-1 vertices. Coordinates are `double` where `f32` does not tell them apart. Several
+//! surfaces in one file have a seventh property, `float isovalue` (`double` where one has more
+//! digits). In a file that we read, `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept);
+//! `face` needs the list `vertex_indices` or `vertex_index`; all other elements and properties are
+//! skipped. Triangle strips are refused.
 
-use super::{Fan, SurfaceMeta, each_triangle, each_vertex_with, is_finite, put_floats};
+use super::{
+    Fan, SurfaceMeta, coordinate_bytes, each_triangle, each_vertex_with, is_finite, put_floats, put_place,
+};
 use crate::error::{Error, Place, Result};
 use crate::formats::shared::sink::Sink;
 use crate::formats::shared::text::Words;
 use crate::surface::weld::StoredSurface;
-use crate::surface::{SurfaceSource, Vertex};
+use crate::surface::SurfaceSource;
 use byteorder::{BE, ByteOrder, LE};
 use std::path::Path;
 
@@ -35,17 +38,19 @@ pub(in crate::formats) fn write(
     sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
 ) -> Result<()> {
-    sink.put(header(source.vertex_count(), source.triangle_count(), meta).as_bytes())?;
+    let origin = source.origin();
+    let kind = if coordinate_bytes(source) == 4 { "float" } else { "double" };
+    sink.put(header(source.vertex_count(), source.triangle_count(), kind, meta).as_bytes())?;
     let put_isovalue = meta.put_isovalue();
     let values = meta.values.as_deref();
     each_vertex_with(source, sink, values, |buffer, number, v, value| {
-        put_floats(buffer, v.position);
+        put_place(buffer, v, origin);
         put_floats(buffer, v.normal);
         if !meta.parts.is_empty() {
             put_isovalue(number, buffer);
         }
         if let Some(values) = values {
-            buffer.extend_from_slice(&value.to_le_bytes());
+            values.put(value, buffer);
             buffer.extend_from_slice(&values.colour(value));
         }
     })?;
@@ -57,7 +62,7 @@ pub(in crate::formats) fn write(
     })
 }
 
-fn header(vertices: u64, triangles: u64, meta: &SurfaceMeta) -> String {
+fn header(vertices: u64, triangles: u64, coordinate: &str, meta: &SurfaceMeta) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\ncomment isospan surface\n");
     for line in meta.lines() {
         // The header is ASCII.
@@ -65,7 +70,10 @@ fn header(vertices: u64, triangles: u64, meta: &SurfaceMeta) -> String {
         text += &format!("comment {ascii}\n");
     }
     text += &format!("element vertex {vertices}\n");
-    for name in ["x", "y", "z", "nx", "ny", "nz"] {
+    for name in ["x", "y", "z"] {
+        text += &format!("property {coordinate} {name}\n");
+    }
+    for name in ["nx", "ny", "nz"] {
         text += &format!("property float {name}\n");
     }
     if !meta.parts.is_empty() {
@@ -73,7 +81,8 @@ fn header(vertices: u64, triangles: u64, meta: &SurfaceMeta) -> String {
         text += &format!("property {kind} isovalue\n");
     }
     if let Some(values) = &meta.values {
-        text += &format!("property float {}\n", values.plain_name());
+        let kind = if values.bytes() == 4 { "float" } else { "double" };
+        text += &format!("property {kind} {}\n", values.plain_name());
         for name in ["red", "green", "blue"] {
             text += &format!("property uchar {name}\n");
         }
@@ -349,18 +358,18 @@ fn read_vertices(body: &mut Body<'_>, element: &Element, out: &mut StoredSurface
         return Err(body.wrong("vertices with the properties x, y, z".into(), "a header without them".into()));
     }
     for _ in 0..element.rows {
-        let mut fields = [0f32; 6];
+        let mut fields = [0f64; 6];
         for (property, slot) in element.properties.iter().zip(&slots) {
             match *slot {
-                Some(slot) => fields[slot] = body.number(property.kind)? as f32,
+                Some(slot) => fields[slot] = body.number(property.kind)?,
                 None => body.skip(property)?,
             }
         }
         let [x, y, z, nx, ny, nz] = fields;
-        if !is_finite(&[x, y, z]) {
+        if !is_finite(&[x, y, z].map(|c| c as f32)) {
             return Err(body.wrong("finite coordinates".into(), format!("{x} {y} {z}")));
         }
-        out.push_vertex(Vertex { position: [x, y, z], normal: [nx, ny, nz] })?;
+        out.push_double([x, y, z], [nx, ny, nz].map(|n| n as f32))?;
     }
     Ok(())
 }
@@ -441,8 +450,8 @@ mod tests {
         assert_eq!(&bytes[..text.len()], text.as_bytes());
         assert_eq!(bytes.len(), text.len() + 4 * 24 + 4 * 13);
         assert_eq!(parse(&bytes).unwrap(), tetrahedron());
-        assert!(header(1 << 31, 0, &SurfaceMeta::default()).contains("uchar int "));
-        assert!(header((1 << 31) + 1, 0, &SurfaceMeta::default()).contains("uchar uint "));
+        assert!(header(1 << 31, 0, "float", &SurfaceMeta::default()).contains("uchar int "));
+        assert!(header((1 << 31) + 1, 0, "float", &SurfaceMeta::default()).contains("uchar uint "));
     }
 
     /// Extra properties of every type, lists among them, extra elements, polygons.

@@ -22,7 +22,7 @@
 //! file whose length agrees with the count at byte 80 is binary. The normals of a file are not
 //! read: they follow from the positions.
 
-use super::{ReadLimits, SurfaceMeta, each_triangle, is_finite, put_floats};
+use super::{ReadLimits, SurfaceMeta, each_triangle, is_finite, origin_line, put_floats};
 use crate::bytes::sorter::Sorter;
 use crate::bytes::store::{Cached, Store};
 use crate::bytes::{ByteSource, IoMode};
@@ -30,7 +30,7 @@ use crate::error::{Error, Result};
 use crate::formats::shared::sink::Sink;
 use crate::formats::shared::text::Words;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
-use crate::surface::{SurfaceSource, Vertex};
+use crate::surface::{SurfaceSource, Vertex, nearby_origin, relative_to};
 use byteorder::{ByteOrder, LE};
 use std::fs::File;
 use std::io::Write;
@@ -60,7 +60,7 @@ pub(in crate::formats) fn write(
     scratch: &BuilderSettings,
 ) -> Result<()> {
     let head = |sink: &mut Sink<'_>| {
-        sink.put(&header(meta))?;
+        sink.put(&header(origin_line(source), meta))?;
         sink.put(&(source.triangle_count() as u32).to_le_bytes())
     };
     if let Some(file) = sink.scratch()? {
@@ -97,9 +97,10 @@ fn check_count(count: u64, source: &dyn SurfaceSource, sink: &Sink<'_>) -> Resul
 }
 
 /// The comment: as many whole lines of it as there is limits for.
-fn header(meta: &SurfaceMeta) -> [u8; HEADER] {
-    let mut text = String::from("binary STL, isospan surface");
-    for line in meta.lines() {
+fn header(origin: Option<String>, meta: &SurfaceMeta) -> [u8; HEADER] {
+    // There is little room, and nowhere else for the origin.
+    let mut text = String::from(if origin.is_some() { "binary STL" } else { "binary STL, isospan surface" });
+    for line in origin.into_iter().chain(meta.lines()) {
         text += ", ";
         text.extend(line.chars().map(|c| if c.is_ascii() { c } else { '?' }));
     }
@@ -196,8 +197,30 @@ pub(in crate::formats) fn read(
     build.finish(out)
 }
 
+/// Reads a text twice: decimals that are far from 0 have digits that only doubles hold.
 fn read_text(path: &Path, bytes: &[u8], limits: &ReadLimits, out: &mut StoredSurface) -> Result<()> {
+    let mut ends = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    each_facet(path, bytes, &mut |corners, _| {
+        for (k, x) in corners.iter().flat_map(|corner| (0..3).map(|k| (k, corner[k]))) {
+            (ends[0][k], ends[1][k]) = (ends[0][k].min(x), ends[1][k].max(x));
+        }
+        Ok(())
+    })?;
+    let origin = nearby_origin(ends, [0.0; 3]);
     let mut build = Build::new(path, limits);
+    each_facet(path, bytes, &mut |corners, words| {
+        build.push(corners.map(|corner| relative_to(corner, origin)), || words.place())
+    })?;
+    out.count_from(origin);
+    build.finish(out)
+}
+
+/// Hands the corners of each facet of a text, and the place after it.
+fn each_facet(
+    path: &Path,
+    bytes: &[u8],
+    each: &mut dyn FnMut([[f64; 3]; 3], &Words<'_>) -> Result<()>,
+) -> Result<()> {
     let mut words = Words::new(path, bytes, 0);
     // The name of a solid is the rest of its line, and any text.
     while let Some(first) = words.next() {
@@ -207,10 +230,10 @@ fn read_text(path: &Path, bytes: &[u8], limits: &ReadLimits, out: &mut StoredSur
         words.line();
         while facet_or_end(&mut words)? {
             let corners = read_facet(&mut words)?;
-            build.push(corners, || words.place())?;
+            each(corners, &words)?;
         }
     }
-    build.finish(out)
+    Ok(())
 }
 
 /// Whether a facet follows; otherwise the solid has ended.
@@ -226,7 +249,7 @@ fn facet_or_end(words: &mut Words<'_>) -> Result<bool> {
 }
 
 /// A facet after its first word.
-fn read_facet(words: &mut Words<'_>) -> Result<[[f32; 3]; 3]> {
+fn read_facet(words: &mut Words<'_>) -> Result<[[f64; 3]; 3]> {
     expect(words, "normal")?;
     for _ in 0..3 {
         words.parse::<f32>("a number of the facet's normal")?;
@@ -406,6 +429,16 @@ mod tests {
         let mut nan = bytes.clone();
         nan[84 + 12..84 + 16].copy_from_slice(&f32::NAN.to_le_bytes());
         assert!(parse(&nan).unwrap_err().to_string().contains("triangle 0"));
+    }
+
+    #[test]
+    fn decimals_far_from_0_keep_their_digits() {
+        let text = "solid far\nfacet normal 0 0 1\nouter loop\nvertex 448262.001 5411932.5 7\n\
+            vertex 448262.002 5411932.5 7\nvertex 448262.001 5411932.501 7.001\nendloop\nendfacet\nendsolid far\n";
+        let mesh = parse(text.as_bytes()).unwrap();
+        let at = |v: usize| mesh.vertices[v].world(mesh.origin);
+        assert_eq!(mesh.vertices.len(), 3);
+        assert!((at(1)[0] - at(0)[0] - 1e-3).abs() < 1e-7 && (at(2)[1] - 5_411_932.501).abs() < 1e-7);
     }
 
     #[test]

@@ -3,15 +3,18 @@
 use crate::bytes::store::Store;
 use crate::error::{Error, Result};
 use crate::render::ColourMap;
+use crate::volume::shifted::shortest;
 use std::path::Path;
 
 /// A value at each vertex of a surface, NaN where there is none. What memory does not hold is on
-/// disk.
+/// disk. Values are `f32` less an offset, which is not 0 where `f32` would lose their differences:
+/// then files have them as doubles, but for GLB.
 #[derive(Debug)]
 pub struct VertexValues {
     name: String,
     range: [f64; 2],
     map: ColourMap,
+    offset: f64,
     values: Store<f32>,
     without: u64,
 }
@@ -29,10 +32,17 @@ impl VertexValues {
                 range[0], range[1]
             )));
         }
-        Ok(Self { name: name.into(), range, map, values: Store::new(memory, scratch), without: 0 })
+        let values = Store::new(memory, scratch);
+        Ok(Self { name: name.into(), range, map, offset: 0.0, values, without: 0 })
     }
 
-    /// Appends the values of the next vertices.
+    /// The same, of values that will be given less an offset.
+    #[must_use]
+    pub fn less(self, offset: f64) -> Self {
+        Self { offset, ..self }
+    }
+
+    /// Appends the values of the next vertices, less the offset.
     ///
     /// # Errors
     /// [`Error::Io`] when the scratch folder cannot be written.
@@ -58,10 +68,28 @@ impl VertexValues {
         if name.is_empty() { "value".into() } else { name }
     }
 
+    /// A value as the field has it, given less the offset.
+    pub(super) fn whole(&self, value: f32) -> f64 {
+        if self.offset == 0.0 { f64::from(value) } else { self.offset + shortest(value) }
+    }
+
+    /// Bytes of a value in a file of a format that has doubles.
+    pub(super) fn bytes(&self) -> u64 {
+        if self.offset == 0.0 { 4 } else { 8 }
+    }
+
+    /// Appends a value, as the field has it.
+    pub(super) fn put(&self, value: f32, out: &mut Vec<u8>) {
+        match self.bytes() {
+            4 => out.extend_from_slice(&value.to_le_bytes()),
+            _ => out.extend_from_slice(&self.whole(value).to_le_bytes()),
+        }
+    }
+
     /// The colour of a value, sRGB.
     pub(super) fn colour(&self, value: f32) -> [u8; 3] {
         let [lo, hi] = self.range;
-        let share = (f64::from(value) - lo) / (hi - lo);
+        let share = (self.whole(value) - lo) / (hi - lo);
         match value {
             v if v.is_nan() => ColourMap::NO_VALUE,
             _ if hi > lo => self.map.colour(share),
@@ -109,5 +137,16 @@ mod tests {
         assert!(values.read(3, &mut some).is_err());
         assert!(VertexValues::new("f", [2.0, 1.0], ColourMap::Grey, 8, &folder).is_err());
         assert_eq!([0, 128, 255].map(linear), [0, 14146, 65535]);
+    }
+
+    #[test]
+    fn values_less_an_offset_are_doubles() {
+        let range = [101_325_000.0, 101_325_004.0];
+        let values = VertexValues::new("p", range, ColourMap::Grey, 8, &std::env::temp_dir()).unwrap();
+        let values = values.less(101_325_002.0);
+        assert_eq!([-2.0, 0.0, 2.0].map(|v| values.colour(v)[0]), [0, 128, 255]);
+        let mut bytes = vec![];
+        values.put(1.0, &mut bytes);
+        assert_eq!((bytes, values.bytes()), (101_325_003f64.to_le_bytes().to_vec(), 8));
     }
 }

@@ -7,7 +7,7 @@
 //! /comments                                       lines of text
 //! /VTKHDF                                         Type PolyData
 //!   NumberOfPoints
-//!   Points                                        3 × f32 a vertex
+//!   Points                                        3 × f32 a vertex (f64 where f32 does not tell them apart)
 //!   PointData/Normals                             3 × f32 a vertex
 //!   PointData/isovalue                            f32 a vertex    (f64 where one has more digits) of several surfaces in one file only
 //!   PointData/FIELD                               f32 a vertex    of a surface with values
@@ -25,7 +25,10 @@
 //! the name `Normals`) of any floating-point type. Vertices and lines are no surface and are
 //! skipped; triangle strips, and files of several steps, are refused.
 
-use super::{Fan, SurfaceMeta, each_triangle, each_value, each_vertex, is_finite, put_floats};
+use super::{
+    Fan, SurfaceMeta, coordinate_bytes, each_triangle, each_value, each_vertex, is_finite, put_floats,
+    put_place,
+};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::hdf5_head::{Dataset, Group, Value};
@@ -33,7 +36,7 @@ use crate::formats::shared::sink::Sink;
 use crate::formats::volume::hdf5;
 use crate::formats::vtk::hdf::{self, HdfFile, active, array_name, count};
 use crate::surface::weld::StoredSurface;
-use crate::surface::{SurfaceSource, Vertex};
+use crate::surface::SurfaceSource;
 use crate::volume::ScalarType;
 use std::sync::Arc;
 
@@ -45,14 +48,15 @@ pub(in crate::formats) fn write(
 ) -> Result<()> {
     // In the order of the tree.
     sink.put(&tree(source, meta).head()?)?;
-    each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.position))?;
+    let origin = source.origin();
+    each_vertex(source, sink, |buffer, _, v| put_place(buffer, v, origin))?;
     each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal))?;
     if !meta.parts.is_empty() {
         let put_isovalue = meta.put_isovalue();
         each_vertex(source, sink, |buffer, v, _| put_isovalue(v, buffer))?;
     }
     if let Some(values) = &meta.values {
-        each_value(source, sink, values, |buffer, v| buffer.extend_from_slice(&v.to_le_bytes()))?;
+        each_value(source, sink, values, |buffer, v| values.put(v, buffer))?;
     }
     each_triangle(source, sink, |buffer, _, t| {
         t.iter().for_each(|&v| buffer.extend_from_slice(&u64::from(v).to_le_bytes()));
@@ -70,7 +74,8 @@ fn tree(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Group {
     let (vertices, triangles) = (source.vertex_count(), source.triangle_count());
     let mut group = Group::default();
     group.add("NumberOfPoints", count(vertices));
-    group.add("Points", Dataset::after(ScalarType::F32, &[vertices, 3]));
+    let coordinate = if coordinate_bytes(source) == 4 { ScalarType::F32 } else { ScalarType::F64 };
+    group.add("Points", Dataset::after(coordinate, &[vertices, 3]));
     let mut data = Group::default();
     data.add("Normals", active(Dataset::after(ScalarType::F32, &[vertices, 3]), "Normals"));
     let values = meta.values.as_deref();
@@ -82,7 +87,8 @@ fn tree(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Group {
     if let Some(values) = values {
         let others = ["Normals", "isovalue"];
         let name = array_name(values.name(), &others[..1 + usize::from(!meta.parts.is_empty())]);
-        data.add(&name, active(Dataset::after(ScalarType::F32, &[vertices]), "Scalars"));
+        let scalar = if values.bytes() == 4 { ScalarType::F32 } else { ScalarType::F64 };
+        data.add(&name, active(Dataset::after(scalar, &[vertices]), "Scalars"));
     }
     group.add_group("PointData", data);
     let cells = |cells: u64, connectivity: Dataset, offsets: Dataset| {
@@ -161,12 +167,12 @@ fn read_points(file: &HdfFile, out: &mut StoredSurface) -> Result<()> {
             normals.fill(&mut directions)?;
         }
         for (position, normal) in positions.chunks_exact(3).zip(directions.chunks_exact(3)) {
-            let [position, normal] = [position, normal].map(|v| [0, 1, 2].map(|a| v[a] as f32));
-            if !is_finite(&position) {
+            let [position, normal] = [position, normal].map(|v| [0, 1, 2].map(|a| v[a]));
+            if !is_finite(&position.map(|c| c as f32)) {
                 let got = format!("{position:?} for point {done}");
                 return Err(file.wrong("Points", "finite coordinates", got));
             }
-            out.push_vertex(Vertex { position, normal })?;
+            out.push_double(position, normal.map(|n| n as f32))?;
             done += 1;
         }
     }
@@ -195,7 +201,7 @@ mod tests {
     use super::*;
     use crate::formats::surface::tests::{in_memory, source, survive, tetrahedron};
     use crate::formats::surface::{SurfaceFormat, SurfacePart, write_surface};
-    use crate::surface::TriMesh;
+    use crate::surface::{TriMesh, Vertex};
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
         in_memory(|out| read(&Arc::new(ByteSource::from_vec("f.vtkhdf", bytes.to_vec())), out))

@@ -8,7 +8,7 @@
 //! <VTKFile type="PolyData" … byte_order="LittleEndian" header_type="UInt64">
 //!   …  DataArray … format="appended" offset="N"     N counted from the byte after the '_'
 //!   <AppendedData encoding="raw">
-//!    _[u64 length][Points 3 × f32 a vertex]
+//!    _[u64 length][Points 3 × f32 a vertex]         (f64 where f32 does not tell them apart)
 //!     [u64 length][Normals 3 × f32 a vertex]
 //!     [u64 length][isovalue f32 a vertex]            (f64 where one has more digits) of several surfaces in one file only
 //!     [u64 length][connectivity 3 × i64 a triangle]
@@ -26,7 +26,10 @@
 //! and are skipped; triangle strips are refused.
 
 use super::ply::check_indices;
-use super::{Fan, SurfaceMeta, each_triangle, each_value, each_vertex, is_finite, put_floats};
+use super::{
+    Fan, SurfaceMeta, coordinate_bytes, each_triangle, each_value, each_vertex, is_finite, put_floats,
+    put_place,
+};
 use crate::bytes::ByteSource;
 use crate::error::Result;
 use crate::formats::shared::sink::Sink;
@@ -34,7 +37,7 @@ use crate::formats::shared::text::xml_attribute;
 use crate::formats::vtk::xml::array::{ArrayStream, scalar_type};
 use crate::formats::vtk::xml::head::{Document, Element};
 use crate::surface::weld::StoredSurface;
-use crate::surface::{SurfaceSource, Vertex};
+use crate::surface::SurfaceSource;
 use crate::volume::ScalarType;
 use byteorder::{ByteOrder, LE};
 use std::sync::Arc;
@@ -48,11 +51,14 @@ pub(in crate::formats) fn write(
     let (vertices, triangles) = (source.vertex_count(), source.triangle_count());
     // At most 2³² vertices and far fewer than 2⁵⁸ triangles: no product overflows.
     let scalars = if meta.parts.is_empty() { 0 } else { meta.isovalue_bytes() as u64 * vertices };
-    let of_values = if meta.values.is_some() { 4 * vertices } else { 0 };
-    let lengths = [12 * vertices, 12 * vertices, scalars, of_values, 24 * triangles, 8 * triangles];
-    sink.put(head(vertices, triangles, lengths, meta).as_bytes())?;
+    let of_values = meta.values.as_ref().map_or(0, |values| values.bytes() * vertices);
+    let (coordinate, origin) = (coordinate_bytes(source), source.origin());
+    let of_points = 3 * coordinate * vertices;
+    let lengths = [of_points, 12 * vertices, scalars, of_values, 24 * triangles, 8 * triangles];
+    let kind = if coordinate == 4 { "Float32" } else { "Float64" };
+    sink.put(head(vertices, triangles, lengths, kind, meta).as_bytes())?;
     sink.put(&lengths[0].to_le_bytes())?;
-    each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.position))?;
+    each_vertex(source, sink, |buffer, _, v| put_place(buffer, v, origin))?;
     sink.put(&lengths[1].to_le_bytes())?;
     each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal))?;
     if !meta.parts.is_empty() {
@@ -62,7 +68,7 @@ pub(in crate::formats) fn write(
     }
     if let Some(values) = &meta.values {
         sink.put(&lengths[3].to_le_bytes())?;
-        each_value(source, sink, values, |buffer, v| buffer.extend_from_slice(&v.to_le_bytes()))?;
+        each_value(source, sink, values, |buffer, v| values.put(v, buffer))?;
     }
     sink.put(&lengths[4].to_le_bytes())?;
     each_triangle(source, sink, |buffer, _, t| {
@@ -77,7 +83,7 @@ pub(in crate::formats) fn write(
     sink.put(b"\n  </AppendedData>\n</VTKFile>\n")
 }
 
-fn head(vertices: u64, triangles: u64, lengths: [u64; 6], meta: &SurfaceMeta) -> String {
+fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta: &SurfaceMeta) -> String {
     let several = !meta.parts.is_empty();
     let mut offset = 0;
     let mut place = |length: u64| {
@@ -130,9 +136,12 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], meta: &SurfaceMeta) ->
         ),
         array("Float32", "Normals", 3, normals),
         if several { array(float, "isovalue", 1, scalars) } else { String::new() },
-        values.map_or_else(String::new, |v| array("Float32", &xml_attribute(v.name()), 1, values_at)),
+        values.map_or_else(String::new, |v| {
+            let kind = if v.bytes() == 4 { "Float32" } else { "Float64" };
+            array(kind, &xml_attribute(v.name()), 1, values_at)
+        }),
         "      </PointData>\n      <Points>\n".to_string(),
-        array("Float32", "Points", 3, points),
+        array(coordinate, "Points", 3, points),
         "      </Points>\n      <Polys>\n".to_string(),
         array("Int64", "connectivity", 1, connectivity),
         array("Int64", "offsets", 1, offsets),
@@ -173,12 +182,12 @@ fn read_points(doc: &Document, piece: &Element, out: &mut StoredSurface) -> Resu
     let mut normals = normals(piece).map(|n| Numbers::floats(doc, n, 3, count)).transpose()?;
     for n in 0..count {
         let position = points.next_point()?;
-        if !is_finite(&position) {
+        if !is_finite(&position.map(|x| x as f32)) {
             let got = format!("{position:?} for point {n}");
             return Err(doc.wrong(piece, "finite coordinates", got));
         }
         let normal = normals.as_mut().map_or(Ok([0.0; 3]), Numbers::next_point)?;
-        out.push_vertex(Vertex { position, normal })?;
+        out.push_double(position, normal.map(|x| x as f32))?;
     }
     points.finish()?;
     normals.map_or(Ok(()), Numbers::finish)
@@ -285,12 +294,12 @@ impl<'a> Numbers<'a> {
         Ok(&self.batch[start..self.at])
     }
 
-    /// The next three floating-point numbers, as `f32`.
-    fn next_point(&mut self) -> Result<[f32; 3]> {
+    /// The next three floating-point numbers.
+    fn next_point(&mut self) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for c in &mut point {
             let stored = self.next()?;
-            *c = if stored.len() == 4 { LE::read_f32(stored) } else { LE::read_f64(stored) as f32 };
+            *c = if stored.len() == 4 { LE::read_f32(stored).into() } else { LE::read_f64(stored) };
         }
         Ok(point)
     }

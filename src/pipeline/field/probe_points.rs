@@ -23,7 +23,9 @@ use crate::grid::{BrickGrid, ChunkId, Geometry};
 use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit, full_region, index_places};
+use crate::pipeline::read::{
+    Blocks, DecodedChunk, StepView, Visit, full_region, index_places, origin_of_volume,
+};
 use crate::raster::{PointLocator, interpolate};
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -43,16 +45,17 @@ pub(in crate::pipeline) struct Probed {
     pub(super) chunks_read: u64,
 }
 
-/// Lattice steps that rounding world coordinates of the domain to `f32`, and positions to the
-/// lattice, may move a point by, along each axis.
-fn tolerance(geometry: &Geometry, lattice: &Lattice) -> u32 {
+/// Lattice steps that rounding world coordinates of the domain, less the origin of its surfaces, to
+/// `f32`, and positions to the lattice, may move a point by, along each axis.
+fn tolerance(geometry: &Geometry, lattice: &Lattice, origin: [f64; 3]) -> u32 {
     let far = lattice.max();
     let steps = lattice.log2_steps.map(|s| f64::from(1u32 << s));
     // An affine map has its largest coordinates at corners.
     let largest = (0..8u32).fold(0.0, |largest: f64, corner| {
         let ijk =
             std::array::from_fn(|a| if corner >> a & 1 == 1 { f64::from(far[a]) / steps[a] } else { 0.0 });
-        geometry.to_world(ijk).iter().fold(largest, |largest, c| largest.max(c.abs()))
+        let corner = geometry.to_world(ijk);
+        (0..3).fold(largest, |largest, k| largest.max((corner[k] - origin[k]).abs()))
     });
     // Half a unit in the last place, on each of three axes.
     let moved = largest * f64::from(f32::EPSILON) / 2.0 * 1.75;
@@ -90,7 +93,7 @@ const AROUND: [f64; 4] = [0.2, 0.05, 0.01, 0.002];
 /// See [`super::Archive::edges_at_missing`]; `values` are those of the field at points of the
 /// world.
 pub(in crate::pipeline) fn edges_at_missing(
-    edges: &[[[f32; 3]; 2]],
+    edges: &[[[f64; 3]; 2]],
     geometry: &Geometry,
     dims: [u64; 3],
     values: impl FnOnce(&[[f64; 3]]) -> Result<Vec<f64>>,
@@ -98,7 +101,7 @@ pub(in crate::pipeline) fn edges_at_missing(
     let inside = |p: &[f64; 3]| (0..3).all(|a| p[a] > 0.0 && p[a] < (dims[a] - 1) as f64);
     let (mut points, mut ends) = (vec![], vec![]);
     for edge in edges {
-        let [a, b] = edge.map(|end| DVec3::from_array(geometry.to_index(end.map(f64::from))));
+        let [a, b] = edge.map(|end| DVec3::from_array(geometry.to_index(end)));
         // In the plane across the edge half of the directions point to the other side of the face
         // that the edge lies on.
         let along = (b - a).try_normalize().unwrap_or(DVec3::X);
@@ -277,7 +280,7 @@ fn placed(
         return Ok((places.into_iter().zip(0u32..).filter_map(place).collect(), Outside::Within(1)));
     }
     let geometry = &archive.step().plan.source.geometry;
-    let tolerance = tolerance(geometry, &lattice);
+    let tolerance = tolerance(geometry, &lattice, origin_of_volume(archive));
     let place = |(&p, n)| Some((lattice_position(p, geometry, &lattice, tolerance)?, n));
     Ok((points.iter().zip(0u32..).filter_map(place).collect(), Outside::Within(tolerance)))
 }

@@ -4,7 +4,7 @@
 //! follow the trilinear map of their cell, normals transform as covectors. Triangles are turned
 //! over where most cells mirror.
 
-use super::region::{Roi, RoiSpace, domain_hull};
+use super::region::{Roi, RoiSpace, domain_hull, scale_of};
 use super::step_view::StepView;
 use crate::archive::manifest::CoordinateRecord;
 use crate::archive::tables::{self, CellBoxes, CoordinateMap, Coordinates};
@@ -16,7 +16,7 @@ use crate::grid::Geometry;
 use crate::pipeline::plan::{Layout, Plan};
 use crate::surface::edit::clip::HalfSpace;
 use crate::surface::weld::StoredSurface;
-use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap};
+use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap, nearby_origin, relative_to};
 use std::path::Path;
 use xxhash_rust::xxh3::Xxh3;
 
@@ -95,7 +95,81 @@ fn finite(input: &Path, numbers: &[f64], first: u64) -> Result<()> {
 pub(in crate::pipeline) fn world_map(archive: &StepView) -> WorldMap {
     let own = archive.coordinate_record().is_some();
     let geometry = if own { Geometry::default() } else { archive.step().plan.source.geometry };
-    WorldMap::new(&archive.manifest.plan.lattice, &geometry)
+    let map = WorldMap::new(&archive.manifest.plan.lattice, &geometry);
+    if own {
+        return map;
+    }
+    let origin = origin_of_volume(archive);
+    let hull = domain_hull(&geometry, archive.step().plan.source.dims);
+    let volume: f64 = (0..3).map(|k| hull[1][k] - hull[0][k]).product();
+    let spacing = libm::cbrt(volume / archive.manifest.counts.points.max(1) as f64);
+    let far = scale_of(hull, origin).into_iter().fold(0.0, f64::max);
+    map.counted_from(origin).resolving(spacing, far)
+}
+
+/// What the positions of surfaces are counted from, of a volume with a spacing or a mesh.
+pub(in crate::pipeline) fn origin_of_volume(archive: &StepView) -> [f64; 3] {
+    let source = &archive.step().plan.source;
+    let hull = domain_hull(&source.geometry, source.dims);
+    if source.mesh.is_some() {
+        return nearby_origin(hull, even_spacing(archive, hull));
+    }
+    let axes = source.geometry.axes();
+    nearby_origin(hull, [0, 1, 2].map(|k| axes.iter().map(|axis| axis[k].abs()).fold(0.0, f64::max)))
+}
+
+/// The shortest side of the world that a surface may have as `f32`: parts of it must be numbers.
+const SHORTEST: f64 = 1e-30;
+
+/// Refuses surfaces of a volume or a mesh whose coordinates are no numbers as `f32`.
+///
+/// # Errors
+/// [`Error::Usage`] that names the coordinate.
+pub(in crate::pipeline) fn expect_in_f32(archive: &StepView) -> Result<()> {
+    if archive.coordinate_record().is_some() {
+        return Ok(());
+    }
+    let source = &archive.step().plan.source;
+    let (hull, origin) = (domain_hull(&source.geometry, source.dims), origin_of_volume(archive));
+    let largest = scale_of(hull, origin).into_iter().fold(0.0, f64::max);
+    let longest = (0..3).map(|k| hull[1][k] - hull[0][k]).fold(0.0, f64::max);
+    let wrong = |what: String| {
+        Err(Error::usage(format!(
+            "{}: {what} as f32, which surfaces have: reduce it with another --spacing",
+            archive.path().display()
+        )))
+    };
+    if largest > f64::from(f32::MAX) {
+        return wrong(format!("a coordinate of {largest:e} is no number"));
+    }
+    if longest > 0.0 && longest < SHORTEST {
+        return wrong(format!("a domain of a length of {longest:e} has no shape"));
+    }
+    Ok(())
+}
+
+/// The distance of neighbours along each axis, as if points filled a box evenly.
+fn even_spacing(archive: &StepView, [lo, hi]: [[f64; 3]; 2]) -> [f64; 3] {
+    let along = libm::cbrt(archive.manifest.counts.points.max(1) as f64);
+    std::array::from_fn(|k| (hi[k] - lo[k]) / along)
+}
+
+/// Places along each axis by which the bounds of a grid with coordinates are estimated.
+const LOOKED_AT: usize = 5;
+
+/// What the positions of surfaces are counted from, of a grid with coordinates.
+fn origin_of_grid(archive: &StepView, map: &CoordinateMap) -> Result<[f64; 3]> {
+    let last = archive.step().plan.source.dims.map(|d| d.saturating_sub(1) as f64);
+    let mut hull = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    for n in 0..LOOKED_AT.pow(3) {
+        let at = [n % LOOKED_AT, n / LOOKED_AT % LOOKED_AT, n / LOOKED_AT / LOOKED_AT];
+        let at = std::array::from_fn(|a| last[a] * at[a] as f64 / (LOOKED_AT - 1) as f64);
+        let place = map.place(at)?.position;
+        for k in 0..3 {
+            (hull[0][k], hull[1][k]) = (hull[0][k].min(place[k]), hull[1][k].max(place[k]));
+        }
+    }
+    Ok(nearby_origin(hull, even_spacing(archive, hull)))
 }
 
 /// The way from index space to the world.
@@ -108,13 +182,18 @@ pub(in crate::pipeline) enum IndexToWorld {
         map: CoordinateMap,
         /// Whether most cells mirror.
         mirrored: bool,
+        /// What positions of surfaces are counted from.
+        origin: [f64; 3],
     },
 }
 
 impl IndexToWorld {
     pub(in crate::pipeline) fn of(archive: &StepView) -> Result<Self> {
         Ok(match (archive.coordinates()?, archive.coordinate_record()) {
-            (Some(map), Some(record)) => Self::Grid { map, mirrored: record.cells.mirrored },
+            (Some(map), Some(record)) => {
+                let origin = origin_of_grid(archive, &map)?;
+                Self::Grid { map, mirrored: record.cells.mirrored, origin }
+            }
             _ => Self::Geometry(archive.step().plan.source.geometry),
         })
     }
@@ -134,7 +213,9 @@ impl IndexToWorld {
     ) -> Result<T> {
         match self {
             Self::Geometry(_) => use_it(surface),
-            &Self::Grid { ref map, mirrored } => use_it(&WorldSurface { surface, map, mirrored }),
+            &Self::Grid { ref map, mirrored, origin } => {
+                use_it(&WorldSurface { surface, map, mirrored, origin })
+            }
         }
     }
 
@@ -142,7 +223,7 @@ impl IndexToWorld {
     pub(in crate::pipeline) fn vertex(&self, vertex: &Vertex) -> Result<Vertex> {
         match self {
             Self::Geometry(_) => Ok(*vertex),
-            Self::Grid { map, .. } => placed(map, vertex),
+            Self::Grid { map, origin, .. } => placed(map, vertex, *origin),
         }
     }
 
@@ -225,7 +306,8 @@ pub(in crate::pipeline) fn world_box(
                 WorldBox::Index(Roi { space: RoiSpace::Index, lo, hi })
             }
             _ => {
-                let scale = std::array::from_fn(|a| bounds[0][a].abs().max(bounds[1][a].abs()));
+                let origin = origin_of_grid(archive, map)?;
+                let scale = scale_of(bounds, origin);
                 WorldBox::HalfSpaces(roi.half_spaces_of(&Geometry::default(), scale))
             }
         })
@@ -242,7 +324,7 @@ pub(in crate::pipeline) fn in_world<T>(
 }
 
 /// A vertex of index space in the world.
-fn placed(map: &CoordinateMap, v: &Vertex) -> Result<Vertex> {
+fn placed(map: &CoordinateMap, v: &Vertex, origin: [f64; 3]) -> Result<Vertex> {
     let placed = map.place(v.position.map(f64::from))?;
     let w = placed.direction(v.normal.map(f64::from));
     // Scaled by the largest component first, lest squares overflow or vanish.
@@ -255,7 +337,12 @@ fn placed(map: &CoordinateMap, v: &Vertex) -> Result<Vertex> {
         // A cell without a volume has no direction; a unit vector is what readers expect.
         v.normal
     };
-    Ok(Vertex { position: placed.position.map(|x| x as f32), normal })
+    let position = relative_to(placed.position, origin);
+    if position.iter().all(|x| x.is_finite()) {
+        return Ok(Vertex { position, normal });
+    }
+    let at = placed.position;
+    Err(Error::usage(format!("a surface at {at:?} has coordinates that are no numbers as f32")))
 }
 
 /// A surface of index space in the world.
@@ -263,6 +350,7 @@ struct WorldSurface<'a> {
     surface: &'a dyn SurfaceSource,
     map: &'a CoordinateMap,
     mirrored: bool,
+    origin: [f64; 3],
 }
 
 impl SurfaceSource for WorldSurface<'_> {
@@ -274,12 +362,16 @@ impl SurfaceSource for WorldSurface<'_> {
         self.surface.triangle_count()
     }
 
+    fn origin(&self) -> [f64; 3] {
+        self.origin
+    }
+
     fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
         let mut moved = vec![];
         self.surface.vertices(&mut |batch| {
             moved.clear();
             for vertex in batch {
-                moved.push(placed(self.map, vertex)?);
+                moved.push(placed(self.map, vertex, self.origin)?);
             }
             each(&moved)
         })

@@ -44,8 +44,8 @@ pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::{MeshedChunk, used_corners};
 pub(super) use chunk_reader::{ChunkReader, Needed, Wanted, bytes_per_vertex};
 pub(super) use coordinates::{
-    IndexToWorld, WorldBox, bounds, coordinate_hash, in_memory, in_world, index_places, world_box, world_map,
-    world_of, write_coordinates,
+    IndexToWorld, WorldBox, bounds, coordinate_hash, expect_in_f32, in_memory, in_world, index_places,
+    origin_of_volume, world_box, world_map, world_of, write_coordinates,
 };
 pub(super) use decoded::DecodedChunk;
 pub(super) use frontier::Frontier;

@@ -65,11 +65,12 @@ impl FromStr for Roi {
 
 impl Roi {
     /// The half-spaces, in the world, whose intersection is the box; an open end gives none.
-    pub fn half_spaces(&self, geometry: &Geometry, dims: [u64; 3]) -> Vec<HalfSpace> {
-        self.half_spaces_of(geometry, scale(geometry, dims))
+    /// `origin` is that of the surfaces that are cut.
+    pub fn half_spaces(&self, geometry: &Geometry, dims: [u64; 3], origin: [f64; 3]) -> Vec<HalfSpace> {
+        self.half_spaces_of(geometry, scale_of(domain_hull(geometry, dims), origin))
     }
 
-    /// The same for world positions of at most `scale` along each axis.
+    /// The same for positions of at most `scale` along each axis, as they are stored.
     pub(super) fn half_spaces_of(&self, geometry: &Geometry, scale: [f64; 3]) -> Vec<HalfSpace> {
         let mut all = vec![];
         for a in 0..3 {
@@ -139,7 +140,7 @@ impl Roi {
         Ok(())
     }
 
-    /// The cut of an archive's surfaces at this box.
+    /// The cut of an archive's surfaces, which have this origin, at this box.
     ///
     /// # Errors
     /// [`Error::Usage`] for a box without volume, and for one outside the domain.
@@ -148,6 +149,7 @@ impl Roi {
         geometry: &Geometry,
         dims: [u64; 3],
         log2_steps: [u32; 3],
+        origin: [f64; 3],
     ) -> Result<Cut> {
         self.check_volume()?;
         let [lo, hi] = self.index_hull(geometry, dims);
@@ -167,7 +169,7 @@ impl Roi {
         };
         Ok(Cut {
             lattice,
-            half_spaces: self.half_spaces(geometry, dims),
+            half_spaces: self.half_spaces(geometry, dims, origin),
             roi: *self,
             geometry: *geometry,
             steps,
@@ -197,10 +199,9 @@ fn hull(points: [[f64; 3]; 8]) -> [[f64; 3]; 2] {
     [fold(f64::min), fold(f64::max)]
 }
 
-/// The largest world coordinate along each axis, in size.
-fn scale(geometry: &Geometry, dims: [u64; 3]) -> [f64; 3] {
-    let [lo, hi] = domain_hull(geometry, dims);
-    std::array::from_fn(|a| lo[a].abs().max(hi[a].abs()))
+/// The largest coordinate in a box of the world along each axis, in size, counted from an origin.
+pub(super) fn scale_of([lo, hi]: [[f64; 3]; 2], origin: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|a| (lo[a] - origin[a]).abs().max((hi[a] - origin[a]).abs()))
 }
 
 /// A [`Roi`] on an archive's lattice.
@@ -274,8 +275,7 @@ mod tests {
         let dims = [11, 21, 31];
         let index: Roi = "2:4,5:9,:7".parse().unwrap();
         let world: Roi = "world:91:95,204:208,:321".parse().unwrap();
-        let (a, b) =
-            (index.cut(&geometry, dims, [4; 3]).unwrap(), world.cut(&geometry, dims, [4; 3]).unwrap());
+        let [a, b] = [index, world].map(|roi| roi.cut(&geometry, dims, [4; 3], [0.0; 3]).unwrap());
         assert_eq!(a.lattice, b.lattice);
         assert_eq!((a.half_spaces.len(), b.half_spaces.len()), (5, 5));
         for (p, inside) in
@@ -291,7 +291,7 @@ mod tests {
     fn a_box_without_volume_or_outside_is_refused() {
         let cut = |text: &str| {
             let roi: Roi = text.parse().unwrap();
-            roi.cut(&Geometry::default(), [10; 3], [3; 3]).map(drop).map_err(|e| e.to_string())
+            roi.cut(&Geometry::default(), [10; 3], [3; 3], [0.0; 3]).map(drop).map_err(|e| e.to_string())
         };
         assert!(cut("2:2,:,:").unwrap_err().contains("no volume"));
         assert!(cut("5:2,:,:").unwrap_err().contains("no volume"));

@@ -10,7 +10,7 @@
 //! samples of its boundary are the same.
 
 use super::advice::look;
-use super::existing::{lock_for_writing, sweep};
+use super::existing::{expect_files, lock_for_writing, sweep};
 use super::job::{Basis, Job};
 use super::planned::{plan, publish, run as run_plan};
 use super::report::{ReduceReport, SourceChunks};
@@ -66,6 +66,7 @@ pub fn append(
     let started = Instant::now();
     let _lock = lock_for_writing(out)?;
     let archive = OpenArchive::open(out)?;
+    expect_files(out, &archive.manifest)?;
     let last = archive.manifest.steps.last().expect("an archive that was opened has a step");
     let field = &last.plan.source.field;
     let sources = sources.iter().map(|source| with_field(source, field)).collect();

@@ -14,7 +14,7 @@
 //! in place, since it shows that this is the same reduction. An equal one replaces it in the end.
 
 use super::job::Job;
-use super::plan_file::{old_archive, work_folder};
+use super::plan_file::{new_archive, old_archive, work_folder};
 use crate::archive::lock::WriterLock;
 use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, is_coordinates, mesh_folder,
@@ -65,10 +65,53 @@ pub fn archive_files(archive: &Path) -> Result<Vec<PathBuf>> {
 /// Whether a file that the manifest of an archive names is not there, or not as long as it was. The
 /// contents of files are not checked.
 pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
+    !lost_files(archive, manifest).is_empty()
+}
+
+/// The files that a manifest names, and that are not there or not as long as they were.
+fn lost_files(archive: &Path, manifest: &Manifest) -> Vec<PathBuf> {
     let gone = |(path, info): &(PathBuf, SegmentInfo)| {
         fs::metadata(path).map_or(true, |f| !f.is_file() || f.len() != info.bytes)
     };
-    segments(archive, manifest).iter().any(gone) || !Attachments::missing(archive, &manifest.plan).is_empty()
+    let lost = segments(archive, manifest).into_iter().filter(gone).map(|(path, _)| path);
+    lost.chain(Attachments::missing(archive, &manifest.plan)).collect()
+}
+
+/// Refuses an archive that has lost files: what is added to it would have no use.
+///
+/// # Errors
+/// [`Error::Incomplete`] that names the files.
+pub(super) fn expect_files(archive: &Path, manifest: &Manifest) -> Result<()> {
+    let lost = lost_files(archive, manifest);
+    if lost.is_empty() {
+        return Ok(());
+    }
+    let name = |path: &PathBuf| path.strip_prefix(archive).unwrap_or(path).display().to_string();
+    Err(Error::Incomplete { path: archive.to_path_buf(), missing: lost.iter().map(name).collect() })
+}
+
+/// Folders that a reduction may make: those that were not there before it.
+pub(super) struct NewFolders(Vec<PathBuf>);
+
+impl NewFolders {
+    /// Looks before the first of them is made.
+    pub(super) fn of(out: &Path) -> Self {
+        let work = work_folder(out);
+        let mut archives = vec![new_archive(out)];
+        archives.extend(["try.isospan", "best.isospan"].map(|name| work.join(name)));
+        archives.push(out.to_path_buf());
+        let inner = |archive: PathBuf| [mesh_folder(&archive), steps_folder(&archive), archive];
+        let all = archives.into_iter().flat_map(inner).chain([work]);
+        Self(all.filter(|folder| fs::symlink_metadata(folder).is_err()).collect())
+    }
+
+    /// Removes those of them that are empty.
+    pub(super) fn remove_empty(&self) {
+        for folder in &self.0 {
+            // One with a file in it stays: the same call goes on with that.
+            let _ = fs::remove_dir(folder);
+        }
+    }
 }
 
 /// Files of an archive that its manifest does not name, in order of their names. Temporary files,

@@ -49,6 +49,7 @@ pub use advice::{header_notices, mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
 pub use copy::{CopiedFile, copy_archive};
 pub use existing::archive_files;
+use existing::NewFolders;
 pub(super) use existing::{Existing, lock_for_writing, replace_archive, strays, sweep};
 pub(super) use job::{Basis, Job};
 use plan_file::new_archive;
@@ -89,14 +90,25 @@ pub fn reduce_series(
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
     existing.refuse_other(&job)?;
-    let looked = look(&job)?;
+    let new_folders = NewFolders::of(out);
+    let made = make_series(&job, &existing);
+    if made.is_err() {
+        new_folders.remove_empty();
+    }
+    Ok(made?.finished(started))
+}
+
+/// Looks at the sources of a job, and makes its archive.
+fn make_series(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
+    let Job { sources, settings, run, .. } = *job;
+    let looked = look(job)?;
     let report = match settings.target {
-        Some(target) => reduce_to_target(&job, &existing, target, looked.size.map(|s| s.bytes)),
-        None if run.replace && existing.is_finished() => replace(&job),
-        None => make(&job, &existing),
+        Some(target) => reduce_to_target(job, existing, target, looked.size.map(|s| s.bytes)),
+        None if run.replace && existing.is_finished() => replace(job),
+        None => make(job, existing),
     }?;
     let report = ReduceReport { source_chunks: SourceChunks::of(sources), ..report };
-    Ok(looked.complete(&sources[0].1.path, report, &job).finished(started))
+    Ok(looked.complete(&sources[0].1.path, report, job))
 }
 
 /// Makes an archive next to the finished one of its name, which is whole until then, and puts it

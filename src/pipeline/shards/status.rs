@@ -1,7 +1,7 @@
 //! The progress of a planned reduction. Every segment is checked, on several threads; nothing is
 //! written.
 
-use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest, mesh_folder, steps_folder};
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::bytes::publish::{final_name, open_own};
 use crate::error::{Error, Result};
@@ -196,11 +196,19 @@ pub struct GcReport {
 /// removed, in folders that an archive has. With `dry_run` they are only listed.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a folder that is neither an archive, finished or not, nor has a plan;
-/// when a folder cannot be listed or a file not removed.
+/// [`Error::BadInput`] for a folder that is neither an archive, finished or not, nor has a plan,
+/// and for a manifest or a plan that is none; when a folder cannot be listed or a file not removed.
 pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Result<GcReport> {
     let is_unfinished = || mesh_folder(out).is_dir() && matches!(Existing::at(out), Ok(Existing::Unfinished));
-    if !out.join(MANIFEST_NAME).is_file() && !plan_path(out).is_file() && !is_unfinished() {
+    // A file of the name alone makes no archive: what it says does.
+    let (has_manifest, has_plan) = (out.join(MANIFEST_NAME).is_file(), plan_path(out).is_file());
+    if has_manifest {
+        Manifest::read(out)?;
+    }
+    if has_plan {
+        PlanFile::read(out)?;
+    }
+    if !has_manifest && !has_plan && !is_unfinished() {
         let expected = "a folder made by isospan reduce or plan";
         let got = if out.exists() { "something else; nothing was removed" } else { "none" };
         return Err(Error::bad_input(out, "archive", expected, got));

@@ -31,7 +31,9 @@ pub(super) fn colours(
     let Some(by) = &settings.colour_by else { return Ok(None) };
     let range = by.range.or(by.view.file_range()).unwrap_or([0.0, 1.0]);
     let held = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
-    let mut values = VertexValues::new(&by.view.step().plan.source.field, range, by.map, held, scratch)?;
+    let source = &by.view.step().plan.source;
+    let values = VertexValues::new(&source.field, range, by.map, held, scratch)?;
+    let mut values = values.less(source.offset);
     each_value(archive, &by.view, surface, parts, &settings.resources, |some| values.extend(some))?;
     Ok(Some(Arc::new(values)))
 }
@@ -44,16 +46,17 @@ pub(in crate::pipeline) fn values_on(
     isovalue: f64,
     resources: &Resources,
 ) -> Result<Vec<f32>> {
-    let count = surface.vertex_count();
+    let (count, source) = (surface.vertex_count(), &field.step().plan.source);
     let mut all = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
     each_value(archive, field, surface, &[(isovalue, count)], resources, |some| {
-        all.extend_from_slice(some);
+        all.extend(some.iter().map(|&v| source.in_file(v) as f32));
         Ok(())
     })?;
     Ok(all)
 }
 
-/// Hands on the values of a field at the vertices of surfaces of a step, in their order.
+/// Hands on the values of a field, less its offset, at the vertices of surfaces of a step, in their
+/// order.
 ///
 /// # Errors
 /// [`Error::Usage`] where the field of another archive has a value at no vertex.
@@ -86,12 +89,12 @@ fn each_value(
         };
         points.clear();
         found_any |= found.iter().any(|v| !v.is_nan());
-        each(&found.iter().map(|&v| source.in_file(v) as f32).collect::<Vec<_>>())
+        each(&found)
     };
-    let mut points = vec![];
+    let (mut points, origin) = (vec![], surface.origin());
     surface.vertices(&mut |batch| {
         for vertex in batch {
-            points.push(vertex.position.map(f64::from));
+            points.push(vertex.world(origin));
             if points.len() == most {
                 ask(&mut points)?;
             }

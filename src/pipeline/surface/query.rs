@@ -17,10 +17,11 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox, in_memory,
-    in_world, world_box, world_map,
+    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox,
+    expect_in_f32, in_memory, in_world, world_box, world_map,
 };
 use crate::pipeline::stage::Stage;
+use crate::surface::check::zero_area_triangles;
 use crate::surface::edit::clip::{HalfSpace, clip};
 use crate::surface::extract::Sides;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
@@ -110,13 +111,25 @@ pub(super) fn write_made(
     out: &Path,
     format: SurfaceFormat,
 ) -> Result<(SurfaceReport, Vec<Extracted>)> {
-    let start = Clock::start();
-    let mut write =
-        |s: &dyn SurfaceSource, path: &Path, meta: &SurfaceMeta| write_surface(s, path, format, meta);
+    let (start, mut origin, mut without_area) = (Clock::start(), [0.0; 3], 0);
+    let held = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
+    let scratch = settings.scratch_of(out);
+    let mut write = |s: &dyn SurfaceSource, path: &Path, meta: &SurfaceMeta| {
+        origin = s.origin();
+        without_area += zero_area_triangles(s, held, &scratch)?;
+        write_surface(s, path, format, meta)
+    };
     let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, &mut write)?;
     made.seconds.push((Stage::Write, start.elapsed()));
-    let report = SurfaceReport { file_bytes, without_value, ..report_of(archive, settings, &made, out)? };
+    let shift = shift_of(format, origin);
+    let report = report_of(archive, settings, &made, out)?;
+    let report = SurfaceReport { file_bytes, without_value, without_area, shift, ..report };
     Ok((report, made.surfaces))
+}
+
+/// What coordinates in a file of a surface of this origin are less.
+fn shift_of(format: SurfaceFormat, origin: [f64; 3]) -> Option<[f64; 3]> {
+    (format.shifts() && origin != [0.0; 3]).then_some(origin)
 }
 
 /// What was found and read; no file is written yet.
@@ -134,6 +147,8 @@ fn report_of(
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),
         without_value: None,
+        without_area: 0,
+        shift: None,
         file_bytes: 0,
         points: totals.points,
         tetrahedra: totals.tetrahedra,
@@ -166,12 +181,15 @@ pub(in crate::pipeline) fn stream_file(
     let made = make(archive, settings, storage, None, &Silent)?;
     let memory_bytes = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
     let beside = BuilderSettings { memory_bytes, scratch };
+    let mut origin = [0.0; 3];
     let mut write = |s: &dyn SurfaceSource, _: &Path, meta: &SurfaceMeta| {
+        origin = s.origin();
         surface::stream_surface(s, format, meta, &beside, each)
     };
     let out = Path::new("");
     let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, &mut write)?;
-    Ok(SurfaceReport { file_bytes, without_value, ..report_of(archive, settings, &made, out)? })
+    let shift = shift_of(format, origin);
+    Ok(SurfaceReport { file_bytes, without_value, shift, ..report_of(archive, settings, &made, out)? })
 }
 
 /// Hands on surfaces part by part while they are extracted, then each as a whole, in the order of
@@ -235,6 +253,7 @@ pub(super) struct Effort {
 impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Clock::start();
+        expect_in_f32(archive)?;
         let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {
             expect_full_box(archive)?;
@@ -354,7 +373,8 @@ fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<(Option<Cut>
         }
     }
     let source = &archive.step().plan.source;
-    let cut = roi.cut(&source.geometry, source.dims, archive.manifest.plan.lattice.log2_steps)?;
+    let log2_steps = archive.manifest.plan.lattice.log2_steps;
+    let cut = roi.cut(&source.geometry, source.dims, log2_steps, world_map(archive).origin())?;
     Ok((Some(cut), None))
 }
 

@@ -136,6 +136,12 @@ pub struct SurfaceReport {
     /// Vertices at which the field that colours them has no value, where one does.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub without_value: Option<u64>,
+    /// Triangles of the files whose corners are on a line as `f32`.
+    pub without_area: u64,
+    /// What coordinates in the files are less, where they are far from 0 and the format has no
+    /// doubles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shift: Option<[f64; 3]>,
     /// Bytes of the files written.
     pub file_bytes: u64,
     /// Points of the archive.

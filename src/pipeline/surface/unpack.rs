@@ -40,13 +40,16 @@ pub struct UnpackSettings {
     /// Only blocks that can answer isovalues from the first to the second; surfaces at others
     /// decode blocks.
     pub range: [f64; 2],
+    /// Leave the steps as they are that are unpacked for the range already.
+    pub keep: bool,
     /// Threads, memory, scratch folder, and what stops it.
     pub resources: Resources,
 }
 
 impl Default for UnpackSettings {
     fn default() -> Self {
-        Self { step: StepChoice::First, steps: None, range: EVERYTHING, resources: Resources::default() }
+        let resources = Resources::default();
+        Self { step: StepChoice::First, steps: None, range: EVERYTHING, keep: false, resources }
     }
 }
 
@@ -96,6 +99,10 @@ pub struct UnpackNeed {
     pub bytes: u64,
     /// Tetrahedra in them.
     pub tetrahedra: u64,
+    /// Steps that stay as they are, for they are unpacked for the range already.
+    pub unpacked: u64,
+    /// Number of the first step that is unpacked for another range.
+    pub other_range: Option<u64>,
     /// Bytes that are free where they go (a file is replaced when the new one is complete); `None`
     /// where the system does not say.
     pub free: Option<u64>,
@@ -107,17 +114,37 @@ pub struct UnpackNeed {
 /// As [`unpack`]; [`Error::Budget`] when the disk does not have room for it.
 pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed> {
     let (archive, positions) = open_chosen(path, settings)?;
-    let mut tetrahedra = 0;
+    let (mut tetrahedra, mut unpacked, mut other_range) = (0, 0, None);
     for view in positions.map(|n| archive.step_at(n)) {
         let range = settings.range.map(|v| view.step().plan.source.kept(v));
+        match unpacked_range(&view) {
+            Some(of_file) if settings.keep && holds(of_file, range) => {
+                unpacked += 1;
+                continue;
+            }
+            Some(of_file) if !holds(of_file, range) => {
+                other_range = other_range.or(Some(view.step().plan.number));
+            }
+            _ => {}
+        }
         tetrahedra += parts_of(&view, range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
     }
     let bytes = tetrahedra * BYTES_ON_DISK;
     let free = estimate::free_bytes(archive.path());
     match free {
         Some(available) if available < bytes => Err(Error::disk(archive.path(), bytes, available)),
-        _ => Ok(UnpackNeed { bytes, tetrahedra, free }),
+        _ => Ok(UnpackNeed { bytes, tetrahedra, unpacked, other_range, free }),
     }
+}
+
+/// The range that a step is unpacked for. A damaged file counts as none.
+fn unpacked_range(view: &StepView) -> Option<[f32; 2]> {
+    view.unpacked().ok().flatten().map(|file| file.table().range)
+}
+
+/// Whether one range holds another.
+fn holds([low, high]: [f32; 2], [least, most]: [f32; 2]) -> bool {
+    low <= least && most <= high
 }
 
 /// The archive, and the positions of the steps that are meant.
@@ -163,6 +190,10 @@ pub fn unpack(path: &Path, settings: &UnpackSettings, progress: &dyn Progress) -
     let (archive, positions) = open_chosen(path, settings)?;
     let mut report = UnpackReport::default();
     for view in positions.map(|n| archive.step_at(n)) {
+        let range = settings.range.map(|v| view.step().plan.source.kept(v));
+        if settings.keep && unpacked_range(&view).is_some_and(|of_file| holds(of_file, range)) {
+            continue;
+        }
         let file = unpack_step(&view, settings, progress)?;
         report.bytes += file.bytes;
         report.files.push(file);

@@ -40,7 +40,7 @@ use crate::error::{Error, Result};
 use crate::geom::vec3::{cross, dot, minus};
 use crate::grid::Geometry;
 use crate::surface::edit::clip::HalfSpace;
-use crate::surface::model::{SurfaceSource, TriMesh};
+use crate::surface::model::{SurfaceSource, TriMesh, corner_of, world_of};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -86,7 +86,7 @@ pub struct SurfaceReport {
     /// closed, manifold, oriented surface.
     pub volume: Option<f64>,
     /// Smallest and largest coordinates of the vertices in use.
-    pub bounding_box: Option<[[f32; 3]; 2]>,
+    pub bounding_box: Option<[[f64; 3]; 2]>,
 }
 
 impl SurfaceReport {
@@ -152,8 +152,7 @@ pub struct Domain<'a> {
 
 impl Domain<'_> {
     /// The faces and cuts that a position lies on, a bit each.
-    fn faces_of(&self, position: [f32; 3]) -> u16 {
-        let position = position.map(f64::from);
+    fn faces_of(&self, position: [f64; 3]) -> u16 {
         let ijk = self.geometry.to_index(position);
         let faces = (0..3).fold(0u16, |faces, a| {
             let near = |at: f64| u16::from((ijk[a] - at).abs() <= self.tolerance);
@@ -199,7 +198,7 @@ pub struct OpenEdges {
 
 /// Takes edges as the positions of their ends, in the world; returns how many of them lie where
 /// there is no data.
-pub type Explain<'a> = dyn FnMut(&[[[f32; 3]; 2]]) -> Result<u64> + 'a;
+pub type Explain<'a> = dyn FnMut(&[[[f64; 3]; 2]]) -> Result<u64> + 'a;
 
 /// As [`check_source`], but boundary edges may also lie where there is no data. `at_missing` is
 /// asked about those on no face, at most [`EDGES_ASKED`] at a time.
@@ -234,20 +233,43 @@ fn check_in(
     let mut arcs = Arcs::new(sorted_arcs(source, shares, &mut report)?)?;
     let mut pieces = Pieces::new(report.vertices as usize);
     let mut rims = Store::new(shares.positions / 4, shares.scratch);
-    let mut link = Link::default();
+    let (mut link, mut ends) = (Link::default(), None);
     for v in 0..report.vertices as u32 {
         link.gather(&mut arcs, v, shares)?;
         count_vertex(v, &mut link, &mut report, &mut pieces, &mut rims)?;
         if !link.ends.is_empty() {
             let position = places.get(v.into())?;
-            report.bounding_box = Some(widen(report.bounding_box, position));
+            ends = Some(widen(ends, position));
         }
     }
     report.components = pieces.count();
     report.boundary_loops = loops(&rims, &mut pieces)?;
-    measure(source, &mut places, &mut report)?;
-    let open = domain.map(|domain| edges_outside(&rims, &mut places, domain, at_missing)).transpose()?;
+    measure(source, &mut places, ends, &mut report)?;
+    let origin = source.origin();
+    report.bounding_box = ends.map(|ends| ends.map(|corner| corner_of(corner, origin)));
+    let mut world = |v: u32| Ok(world_of(places.get(v.into())?, origin));
+    let open = domain.map(|domain| edges_outside(&rims, &mut world, domain, at_missing)).transpose()?;
     Ok((report, open.unwrap_or_default()))
+}
+
+/// Triangles whose corners lie on a line: `f32` may have rounded them to that. `memory` bounds what
+/// is held besides the surface; the rest is in the folder.
+///
+/// # Errors
+/// Those of reading the source, and of the scratch folder.
+pub(crate) fn zero_area_triangles(source: &dyn SurfaceSource, memory: usize, scratch: &Path) -> Result<u64> {
+    let mut positions = Store::new(memory / 2, scratch);
+    source.vertices(&mut |batch| batch.iter().try_for_each(|v| positions.push(v.position)))?;
+    let (mut places, mut found) = (Cached::new(&positions, memory / 2), 0);
+    source.triangles(&mut |batch| {
+        for t in batch {
+            let mut at = |v: u32| Ok(places.get(v.into())?.map(f64::from));
+            let [a, b, c]: [[f64; 3]; 3] = [at(t[0])?, at(t[1])?, at(t[2])?];
+            found += u64::from(cross(minus(b, a), minus(c, a)) == [0.0; 3]);
+        }
+        Ok(())
+    })?;
+    Ok(found)
 }
 
 /// The boundary edges, each as its triangle runs along it, in the order of their first vertices.
@@ -424,12 +446,12 @@ fn loops(edges: &Store<[u32; 2]>, pieces: &mut Pieces) -> Result<u64> {
 
 fn edges_outside(
     edges: &Store<[u32; 2]>,
-    places: &mut Cached<'_, [f32; 3]>,
+    world: &mut dyn FnMut(u32) -> Result<[f64; 3]>,
     domain: &Domain<'_>,
     at_missing: &mut Explain<'_>,
 ) -> Result<OpenEdges> {
     let (mut open, mut waiting) = (OpenEdges::default(), vec![]);
-    let mut ask = |edges: &mut Vec<[[f32; 3]; 2]>| {
+    let mut ask = |edges: &mut Vec<[[f64; 3]; 2]>| {
         let explained = if edges.is_empty() { 0 } else { at_missing(edges)? };
         open.at_missing += explained;
         open.outside += edges.len() as u64 - explained;
@@ -438,7 +460,7 @@ fn edges_outside(
     };
     edges.each(&mut |batch| {
         for &[a, b] in batch {
-            let ends = [places.get(a.into())?, places.get(b.into())?];
+            let ends = [world(a)?, world(b)?];
             if domain.faces_of(ends[0]) & domain.faces_of(ends[1]) == 0 {
                 waiting.push(ends);
                 if waiting.len() == EDGES_ASKED {
@@ -456,9 +478,10 @@ fn edges_outside(
 fn measure(
     source: &dyn SurfaceSource,
     places: &mut Cached<'_, [f32; 3]>,
+    ends: Option<[[f32; 3]; 2]>,
     report: &mut SurfaceReport,
 ) -> Result<()> {
-    let Some([lo, hi]) = report.bounding_box else {
+    let Some([lo, hi]) = ends else {
         return Ok(());
     };
     // Seen from the middle of the surface, so that a far origin does not cancel the digits of the

@@ -38,7 +38,7 @@ pub struct HalfSpace {
 }
 
 impl HalfSpace {
-    /// A half-space for positions of at most `scale` along each axis.
+    /// A half-space for positions of at most `scale` along each axis, as they are stored.
     pub fn new(normal: [f64; 3], offset: f64, scale: [f64; 3]) -> Self {
         let size: f64 = (0..3).map(|a| normal[a].abs() * scale[a]).sum();
         Self { normal, offset, tolerance: size * f64::from(f32::EPSILON) * 4.0 }
@@ -89,10 +89,10 @@ const FIRST_CUT: u64 = 1 << 32;
 
 /// For each vertex, a bit for each half-space outside which it is.
 fn outcodes(source: &dyn SurfaceSource, half_spaces: &[HalfSpace]) -> Result<Vec<u8>> {
-    let mut codes = Vec::with_capacity(source.vertex_count() as usize);
+    let (mut codes, origin) = (Vec::with_capacity(source.vertex_count() as usize), source.origin());
     source.vertices(&mut |batch| {
         codes.extend(batch.iter().map(|v| {
-            let p = v.position.map(f64::from);
+            let p = v.world(origin);
             half_spaces.iter().enumerate().fold(0, |code, (i, h)| code | u8::from(h.distance(p) < 0.0) << i)
         }));
         Ok(())
@@ -138,6 +138,8 @@ fn crossing_triangles(source: &dyn SurfaceSource, codes: &mut [u8], memory: u64)
 /// Cuts triangles, one after another.
 struct Cutter<'a> {
     half_spaces: &'a [HalfSpace],
+    /// What positions are counted from.
+    origin: [f64; 3],
     /// The vertices of all triangles across, by number.
     rim: Vec<(u32, Vertex)>,
     /// New vertices, numbered from [`FIRST_CUT`].
@@ -160,7 +162,7 @@ impl<'a> Cutter<'a> {
             first = end;
             Ok(())
         })?;
-        Ok(Self { half_spaces, rim, cuts: vec![], by_ends: FxHashMap::default() })
+        Ok(Self { half_spaces, origin: source.origin(), rim, cuts: vec![], by_ends: FxHashMap::default() })
     }
 
     fn vertex(&self, number: u64) -> Vertex {
@@ -199,7 +201,7 @@ impl<'a> Cutter<'a> {
         for (i, &p) in polygon.iter().enumerate() {
             let q = polygon[(i + 1) % polygon.len()];
             let [dp, dq] =
-                [p, q].map(|number| half_space.distance(self.vertex(number).position.map(f64::from)));
+                [p, q].map(|number| half_space.distance(self.vertex(number).world(self.origin)));
             if dp >= 0.0 {
                 out.push(p);
             }
@@ -238,7 +240,7 @@ impl<'a> Cutter<'a> {
         pieces: &[[u64; 3]],
         settings: &BuilderSettings,
     ) -> Result<StoredSurface> {
-        let mut out = StoredSurface::new(settings);
+        let mut out = StoredSurface::like(source, settings);
         let mut numbers = vec![u32::MAX; codes.len()];
         let mut at = 0;
         source.vertices(&mut |batch| {

@@ -105,7 +105,7 @@ pub(super) fn crossings<W: F64x4s>(
         W::from_f32(token, d[0]),
     ]);
     let edge = edges::<W>(token, ends);
-    let t = parameter(token, (W::splat(token, f64::from(isovalue)) - p[3]) / edge[3]);
+    let t = parameter(token, (W::splat(token, f64::from(isovalue)) - p[3]) / edge[3], world.least);
     let mut index = [t; 3];
     for k in 0..3 {
         index[k] = (p[k] + t * edge[k]) * W::splat(token, world.steps[k]);
@@ -123,11 +123,10 @@ pub(super) fn crossings<W: F64x4s>(
     positions
 }
 
-/// The part of an edge at which the surface crosses it, not too close to its ends.
+/// The part of an edge at which the surface crosses it, at least `least` from its ends.
 #[inline(always)]
-fn parameter<W: F64x4s>(token: W::Token, t: W) -> W {
-    const LEAST: f64 = 1.0 / 1024.0;
-    let (least, most) = (W::splat(token, LEAST), W::splat(token, 1.0 - LEAST));
+fn parameter<W: F64x4s>(token: W::Token, t: W, least: f64) -> W {
+    let (least, most) = (W::splat(token, least), W::splat(token, 1.0 - least));
     // Two infinities leave no number; the middle is as good as any point.
     let t = W::select(t.is_number(), t, W::splat(token, 0.5));
     most.min(least.max(t))

@@ -51,8 +51,8 @@ use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
 use crate::geom::PointId;
 use crate::surface::extract::{ChunkSurface, SharedEdge};
-use crate::surface::model::{SurfaceSource, TriMesh, Vertex};
-use crate::surface::world_map::WorldMap;
+use crate::surface::model::{SurfaceSource, TriMesh, Vertex, relative_to, world_of};
+use crate::surface::world_map::{WorldMap, nearby_origin};
 use rustc_hash::FxHashMap;
 use std::path::PathBuf;
 
@@ -128,7 +128,7 @@ impl SurfaceBuilder {
 
     /// The same, in the memory of a surface that is no longer needed.
     pub fn reusing(world: &WorldMap, settings: &BuilderSettings, memory: TriMesh) -> Self {
-        let StoredSurface { vertices, triangles } = StoredSurface::reusing(settings, memory);
+        let StoredSurface { vertices, triangles, .. } = StoredSurface::reusing(settings, memory);
         Self {
             vertices,
             triangles,
@@ -222,7 +222,8 @@ impl SurfaceBuilder {
     /// [`Error::Io`] when the scratch file cannot be read or written.
     pub fn finish(mut self) -> Result<StoredSurface> {
         self.close()?;
-        Ok(StoredSurface { vertices: self.vertices, triangles: self.triangles })
+        let Self { vertices, triangles, world, .. } = self;
+        Ok(StoredSurface { vertices, triangles, origin: world.origin(), low: None, ends: NO_BOX })
     }
 
     fn check_room(&self, more: u64) -> Result<()> {
@@ -280,6 +281,10 @@ impl SurfaceSource for SurfaceAddition<'_> {
         self.builder.triangles.len() - self.triangles
     }
 
+    fn origin(&self) -> [f64; 3] {
+        self.builder.world.origin()
+    }
+
     fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
         let SurfaceBuilder { vertices, open, world, .. } = self.builder;
         let mut first = self.vertices;
@@ -303,12 +308,24 @@ impl SurfaceSource for SurfaceAddition<'_> {
     }
 }
 
+/// Vertices that are moved at a time.
+const SETTLED: u64 = 1 << 14;
+
 /// A welded surface, in memory or in a file that vanishes with it.
 #[derive(Debug)]
 pub struct StoredSurface {
     vertices: Store<Vertex>,
     triangles: Store<[u32; 3]>,
+    origin: [f64; 3],
+    /// What `f32` leaves of the positions of a file with doubles, until the origin is known; there
+    /// may be fewer than vertices.
+    low: Option<Store<[f32; 3]>>,
+    /// The least box that holds such positions.
+    ends: [[f64; 3]; 2],
 }
+
+/// A box that holds nothing.
+const NO_BOX: [[f64; 3]; 2] = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
 
 impl StoredSurface {
     /// A surface without vertices, to be filled.
@@ -322,7 +339,16 @@ impl StoredSurface {
         Self {
             vertices: Store::reusing(half, &settings.scratch, memory.vertices),
             triangles: Store::reusing(half, &settings.scratch, memory.triangles),
+            origin: [0.0; 3],
+            low: None,
+            ends: NO_BOX,
         }
+    }
+
+    /// A surface without vertices, to be filled from another one or parts of it: its positions are
+    /// counted from the same place.
+    pub(super) fn like(source: &dyn SurfaceSource, settings: &BuilderSettings) -> Self {
+        Self { origin: source.origin(), ..Self::new(settings) }
     }
 
     /// A copy of a surface.
@@ -330,7 +356,7 @@ impl StoredSurface {
     /// # Errors
     /// Errors of reading it; [`Error::Io`] when the scratch file cannot be written.
     pub fn of(source: &dyn SurfaceSource, settings: &BuilderSettings) -> Result<Self> {
-        let mut surface = Self::new(settings);
+        let mut surface = Self::like(source, settings);
         source.vertices(&mut |batch| surface.vertices.extend(batch))?;
         source.triangles(&mut |batch| surface.triangles.extend(batch))?;
         Ok(surface)
@@ -344,17 +370,73 @@ impl StoredSurface {
         self.vertices.push(vertex)
     }
 
+    /// Appends a vertex, given its place in the world, of a surface that [`Self::settle`] ends.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be written.
+    pub(crate) fn push_double(&mut self, place: [f64; 3], normal: [f32; 3]) -> Result<()> {
+        let position = place.map(|x| x as f32);
+        let low = relative_to(place, position.map(f64::from));
+        if low != [0.0; 3] {
+            let store = self.low.get_or_insert_with(|| Store::beside(&self.vertices, 4));
+            while store.len() < self.vertices.len() {
+                store.push([0.0; 3])?;
+            }
+            store.push(low)?;
+        }
+        for (k, &x) in place.iter().enumerate() {
+            (self.ends[0][k], self.ends[1][k]) = (self.ends[0][k].min(x), self.ends[1][k].max(x));
+        }
+        self.vertices.push(Vertex { position, normal })
+    }
+
+    /// Says what the positions of all vertices are counted from.
+    pub(crate) fn count_from(&mut self, origin: [f64; 3]) {
+        self.origin = origin;
+    }
+
+    /// Counts positions from a place nearby, where they were given as doubles and are far from 0.
+    ///
+    /// # Errors
+    /// [`Error::Io`] for the scratch file.
+    pub(crate) fn settle(&mut self) -> Result<()> {
+        let Some(low) = self.low.take() else { return Ok(()) };
+        let origin = nearby_origin(self.ends, [0.0; 3]);
+        if origin == [0.0; 3] {
+            return Ok(());
+        }
+        let (mut first, count) = (0, self.vertices.len());
+        let (mut lows, mut patches) = (vec![], vec![]);
+        while first < count {
+            let n = (count - first).min(SETTLED);
+            lows.clear();
+            lows.resize(n as usize, [0.0; 3]);
+            let held = low.len().saturating_sub(first).min(n);
+            low.read_from(first, &mut lows[..held as usize])?;
+            patches.clear();
+            patches.extend((first as u32..).zip(lows.iter().copied()));
+            self.vertices.patch(&patches, |_, vertex, &low| {
+                let place = world_of(low, vertex.position.map(f64::from));
+                vertex.position = relative_to(place, origin);
+            })?;
+            first += n;
+        }
+        self.origin = origin;
+        Ok(())
+    }
+
     /// The surface in memory; moved there where it is already.
     ///
     /// # Errors
     /// [`Error::Io`] when the scratch file cannot be read.
     pub fn into_mesh(self) -> Result<TriMesh> {
-        Ok(TriMesh { vertices: self.vertices.into_vec()?, triangles: self.triangles.into_vec()? })
+        let (vertices, triangles) = (self.vertices.into_vec()?, self.triangles.into_vec()?);
+        Ok(TriMesh { vertices, triangles, origin: self.origin })
     }
 
     /// The memory of a surface that is no longer needed.
     pub(crate) fn into_memory(self) -> TriMesh {
-        TriMesh { vertices: self.vertices.into_memory(), triangles: self.triangles.into_memory() }
+        TriMesh::new(self.vertices.into_memory(), self.triangles.into_memory())
     }
 
     /// Single vertices, through a cache of about this many bytes.
@@ -396,6 +478,10 @@ impl SurfaceSource for StoredSurface {
 
     fn triangle_count(&self) -> u64 {
         self.triangles.len()
+    }
+
+    fn origin(&self) -> [f64; 3] {
+        self.origin
     }
 
     fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {

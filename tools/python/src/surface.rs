@@ -41,6 +41,7 @@ impl Surface {
         faces: &[u8],
         isovalue: f64,
         comment: &str,
+        origin: [f64; 3],
     ) -> PyResult<Self> {
         let broken = || crate::errors::usage(py, "these are no bytes of a surface");
         if !vertices.len().is_multiple_of(VERTEX_BYTES) || !faces.len().is_multiple_of(12) {
@@ -49,6 +50,7 @@ impl Surface {
         let mesh = TriMesh {
             vertices: bytemuck::pod_collect_to_vec(vertices),
             triangles: bytemuck::pod_collect_to_vec(faces),
+            origin,
         };
         let count = mesh.vertices.len() as u64;
         if mesh.triangles.iter().flatten().any(|&v| u64::from(v) >= count) {
@@ -65,6 +67,12 @@ impl Surface {
     #[getter]
     fn comment(&self) -> &str {
         &self.comment
+    }
+
+    /// The place in the world that positions are counted from.
+    #[getter]
+    fn origin(&self) -> [f64; 3] {
+        self.mesh.origin
     }
 
     #[getter]

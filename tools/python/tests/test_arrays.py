@@ -1,5 +1,6 @@
 """Arrays of any kind give the archive that their samples in a file give."""
 
+import pickle
 import tempfile
 from pathlib import Path
 
@@ -190,6 +191,23 @@ def test_places(tmp_path):
     )
     found = exact.probe([10 + 0.5 * x, 2 * y, -5 + z])[0]
     assert abs(found - field()[z, y, x]) < 0.05
+
+
+def test_a_surface_far_from_zero_has_doubles(tmp_path):
+    places = {"near": (0, 0, 0), "far": (448_262.25, 5_411_932.5, 310)}
+    surfaces = {}
+    for name, origin in places.items():
+        archive = made(field(), tmp_path, name, spacing=(0.01,) * 3, origin=origin, fraction=1)
+        surfaces[name] = archive.surface(sum(archive.range) / 2)
+    near, far = surfaces["near"], surfaces["far"]
+    assert (near.vertices.dtype, far.vertices.dtype) == (np.float32, np.float64)
+    np.testing.assert_allclose(far.vertices - places["far"], near.vertices, atol=1e-7)
+    again = pickle.loads(pickle.dumps(far))
+    np.testing.assert_array_equal(again.vertices, far.vertices)
+    far.save(tmp_path / "far.vtp")
+    assert b'type="Float64" Name="Points"' in (tmp_path / "far.vtp").read_bytes()
+    with pytest.raises(ValueError):
+        far.vertices[0] = 0
 
 
 def test_xarray(expected, tmp_path):

@@ -196,6 +196,7 @@ async function fetchSurface(surface) {
   }
   const request = new AbortController();
   const start = performance.now();
+  const moment = momentKey(state.step);
   const times = {};
   Object.assign(surface, { key, request, start, seen: false });
   // The values of another field come last: surfaces without their colours do not replace those that have them.
@@ -218,7 +219,7 @@ async function fetchSurface(surface) {
       times.first ??= times.whole;
       if (state.surfaces[state.active] === surface) tellStatistics();
     });
-    Object.assign(surface, { found, times, area: areaOf(found) });
+    Object.assign(surface, { found, times, moment, area: areaOf(found) });
     say(found.report.surfaces[0].outside_range ? `The isovalue ${digits(surface.isovalue)} is outside of the field's range.` : "");
     if (view.bounds.isEmpty()) {
       view.boundsOf(found);
@@ -240,6 +241,18 @@ async function fetchSurface(surface) {
 
 function fetchAll() {
   return Promise.all(state.surfaces.map(fetchSurface));
+}
+
+/** The archive and the step that a report is of. */
+function momentKey(number) {
+  return JSON.stringify([state.archive, number]);
+}
+
+/** The volume inside of a surface, in words: none before the spectrum of its step is there. */
+function volumeInside({ found, moment }, unit) {
+  if (spectrum.moment !== moment) return "…";
+  const volume = spectrum.at(found.report.surfaces[0].isovalue, "volume");
+  return volume === undefined ? "–" : `≈ ${withUnit(digits(volume), power(unit, "³"))}`;
 }
 
 /** The area of the triangles. */
@@ -362,7 +375,7 @@ function tellStatistics() {
       ["triangles", whole(report.triangles)],
       ["vertices", whole(report.vertices)],
       ["area", withUnit(digits(surface.area), power(length, "²"))],
-      ["volume inside", `≈ ${withUnit(digits(spectrum.at(surface.isovalue, "volume")), power(length, "³"))}`],
+      ["volume inside", volumeInside(surface, length)],
       ["extraction", `${digits(milliseconds, 3)} ms`],
       ["until drawn", `${digits(surface.times.whole, 3)} ms`],
       ["first part", `${digits(surface.times.first, 3)} ms`],
@@ -515,15 +528,26 @@ async function setStep(number) {
   $("step").setAttribute("aria-valuetext", $("now").textContent);
   if (state.clip !== null) fetchSlice(COARSE);
   const surfaces = fetchAll();
-  try {
-    spectrum.report = await source.spectrum(state.archive, number);
-  } catch (error) {
-    failed(error);
-  }
+  await fetchSpectrum();
   drawSuggestions();
   drawControls();
   drawBar();
   await surfaces;
+}
+
+/** Fetches the spectrum of the step, and tells the numbers that wait for it. */
+async function fetchSpectrum() {
+  const moment = momentKey(state.step);
+  let report = null;
+  try {
+    report = await source.spectrum(state.archive, state.step);
+  } catch (error) {
+    failed(error);
+  }
+  // Another step may have been chosen meanwhile.
+  if (moment !== momentKey(state.step)) return;
+  Object.assign(spectrum, { report, moment });
+  tellStatistics();
 }
 
 async function play() {

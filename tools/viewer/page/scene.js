@@ -55,6 +55,8 @@ class Layer {
   update() {
     const { vertices, triangles, changes } = this.found;
     const { geometry } = this.mesh;
+    // Matrices are of doubles: far from 0 they keep the digits that the device has not.
+    this.mesh.position.fromArray(this.found.origin);
     if (this.buffer?.array !== vertices.all || geometry.index.array !== triangles.all) {
       // They have moved to where there is more room.
       geometry.dispose();
@@ -173,13 +175,15 @@ export class View {
     if (!corners) return;
     for (const c of corners) this.bounds.expandByPoint(new Vector3(...c));
     const edges = [];
+    const from = (corner) => corner.map((x, a) => x - corners[0][a]);
     for (let n = 0; n < 8; n++) {
-      for (const bit of [1, 2, 4]) if (!(n & bit)) edges.push(...corners[n], ...corners[n | bit]);
+      for (const bit of [1, 2, 4]) if (!(n & bit)) edges.push(...from(corners[n]), ...from(corners[n | bit]));
     }
     const lines = new BufferGeometry();
     lines.setAttribute("position", new BufferAttribute(new Float32Array(edges), 3));
     this.box = new LineSegments(lines, new LineBasicMaterial({ color: 0x808890 }));
     this.box.visible = this.showBox;
+    this.box.position.fromArray(corners[0]);
     this.scene.add(this.box);
     this.draw();
   }
@@ -285,8 +289,10 @@ export class View {
   /** Where a surface alone says how large the domain is. */
   boundsOf(found) {
     const vertices = found.vertices.used;
-    const point = new Vector3();
-    for (let n = 0; n < vertices.length; n += 6) this.bounds.expandByPoint(point.fromArray(vertices, n));
+    const [point, origin] = [new Vector3(), new Vector3(...found.origin)];
+    for (let n = 0; n < vertices.length; n += 6) {
+      this.bounds.expandByPoint(point.fromArray(vertices, n).add(origin));
+    }
   }
 
   /** Hides what is beyond a plane of an axis, 0 to 2; none for null. */
@@ -331,10 +337,11 @@ export class View {
     const { position } = this.slice.geometry.attributes;
     for (let n = 0; n < 4; n++) {
       for (let a = 0; a < 3; a++) {
-        position.array[3 * n + a] = origin[a] + (n & 1 ? u[a] : 0) + (n & 2 ? v[a] : 0);
+        position.array[3 * n + a] = (n & 1 ? u[a] : 0) + (n & 2 ? v[a] : 0);
       }
     }
     position.needsUpdate = true;
+    this.slice.position.fromArray(origin);
     const { uniforms } = this.slice.material;
     if (uniforms.values.of !== values) {
       uniforms.values.value?.dispose();

@@ -100,7 +100,8 @@ class Growing {
 const bytesOf = ({ buffer, byteOffset, byteLength }) => new Uint8Array(buffer, byteOffset, byteLength);
 
 /**
- * One isosurface: `vertices` (position and normal, six floats each), `triangles` (three numbers each), and `values` of
+ * One isosurface: `vertices` (position and normal, six floats each; positions count from `origin`, which is not 0 where
+ * floats would not tell vertices apart), `triangles` (three numbers each), and `values` of
  * the field that `colour` names (null without one). `part(surface)` is called whenever some triangles have come: those
  * of the archive's chunks before `chunks`. `parts` has the number of triangles after each part; `changes` counts parts
  * that changed earlier vertices. While `preview` is true, what has come is not yet cut at the region, and is replaced as
@@ -110,7 +111,7 @@ export async function surface(archive, parameters, signal, part) {
   const response = await ask(`${archive}/surface?${query(parameters)}`, { signal });
   if (!response.ok) throw await refusal(response);
   const pieces = new Pieces(response);
-  const found = { values: null, preview: false, changes: 0, report: null, milliseconds: 0 };
+  const found = { values: null, origin: [0, 0, 0], preview: false, changes: 0, report: null, milliseconds: 0 };
   const empty = () => ({ vertices: new Growing(Float32Array), triangles: new Growing(Uint32Array), parts: [], chunks: 0 });
   Object.assign(found, empty());
   while (!found.report) {
@@ -124,6 +125,7 @@ export async function surface(archive, parameters, signal, part) {
     } else {
       if (found.preview && !head.preview) Object.assign(found, empty());
       found.preview = head.preview;
+      found.origin = head.origin;
       const { vertices, triangles } = found;
       await pieces.fill(bytesOf(vertices.more(6 * head.vertices)));
       const [numbers, changed] = [new Uint32Array(head.changed), new Float32Array(6 * head.changed)];

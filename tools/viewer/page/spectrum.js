@@ -6,6 +6,8 @@ export class Spectrum {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.report = null;
+    /** The archive and the step that the report is of. */
+    this.moment = null;
     this.marks = [];
     const choose = (event) => {
       if (!this.report?.range || (event.type === "pointermove" && event.buttons !== 1)) return;

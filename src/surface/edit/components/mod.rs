@@ -33,7 +33,7 @@
 
 use crate::bytes::paged::Paged;
 use crate::error::{Error, Result};
-use crate::surface::model::{SurfaceSource, Vertex};
+use crate::surface::model::{SurfaceSource, Vertex, corner_of};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use serde::Serialize;
 use std::cmp::Reverse;
@@ -71,7 +71,7 @@ pub struct Component {
     /// Whether it has no boundary.
     pub closed: bool,
     /// Least and largest coordinates.
-    pub bounding_box: [[f32; 3]; 2],
+    pub bounding_box: [[f64; 3]; 2],
 }
 
 /// What [`components`] found.
@@ -113,7 +113,10 @@ pub fn components(
         measure_vertices(&surface, &mut labels, &mut records, &mut positions)?;
         measure_triangles(&surface, &mut labels, &mut records, &mut positions)?;
     }
-    let (report, all) = choose(&mut records, filter, paged(1)).map_err(|e| e.of_share(paged(1), memory))?;
+    let (mut report, listed, all) = choose(&mut records, filter, paged(1)).map_err(|e| e.of_share(paged(1), memory))?;
+    for number in listed.into_numbers() {
+        report.listed.push(records.get(number)?.component(surface.origin()));
+    }
     if all {
         return Ok((surface, report));
     }
@@ -188,14 +191,14 @@ impl Record {
         (self.volume6 - moved.sum::<f64>()) / 6.0
     }
 
-    fn component(&self) -> Component {
+    fn component(&self, origin: [f64; 3]) -> Component {
         Component {
             triangles: self.triangles,
             vertices: self.vertices,
             area: self.area,
             volume: self.volume(),
             closed: self.is_closed(),
-            bounding_box: [self.lo, self.hi].map(|corner| corner.map(|x| x + 0.0)),
+            bounding_box: [self.lo, self.hi].map(|corner| corner_of(corner.map(|x| x + 0.0), origin)),
         }
     }
 }
@@ -316,13 +319,13 @@ impl Largest {
     }
 }
 
-/// Marks what is kept; also returns whether that is all there is, vertices without a triangle
-/// included.
+/// Marks what is kept; also returns what is listed of it, and whether it is all there is, vertices
+/// without a triangle included.
 fn choose(
     records: &mut Paged<Record>,
     filter: &ComponentFilter,
     memory: u64,
-) -> Result<(ComponentReport, bool)> {
+) -> Result<(ComponentReport, Largest, bool)> {
     let wanted = filter.largest.unwrap_or(u64::MAX).min(records.len());
     let chosen = filter.largest.is_some() && wanted < records.len();
     if chosen && wanted.saturating_mul(CHOICE) > memory {
@@ -352,11 +355,8 @@ fn choose(
             listed.offer(record.triangles, number);
         }
     }
-    for number in listed.into_numbers() {
-        report.listed.push(records.get(number)?.component());
-    }
     let all = report.kept == records.len();
-    Ok((report, all))
+    Ok((report, listed, all))
 }
 
 /// A new surface of the kept components. Spoils the labels.
@@ -367,7 +367,7 @@ fn copy_kept(
     settings: &BuilderSettings,
 ) -> Result<StoredSurface> {
     const LEFT_OUT: u32 = u32::MAX;
-    let mut out = StoredSurface::new(settings);
+    let mut out = StoredSurface::like(surface, settings);
     let mut number = 0;
     surface.vertices(&mut |batch| {
         for v in batch {

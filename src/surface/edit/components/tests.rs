@@ -56,6 +56,7 @@ fn brute_force(mesh: &TriMesh) -> Vec<TriMesh> {
     let part = |&root: &u32| TriMesh {
         vertices: mesh.vertices.clone(),
         triangles: mesh.triangles.iter().copied().filter(|t| label[t[0] as usize] == root).collect(),
+        ..TriMesh::default()
     };
     roots.iter().map(part).collect()
 }

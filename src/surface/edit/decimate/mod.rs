@@ -216,10 +216,13 @@ impl Pass<'_> {
         let mut records = from.surface.random_vertices(self.records as usize);
         let mut errors = from.errors.as_ref().map(|e| Cached::new(e, self.records as usize));
         let mut out = Output {
-            surface: StoredSurface::new(&BuilderSettings {
-                memory_bytes: 2 * self.records as usize,
-                scratch: self.scratch.to_path_buf(),
-            }),
+            surface: StoredSurface::like(
+                &from.surface,
+                &BuilderSettings {
+                    memory_bytes: 2 * self.records as usize,
+                    scratch: self.scratch.to_path_buf(),
+                },
+            ),
             errors: Store::new(self.records as usize / 4, self.scratch),
             numbers: Paged::new(vertices, self.records, self.scratch),
         };

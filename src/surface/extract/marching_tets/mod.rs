@@ -29,9 +29,11 @@
 //! computed in `f64` from exact lattice positions in this one order: every tetrahedron and every
 //! chunk around the edge computes the same bits.
 //!
-//! `t` is clamped to [1/1024, 1 - 1/1024]. Without that, a corner value equal to the isovalue would
-//! put the vertices of all its edges on one point, and zero-area triangles between them. The clamp
-//! moves a vertex by at most 1/1024 of its edge and cannot open or fold the surface: which edges
+//! `t` is clamped to [1/1024, 1 - 1/1024]; farther from the ends where positions are so many
+//! spacings that `f32` would not resolve that ([`WorldMap::resolving`]). Without that, a corner
+//! value equal to the isovalue would put the vertices of all its edges on one point, and zero-area
+//! triangles between them. The clamp moves a vertex by at most 1/1024 of its edge, or that more,
+//! and cannot open or fold the surface: which edges
 //! carry a vertex, and which vertices a triangle joins, depend on inside and outside alone, never
 //! on `t`; the clamped surface is that of another field with the same corners inside. Nor can a
 //! triangle be degenerate: its three vertices lie strictly inside three edges of a tetrahedron that

@@ -39,7 +39,7 @@ fn one_tet(values: [f32; 4], ids: [u64; 4], tet: Tet, geometry: &Geometry) -> Tr
     };
     let mut out = ChunkSurface::default();
     extract(&cells, 0.0, &WorldMap::new(&lattice, geometry), &mut Workbench::default(), &mut out);
-    TriMesh { vertices: out.vertices().to_vec(), triangles: out.triangles().to_vec() }
+    TriMesh { vertices: out.vertices().to_vec(), triangles: out.triangles().to_vec(), ..TriMesh::default() }
 }
 
 fn facing(mesh: &TriMesh, t: [u32; 3]) -> [f64; 3] {

@@ -27,18 +27,23 @@ class Surface:
     """An isosurface: triangles with normals, oriented, closed but where the domain ends.
 
     The arrays see the memory in which the surface was made: nothing is copied, and they cannot be
-    written to (``array.copy()`` can). ``vertices`` and ``normals`` are columns of one array of six.
+    written to (``array.copy()`` can). ``vertices`` and ``normals`` are columns of one array of six;
+    but for a surface so far from 0 that float32 does not tell its vertices apart: ``vertices`` is an
+    array of doubles then.
     """
 
     def __init__(self, core: _isospan.Surface) -> None:
         self._core = core
         rows = np.asarray(_Seen(core, core.vertices()))
         self._vertices, self._normals = rows[:, :3], rows[:, 3:]
+        if any(core.origin):
+            self._vertices = self._vertices + np.array(core.origin)
+            self._vertices.flags.writeable = False
         self._faces = np.asarray(_Seen(core, core.faces()))
 
     @property
-    def vertices(self) -> npt.NDArray[np.float32]:
-        """Positions in world units, x, y, z: shape (n, 3), float32."""
+    def vertices(self) -> npt.NDArray[np.float32] | npt.NDArray[np.float64]:
+        """Positions in world units, x, y, z: shape (n, 3), float32; float64 far from 0."""
         return self._vertices
 
     @property
@@ -84,11 +89,18 @@ class Surface:
         return f"<isospan.Surface of {self.isovalue:g}: {counts}>"
 
     def __reduce__(self) -> Any:
-        return _unpickle, (*self._core.to_bytes(), self.isovalue, self._core.comment)
+        core = self._core
+        return _unpickle, (*core.to_bytes(), self.isovalue, core.comment, list(core.origin))
 
 
-def _unpickle(vertices: bytes, faces: bytes, isovalue: float, comment: str) -> Surface:
-    return Surface(_isospan.Surface(vertices, faces, isovalue, comment))
+def _unpickle(
+    vertices: bytes,
+    faces: bytes,
+    isovalue: float,
+    comment: str,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Surface:
+    return Surface(_isospan.Surface(vertices, faces, isovalue, comment, list(origin)))
 
 
 def save_surfaces(surfaces: Sequence[Surface], path: PathLike) -> int:
