@@ -158,8 +158,11 @@ fn samples_are_even_by_area() {
     // A large and a small triangle, 3 to 1, and one without area between them.
     let vertices =
         [[0.0; 3], [3.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 5.0], [1.0, 0.0, 5.0], [0.0, 1.0, 5.0]];
-    let mesh =
-        TriMesh { vertices: vertices.map(vertex).to_vec(), triangles: vec![[0, 1, 2], [0, 1, 1], [3, 4, 5]], ..TriMesh::default() };
+    let mesh = TriMesh {
+        vertices: vertices.map(vertex).to_vec(),
+        triangles: vec![[0, 1, 2], [0, 1, 1], [3, 4, 5]],
+        ..TriMesh::default()
+    };
     let triangles = Triangles::read(&mesh).unwrap();
     let samples = AreaSamples::new(&triangles, 4_000).unwrap();
     let points: Vec<[f64; 3]> = (0..4_000).map(|k| samples.get(k).0).collect();
@@ -181,10 +184,17 @@ fn what_cannot_be_compared_is_refused() {
         .exit_code()
     };
     assert_eq!(refused(&TriMesh::default(), 1 << 30), 2);
-    let line =
-        TriMesh { vertices: vec![vertex([0.0; 3]), vertex([1.0, 0.0, 0.0])], triangles: vec![[0, 1, 1]], ..TriMesh::default() };
+    let line = TriMesh {
+        vertices: vec![vertex([0.0; 3]), vertex([1.0, 0.0, 0.0])],
+        triangles: vec![[0, 1, 1]],
+        ..TriMesh::default()
+    };
     assert_eq!(refused(&line, 1 << 30), 2);
-    let far = TriMesh { vertices: vec![vertex([1e20, 0.0, 0.0]); 3], triangles: vec![[0, 1, 2]], ..TriMesh::default() };
+    let far = TriMesh {
+        vertices: vec![vertex([1e20, 0.0, 0.0]); 3],
+        triangles: vec![[0, 1, 2]],
+        ..TriMesh::default()
+    };
     assert_eq!(refused(&far, 1 << 30), 2);
     assert_eq!(refused(&ball, 1 << 20), 4);
 }

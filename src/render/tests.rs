@@ -147,7 +147,11 @@ fn a_roof_shades_what_lies_below() {
         let settings = RenderSettings { lights, ..settings(2) };
         render(&[of(mesh, GREY)], &view, &settings).unwrap()
     };
-    let floor = TriMesh { vertices: both.vertices.clone(), triangles: both.triangles[..2].to_vec(), ..TriMesh::default() };
+    let floor = TriMesh {
+        vertices: both.vertices.clone(),
+        triangles: both.triangles[..2].to_vec(),
+        ..TriMesh::default()
+    };
     let darkest = |image: &Image| image.pixels.iter().map(lightness).min().unwrap();
     assert!(darkest(&drawn(&both, 48)) + 60 < darkest(&drawn(&floor, 48)));
     assert_eq!(
@@ -231,8 +235,7 @@ fn a_transparent_surface_shows_what_is_inside_and_throws_no_shadow() {
             .iter()
             .map(|v| Vertex { position: v.position.map(|c| c / 2.0), ..*v })
             .collect(),
-        ..inner,
-        ..TriMesh::default()
+        ..inner
     };
     let view = View::fit(&Camera::default(), &[&outer], [90, 80]).unwrap();
     let [red, blue] = [[220, 30, 30], [30, 30, 220]].map(Paint::Plain);

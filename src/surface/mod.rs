@@ -26,6 +26,6 @@ mod testing;
 pub mod weld;
 mod world_map;
 
-pub(crate) use model::{relative_to, vertices_from, world_of};
 pub use model::{Joined, SurfaceSource, TriMesh, Vertex};
+pub(crate) use model::{relative_to, vertices_from, world_of};
 pub use world_map::{WorldMap, nearby_origin};

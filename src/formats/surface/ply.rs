@@ -27,8 +27,8 @@ use super::{
 use crate::error::{Error, Place, Result};
 use crate::formats::shared::sink::Sink;
 use crate::formats::shared::text::Words;
-use crate::surface::weld::StoredSurface;
 use crate::surface::SurfaceSource;
+use crate::surface::weld::StoredSurface;
 use byteorder::{BE, ByteOrder, LE};
 use std::path::Path;
 

@@ -35,8 +35,8 @@ use crate::formats::shared::hdf5_head::{Dataset, Group, Value};
 use crate::formats::shared::sink::Sink;
 use crate::formats::volume::hdf5;
 use crate::formats::vtk::hdf::{self, HdfFile, active, array_name, count};
-use crate::surface::weld::StoredSurface;
 use crate::surface::SurfaceSource;
+use crate::surface::weld::StoredSurface;
 use crate::volume::ScalarType;
 use std::sync::Arc;
 

@@ -107,10 +107,8 @@ pub(in crate::pipeline) fn export(
     let read_before = archive.bytes_read();
     let source = &archive.step().plan.source;
     let log2_steps = archive.manifest.plan.lattice.log2_steps;
-    let cut = settings
-        .roi
-        .map(|roi| roi.cut(&source.geometry, source.dims, log2_steps, [0.0; 3]))
-        .transpose()?;
+    let cut =
+        settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, log2_steps, [0.0; 3])).transpose()?;
     let mut index_bytes = 0;
     let range = settings.range.map(|range| range.map(|v| source.kept(v)));
     let blocks = match range {

@@ -4,7 +4,11 @@ use proptest::prelude::*;
 
 fn mesh(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> TriMesh {
     let vertex = |&position: &[f32; 3]| Vertex { position, normal: [0.0, 0.0, 1.0] };
-    TriMesh { vertices: positions.iter().map(vertex).collect(), triangles: triangles.to_vec(), ..TriMesh::default() }
+    TriMesh {
+        vertices: positions.iter().map(vertex).collect(),
+        triangles: triangles.to_vec(),
+        ..TriMesh::default()
+    }
 }
 
 /// A box of 2 x 1 x 1, seen from outside counter-clockwise.

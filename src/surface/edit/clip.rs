@@ -200,8 +200,7 @@ impl<'a> Cutter<'a> {
         out.clear();
         for (i, &p) in polygon.iter().enumerate() {
             let q = polygon[(i + 1) % polygon.len()];
-            let [dp, dq] =
-                [p, q].map(|number| half_space.distance(self.vertex(number).world(self.origin)));
+            let [dp, dq] = [p, q].map(|number| half_space.distance(self.vertex(number).world(self.origin)));
             if dp >= 0.0 {
                 out.push(p);
             }

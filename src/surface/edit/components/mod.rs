@@ -113,7 +113,8 @@ pub fn components(
         measure_vertices(&surface, &mut labels, &mut records, &mut positions)?;
         measure_triangles(&surface, &mut labels, &mut records, &mut positions)?;
     }
-    let (mut report, listed, all) = choose(&mut records, filter, paged(1)).map_err(|e| e.of_share(paged(1), memory))?;
+    let (mut report, listed, all) =
+        choose(&mut records, filter, paged(1)).map_err(|e| e.of_share(paged(1), memory))?;
     for number in listed.into_numbers() {
         report.listed.push(records.get(number)?.component(surface.origin()));
     }
