@@ -135,7 +135,6 @@ fn a_refused_reduction_leaves_no_folder() {
         &["v.npy", "--memory", "1MiB"],
         &["n.npy", "--nan", "error"],
         &["n.npy", "--nan", "error", "--target-rms", "1%"],
-        &["n.npy", "--nan", "error", "--adapt", "--target-max", "1%"],
     ] {
         let (code, error) = fails(d, &[&["reduce", "-o", "o.isospan"], more].concat());
         assert!(code != 0, "{more:?}: {error}");

@@ -107,7 +107,7 @@ fn a_volume_on_a_map_is_cut_where_the_box_says() {
             "-o",
             "v.isospan",
             "--spacing",
-            "0.01",
+            "0.01,0.01,0.01",
             "--origin",
             origin,
             "--fraction",
@@ -115,7 +115,7 @@ fn a_volume_on_a_map_is_cut_where_the_box_says() {
             "-q",
         ],
     );
-    ok(d, &["reduce", "v.npy", "-o", "n.isospan", "--spacing", "0.01", "--fraction", "1", "-q"]);
+    ok(d, &["reduce", "v.npy", "-o", "n.isospan", "--spacing", "0.01,0.01,0.01", "--fraction", "1", "-q"]);
     let cut = |archive: &str, out: &str, roi: &str| {
         ok(d, &["surface", archive, "-i", "0.3", "-o", out, "--roi", roi]);
         json(d, &["check", out, "--within", archive, "--roi", roi])
@@ -134,7 +134,9 @@ fn coordinates_beyond_f32_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("v.npy"), [20, 18, 16], ball);
-    for (spacing, says) in [("1e38", "is no number as f32"), ("1e-40", "has no shape as f32")] {
+    for (spacing, says) in
+        [("1e38,1e38,1e38", "is no number as f32"), ("1e-40,1e-40,1e-40", "has no shape as f32")]
+    {
         ok(
             d,
             &[

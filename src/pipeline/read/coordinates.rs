@@ -140,10 +140,10 @@ pub(in crate::pipeline) fn expect_in_f32(archive: &StepView) -> Result<()> {
         )))
     };
     if largest > f64::from(f32::MAX) {
-        return wrong(format!("a coordinate of {largest:e} is no number"));
+        return wrong(format!("a coordinate of {largest:.3e} is no number"));
     }
     if longest > 0.0 && longest < SHORTEST {
-        return wrong(format!("a domain of a length of {longest:e} has no shape"));
+        return wrong(format!("a domain of a length of {longest:.3e} has no shape"));
     }
     Ok(())
 }
