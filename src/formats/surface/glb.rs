@@ -309,6 +309,10 @@ impl<'a> File<'a> {
         let mesh_of = |node: &Value| node.get("mesh").and_then(number);
         let mut places = HashMap::new();
         for (n, node) in nodes.iter().enumerate().filter(|(_, node)| node.get("translation").is_some()) {
+            if mesh_of(node).is_none() && list(node, "children").is_empty() {
+                // A camera, or a light.
+                continue;
+            }
             let numbers: Option<Vec<f64>> = list(node, "translation").iter().map(Value::as_f64).collect();
             let place = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
             let (Some(place), Some(mesh)) = (place, mesh_of(node)) else { return Err(self.transformed(n)) };
