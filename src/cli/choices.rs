@@ -165,6 +165,11 @@ impl Choices {
     pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
         self.plan.settings(first, self.targets.target())
     }
+
+    /// The error or the size that is wanted.
+    pub(crate) fn target(&self) -> Option<Target> {
+        self.targets.target()
+    }
 }
 
 impl Targets {
@@ -179,22 +184,18 @@ impl Targets {
 }
 
 impl PlanChoices {
-    /// The settings, with which a target is met.
+    /// The settings that the flags say; what a target implies besides, the library adds.
     fn settings(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
-        let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
         let is_of_error = matches!(target, Some(Target::Rms(_) | Target::Max(_)));
-        // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of
-        // a mesh by points that adapt.
-        let adapts = of_mesh || self.focus.is_some() || self.points == Some(Set::Halton);
         let is_open = matches!(self.points, None | Some(Set::Halton));
-        let adapt = self.adapt || is_of_error && is_open && adapts;
+        // A focus says that points adapt, where nothing else must decide that.
+        let adapt = self.adapt || self.focus.is_some() && is_of_error && is_open;
         if self.focus.is_some() && !adapt {
             return Err(Error::usage("--focus needs points that adapt: add --adapt"));
         }
-        let points = match (self.points, target) {
-            (None, Some(_)) if !adapt => Some(Set::Lattice),
-            (None, _) if self.shift.is_some() && !adapt => Some(Set::Hammersley),
-            (points, _) => points,
+        let points = match self.points {
+            None if self.shift.is_some() && !adapt && target.is_none() => Some(Set::Hammersley),
+            points => points,
         };
         let kind = points.map(|points| match points {
             Set::Hammersley => SetKind::Hammersley,
@@ -212,6 +213,7 @@ impl PlanChoices {
         }
         let interpolation = self.interp.interpolation();
         if points == Some(Set::Samples) {
+            let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
             let others = [
                 (of_mesh, "a mesh: its own vertices are stored with --fraction 1"),
                 (target.is_some(), "a target: --points lattice finds out whether it is met best so"),

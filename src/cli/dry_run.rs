@@ -2,7 +2,7 @@
 
 use super::text;
 use isospan::Result;
-use isospan::pipeline::Estimate;
+use isospan::pipeline::{Estimate, SearchEstimate};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Duration;
@@ -24,6 +24,9 @@ fn in_words(e: &Estimate, output: &Path) -> String {
     };
     let free = |bytes: Option<u64>| bytes.map_or("unknown".to_owned(), text::bytes);
     row("samples", text::count(e.samples));
+    if let Some(search) = &e.search {
+        row("target", format!("found by trying: about {} tries; all else is of the first", search.tries));
+    }
     row("points", format!("{} in {}", text::count(e.points), text::plural(e.chunks, "chunk")));
     row(
         "memory",
@@ -35,9 +38,19 @@ fn in_words(e: &Estimate, output: &Path) -> String {
             text::plural(e.workers as u64, "chunk")
         ),
     );
-    row("archive", format!("up to {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
+    let most = match e.search {
+        Some(SearchEstimate { archive_bytes: [least, most], .. }) => {
+            let free = free(e.archive_free);
+            row("archive", format!("{} to {} ({free} free)", text::bytes(least), text::bytes(most)));
+            most
+        }
+        None => {
+            row("archive", format!("up to {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
+            e.archive_bytes
+        }
+    };
     if let Some(source) = e.source_bytes {
-        row("ratio", text::at_most_of(e.archive_bytes, source));
+        row("ratio", text::at_most_of(most, source));
     }
     match e.scratch_bytes {
         0 => row("scratch", "none".into()),
@@ -46,6 +59,13 @@ fn in_words(e: &Estimate, output: &Path) -> String {
     if let Some(lost) = e.rounding {
         row("rounded", text::rounding_words(lost));
     }
-    row("time", format!("roughly {}", text::rough_duration(Duration::from_secs(e.seconds.ceil() as u64))));
+    let roughly = |seconds: f64| text::rough_duration(Duration::from_secs(seconds.ceil() as u64));
+    match &e.search {
+        Some(search) => {
+            let (one, all) = (roughly(e.seconds), roughly(search.seconds));
+            row("time", format!("roughly {one}, and {all} for all tries"));
+        }
+        None => row("time", format!("roughly {}", roughly(e.seconds))),
+    }
     out
 }

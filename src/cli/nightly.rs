@@ -33,9 +33,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// every time until it is gone. A run that was stopped is continued by the next.
 ///
 /// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all new files are in
-/// the archive. 1: some were left out. 6: a first archive does not meet its target. Otherwise that
-/// of the error; 5 if no new file could be used,
-/// or the folder could not be read.
+/// the archive. 1: some were left out. 6: the steps that were added do not meet the target.
+/// Otherwise that of the error; 5 if no new file could be used, or the folder could not be read.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan nightly /data/scope '*.vti' scope.isospan --target-rms 1%\n  isospan nightly /data/scope '*.vti' scope.isospan --submit 02:00 --again"
@@ -179,7 +178,12 @@ fn write(args: &Args, talk: &Talk, steps: Vec<StepSource>, first: bool) -> Resul
         reduction.keep_going(true).progress(&*bar).write(&args.archive)
     } else {
         let settings = AppendSettings { missing: None, keyframes: None, measure: true };
-        append(&steps, &settings, &args.archive, &run, &*bar)
+        let added = append(&steps, &settings, &args.archive, &run, &*bar);
+        // Points are chosen by the first night: later ones may have errors beyond the target.
+        match args.choices.target() {
+            Some(target) => added.map(|report| report.judged_by(target)),
+            None => added,
+        }
     };
     bar.end();
     report

@@ -3,16 +3,17 @@
 //! Progress is a bar with rate and ETA on a terminal, a plain line at most every ten seconds
 //! elsewhere, or JSON, one object a line:
 //! `{"event":"begin"|"progress"|"end","stage":…,"unit":…,"done":…,"total":…,"elapsed_seconds":…,"eta_seconds":…}`,
-//! and notes as `{"event":"note","text":…}`.
+//! notes as `{"event":"note","text":…}`, and tries for a target, which begin, as
+//! `{"event":"try","try":…,"about":…,"last":{"quantity":…,"value":…,"wanted":…}}`.
 
 use super::text;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
-use isospan::exec::{Progress, Silent};
+use isospan::exec::{Attempt, Progress, Reached, Silent};
 use isospan::pipeline::{self, Notice};
 use std::fmt;
 use std::io::{IsTerminal, Write};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// The form of progress.
@@ -50,8 +51,8 @@ impl Talk {
         match self.progress {
             _ if self.quiet => Box::new(Silent),
             Form::None => Box::new(Notices),
-            Form::Auto if std::io::stderr().is_terminal() => Box::new(Bar(Mutex::new(ProgressBar::hidden()))),
-            Form::Bar => Box::new(Bar(Mutex::new(ProgressBar::hidden()))),
+            Form::Auto if std::io::stderr().is_terminal() => Box::new(Bar::new()),
+            Form::Bar => Box::new(Bar::new()),
             Form::Auto | Form::Plain => Box::new(Lines::new(false)),
             Form::Json => Box::new(Lines::new(true)),
         }
@@ -112,7 +113,45 @@ impl Progress for Notices {
     }
 }
 
-struct Bar(Mutex<ProgressBar>);
+/// What a try reached, of what was wanted.
+fn reached_text(reached: &Reached) -> String {
+    let Reached { quantity, value, wanted, .. } = *reached;
+    let number = |v: f64| match quantity {
+        "bytes" => text::bytes(v as u64),
+        _ => text::value(text::figures(v, 4)),
+    };
+    let what = if quantity == "bytes" { String::new() } else { format!("{quantity} ") };
+    format!("{what}{} of {} wanted", number(value), number(wanted))
+}
+
+/// The line of a try that begins.
+fn attempt_text(attempt: &Attempt) -> String {
+    let last = attempt
+        .last
+        .as_ref()
+        .map_or(String::new(), |last| format!("; try {}: {}", attempt.number - 1, reached_text(last)));
+    format!("{}{last}", try_text(attempt))
+}
+
+fn try_text(attempt: &Attempt) -> String {
+    format!("try {} of about {}", attempt.number, attempt.about)
+}
+
+struct Bar {
+    bar: Mutex<ProgressBar>,
+    /// The try that stages belong to.
+    of_try: Mutex<Option<String>>,
+}
+
+impl Bar {
+    fn new() -> Self {
+        Self { bar: Mutex::new(ProgressBar::hidden()), of_try: Mutex::default() }
+    }
+
+    fn bar(&self) -> MutexGuard<'_, ProgressBar> {
+        self.bar.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
 
 impl Progress for Bar {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
@@ -131,21 +170,28 @@ impl Progress for Bar {
             });
             bar.set_style(style.progress_chars("=> "));
         }
-        bar.set_message(stage.to_owned());
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = bar;
+        let of_try = self.of_try.lock().unwrap_or_else(PoisonError::into_inner);
+        bar.set_message(of_try.as_ref().map_or(stage.to_owned(), |of_try| format!("{of_try}: {stage}")));
+        *self.bar() = bar;
     }
 
     fn advance(&self, units: u64) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).inc(units);
+        self.bar().inc(units);
     }
 
     fn end(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
+        self.bar().finish_and_clear();
     }
 
     fn notice(&self, line: &str) {
-        let bar = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        bar.suspend(|| tell(&format!("isospan: {line}")));
+        self.bar().suspend(|| tell(&format!("isospan: {line}")));
+    }
+
+    fn attempt(&self, attempt: &Attempt) {
+        if let Some(last) = &attempt.last {
+            self.notice(&format!("try {}: {}", attempt.number - 1, reached_text(last)));
+        }
+        *self.of_try.lock().unwrap_or_else(PoisonError::into_inner) = Some(try_text(attempt));
     }
 }
 
@@ -169,6 +215,9 @@ struct Stage {
 struct Lines {
     json: bool,
     stage: Mutex<Option<Stage>>,
+    started: Instant,
+    /// The try that stages belong to.
+    of_try: Mutex<Option<String>>,
 }
 
 /// A log is not flooded, and a short run says nothing at all.
@@ -213,7 +262,7 @@ impl Stage {
 
 impl Lines {
     fn new(json: bool) -> Self {
-        Self { json, stage: Mutex::new(None) }
+        Self { json, stage: Mutex::new(None), started: Instant::now(), of_try: Mutex::default() }
     }
 }
 
@@ -221,7 +270,9 @@ impl Progress for Lines {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         self.end();
         let now = Instant::now();
-        let stage = Stage { name: stage.into(), unit: unit.into(), total, done: 0, started: now, shown: now };
+        let of_try = self.of_try.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let name = of_try.filter(|_| !self.json).map_or(stage.into(), |of_try| format!("{of_try}: {stage}"));
+        let stage = Stage { name, unit: unit.into(), total, done: 0, started: now, shown: now };
         if self.json {
             tell(&stage.object("begin"));
         }
@@ -252,6 +303,23 @@ impl Progress for Lines {
             tell(&serde_json::json!({ "event": "note", "text": line }).to_string());
         } else {
             tell(&format!("isospan: {line}"));
+        }
+    }
+
+    fn attempt(&self, attempt: &Attempt) {
+        self.end();
+        *self.of_try.lock().unwrap_or_else(PoisonError::into_inner) = Some(try_text(attempt));
+        if self.json {
+            let last = attempt.last.map(|last| {
+                serde_json::json!({ "quantity": last.quantity, "value": last.value, "wanted": last.wanted })
+            });
+            let (number, about) = (attempt.number, attempt.about);
+            tell(
+                &serde_json::json!({ "event": "try", "try": number, "about": about, "last": last })
+                    .to_string(),
+            );
+        } else if self.started.elapsed() >= BETWEEN_LINES {
+            tell(&format!("isospan: {}", attempt_text(attempt)));
         }
     }
 }

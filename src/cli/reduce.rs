@@ -98,8 +98,8 @@ pub(super) fn code_of(archive: &Path, report: &ReduceReport) -> u8 {
 }
 
 /// What a target lacks that was not met.
-pub(super) fn unmet(report: &ReduceReport) -> Option<String> {
-    report.target.filter(|t| !t.met).map(|t| format!("the target is not met: {}", reached_text(&t)))
+pub(crate) fn unmet(report: &ReduceReport) -> Option<String> {
+    report.unmet().map(|t| format!("the target is not met: {}", reached_text(t)))
 }
 
 /// Prints what was made.
@@ -143,11 +143,15 @@ fn target_line(t: &TargetReport) -> String {
         let [full, all] = cells.map(text::count);
         format!("; {full} of {all} cells have a point a sample")
     });
-    format!(
-        "  target      {met}: {what}, after {} {} ({meshed} of their {chunks} chunks meshed){full}",
-        t.tries,
-        if t.tries == 1 { "try" } else { "tries" }
-    )
+    let tries = match t.tries {
+        // The archive was made before.
+        0 => String::new(),
+        n => format!(
+            ", after {} ({meshed} of their {chunks} chunks meshed)",
+            if n == 1 { "1 try".to_owned() } else { format!("{n} tries") }
+        ),
+    };
+    format!("  target      {met}: {what}{tries}{full}")
 }
 
 /// The error of the one step, or the largest of several.

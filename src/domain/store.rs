@@ -14,7 +14,7 @@ use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::geom::curve::hilbert_key;
 use crate::locate::{CellBatch, FINE_BITS, FinePos, volume6};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ pub(crate) struct StoreSettings {
 }
 
 /// What was found in a mesh.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeshCensus {
     /// Points of the file.
     pub vertices: u64,

@@ -24,7 +24,7 @@ pub use cancel::CancelToken;
 pub(crate) use clock::Clock;
 pub use limits::{expect_address_space, usable_memory};
 pub(crate) use ordered::in_order;
-pub use progress::{Progress, Silent};
+pub use progress::{Attempt, Progress, Reached, Silent};
 pub use reorder::Reorder;
 pub use resources::Resources;
 pub use room::{Lent, Room};

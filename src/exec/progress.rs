@@ -1,5 +1,29 @@
 //! How a run reports its progress. The library draws nothing itself.
 
+/// A try of a search for a target, which begins.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub struct Attempt {
+    /// Its number: the first is 1.
+    pub number: u32,
+    /// About how many there will be.
+    pub about: u32,
+    /// What the try before reached, in this run.
+    pub last: Option<Reached>,
+}
+
+/// What a try of a search reached.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Reached {
+    /// "RMS error", "largest error" or "bytes".
+    pub quantity: &'static str,
+    /// How much of it the try has.
+    pub value: f64,
+    /// How much it may have.
+    pub wanted: f64,
+}
+
 /// Receives the progress of a run; called from several threads.
 pub trait Progress: Send + Sync {
     /// A stage of `total` units begins; it ends the one before.
@@ -11,6 +35,9 @@ pub trait Progress: Send + Sync {
     /// Something that the user should know, as a line; see [`Notice`](crate::pipeline::Notice).
     /// Nothing by default: reports have it too.
     fn notice(&self, _line: &str) {}
+    /// A try of a search for a target begins: the stages that follow are its own. Nothing by
+    /// default.
+    fn attempt(&self, _attempt: &Attempt) {}
 }
 
 /// Hears and says nothing.

@@ -43,7 +43,7 @@ pub use field::{
     measure, measure_source,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
-pub use plan::{Estimate, Finding, Notice, Plan, Shard, fingerprint};
+pub use plan::{Estimate, Finding, Notice, Plan, SearchEstimate, Shard, fingerprint};
 pub use read::{
     ArchiveSummary, Knot, LevelSummary, Roi, RoiSpace, SpectrumReport, StepChoice, StepRange, StepSpectrum,
     StepSummary, Suggestion, is_archive,

@@ -48,8 +48,8 @@ impl ValueBits {
 /// What the user chooses of a reduction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReduceSettings {
-    /// The point set. By default the lattice for a volume, Hammersley's for a mesh, and Halton's
-    /// where points adapt.
+    /// The point set. By default the lattice for a volume and for a target, Hammersley's for a mesh,
+    /// and Halton's where points adapt.
     pub points: Option<SetKind>,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
@@ -57,10 +57,13 @@ pub struct ReduceSettings {
     /// boundary included. A mesh is kept as it is by a fraction of 1, or a count of its vertices or
     /// more: with default points, linear interpolation, and neither `adapt` nor `target`.
     pub amount: Amount,
-    /// Whether points are dense where the field needs them; a Halton set can be.
+    /// Whether points are dense where the field needs them; a Halton set can be. An error as the
+    /// target of a mesh, or of a Halton set, implies it.
     #[serde(default)]
     pub adapt: Option<Adapt>,
-    /// The error that is not to be exceeded: the amount follows from it.
+    /// The error or the size that is not to be exceeded: the amount follows from it. A target that
+    /// cannot be met is no error: the report says so, see
+    /// [`ReduceReport::unmet`](super::ReduceReport::unmet).
     #[serde(default)]
     pub target: Option<Target>,
     /// How values are interpolated between samples.
@@ -94,6 +97,23 @@ impl ReduceSettings {
     /// Exact values at points of a set, with defaults for all else.
     pub fn exact(points: SetKind) -> Self {
         Self { points: Some(points), value_bits: ValueBits::Exact, ..Self::default() }
+    }
+
+    /// The settings with what a target implies. Every door completes them, so that a request has the
+    /// same bytes from the command line, from Rust and from Python.
+    ///
+    /// Where no set is named, a target is met by a lattice, which takes the fewest bytes. An error of
+    /// a mesh, or with a Halton set, is met by points that adapt.
+    pub(super) fn complete(&self, of_mesh: bool) -> Self {
+        let Some(target) = self.target else { return self.clone() };
+        let can_adapt = match self.points {
+            None => of_mesh,
+            Some(points) => points == SetKind::Halton,
+        };
+        let implied = (target.bound().is_some() && can_adapt).then(Adapt::default);
+        let adapt = self.adapt.or(implied);
+        let lattice = adapt.is_none().then_some(SetKind::Bcc);
+        Self { adapt, points: self.points.or(lattice), ..self.clone() }
     }
 
     /// The point set, for a mesh or for a volume.

@@ -56,6 +56,7 @@ mod slurm;
 mod special;
 mod spectrum;
 mod stretched;
+mod targets;
 mod units;
 mod unpack;
 #[cfg(all(feature = "view", unix))]

@@ -130,6 +130,8 @@ fn every_report_is_as_its_schema_says() {
         &["reduce", "holes.npy", "-o", "h.isospan", "--nan", "mask", "--points", "hammersley"],
         &["reduce", "v0.npy", "-o", "r.isospan", "--points", "regular"],
         &["reduce", "v0.npy", "-o", "x.isospan", "--points", "hyperbolic-cross"],
+        &["reduce", "v0.npy", "-o", "t.isospan", "--target-rms", "10%", "--dry-run"],
+        &["reduce", "v0.npy", "-o", "t.isospan", "--target-rms", "10%"],
         &["reduce", "v0.npy", "-o", "t.isospan", "--target-rms", "10%"],
         &["reduce", "v0.npy", "-o", "z.isospan", "--size", "50%"],
         &["reduce", "v0.npy", "-o", "d.isospan", "--adapt", "--focus", "10%:90%"],

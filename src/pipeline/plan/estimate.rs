@@ -28,7 +28,7 @@ use crate::fit::window_edge;
 use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::index::BuildSettings;
-use crate::pipeline::settings::RunSettings;
+use crate::pipeline::settings::{RunSettings, Target};
 use crate::points::PointSet;
 use crate::raster::BatchScan;
 use serde::Serialize;
@@ -410,6 +410,22 @@ pub(in crate::pipeline) fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item
     (0..chunks.len()).step_by(step as usize).map(|c| chunks.chunk(ChunkId(c)))
 }
 
+/// What is known of a search for a target before its first try. The rest of the estimate is that of
+/// the first try.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct SearchEstimate {
+    /// What is wanted.
+    pub target: Target,
+    /// How many tries there will be, about.
+    pub tries: u32,
+    /// Bytes of the archive: the least and the most that the search may end with.
+    pub archive_bytes: [u64; 2],
+    /// Seconds of all tries, roughly.
+    #[serde(rename = "estimated_seconds")]
+    pub seconds: f64,
+}
+
 /// What a reduction needs, and what there is.
 #[derive(Clone, Debug, Serialize)]
 #[non_exhaustive]
@@ -448,6 +464,9 @@ pub struct Estimate {
     /// Seconds of work, roughly: from the speed of a machine of 2020.
     #[serde(rename = "estimated_seconds")]
     pub seconds: f64,
+    /// Of a target: what is known of the search.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub search: Option<SearchEstimate>,
     /// What the user should know: see [`Notice`].
     pub notices: Vec<Notice>,
     #[serde(skip)]
@@ -495,6 +514,7 @@ impl Estimate {
             scratch_free: free_bytes(q.scratch.0),
             rounding: q.plan.steps.iter().filter_map(|s| s.source.notable_rounding()).reduce(f64::max),
             seconds: q.need.seconds(workers, q.plan.steps.len()),
+            search: None,
             notices: vec![],
             archive: q.out.to_path_buf(),
             scratch: q.scratch.0.to_path_buf(),

@@ -28,11 +28,11 @@ use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
 pub(super) use attachments::Attachments;
-pub use estimate::Estimate;
 pub(super) use estimate::{
     ERROR_WINDOW, Halo, Held, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares,
     SurfaceShares, free_bytes, need_of,
 };
+pub use estimate::{Estimate, SearchEstimate};
 pub use finding::{Finding, Notice};
 pub use fingerprint::fingerprint;
 pub(super) use fingerprint::{Inputs, RecordedFile, Watch};

@@ -20,6 +20,8 @@ mod encoded;
 mod existing;
 mod fields;
 mod job;
+mod kept_search;
+mod made_before;
 mod mesh_fields;
 mod mesh_store;
 mod meshes;
@@ -39,7 +41,7 @@ mod volume_fields;
 mod volumes;
 mod workers;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::exec::{Progress, Silent};
 use crate::formats::StepSource;
 use crate::pipeline::plan::Estimate;
@@ -52,19 +54,21 @@ use existing::NewFolders;
 pub use existing::archive_files;
 pub(super) use existing::{Existing, lock_for_writing, replace_archive, strays, sweep};
 pub(super) use job::{Basis, Job};
+use kept_search::forget_search;
 use plan_file::new_archive;
-pub(super) use plan_file::{Cut, PlanFile, PlannedSearch, is_planned_try, planned_try};
+pub(super) use plan_file::{Cut, PLANNED_TRY, PlanFile, PlannedSearch, planned_try};
 pub use plan_file::{plan_path, work_folder};
-use planned::make;
 pub(super) use planned::{Built, Planned, plan, publish, run};
+use planned::{is_mesh, make};
 pub use report::{ReduceReport, SourceChunks, TargetReport};
 pub(super) use search::TargetSearch;
 pub use series::SkippedStep;
 use std::path::Path;
 use std::time::Instant;
 pub(super) use sums::FinishedSteps;
-pub(super) use target::publish_best;
 use target::reduce_to_target;
+pub(super) use target::{publish_best, with_target};
+pub(super) use tries::remove_tries;
 
 /// Reduces a series of steps to the archive `out`: one mesh, and the values of each step.
 ///
@@ -75,8 +79,8 @@ use target::reduce_to_target;
 /// continues a run that was killed at any moment.
 ///
 /// # Errors
-/// Those of [`Reduction::write`](crate::Reduction::write); [`Error::BadInput`], naming the step,
-/// where dimensions or geometry are not those of the first.
+/// Those of [`Reduction::write`](crate::Reduction::write); [`BadInput`](crate::Error::BadInput),
+/// naming the step, where dimensions or geometry are not those of the first.
 pub fn reduce_series(
     sources: &[StepSource],
     settings: &ReduceSettings,
@@ -89,6 +93,8 @@ pub fn reduce_series(
     let existing = Existing::at(out)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
+    let settings = &complete_settings(&job)?;
+    let job = Job { settings, ..job };
     existing.refuse_other(&job)?;
     let new_folders = NewFolders::of(out);
     let made = make_series(&job, &existing);
@@ -107,8 +113,21 @@ fn make_series(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
         None if run.replace && existing.is_finished() => replace(job),
         None => make(job, existing),
     }?;
+    // The archive is there: a search for another one, which was stopped, is of no use.
+    forget_search(out)?;
     let report = ReduceReport { source_chunks: SourceChunks::of(sources), ..report };
     Ok(looked.complete(&sources[0].1.path, report, job))
+}
+
+/// The settings of a job with what they imply.
+///
+/// # Errors
+/// Those of opening the first source, where a target depends on its kind.
+pub(super) fn complete_settings(job: &Job<'_>) -> Result<ReduceSettings> {
+    match job.settings.target {
+        Some(_) => Ok(job.settings.complete(is_mesh(job)?)),
+        None => Ok(job.settings.clone()),
+    }
 }
 
 /// Makes an archive next to the finished one of its name, which is whole until then, and puts it
@@ -125,7 +144,8 @@ pub(super) fn numbered(sources: &[StepSource]) -> Vec<(u64, StepSource)> {
     (0..).zip(sources.iter().cloned()).collect()
 }
 
-/// What a reduction would need, without beginning it.
+/// What a reduction would need, without beginning it: of a search for a target, its first try, and
+/// what is known of the others.
 ///
 /// # Errors
 /// Those of [`reduce_series`], but a budget that does not suffice is only reported: see
@@ -139,18 +159,23 @@ pub fn estimate_series(
     let existing = Existing::at(out)?;
     let (sources, progress) = (&numbered(sources), &Silent);
     let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
+    let settings = &complete_settings(&job)?;
+    let job = Job { settings, ..job };
     existing.refuse_other(&job)?;
-    if settings.target.is_some_and(|t| t.bound().is_none() || settings.adapt.is_none()) {
-        let what = "how many points meet this target is found by trying: estimate a count or a fraction";
-        return Err(Error::usage(what));
-    }
     let looked = look(&job)?;
+    let source = looked.size.map(|size| size.bytes);
+    let search = settings.target.map(|target| TargetSearch::new(settings, target, source)).transpose()?;
+    // Of a search, the first try is estimated.
+    let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
+    let job = Job { settings, ..job };
     // A finished archive is compared with, in all that decides its bytes.
-    let is_compared = !run.replace && existing.is_finished();
+    let is_compared = !run.replace && existing.is_finished() && search.is_none();
     let mut planned = plan(&job, !is_compared)?;
     if is_compared {
         existing.compare(out, &planned.series.plan, run)?;
     }
+    let samples = planned.report.samples;
+    planned.estimate.search = search.map(|search| search.estimate(&planned.estimate, samples)).transpose()?;
     looked.add_to(&mut planned.estimate);
     Ok(planned.estimate)
 }

@@ -48,8 +48,8 @@ const FORMAT: &str = "isospan plan";
 const FORMAT_VERSION: u16 = 3;
 /// The most bytes of a plan: paths, settings, and a record for each step.
 const LARGEST_PLAN: u64 = 1 << 28;
-/// How the names of tries begin.
-const TRY: &str = "planned-";
+/// How the names of planned tries begin.
+pub(in crate::pipeline) const PLANNED_TRY: &str = "planned-";
 const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
 
 /// The folder of a plan, its job scripts and logs, next to the archive.
@@ -71,14 +71,7 @@ pub(super) fn old_archive(archive: &Path) -> PathBuf {
 
 /// Where a try of a planned search for a target is made.
 pub(in crate::pipeline) fn planned_try(archive: &Path, number: u32) -> PathBuf {
-    work_folder(archive).join(format!("{TRY}{number}.isospan"))
-}
-
-/// Whether a path in the folder of a plan is that of a try.
-pub(in crate::pipeline) fn is_planned_try(path: &Path) -> bool {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let number = name.strip_prefix(TRY).and_then(|rest| rest.strip_suffix(".isospan"));
-    number.is_some_and(|number| number.parse::<u32>().is_ok())
+    work_folder(archive).join(format!("{PLANNED_TRY}{number}.isospan"))
 }
 
 /// Path of the plan of an archive.

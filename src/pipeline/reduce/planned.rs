@@ -114,7 +114,7 @@ fn of_meshes(job: &Job<'_>) -> Result<Planned> {
 }
 
 /// Whether a job is one of meshes: as the archive is, or the first source that can be opened.
-fn is_mesh(job: &Job<'_>) -> Result<bool> {
+pub(super) fn is_mesh(job: &Job<'_>) -> Result<bool> {
     if let Some(archive) = job.basis.archive() {
         return Ok(archive.manifest.steps[0].plan.source.mesh.is_some());
     }
@@ -172,10 +172,10 @@ impl Planned {
 
     /// The report of an archive that is complete already.
     pub(super) fn report_of(self, manifest: &Manifest, layout: &Layout) -> Result<ReduceReport> {
-        let ReduceReport { samples, inner_points, .. } = self.report;
+        let ReduceReport { samples, inner_points, bound, .. } = self.report;
         let skipped = self.series.skipped;
-        let report =
-            ReduceReport { samples, inner_points, skipped, made_before: true, ..ReduceReport::default() };
+        let report = ReduceReport { samples, inner_points, bound, skipped, ..ReduceReport::default() };
+        let report = ReduceReport { made_before: true, ..report };
         report.of_archive(layout.root(), manifest, 0)
     }
 }
@@ -237,8 +237,7 @@ pub(super) fn make(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
     state.make_place(&layout)?;
     planned.begin(&layout)?;
     let built = run(planned, job, &layout, 0..layout.segment_count())?;
-    let report = publish(built, job, &layout)?;
-    // Removes what earlier runs that were killed have left.
+    // What earlier runs have left that were killed is no part of the archive's bytes.
     sweep(&layout);
-    Ok(report)
+    publish(built, job, &layout)
 }

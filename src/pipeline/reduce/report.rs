@@ -6,6 +6,7 @@ use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
 use crate::domain::store::MeshCensus;
 use crate::error::Result;
+use crate::exec::Reached;
 use crate::formats::StepSource;
 use crate::measure::FieldError;
 use crate::pipeline::plan::{Notice, folder_bytes};
@@ -107,6 +108,18 @@ pub struct TargetReport {
     pub full_cells: Option<[u64; 2]>,
 }
 
+impl TargetReport {
+    /// What was reached, of what was wanted.
+    pub(in crate::pipeline) fn reached_of(&self) -> Reached {
+        let quantity = match self.target {
+            Target::Rms(_) => "RMS error",
+            Target::Max(_) => "largest error",
+            Target::Size(_) | Target::Ratio(_) => "bytes",
+        };
+        Reached { quantity, value: self.reached, wanted: self.bound }
+    }
+}
+
 /// The chunks of the sources of a reduction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SourceChunks {
@@ -127,6 +140,12 @@ impl SourceChunks {
 }
 
 impl ReduceReport {
+    /// What was reached of a target that was not met: the archive is there all the same. `None`
+    /// where there was no target, and where it was met.
+    pub fn unmet(&self) -> Option<&TargetReport> {
+        self.target.as_ref().filter(|target| !target.met)
+    }
+
     /// The report of the archive at `root`: all that its manifest says about the steps from
     /// position `first` on.
     pub(in crate::pipeline) fn of_archive(

@@ -10,6 +10,7 @@
 use super::report::{ReduceReport, TargetReport};
 use crate::archive::values::NodeCoder;
 use crate::error::{Error, Result};
+use crate::pipeline::plan::{Estimate, SearchEstimate};
 use crate::pipeline::settings::{Amount, Bound, ReduceSettings, Target, ValueBits};
 use crate::points::SetKind;
 use crate::sample::Values;
@@ -23,12 +24,34 @@ impl Target {
                 let range = source_range(report).map(|r| r.map(|v| v as f32)).unwrap_or_default();
                 Ok(report.bound.unwrap_or_else(|| bound.in_units(range)))
             }
-            Self::Size(bytes) => Ok(bytes as f64),
-            Self::Ratio(ratio) => match source {
-                Some(source) => Ok(source as f64 / ratio),
-                None => Err(Error::usage("the bytes of the source are not known: give a size")),
-            },
+            Self::Size(_) | Self::Ratio(_) => self.bytes(source),
         }
+    }
+
+    /// The bytes that an archive may have.
+    fn bytes(self, source: Option<u64>) -> Result<f64> {
+        match (self, source) {
+            (Self::Size(bytes), _) => Ok(bytes as f64),
+            (Self::Ratio(ratio), Some(source)) => Ok(source as f64 / ratio),
+            (Self::Ratio(_), None) => Err(Error::usage("the bytes of the source are not known: give a size")),
+            (Self::Rms(_) | Self::Max(_), _) => Ok(f64::INFINITY),
+        }
+    }
+
+    /// What an archive came to that was made before, in no try of this run.
+    pub(super) fn report_of(
+        self,
+        report: &ReduceReport,
+        source: Option<u64>,
+        full_cells: Option<[u64; 2]>,
+    ) -> Result<TargetReport> {
+        let bound = self.limit(report, source)?;
+        let reached = match self.bound() {
+            Some(_) => self.reached(report),
+            None => report.archive_bytes as f64,
+        };
+        let met = reached <= bound;
+        Ok(TargetReport { target: self, bound, reached, met, tries: 0, meshed_chunks: [0; 2], full_cells })
     }
 
     /// The error or the size that an archive has; with several steps, that of the worst one.
@@ -40,6 +63,19 @@ impl Target {
     }
 }
 
+impl ReduceReport {
+    /// The report with what its steps have of an error that is wanted, which was no target of the
+    /// run: of `append`, whose points are there already.
+    pub fn judged_by(self, target: Target) -> Self {
+        let target = target.report_of(&self, None, None).ok();
+        let is_measured = self.steps.iter().any(|step| step.error.is_some());
+        let judged = target.filter(|found| is_measured && found.target.bound().is_some());
+        Self { target: judged.or(self.target), ..self }
+    }
+}
+
+/// An archive has hardly ever fewer bytes: its manifest takes these.
+const LEAST_BYTES: u64 = 4 << 10;
 /// Bytes of the manifest that state the target, at most.
 const RECORD: u64 = 64;
 
@@ -55,6 +91,8 @@ const MOST_TRIES: u32 = 10;
 /// The aim of a try, as a part of the bound; and the part that is good enough.
 const AIM: f64 = 0.985;
 const NEAR: f64 = 0.96;
+/// Tries of most searches.
+const USUAL_TRIES: u32 = 5;
 /// A number of points that is this close to one that does not suffice is the least.
 const LEAST_STEP: f64 = 1.03;
 
@@ -165,9 +203,14 @@ const OF_ROUNDING: f64 = 0.75;
 /// The power between the error and the steps of the range.
 const POWER_OF_STEPS: f64 = 0.9;
 
+/// Whether a search is one for a lattice. Complete settings name another set, or adapt.
+fn is_lattice(settings: &ReduceSettings) -> bool {
+    settings.set_of(false) == SetKind::Bcc
+}
+
 impl Rounding {
     fn new(settings: &ReduceSettings, target: Target) -> Self {
-        let is_chosen = settings.points == Some(SetKind::Bcc) && settings.value_bits == ValueBits::Usual;
+        let is_chosen = is_lattice(settings) && settings.value_bits == ValueBits::Usual;
         let mut rounding = Self { is_chosen, bits: settings.value_bits, learned: 0, few: false };
         if is_chosen {
             rounding.bits = ValueBits::Bits(USUAL_BITS);
@@ -304,6 +347,28 @@ impl TargetSearch {
         self.tries + 1
     }
 
+    /// About how many tries there will be.
+    pub(in crate::pipeline) fn about(&self) -> u32 {
+        self.next_try().max(USUAL_TRIES)
+    }
+
+    /// What is known before the first try, which has this estimate; the source has so many samples, or
+    /// vertices.
+    pub(super) fn estimate(&self, first: &Estimate, samples: u64) -> Result<SearchEstimate> {
+        let (target, tries) = (self.target, self.about());
+        let archive_bytes = match target {
+            Target::Size(_) | Target::Ratio(_) => [LEAST_BYTES, target.bytes(self.source)? as u64],
+            Target::Rms(_) | Target::Max(_) => {
+                let exact = is_lattice(&self.settings) && self.rounding.bits == ValueBits::Exact;
+                let most = if exact { MOST_OF_LATTICE } else { 1.0 } * samples as f64;
+                let points = most / first.points.max(1) as f64;
+                [LEAST_BYTES, (first.archive_bytes as f64 * points.max(1.0)) as u64]
+            }
+        };
+        let archive_bytes = [archive_bytes[0].min(archive_bytes[1]), archive_bytes[1]];
+        Ok(SearchEstimate { target, tries, archive_bytes, seconds: first.seconds * f64::from(tries) })
+    }
+
     /// The number of the try that a plan is of: the next one, or the best when the search is over.
     pub(in crate::pipeline) fn this_try(&self) -> u32 {
         self.best_try().filter(|_| self.is_over()).unwrap_or_else(|| self.next_try())
@@ -365,7 +430,7 @@ impl TargetSearch {
     fn note_points(&mut self, bound: f64, report: &ReduceReport, settings: ReduceSettings) -> Try {
         let (target, samples) = (self.target, report.samples as f64);
         let is_size = target.bound().is_none();
-        let is_lattice = self.settings.points == Some(SetKind::Bcc) && !is_size;
+        let is_lattice = is_lattice(&self.settings) && !is_size;
         let most = if is_lattice && self.rounding.bits == ValueBits::Exact { MOST_OF_LATTICE } else { 1.0 };
         let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, most * samples] };
         let usual = USUAL_POWERS[usize::from(is_size)];

@@ -23,11 +23,13 @@
 //! give the number of bits. So rounding costs a tenth of the error or less, and saves three bits
 //! per value and more.
 //!
-//! Tries lie in the folder `NAME.isospan.work` next to the archive. The levels of all places follow
-//! from one number, so another number moves points nearly everywhere: each level takes another
-//! piece of the sequence. The last step cannot be confined to a few cells either, as
-//! [`target_max`](super::target_max) does: to lower a sum of squares by some percent is not a
-//! matter of a few cells. Equal gain for every point means that cells near the next level lie all
+//! Tries lie in the folder `NAME.isospan.work` next to the archive, with a note of how far the
+//! search is ([`super::kept_search`]): so a run that was stopped goes on at its try.
+//!
+//! The levels of all places follow from one number, so another number moves points nearly
+//! everywhere: each level takes another piece of the sequence. The last step cannot be confined to
+//! a few cells either, as [`target_max`](super::target_max) does: to lower a sum of squares by some
+//! percent is not a matter of a few cells. Equal gain for every point means that cells near the next level lie all
 //! over the volume, in every chunk. The published archive is a try that met the target, with its
 //! measured error in the manifest. The limit is a point per sample. If that is not enough, a
 //! lattice takes nodes at all samples, which leave the error of rounding alone. Of other points the
@@ -37,64 +39,97 @@
 //! The numbers of points follow from measured errors, which depend on nothing but the input. So the
 //! archive is the same for any number of threads.
 
-use super::existing::{Existing, exists, lacks_files};
+use super::existing::Existing;
 use super::job::Job;
-use super::plan_file::work_folder;
+use super::kept_search::{KeptSearch, MadeTry};
+use super::made_before::{made_before, published_before};
 use super::planned::make;
 use super::report::ReduceReport;
 use super::search::TargetSearch;
 use super::target_max::reduce_to_max;
-use super::tries::{full_cells, publish, rename};
-use crate::archive::manifest::Manifest;
-use crate::bytes::publish::remove_folder;
-use crate::error::{Error, Result};
-use crate::formats::Input;
-use crate::pipeline::plan::{Inputs, folder_bytes};
+use super::tries::{full_cells, publish, tidy};
+use crate::error::Result;
+use crate::exec::Attempt;
+use crate::pipeline::plan::folder_bytes;
 use crate::pipeline::settings::{RunSettings, Target};
-use std::fs;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
+/// A search by numbers of points, between two tries.
+#[derive(Serialize, Deserialize)]
+struct PointSearch {
+    search: TargetSearch,
+    /// The best try so far.
+    best: Option<MadeTry>,
+}
+
+impl PointSearch {
+    /// Whether what was noted is there; the best try of a search that is over may be published.
+    fn is_there(&self, kept: &KeptSearch<'_>) -> bool {
+        self.search.best_try().is_none_or(|number| kept.has(number))
+    }
+}
+
 /// Reduces to the archive `job.out` with the fewest points that meet the target of the settings, or
-/// the most that do. `source` is the number of bytes of the source, if known.
+/// the most that do. `source` is the number of bytes of the source, if known. What a run has found
+/// that was stopped is there again.
 ///
 /// # Errors
-/// As those of a reduction; [`Error::Usage`] for a target that cannot be one.
+/// As those of a reduction; [`Usage`](crate::Error::Usage) for a target that cannot be one.
 pub(super) fn reduce_to_target(
     job: &Job<'_>,
     existing: &Existing,
     target: Target,
     source: Option<u64>,
 ) -> Result<ReduceReport> {
-    let mut search = TargetSearch::new(job.settings, target, source)?;
+    let search = TargetSearch::new(job.settings, target, source)?;
     if let Existing::Finished(manifest) = existing
         && !job.run.replace
     {
-        return made_before(job, manifest);
+        return made_before(job, manifest, target, source);
     }
     if let (Target::Max(_), true) = (target, job.settings.adapt.is_some()) {
-        return reduce_to_max(job, target);
+        return reduce_to_max(job, target, source);
     }
-    let work = work_folder(job.out);
-    let [trying, best] = ["try.isospan", "best.isospan"].map(|name| work.join(name));
-    [&trying, &best].into_iter().try_for_each(|f| remove_folder(f))?;
-    let (mut found, mut seconds) = (None, vec![]);
-    while !search.is_over() {
-        fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
-        let run = RunSettings { replace: false, ..job.run.clone() };
-        let (settings, number) = (&search.next_settings(), search.next_try());
-        let report = make(&Job { settings, out: &trying, run: &run, ..*job }, &Existing::Nothing)?;
+    search_for(job, search, target, source)
+}
+
+/// Makes try after try, and publishes the best.
+fn search_for(job: &Job<'_>, new: TargetSearch, target: Target, source: Option<u64>) -> Result<ReduceReport> {
+    let (kept, found) = KeptSearch::open::<PointSearch>(job, source)?;
+    let is_published = |found: &PointSearch| found.search.is_over() && !found.is_there(&kept);
+    if found.as_ref().is_some_and(is_published)
+        && let Some(report) = published_before(job, target, source)
+    {
+        return Ok(report);
+    }
+    let found = found.filter(|found| found.is_there(&kept));
+    let mut state = found.unwrap_or(PointSearch { search: new, best: None });
+    kept.note(&state)?;
+    let (mut of_best, mut seconds, mut last) = (None, vec![], None);
+    while !state.search.is_over() {
+        let number = state.search.next_try();
+        kept.keep(&[state.search.best_try(), Some(number)])?;
+        job.progress.attempt(&Attempt { number, about: state.search.about(), last });
+        let (settings, out) = (&state.search.next_settings(), &kept.try_path(number));
+        tidy(out);
+        // What another plan has left there is no part of the search.
+        let run = &RunSettings { replace: true, ..job.run.clone() };
+        let report = make(&Job { settings, out, run, ..*job }, &Existing::at(out)?)?;
         seconds.extend_from_slice(&report.seconds);
-        search.note(&report)?;
-        if search.best_try() == Some(number) {
-            remove_folder(&best)?;
-            rename(&trying, &best)?;
-            found = Some(report);
-        } else {
-            remove_folder(&trying)?;
+        last = Some(state.search.note(&report)?.reached_of());
+        if state.search.best_try() == Some(number) {
+            state.best = Some(MadeTry::of(&report));
+            of_best = Some(report);
         }
+        kept.note(&state)?;
     }
-    let report = found.expect("the last try is the best if no other is");
-    publish_best(&search, &best, job.out, ReduceReport { seconds, ..report })
+    let best = state.search.best_try().map(|number| kept.try_path(number));
+    let (Some(best), Some(made)) = (best, state.best) else {
+        unreachable!("the last try is the best if no other is")
+    };
+    let report = of_best.map_or_else(|| made.report(&best), Ok)?;
+    publish_best(&state.search, &best, job.out, ReduceReport { seconds, ..report })
 }
 
 /// Makes the best try of a search the archive `out`, and completes its report.
@@ -102,43 +137,24 @@ pub(in crate::pipeline) fn publish_best(
     search: &TargetSearch,
     best: &Path,
     out: &Path,
-    mut report: ReduceReport,
+    report: ReduceReport,
 ) -> Result<ReduceReport> {
-    let full_cells = if search.adapts() { Some(full_cells(best)?) } else { None };
-    let mut found = search.best_report(full_cells);
     publish(search.settings(), best, out)?;
-    report.archive_bytes = folder_bytes(out)?;
+    let archive_bytes = folder_bytes(out)?;
+    with_target(search, ReduceReport { archive_bytes, ..report }, out)
+}
+
+/// The report of the archive that is the best try of a search, with what that came to.
+pub(in crate::pipeline) fn with_target(
+    search: &TargetSearch,
+    mut report: ReduceReport,
+    archive: &Path,
+) -> Result<ReduceReport> {
+    let full_cells = if search.adapts() { Some(full_cells(archive)?) } else { None };
+    let mut found = search.best_report(full_cells);
     if found.target.bound().is_none() {
         found.reached = report.archive_bytes as f64;
     }
     report.target = Some(found);
     Ok(report)
-}
-
-/// The report of an archive that this very call has made before: with the same settings, of the
-/// same files.
-///
-/// # Errors
-/// [`Error::Usage`] when it is another one.
-fn made_before(job: &Job<'_>, manifest: &Manifest) -> Result<ReduceReport> {
-    let (mut inputs, mut is_same) = (Inputs::default(), manifest.target == Some(job.settings.hash()));
-    is_same &= manifest.steps.len() == job.sources.len() && !lacks_files(job.out, manifest);
-    for (step, (number, source)) in manifest.steps.iter().zip(job.sources) {
-        if !is_same {
-            break;
-        }
-        let (files, field) = match source.open()? {
-            Input::Volume(volume) => (volume.info().files(), volume.info().field.name.clone()),
-            Input::Mesh(mesh) => (mesh.info().files(), mesh.field()?.name.clone()),
-        };
-        let found = inputs.of_source(*number, source, &files, &job.run.resources.cancel)?;
-        let (plan, of_source) = (&step.plan, &step.plan.source);
-        is_same &= (plan.number, plan.time) == (*number, source.time)
-            && (&of_source.fingerprint, &of_source.field) == (&found, &field);
-    }
-    if !is_same {
-        return Err(exists(job.out));
-    }
-    let samples = manifest.steps[0].plan.source.samples();
-    ReduceReport { samples, made_before: true, ..ReduceReport::default() }.of_archive(job.out, manifest, 0)
 }

@@ -28,75 +28,150 @@
 
 use super::existing::Existing;
 use super::job::{Basis, Job};
-use super::plan_file::work_folder;
+use super::kept_search::{KeptSearch, MadeTry};
+use super::made_before::published_before;
 use super::planned::make;
 use super::report::{ReduceReport, TargetReport};
 use super::reuse::Round;
 use super::search::error_of;
 use super::sums::StoredSums;
-use super::tries::{full_cells, publish, rename};
-use crate::bytes::publish::remove_folder;
+use super::tries::{full_cells, publish};
 use crate::cells::CellMesh;
 use crate::density::Choice;
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::exec::{Attempt, Reached};
 use crate::formats::{Input, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, ChunkId};
 use crate::pipeline::chunk::{ChunkTets, Originals, SampleErrors, Samples, StepLanes};
 use crate::pipeline::field::{AtVertices, MeasureSettings, reopened_values, store_settings};
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
-use crate::pipeline::plan::{Halo, estimate};
+use crate::pipeline::plan::{Halo, estimate, folder_bytes};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepView, Visit};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
 use crate::points::PointSpec;
 use crate::volume::VolumeSource;
-use std::fs;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Tries, at most.
 const MOST_TRIES: u32 = 16;
+/// Tries of most searches.
+const USUAL_TRIES: u32 = 5;
 
-/// Reduces to the archive `job.out` so that the largest error at a sample meets the target.
-pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceReport> {
-    let work = work_folder(job.out);
-    let [trying, last] = ["try.isospan", "last.isospan"].map(|name| work.join(name));
-    let run = RunSettings { replace: false, ..job.run.clone() };
-    let (mut settings, mut round, mut wanted) = (job.settings.clone(), None::<Round>, None);
-    let (mut meshed_chunks, mut seconds) = ([0, 0], vec![]);
-    remove_folder(&last)?;
-    for tries in 1.. {
-        remove_folder(&trying)?;
-        fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
-        let basis = round.as_ref().map_or(Basis::New, Basis::Round);
-        let next = Job { settings: &settings, basis, out: &trying, run: &run, keeps_sums: true, ..*job };
-        let mut report = make(&next, &Existing::Nothing)?;
-        meshed_chunks[0] += report.chunks - report.reused_chunks;
-        meshed_chunks[1] += report.chunks;
-        seconds.append(&mut report.seconds);
-        let bound = *wanted.get_or_insert(report.bound.unwrap_or_default());
-        let error = error_of(target, &report);
-        let met = error <= bound;
-        let next =
-            if met || tries == MOST_TRIES { None } else { raised(job, &trying, bound, report.samples)? };
-        // The try before has served.
-        drop(round.take());
-        remove_folder(&last)?;
-        if let Some(choice) = next {
-            rename(&trying, &last)?;
-            round = Some(Round::new(choice, OpenArchive::open(&last)?.step_at(0))?);
-            settings = ReduceSettings { target: None, ..settings };
-            continue;
+/// A search by levels, after a try.
+#[derive(Clone, Serialize, Deserialize)]
+struct LevelSearch {
+    /// Tries that were made; the last one is there.
+    tries: u32,
+    samples: u64,
+    /// The bound, in units of the field, and the largest error of the last try.
+    bound: f64,
+    reached: f64,
+    /// Chunks that were meshed in all tries together, and chunks of all tries.
+    meshed_chunks: [u64; 2],
+    /// Whether the last try becomes the archive.
+    is_over: bool,
+    made: MadeTry,
+}
+
+impl LevelSearch {
+    /// The levels of the next try; `None` where there is none.
+    fn choice(&self, job: &Job<'_>, kept: &KeptSearch<'_>) -> Result<Option<Choice>> {
+        if self.reached <= self.bound || self.tries == MOST_TRIES {
+            return Ok(None);
         }
-        let full_cells = Some(full_cells(&trying)?);
-        publish(job.settings, &trying, job.out)?;
-        report.seconds = seconds;
-        let reached = error;
-        report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
+        raised(job, &kept.try_path(self.tries), self.bound, self.samples)
+    }
+
+    fn report(&self, target: Target, archive: &Path) -> Result<TargetReport> {
+        let &Self { tries, bound, reached, meshed_chunks, .. } = self;
+        let (met, full_cells) = (reached <= bound, Some(full_cells(archive)?));
+        Ok(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells })
+    }
+}
+
+/// Reduces to the archive `job.out` so that the largest error at a sample meets the target. What a
+/// run has found that was stopped is there again.
+pub(super) fn reduce_to_max(job: &Job<'_>, target: Target, source: Option<u64>) -> Result<ReduceReport> {
+    let (kept, found) = KeptSearch::open::<Option<LevelSearch>>(job, source)?;
+    let found = found.flatten();
+    let is_published = |last: &LevelSearch| last.is_over && !kept.has(last.tries);
+    if found.as_ref().is_some_and(is_published)
+        && let Some(report) = published_before(job, target, source)
+    {
         return Ok(report);
     }
-    unreachable!("the last try returns")
+    let mut state = found.filter(|last| kept.has(last.tries));
+    kept.note(&state)?;
+    let (mut seconds, mut of_last) = (vec![], None);
+    let mut choice = None;
+    if let Some(last) = state.as_mut().filter(|last| !last.is_over) {
+        choice = last.choice(job, &kept)?;
+        last.is_over = choice.is_none();
+    }
+    while state.as_ref().is_none_or(|last| !last.is_over) {
+        let (mut next, report) = make_try(job, target, &kept, state.as_ref().zip(choice.take()))?;
+        seconds.extend_from_slice(&report.seconds);
+        choice = next.choice(job, &kept)?;
+        next.is_over = choice.is_none();
+        of_last = Some(report);
+        state = Some(next);
+        kept.note(&state)?;
+    }
+    let Some(last) = state else { unreachable!("the last try ends the loop") };
+    let archive = kept.try_path(last.tries);
+    let report = of_last.map_or_else(|| last.made.clone().report(&archive), Ok)?;
+    let found = last.report(target, &archive)?;
+    publish(job.settings, &archive, job.out)?;
+    // What only a search looks at is gone.
+    let archive_bytes = folder_bytes(job.out)?;
+    Ok(ReduceReport { target: Some(found), archive_bytes, seconds, ..report })
+}
+
+/// Makes the first try, or the next one after a try, with these levels.
+fn make_try(
+    job: &Job<'_>,
+    target: Target,
+    kept: &KeptSearch<'_>,
+    before: Option<(&LevelSearch, Choice)>,
+) -> Result<(LevelSearch, ReduceReport)> {
+    let last = before.as_ref().map(|(last, _)| (*last).clone());
+    let number = last.as_ref().map_or(1, |last| last.tries + 1);
+    let reached = last.as_ref().map(|last| Reached {
+        quantity: "largest error",
+        value: last.reached,
+        wanted: last.bound,
+    });
+    kept.keep(&[last.as_ref().map(|last| last.tries), Some(number)])?;
+    job.progress.attempt(&Attempt { number, about: number.max(USUAL_TRIES), last: reached });
+    let round = match before {
+        Some((last, choice)) => {
+            let view = OpenArchive::open(&kept.try_path(last.tries))?.step_at(0);
+            Some(Round::new(choice, view)?)
+        }
+        None => None,
+    };
+    let target_of_first = job.settings.target.filter(|_| round.is_none());
+    let settings = &ReduceSettings { target: target_of_first, ..job.settings.clone() };
+    let (basis, out) = (round.as_ref().map_or(Basis::New, Basis::Round), &kept.try_path(number));
+    // What another plan has left there is no part of the search.
+    let run = &RunSettings { replace: true, ..job.run.clone() };
+    let next = Job { settings, basis, out, run, keeps_sums: true, ..*job };
+    let report = make(&next, &Existing::at(out)?)?;
+    let [meshed, chunks] = last.as_ref().map_or([0; 2], |last| last.meshed_chunks);
+    let search = LevelSearch {
+        tries: number,
+        samples: report.samples,
+        bound: last.map_or_else(|| report.bound.unwrap_or_default(), |last| last.bound),
+        reached: error_of(target, &report),
+        meshed_chunks: [meshed + report.chunks - report.reused_chunks, chunks + report.chunks],
+        is_over: false,
+        made: MadeTry::of(&report),
+    };
+    Ok((search, report))
 }
 
 /// The levels of a try, higher where errors are above the bound; `None` when nothing can be denser.

@@ -1,7 +1,9 @@
-//! The try that becomes the archive, when a target was searched for.
+//! The tries of a search for a target: where they lie, and the one that becomes the archive.
 
 use super::existing::{remove_strays, replace_archive};
+use super::plan_file::work_folder;
 use crate::archive::manifest::Manifest;
+use crate::bytes::publish::remove_folder;
 use crate::error::{Error, Result};
 use crate::pipeline::plan::{Attachments, Plan};
 use crate::pipeline::settings::ReduceSettings;
@@ -30,6 +32,32 @@ pub(super) fn publish(settings: &ReduceSettings, best: &Path, out: &Path) -> Res
     replace_archive(best, out)
 }
 
-pub(super) fn rename(from: &Path, to: &Path) -> Result<()> {
-    fs::rename(from, to).map_err(|e| Error::io("rename", from, e))
+/// Removes what a try that is complete does not need, and a kill has left: its bytes count.
+pub(super) fn tidy(made: &Path) {
+    if let Ok(manifest) = Manifest::read(made) {
+        remove_strays(made, &manifest);
+    }
+}
+
+/// Removes the tries of an archive whose names begin so, all but some.
+pub(in crate::pipeline) fn remove_tries(archive: &Path, name: &str, kept: &[Option<u32>]) -> Result<()> {
+    let folder = work_folder(archive);
+    let list = |e| Error::io("list", &folder, e);
+    let entries = match fs::read_dir(&folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(list)?,
+    };
+    for entry in entries {
+        let path = entry.map_err(list)?.path();
+        let number = number_of(&path, name);
+        if number.is_some() && !kept.contains(&number) {
+            remove_folder(&path)?;
+        }
+    }
+    Ok(())
+}
+
+/// The number of a try, by the name of its folder.
+fn number_of(path: &Path, name: &str) -> Option<u32> {
+    path.file_name()?.to_str()?.strip_prefix(name)?.strip_suffix(".isospan")?.parse().ok()
 }

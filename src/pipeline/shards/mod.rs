@@ -33,8 +33,8 @@ use crate::pipeline::plan::{
 use crate::pipeline::read::{Depth, SegmentState};
 use crate::pipeline::reduce;
 use crate::pipeline::reduce::{
-    Basis, Built, Cut, Existing, Job, PlanFile, Planned as PlannedReduction, PlannedSearch, ReduceReport,
-    SourceChunks, TargetReport, TargetSearch, look, numbered, plan_path,
+    Basis, Built, Cut, Existing, Job, PLANNED_TRY, PlanFile, Planned as PlannedReduction, PlannedSearch,
+    ReduceReport, SourceChunks, TargetReport, TargetSearch, look, numbered, plan_path,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 use crate::pipeline::stage::{Stage, StageSeconds};
@@ -89,6 +89,8 @@ pub fn plan_shards(
     existing.refuse_overwriting(out, run.replace)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
+    let settings = &reduce::complete_settings(&job)?;
+    let job = Job { settings, ..job };
     let looked = look(&job)?;
     let search = search::begin_search(settings, looked.size.map(|size| size.bytes))?;
     let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
@@ -101,7 +103,7 @@ pub fn plan_shards(
         // The search may be at a later try.
         return Ok(report);
     }
-    search::remove_tries(out, &[])?;
+    reduce::remove_tries(out, PLANNED_TRY, &[])?;
     begin(&file, &planned, out, run)?;
     Ok(report)
 }
@@ -334,10 +336,10 @@ fn publish(
     let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(file));
     let job = Job { sources, settings, out: root, run, progress, basis, keeps_sums: false };
     let built = Built::of_shards(series, parts, shares, &layout, report)?;
-    let report = reduce::publish(built, &job, &layout)?;
-    // What commits and workers of this machine have left that were killed.
+    // What commits and workers of this machine have left that were killed is no part of the
+    // archive's bytes.
     reduce::sweep(&layout);
-    Ok(report)
+    reduce::publish(built, &job, &layout)
 }
 
 /// What a plan says for the report of its archive.

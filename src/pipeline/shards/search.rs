@@ -3,16 +3,13 @@
 
 use super::{Committed, NextTry, PlanReport, begin, plan_file, planned_report};
 use crate::archive::manifest::Manifest;
-use crate::bytes::publish::remove_folder;
 use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::pipeline::reduce::{
-    self, Basis, Existing, Job, PlanFile, PlannedSearch, ReduceReport, TargetSearch, is_planned_try,
-    planned_try, work_folder,
+    self, Basis, Existing, Job, PLANNED_TRY, PlanFile, PlannedSearch, ReduceReport, TargetSearch, planned_try,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The search that some settings ask for, if they do. `source` is the number of bytes of the
 /// source, if known.
@@ -67,7 +64,7 @@ pub(super) fn next(
     let file = plan_file(settings, &reduction, planned.shards, file.replaces, Some(search))?;
     let next = PlanReport::of(&file, &reduction, out);
     begin(&file, &reduction, out, run)?;
-    remove_tries(out, &[Some(made + 1), best])?;
+    reduce::remove_tries(out, PLANNED_TRY, &[Some(made + 1), best])?;
     Ok(Committed::NextTry(Box::new(NextTry { target, next })))
 }
 
@@ -83,7 +80,8 @@ pub(super) fn finish(
     if !best.exists() {
         let manifest = Manifest::read(out)?;
         let report = ReduceReport { made_before: true, ..planned_report(file) };
-        return report.of_archive(out, &manifest, 0);
+        let report = report.of_archive(out, &manifest, 0)?;
+        return reduce::with_target(&planned.search, report, out);
     }
     Existing::at(out)?.refuse_overwriting(out, file.replaces)?;
     let report = match report {
@@ -91,24 +89,6 @@ pub(super) fn finish(
         None => planned_report(file).of_archive(&best, &Manifest::read(&best)?, 0)?,
     };
     let report = reduce::publish_best(&planned.search, &best, out, report)?;
-    remove_tries(out, &[])?;
+    reduce::remove_tries(out, PLANNED_TRY, &[])?;
     Ok(report)
-}
-
-/// Removes the tries of a planned search, all but some.
-pub(super) fn remove_tries(out: &Path, kept: &[Option<u32>]) -> Result<()> {
-    let kept: Vec<PathBuf> = kept.iter().flatten().map(|n| planned_try(out, *n)).collect();
-    let folder = work_folder(out);
-    let list = |e| Error::io("list", &folder, e);
-    let entries = match fs::read_dir(&folder) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-        entries => entries.map_err(list)?,
-    };
-    for entry in entries {
-        let path = entry.map_err(list)?.path();
-        if is_planned_try(&path) && !kept.contains(&path) {
-            remove_folder(&path)?;
-        }
-    }
-    Ok(())
 }

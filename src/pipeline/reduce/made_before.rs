@@ -1,0 +1,51 @@
+//! An archive that meets a target, where the same call has made it before.
+
+use super::existing::{exists, lacks_files};
+use super::job::Job;
+use super::kept_search::StepInput;
+use super::report::ReduceReport;
+use super::tries::full_cells;
+use crate::archive::manifest::Manifest;
+use crate::error::Result;
+use crate::pipeline::plan::Inputs;
+use crate::pipeline::settings::Target;
+
+/// The report of an archive that a search has published which was stopped right after.
+pub(super) fn published_before(job: &Job<'_>, target: Target, source: Option<u64>) -> Option<ReduceReport> {
+    made_before(job, &Manifest::read(job.out).ok()?, target, source).ok()
+}
+
+/// The report of an archive that this very call has made before: with the same settings, of the
+/// same files.
+///
+/// # Errors
+/// [`Usage`](crate::Error::Usage) when it is another one.
+pub(super) fn made_before(
+    job: &Job<'_>,
+    manifest: &Manifest,
+    target: Target,
+    source: Option<u64>,
+) -> Result<ReduceReport> {
+    let mut inputs = Inputs::default();
+    let mut is_same = manifest.target == Some(job.settings.hash())
+        && manifest.steps.len() == job.sources.len()
+        && !lacks_files(job.out, manifest);
+    for (step, source) in manifest.steps.iter().zip(job.sources) {
+        if !is_same {
+            break;
+        }
+        let found = StepInput::of(source, &mut inputs, &job.run.resources.cancel)?;
+        let (plan, of_source) = (&step.plan, &step.plan.source);
+        let (field, fingerprint) = (of_source.field.clone(), of_source.fingerprint.clone());
+        is_same &= found == StepInput { number: plan.number, time: plan.time, field, fingerprint };
+    }
+    if !is_same {
+        return Err(exists(job.out));
+    }
+    let samples = manifest.steps[0].plan.source.samples();
+    let report = ReduceReport { samples, made_before: true, ..ReduceReport::default() };
+    let report = report.of_archive(job.out, manifest, 0)?;
+    let full_cells = if job.settings.adapt.is_some() { Some(full_cells(job.out)?) } else { None };
+    let target = target.report_of(&report, source, full_cells)?;
+    Ok(ReduceReport { target: Some(target), ..report })
+}
