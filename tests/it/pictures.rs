@@ -87,6 +87,22 @@ fn surfaces_are_compared_and_a_surface_is_itself() {
 }
 
 #[test]
+fn archives_are_compared_by_their_surfaces() {
+    let dir = balls();
+    let dir = dir.path();
+    let report = |more: &[&str]| -> serde_json::Value {
+        let args = [&["compare"], more, &["--samples", "2000", "--json"]].concat();
+        serde_json::from_str(&ok(dir, &args)).unwrap()
+    };
+    let files = report(&["coarse.ply", "fine.ply"]);
+    assert_eq!(report(&["coarse.isospan", "fine.isospan", "--isovalue", "0"]), files);
+    assert_eq!(report(&["coarse.ply", "fine.isospan", "-i", "0", "--step", "0"]), files);
+    fails(dir, &["compare", "coarse.isospan", "fine.isospan"], 2, "--isovalue");
+    fails(dir, &["compare", "coarse.ply", "fine.ply", "-i", "0"], 2, "both inputs are surfaces");
+    fails(dir, &["compare", "coarse.ply", "fine.isospan", "-i", "1e9"], 2, "gives no surface");
+}
+
+#[test]
 fn what_cannot_be_drawn_is_told_in_one_line() {
     let dir = balls();
     let dir = dir.path();
