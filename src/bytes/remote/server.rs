@@ -15,7 +15,7 @@ use std::fmt;
 use std::future::Future;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
@@ -317,13 +317,21 @@ fn one_line(error: &dyn std::error::Error) -> String {
 
 /// Runs a request to its end.
 fn wait<T>(request: impl Future<Output = T>) -> io::Result<T> {
-    static RUNTIME: LazyLock<io::Result<Runtime>> = LazyLock::new(|| {
-        Builder::new_multi_thread().worker_threads(2).thread_name("isospan-net").enable_all().build()
-    });
-    match &*RUNTIME {
-        Ok(runtime) => Ok(runtime.block_on(request)),
-        Err(e) => Err(io::Error::new(e.kind(), e.to_string())),
+    Ok(runtime()?.block_on(request))
+}
+
+/// The runtime of this process: the copy that a fork has of another one has no threads.
+fn runtime() -> io::Result<&'static Runtime> {
+    static KNOWN: Mutex<Option<(u32, &Runtime)>> = Mutex::new(None);
+    let (mut known, process) = (lock(&KNOWN), std::process::id());
+    if let Some((_, runtime)) = known.filter(|(of, _)| *of == process) {
+        return Ok(runtime);
     }
+    let new =
+        Builder::new_multi_thread().worker_threads(2).thread_name("isospan-net").enable_all().build()?;
+    let runtime = Box::leak(Box::new(new));
+    *known = Some((process, runtime));
+    Ok(runtime)
 }
 
 /// All bytes of a file, at most `most` of them, in one request; `None` where there is none.
@@ -417,7 +425,8 @@ pub(crate) fn seen(path: &Path) -> Result<Seen> {
 
 /// The server of a path, known from before or new, and the name of the object there.
 pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
-    static SERVERS: Mutex<BTreeMap<String, Arc<Server>>> = Mutex::new(BTreeMap::new());
+    // Connections are those of a process: a fork opens its own.
+    static SERVERS: Mutex<BTreeMap<(u32, String), Arc<Server>>> = Mutex::new(BTreeMap::new());
     let expected = "s3://BUCKET/NAME or https://HOST/NAME";
     let bad = |got: String| Error::bad_input(path, "address", expected, got);
     let text = path.to_str().ok_or_else(|| bad("no UTF-8".into()))?;
@@ -441,7 +450,7 @@ pub(super) fn server_of(path: &Path) -> Result<(Arc<Server>, Key)> {
     for _ in key.parts() {
         origin = origin.rsplit_once('/').map_or(origin, |(parent, _)| parent);
     }
-    let origin = origin.to_owned();
+    let origin = (std::process::id(), origin.to_owned());
     let mut servers = lock(&SERVERS);
     if let Some(server) = servers.get(&origin) {
         return Ok((Arc::clone(server), key));

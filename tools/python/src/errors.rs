@@ -1,9 +1,12 @@
 //! Errors of the library as exceptions: a class for each kind, with what the error knows as
 //! attributes.
 
+use crate::cli::reduce::unmet;
 use isospan::Error;
+use isospan::pipeline::ReduceReport;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::path::Path;
 
 /// The exception of an error.
 pub(crate) fn exception(py: Python<'_>, error: &Error) -> PyErr {
@@ -13,6 +16,13 @@ pub(crate) fn exception(py: Python<'_>, error: &Error) -> PyErr {
 /// An exception for arguments that make no sense.
 pub(crate) fn usage(py: Python<'_>, message: impl Into<String>) -> PyErr {
     exception(py, &Error::usage(message))
+}
+
+/// Warns that the archive of a report does not meet its target, where that is so.
+pub(crate) fn warn_unmet(py: Python<'_>, archive: &Path, report: &ReduceReport) -> PyResult<()> {
+    let Some(why) = unmet(report) else { return Ok(()) };
+    let text = format!("{}: written, but {why}", archive.display());
+    py.import("isospan._errors")?.call_method1("_warn_unmet", (text,)).map(drop)
 }
 
 fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {

@@ -37,6 +37,7 @@ fn _isospan(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(reduce::work, module)?)?;
     module.add_function(wrap_pyfunction!(reduce::commit, module)?)?;
     module.add_function(wrap_pyfunction!(archive::is_archive, module)?)?;
+    module.add_function(wrap_pyfunction!(archive::keep, module)?)?;
     module.add_class::<archive::Archive>()?;
     module.add_class::<arrays::Numbers>()?;
     module.add_class::<volume::Volume>()?;

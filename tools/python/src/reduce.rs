@@ -4,12 +4,12 @@
 use crate::archive::Machine;
 use crate::cli::progress::Talk;
 use crate::cli::{self, Cli, Command};
-use crate::errors::usage;
+use crate::errors::{usage, warn_unmet};
 use crate::json::to_python;
 use crate::volume::{Volume, raised_or, steps};
 use crate::work::run;
 use clap::Parser;
-use isospan::pipeline::{self, RunSettings};
+use isospan::pipeline::{self, Committed, RunSettings};
 use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -59,7 +59,9 @@ pub(crate) fn reduce<'py>(
         };
         pipeline::reduce_series(&steps, &settings, &args.output, &run, progress)
     });
-    to_python(py, &done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?)
+    let report = done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?;
+    warn_unmet(py, &args.output, &report)?;
+    to_python(py, &report)
 }
 
 /// `isospan append`.
@@ -141,5 +143,8 @@ pub(crate) fn commit<'py>(
             RunSettings { resources: settings.resources.clone().with_cancel(cancel.clone()), ..settings };
         pipeline::commit_shards(&archive, &settings, progress)
     })?;
+    if let Committed::Archive(report) = &report {
+        warn_unmet(py, &archive, report)?;
+    }
     to_python(py, &report)
 }

@@ -3,7 +3,7 @@
 //! and is raised.
 
 use crate::errors::exception;
-use isospan::exec::{CancelToken, Progress};
+use isospan::exec::{Attempt, CancelToken, Progress};
 use pyo3::prelude::*;
 use std::panic::resume_unwind;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -32,6 +32,8 @@ struct Heard {
 #[derive(Default)]
 struct Telephone {
     heard: Mutex<Heard>,
+    /// The try for a target that stages belong to.
+    of_try: Mutex<Option<String>>,
     ended: Mutex<bool>,
     end: Condvar,
 }
@@ -42,7 +44,9 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Progress for Telephone {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
-        let stage = Stage { name: stage.to_owned(), done: 0, total, unit: unit.to_owned() };
+        let of_try = lock(&self.of_try).clone();
+        let name = of_try.map_or(stage.to_owned(), |of_try| format!("{of_try}: {stage}"));
+        let stage = Stage { name, done: 0, total, unit: unit.to_owned() };
         lock(&self.heard).stages.push(stage);
     }
 
@@ -56,6 +60,10 @@ impl Progress for Telephone {
 
     fn notice(&self, line: &str) {
         lock(&self.heard).notices.push(line.to_owned());
+    }
+
+    fn attempt(&self, attempt: &Attempt) {
+        *lock(&self.of_try) = Some(format!("try {} of about {}", attempt.number, attempt.about));
     }
 }
 

@@ -15,6 +15,31 @@ ROOT = Path(__file__).resolve().parents[3]
 TOOTH = ROOT / "datasets/tooth/tooth.nhdr"
 
 
+#: A program that asks an archive, and lets forked children ask it too.
+FORKED = """
+import multiprocessing, os, sys
+import isospan
+
+def ask(_=None):
+    found = archive.surface(1000.5), archive.surface(1000.5, decimate=0.5)
+    values = archive.probe([[1.0, 2.0, 3.0]]), archive.sample((4, 4, 4))
+    counts = archive.count(1000.5), len(archive.spectrum().isovalues)
+    archive.check()
+    return [f.faces.tobytes() for f in found], [v.tobytes() for v in values], counts
+
+archive = isospan.open(sys.argv[1])
+expected = ask()
+with multiprocessing.get_context("fork").Pool(2) as pool:
+    assert all(found == expected for found in pool.map(ask, range(4)))
+child = os.fork()
+if child == 0:
+    # Without a question, and down to the end of the interpreter.
+    sys.exit(0)
+assert os.waitpid(child, 0)[1] == 0
+assert ask() == expected
+"""
+
+
 @pytest.fixture
 def ctrl_c():
     """Ctrl-C raises KeyboardInterrupt, also where a shell runs the tests in the background."""

@@ -1,14 +1,18 @@
 """Every question to an archive has the answer that the program gives."""
 
 import _thread
+import os
 import pickle
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import dask.array
 import numpy as np
 import pytest
-from conftest import field
+from conftest import FORKED, field
 
 import isospan
 
@@ -273,3 +277,21 @@ def test_measure_against_a_step(series, program, folder):
     )
     found = series.measure(field(time=2 / 4), step=2)
     assert (found["rms"], found["max"]) == (expected["rms"], expected["max"])
+
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks of POSIX")
+def test_a_forked_child_answers(tooth):
+    command = [sys.executable, "-W", "ignore", "-c", FORKED, tooth.path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_relative_path_stays_right(tooth, tmp_path, monkeypatch):
+    monkeypatch.chdir(Path(tooth.path).parent)
+    archive = isospan.open(Path(tooth.path).name)
+    pickled = pickle.dumps(archive)
+    monkeypatch.chdir(tmp_path)
+    assert archive.path == os.path.realpath(tooth.path) or archive.path == tooth.path
+    expected = tooth.count(ISOVALUE)
+    assert pickle.loads(pickled).count(ISOVALUE) == archive.at(step=0).count(ISOVALUE) == expected

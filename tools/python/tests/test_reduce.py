@@ -63,6 +63,63 @@ def test_bytes_are_those_of_the_program(volume, program, tmp_path, keywords, fla
     assert archive.report["points"] == archive.info["points"]
 
 
+TARGETS = [
+    ({"target_rms": "8%"}, ["--target-rms=8%"]),
+    ({"target_max": "45%"}, ["--target-max=45%"]),
+    ({"size": "20KiB"}, ["--size=20KiB"]),
+    ({"ratio": 1.5}, ["--ratio=1.5"]),
+]
+
+
+@pytest.fixture(scope="module")
+def mesh(tmp_path_factory):
+    import pyvista
+
+    path = tmp_path_factory.mktemp("mesh") / "field.vtu"
+    grid = pyvista.ImageData(dimensions=(14, 12, 10)).to_tetrahedra()
+    x, y, z = grid.points.T / 14
+    grid["field"] = np.sin(5 * x) + y * y - 0.5 * z
+    grid.save(path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["volume", "mesh"])
+@pytest.mark.parametrize("keywords, flags", TARGETS, ids=lambda c: "-".join(c))
+def test_targets_have_the_bytes_of_the_program(
+    request, program, tmp_path, kind, keywords, flags
+):
+    source = request.getfixturevalue(kind)
+    program("reduce", source, "-o", tmp_path / "p.isospan", *flags)
+    archive = isospan.reduce(source, tmp_path / "s.isospan", **keywords)
+    assert archive.target_met
+    assert same_files(tmp_path / "p.isospan", tmp_path / "s.isospan", but=())
+
+
+def test_a_target_that_is_not_met_is_a_warning(volume, tmp_path):
+    for _ in range(2):
+        with pytest.warns(isospan.TargetNotMet, match="a.isospan: written, but .* not met"):
+            archive = isospan.reduce(volume, tmp_path / "a.isospan", target_rms="1e-9%")
+        assert archive.target_met is False and not archive.report["target"]["met"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", isospan.TargetNotMet)
+        with pytest.raises(isospan.TargetNotMet):
+            isospan.reduce(volume, tmp_path / "b.isospan", size=100)
+        assert isospan.reduce(volume, tmp_path / "c.isospan", target_rms="5%").target_met is True
+    assert isospan.open(tmp_path / "b.isospan").target_met is None
+    assert isospan.reduce(volume, tmp_path / "d.isospan").target_met is None
+
+
+def test_progress_names_the_try(volume, tmp_path):
+    heard = []
+    isospan.reduce(
+        volume,
+        tmp_path / "a.isospan",
+        target_rms="2%",
+        progress=lambda stage, *_: heard.append(stage),
+    )
+    assert any(stage.startswith("try 2 of about ") for stage in heard), heard
+
+
 def test_the_defaults_are_those_of_the_program(program, tmp_path):
     np.save(tmp_path / "v.npy", field())
     expected = program("reduce", tmp_path / "v.npy", "-o", tmp_path / "p.isospan", "--json")

@@ -1,14 +1,17 @@
 """Archives on a web server: read by ranges, with the answers of the archive on disk."""
 
+import os
 import pickle
 import re
+import subprocess
+import sys
 import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import TOOTH
+from conftest import FORKED, TOOTH
 
 import isospan
 
@@ -84,6 +87,14 @@ def test_an_archive_on_a_web_server_answers_as_that_on_disk(tooth, serve):
         there.check()
         again = pickle.loads(pickle.dumps(there))
         assert again.count(400) == tooth.count(400)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks of POSIX")
+def test_a_forked_child_asks_the_server_too(serve):
+    _, address = serve(Ranges)
+    command = [sys.executable, "-W", "ignore", "-c", FORKED, address]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_question_reads_a_part_of_the_archive(tooth, serve):

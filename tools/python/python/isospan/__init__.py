@@ -21,6 +21,7 @@ from ._errors import (
     FileError,
     IncompleteError,
     Notice,
+    TargetNotMet,
     UsageError,
 )
 from ._isospan import __version__
@@ -38,6 +39,7 @@ __all__ = [
     "Notice",
     "Spectrum",
     "Surface",
+    "TargetNotMet",
     "UsageError",
     "__version__",
     "append",

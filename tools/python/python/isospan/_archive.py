@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import weakref
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Iterator, Sequence, overload
@@ -120,13 +121,19 @@ def _machine(threads: int, memory: Size | None, scratch: PathLike | None = None)
     }
 
 
+def place(path: PathLike) -> str:
+    """A path that stays right in another folder or process; an address as it is."""
+    text = os.fsdecode(path)
+    return text if "://" in text else os.path.abspath(text)
+
+
 class Archive:
     """An archive, opened at one of its steps: all questions are about that, unless they name
     another.
 
     Questions may be asked from several threads at one time. Blocks that a surface needed stay in
     memory, up to 256 MiB, so that the next one is faster. An archive is a context manager, and is
-    pickled by its path.
+    pickled by its absolute path. A process that was forked opens it anew.
     """
 
     #: The report of the reduction that made it, as ``isospan reduce --json`` prints it; else None.
@@ -135,22 +142,34 @@ class Archive:
     def __init__(
         self, path: PathLike, *, step: int | str | None = None, time: float | None = None
     ) -> None:
-        self._path, self._when = os.fspath(path), (step, time)
+        self._path, self._when = place(path), (step, time)
         self.report = None
         # Shown as closed where it cannot be opened.
         self._open: _isospan.Archive | None = None
+        self._is_copy = False
         self._open = _isospan.Archive(self._path, self._when)
+        _OPENED.add(self)
 
     @property
     def _core(self) -> _isospan.Archive:
         if self._open is None:
             raise ValueError(f"the archive {self._path} is closed")
+        if self._is_copy:
+            self._open = _isospan.Archive(self._path, self._when)
+            self._is_copy = False
         return self._open
 
     @property
     def path(self) -> str:
-        """Path or address of the archive."""
+        """Absolute path, or address, of the archive."""
         return self._path
+
+    @property
+    def target_met(self) -> bool | None:
+        """Whether the target was met that :func:`isospan.reduce` was asked for; None where there was
+        none, and of an archive that was opened."""
+        target = (self.report or {}).get("target")
+        return None if target is None else target["met"]
 
     def close(self) -> None:
         """Gives back memory and files. Surfaces that were made stay."""
@@ -504,6 +523,23 @@ class Archive:
     def __iter__(self) -> Iterator[Archive]:
         """The archive at each of its steps."""
         return (self.at(step=step["number"]) for step in self.steps)
+
+
+#: Archives of this process that were opened.
+_OPENED: weakref.WeakSet[Archive] = weakref.WeakSet()
+
+
+def _forked() -> None:
+    """The threads of the parent are not there, and its locks may be held: archives are opened anew
+    when they are asked."""
+    for archive in list(_OPENED):
+        if archive._open is not None and not archive._is_copy:
+            _isospan.keep(archive._open)
+            archive._is_copy = True
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
 
 
 def _again(path: str, step: int | str | None, time: float | None) -> Archive:

@@ -102,5 +102,17 @@ class Notice(UserWarning):
     """Something about an input that its user should know."""
 
 
+class TargetNotMet(UserWarning):
+    """An archive was made, but its error or its size is not within the target that was asked for:
+    ``archive.target_met`` is False.
+
+    ``warnings.simplefilter("error", isospan.TargetNotMet)`` makes it an exception.
+    """
+
+
 def _warn(line: str) -> None:
     warnings.warn(line, Notice, stacklevel=3)
+
+
+def _warn_unmet(line: str) -> None:
+    warnings.warn(line, TargetNotMet, stacklevel=3)

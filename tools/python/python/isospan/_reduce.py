@@ -132,7 +132,9 @@ def reduce(
         "1/20"; ratio=20 is size="1/20".
     fraction, count: the number of points as a part of the samples (0.125, "1/8", "12.5%"), or
         itself.
-        Without any of these six, fraction is 1/8.
+        Without any of these six, fraction is 1/8. Where a target (one of the first four) cannot be
+        met, the archive is made all the same: the warning ``isospan.TargetNotMet`` says so, and
+        ``archive.target_met`` is False.
     points: "lattice", "samples", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt,
         focus=(lo, hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
         chunk_points, and for files field, channel, scale, value_file, dims, type, endian, offset,
@@ -152,7 +154,7 @@ def reduce(
         of it is done, how much it is in all, and the unit. An exception that it raises stops the
         run.
 
-    Ctrl-C stops the run; the same call continues it.
+    Ctrl-C stops the run; the same call continues it, a search for a target at its try.
     """
     choices = {k: v for k, v in locals().items() if k not in ("source", "out", "progress")}
     before = [f"--output={os.fspath(out)}"]

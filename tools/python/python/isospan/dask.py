@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from distributed import Client, as_completed, get_client
 
 from . import _isospan
-from ._archive import Archive, _machine
+from ._archive import Archive, _machine, place
 from ._errors import UsageError
 from ._progress import Progress, Reporter
 from ._reduce import _arguments, _is_path, _paths
@@ -67,7 +67,8 @@ def reduce(
         if name not in known or name in ("source", "out", "name"):
             raise TypeError(f"reduce() got an unexpected keyword argument {name!r}")
     client = client or _current()
-    out = os.fspath(out)
+    # Workers have working folders of their own.
+    out = place(out)
     shards = shards or _SHARDS_A_THREAD * max(1, sum(client.nthreads().values()))
     defaults = {n: p.default for n, p in known.items() if n in ("measure",)}
     here = {"threads": 0, "memory": None, "scratch": scratch, "force": force}
