@@ -28,8 +28,8 @@ pub(crate) struct Args {
     a: PathBuf,
     /// The other surface, or archive.
     b: PathBuf,
-    /// The isovalue of the archives. 50% is half-way from the least value of the first one's step to
-    /// its largest.
+    /// The isovalue of the archives. 50% is half-way from the least value of the first one's step
+    /// to its largest.
     #[arg(long, short = 'i', value_name = "VALUE", allow_hyphen_values = true, value_parser = grammar::value)]
     isovalue: Option<Value>,
     #[command(flatten)]

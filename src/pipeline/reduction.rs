@@ -71,8 +71,8 @@ impl Reduction<'_> {
         self
     }
 
-    /// The error or the size that is not to be exceeded; the number of points follows from it. Where
-    /// it cannot be met, the archive is made all the same: ask [`ReduceReport::unmet`].
+    /// The error or the size that is not to be exceeded; the number of points follows from it.
+    /// Where it cannot be met, the archive is made all the same: ask [`ReduceReport::unmet`].
     pub fn target(mut self, target: Target) -> Self {
         self.settings.target = Some(target);
         self
@@ -132,8 +132,8 @@ impl Reduction<'_> {
     /// Makes the archive.
     ///
     /// Where this very archive is there already, nothing is made but what it has lost: so the same
-    /// call continues a run that was killed at any moment, and a search for a target at the try that
-    /// it was in.
+    /// call continues a run that was killed at any moment, and a search for a target at the try
+    /// that it was in.
     ///
     /// # Errors
     /// [`Error::Usage`](crate::Error::Usage) when there is another archive already;

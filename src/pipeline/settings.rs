@@ -48,8 +48,8 @@ impl ValueBits {
 /// What the user chooses of a reduction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReduceSettings {
-    /// The point set. By default the lattice for a volume and for a target, Hammersley's for a mesh,
-    /// and Halton's where points adapt.
+    /// The point set. By default the lattice for a volume and for a target, Hammersley's for a
+    /// mesh, and Halton's where points adapt.
     pub points: Option<SetKind>,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
@@ -99,11 +99,11 @@ impl ReduceSettings {
         Self { points: Some(points), value_bits: ValueBits::Exact, ..Self::default() }
     }
 
-    /// The settings with what a target implies. Every door completes them, so that a request has the
-    /// same bytes from the command line, from Rust and from Python.
+    /// The settings with what a target implies. Every door completes them, so that a request has
+    /// the same bytes from the command line, from Rust and from Python.
     ///
-    /// Where no set is named, a target is met by a lattice, which takes the fewest bytes. An error of
-    /// a mesh, or with a Halton set, is met by points that adapt.
+    /// Where no set is named, a target is met by a lattice, which takes the fewest bytes. An error
+    /// of a mesh, or with a Halton set, is met by points that adapt.
     pub(super) fn complete(&self, of_mesh: bool) -> Self {
         let Some(target) = self.target else { return self.clone() };
         let can_adapt = match self.points {

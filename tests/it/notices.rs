@@ -220,7 +220,8 @@ fn an_archive_larger_than_its_source_is_told_after_a_search() {
     };
     bytes(&d.join("n.nrrd"), [40, 40, 40], noise);
     let target = ["--target-rms", "1%", "--points", "halton"];
-    let args = [&["reduce", "n.nrrd", "-o", "n.isospan", "--json"], &target[..]].concat();
+    let args = ["reduce", "n.nrrd", "-o", "n.isospan", "--json", "--progress", "none"];
+    let args = [&args[..], &target[..]].concat();
     let (json, said) = run_to(d, &args, 6);
     let report: serde_json::Value = serde_json::from_str(&json).unwrap();
     let [archive, source] = ["archive_bytes", "source_bytes"].map(|name| report[name].as_u64().unwrap());

@@ -352,8 +352,8 @@ impl TargetSearch {
         self.next_try().max(USUAL_TRIES)
     }
 
-    /// What is known before the first try, which has this estimate; the source has so many samples, or
-    /// vertices.
+    /// What is known before the first try, which has this estimate; the source has so many samples,
+    /// or vertices.
     pub(super) fn estimate(&self, first: &Estimate, samples: u64) -> Result<SearchEstimate> {
         let (target, tries) = (self.target, self.about());
         let archive_bytes = match target {

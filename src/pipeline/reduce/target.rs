@@ -29,12 +29,12 @@
 //! The levels of all places follow from one number, so another number moves points nearly
 //! everywhere: each level takes another piece of the sequence. The last step cannot be confined to
 //! a few cells either, as [`target_max`](super::target_max) does: to lower a sum of squares by some
-//! percent is not a matter of a few cells. Equal gain for every point means that cells near the next level lie all
-//! over the volume, in every chunk. The published archive is a try that met the target, with its
-//! measured error in the manifest. The limit is a point per sample. If that is not enough, a
-//! lattice takes nodes at all samples, which leave the error of rounding alone. Of other points the
-//! try at the limit is published and the report says so. The largest error is a matter of a few
-//! places: [`target_max`](super::target_max) makes those denser.
+//! percent is not a matter of a few cells. Equal gain for every point means that cells near the
+//! next level lie all over the volume, in every chunk. The published archive is a try that met the
+//! target, with its measured error in the manifest. The limit is a point per sample. If that is not
+//! enough, a lattice takes nodes at all samples, which leave the error of rounding alone. Of other
+//! points the try at the limit is published and the report says so. The largest error is a matter
+//! of a few places: [`target_max`](super::target_max) makes those denser.
 //!
 //! The numbers of points follow from measured errors, which depend on nothing but the input. So the
 //! archive is the same for any number of threads.

@@ -28,8 +28,8 @@ pub(crate) fn is_archive(path: PathBuf) -> bool {
     pipeline::is_archive(&path)
 }
 
-/// Keeps an object for ever. What a fork has copied of an archive is not taken down: its threads are
-/// those of the parent, and so may be the owners of its locks.
+/// Keeps an object for ever. What a fork has copied of an archive is not taken down: its threads
+/// are those of the parent, and so may be the owners of its locks.
 #[pyfunction]
 pub(crate) fn keep(object: Py<PyAny>) {
     std::mem::forget(object);
