@@ -65,7 +65,7 @@ fn a_target_that_is_not_met_is_said_each_time() {
     write_npy(&d.join("v.npy"), [20, 18, 16], waves);
     let cases: [(&str, Target, &[&str]); 3] = [
         ("rms", Target::Rms(Bound::OfRange(1e-9 / 100.0)), &["--target-rms", "1e-9%"]),
-        ("size", Target::Size(100), &["--size", "100"]),
+        ("size", Target::Size(100), &["--size", "100B"]),
         ("ratio", Target::Ratio(1e6), &["--ratio", "1e6"]),
     ];
     for (name, target, flags) in cases {

@@ -103,7 +103,7 @@ def test_a_target_that_is_not_met_is_a_warning(volume, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error", isospan.TargetNotMet)
         with pytest.raises(isospan.TargetNotMet):
-            isospan.reduce(volume, tmp_path / "b.isospan", size=100)
+            isospan.reduce(volume, tmp_path / "b.isospan", size="100B")
         assert isospan.reduce(volume, tmp_path / "c.isospan", target_rms="5%").target_met is True
     assert isospan.open(tmp_path / "b.isospan").target_met is None
     assert isospan.reduce(volume, tmp_path / "d.isospan").target_met is None
