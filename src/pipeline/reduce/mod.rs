@@ -106,7 +106,7 @@ pub fn reduce_series(
 
 /// Looks at the sources of a job, and makes its archive.
 fn make_series(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
-    let Job { sources, settings, run, .. } = *job;
+    let Job { sources, settings, out, run, .. } = *job;
     let looked = look(job)?;
     let report = match settings.target {
         Some(target) => reduce_to_target(job, existing, target, looked.size.map(|s| s.bytes)),
