@@ -13,6 +13,7 @@
 //! | 8 to 10 | MX, MY, MZ | samples along x, y, z of the cell |
 //! | 11 to 16 | CELLA, CELLB | edges of the cell, in ångström; its angles, in degrees |
 //! | 17 to 19 | MAPC, MAPR, MAPS | which axes columns, rows and sections lie along |
+//! | 21 | DMAX | above 127: samples of MODE 0 are `u8`, as ITK writes them |
 //! | 23 | ISPG | 0 images, 1 … a volume, 401 … a stack of volumes, MZ sections each |
 //! | 24 | NSYMBT | |
 //! | 39, 40 | IMOD's stamp and flags | without flag 1, its samples of MODE 0 are `u8` |
@@ -177,9 +178,8 @@ impl Header {
 
     fn scalar(&self) -> Result<ScalarType> {
         let mode = self.integer(4);
-        let is_imod = self.integer(39) == IMOD;
         let name = match mode {
-            0 if is_imod && self.integer(40) & 1 == 0 => return Ok(ScalarType::U8),
+            0 if self.is_unsigned() => return Ok(ScalarType::U8),
             0 => return Ok(ScalarType::I8),
             1 => return Ok(ScalarType::I16),
             2 => return Ok(ScalarType::F32),
@@ -194,6 +194,14 @@ impl Header {
         Err(self
             .bad("MODE, byte 12", expected, format!("{mode} ({name})"))
             .with_help("write one number a sample"))
+    }
+
+    /// Whether bytes are from 0 to 255: IMOD says so, others by the largest sample.
+    fn is_unsigned(&self) -> bool {
+        match self.integer(39) {
+            stamp if stamp == IMOD => self.integer(40) & 1 == 0,
+            _ => self.floats(20)[1] > f64::from(i8::MAX),
+        }
     }
 
     /// Columns, rows and sections of a volume, and how many there are along each: one, or several
@@ -366,6 +374,8 @@ mod tests {
             (&[(4, 0)][..], ScalarType::I8, &[0xfe][..], -2.0),
             (&[(4, 0), (39, IMOD as u32)], ScalarType::U8, &[0xfe], 254.0),
             (&[(4, 0), (39, IMOD as u32), (40, 1)], ScalarType::I8, &[0xfe], -2.0),
+            (&[(4, 0), (21, float(254.0))], ScalarType::U8, &[0xfe], 254.0),
+            (&[(4, 0), (20, float(-2.0)), (21, float(127.0))], ScalarType::I8, &[0xfe], -2.0),
             (&[(4, 2)], ScalarType::F32, &[0, 0, 0x20, 0xc0], -2.5),
             (&[(4, 6)], ScalarType::U16, &[0xff, 0xff], 65535.0),
             (&[(4, 12)], ScalarType::F16, &[0, 0xc1], -2.5),
