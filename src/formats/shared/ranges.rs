@@ -25,8 +25,12 @@ enum Place {
 impl RangeNumbers {
     /// Numbers written as words.
     pub(in crate::formats) fn text(source: &Arc<ByteSource>, range: Range<u64>, scalar: ScalarType) -> Self {
-        let place = Place::Text(TextNumbers::new(source, range));
-        Self { scalar, place, bytes: vec![] }
+        Self::words(TextNumbers::new(source, range), scalar)
+    }
+
+    /// Numbers written as words of any kind.
+    pub(in crate::formats) fn words(words: TextNumbers, scalar: ScalarType) -> Self {
+        Self { scalar, place: Place::Text(words), bytes: vec![] }
     }
 
     /// Numbers as bytes.

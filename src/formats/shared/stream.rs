@@ -268,7 +268,11 @@ pub(crate) struct TextSlabs {
     at: u64,
     end: u64,
     walk: SlabWalk,
+    push: PushWord,
 }
+
+/// Appends a number that is written as a word, little-endian; `false` when it is not one.
+pub(crate) type PushWord = fn(&[u8], ScalarType, &mut Vec<u8>) -> bool;
 
 impl TextSlabs {
     /// The samples in a range of a text file.
@@ -285,13 +289,18 @@ impl TextSlabs {
                 .with_help("the file is cut short, or its dimensions are wrong"));
         }
         let walk = SlabWalk::new(info.dims, info.field.scalar.bytes());
-        Ok(Self { info, source, at: range.start, end: range.end, walk })
+        Ok(Self { info, source, at: range.start, end: range.end, walk, push: push_number })
+    }
+
+    /// With words that stand for numbers in another way.
+    pub(crate) fn written(self, push: PushWord) -> Self {
+        Self { push, ..self }
     }
 
     fn push_sample(&mut self, out: &mut Vec<u8>) -> Result<()> {
         let scalar = self.info.field.scalar;
         let (at, word) = next_word(&self.source, &mut self.at, self.end)?;
-        if push_number(word, scalar, out) {
+        if (self.push)(word, scalar, out) {
             return Ok(());
         }
         let got = if word.is_empty() { "the end of the text".into() } else { String::from_utf8_lossy(word) };
@@ -339,6 +348,15 @@ pub(crate) fn push_number(word: &[u8], scalar: ScalarType, out: &mut Vec<u8>) ->
         ScalarType::F64 => parse!(f64),
     };
     pushed.is_some()
+}
+
+/// Appends a byte that is written as a part of 255, from 0 to 1, as VTK writes colours; `false`
+/// when it is not one.
+pub(crate) fn push_color(word: &[u8], _: ScalarType, out: &mut Vec<u8>) -> bool {
+    let part = std::str::from_utf8(word).ok().and_then(|w| w.parse::<f64>().ok());
+    let byte = part.filter(|part| (0.0..=1.0).contains(part)).map(|part| (255.0 * part).round() as u8);
+    out.extend(byte);
+    byte.is_some()
 }
 
 impl SlabStream for TextSlabs {

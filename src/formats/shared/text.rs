@@ -1,7 +1,7 @@
 //! Text in data files: words divided by white space, numbers, and the line where something is
 //! wrong.
 
-use super::stream::push_number;
+use super::stream::{PushWord, push_number};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Place, Result};
 use crate::volume::ScalarType;
@@ -105,11 +105,17 @@ pub(in crate::formats) struct TextNumbers {
     source: Arc<ByteSource>,
     at: u64,
     end: u64,
+    push: PushWord,
 }
 
 impl TextNumbers {
     pub(in crate::formats) fn new(source: &Arc<ByteSource>, range: Range<u64>) -> Self {
-        Self { source: Arc::clone(source), at: range.start, end: range.end }
+        Self { source: Arc::clone(source), at: range.start, end: range.end, push: push_number }
+    }
+
+    /// With words that stand for numbers in another way.
+    pub(in crate::formats) fn written(self, push: PushWord) -> Self {
+        Self { push, ..self }
     }
 
     /// Bytes of text not read yet.
@@ -126,7 +132,7 @@ impl TextNumbers {
                 return Err(self.wrong(at, "more numbers".into(), "their end".into()));
             };
             number.clear();
-            if !push_number(&bytes[start..end], scalar, &mut number) {
+            if !(self.push)(&bytes[start..end], scalar, &mut number) {
                 let found = String::from_utf8_lossy(&bytes[start..end.min(start + 40)]).into_owned();
                 return Err(self.wrong(start, format!("a number of type {}", scalar.name()), found));
             }

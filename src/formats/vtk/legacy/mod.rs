@@ -51,6 +51,7 @@ use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header;
 use crate::formats::shared::ranges::RangeNumbers;
 use crate::formats::shared::stream::{TextSlabs, sample_bytes};
+use crate::formats::shared::text::TextNumbers;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
 use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
@@ -145,7 +146,9 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
     };
     let data = chosen.data.clone();
     if !file.binary {
-        return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, Arc::clone(source), data)?)));
+        let push = file.words_of(&data);
+        let slabs = TextSlabs::new(info, Arc::clone(source), data)?.written(push);
+        return Ok(VolumeSource::Stream(Box::new(slabs)));
     }
     sample_bytes(path, info.dims, info.field.scalar)?;
     let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
@@ -190,7 +193,10 @@ fn numbers(source: &Arc<ByteSource>, file: &Scanned, data: &Range<u64>, scalar: 
     match file.binary {
         true => RangeNumbers::binary(source, data.clone(), scalar, true),
         // In a text, integers have the width that they need.
-        false => RangeNumbers::text(source, data.clone(), scalar),
+        false => {
+            let words = TextNumbers::new(source, data.clone()).written(file.words_of(data));
+            RangeNumbers::words(words, scalar)
+        }
     }
 }
 

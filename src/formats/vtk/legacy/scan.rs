@@ -3,7 +3,7 @@
 use crate::cells::Center;
 use crate::error::{Error, Fault, Place, Result};
 use crate::formats::shared::centers;
-use crate::formats::shared::stream::sample_bytes;
+use crate::formats::shared::stream::{PushWord, push_color, push_number, sample_bytes};
 use crate::formats::shared::text::Words;
 use crate::volume::{FieldInfo, ScalarType};
 use std::ops::Range;
@@ -88,6 +88,15 @@ pub(super) struct Scanned {
     pub(super) cell_arrays: Vec<Array>,
     /// The array of the field data that is its time.
     pub(super) time: Option<Array>,
+    /// Where arrays of colours begin.
+    colors: Vec<u64>,
+}
+
+impl Scanned {
+    /// How an array's words stand for its numbers, in a text.
+    pub(super) fn words_of(&self, data: &Range<u64>) -> PushWord {
+        if self.colors.contains(&data.start) { push_color } else { push_number }
+    }
 }
 
 /// The datasets that are read.
@@ -385,13 +394,13 @@ impl<'a> Scanner<'a> {
         self.array(name, kind, components, n, n, true)
     }
 
-    /// Numbers from 0 to 1 in a text, bytes in a binary file.
+    /// Bytes: in a text as parts of 255. VTK writes any scalars of bytes so.
     fn colors(&mut self, n: u64) -> Result<()> {
         let name = self.name()?;
         let components = self.words.parse("a number of components")?;
         self.words.line();
-        let scalar = if self.out.binary { ScalarType::U8 } else { ScalarType::F32 };
-        self.array(name, Type::Number(scalar), components, n, n, false)
+        self.out.colors.push(self.words.at() as u64);
+        self.array(name, Type::Number(ScalarType::U8), components, n, n, false)
     }
 
     /// A table of colours, four numbers each, which is no field.

@@ -1,6 +1,7 @@
 //! Fixtures with attributes of every kind, and tests of structured points.
 
 use super::*;
+use crate::cells::CellFile;
 use crate::formats::mesh::tests::{read_whole, torture};
 use crate::formats::surface::tests::survive;
 use crate::formats::tests::{read_all, try_read_all};
@@ -188,11 +189,51 @@ fn the_field_is_chosen_or_asked_for() {
     }
     let several =
         text.replace("SCALARS two", "GLOBAL_IDS two").replace("short 1\nLOOKUP_TABLE mine", "short");
-    assert!(refused(several.as_bytes(), None).contains("two w%rds (uint16), colors (2 x float32"));
+    assert!(refused(several.as_bytes(), None).contains("two w%rds (uint16), colors (2 x uint8"));
     let grid = text.replace("STRUCTURED_POINTS", "STRUCTURED_GRID").replace("ORIGIN 1 2 3", "");
     let grid = grid.replace("spacing 0.5 2 4", "");
     let (cells_only, _) = grid.split_once("POINT_DATA").unwrap();
     assert!(refused(cells_only.as_bytes(), Some("speed")).contains("no scalar field speed"));
+}
+
+#[test]
+fn bytes_in_a_text_are_parts_of_255() {
+    // VTK writes scalars of bytes as colours: in a text from 0 to 1, with six digits.
+    let grids = ["STRUCTURED_POINTS\nDIMENSIONS 2 2 2\nORIGIN 0 0 0\nSPACING 1 1 1\n", &tetrahedron()];
+    let bytes = [224.0, 156.0, 0.0, 255.0, 5.0, 34.0, 1.0, 128.0];
+    for (grid, n) in grids.into_iter().zip([8, 4]) {
+        let written: Vec<String> = bytes[..n].iter().map(|b| format!("{:.6}", b / 255.0)).collect();
+        let text = format!(
+            "# vtk DataFile Version 5.1\n\nASCII\nDATASET {grid}POINT_DATA {n}\nCOLOR_SCALARS v 1\n{}\n",
+            written.join(" ")
+        );
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("f.vtk");
+        std::fs::write(&path, &text).unwrap();
+        let mut values = vec![0.0; n];
+        if n == 8 {
+            let (info, found) = read_all(open_bytes(text.as_bytes(), None).unwrap());
+            assert_eq!(info.field.scalar, ScalarType::U8);
+            values = found.into_iter().map(f64::from).collect();
+            let beyond = text.replace("0.000000", "1.5");
+            let error = open_bytes(beyond.as_bytes(), None).map(read_error).unwrap();
+            assert!(error.contains("got 1.5"), "{error}");
+        } else {
+            let source = Arc::new(ByteSource::open(&path, Default::default()).unwrap());
+            super::cells::open(&source).unwrap().field(0).unwrap().fill(&mut values).unwrap();
+        }
+        assert_eq!(values, bytes[..n]);
+    }
+}
+
+fn tetrahedron() -> String {
+    "UNSTRUCTURED_GRID\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\nCELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n"
+        .into()
+}
+
+fn read_error(source: VolumeSource) -> String {
+    let VolumeSource::Stream(mut stream) = source else { panic!("a text is read from front to back") };
+    stream.next_slab(&mut vec![]).unwrap_err().to_string()
 }
 
 #[test]
