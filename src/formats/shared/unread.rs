@@ -26,7 +26,7 @@ const FROM_FOAM: &str = "convert the case with foamToVTK";
 
 /// Magic bytes, where they are, and what has them.
 #[rustfmt::skip]
-const BY_BYTES: [(usize, &[u8], &str, &str); 24] = [
+const BY_BYTES: [(usize, &[u8], &str, &str); 25] = [
     (0, b"ZISRAWFILE", "a Zeiss CZI file", TO_TIFF),
     (0, b"\xda\xce\xbe\x0a", "a Nikon ND2 file", TO_TIFF),
     (0, b"\x70\0\0\0", "a Leica LIF file", TO_TIFF),
@@ -41,6 +41,7 @@ const BY_BYTES: [(usize, &[u8], &str, &str); 24] = [
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file before version 7.3", "save it with the option '-v7.3', which writes HDF5"),
     (0, b"PAR1", "a Parquet file", TO_NPY),
     (0, b"\x80\x04\x95", "a Python pickle", TO_NPY),
+    (0, b"MATRIX7", "an ECAT file", TO_NIFTI),
     (0, b"@(#)ADF", "a CGNS file", TO_VTK),
     (0, b"#!TDV", "a Tecplot file", TO_VTK),
     (0, b"\x89PNG", "a PNG picture", TO_SLICES),
@@ -65,11 +66,12 @@ const BY_TEXT: [(&[u8], &str, &str); 4] = [
 
 /// Ends of names, and what has them.
 #[rustfmt::skip]
-const BY_NAME: [(&[&str], &str, &str); 14] = [
+const BY_NAME: [(&[&str], &str, &str); 15] = [
     (&[".vgi", ".vgl", ".vol"], "a file of VGStudio, or a raw volume", "its samples are raw: give --dims and --type"),
     (&[".foam", ".openfoam"], "an OpenFOAM case", FROM_FOAM),
     (&[".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz", ".lz4", ".rar"], "a packed file", "unpack it first"),
     (&[".mgz", ".mgh"], "a FreeSurfer volume", "convert it to NIfTI, with mri_convert"),
+    (&[".rpl"], "the description of a Ripple file", "its samples are in a raw file beside it: name that, with --dims and --type"),
     (&[".head", ".brik", ".brik.gz"], "an AFNI volume", "convert it to NIfTI, with 3dAFNItoNIFTI"),
     (&[".par", "2dseq", ".fdf", ".gipl"], "a volume of a scanner's own format", TO_NIFTI),
     (&[".dm3", ".dm4", ".ser", ".mib", ".blo"], "a file of an electron microscope", "convert it to MRC or TIFF, e.g. with rosettasciio"),
