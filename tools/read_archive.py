@@ -265,10 +265,12 @@ class Brick:
 def read(archive, number):
     """Positions in lattice steps, the values of the first ones or of all, and the largest error of stored ranges."""
     manifest = json.loads((archive / "manifest.json").read_text())
-    plan, steps = manifest["plan"], {s["number"]: s for s in manifest["steps"]}
+    plan, steps = manifest["plan"], {s["number"]: s for s in manifest["steps"] + manifest.get("bases", [])}
     dims, log2 = plan["lattice"]["dims"], plan["lattice"]["log2_steps"]
-    if number not in steps:
-        refuse(f"{archive}: no step {number}")
+    asked = [s["number"] for s in manifest["steps"] if s.get("place", s["number"]) == number]
+    if len(asked) != 1:
+        refuse(f"{archive}: {len(asked)} steps of number {number}")
+    number = asked[0]
     at_samples, quantiser = steps[number].get("vertex_values") == "nodes", steps[number].get("quantiser")
     edge = 16 if at_samples else 8
     if plan["points"].get("set") != "lattice" or plan.get("explicit") or plan["brick_edge"] != [edge] * 3:

@@ -14,6 +14,8 @@ use std::path::PathBuf;
 
 /// Add time steps to an archive, on its mesh.
 ///
+/// A step is put where its time lies among those of the archive. Steps behind it have new numbers.
+///
 /// The settings are those of the archive's last step: points, interpolation, rounding, field,
 /// keyframes, missing values. The archive stays unchanged until the new steps are complete. If the
 /// run is killed, the same command continues it.
@@ -36,6 +38,9 @@ pub(crate) struct Args {
     /// Skip the measurement of the error at the samples of the source.
     #[arg(help_heading = "Error and size", long)]
     no_measure: bool,
+    /// Replace a step that the archive has at the same time, or else of the same file and field.
+    #[arg(help_heading = "Series", long)]
+    replace: bool,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -56,12 +61,17 @@ impl Args {
 
     /// The files that are added.
     pub(crate) fn sources(&self, talk: &Talk) -> Result<Vec<StepSource>> {
-        self.steps.all(&self.read, talk)
+        self.steps.further(&self.read, talk)
     }
 
     /// How they are added.
     pub(crate) fn settings(&self) -> AppendSettings {
-        AppendSettings { missing: self.missing, keyframes: self.keyframes, measure: !self.no_measure }
+        AppendSettings {
+            missing: self.missing,
+            keyframes: self.keyframes,
+            measure: !self.no_measure,
+            replace: self.replace,
+        }
     }
 }
 

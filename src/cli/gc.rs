@@ -9,8 +9,9 @@ use std::time::Duration;
 /// Remove what killed workers have left in an archive.
 ///
 /// Removes temporary files that were not written to for the given time and that no process holds. A
-/// worker writes after each chunk, so an hour is long. Segments are never removed, and nothing is
-/// removed in a folder that is no archive.
+/// worker writes after each chunk, so an hour is long. Removes segments of steps that were replaced
+/// (append --replace), where the archive has been as it is for that time. No other segment is
+/// removed, and nothing in a folder that is no archive.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan gc scan.isospan --older-than 1d\n  isospan gc scan.isospan --older-than 12h --dry-run"

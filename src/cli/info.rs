@@ -2,7 +2,7 @@
 
 use super::input::InputArgs;
 use super::progress::Talk;
-use super::step::StepArgs;
+use super::step::MomentArgs;
 use super::text;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, ArchiveSummary, Scan, StepChoice};
@@ -27,7 +27,7 @@ pub(crate) struct Args {
     #[arg(long)]
     no_scan: bool,
     #[command(flatten)]
-    step: StepArgs,
+    step: MomentArgs,
     /// Print JSON, one object per line.
     #[arg(long)]
     json: bool,
@@ -41,7 +41,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 
 fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(path) {
-        let summary = Archive::open(path)?.at(args.step.choice())?.info()?;
+        let summary = Archive::open(path)?.at(args.step.choice(args.read.field.as_deref()))?.info()?;
         return if args.json {
             super::print_json("info.archive", &summary)
         } else {
@@ -106,7 +106,7 @@ struct Opened {
 fn open(path: &Path, args: &Args) -> Result<Opened> {
     let options = args.read.options()?;
     let steps = formats::steps_of(&[path.to_path_buf()], &options)?;
-    let shown = chosen(path, &steps, args.step.choice())?;
+    let shown = chosen(path, &steps, args.step.choice(None))?;
     let step = steps.get(shown).cloned().unwrap_or_else(|| StepSource::new(path, &options));
     let (mut options, mut several) = (step.options, false);
     let input = match formats::open_input(&step.path, &options) {
@@ -126,17 +126,19 @@ fn chosen(path: &Path, steps: &[StepSource], choice: StepChoice) -> Result<usize
     let refuse = |why: String| Err(Error::usage(format!("{}: {why}", path.display())));
     match choice {
         StepChoice::First => Ok(0),
-        StepChoice::Number(n) => match usize::try_from(n).ok().filter(|n| *n < steps.len().max(1)) {
-            Some(n) => Ok(n),
-            None => refuse(format!("no step {n}; the steps are 0 to {}", steps.len().max(1) - 1)),
-        },
+        StepChoice::Number(n) | StepChoice::NumberOf(n, _) => {
+            match usize::try_from(n).ok().filter(|n| *n < steps.len().max(1)) {
+                Some(n) => Ok(n),
+                None => refuse(format!("no step {n}; the steps are 0 to {}", steps.len().max(1) - 1)),
+            }
+        }
         StepChoice::Field(name) => {
             match steps.iter().position(|step| step.options.field.as_deref() == Some(&*name)) {
                 Some(n) => Ok(n),
                 None => refuse(format!("no step of the field {name}; --field NAME chooses a field")),
             }
         }
-        StepChoice::Time(time) => {
+        StepChoice::Time(time) | StepChoice::TimeOf(time, _) => {
             // As in an archive, a step without a time has its number.
             let times = || steps.iter().enumerate().map(|(n, step)| step.time.unwrap_or(n as f64));
             let found = times().position(|of_step| of_step == time);

@@ -14,8 +14,10 @@ use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::{grammar, signals, text};
-use isospan::formats::{StepSource, is_mesh, steps_of};
-use isospan::pipeline::{AppendSettings, ReduceReport, RunSettings, StepSummary, append, work_folder};
+use isospan::formats::{StepSource, is_mesh, steps_of, steps_of_fields};
+use isospan::pipeline::{
+    AppendSettings, ReduceReport, RunSettings, StepSummary, append, changed_sources, work_folder,
+};
 use isospan::{Archive, Error, Reduction, Result};
 use serde::Serialize;
 use std::ffi::OsString;
@@ -28,13 +30,16 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// Add the new files of a folder to an archive, night by night.
 ///
 /// The first run makes the archive of all files, as `reduce` with the same choices does. Later runs
-/// append files whose names the archive does not have yet, in the order of their names; the choices
-/// are then those of the archive's last step. A file that cannot be used is left out and reported,
-/// every time until it is gone. A run that was stopped is continued by the next.
+/// add files whose names the archive does not have yet, each where its time lies; files without
+/// times come last, in the order of their names. The choices are then those of the archive's last
+/// step. A file that cannot be used, as one of a time that is there, is left out and reported, every
+/// time until it is gone; all others are added. So is a file that has changed since it was added:
+/// --replace takes it anew. A run that was stopped is continued by the next.
 ///
-/// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all new files are in
-/// the archive. 1: some were left out. 6: the steps that were added do not meet the target.
-/// Otherwise that of the error; 5 if no new file could be used, or the folder could not be read.
+/// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all files are in the
+/// archive as they are. 1: some were left out, or have changed. 6: the steps that were added do not
+/// meet the target. Otherwise that of the error; 5 if no new file could be used, or the folder could
+/// not be read.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan nightly /data/scope '*.vti' scope.isospan --target-rms 1%\n  isospan nightly /data/scope '*.vti' scope.isospan --submit 02:00 --again"
@@ -50,6 +55,19 @@ pub(crate) struct Args {
     /// Leave files that were written to within this SPAN for the next time: 90s, 10m, 2h.
     #[arg(long, value_name = "SPAN", default_value = "10m", value_parser = grammar::span, allow_hyphen_values = true)]
     settle: Duration,
+    /// Replace the steps of files that have changed since they were added, and steps of the same
+    /// times as new files.
+    #[arg(help_heading = "Series", long)]
+    replace: bool,
+    /// Fields of each file: each step has all of them, and --step N --field NAME asks for one.
+    #[arg(
+        help_heading = "Input",
+        long,
+        value_name = "NAME[,NAME..]",
+        value_delimiter = ',',
+        conflicts_with = "field"
+    )]
+    fields: Vec<String>,
     /// Submit this command to Slurm, to begin at TIME (as `sbatch --begin` takes it: now, 02:00),
     /// and print the number of the job.
     #[arg(help_heading = "Slurm", long, value_name = "TIME")]
@@ -85,7 +103,11 @@ struct Summary {
     steps_before: usize,
     /// Names of the files that it did not have.
     new: Vec<String>,
+    /// Files that have changed since they were added.
+    changed: Vec<LeftOut>,
     added: Vec<StepSummary>,
+    /// Numbers of steps that were replaced.
+    replaced: Vec<u64>,
     skipped: Vec<LeftOut>,
     error: Option<String>,
     archive_bytes: Option<u64>,
@@ -94,7 +116,7 @@ struct Summary {
     code: u8,
 }
 
-/// A file that could not be used.
+/// A file that could not be used, or that has changed.
 #[derive(Serialize)]
 struct LeftOut {
     source: String,
@@ -128,10 +150,25 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     } else {
         super::print(&in_words(&summary, false))?
     }
-    done.and(kept)?;
+    let is_said = !args.json && !(summary.skipped.is_empty() && summary.changed.is_empty());
+    match done {
+        // The summary has the reasons already.
+        Err(_) if is_said => {
+            kept?;
+            super::print_error(&left_out_text(&summary));
+            return Ok(summary.code);
+        }
+        done => done.and(kept)?,
+    }
     // All other errors are printed by the caller.
     summary.error.iter().for_each(|unmet| super::print_error(unmet));
     Ok(summary.code)
+}
+
+/// The files that were left out, by their names.
+fn left_out_text(summary: &Summary) -> String {
+    let all = summary.skipped.iter().chain(&summary.changed).map(|s| &*s.source);
+    format!("not used, for the reasons above: {}", all.collect::<Vec<_>>().join(", "))
 }
 
 /// Does the night's work; what came of it is in the summary as far as it went.
@@ -140,29 +177,59 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
 /// Those of `reduce` and `append`; where only some files could not be used, one of exit code 1.
 fn add(args: &Args, talk: &Talk, summary: &mut Summary) -> Result<()> {
     let there = match args.archive.join("manifest.json").exists() {
-        true => Archive::open(&args.archive)?.step(0)?.info()?.steps,
+        true => Archive::open(&args.archive)?.info()?.steps,
         false => vec![],
     };
     summary.steps_before = there.len();
-    let mut files = settled(args)?;
-    files.retain(|file| !there.iter().any(|step| step.source == name_of(file)));
+    let (mut files, known): (Vec<_>, Vec<_>) =
+        settled(args)?.into_iter().partition(|file| !there.iter().any(|step| step.source == name_of(file)));
     summary.new = files.iter().map(|file| name_of(file)).collect();
+    if !known.is_empty() {
+        let cancel = signals::cancel_token();
+        let changed = changed_sources(&args.archive, &known, &args.read.options()?, &cancel)?;
+        for (file, reason) in changed {
+            summary.changed.push(LeftOut { source: name_of(&file), reason });
+            files.extend(Some(file).filter(|_| args.replace));
+        }
+        files.sort();
+    }
     let steps = usable(args, &files, &mut summary.skipped)?;
     if !steps.is_empty() {
-        let report = write(args, talk, steps, there.is_empty())?;
+        let report = match write(args, talk, steps, there.is_empty()) {
+            Err(e) if files.len() == 1 && matches!(e.exit_code(), 2 | 5) && summary.skipped.is_empty() => {
+                summary.skipped.push(LeftOut { source: name_of(&files[0]), reason: e.to_string() });
+                return Err(e);
+            }
+            report => report?,
+        };
         let unmet = super::reduce::unmet(&report).map(|why| format!("{}: {why}", args.archive.display()));
         let left_out = report
             .skipped
             .into_iter()
             .map(|s| LeftOut { source: name_of(Path::new(&s.source)), reason: s.reason });
-        summary.skipped.extend(left_out);
+        for file in left_out {
+            // Each field of a step may be left out.
+            if args.fields.is_empty() || summary.skipped.iter().all(|s| s.source != file.source) {
+                summary.skipped.push(file);
+            }
+        }
         summary.error = unmet;
         (summary.added, summary.archive_bytes) = (report.steps, Some(report.archive_bytes));
+        summary.replaced = report.replaced;
+        if args.replace {
+            let is_left = |file: &LeftOut| summary.skipped.iter().any(|s| s.source == file.source);
+            summary.changed.retain(is_left);
+        }
     }
-    let Some(first) = summary.skipped.first() else { return Ok(()) };
-    let what = format!("{} of {} new files", summary.skipped.len(), summary.new.len());
-    let why = std::io::Error::other(format!("{}: {}", first.source, first.reason));
-    Err(Error::io("use", what, why))
+    if let Some(first) = summary.skipped.first() {
+        let what = format!("{} of {} new files", summary.skipped.len(), files.len());
+        let why = std::io::Error::other(format!("{}: {}", first.source, first.reason));
+        return Err(Error::io("use", what, why));
+    }
+    let Some(first) = summary.changed.first() else { return Ok(()) };
+    let what = text::plural(summary.changed.len() as u64, "changed file");
+    let why = std::io::Error::other(format!("{}: {}: add --replace", first.source, first.reason));
+    Err(Error::io("keep", what, why))
 }
 
 /// Makes the archive of the steps, or adds them to it.
@@ -177,7 +244,7 @@ fn write(args: &Args, talk: &Talk, steps: Vec<StepSource>, first: bool) -> Resul
         let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
         reduction.keep_going(true).progress(&*bar).write(&args.archive)
     } else {
-        let settings = AppendSettings { missing: None, keyframes: None, measure: true };
+        let settings = AppendSettings { replace: args.replace, ..AppendSettings::default() };
         let added = append(&steps, &settings, &args.archive, &run, &*bar);
         // Points are chosen by the first night: later ones may have errors beyond the target.
         match args.choices.target() {
@@ -216,23 +283,53 @@ fn settled(args: &Args) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The steps in the files. A file whose steps cannot be found is left out.
+/// The steps in the files, by their times where they have some. A file whose steps cannot be found
+/// is left out.
 ///
 /// # Errors
 /// That of the first file, where no file has steps; [`Error::Usage`] for flags that contradict each
 /// other.
 fn usable(args: &Args, files: &[PathBuf], left_out: &mut Vec<LeftOut>) -> Result<Vec<StepSource>> {
-    let (options, mut steps, mut first_error) = (args.read.options()?, vec![], None);
+    let (options, mut first_error) = (args.read.options()?, None);
+    let mut found: Vec<Vec<StepSource>> = vec![];
     for file in files {
-        match steps_of(std::slice::from_ref(file), &options) {
-            Ok(found) => steps.extend(found),
+        let input = std::slice::from_ref(file);
+        let steps = match &args.fields[..] {
+            [] => steps_of(input, &options).map(|steps| steps.into_iter().map(|step| vec![step]).collect()),
+            fields => steps_of_fields(input, fields, &options).map(|steps| by_moment(&steps, fields.len())),
+        };
+        match steps {
+            Ok(steps) => found.extend::<Vec<_>>(steps),
             Err(e) => {
                 left_out.push(LeftOut { source: name_of(file), reason: e.to_string() });
                 first_error.get_or_insert(e);
             }
         }
     }
+    if found.iter().all(|fields| fields[0].time.is_some_and(f64::is_finite)) {
+        found.sort_by(|a, b| a[0].time.partial_cmp(&b[0].time).expect("finite times have an order"));
+    }
+    let steps: Vec<StepSource> = match args.fields.is_empty() {
+        true => found.into_iter().flatten().collect(),
+        false => by_field(&args.fields, &found),
+    };
     first_error.filter(|_| steps.is_empty()).map_or(Ok(steps), Err)
+}
+
+/// Steps of one field after another, as the fields of each step.
+fn by_moment(steps: &[StepSource], fields: usize) -> Vec<Vec<StepSource>> {
+    let count = steps.len() / fields;
+    let fields_of = |moment: usize| (0..fields).map(|n| steps[n * count + moment].clone()).collect();
+    (0..count).map(fields_of).collect()
+}
+
+/// The fields of each step, as steps of one field after another.
+fn by_field(fields: &[String], found: &[Vec<StepSource>]) -> Vec<StepSource> {
+    let of_field = |(n, name): (usize, &String)| -> Vec<StepSource> {
+        let numbered = (0..).zip(found);
+        numbered.map(|(moment, fields)| fields[n].clone().as_field(name, Some(moment))).collect()
+    };
+    fields.iter().enumerate().flat_map(of_field).collect()
 }
 
 /// Writes the summary next to the archive, as JSON and in words, each whole or not at all.
@@ -270,8 +367,16 @@ fn in_words(s: &Summary, with_error: bool) -> String {
     let [before, new, added] = [s.steps_before, s.new.len(), s.added.len()].map(|n| text::count(n as u64));
     let _ = writeln!(out, "  files      {new} new");
     let _ = writeln!(out, "  steps      {before} before, {added} added");
+    if !s.replaced.is_empty() {
+        let numbers: Vec<String> = s.replaced.iter().map(|n| text::count(*n)).collect();
+        let _ = writeln!(out, "  replaced   {}", numbers.join(", "));
+    }
     for left_out in &s.skipped {
         let _ = writeln!(out, "  left out   {}: {}", left_out.source, left_out.reason);
+    }
+    for changed in &s.changed {
+        let (file, reason) = (&changed.source, &changed.reason);
+        let _ = writeln!(out, "  changed    {file}: {reason}; --replace takes it anew");
     }
     if let Some(error) = s.error.as_ref().filter(|_| with_error) {
         let _ = writeln!(out, "  error      {error}");

@@ -127,6 +127,11 @@ pub(super) fn tell(
 pub(super) fn reached_text(t: &TargetReport) -> String {
     let four = |v: f64| text::value(text::figures(v, 4));
     match t.target {
+        Target::Rms(_) | Target::Max(_) if t.of_ranges => {
+            let [reached, bound] = [t.reached, t.bound].map(|share| four(100.0 * share));
+            let what = if matches!(t.target, Target::Rms(_)) { "RMS" } else { "at most" };
+            format!("{what} {reached} % of {bound} % wanted, of the range of each field")
+        }
         Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Max(_) => format!("at most {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Size(_) | Target::Ratio(_) => {
@@ -159,6 +164,9 @@ fn error_line(report: &ReduceReport) -> Option<String> {
     if report.steps.len() < 2 {
         return report.error.as_ref().map(super::measure::line);
     }
+    if report.of_fields {
+        return error_lines(report);
+    }
     let largest = |which: fn([f64; 2]) -> f64| {
         let errors = report.steps.iter().filter_map(|s| Some((which(s.error?), s.number)));
         // The first of equal ones.
@@ -171,6 +179,26 @@ fn error_line(report: &ReduceReport) -> Option<String> {
         [rms.0, max.0].map(|v| text::value(text::figures(v, 4)) + &text::share_of(v, range));
     let error = format!("RMS at most {of_rms} in step {}, at most {of_max} in step {}", rms.1, max.1);
     Some(format!("  error       {error}; % of the range of all steps"))
+}
+
+/// The largest errors of each of several fields.
+fn error_lines(report: &ReduceReport) -> Option<String> {
+    let mut names: Vec<&str> = vec![];
+    for step in &report.steps {
+        if !names.contains(&&*step.field) {
+            names.push(&step.field);
+        }
+    }
+    let line = |name: &&str| {
+        let steps = || report.steps.iter().filter(|s| s.field == *name);
+        let largest = |which: usize| steps().filter_map(|s| s.error).map(|e| e[which]).reduce(f64::max);
+        let range = steps().filter_map(|s| s.range).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        let [rms, max] =
+            [largest(0)?, largest(1)?].map(|v| text::value(text::figures(v, 4)) + &text::share_of(v, range));
+        Some(format!("  error       RMS at most {rms}, at most {max}: {}", text::name(name)))
+    };
+    let lines: Vec<String> = names.iter().filter_map(line).collect();
+    Some(lines.join("\n")).filter(|lines| !lines.is_empty())
 }
 
 /// How much smaller the archive is than its source, and the bits of both.
@@ -242,8 +270,13 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     if is_added {
         report.steps.iter().for_each(|step| out += &added_line(step));
     }
+    if !report.replaced.is_empty() {
+        let numbers: Vec<String> = report.replaced.iter().map(|n| text::count(*n)).collect();
+        let what = if numbers.len() == 1 { "step" } else { "steps" };
+        let _ = writeln!(out, "  replaced    {what} {}", numbers.join(", "));
+    }
     if report.steps.is_empty() {
-        let _ = writeln!(out, "  steps       none added: the archive ends with these already");
+        let _ = writeln!(out, "  steps       none added: the archive has these already");
     } else if report.made_before {
         let _ = writeln!(out, "  state       finished before: there was nothing left to make");
     } else if !is_added && report.steps.len() + report.skipped.len() > 1 {

@@ -3,8 +3,9 @@
 use super::grammar;
 use super::input::InputArgs;
 use super::progress::Talk;
-use isospan::formats::{OpenOptions, StepSource, order_in_doubt, steps_of};
-use isospan::pipeline::{Step, StepChoice, StepRange, is_archive};
+use super::text;
+use isospan::formats::{StepSource, order_in_doubt, steps_of, steps_of_fields};
+use isospan::pipeline::{Step, StepChoice, StepRange, StepSummary, is_archive};
 use isospan::volume::units::{Unit, Units};
 use isospan::{Archive, Error, Result};
 use std::path::{Path, PathBuf};
@@ -22,8 +23,9 @@ pub(crate) struct StepInputs {
     /// files, else the step numbers].
     #[arg(help_heading = "Series", long, value_name = "TIMES", value_parser = grammar::times, allow_hyphen_values = true)]
     times: Option<Times>,
-    /// Fields of the input to reduce on the same points, by their names. Each is a step of the
-    /// archive; --step NAME asks for one.
+    /// Fields of the input to reduce on the same points, by their names. Of one moment, each is a
+    /// step of the archive, and --step NAME asks for one. Of many steps, in one file or in several,
+    /// each step has all fields: --step N --field NAME asks for one.
     #[arg(
         help_heading = "Input",
         long,
@@ -47,44 +49,37 @@ pub(crate) struct StepInputs {
 }
 
 impl StepInputs {
-    /// All steps, in order.
+    /// All steps of a new archive, in order.
     pub(crate) fn all(&self, read: &InputArgs, talk: &Talk) -> Result<Vec<StepSource>> {
-        let options = read.options()?;
-        let mut steps = match &self.fields[..] {
-            [] => steps_of(&self.inputs, &options)?,
-            fields => self.of_fields(fields, &options)?,
-        };
-        if let (None, Some(doubt)) = (&self.times, order_in_doubt(&self.inputs, &steps)) {
-            let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, --times tells the times";
-            talk.note(&format!("warning: {doubt}: {help}"));
+        let mut steps = self.found(read, talk)?;
+        if steps.len() == self.fields.len() {
+            // Fields of one moment are no series in time.
+            let of_one = |(name, step): (&String, StepSource)| step.at(None).as_field(name, None);
+            steps = self.fields.iter().zip(steps).map(of_one).collect();
         }
         self.tell(&mut steps)?;
         Ok(steps)
     }
 
-    /// A step for each field of the input.
-    fn of_fields(&self, fields: &[String], options: &OpenOptions) -> Result<Vec<StepSource>> {
-        let [input] = &self.inputs[..] else {
-            return Err(Error::usage("--fields names fields of one input: give one"));
+    /// Further steps of an archive, in order.
+    pub(crate) fn further(&self, read: &InputArgs, talk: &Talk) -> Result<Vec<StepSource>> {
+        let mut steps = self.found(read, talk)?;
+        self.tell(&mut steps)?;
+        Ok(steps)
+    }
+
+    fn found(&self, read: &InputArgs, talk: &Talk) -> Result<Vec<StepSource>> {
+        let options = read.options()?;
+        let steps = match &self.fields[..] {
+            [] => steps_of(&self.inputs, &options)?,
+            fields => steps_of_fields(&self.inputs, fields, &options)?,
         };
-        if let Some(twice) = (1..fields.len()).find(|&n| fields[..n].contains(&fields[n])) {
-            return Err(Error::usage(format!("--fields names {} twice", fields[twice])));
+        let doubt = if self.fields.is_empty() { order_in_doubt(&self.inputs, &steps) } else { None };
+        if let (None, Some(doubt)) = (&self.times, doubt) {
+            let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, --times tells the times";
+            talk.note(&format!("warning: {doubt}: {help}"));
         }
-        let step = |name: &String| {
-            let steps = steps_of(
-                std::slice::from_ref(input),
-                &OpenOptions { field: Some(name.clone()), ..options.clone() },
-            )?;
-            let [step] = &steps[..] else {
-                let (path, count) = (input.display(), steps.len());
-                return Err(Error::usage(format!(
-                    "{path}: {name} stands for {count} steps: --field takes them"
-                )));
-            };
-            // Fields of one moment are no series in time.
-            Ok(step.clone().at(None))
-        };
-        fields.iter().map(step).collect()
+        Ok(steps)
     }
 
     /// Gives steps the units and the times that the user gave.
@@ -99,9 +94,19 @@ impl StepInputs {
     }
 }
 
-/// Which step of a series is asked.
+/// Which step of a series is asked, and which of its fields.
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepArgs {
+    #[command(flatten)]
+    moment: MomentArgs,
+    /// The field, where each step has several.
+    #[arg(help_heading = "Series", long, value_name = "NAME")]
+    field: Option<String>,
+}
+
+/// Which step of a series is asked.
+#[derive(clap::Args, Debug)]
+pub(crate) struct MomentArgs {
     /// Number of the step, or the name of its field; `isospan info` lists them [default: the
     /// first].
     #[arg(help_heading = "Series", long, value_name = "N|FIELD")]
@@ -118,10 +123,38 @@ pub(crate) struct StepArgs {
     time: Option<f64>,
 }
 
-impl StepArgs {
+impl MomentArgs {
     /// Whether one is asked.
     pub(crate) fn is_given(&self) -> bool {
         self.step.is_some() || self.time.is_some()
+    }
+
+    /// The step, and the field of it.
+    pub(crate) fn choice(&self, field: Option<&str>) -> StepChoice {
+        let field = field.map(str::to_owned);
+        match (&self.step, self.time, field) {
+            (Some(step), _, field) => match (step.parse(), field) {
+                (Ok(number), None) => StepChoice::Number(number),
+                (Ok(number), Some(field)) => StepChoice::NumberOf(number, field),
+                (Err(_), _) => StepChoice::Field(step.clone()),
+            },
+            (None, Some(time), None) => StepChoice::Time(time),
+            (None, Some(time), Some(field)) => StepChoice::TimeOf(time, field),
+            (None, None, Some(field)) => StepChoice::Field(field),
+            (None, None, None) => StepChoice::First,
+        }
+    }
+}
+
+impl StepArgs {
+    /// Whether one is asked.
+    pub(crate) fn is_given(&self) -> bool {
+        self.moment.is_given()
+    }
+
+    /// The field, where each step has several.
+    pub(crate) fn field(&self) -> Option<String> {
+        self.field.clone()
     }
 
     /// Least and largest value of the step that is asked, or of a range of steps together; none
@@ -132,23 +165,20 @@ impl StepArgs {
         steps: Option<StepRange>,
     ) -> Result<Option<[f64; 2]>> {
         let Some(steps) = steps else { return Ok(archive.at(self.choice())?.value_range()) };
-        let ranges = archive.info()?.steps.into_iter().filter(|s| steps.contains(s.number));
+        let is_asked = |s: &StepSummary| {
+            steps.contains(s.number) && self.field.as_ref().is_none_or(|field| *field == s.field)
+        };
+        let ranges = archive.info()?.steps.into_iter().filter(is_asked);
         Ok(ranges.filter_map(|s| s.range).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]))
     }
 
     pub(crate) fn choice(&self) -> StepChoice {
-        match (&self.step, self.time) {
-            (Some(step), _) => {
-                step.parse().map_or_else(|_| StepChoice::Field(step.clone()), StepChoice::Number)
-            }
-            (None, Some(time)) => StepChoice::Time(time),
-            (None, None) => StepChoice::First,
-        }
+        self.moment.choice(self.field.as_deref())
     }
 }
 
 /// The field that `--colour-by` names, for each of some steps of an archive: one of the archive
-/// itself, or that of another archive, at the same step where it has several.
+/// itself, or that of another archive, at the same time where it has several steps.
 pub(crate) fn colour_fields(
     by: &Path,
     archive: &Archive,
@@ -157,11 +187,65 @@ pub(crate) fn colour_fields(
     let steps = steps.into_iter();
     if !is_archive(by) {
         let name = by.display().to_string();
-        return steps.map(|_| archive.at(StepChoice::Field(name.clone()))).collect();
+        return steps.map(|step| archive.at(other_field(archive, step, &name)?)).collect();
     }
     let other = Archive::open(by)?;
-    let is_one = other.info()?.steps.len() <= 1;
-    steps.map(|step| other.at(if is_one { StepChoice::First } else { step })).collect()
+    steps.map(|step| at_same_time(archive, step, &other)).collect()
+}
+
+/// A field of an archive at the moment of a step.
+fn other_field(archive: &Archive, step: StepChoice, name: &str) -> Result<StepChoice> {
+    let name = name.to_owned();
+    if archive.fields().is_empty() {
+        return Ok(StepChoice::Field(name));
+    }
+    Ok(match step {
+        StepChoice::Time(time) | StepChoice::TimeOf(time, _) => StepChoice::TimeOf(time, name),
+        step => StepChoice::NumberOf(archive.at(step)?.number(), name),
+    })
+}
+
+/// The step of another archive at the time of a step.
+///
+/// # Errors
+/// [`Error::Usage`] where it has none, or where the times cannot be compared.
+fn at_same_time(archive: &Archive, step: StepChoice, other: &Archive) -> Result<Step> {
+    if let StepChoice::Time(time) | StepChoice::TimeOf(time, _) = step {
+        return other.at(StepChoice::Time(time));
+    }
+    let (step, steps) = (archive.at(step)?, other.info()?.steps);
+    let refuse = |text: String| Err(Error::usage(format!("--colour-by {}: {text}", other.path().display())));
+    let Some(time) = step.time() else {
+        return match steps.iter().find_map(|s| s.time.filter(|_| steps.len() > 1)) {
+            Some(time) => refuse(format!(
+                "its steps have times, as {time}, and step {} of {} has none: --time chooses one",
+                step.number(),
+                archive.path().display()
+            )),
+            None if steps.len() <= 1 => other.at(StepChoice::First),
+            None => other.at(StepChoice::Number(step.number())),
+        };
+    };
+    let units = [&step, &**other].map(|s| s.units().time.clone());
+    if let [Some(own), Some(of_other)] = &units
+        && own != of_other
+    {
+        return refuse(format!(
+            "its times are in {of_other}, those of {} in {own}",
+            archive.path().display()
+        ));
+    }
+    match steps.iter().find(|s| s.time == Some(time)) {
+        Some(found) => other.at(StepChoice::Number(found.number)),
+        // A field that does not change.
+        None if steps.len() <= 1 && steps.iter().all(|s| s.time.is_none()) => other.at(StepChoice::First),
+        None => {
+            let times: Vec<String> = steps.iter().filter_map(|s| s.time).map(text::number).collect();
+            let ends = times.first().zip(times.last());
+            let has = ends.map_or("has no times".into(), |(a, b)| format!("has none, but {a} to {b}"));
+            refuse(format!("step {} is at time {}, and it {has}", step.number(), text::number(time)))
+        }
+    }
 }
 
 /// The times of steps.
@@ -178,8 +262,12 @@ pub(crate) enum Times {
 impl Times {
     /// Gives steps their times, in place of those in their files.
     pub(crate) fn apply(&self, steps: &mut [StepSource]) -> Result<()> {
-        let count = steps.len();
+        // The fields of a step have one time.
+        let moment =
+            |n: usize, step: &StepSource| step.part().and_then(|p| p.moment).map_or(n, |m| m as usize);
+        let count = steps.iter().enumerate().map(|(n, step)| moment(n, step) + 1).max().unwrap_or(0);
         for (n, step) in steps.iter_mut().enumerate() {
+            let n = moment(n, step);
             step.time = Some(match self {
                 Self::Regular { start, step } => start + step * n as f64,
                 Self::List(times) if times.len() == count => times[n],

@@ -60,6 +60,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             .with_cancel(super::signals::cancel_token()),
         step: args.step.choice(),
         steps: args.steps.or(args.all_steps.then(StepRange::default)),
+        field: args.step.field(),
         range: match args.range {
             Some(range) => range.of(Archive::open(&args.archive)?.at(args.step.choice())?.value_range())?,
             None => all.range,

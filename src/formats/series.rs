@@ -49,6 +49,9 @@ pub struct StepSource {
     /// The time that the file states, which has the file's unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     stated: Option<f64>,
+    /// Which of the several fields of a step it is, where each step has some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    part: Option<FieldOfStep>,
     /// The volume itself, where a program gives that and no file.
     #[serde(skip)]
     given: Option<Given>,
@@ -59,7 +62,7 @@ pub struct StepSource {
 
 impl PartialEq for StepSource {
     fn eq(&self, other: &Self) -> bool {
-        let is_same = self.path == other.path && self.options == other.options;
+        let is_same = self.path == other.path && self.options == other.options && self.part == other.part;
         is_same && self.time == other.time && self.given == other.given
     }
 }
@@ -68,7 +71,20 @@ impl StepSource {
     /// A step that is alone.
     pub fn new(path: &Path, options: &OpenOptions) -> Self {
         let (path, options) = (path.to_path_buf(), options.clone());
-        Self { path, options, time: None, stated: None, given: None, decodes: DecodeCount::default() }
+        let (part, given, decodes) = (None, None, DecodeCount::default());
+        Self { path, options, time: None, stated: None, part, given, decodes }
+    }
+
+    /// The same as one of several fields of a step; `moment` counts the steps that have these
+    /// fields, if there may be more than one.
+    #[must_use]
+    pub fn as_field(self, name: &str, moment: Option<u64>) -> Self {
+        Self { part: Some(FieldOfStep { name: name.to_owned(), moment }), ..self }
+    }
+
+    /// Which of the several fields of a step it is, where each step has some.
+    pub fn part(&self) -> Option<&FieldOfStep> {
+        self.part.as_ref()
     }
 
     /// A volume that a program gives: samples in memory
@@ -92,7 +108,8 @@ impl StepSource {
 
     /// The same moment in another field of the file.
     pub(crate) fn in_field(&self, options: &OpenOptions) -> Self {
-        Self { stated: self.stated, time: self.time, ..Self::new(&self.path, options) }
+        let part = self.part.clone();
+        Self { stated: self.stated, time: self.time, part, ..Self::new(&self.path, options) }
     }
 
     /// The units of the step: those that the user names, else those of its file. A time that the
@@ -148,6 +165,15 @@ impl StepSource {
     pub(crate) fn given_hash(&self, cancel: &CancelToken) -> Result<Option<String>> {
         self.given.as_ref().map(|given| given.hash(cancel)).transpose()
     }
+}
+
+/// One of several fields of a step.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FieldOfStep {
+    /// The name of the field.
+    pub name: String,
+    /// Which of the steps that have these fields it is; none where there is but one.
+    pub moment: Option<u64>,
 }
 
 impl From<&Path> for StepSource {
@@ -276,6 +302,106 @@ pub(crate) fn counted_from(steps: Vec<StepSource>, unit: &Unit) -> Vec<StepSourc
 struct Counted {
     unit: Unit,
     calendar: String,
+}
+
+/// The steps that some inputs stand for, of each of several fields: all steps of the first field,
+/// then those of the next. A field may be in all of the files, or in files of its own.
+///
+/// # Errors
+/// Those of [`steps_of`]; [`Error::Usage`] for a file without any of the fields, and where fields
+/// have not the same steps.
+pub fn steps_of_fields(
+    inputs: &[PathBuf],
+    fields: &[String],
+    options: &OpenOptions,
+) -> Result<Vec<StepSource>> {
+    if let Some(twice) = (1..fields.len()).find(|&n| fields[..n].contains(&fields[n])) {
+        return Err(Error::usage(format!("--fields names {} twice", fields[twice])));
+    }
+    let mut all: Vec<Vec<StepSource>> = vec![vec![]; fields.len()];
+    let mut missing: Vec<Option<Error>> = fields.iter().map(|_| None).collect();
+    for input in inputs {
+        for (path, time) in files_of(input)? {
+            let mut is_used = false;
+            for ((name, steps), missing) in fields.iter().zip(&mut all).zip(&mut missing) {
+                let options = OpenOptions { field: Some(name.clone()), ..options.clone() };
+                let found = steps_in(&path, &options, time);
+                match found.first().map_or(Ok(()), |step| expect_field(step, name)) {
+                    Ok(()) => steps.extend(found),
+                    Err(e) => {
+                        missing.get_or_insert(e);
+                        continue;
+                    }
+                }
+                is_used = true;
+            }
+            if !is_used && let Some(error) = missing.iter_mut().find_map(Option::take) {
+                return Err(error);
+            }
+        }
+    }
+    for (steps, missing) in all.iter().zip(missing) {
+        if let (true, Some(error)) = (steps.is_empty(), missing) {
+            return Err(error);
+        }
+    }
+    together(all, fields)
+}
+
+/// The steps of fields, which are at the same times.
+fn together(mut all: Vec<Vec<StepSource>>, fields: &[String]) -> Result<Vec<StepSource>> {
+    let count = all[0].len();
+    if let Some(n) = all.iter().position(|steps| steps.len() != count) {
+        return Err(Error::usage(format!(
+            "--fields: {} has {count} steps, {} has {}: each step has all fields",
+            fields[0],
+            fields[n],
+            all[n].len()
+        )));
+    }
+    for moment in 0..count {
+        let Some(first) = all.iter().position(|steps| steps[moment].time.is_some()) else { continue };
+        let (time, stated) = (all[first][moment].time, all[first][moment].stated);
+        for (n, steps) in all.iter_mut().enumerate() {
+            let step = &mut steps[moment];
+            if step.time.is_none() {
+                (step.time, step.stated) = (time, stated);
+            }
+            if let (Some(own), Some(time)) = (step.time, time)
+                && own != time
+            {
+                return Err(Error::usage(format!(
+                    "{}: step {moment} of {} is at time {own}, of {} at {time}: each step has one time",
+                    step.path.display(),
+                    fields[n],
+                    fields[first]
+                )));
+            }
+        }
+    }
+    let as_field = |(name, steps): (&String, Vec<StepSource>)| {
+        let part = |(moment, step): (u64, StepSource)| step.as_field(name, Some(moment));
+        (0..).zip(steps).map(part).collect::<Vec<_>>()
+    };
+    Ok(fields.iter().zip(all).flat_map(as_field).collect())
+}
+
+/// Refuses a source that is read for another field than the one of a name.
+fn expect_field(step: &StepSource, name: &str) -> Result<()> {
+    let found = match step.open()? {
+        Input::Volume(volume) => volume.info().field.name.clone(),
+        Input::Mesh(mesh) => mesh.field()?.name.clone(),
+    };
+    if found == name || without_frame(&found) == name {
+        return Ok(());
+    }
+    Err(Error::usage(format!("{}: no field {name}; it has {found}", step.path.display())))
+}
+
+/// The field that a frame is one of: "temp" of "temp:t5".
+pub(crate) fn without_frame(field: &str) -> &str {
+    let is_frame = |end: &str| !end.is_empty() && end.bytes().all(|b| b.is_ascii_digit());
+    field.rsplit_once(":t").filter(|(_, end)| is_frame(end)).map_or(field, |(name, _)| name)
 }
 
 /// The files that an input stands for, and their times.

@@ -12,7 +12,7 @@ use crate::pipeline::surface::{
 };
 use crate::surface::TriMesh;
 use serde::Serialize;
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -50,6 +50,8 @@ pub struct Archive {
     path: PathBuf,
     first: Step,
     kept: usize,
+    /// The field of ranges of steps, where each has several.
+    field: Option<String>,
     opening: Opening,
 }
 
@@ -92,7 +94,7 @@ impl Archive {
         };
         let kept = Self::KEPT_BYTES;
         let first = Step::of(open.step_at(0).keeping(kept));
-        Ok(Self { open, path: path.to_path_buf(), first, kept, opening })
+        Ok(Self { open, path: path.to_path_buf(), first, kept, opening, field: None })
     }
 
     /// The same archive, whose steps cache up to about `bytes` bytes of decoded blocks each; 0 for
@@ -100,6 +102,17 @@ impl Archive {
     #[must_use]
     pub fn keeping(self, bytes: usize) -> Self {
         Self { first: Step::of(self.open.step_at(0).keeping(bytes)), kept: bytes, ..self }
+    }
+
+    /// The same archive, of whose steps ranges mean those of a field, where each has several.
+    #[must_use]
+    pub fn in_field(self, field: Option<String>) -> Self {
+        Self { field, ..self }
+    }
+
+    /// The positions of a range of steps.
+    fn positions(&self, steps: StepRange) -> Result<Range<usize>> {
+        steps.positions(&self.open.manifest, self.field.as_deref(), &self.path)
     }
 
     /// The step of a number.
@@ -118,6 +131,12 @@ impl Archive {
         Ok(Step::of(self.open.at(choice)?.keeping(self.kept)))
     }
 
+    /// The fields of each step, where it has several.
+    pub fn fields(&self) -> Vec<&str> {
+        let runs = self.open.manifest.runs();
+        runs.filter(|run| run[0].series.is_some()).map(|run| run[0].field()).collect()
+    }
+
     /// What opening took: reports of questions do not count it.
     pub fn opening(&self) -> Opening {
         self.opening
@@ -129,8 +148,7 @@ impl Archive {
     /// # Errors
     /// As [`Step::spectrum`]; [`crate::Error::Usage`] when no step is in the range.
     pub fn spectra(&self, steps: StepRange) -> Result<Vec<StepSpectrum>> {
-        let positions = steps.positions(&self.open.manifest, &self.path)?;
-        positions.map(|n| StepSpectrum::of(&self.open.step_at(n))).collect()
+        self.positions(steps)?.map(|n| StepSpectrum::of(&self.open.step_at(n))).collect()
     }
 
     /// Extracts the isosurfaces of many steps in memory, step after step. `each` gets the number
@@ -166,7 +184,7 @@ impl Archive {
         settings: &SurfaceSettings,
         mut each: impl FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()>,
     ) -> Result<()> {
-        surfaces_of_steps(&self.open, steps, settings, &mut each)
+        surfaces_of_steps(&self.open, self.positions(steps)?, settings, &mut each)
     }
 
     /// Writes isosurfaces of many steps, as [`Step::write_surface`] does of one; the file's name
@@ -184,7 +202,7 @@ impl Archive {
         format: SurfaceFormat,
         progress: &dyn Progress,
     ) -> Result<SeriesReport> {
-        write_series(&self.open, steps, settings, out, format, progress)
+        write_series(&self.open, self.positions(steps)?, settings, out, format, progress)
     }
 
     /// The files that [`Archive::write_series`] writes: those of the steps, then the lists.
@@ -199,7 +217,7 @@ impl Archive {
         out: &Path,
         format: SurfaceFormat,
     ) -> Result<Vec<PathBuf>> {
-        series_files(&self.open, steps, settings, out, format)
+        series_files(&self.open, self.positions(steps)?, settings, out, format)
     }
 
     /// Verifies the whole archive: every checksum, and every invariant that ties its parts

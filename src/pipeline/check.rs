@@ -68,6 +68,10 @@ pub(super) fn check_archive(archive: &Arc<OpenArchive>, cancel: &CancelToken) ->
         check_step(&view, &threads, cancel, &mut check)?;
         check.steps += 1;
     }
+    for base in archive.manifest.steps.len()..archive.manifest.all_steps().count() {
+        cancel.check()?;
+        check_base(&archive.step_at(base), &mut check)?;
+    }
     if let Some(record) = &archive.manifest.plan.repeated {
         let mut pairs = RepeatedReader::open(path, archive.manifest.plan_hash, record)?;
         pairs.segment().verify()?;
@@ -93,6 +97,16 @@ impl ArchiveCheck {
         self.blocks += file.block_count();
         self.bytes += file.info().bytes;
     }
+}
+
+/// Verifies the values of a step to which others refer.
+fn check_base(archive: &StepView, check: &mut ArchiveCheck) -> Result<()> {
+    for number in 0..archive.layout.segment_count() {
+        let segment = archive.segment(number)?;
+        segment.files(false).try_for_each(Segment::verify)?;
+        segment.files(false).for_each(|file| check.add(file));
+    }
+    Ok(())
 }
 
 /// Verifies a step; with the first one of an archive also the mesh.

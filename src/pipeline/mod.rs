@@ -53,7 +53,7 @@ pub use reduce::{
     copy_archive, header_notices, mesh_notices, plan_path, scan_with_notices, work_folder,
 };
 #[doc(hidden)]
-pub use reduce::{estimate_series, reduce_series};
+pub use reduce::{changed_sources, estimate_series, reduce_series};
 pub use reduction::Reduction;
 pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target, ValueBits};
 pub use shards::{

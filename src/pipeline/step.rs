@@ -72,7 +72,12 @@ impl Step {
 
     /// Number of the step; for a time between two steps, that of the first.
     pub fn number(&self) -> u64 {
-        self.view.step().plan.number
+        self.view.step().number()
+    }
+
+    /// Its time, where the input states one; for a time between two steps, that of the first.
+    pub fn time(&self) -> Option<f64> {
+        self.view.step().plan.time
     }
 
     /// Bytes of the blocks that are cached now.

@@ -517,6 +517,62 @@ fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
     assert!(temporaries(d).is_empty());
 }
 
+/// The same where a step is put between others, or in the place of one to which others refer: until
+/// the manifest names the new one, the archive is the old one.
+#[test]
+fn kills_while_steps_are_inserted_or_replaced_lose_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for t in 0..5 {
+        let (name, t) = (format!("s{t}.npy"), f64::from(t));
+        write_npy(&d.join(name), [40, 36, 32], |x, y, z| waves(x + 0.03 * t, y, z));
+    }
+    let base = ["--fraction", "1/2", "--chunk-points", "1000", "--no-measure"];
+    let files = ["s0.npy", "s1.npy", "s2.npy", "s3.npy", "-o", "old.isospan", "--times", "0,1,2,3"];
+    ok(d, &[&["reduce", "-q"], &files[..], &base[..]].concat());
+    let (old, archive) = (folder(&d.join("old.isospan")), d.join("a.isospan"));
+    let begin = || {
+        let _ = fs::remove_dir_all(&archive);
+        for (file, bytes) in &old {
+            fs::create_dir_all(archive.join(file).parent().unwrap()).unwrap();
+            fs::write(archive.join(file), bytes).unwrap();
+        }
+    };
+    let manifest = Path::new("manifest.json");
+    for how in [&["--times", "1.5"][..], &["--times", "1", "--replace"]] {
+        let append = [&["append", "-q", "--no-measure", "a.isospan", "s4.npy"], how].concat();
+        begin();
+        let start = Instant::now();
+        ok(d, &append);
+        let (took, whole) = (start.elapsed(), folder(&archive));
+        begin();
+        let (mut dice, mut kills) = (Dice(11), 0);
+        for run in 0u32.. {
+            assert!(run < 200, "{kills} kills within an append");
+            let child = spawn(d, &append);
+            std::thread::sleep(Duration::from_micros(dice.roll(took.as_micros() as u64)));
+            signal(&child, Signal::KILL);
+            let (status, text) = end(child);
+            assert!(status.success() || status.signal() == Some(9), "{text}");
+            let now = folder(&archive);
+            let kept = |(file, bytes): (&PathBuf, &Vec<u8>)| file == manifest || now.get(file) == Some(bytes);
+            assert!(old.iter().all(kept), "a file of the old archive is gone");
+            ok(d, &["check", "a.isospan"]);
+            if now[manifest] != old[manifest] {
+                assert!(now[manifest] == whole[manifest]);
+                begin();
+                continue;
+            }
+            kills += 1;
+            if kills >= 5 {
+                break;
+            }
+        }
+        ok(d, &append);
+        assert!(folder(&archive) == whole && temporaries(d).is_empty());
+    }
+}
+
 /// The same of a mesh. The kills come when a new step is under way: when its first segment is
 /// there, then that of the next.
 #[test]

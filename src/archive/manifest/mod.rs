@@ -13,6 +13,7 @@
 //! carry it. Neither covers the path of a source or its units, nor threads or memory.
 
 mod files;
+mod order;
 mod plan;
 mod record;
 
@@ -27,7 +28,9 @@ pub use self::plan::{
 
 use self::record::{GeometryRecord, StepRecord};
 use self::record::{is_default, is_one, is_usual_geometry, is_zero, one};
-use crate::archive::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo};
+use crate::archive::segment::{
+    FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, ORDERED_FORMAT, PlanHash, SegmentInfo,
+};
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
 use crate::bytes::plain::open_plain;
@@ -138,7 +141,7 @@ pub struct MeshSource {
 /// Everything, besides the plan, that decides the bytes of a step's values and index.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StepPlan {
-    /// Number of the step in the archive.
+    /// Number of the step's files, and of the step, unless that has a [`Step::place`].
     pub number: u64,
     /// Its time, if the input gives one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -212,11 +215,6 @@ impl StepPlan {
         self.quantiser.map(|q| Quantiser { origin: q.origin + self.source.offset, ..q })
     }
 
-    /// The time of the step as the input gives it, else its number.
-    pub fn time_or_number(&self) -> f64 {
-        self.time.unwrap_or(self.number as f64)
-    }
-
     /// The hash that the step's value and index segments carry. A copy of the source elsewhere
     /// gives the same.
     pub fn hash(&self, plan: PlanHash) -> PlanHash {
@@ -249,6 +247,11 @@ pub struct SegmentRecord {
 pub struct Step {
     /// What it was made from, and how.
     pub plan: StepPlan,
+    /// Number of the step, where that is not the one of its files: steps are in the order of their
+    /// times, and files are in the order in which they were made.
+    pub place: Option<u64>,
+    /// The field that the step is one of, where each step of the archive has several.
+    pub series: Option<String>,
     /// Smallest and largest value, less the offset of the source; none when every point is void.
     pub value_range: Option<[f32; 2]>,
     /// Points without a value.
@@ -308,8 +311,11 @@ pub struct Manifest {
     /// Mesh segments, in chunk order; the n-th is `mesh/n.seg`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub mesh: Vec<SegmentRecord>,
-    /// Steps, in order of their numbers.
+    /// Steps, in order of their numbers; where a step has several fields, field after field.
     pub steps: Vec<Step>,
+    /// Steps that others have replaced, and that remaining ones refer to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub bases: Vec<Step>,
     /// XXH3 (128 bits) of the settings, if the archive was made for a wanted error, by several
     /// tries. By this hash the same call knows that it is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -327,7 +333,7 @@ struct Version {
 impl Manifest {
     /// A manifest of this version of the program.
     pub fn new(plan: Plan, counts: Counts, mesh: Vec<SegmentRecord>, steps: Vec<Step>) -> Self {
-        Self {
+        let manifest = Self {
             format: MANIFEST_FORMAT.into(),
             format_version: FORMAT_VERSION,
             oldest_reader: Some(OLDEST_READER).filter(|oldest| *oldest != FORMAT_VERSION),
@@ -337,8 +343,16 @@ impl Manifest {
             counts,
             mesh,
             steps,
+            bases: vec![],
             target: None,
-        }
+        };
+        manifest.of_its_format()
+    }
+
+    /// The same with steps that others have replaced.
+    #[must_use]
+    pub fn with_bases(self, bases: Vec<Step>) -> Self {
+        Self { bases, ..self }.of_its_format()
     }
 
     /// Publishes the manifest in the archive's folder, replacing an older one. All segments are
@@ -414,11 +428,11 @@ impl Manifest {
             ));
         }
         let oldest_reader = version.oldest_reader.unwrap_or(version.format_version);
-        if oldest_reader > FORMAT_VERSION {
+        if oldest_reader > ORDERED_FORMAT {
             return Err(Error::bad_input(
                 path,
                 "format_version",
-                format!("a version that format {FORMAT_VERSION} programs can read"),
+                format!("a version that format {ORDERED_FORMAT} programs can read"),
                 format!("{}, for programs of format {} on", version.format_version, oldest_reader),
             )
             .with_help("use a newer isospan"));
@@ -441,11 +455,13 @@ impl Manifest {
         let stored = if self.plan.lattice_cells().is_some() { 0 } else { self.counts.chunks };
         check_tiling(path, "mesh", &self.mesh, stored)?;
         let offset = self.steps.first().map_or(0.0, |step| step.plan.source.offset);
-        if !self.steps.iter().all(|s| s.plan.source.offset == offset && s.plan.source.rounding >= 0.0) {
+        if !self.all_steps().all(|s| s.plan.source.offset == offset && s.plan.source.rounding >= 0.0) {
             return bad("offset of a step", format!("{offset}, as of the first"), "another".into());
         }
-        for step in &self.steps {
+        for step in self.all_steps() {
             check_tiling(path, "values of a step", &step.values, self.counts.chunks)?;
+        }
+        for step in &self.steps {
             if step.index.is_some() != self.counts.is_indexed(&self.plan) {
                 let [expected, got] = [step.index.is_none(), step.index.is_some()]
                     .map(|has| if has { "one" } else { "none" }.into());
@@ -455,37 +471,8 @@ impl Manifest {
                 return bad("spectrum of a step", "none, in a small archive".into(), "one".into());
             }
         }
-        if !self.steps.is_sorted_by(|a, b| a.plan.number < b.plan.number) {
-            return bad("steps", "ascending numbers".into(), "others".into());
-        }
-        if !self.steps.is_sorted_by(|a, b| a.plan.time_or_number() < b.plan.time_or_number()) {
-            return bad("steps", "ascending times".into(), "others".into());
-        }
+        self.check_order(path)?;
         self.check_bases(path)
-    }
-
-    /// A base is the step before, and a keyframe is not far: any step is decoded in bounded time.
-    fn check_bases(&self, path: &Path) -> Result<()> {
-        let mut length = 0;
-        for (n, step) in self.steps.iter().enumerate() {
-            let Some(base) = &step.plan.base else {
-                length = 0;
-                continue;
-            };
-            length += 1;
-            let before = n.checked_sub(1).map(|n| &self.steps[n].plan);
-            let is_before =
-                before.is_some_and(|b| b.number == base.number && b.hash(self.plan_hash) == base.hash);
-            if !is_before || length > LONGEST_CHAIN {
-                return Err(Error::bad_input(
-                    path,
-                    format!("base of step {}", step.plan.number),
-                    format!("the step before it, and a keyframe at most {LONGEST_CHAIN} steps ago"),
-                    format!("step {}", base.number),
-                ));
-            }
-        }
-        Ok(())
     }
 }
 
@@ -606,6 +593,8 @@ pub(crate) mod tests {
         let record = |first_chunk, chunks| SegmentRecord { first_chunk, chunks, info };
         let step = |number| Step {
             plan: step_plan(number),
+            place: None,
+            series: None,
             value_range: Some([-0.1, 1e30]),
             void_points: 0,
             values: vec![record(0, 5)],

@@ -65,6 +65,10 @@ pub(super) fn is_usual_geometry(geometry: &Geometry) -> bool {
 pub(super) struct StepRecord {
     #[serde(flatten)]
     plan: StepPlan,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    place: Option<u64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    series: Option<String>,
     value_range: Option<[f32; 2]>,
     #[serde(default, skip_serializing_if = "is_default")]
     void_points: u64,
@@ -86,6 +90,8 @@ impl From<Step> for StepRecord {
         let error = step.error.as_ref().map(|e| ErrorRecord::new(e, &step.plan.source, step.value_range));
         Self {
             plan: step.plan,
+            place: step.place,
+            series: step.series,
             value_range: step.value_range,
             void_points: step.void_points,
             values: step.values,
@@ -105,6 +111,8 @@ impl TryFrom<StepRecord> for Step {
         let error = record.error.map(|e| e.error(&record.plan.source, record.value_range)).transpose()?;
         Ok(Self {
             plan: record.plan,
+            place: record.place,
+            series: record.series,
             value_range: record.value_range,
             void_points: record.void_points,
             values: record.values,

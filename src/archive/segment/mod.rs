@@ -35,6 +35,8 @@ pub const MAGIC: [u8; 8] = *b"\x89ISO\r\n\x1a\n";
 pub const END_MAGIC: [u8; 8] = *b"ISOEND\r\n";
 /// The version this program writes.
 pub const FORMAT_VERSION: u16 = 5;
+/// That of manifests whose steps are in another order than their files, or have several fields.
+pub const ORDERED_FORMAT: u16 = 6;
 /// The oldest program version (in the same numbering) that can read what this program writes.
 pub const OLDEST_READER: u16 = 5;
 /// The oldest version that this program reads.

@@ -20,7 +20,7 @@ use crate::domain::merge::Firsts;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources};
-use crate::formats::{self, Input, OpenOptions, StepSource};
+use crate::formats::{self, Input, OpenOptions, StepSource, without_frame};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally};
 use crate::pipeline::chunk::{
     ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of,
@@ -106,8 +106,9 @@ pub fn measure_source(
     progress: &dyn Progress,
 ) -> Result<MeasureReport> {
     let start = Instant::now();
-    let choice = settings.step.map_or(StepChoice::First, StepChoice::Number);
-    let archive = OpenArchive::open(archive)?.at(choice)?;
+    let archive = OpenArchive::open(archive)?;
+    let choice = choice_of(&archive, settings.step, source);
+    let archive = archive.at(choice)?;
     let (error, same_source) = against(&archive, source, settings, progress)?;
     Ok(MeasureReport {
         error,
@@ -116,6 +117,19 @@ pub fn measure_source(
         map_bricks: settings.map.as_ref().map(|_| archive.chunks.bricks().dims()),
         seconds: start.elapsed().as_secs_f64(),
     })
+}
+
+/// The step that is measured: where each has several fields, of the field that the source is read
+/// for.
+fn choice_of(archive: &OpenArchive, step: Option<u64>, source: &StepSource) -> StepChoice {
+    let has_fields = archive.manifest.steps[0].series.is_some();
+    let field = source.options.field.as_deref().filter(|_| has_fields);
+    match (step, field.map(|name| without_frame(name).to_owned())) {
+        (None, None) => StepChoice::First,
+        (Some(step), None) => StepChoice::Number(step),
+        (None, Some(field)) => StepChoice::Field(field),
+        (Some(step), Some(field)) => StepChoice::NumberOf(step, field),
+    }
 }
 
 /// Measures steps of an archive, by ascending positions in the manifest, whose inputs are not open

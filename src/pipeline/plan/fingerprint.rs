@@ -137,6 +137,13 @@ pub(in crate::pipeline) struct RecordedFile {
     modified: String,
 }
 
+impl RecordedFile {
+    /// Its absolute path.
+    pub(in crate::pipeline) fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
 /// More files than these are not all checked before each chunk, but at the end of each segment.
 const FEW: usize = 64;
 

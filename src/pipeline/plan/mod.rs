@@ -13,7 +13,7 @@ mod layout;
 mod shard;
 
 use crate::archive::manifest::{
-    BLOCK_TETS, BaseStep, FrameRecord, LONGEST_CHAIN, Manifest, OwnRecord, Plan as MeshPlan, Source, StepPlan,
+    BLOCK_TETS, FrameRecord, LONGEST_CHAIN, Manifest, OwnRecord, Plan as MeshPlan, Source, StepPlan,
 };
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};
@@ -300,20 +300,6 @@ impl Plan {
             step.source.units.clone_from(&theirs.plan.source.units);
         }
         unlike.is_of(manifest)
-    }
-
-    /// Gives each step its base: the one before it, unless a keyframe is due. `before` is the last
-    /// step that an archive has already.
-    ///
-    /// Steps of the same `number / keyframes` belong together. So a step that is left out changes
-    /// the hashes of its own group alone.
-    pub fn set_bases(&mut self, before: Option<&StepPlan>, keyframes: u64) {
-        let mesh = self.mesh_hash();
-        let mut last = before.map(|s| BaseStep { number: s.number, hash: s.hash(mesh) });
-        for step in &mut self.steps {
-            step.base = last.filter(|l| l.number / keyframes == step.number / keyframes);
-            last = Some(BaseStep { number: step.number, hash: step.hash(mesh) });
-        }
     }
 }
 

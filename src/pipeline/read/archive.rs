@@ -80,7 +80,7 @@ impl OpenArchive {
         if manifest.steps.is_empty() {
             return bad("steps", "at least one".into(), "none".into());
         }
-        for source in manifest.steps.iter().map(|s| &s.plan.source) {
+        for source in manifest.all_steps().map(|s| &s.plan.source) {
             if !source.geometry.is_valid() || source.dims != manifest.plan.lattice.dims {
                 return bad(
                     "source",
@@ -92,7 +92,7 @@ impl OpenArchive {
         let layout = Layout::new(root, chunks.len(), manifest.steps[0].plan.number);
         // A mesh that follows by formula is not stored: the manifest was checked.
         let mesh = bcc.is_none().then_some(&manifest.mesh);
-        for records in manifest.steps.iter().map(|s| &s.values).chain(mesh) {
+        for records in manifest.all_steps().map(|s| &s.values).chain(mesh) {
             let as_cut = |(n, r): (u64, &SegmentRecord)| {
                 layout.chunks_of(n) == (r.first_chunk..r.first_chunk + r.chunks)
             };
@@ -122,7 +122,7 @@ impl OpenArchive {
 
     /// The files of the step at a position in the manifest.
     pub(in crate::pipeline) fn layout_at(&self, position: usize) -> Layout {
-        self.layout.at(self.manifest.steps[position].plan.number)
+        self.layout.at(self.manifest.step_at(position).plan.number)
     }
 
     /// The coordinates of a rectilinear or curvilinear grid; none of a volume with a spacing.
@@ -136,16 +136,15 @@ impl OpenArchive {
         Ok(Some(map))
     }
 
-    /// The record of the grid's coordinates: the first step has it, for all steps.
+    /// The record of the grid's coordinates: the first step that was made has it, for all steps.
     pub(in crate::pipeline) fn coordinate_record(&self) -> Option<CoordinateRecord> {
-        self.manifest.steps[0].coordinates
+        self.manifest.coordinates().map(|(_, record)| record)
     }
 
     /// Their file and its hash.
     pub(super) fn coordinate_file(&self) -> Option<(PathBuf, PlanHash)> {
-        let first = &self.manifest.steps[0].plan;
-        let file = (self.layout.at(first.number).coordinates(), first.hash(self.manifest.plan_hash));
-        self.coordinate_record().map(|_| file)
+        let (first, _) = self.manifest.coordinates()?;
+        Some((self.layout.at(first.number).coordinates(), first.hash(self.manifest.plan_hash)))
     }
 
     /// Refuses a question that is not answered for grids with coordinates of their own.
@@ -172,7 +171,7 @@ impl OpenArchive {
     /// Bytes of the files that the manifest lists, and of the manifest.
     fn listed_bytes(&self) -> u64 {
         let m = &self.manifest;
-        let of_steps = m.steps.iter().flat_map(|s| {
+        let of_steps = m.all_steps().flat_map(|s| {
             let others = [s.index, s.spectrum, s.coordinates.map(|c| c.info)];
             s.values.iter().map(|v| v.info).chain(others.into_iter().flatten())
         });

@@ -2,6 +2,7 @@
 
 use crate::archive::manifest::{Manifest, Step};
 use crate::error::{Error, Result};
+use crate::formats::without_frame;
 use std::ops::Range;
 use std::path::Path;
 use std::str::FromStr;
@@ -9,15 +10,20 @@ use std::str::FromStr;
 /// Which step of an archive is asked.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum StepChoice {
-    /// The first.
+    /// The first; of its first field.
     #[default]
     First,
     /// The one of a number.
     Number(u64),
     /// A time; between two steps values are linear.
     Time(f64),
-    /// The one that has the field of this name, where the fields of a file are the steps.
+    /// The one that has the field of this name, where the fields of a file are the steps; the first
+    /// one where each step has several fields.
     Field(String),
+    /// The one of a number, and the field of this name.
+    NumberOf(u64, String),
+    /// A time, and the field of this name.
+    TimeOf(f64, String),
 }
 
 /// A range of steps, by their numbers.
@@ -35,16 +41,22 @@ impl StepRange {
         self.first.is_none_or(|first| first <= number) && self.last.is_none_or(|last| number <= last)
     }
 
-    /// The positions in a manifest of the steps in the range.
-    pub(in crate::pipeline) fn positions(self, manifest: &Manifest, shown: &Path) -> Result<Range<usize>> {
-        let number = |s: &Step| s.plan.number;
-        let from = manifest.steps.partition_point(|s| self.first.is_some_and(|first| number(s) < first));
-        let to = manifest.steps.partition_point(|s| self.last.is_none_or(|last| number(s) <= last));
+    /// The positions in a manifest of the steps in the range, of a field where each step has
+    /// several.
+    pub(in crate::pipeline) fn positions(
+        self,
+        manifest: &Manifest,
+        field: Option<&str>,
+        shown: &Path,
+    ) -> Result<Range<usize>> {
+        let run = run_of(manifest, field, shown)?;
+        let steps = &manifest.steps[run.clone()];
+        let from = steps.partition_point(|s| self.first.is_some_and(|first| s.number() < first));
+        let to = steps.partition_point(|s| self.last.is_none_or(|last| s.number() <= last));
         if from < to {
-            return Ok(from..to);
+            return Ok(run.start + from..run.start + to);
         }
-        let text = numbers(&manifest.steps);
-        Err(Error::usage(format!("{}: no step in that range; it has {text}", shown.display())))
+        Err(Error::usage(format!("{}: no step in that range; it has {}", shown.display(), numbers(steps))))
     }
 }
 
@@ -84,45 +96,104 @@ impl Moment {
     /// # Errors
     /// [`Error::Usage`] that says which steps there are.
     pub(in crate::pipeline) fn of(manifest: &Manifest, choice: StepChoice, shown: &Path) -> Result<Self> {
-        let steps = &manifest.steps;
-        let time = |n: usize| steps[n].plan.time_or_number();
-        let at = |step| Ok(Self { step, beyond: None });
         match choice {
-            StepChoice::First => at(0),
-            StepChoice::Number(number) => match steps.binary_search_by_key(&number, |s| s.plan.number) {
-                Ok(n) => at(n),
-                Err(_) => Err(Error::usage(format!(
-                    "{}: no step {number}; it has {}",
-                    shown.display(),
-                    numbers(steps)
-                ))),
-            },
-            StepChoice::Field(name) => at(position_of_field(steps, &name, shown)?),
-            StepChoice::Time(t) => {
-                let next = (0..steps.len()).position(|n| time(n) >= t);
-                match next {
-                    Some(n) if time(n) == t => at(n),
-                    Some(n) if n > 0 => {
-                        let share = (t - time(n - 1)) / (time(n) - time(n - 1));
-                        // A share so small that it rounds to none is no share.
-                        let beyond = Some(share).filter(|s| *s > 0.0 && *s < 1.0);
-                        Ok(Self { step: if share < 1.0 { n - 1 } else { n }, beyond })
-                    }
-                    _ => Err(Error::usage(format!(
-                        "{}: the time {t} is not within {} .. {}",
-                        shown.display(),
-                        time(0),
-                        time(steps.len() - 1)
-                    ))),
-                }
+            StepChoice::First => Ok(Self::default()),
+            StepChoice::Number(number) => Self::of_number(manifest, number, None, shown),
+            StepChoice::NumberOf(number, field) => Self::of_number(manifest, number, Some(&field), shown),
+            StepChoice::Time(time) => Self::of_time(manifest, time, None, shown),
+            StepChoice::TimeOf(time, field) => Self::of_time(manifest, time, Some(&field), shown),
+            StepChoice::Field(name) if manifest.steps[0].series.is_some() => {
+                let run = run_of(manifest, Some(&name), shown)?;
+                Ok(Self { step: run.start, beyond: None })
             }
+            StepChoice::Field(name) => {
+                Ok(Self { step: position_of_field(&manifest.steps, &name, shown)?, beyond: None })
+            }
+        }
+    }
+
+    fn of_number(manifest: &Manifest, number: u64, field: Option<&str>, shown: &Path) -> Result<Self> {
+        let run = run_of(manifest, field, shown)?;
+        let steps = &manifest.steps[run.clone()];
+        let Ok(n) = steps.binary_search_by_key(&number, Step::number) else {
+            let text = numbers(steps);
+            return Err(Error::usage(format!("{}: no step {number}; it has {text}", shown.display())));
+        };
+        match field.filter(|name| !has_field(&steps[n], name)) {
+            Some(name) => Err(Error::usage(format!(
+                "{}: step {number} has the field {}, not {name}",
+                shown.display(),
+                steps[n].field()
+            ))),
+            None => Ok(Self { step: run.start + n, beyond: None }),
+        }
+    }
+
+    fn of_time(manifest: &Manifest, t: f64, field: Option<&str>, shown: &Path) -> Result<Self> {
+        let run = run_of(manifest, field, shown)?;
+        let steps = &manifest.steps[run.clone()];
+        if let Some(name) = field
+            && let Some(other) = steps.iter().find(|step| !has_field(step, name))
+        {
+            return Err(Error::usage(format!(
+                "{}: step {} has the field {}, not {name}: values at a time are those of one field",
+                shown.display(),
+                other.number(),
+                other.field()
+            )));
+        }
+        let time = |n: usize| steps[n].time_or_number();
+        let at = |n: usize, beyond| Ok(Self { step: run.start + n, beyond });
+        match (0..steps.len()).position(|n| time(n) >= t) {
+            Some(n) if time(n) == t => at(n, None),
+            Some(n) if n > 0 => {
+                let share = (t - time(n - 1)) / (time(n) - time(n - 1));
+                // A share so small that it rounds to none is no share.
+                let beyond = Some(share).filter(|s| *s > 0.0 && *s < 1.0);
+                at(if share < 1.0 { n - 1 } else { n }, beyond)
+            }
+            _ => Err(Error::usage(format!(
+                "{}: the time {t} is not within {} .. {}",
+                shown.display(),
+                time(0),
+                time(steps.len() - 1)
+            ))),
         }
     }
 }
 
+/// Whether a step has the field of a name, or a frame of it.
+fn has_field(step: &Step, name: &str) -> bool {
+    step.field() == name || without_frame(step.field()) == name
+}
+
+/// The positions of the steps of a field, where each step has several; else of all steps.
+fn run_of(manifest: &Manifest, field: Option<&str>, shown: &Path) -> Result<Range<usize>> {
+    let steps = &manifest.steps;
+    if steps[0].series.is_none() {
+        return Ok(0..steps.len());
+    }
+    let fields = || manifest.runs().map(|run| run[0].field()).collect::<Vec<_>>().join(", ");
+    let Some(name) = field else {
+        if manifest.runs().count() == 1 {
+            return Ok(0..steps.len());
+        }
+        return Err(Error::usage(format!(
+            "{}: each step has the fields {}: choose one with --field",
+            shown.display(),
+            fields()
+        )));
+    };
+    let Some(start) = steps.iter().position(|step| step.field() == name) else {
+        return Err(Error::usage(format!("{}: no field {name}; it has {}", shown.display(), fields())));
+    };
+    let end = steps[start..].iter().position(|step| step.field() != name);
+    Ok(start..end.map_or(steps.len(), |n| start + n))
+}
+
 /// The position of the only step with a field of this name.
 fn position_of_field(steps: &[Step], name: &str, shown: &Path) -> Result<usize> {
-    let mut found = (0..steps.len()).filter(|&n| steps[n].plan.source.field == name);
+    let mut found = (0..steps.len()).filter(|&n| steps[n].field() == name);
     match (found.next(), found.count()) {
         (Some(position), 0) => Ok(position),
         (Some(_), more) => Err(Error::usage(format!(
@@ -131,7 +202,7 @@ fn position_of_field(steps: &[Step], name: &str, shown: &Path) -> Result<usize> 
             more + 1
         ))),
         (None, _) => {
-            let mut fields: Vec<&str> = steps.iter().map(|s| &*s.plan.source.field).collect();
+            let mut fields: Vec<&str> = steps.iter().map(Step::field).collect();
             fields.sort_unstable();
             fields.dedup();
             fields.truncate(20);
@@ -146,7 +217,7 @@ fn position_of_field(steps: &[Step], name: &str, shown: &Path) -> Result<usize> 
 
 /// "steps 0 to 7", "steps 0, 2, 3".
 fn numbers(steps: &[Step]) -> String {
-    let all: Vec<u64> = steps.iter().map(|s| s.plan.number).collect();
+    let all: Vec<u64> = steps.iter().map(Step::number).collect();
     let (first, last) = (all[0], all[all.len() - 1]);
     if all.len() == 1 {
         format!("step {first}")

@@ -135,7 +135,7 @@ impl NodeCache {
 impl ReadNodes {
     fn new(archive: &StepView, step: usize, chunk: ChunkId) -> Result<Self> {
         let segment = archive.values_of(step, chunk)?;
-        let coder = archive.manifest.steps[step].plan.quantiser.and_then(NodeCoder::new);
+        let coder = archive.manifest.step_at(step).plan.quantiser.and_then(NodeCoder::new);
         let bcc = archive.bcc_chunk(chunk).filter(BccChunk::has_node_bricks);
         let (Some(bcc), Some(coder)) = (bcc, coder) else {
             return Err(damaged(&segment, chunk, "values of nodes", "a plan without a lattice or rounding"));

@@ -175,8 +175,8 @@ pub struct StepSpectrum {
 
 impl StepSpectrum {
     pub(in crate::pipeline) fn of(view: &StepView) -> Result<Self> {
-        let plan = &view.step().plan;
-        Ok(Self { step: plan.number, time: plan.time_or_number(), spectrum: report(view)? })
+        let step = view.step();
+        Ok(Self { step: step.number(), time: step.time_or_number(), spectrum: report(view)? })
     }
 }
 

@@ -123,7 +123,7 @@ impl StepView {
 
     /// The step, or the one before the moment.
     pub(in crate::pipeline) fn step(&self) -> &Step {
-        &self.manifest.steps[self.moment.step]
+        self.manifest.step_at(self.moment.step)
     }
 
     /// Its position in the manifest.
@@ -193,7 +193,7 @@ impl StepView {
         if let Some(segment) = open.get(&(number, step)) {
             return Ok(Arc::clone(segment));
         }
-        let Step { plan, values, .. } = &self.manifest.steps[step];
+        let Step { plan, values, .. } = self.manifest.step_at(step);
         let (path, hash) = (self.layout_at(step).values(number), plan.hash(self.manifest.plan_hash));
         let record = values.get(number as usize);
         let segment = Arc::new(self.chunk_segment(&path, SegmentKind::Values, hash, number, record)?);

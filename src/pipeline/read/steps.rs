@@ -110,7 +110,7 @@ impl StepView {
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let points = at.blocks.range(at.block);
-        if self.manifest.steps[step].plan.values == Values::Nodes {
+        if self.manifest.step_at(step).plan.values == Values::Nodes {
             return around.nodes.values(self, step, id, points, out);
         }
         if at.block >= at.blocks.stored_count() {
@@ -142,8 +142,7 @@ impl StepView {
     ) -> Result<Vec<Vec<f32>>> {
         let mut out: Vec<Vec<f32>> = vec![];
         for (n, &step) in steps.iter().enumerate() {
-            let follows = n > 0 && steps[n - 1] + 1 == step;
-            let before = out.last().filter(|_| follows).map(Vec::as_slice);
+            let before = n.checked_sub(1).map(|before| (steps[before], &*out[before]));
             let values = self.chunk_values_after(step, id, vertices, before)?;
             out.push(values);
         }
@@ -155,13 +154,13 @@ impl StepView {
         step: usize,
         id: ChunkId,
         vertices: usize,
-        before: Option<&[f32]>,
+        before: Option<(usize, &[f32])>,
     ) -> Result<Vec<f32>> {
         let mut out = Vec::with_capacity(vertices);
         let (blocks, mut around) = (&self.value_blocks(id, vertices), Neighbours::default());
         for block in 0..blocks.count() {
             let known =
-                before.map(|values| KnownValues { step: step - 1, values: &values[blocks.range(block)] });
+                before.map(|(step, values)| KnownValues { step, values: &values[blocks.range(block)] });
             self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut around, &mut out)?;
         }
         Ok(out)

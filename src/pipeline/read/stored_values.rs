@@ -40,18 +40,17 @@ impl StepView {
         let segment = self.values_of(step, id)?;
         let (mut bytes, mut found, mut read) = (vec![], vec![], 0);
         let number = self.stored_bytes(step, id, at, &mut bytes)?;
-        // The base is the step before: the manifest was checked.
-        let needed = needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some();
-        let before = match known {
-            Some(known) if needed && known.step + 1 == step => known.values,
-            _ if needed => {
-                read = self.stored_block(step - 1, id, at, known, &mut found)?;
+        let base = self.manifest.base_of(step).filter(|_| needs_before(&bytes));
+        let before = match (base, known) {
+            (Some(base), Some(known)) if known.step == base => known.values,
+            (Some(base), _) => {
+                read = self.stored_block(base, id, at, known, &mut found)?;
                 &found
             }
-            _ => &[],
+            (None, _) => &[],
         };
         let (n, cells) = (at.blocks.range(at.block).len(), at.blocks.cells(at.block));
-        let quantiser = self.manifest.steps[step].plan.quantiser.as_ref();
+        let quantiser = self.manifest.step_at(step).plan.quantiser.as_ref();
         let known = KnownOfBlock { n, cells, quantiser, before };
         decode_values(&bytes, &known, out).map_err(|m| segment.blame(id, number, m))?;
         Ok(read + bytes.len() as u64)

@@ -2,7 +2,7 @@
 
 use super::spectrum::{Suggestion, report};
 use super::step_view::StepView;
-use crate::archive::manifest::{MeshSource, Step};
+use crate::archive::manifest::{Manifest, MeshSource, Step};
 use crate::archive::segment::FORMAT_VERSION;
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
@@ -179,15 +179,16 @@ pub struct StepSummary {
 }
 
 impl StepSummary {
-    pub(in crate::pipeline) fn of(step: &Step) -> Self {
+    pub(in crate::pipeline) fn of(manifest: &Manifest, step: &Step) -> Self {
         let Step { plan, .. } = step;
+        let number_of = |files: u64| manifest.steps.iter().find(|s| s.plan.number == files).map(Step::number);
         Self {
-            number: plan.number,
+            number: step.number(),
             time: plan.time,
             source: plan.source.path.clone(),
-            field: plan.source.field.clone(),
+            field: step.field().to_owned(),
             unit: plan.source.units.value.clone(),
-            base: plan.base.map(|b| b.number),
+            base: plan.base.map(|base| number_of(base.number).unwrap_or(base.number)),
             range: step.file_range(),
             rounding: step.notable_rounding(),
             void_points: step.void_points,
@@ -211,7 +212,7 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
         source_format: source.format.clone(),
         dims: source.dims,
         scalar: source.scalar,
-        field: source.field.clone(),
+        field: step.field().to_owned(),
         geometry: source.geometry,
         units: source.units.clone(),
         grid_cells: archive.coordinate_record().map(|c| c.cells),
@@ -227,7 +228,7 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
         tetrahedra: counts.tetrahedra,
         chunks: counts.chunks,
         blocks: counts.blocks,
-        step: step.plan.number,
+        step: step.number(),
         bytes: archive.bytes()?,
         sample_bytes: sample_bytes(archive),
         steps,

@@ -12,14 +12,13 @@
 use super::advice::look;
 use super::existing::{expect_files, lock_for_writing, sweep};
 use super::job::{Basis, Job};
+use super::order::next_files;
 use super::planned::{plan, publish, run as run_plan};
 use super::report::{ReduceReport, SourceChunks};
-use super::series::are_there;
-
-use crate::archive::manifest::{MANIFEST_NAME, Step};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest, Step};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
-use crate::formats::{self, OpenOptions, StepSource};
+use crate::formats::{self, OpenOptions, StepSource, without_frame};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings, ValueBits};
 use std::path::Path;
@@ -35,25 +34,28 @@ pub struct AppendSettings {
     pub keyframes: Option<u64>,
     /// Whether the field is measured at every sample of the source.
     pub measure: bool,
+    /// Whether a step that the archive has at the same time, or else of the same file, is replaced.
+    pub replace: bool,
 }
 
 impl Default for AppendSettings {
     fn default() -> Self {
-        Self { missing: None, keyframes: None, measure: true }
+        Self { missing: None, keyframes: None, measure: true, replace: false }
     }
 }
 
-/// Adds steps to the archive `out`; the report is of them. They are numbered from the last one on.
+/// Adds steps to the archive `out`, in the order of their times; the report is of them. Steps
+/// behind a new one have new numbers; files of the archive stay as they are.
 ///
-/// When the archive ends with these very steps already (the same names, contents, fields and
-/// times), nothing is added, and the report has no steps: so the same call continues a run that was
-/// killed at any moment.
+/// Steps that the archive has already (of the same names, contents, fields and times) are not added
+/// again: so the same call continues a run that was killed at any moment.
 ///
-/// The bytes are those that [`super::reduce_series`] would have made of all steps at once, with the
-/// same settings.
+/// The bytes of steps behind all of the archive are those that [`super::reduce_series`] would have
+/// made of all steps at once, with the same settings.
 ///
 /// # Errors
-/// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where
+/// Those of [`super::reduce_series`]; [`Error::Usage`] for another step of a time that the archive
+/// has, unless that is to be replaced; [`Error::BadInput`] for a damaged archive, and where
 /// dimensions or geometry, or points or cells, are not the archive's; [`Error::Io`] when another
 /// run has changed the archive meanwhile: the same call then adds the steps at the end.
 pub fn append(
@@ -69,13 +71,14 @@ pub fn append(
     expect_files(out, &archive.manifest)?;
     let last = archive.manifest.steps.last().expect("an archive that was opened has a step");
     let field = &last.plan.source.field;
-    let sources = sources.iter().map(|source| with_field(source, field)).collect();
+    let sources = with_fields(sources, &archive.manifest, field)?;
     // Each night's file may count from a date of its own.
     let sources = match &last.plan.source.units.time {
         Some(unit) => formats::counted_from(sources, unit),
         None => sources,
     };
-    let sources: Vec<_> = (last.plan.number + 1..).zip(sources).collect();
+    let sources: Vec<_> = (next_files(&archive.manifest)..).zip(sources).collect();
+    let run = &RunSettings { replace: settings.replace, ..run.clone() };
     let settings = settings_like(last, settings)?;
     let basis = Basis::Archive(&archive);
     let job = Job { sources: &sources, settings: &settings, out, run, progress, basis, keeps_sums: false };
@@ -87,7 +90,7 @@ pub fn append(
 /// Adds the steps of a job to an archive, or what is missing of them.
 fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<ReduceReport> {
     let planned = plan(job, false)?;
-    if are_there(archive, &planned.series.plan.steps) {
+    if planned.series.is_there {
         return ReduceReport::of_added(archive, &planned.series);
     }
     planned.check()?;
@@ -96,6 +99,28 @@ fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<ReduceReport> {
     let report = publish(built, job, &layout)?;
     sweep(&layout);
     Ok(report)
+}
+
+/// Further steps. Where those of the archive have several fields, so do these: field after field.
+fn with_fields(sources: &[StepSource], manifest: &Manifest, field: &str) -> Result<Vec<StepSource>> {
+    let series: Vec<&String> = manifest.runs().filter_map(|run| run[0].series.as_ref()).collect();
+    let is_part = |source: &StepSource| source.part().is_some();
+    if series.is_empty() || sources.iter().all(is_part) {
+        return Ok(sources.iter().map(|source| with_field(source, field)).collect());
+    }
+    let mut all = vec![];
+    for name in series {
+        for (moment, source) in (0..).zip(sources) {
+            let asked = source.options.field.as_deref().map_or(&**name, without_frame);
+            if asked == name {
+                all.push(with_field(source, name).as_field(name, Some(moment)));
+            }
+        }
+    }
+    match all.is_empty() {
+        true => Err(Error::usage("the steps of the archive have other fields: name these with --fields")),
+        false => Ok(all),
+    }
 }
 
 /// A further step. Where no field is named, it has the field of the archive, if the file has that.

@@ -140,6 +140,7 @@ impl<'a> Build<'a> {
             let mut end = next + 1;
             while end < series.plan.steps.len().min(next + source.at_once)
                 && PlannedSource::fit_together(&series.sources[next..=end])
+                && series.follows(end)
                 && !is_there(series, end)
             {
                 end += 1;
@@ -162,7 +163,7 @@ impl<'a> Build<'a> {
     /// Copies the coordinates that a grid has of its own into the archive, with its first step.
     fn coordinates(&self, series: &SeriesPlan) -> Result<Option<CoordinateRecord>> {
         match self.old {
-            Some(old) => Ok(old.steps[0].coordinates),
+            Some(old) => Ok(old.coordinates().map(|(_, record)| record)),
             None => grid_coordinates(series, self.layout),
         }
     }
@@ -193,8 +194,8 @@ impl<'a> Build<'a> {
         };
         let archive = archive.map(|archive| archive.step_at(0));
         let stored = archive.as_ref().map(|archive| {
-            let last = archive.manifest.steps.len() - 1;
-            StoredMesh { archive, base: plan.steps[steps.start].base.map(|_| last) }
+            let base = plan.steps[steps.start].base;
+            StoredMesh { archive, base: base.and_then(|base| archive.manifest.position(base.number)) }
         });
         let reused = source.before.map(|before| ReusedChunks::new(before, plan, parts, steps.end));
         let reused = reused.transpose()?.flatten();
@@ -267,7 +268,8 @@ impl<'a> Build<'a> {
         if !plan.mesh.may_have_spectrum(self.parts.chunks.len()) {
             return None;
         }
-        let first = self.old.map_or(plan.first(), |old| &old.steps[0].plan);
+        let first =
+            self.old.map_or(plan.first(), |old| old.coordinates().map_or(&old.steps[0].plan, |c| c.0));
         let file = (self.layout.at(first.number).coordinates(), first.hash(plan.mesh_hash()));
         let coordinates = coordinates.map(|_| file);
         Some(Meter::new(&plan.mesh, self.parts.points.len(), &first.source, coordinates))
@@ -322,6 +324,8 @@ impl<'a> Build<'a> {
             let layout = self.layout.at(plan.steps[n].number);
             steps.push(Step {
                 plan: plan.steps[n].clone(),
+                place: None,
+                series: None,
                 value_range: None,
                 void_points: 0,
                 values: self.records(source, plan.step_hash(n), SegmentKind::Values, |n| layout.values(n))?,
@@ -337,7 +341,8 @@ impl<'a> Build<'a> {
             steps[0].coordinates = coordinates;
         }
         let counts = Counts { chunks: self.parts.chunks.len(), ..Counts::default() };
-        let manifest = Manifest::new(plan.mesh.clone(), counts, mesh, steps);
+        let bases = self.old.map_or(vec![], |old| old.bases.clone());
+        let manifest = Manifest::new(plan.mesh.clone(), counts, mesh, steps).with_bases(bases);
         OpenArchive::of(self.layout.root(), manifest).map(Some)
     }
 

@@ -16,6 +16,8 @@ pub(super) struct ArchiveContents {
     pub(super) counts: Counts,
     pub(super) mesh: Vec<SegmentRecord>,
     pub(super) steps: Vec<Step>,
+    /// Steps that others have replaced.
+    pub(super) bases: Vec<Step>,
     /// How often halos were widened.
     pub(super) halo_retries: u64,
 }
@@ -23,12 +25,13 @@ pub(super) struct ArchiveContents {
 impl ArchiveContents {
     /// What an archive has.
     pub(super) fn of(manifest: &Manifest) -> Self {
-        let Manifest { counts, mesh, steps, .. } = manifest.clone();
-        Self { counts, mesh, steps, halo_retries: 0 }
+        let Manifest { counts, mesh, steps, bases, .. } = manifest.clone();
+        Self { counts, mesh, steps, bases, halo_retries: 0 }
     }
 
     pub(super) fn manifest(&self, plan: &Plan) -> Manifest {
         Manifest::new(plan.mesh.clone(), self.counts, self.mesh.clone(), self.steps.clone())
+            .with_bases(self.bases.clone())
     }
 
     /// Reads the summaries of the mesh of all chunks; those of a lattice follow by formula.

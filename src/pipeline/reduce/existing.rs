@@ -45,7 +45,7 @@ pub(super) fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, Seg
         ];
         values.chain(others.into_iter().flatten()).collect::<Vec<_>>()
     };
-    mesh.chain(manifest.steps.iter().flat_map(of_step)).collect()
+    mesh.chain(manifest.all_steps().flat_map(of_step)).collect()
 }
 
 /// The files of an archive in a folder, by their names in it, the manifest last; unpacked blocks,
@@ -145,11 +145,14 @@ pub(in crate::pipeline) fn strays(archive: &Path, manifest: &Manifest) -> Result
     Ok(strays)
 }
 
-/// Removes the strays that have the names of segments. The archive's writer calls this while it
+/// Removes the strays that have the names of segments, but for those that the archive had `before`. The archive's writer calls this while it
 /// holds the lock. Files of another, unfinished `append` are among them. A failure costs only disk
 /// space.
-pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
-    let segments = |path: &PathBuf| path.extension().is_some_and(|e| e == "seg") && path.is_file();
+pub(super) fn remove_strays(archive: &Path, manifest: &Manifest, before: Option<&Manifest>) {
+    let before = before.map_or(vec![], |before| segments(archive, before));
+    let was_there = |path: &PathBuf| before.iter().any(|(named, _)| named == path);
+    let segments =
+        |path: &PathBuf| path.extension().is_some_and(|e| e == "seg") && path.is_file() && !was_there(path);
     for path in strays(archive, manifest).unwrap_or_default().iter().filter(|path| segments(path)) {
         let _ = fs::remove_file(path);
     }

@@ -48,6 +48,11 @@ impl Job<'_> {
         self.sources.len() > 1 || self.basis.archive().is_some()
     }
 
+    /// Whether the sources are several fields of each step.
+    pub(in crate::pipeline) fn has_fields(&self) -> bool {
+        self.sources.iter().any(|(_, source)| source.part().is_some())
+    }
+
     /// What a plan needs, and what there is.
     pub(super) fn estimate(&self, plan: &Plan, need: &Need, copies: &Copies) -> Result<Estimate> {
         let (out, resources) = (self.out, &self.run.resources);

@@ -15,7 +15,8 @@
 use super::job::Job;
 use super::mesh_fields::{LastMesh, Listed, MeshInput};
 use super::mesh_store::check_job;
-use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, are_there, is_of_data};
+use super::order::Order;
+use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, is_of_data};
 use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, RepeatedRecord};
@@ -475,7 +476,8 @@ fn plan_steps(
         plan: Plan { steps: vec![], ..plan },
         sources: vec![],
         skipped: vec![],
-        before: archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone()),
+        order: Order::default(),
+        is_there: false,
         keyframes: job.settings.keyframes,
         attachments: Attachments { explicit: Some(Arc::clone(listed)), levels: None, repeated },
         bound: None,
@@ -501,10 +503,8 @@ fn plan_steps(
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
     }
     series.watch = planner.inputs.watch;
-    series.share_units(archive)?;
-    if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
-        series.connect()?;
-    }
+    series.share_units(job)?;
+    series.arrange(job)?;
     Ok(series)
 }
 

@@ -30,6 +30,7 @@
 //! A try is made in `planned-1.isospan`, `planned-2.isospan`, … in the same folder. So a worker
 //! that is late writes nothing into the next try.
 
+use super::order::Order;
 use super::report::ReduceReport;
 use super::search::TargetSearch;
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
@@ -213,7 +214,8 @@ impl PlanFile {
             plan: self.plan.clone(),
             sources: self.sources.iter().cloned().map(PlannedSource::in_place).collect(),
             skipped: self.skipped.clone(),
-            before: None,
+            order: Order::default(),
+            is_there: false,
             keyframes: self.settings.keyframes,
             attachments: Attachments::default(),
             bound: None,

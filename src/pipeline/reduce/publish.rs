@@ -54,6 +54,8 @@ impl Build<'_> {
         }
         layout.sync()?;
         series.watch.check()?;
+        let added = contents.steps[first..].iter().map(|step| step.plan.number).min().unwrap_or(0);
+        series.put_in_order(self.old, &mut contents);
         let manifest = contents.manifest(plan);
         if existing::lacks_files(layout.root(), &manifest) {
             let text = "another run has removed files meanwhile: run the same command again";
@@ -61,13 +63,15 @@ impl Build<'_> {
         }
         manifest.write(layout.root())?;
         if !self.keeps_sums {
-            existing::remove_strays(layout.root(), &manifest);
+            // Readers of the archive as it was may need what was replaced: `gc` removes it.
+            existing::remove_strays(layout.root(), &manifest, self.old);
         }
         // No halo was made of a mesh's own tetrahedra.
         let is_own = manifest.plan.own.is_some();
         let halo_retries = if is_own { 0 } else { contents.halo_retries };
-        let report = ReduceReport { halo_retries, skipped: series.skipped.clone(), ..report };
-        report.of_archive(layout.root(), &manifest, first)
+        let (skipped, replaced) = (series.skipped.clone(), series.replaced(self.old));
+        let report = ReduceReport { halo_retries, skipped, replaced, ..report };
+        report.of_archive(layout.root(), &manifest, added)
     }
 
     /// The `n`-th step of the plan, without errors. If it is indexed, builds its index, and its
@@ -108,6 +112,8 @@ impl Build<'_> {
         };
         Ok(Step {
             plan: step.clone(),
+            place: None,
+            series: None,
             value_range: (value_range[0] <= value_range[1]).then_some(value_range),
             void_points,
             values,

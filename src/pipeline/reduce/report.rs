@@ -1,5 +1,6 @@
 //! What is reported about a reduction.
 
+use super::order::next_files;
 use super::series::{SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, Step};
 use crate::archive::tables::CellCount;
@@ -7,7 +8,7 @@ use crate::archive::values::Quantiser;
 use crate::domain::store::MeshCensus;
 use crate::error::Result;
 use crate::exec::Reached;
-use crate::formats::StepSource;
+use crate::formats::{StepSource, without_frame};
 use crate::measure::FieldError;
 use crate::pipeline::plan::{Notice, folder_bytes};
 use crate::pipeline::read::{OpenArchive, StepSummary};
@@ -15,6 +16,7 @@ use crate::pipeline::settings::Target;
 use crate::pipeline::stage::{Stage, StageSeconds, StageTimes, summed};
 use crate::volume::chunked::DecodeCount;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
@@ -40,6 +42,15 @@ pub struct ReduceReport {
     /// The error that is wanted, in units of the field.
     #[serde(skip)]
     pub(in crate::pipeline) bound: Option<f64>,
+    /// Whether the sources are several fields of each step: an error is a part of the range of each.
+    #[serde(skip)]
+    pub of_fields: bool,
+    /// The errors of each step, RMS and largest, as parts of the range of its field.
+    #[serde(skip)]
+    pub(in crate::pipeline) shares: Vec<[f64; 2]>,
+    /// Steps that these have replaced, by their numbers.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub replaced: Vec<u64>,
     /// Chunks that were copied from an earlier try.
     #[serde(skip)]
     pub(in crate::pipeline) reused_chunks: u64,
@@ -101,6 +112,9 @@ pub struct TargetReport {
     pub met: bool,
     /// Reductions that were made.
     pub tries: u32,
+    /// Whether bound and error are parts of the range of each of several fields.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub of_ranges: bool,
     /// Chunks that were meshed in all these together, and chunks that these had together: those in
     /// which nothing changed are reused.
     pub meshed_chunks: [u64; 2],
@@ -139,6 +153,25 @@ impl SourceChunks {
     }
 }
 
+/// The errors of each step as parts of the range of its field, in all steps that have this.
+fn shares(manifest: &Manifest) -> Vec<[f64; 2]> {
+    let range_of = |step: &Step| step.error.as_ref().and_then(|e| e.source_range).or(step.file_range());
+    let of_field = |name: &str| {
+        let same = manifest.steps.iter().filter(|s| without_frame(s.field()) == name).filter_map(range_of);
+        same.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).map_or(0.0, |[lo, hi]| hi - lo)
+    };
+    let mut known: BTreeMap<&str, f64> = BTreeMap::new();
+    let mut all = vec![];
+    for step in &manifest.steps {
+        let Some(error) = &step.error else { continue };
+        let name = without_frame(step.field());
+        let range = *known.entry(name).or_insert_with(|| of_field(name));
+        let share = |error: f64| if error == 0.0 { 0.0 } else { error / range };
+        all.push([error.rms, error.max].map(share));
+    }
+    all
+}
+
 impl ReduceReport {
     /// What was reached of a target that was not met: the archive is there all the same. `None`
     /// where there was no target, and where it was met.
@@ -146,17 +179,17 @@ impl ReduceReport {
         self.target.as_ref().filter(|target| !target.met)
     }
 
-    /// The report of the archive at `root`: all that its manifest says about the steps from
-    /// position `first` on.
+    /// The report of the archive at `root`: all that its manifest says about the steps whose files
+    /// have numbers from `first` on.
     pub(in crate::pipeline) fn of_archive(
         self,
         root: &Path,
         manifest: &Manifest,
-        first: usize,
+        first: u64,
     ) -> Result<Self> {
-        let steps = &manifest.steps[first..];
+        let steps: Vec<&Step> = manifest.steps.iter().filter(|s| s.plan.number >= first).collect();
         let counts = manifest.counts;
-        let ranges = steps.iter().filter_map(Step::file_range);
+        let ranges = steps.iter().filter_map(|step| step.file_range());
         Ok(Self {
             own: manifest.plan.own.is_some(),
             is_of_mesh: manifest.steps[0].plan.source.mesh.is_some(),
@@ -165,12 +198,13 @@ impl ReduceReport {
             tetrahedra: counts.tetrahedra,
             chunks: counts.chunks,
             blocks: counts.blocks,
-            grid_cells: manifest.steps[0].coordinates.map(|c| c.cells),
+            grid_cells: manifest.coordinates().map(|(_, c)| c.cells),
             range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
             quantiser: steps.first().and_then(|step| step.plan.file_quantiser()),
             error: steps.first().and_then(|step| step.error.clone()),
-            steps: steps.iter().map(StepSummary::of).collect(),
+            steps: steps.iter().map(|step| StepSummary::of(manifest, step)).collect(),
             archive_bytes: folder_bytes(root)?,
+            shares: shares(manifest),
             ..self
         })
     }
@@ -179,7 +213,7 @@ impl ReduceReport {
     pub(super) fn of_added(archive: &OpenArchive, series: &SeriesPlan) -> Result<Self> {
         let samples = archive.manifest.steps[0].plan.source.samples();
         let report = Self { samples, skipped: series.skipped.clone(), made_before: true, ..Self::default() };
-        report.of_archive(archive.path(), &archive.manifest, archive.manifest.steps.len())
+        report.of_archive(archive.path(), &archive.manifest, next_files(&archive.manifest))
     }
 
     /// With the time of all.

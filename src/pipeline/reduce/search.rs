@@ -20,6 +20,7 @@ impl Target {
     /// The bound, in units of the field or in bytes, known from the first try.
     fn limit(self, report: &ReduceReport, source: Option<u64>) -> Result<f64> {
         match self {
+            Self::Rms(Bound::OfRange(part)) | Self::Max(Bound::OfRange(part)) if report.of_fields => Ok(part),
             Self::Rms(bound) | Self::Max(bound) => {
                 let range = source_range(report).map(|r| r.map(|v| v as f32)).unwrap_or_default();
                 Ok(report.bound.unwrap_or_else(|| bound.in_units(range)))
@@ -51,7 +52,16 @@ impl Target {
             None => report.archive_bytes as f64,
         };
         let met = reached <= bound;
-        Ok(TargetReport { target: self, bound, reached, met, tries: 0, meshed_chunks: [0; 2], full_cells })
+        Ok(TargetReport {
+            target: self,
+            bound,
+            reached,
+            met,
+            tries: 0,
+            of_ranges: self.bound().is_some() && report.of_fields,
+            meshed_chunks: [0; 2],
+            full_cells,
+        })
     }
 
     /// The error or the size that an archive has; with several steps, that of the worst one.
@@ -79,8 +89,12 @@ const LEAST_BYTES: u64 = 4 << 10;
 /// Bytes of the manifest that state the target, at most.
 const RECORD: u64 = 64;
 
-/// The range of the samples, of all steps as far as it is known.
+/// The range of the samples, of all steps as far as it is known. Errors of several fields are parts
+/// of the range of each.
 fn source_range(report: &ReduceReport) -> Option<[f64; 2]> {
+    if report.of_fields {
+        return Some([0.0, 1.0]);
+    }
     let of_steps = report.steps.iter().filter_map(|s| s.range);
     let of_first = report.error.as_ref().and_then(|e| e.source_range);
     of_first.into_iter().chain(of_steps).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
@@ -315,6 +329,9 @@ pub(in crate::pipeline) struct TargetSearch {
     /// The search for the steps of the range of a lattice with a node at each sample, once fewer
     /// points have been tried.
     nodes: Option<Search>,
+    /// Whether each step has several fields.
+    #[serde(default)]
+    of_fields: bool,
 }
 
 impl TargetSearch {
@@ -339,6 +356,7 @@ impl TargetSearch {
             chunks: 0,
             best: None,
             nodes: None,
+            of_fields: false,
         })
     }
 
@@ -416,6 +434,7 @@ impl TargetSearch {
             Some(search) => search.bound,
             None => self.target.limit(report, self.source)?,
         };
+        self.of_fields = report.of_fields;
         let (settings, number) = (self.next_settings(), self.tries + 1);
         self.tries = number;
         self.chunks += report.chunks;
@@ -546,6 +565,7 @@ impl TargetSearch {
             reached: made.reached,
             met: made.reached <= bound,
             tries: self.tries,
+            of_ranges: self.target.bound().is_some() && self.of_fields,
             meshed_chunks: [self.chunks; 2],
             full_cells,
         }
@@ -573,9 +593,12 @@ impl TargetSearch {
 /// Points a sample, at most, of a lattice with exact values: more than one with a node at each has.
 const MOST_OF_LATTICE: f64 = 2.5;
 
-/// The error of the worst step.
+/// The error of the worst step; of several fields as a part of the range of each.
 pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
     let which = usize::from(matches!(target, Target::Max(_)));
+    if report.of_fields {
+        return report.shares.iter().map(|shares| shares[which]).fold(0.0, f64::max);
+    }
     report.steps.iter().filter_map(|s| s.error).map(|e| e[which]).fold(0.0, f64::max)
 }
 

@@ -1,10 +1,11 @@
 //! The plan of a series of steps, and where each step comes from.
 
+use super::job::Job;
+use super::order::Order;
 use crate::archive::manifest::StepPlan;
 use crate::error::{Error, Result};
-use crate::formats::StepSource;
+use crate::formats::{StepSource, without_frame};
 use crate::pipeline::plan::{Attachments, Layout, Plan, Watch};
-use crate::pipeline::read::OpenArchive;
 use crate::volume::chunked::ChunkShape;
 use crate::volume::units::Unit;
 use serde::{Deserialize, Serialize};
@@ -94,8 +95,10 @@ pub(in crate::pipeline) struct SeriesPlan {
     /// The source of each step of the plan.
     pub(in crate::pipeline) sources: Vec<PlannedSource>,
     pub(in crate::pipeline) skipped: Vec<SkippedStep>,
-    /// The last step that the archive has already.
-    pub(in crate::pipeline) before: Option<StepPlan>,
+    /// Where the steps go among those that the archive has already.
+    pub(super) order: Order,
+    /// Whether the archive has all of these steps already.
+    pub(super) is_there: bool,
     pub(in crate::pipeline) keyframes: u64,
     /// What is stored with the plan.
     pub(in crate::pipeline) attachments: Attachments,
@@ -110,37 +113,34 @@ impl SeriesPlan {
     /// are added to: of lengths and times those of any step, of values those of the same field.
     ///
     /// # Errors
-    /// [`Error::Usage`] where a step has another unit.
-    pub(super) fn share_units(&mut self, archive: Option<&OpenArchive>) -> Result<()> {
+    /// [`Error::Usage`] where a step has another unit; where steps may be left out, it is.
+    pub(super) fn share_units(&mut self, job: &Job<'_>) -> Result<()> {
         let mut known = KnownUnits::default();
-        let old = archive.into_iter().flat_map(|archive| &archive.manifest.steps);
+        let old = job.basis.archive().into_iter().flat_map(|archive| &archive.manifest.steps);
         old.for_each(|step| known.learn(&step.plan));
-        for (step, from) in self.plan.steps.iter_mut().zip(&self.sources) {
-            known.agree(step, &from.source)?;
-            known.learn(step);
-        }
-        Ok(())
-    }
-
-    /// Gives each step its base, and checks that times ascend.
-    pub(super) fn connect(&mut self) -> Result<()> {
-        self.plan.set_bases(self.before.as_ref(), self.keyframes);
-        let all: Vec<&StepPlan> = self.before.iter().chain(&self.plan.steps).collect();
-        for pair in all.windows(2) {
-            let [a, b] = [pair[0], pair[1]].map(StepPlan::time_or_number);
-            if a >= b || a.is_nan() || !b.is_finite() {
-                return Err(Error::usage(format!(
-                    "times must ascend: step {} is at {a}, step {} at {b} (give them with --times)",
-                    pair[0].number, pair[1].number
-                )));
+        let mut n = 0;
+        while n < self.plan.steps.len() {
+            let step = &mut self.plan.steps[n];
+            match known.agree(step, &self.sources[n].source) {
+                Ok(()) => {
+                    known.learn(step);
+                    n += 1;
+                }
+                Err(e) => self.refuse(n, job, e)?,
             }
         }
         Ok(())
     }
 
+    /// Whether the `n`-th step may be made with the one before it: where it refers to one, to that.
+    pub(super) fn follows(&self, n: usize) -> bool {
+        let base = self.plan.steps[n].base;
+        base.is_none_or(|base| base.number == self.plan.steps[n - 1].number)
+    }
+
     /// Whether errors name the step.
     pub(super) fn is_several(&self) -> bool {
-        self.plan.steps.len() + self.skipped.len() > 1 || self.before.is_some()
+        self.plan.steps.len() + self.skipped.len() > 1 || self.order.is_continued()
     }
 
     /// Notes that a step is not made.
@@ -157,7 +157,8 @@ impl SeriesPlan {
             self.skip(step.number, &source.source, reason);
             layout.at(step.number).remove_step()?;
         }
-        self.connect()
+        self.connect();
+        Ok(())
     }
 }
 
@@ -167,12 +168,6 @@ struct KnownUnits {
     length: Option<(Unit, u64)>,
     time: Option<(Unit, u64)>,
     values: HashMap<String, (Unit, u64)>,
-}
-
-/// The field that a frame is one of: "temp" of "temp:t5".
-fn without_frame(field: &str) -> &str {
-    let is_frame = |end: &str| !end.is_empty() && end.bytes().all(|b| b.is_ascii_digit());
-    field.rsplit_once(":t").filter(|(_, end)| is_frame(end)).map_or(field, |(name, _)| name)
 }
 
 impl KnownUnits {
@@ -211,15 +206,6 @@ impl KnownUnits {
     }
 }
 
-/// Whether an archive ends with these very steps: a run that was killed after it had added them is
-/// asked to continue.
-pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
-    let mut there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
-    steps.len() <= archive.manifest.steps.len()
-        && there
-            .all(|(a, b)| a.plan.source == b.source && a.plan.time == b.time && a.plan.missing == b.missing)
-}
-
 /// The field of the first step of a series. Files whose only field has another name need a choice.
 pub(super) struct FieldOfSeries {
     step: u64,
@@ -237,8 +223,14 @@ impl FieldOfSeries {
     /// Whether the field that a reader chose is the one of the series.
     ///
     /// # Errors
-    /// [`Error::Usage`] if its name is another one and no `--field` asked for it.
+    /// [`Error::Usage`] if its name is another one and no `--field` asked for it, or is not that of
+    /// one of several fields.
     pub(super) fn check(&self, source: &StepSource, name: &str) -> Result<()> {
+        if let Some(part) = source.part().filter(|part| name != part.name && without_frame(name) != part.name)
+        {
+            let path = source.path.display();
+            return Err(Error::usage(format!("{path}: no field {}; it has {name}", part.name)));
+        }
         let is_chosen = source.options.field.is_some();
         if is_chosen || name == self.name || [name, &self.name[..]].contains(&NAMELESS) {
             return Ok(());

@@ -48,10 +48,10 @@ use super::report::ReduceReport;
 use super::search::TargetSearch;
 use super::target_max::reduce_to_max;
 use super::tries::{full_cells, publish, tidy};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::exec::Attempt;
 use crate::pipeline::plan::folder_bytes;
-use crate::pipeline::settings::{RunSettings, Target};
+use crate::pipeline::settings::{Bound, RunSettings, Target};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -82,6 +82,7 @@ pub(super) fn reduce_to_target(
     target: Target,
     source: Option<u64>,
 ) -> Result<ReduceReport> {
+    expect_for_fields(job, target)?;
     let search = TargetSearch::new(job.settings, target, source)?;
     if let Existing::Finished(manifest) = existing
         && !job.run.replace
@@ -130,6 +131,24 @@ fn search_for(job: &Job<'_>, new: TargetSearch, target: Target, source: Option<u
     };
     let report = of_best.map_or_else(|| made.report(&best), Ok)?;
     publish_best(&state.search, &best, job.out, ReduceReport { seconds, ..report })
+}
+
+/// Refuses an error that would be compared among fields of several units.
+pub(in crate::pipeline) fn expect_for_fields(job: &Job<'_>, target: Target) -> Result<()> {
+    let Some(bound) = target.bound().filter(|_| job.has_fields()) else { return Ok(()) };
+    if let Bound::Value(error) = bound {
+        return Err(Error::usage(format!(
+            "an error of {error} is in the units of one field, and there are several: \
+             give a part of the range of each, as 1%"
+        )));
+    }
+    match target {
+        Target::Max(_) if job.settings.adapt.is_some() => Err(Error::usage(
+            "a largest error of several fields does not go with points that adapt, as those of a mesh do: \
+             choose --target-rms, or reduce each field by itself",
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// Makes the best try of a search the archive `out`, and completes its report.

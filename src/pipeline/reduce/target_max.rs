@@ -89,7 +89,8 @@ impl LevelSearch {
     fn report(&self, target: Target, archive: &Path) -> Result<TargetReport> {
         let &Self { tries, bound, reached, meshed_chunks, .. } = self;
         let (met, full_cells) = (reached <= bound, Some(full_cells(archive)?));
-        Ok(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells })
+        let of_ranges = false;
+        Ok(TargetReport { target, bound, reached, met, tries, of_ranges, meshed_chunks, full_cells })
     }
 }
 

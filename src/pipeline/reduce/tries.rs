@@ -28,14 +28,14 @@ pub(super) fn publish(settings: &ReduceSettings, best: &Path, out: &Path) -> Res
     let mut manifest = Manifest::read(best)?;
     manifest.target = Some(settings.hash());
     manifest.write(best)?;
-    remove_strays(best, &manifest);
+    remove_strays(best, &manifest, None);
     replace_archive(best, out)
 }
 
 /// Removes what a try that is complete does not need, and a kill has left: its bytes count.
 pub(super) fn tidy(made: &Path) {
     if let Ok(manifest) = Manifest::read(made) {
-        remove_strays(made, &manifest);
+        remove_strays(made, &manifest, None);
     }
 }
 

@@ -2,7 +2,8 @@
 
 use super::cached::need_with_caches;
 use super::job::{Basis, Job};
-use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, are_there, is_of_data};
+use super::order::Order;
+use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, is_of_data};
 use super::volume_fields::{shape, volume_of};
 use crate::archive::manifest::{Source, StepPlan};
 use crate::archive::values::{NodeCoder, Quantiser};
@@ -91,7 +92,6 @@ const MOST_LOOKED_AT: usize = 8;
 pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<SeriesPlan> {
     let Job { sources, settings, run, .. } = *job;
     let archive = job.basis.archive();
-    let before = archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
     let mut planner = Planner {
         job,
         common: None,
@@ -139,7 +139,8 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
         plan: Plan { steps, ..plan },
         sources: planned,
         skipped: vec![],
-        before,
+        order: Order::default(),
+        is_there: false,
         keyframes: settings.keyframes,
         attachments,
         bound,
@@ -147,10 +148,8 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
     };
     skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
     share_copies(&mut series)?;
-    series.share_units(archive)?;
-    if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
-        series.connect()?;
-    }
+    series.share_units(job)?;
+    series.arrange(job)?;
     Ok(series)
 }
 

@@ -349,7 +349,8 @@ fn planned_report(file: &PlanFile) -> ReduceReport {
         None => file.plan.first().source.dims.iter().product(),
     };
     let (inner_points, bound) = file.search.as_ref().map_or((0, None), |s| (s.inner_points, s.bound));
-    ReduceReport { samples, inner_points, bound, ..ReduceReport::default() }
+    let of_fields = file.numbered().iter().any(|(_, source)| source.part().is_some());
+    ReduceReport { samples, inner_points, bound, of_fields, ..ReduceReport::default() }
 }
 
 /// The parts of a plan, with what is stored in the archive.

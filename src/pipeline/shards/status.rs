@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
 use crate::pipeline::plan::{Attachments, Layout, Shard};
 use crate::pipeline::read::{Depth, SegmentState, inspect};
-use crate::pipeline::reduce::{Existing, FinishedSteps, PlanFile, plan_path, work_folder};
+use crate::pipeline::reduce::{Existing, FinishedSteps, PlanFile, plan_path, strays, work_folder};
 use crate::pipeline::settings::RunSettings;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -214,7 +214,9 @@ pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Resul
         return Err(Error::bad_input(out, "archive", expected, got));
     }
     let mut report = GcReport::default();
-    for file in leftovers(out)?.into_iter().filter(|f| f.age >= older_than && !is_held(&f.path)) {
+    let replaced = replaced_files(out, older_than)?;
+    let left = leftovers(out)?.into_iter().filter(|f| f.age >= older_than && !is_held(&f.path));
+    for file in left.chain(replaced) {
         if !dry_run {
             match fs::remove_file(&file.path) {
                 Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
@@ -227,6 +229,33 @@ pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Resul
         report.files.push(file.path);
     }
     Ok(report)
+}
+
+/// Segments of steps that others have replaced so long ago: an archive's manifest does not name
+/// them, and steps that are still to be finished have higher numbers than any that it names.
+fn replaced_files(out: &Path, older_than: Duration) -> Result<Vec<Leftover>> {
+    let Ok(manifest) = Manifest::read(out) else { return Ok(vec![]) };
+    let path = out.join(MANIFEST_NAME);
+    let age = fs::metadata(&path).and_then(|about| about.modified());
+    let age = age.map_err(|e| Error::io("look at", &path, e))?.elapsed().unwrap_or_default();
+    if age < older_than {
+        return Ok(vec![]);
+    }
+    let last = manifest.all_steps().map(|step| step.plan.number).max().unwrap_or(0);
+    let is_replaced = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let number = name.split_once('-').and_then(|(number, _)| number.parse::<u64>().ok());
+        path.parent() == Some(&*steps_folder(out))
+            && name.ends_with(".seg")
+            && number.is_some_and(|n| n <= last)
+    };
+    let found = strays(out, &manifest)?.into_iter().filter(is_replaced);
+    found
+        .map(|path| {
+            let bytes = fs::symlink_metadata(&path).map_err(|e| Error::io("look at", &path, e))?.len();
+            Ok(Leftover { path, bytes, age })
+        })
+        .collect()
 }
 
 /// Whether a writer on this machine (or on another, where the file system shows that) has the file

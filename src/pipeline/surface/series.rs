@@ -15,10 +15,11 @@ use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
 use crate::formats::listed_files;
 use crate::formats::surface::SurfaceFormat;
-use crate::pipeline::read::{OpenArchive, StepRange, StepView};
+use crate::pipeline::read::{OpenArchive, StepView};
 use crate::surface::TriMesh;
 use serde::Serialize;
 use std::fmt::Write as _;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -55,15 +56,14 @@ pub struct SeriesReport {
 /// The files that [`write_series`] writes, the lists included.
 pub(in crate::pipeline) fn series_files(
     archive: &OpenArchive,
-    steps: StepRange,
+    steps: Range<usize>,
     settings: &SurfaceSettings,
     out: &Path,
     format: SurfaceFormat,
 ) -> Result<Vec<PathBuf>> {
     let place = StepDigits::in_name(out)?;
-    let positions = steps.positions(&archive.manifest, archive.path())?;
-    let of_step = |step: &Step| settings.files(&place.name(step.plan.number));
-    let mut files: Vec<PathBuf> = archive.manifest.steps[positions].iter().flat_map(of_step).collect();
+    let of_step = |step: &Step| settings.files(&place.name(step.number()));
+    let mut files: Vec<PathBuf> = archive.manifest.steps[steps].iter().flat_map(of_step).collect();
     files.extend(settings.files(&place.list(format)));
     Ok(files)
 }
@@ -72,7 +72,7 @@ pub(in crate::pipeline) fn series_files(
 /// [`Archive::write_series`](crate::pipeline::Archive::write_series).
 pub(in crate::pipeline) fn write_series(
     archive: &Arc<OpenArchive>,
-    steps: StepRange,
+    steps: Range<usize>,
     settings: &SurfaceSettings,
     out: &Path,
     format: SurfaceFormat,
@@ -84,8 +84,7 @@ pub(in crate::pipeline) fn write_series(
     let scratch = settings.scratch_of(out);
     let mut made: Vec<StepSurfaces> = vec![];
     let mut write = |archive: &StepView, surfaces| {
-        let plan = &archive.step().plan;
-        let (step, time) = (plan.number, plan.time_or_number());
+        let (step, time) = (archive.step().number(), archive.step().time_or_number());
         let (report, surfaces) = write_made(archive, settings, surfaces, &place.name(step), format)?;
         made.push(StepSurfaces { step, time, skipped: !settings.can_answer(archive), report });
         Ok(surfaces.into_iter().map(|s| s.surface.into_memory()).collect())
@@ -126,17 +125,17 @@ pub(super) type EachStep<'a> = dyn FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<
 /// surfaces. Memory of surfaces that is not taken is reused for later steps.
 pub(in crate::pipeline) fn surfaces_of_steps(
     archive: &Arc<OpenArchive>,
-    steps: StepRange,
+    steps: Range<usize>,
     settings: &SurfaceSettings,
     each: &mut EachStep<'_>,
 ) -> Result<()> {
     settings.check()?;
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let mut hand_out = |archive: &StepView, made: FinishedSurfaces| {
-        let plan = &archive.step().plan;
+        let step = archive.step();
         let surfaces = made.surfaces.into_iter().map(|found| found.into_mesh(archive));
         let mut surfaces = surfaces.collect::<Result<Vec<_>>>()?;
-        each(plan.number, plan.time_or_number(), &mut surfaces)?;
+        each(step.number(), step.time_or_number(), &mut surfaces)?;
         Ok(surfaces)
     };
     for_each_step(archive, steps, settings, &scratch, &Silent, &mut hand_out)
@@ -148,13 +147,13 @@ type Use<'a> = dyn FnMut(&StepView, FinishedSurfaces) -> Result<Vec<TriMesh>> + 
 /// Extracts surfaces of step after step, several in a pass.
 fn for_each_step(
     archive: &Arc<OpenArchive>,
-    steps: StepRange,
+    steps: Range<usize>,
     settings: &SurfaceSettings,
     scratch: &Path,
     progress: &dyn Progress,
     use_them: &mut Use<'_>,
 ) -> Result<()> {
-    let mut positions = steps.positions(&archive.manifest, archive.path())?;
+    let mut positions = steps;
     let mut reused = vec![];
     while !positions.is_empty() {
         let views: Vec<StepView> = positions.clone().take(MOST_STEPS).map(|n| archive.step_at(n)).collect();

@@ -37,6 +37,8 @@ pub struct UnpackSettings {
     pub step: StepChoice,
     /// Several steps, in place of one.
     pub steps: Option<StepRange>,
+    /// The field of a range of steps, where each has several.
+    pub field: Option<String>,
     /// Only blocks that can answer isovalues from the first to the second; surfaces at others
     /// decode blocks.
     pub range: [f64; 2],
@@ -48,8 +50,14 @@ pub struct UnpackSettings {
 
 impl Default for UnpackSettings {
     fn default() -> Self {
-        let resources = Resources::default();
-        Self { step: StepChoice::First, steps: None, range: EVERYTHING, keep: false, resources }
+        Self {
+            step: StepChoice::First,
+            steps: None,
+            field: None,
+            range: EVERYTHING,
+            keep: false,
+            resources: Resources::default(),
+        }
     }
 }
 
@@ -263,7 +271,7 @@ fn expect_local(path: &Path) -> Result<()> {
 /// The positions in the manifest of the steps that are meant.
 fn chosen(manifest: &Manifest, settings: &UnpackSettings, path: &Path) -> Result<std::ops::Range<usize>> {
     if let Some(steps) = settings.steps {
-        return steps.positions(manifest, path);
+        return steps.positions(manifest, settings.field.as_deref(), path);
     }
     let Moment { step, beyond } = Moment::of(manifest, settings.step.clone(), path)?;
     match beyond {
@@ -288,7 +296,7 @@ fn unpack_step(
     }
     let path = archive.layout.unpacked();
     let mut writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
-    let step = archive.step().plan.number;
+    let step = archive.step().number();
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
     let threads = Threads::new(settings.resources.threads)?;
     let (spare, world) = (BufferPool::default(), world_map(archive));

@@ -49,7 +49,7 @@ impl OpenArchive {
         all.map(|(n, step)| {
             let file = if is_remote(self.path()) { None } else { self.open_unpacked(n)? };
             let unpacked_bytes = file.map(|file| file.segment().info().bytes);
-            Ok(StepSummary { unpacked_bytes, ..StepSummary::of(step) })
+            Ok(StepSummary { unpacked_bytes, ..StepSummary::of(&self.manifest, step) })
         })
         .collect()
     }
@@ -57,11 +57,12 @@ impl OpenArchive {
     /// The hash of what the unpacked blocks of a step are made of: the mesh, and its values, back
     /// to a keyframe.
     pub(super) fn unpacked_hash(&self, step: usize) -> PlanHash {
-        let steps = &self.manifest.steps;
-        let key = (0..step).rev().find(|&n| steps[n + 1].plan.base.is_none()).map_or(0, |n| n + 1);
-        let values = steps[key..=step].iter().flat_map(|s| &s.values);
-        let made_of = self.manifest.mesh.iter().chain(values).map(|record| &record.info);
-        unpacked_hash(steps[step].plan.hash(self.manifest.plan_hash), made_of)
+        let manifest = &self.manifest;
+        let chain = std::iter::successors(Some(step), |&step| manifest.base_of(step));
+        let chain: Vec<_> = chain.map(|step| manifest.step_at(step)).collect();
+        let values = chain.iter().rev().flat_map(|step| &step.values);
+        let made_of = manifest.mesh.iter().chain(values).map(|record| &record.info);
+        unpacked_hash(chain[0].plan.hash(manifest.plan_hash), made_of)
     }
 }
 

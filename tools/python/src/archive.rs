@@ -45,11 +45,12 @@ pub(crate) struct Archive {
     other: Mutex<Option<(StepChoice, Arc<Step>)>>,
 }
 
-/// A step, by its number or the name of its field.
+/// A step, by its number or the name of its field, or by both where it has several fields.
 #[derive(FromPyObject, PartialEq)]
 pub(crate) enum StepName {
     Number(u64),
     Field(String),
+    Of(u64, String),
 }
 
 /// A step, or a time.
@@ -60,6 +61,7 @@ fn choice(py: Python<'_>, when: When) -> PyResult<StepChoice> {
         (None, None) => Ok(StepChoice::First),
         (Some(StepName::Number(number)), None) => Ok(StepChoice::Number(number)),
         (Some(StepName::Field(name)), None) => Ok(StepChoice::Field(name)),
+        (Some(StepName::Of(number, field)), None) => Ok(StepChoice::NumberOf(number, field)),
         (None, Some(time)) => Ok(StepChoice::Time(time)),
         (Some(_), Some(_)) => Err(usage(py, "give a step or a time, not both")),
     }

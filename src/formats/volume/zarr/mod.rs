@@ -62,7 +62,7 @@ use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::grid::Geometry;
 use crate::volume::chunked::{ChunkSlabs, ChunkSource, refuse_many_chunks};
 use crate::volume::strided::swap_bytes;
-use crate::volume::units::{Unit, Units};
+use crate::volume::units::{Unit, Units, common};
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     PathLike = os.PathLike[str] | str
     Size = int | str
+    #: A step by its number or the name of its field, or by both where it has several fields.
+    Which = int | str | tuple[int, str]
     #: A text as the program takes it, or for x, y, z a pair of ends in numbers of samples (None:
     #: open).
     Roi = str | Sequence[Sequence[float | None]]
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
         min_volume: float | None
         decimate: float | None
         decimate_error: float | None
-        step: int | str | None
+        step: Which | None
         time: float | None
         threads: int
         memory: Size | None
@@ -140,7 +142,7 @@ class Archive:
     report: dict[str, Any] | None
 
     def __init__(
-        self, path: PathLike, *, step: int | str | None = None, time: float | None = None
+        self, path: PathLike, *, step: Which | None = None, time: float | None = None
     ) -> None:
         self._path, self._when = place(path), (step, time)
         self.report = None
@@ -191,7 +193,7 @@ class Archive:
         series = f", {steps} steps" if steps > 1 else ""
         return f"<isospan.Archive {self._path!r} of {dims} samples{series}>"
 
-    def at(self, *, step: int | str | None = None, time: float | None = None) -> Archive:
+    def at(self, *, step: Which | None = None, time: float | None = None) -> Archive:
         """The same archive at a step, by its number, or at a time: between steps values are
         linear."""
         return Archive(self._path, step=step, time=time)
@@ -249,17 +251,17 @@ class Archive:
         found = self._core.value_range((None, None))
         return None if found is None else (found[0], found[1])
 
-    def spectrum(self, *, step: int | str | None = None, time: float | None = None) -> Spectrum:
+    def spectrum(self, *, step: Which | None = None, time: float | None = None) -> Spectrum:
         """How large isosurfaces are, over the isovalue, and which are worth a look."""
         return _spectrum(self._core.spectrum((step, time)))
 
     @overload
     def count(
-        self, isovalue: float, *, step: int | str | None = ..., time: float | None = ...
+        self, isovalue: float, *, step: Which | None = ..., time: float | None = ...
     ) -> int: ...
     @overload
     def count(
-        self, isovalue: Sequence[float], *, step: int | str | None = ..., time: float | None = ...
+        self, isovalue: Sequence[float], *, step: Which | None = ..., time: float | None = ...
     ) -> npt.NDArray[np.uint64]: ...
     def count(self, isovalue, *, step=None, time=None):
         """How many tetrahedra an isosurface crosses, exactly; an array for several isovalues."""
@@ -286,7 +288,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        step: int | str | None = None,
+        step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -341,7 +343,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        step: int | str | None = None,
+        step: Which | None = None,
         time: float | None = None,
         steps: str | bool | None = None,
         threads: int = 0,
@@ -374,7 +376,7 @@ class Archive:
         self,
         points: npt.ArrayLike,
         *,
-        step: int | str | None = None,
+        step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -397,7 +399,7 @@ class Archive:
         self,
         dims: Sequence[int] | None = None,
         *,
-        step: int | str | None = None,
+        step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -418,7 +420,7 @@ class Archive:
         path: PathLike,
         dims: Sequence[int] | None = None,
         *,
-        step: int | str | None = None,
+        step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -441,7 +443,7 @@ class Archive:
         bounds: Sequence[float | None] | None = None,
         every: int = 1,
         compress: bool = False,
-        step: int | str | None = None,
+        step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -521,8 +523,11 @@ class Archive:
         self._core.check()
 
     def __iter__(self) -> Iterator[Archive]:
-        """The archive at each of its steps."""
-        return (self.at(step=step["number"]) for step in self.steps)
+        """The archive at each of its steps, of each field where they have several."""
+        numbers = [step["number"] for step in self.steps]
+        if len(set(numbers)) == len(numbers):
+            return (self.at(step=number) for number in numbers)
+        return (self.at(step=(step["number"], step["field"])) for step in self.steps)
 
 
 #: Archives of this process that were opened.
@@ -542,11 +547,11 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forked)
 
 
-def _again(path: str, step: int | str | None, time: float | None) -> Archive:
+def _again(path: str, step: Which | None, time: float | None) -> Archive:
     return Archive(path, step=step, time=time)
 
 
-def open(path: PathLike, *, step: int | str | None = None, time: float | None = None) -> Archive:
+def open(path: PathLike, *, step: Which | None = None, time: float | None = None) -> Archive:
     """Opens an archive, at a step, by its number or the name of its field, or at a time; at its
     first step if none is given.
 

@@ -4,7 +4,7 @@ from os import PathLike
 from typing import Any, Callable, Sequence, TypeAlias
 
 _Path: TypeAlias = str | PathLike[str]
-_When: TypeAlias = tuple[int | str | None, float | None]
+_When: TypeAlias = tuple[int | str | tuple[int, str] | None, float | None]
 _Callback: TypeAlias = Callable[[str, int, int, str], Any] | None
 _Report: TypeAlias = dict[str, Any]
 

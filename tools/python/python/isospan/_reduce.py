@@ -93,6 +93,7 @@ def reduce(
     measure: bool = True,
     times: Sequence[float] | str | None = None,
     keep_going: bool = False,
+    fields: Sequence[str] | str | None = None,
     field: str | None = None,
     channel: int | str | None = None,
     scale: int | str | None = None,
@@ -177,6 +178,8 @@ def append(
     measure: bool = True,
     times: Sequence[float] | str | None = None,
     keep_going: bool = False,
+    replace: bool = False,
+    fields: Sequence[str] | str | None = None,
     field: str | None = None,
     channel: int | str | None = None,
     scale: int | str | None = None,
@@ -199,7 +202,8 @@ def append(
 ) -> Archive:
     """Adds steps to an archive, on its mesh, and returns it, opened; as ``isospan append``.
 
-    Arguments are as for :func:`reduce`; what is not given is as for the last step that is there.
+    Arguments are as for :func:`reduce`; what is not given is as for the last step that is there. A
+    step goes where its time lies; ``replace=True`` puts one in the place of that of the same time.
     """
     path = archive.path if isinstance(archive, Archive) else os.fspath(archive)
     choices = {k: v for k, v in locals().items()}

@@ -1,0 +1,266 @@
+//! Several fields of each step: from one file or from several, each judged by its own range.
+
+use crate::common::*;
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+const DIMS: [usize; 3] = [12, 11, 10];
+
+/// An image with some fields, at a time.
+fn image(dir: &Path, name: &str, time: Option<f64>, fields: &[(&str, &dyn Fn(f64, f64, f64) -> f64)]) {
+    let [nx, ny, nz] = DIMS;
+    let at = |n: usize, count: usize| n as f64 / (count - 1) as f64;
+    let mut arrays = String::new();
+    for (field, value) in fields {
+        let samples = (0..nx * ny * nz).map(|i| {
+            let (x, y, z) = (i % nx, i / nx % ny, i / (nx * ny));
+            (value(at(x, nx), at(y, ny), at(z, nz)) as f32).to_string()
+        });
+        let values = samples.collect::<Vec<_>>().join(" ");
+        arrays += &format!(r#"<DataArray type="Float32" Name="{field}" format="ascii">{values}</DataArray>"#);
+    }
+    let time = time.map_or(String::new(), |t| {
+        format!(
+            r#"<FieldData><DataArray type="Float64" Name="TimeValue" NumberOfTuples="1" format="ascii">{t}</DataArray></FieldData>"#
+        )
+    });
+    let extent = format!("0 {} 0 {} 0 {}", nx - 1, ny - 1, nz - 1);
+    let text = format!(
+        r#"<?xml version="1.0"?><VTKFile type="ImageData" version="1.0" byte_order="LittleEndian"><ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="1 1 1">{time}<Piece Extent="{extent}"><PointData>{arrays}</PointData></Piece></ImageData></VTKFile>"#
+    );
+    fs::write(dir.join(name), text).unwrap();
+}
+
+fn heat(t: f64) -> impl Fn(f64, f64, f64) -> f64 {
+    move |x, y, z| 300.0 + 50.0 * waves(x + 0.05 * t, y, z)
+}
+
+fn pressure(t: f64) -> impl Fn(f64, f64, f64) -> f64 {
+    move |x, y, z| 1e5 + 4e4 * (x + 0.1 * t) * y + 1e3 * z
+}
+
+fn both(dir: &Path, name: &str, time: f64) {
+    image(dir, name, Some(time), &[("T", &heat(time)), ("p", &pressure(time))]);
+}
+
+/// Exit code, standard output and standard error.
+fn run(dir: &Path, args: &[&str]) -> (i32, String, String) {
+    let out = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(dir).args(args).output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    (out.status.code().unwrap(), text(out.stdout), text(out.stderr))
+}
+
+fn json(dir: &Path, args: &[&str]) -> Value {
+    let (code, out, errors) = run(dir, &[args, &["--json"]].concat());
+    assert_eq!(code, 0, "{args:?}: {errors}");
+    serde_json::from_str(&out).unwrap()
+}
+
+fn refused(dir: &Path, args: &[&str], words: &str) {
+    let (code, _, errors) = run(dir, args);
+    assert!(code != 0 && errors.contains(words), "{args:?}: {code}: {errors}");
+}
+
+/// Number, time and field of each step.
+fn listed(dir: &Path, archive: &str) -> Vec<(u64, f64, String)> {
+    let about = json(dir, &["info", archive]);
+    let steps = about["steps"].as_array().unwrap().iter();
+    let of = |s: &Value| {
+        let field = s["field"].as_str().unwrap().to_owned();
+        (s["number"].as_u64().unwrap(), s["time"].as_f64().unwrap(), field)
+    };
+    steps.map(of).collect()
+}
+
+fn count(dir: &Path, archive: &str, more: &[&str]) -> u64 {
+    let found = json(dir, &[&["count", archive][..], more].concat());
+    let found = if found.is_array() { found[0].clone() } else { found };
+    let counts = found["counts"].as_array().map_or(found.clone(), |all| all[0].clone());
+    counts["active_tetrahedra"].as_u64().unwrap()
+}
+
+#[test]
+fn each_step_has_all_fields() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    (0..3).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
+    let reduce = |out: &str, inputs: &[&str]| {
+        let args =
+            [&["reduce", "-q", "-o", out, "--fields", "T,p", "--fraction", "1/2"][..], inputs].concat();
+        let (code, _, errors) = run(d, &args);
+        assert_eq!(code, 0, "{errors}");
+    };
+    reduce("all.isospan", &["v0.vti", "v1.vti", "v2.vti"]);
+    let expected: Vec<_> =
+        ["T", "p"].iter().flat_map(|f| (0..3).map(|n| (n, n as f64, (*f).to_owned()))).collect();
+    assert_eq!(listed(d, "all.isospan"), expected);
+    assert_eq!(run(d, &["check", "all.isospan"]).0, 0);
+    // Each is what it is alone, by number, by time and between times.
+    for (field, isovalue) in [("T", "310"), ("p", "110000")] {
+        for n in ["0", "1", "2"] {
+            let (file, out) = (format!("v{n}.vti"), format!("{field}{n}.isospan"));
+            let args = ["reduce", "-q", &file, "-o", &out, "--field", field, "--fraction", "1/2"];
+            assert_eq!(run(d, &args).0, 0);
+            let alone = count(d, &out, &["-i", isovalue]);
+            assert!(alone > 0);
+            assert_eq!(count(d, "all.isospan", &["-i", isovalue, "--step", n, "--field", field]), alone);
+            assert_eq!(count(d, "all.isospan", &["-i", isovalue, "--time", n, "--field", field]), alone);
+        }
+        assert!(count(d, "all.isospan", &["-i", isovalue, "--time", "0.5", "--field", field]) > 0);
+        let out = format!("{field}_%d.ply");
+        let surface = ["surface", "-q", "all.isospan", "-i", isovalue, "--all-steps", "-o", &out];
+        refused(d, &surface, "choose one with --field");
+        assert_eq!(run(d, &[&surface[..], &["--field", field]].concat()).0, 0);
+        assert!(d.join(format!("{field}_2.ply")).exists());
+    }
+    refused(d, &["count", "all.isospan", "-i", "310", "--step", "1"], "each step has the fields T, p");
+    refused(d, &["count", "all.isospan", "-i", "310", "--step", "1", "--field", "q"], "no field q");
+    // Coloured by another field of the same step.
+    let colours = ["surface", "-q", "all.isospan", "-i", "310", "--step", "2", "--field", "T", "-o", "c.ply"];
+    assert_eq!(run(d, &[&colours[..], &["--colour-by", "p"]].concat()).0, 0);
+    let alone = ["surface", "-q", "T2.isospan", "-i", "310", "-o", "d.ply", "--colour-by", "p2.isospan"];
+    assert_eq!(run(d, &alone).0, 0);
+    assert!(fs::read(d.join("c.ply")).unwrap() == fs::read(d.join("d.ply")).unwrap());
+
+    // The same from files of one field each.
+    for t in 0..3 {
+        let time = f64::from(t);
+        image(d, &format!("T{t}.vti"), Some(time), &[("T", &heat(time))]);
+        image(d, &format!("p{t}.vti"), Some(time), &[("p", &pressure(time))]);
+    }
+    reduce("apart.isospan", &["T0.vti", "T1.vti", "T2.vti", "p0.vti", "p1.vti", "p2.vti"]);
+    assert_eq!(listed(d, "apart.isospan"), expected);
+    let args = ["reduce", "-o", "n.isospan", "--fields", "T,p", "T0.vti", "T1.vti", "p0.vti"];
+    refused(d, &args, "T has 2 steps, p has 1");
+    let args = ["reduce", "-o", "n.isospan", "--fields", "T,p", "T0.vti", "T1.vti", "p0.vti", "p2.vti"];
+    refused(d, &args, "at time 2");
+    assert!(!d.join("n.isospan").exists());
+
+    // Further steps have all fields too, and go where their times lie.
+    both(d, "late.vti", 1.5);
+    let (code, _, errors) = run(d, &["append", "-q", "all.isospan", "late.vti"]);
+    assert_eq!(code, 0, "{errors}");
+    let times = [0.0, 1.0, 1.5, 2.0];
+    let expected: Vec<_> =
+        ["T", "p"].iter().flat_map(|f| (0..).zip(times).map(|(n, t)| (n, t, (*f).to_owned()))).collect();
+    assert_eq!(listed(d, "all.isospan"), expected);
+    assert_eq!(run(d, &["check", "all.isospan"]).0, 0);
+    refused(d, &["append", "all.isospan", "T0.vti"], "no field p");
+}
+
+/// One moment is as ever: a step for each field. A second moment makes them fields of steps.
+#[test]
+fn fields_of_one_moment_become_those_of_steps() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    both(d, "a.vti", 3.0);
+    both(d, "b.vti", 4.0);
+    let reduce = ["reduce", "-q", "a.vti", "-o", "a.isospan", "--fields", "T,p", "--fraction", "1/2"];
+    assert_eq!(run(d, &reduce).0, 0);
+    let before = count(d, "a.isospan", &["-i", "110000", "--step", "p"]);
+    let (code, _, errors) = run(d, &["append", "-q", "a.isospan", "b.vti", "--fields", "T,p"]);
+    assert_eq!(code, 0, "{errors}");
+    let about = json(d, &["info", "a.isospan"]);
+    let steps = about["steps"].as_array().unwrap().iter();
+    let steps: Vec<_> =
+        steps.map(|s| (s["number"].as_u64().unwrap(), s["field"].as_str().unwrap())).collect();
+    assert_eq!(steps, [(0, "T"), (1, "T"), (0, "p"), (1, "p")]);
+    assert_eq!(count(d, "a.isospan", &["-i", "110000", "--step", "0", "--field", "p"]), before);
+    assert_eq!(run(d, &["check", "a.isospan"]).0, 0);
+}
+
+/// A part of the range is that of each field: kelvins and pascals are not added.
+#[test]
+fn a_target_is_that_of_each_field() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    both(d, "a.vti", 0.0);
+    let reduce = ["reduce", "-q", "a.vti", "-o", "a.isospan", "--fields", "p,T"];
+    let report = json(d, &[&reduce[..], &["--target-rms", "2%"]].concat());
+    assert!(report["target"]["of_ranges"] == true && report["target"]["met"] == true, "{report}");
+    let steps = report["steps"].as_array().unwrap();
+    for step in steps {
+        let [lo, hi] = [0, 1].map(|n| step["range"][n].as_f64().unwrap());
+        let rms = step["error"][0].as_f64().unwrap();
+        assert!(rms <= 0.021 * (hi - lo), "{step}");
+    }
+    let (_, words, _) =
+        run(d, &["reduce", "a.vti", "-o", "w.isospan", "--fields", "p,T", "--target-rms", "2%"]);
+    assert!(words.contains("% of 2 % wanted, of the range of each field"), "{words}");
+    refused(d, &[&reduce[..], &["--force", "--target-rms", "5"]].concat(), "there are several");
+}
+
+/// Colours are those of the other archive at the same time, not of the same number.
+#[test]
+fn colours_of_another_archive_are_those_of_the_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for (name, times) in [("a", vec![0.0, 1.0, 2.0]), ("b", vec![1.0, 2.0, 3.0])] {
+        let files: Vec<String> = times.iter().map(|t| format!("{name}{t}.vti")).collect();
+        times.iter().zip(&files).for_each(|(t, file)| both(d, file, *t));
+        let (field, out) = (if name == "a" { "T" } else { "p" }, format!("{name}.isospan"));
+        let mut args = vec!["reduce", "-q", "-o", &out, "--field", field, "--fraction", "1/2"];
+        args.extend(files.iter().map(|f| &**f));
+        let (code, _, errors) = run(d, &args);
+        assert_eq!(code, 0, "{errors}");
+    }
+    let surface = |step: &[&str], out: &str| {
+        let args = ["surface", "-q", "a.isospan", "-i", "310", "--colour-by", "b.isospan", "-o", out];
+        run(d, &[&args[..], step].concat())
+    };
+    assert_eq!(surface(&["--step", "1"], "number.ply").0, 0);
+    assert_eq!(surface(&["--time", "1"], "time.ply").0, 0);
+    assert!(fs::read(d.join("number.ply")).unwrap() == fs::read(d.join("time.ply")).unwrap());
+    let (code, _, errors) = surface(&["--step", "0"], "none.ply");
+    assert!(code == 2 && errors.contains("step 0 is at time 0") && errors.contains("1 to 3"), "{errors}");
+    assert!(!d.join("none.ply").exists());
+}
+
+/// A night that is repaired, repeated or changed holds no other up.
+#[test]
+fn nights_are_repaired_repeated_and_changed() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    fs::create_dir(d.join("scope")).unwrap();
+    let night = |more: &[&str]| {
+        let args = ["nightly", "scope", "n*.vti", "n.isospan", "--settle=0s", "--fraction", "1/2", "-q"];
+        let (code, out, errors) = run(d, &[&args[..], &["--fields", "T,p"], more].concat());
+        (code, out, errors)
+    };
+    let write = |name: &str, time: f64| both(d, &format!("scope/{name}"), time);
+    write("n1.vti", 1.0);
+    fs::write(d.join("scope/n2.vti"), "cut off").unwrap();
+    write("n3.vti", 3.0);
+    assert_eq!(night(&[]).0, 1);
+    let times = || -> Vec<f64> {
+        let listed = listed(d, "n.isospan");
+        let of_p = listed.iter().filter(|(_, _, field)| field == "p").map(|(_, time, _)| *time).collect();
+        assert_eq!(listed.len() % 2, 0);
+        of_p
+    };
+    assert_eq!(times(), [1.0, 3.0]);
+    // Repaired: it goes between the others. Repeated: it is left out, and the next one is added.
+    write("n2.vti", 2.0);
+    write("n3b.vti", 3.0);
+    write("n4.vti", 4.0);
+    let (code, out, errors) = night(&[]);
+    assert_eq!(code, 1, "{out}{errors}");
+    assert_eq!(times(), [1.0, 2.0, 3.0, 4.0]);
+    assert!(out.contains("left out   n3b.vti: ") && out.contains("--replace"), "{out}");
+    assert!(errors.contains("n3b.vti") && !errors.contains("already"), "said once: {errors}");
+    fs::remove_file(d.join("scope/n3b.vti")).unwrap();
+    assert_eq!(night(&[]).0, 0);
+    // Changed under its name.
+    image(d, "scope/n2.vti", Some(2.0), &[("T", &heat(9.0)), ("p", &pressure(9.0))]);
+    write("n5.vti", 5.0);
+    let (code, out, _) = night(&[]);
+    assert!(code == 1 && out.contains("changed    n2.vti: "), "{code} {out}");
+    assert_eq!(times(), [1.0, 2.0, 3.0, 4.0, 5.0]);
+    let (code, out, errors) = night(&["--replace"]);
+    assert_eq!(code, 0, "{out}{errors}");
+    assert!(out.contains("replaced   1"), "{out}");
+    assert_eq!((times(), night(&[]).0), (vec![1.0, 2.0, 3.0, 4.0, 5.0], 0));
+    assert_eq!(run(d, &["check", "n.isospan"]).0, 0);
+}
