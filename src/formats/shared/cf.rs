@@ -219,8 +219,8 @@ fn vectors(name: &str, (shape, kinds): (&[u64], &[char]), scalar: ScalarType, ru
 /// Names of the dimensions that meshes of climate models have for their cells, in lower case.
 const CELLS: [&str; 9] = ["ncells", "nedges", "nvertices", "ncol", "cell", "nod2", "nod3", "node", "nele"];
 
-/// Fails for an array on the parts of an unstructured mesh, given the names of its dimensions: UGRID
-/// and CDO say so, other models by the names alone.
+/// Fails for an array on the parts of an unstructured mesh, given the names of its dimensions:
+/// UGRID and CDO say so, other models by the names alone.
 ///
 /// # Errors
 /// [`Error::BadInput`] for such an array.
@@ -246,8 +246,8 @@ fn shown(name: &str) -> String {
 }
 
 /// A convention of whole files in which arrays of three axes are no volumes, or are placed by what
-/// is not read: by the attributes `Conventions` and `file_format`, or what stands for them. Its name,
-/// and what to do.
+/// is not read: by the attributes `Conventions` and `file_format`, or what stands for them. Its
+/// name, and what to do.
 pub(in crate::formats) fn refused_convention(text: &str) -> Option<(&'static str, &'static str)> {
     let known = [
         ("AMBER", "a trajectory of AMBER", OF_ATOMS),

@@ -58,7 +58,8 @@ pub(in crate::formats) struct Image {
 /// Reads what a file says of its image.
 ///
 /// # Errors
-/// [`Error::BadInput`] for other axes than those of space, irregular ones, and ranges that are none.
+/// [`Error::BadInput`] for other axes than those of space, irregular ones, and ranges that are
+/// none.
 pub(in crate::formats) fn image(file: &impl Variables, stored: &Stored<'_>) -> Result<Image> {
     let axes: Vec<&String> = stored.axes.iter().filter(|name| SPACE.contains(&name.as_str())).collect();
     let is_space =
