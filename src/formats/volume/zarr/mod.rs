@@ -50,6 +50,7 @@ use crate::bytes::IoMode;
 use crate::bytes::place::above;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Fault, Result};
+use crate::formats::shared::axes::{Layout, layout};
 use crate::formats::shared::cf::{self, Attributes, Convert, Line, MOST_COORDINATES, Numbers, Packing};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
@@ -880,6 +881,25 @@ fn kind_of(array: &Array, axis: usize, name: &str) -> char {
     }
 }
 
+/// What each axis is, for [`layout`].
+fn kinds(array: &Array, image: Option<&Image>, names: Option<&[String]>) -> Vec<char> {
+    let Some(names) = names else { return vec!['?'; array.shape.len()] };
+    let is_called = |name: &str, kind: char| name.eq_ignore_ascii_case(&kind.to_string());
+    let kind = |axis: usize| {
+        let name = &names[axis];
+        let found = match image.map(|image| image.multiscale["axes"][axis]["type"].as_str()) {
+            Some(Some("time")) => 't',
+            Some(Some("channel")) => 'c',
+            Some(_) => cf::kind_of_name(name),
+            None => kind_of(array, axis, name),
+        };
+        // A name that is as short as this counts before those of coordinates.
+        let is_taken = !is_called(name, found) && names.iter().any(|other| is_called(other, found));
+        if is_taken { '?' } else { found }
+    };
+    (0..names.len()).map(kind).collect()
+}
+
 fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
     let rank = array.shape.len();
     let of_image = image.and_then(|i| i.multiscale["axes"].as_array()).map(|axes| {
@@ -889,35 +909,18 @@ fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
     let first = || image.filter(|_| rank == 5).map(|_| ["t", "c", "z", "y", "x"].map(String::from).into());
     let names: Option<Vec<String>> = of_image.or_else(|| array.names.clone()).filter(|n| n.len() == rank);
     let names = names.or_else(first);
-    let kind = |axis: usize| match &names {
-        None => '?',
-        Some(names) if image.is_some() => cf::kind_of_name(&names[axis]),
-        Some(names) => kind_of(array, axis, &names[axis]),
+    let kinds = kinds(array, image, names.as_deref());
+    let count = |axis: Option<usize>| axis.map_or(1, |axis| array.shape[axis]);
+    let found = layout(&array.shape, &kinds).ok();
+    let is_few = |of: &Layout| {
+        let all = count(of.series).checked_mul(count(of.channels));
+        all.is_some_and(|n| n <= MOST_FRAMES)
     };
-    let kinds: Vec<char> = (0..rank).map(kind).collect();
-    // Names that are as short as this count before those of coordinates.
-    let called = |kind: char| names.as_ref()?.iter().position(|n| n.eq_ignore_ascii_case(&kind.to_string()));
-    let find = |kind: char| called(kind).or_else(|| kinds.iter().position(|&k| k == kind));
-    let named = ['x', 'y', 'z'].map(find);
-    let space = if named.iter().all(Option::is_some) {
-        named
-    } else {
-        std::array::from_fn(|a| rank.checked_sub(a + 1))
-    };
-    let all_others: Vec<usize> = (0..rank).filter(|a| !space.contains(&Some(*a))).collect();
-    let record = all_others.iter().copied().find(|&axis| kinds[axis] == 't' && array.shape[axis] == 1);
-    let others: Vec<usize> = all_others.into_iter().filter(|&axis| array.shape[axis] != 1).collect();
-    let is_time = |&axis: &usize| kinds[axis] == 't' || names.is_none() && (axis, rank) == (0, 4);
-    let time = others.iter().copied().find(is_time);
-    let channel = others.iter().copied().find(|&axis| kinds[axis] == 'c');
-    let is_space = space.iter().flatten().all(|&axis| !matches!(kinds[axis], 't' | 'c'));
-    let understood = usize::from(time.is_some()) + usize::from(channel.is_some());
-    let count = others.iter().try_fold(1u64, |n, &axis| n.checked_mul(array.shape[axis]));
-    // The last of four axes that is as short as this has the components of vectors, or colours.
-    let has_components = names.is_none() && rank == 4 && array.shape[3] <= 4 && array.shape[2] > 4;
-    let is_few = count.is_some_and(|n| (1..=MOST_FRAMES).contains(&n));
-    if rank >= 3 && is_space && others.len() == understood && is_few && !(has_components && time.is_some()) {
-        return Ok(AllAxes { space, time, record, channel });
+    if let Some(Layout { space, series, channels }) = found.filter(is_few) {
+        let by_name = ['x', 'y', 'z'].map(|kind| space.into_iter().find(|&axis| kinds[axis] == kind));
+        let space = if by_name.iter().all(Option::is_some) { by_name } else { space.map(Some) };
+        let record = (0..rank).find(|&axis| kinds[axis] == 't' && array.shape[axis] == 1);
+        return Ok(AllAxes { space, time: series, record, channel: channels });
     }
     let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
     let got = match &names {

@@ -947,3 +947,22 @@ fn transformations_that_are_not_read_are_refused() {
     image(dir.path(), ["mm", "mm", "mm"], &json!([{ "type": "identity" }]));
     assert_eq!(open(dir.path(), &OpenOptions::default()).unwrap().info().geometry.spacing, [1.0; 3]);
 }
+
+#[test]
+fn axes_of_an_image_are_what_their_types_say() {
+    let dir = tempfile::tempdir().unwrap();
+    for (kinds, is_read) in [(["space"; 3], true), (["channel", "space", "space"], false), (["time", "space", "space"], false)]
+    {
+        put(dir.path(), ".zgroup", &json!({ "zarr_format": 2 }));
+        let axis = |(name, kind): (&str, &str)| json!({ "name": name, "type": kind });
+        let axes: Vec<Value> = ["s", "y", "x"].into_iter().zip(kinds).map(axis).collect();
+        let datasets = json!([{ "path": "0" }]);
+        put(dir.path(), ".zattrs", &json!({ "multiscales": [{ "axes": axes, "datasets": datasets }] }));
+        put(&dir.path().join("0"), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+        if is_read {
+            check_fill(dir.path(), 4.0);
+        } else {
+            assert!(refusal(dir.path()).contains("three axes of space"), "{kinds:?}");
+        }
+    }
+}
