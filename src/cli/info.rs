@@ -429,7 +429,8 @@ fn steps_text(s: &ArchiveSummary) -> String {
         let range = step.range.map_or("none".into(), text::range);
         let error = step.error.map_or("-".into(), |[rms, _]| text::value(text::figures(rms, 4)));
         let [values, index] = [step.value_bytes, step.index_bytes].map(text::bytes);
-        let asked = if step.number == s.step { '>' } else { ' ' };
+        let is_asked = step.number == s.step && step.field == s.field;
+        let asked = if is_asked { '>' } else { ' ' };
         let key = if step.base.is_none() { " (keyframe)" } else { "" };
         let _ = writeln!(
             out,

@@ -253,7 +253,7 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
         let _ =
             writeln!(out, "  void        {} without a value{all}", text::plural(report.void_points, "point"));
     }
-    if let Some(range) = report.range {
+    if let Some(range) = report.range.filter(|_| !report.of_fields) {
         let _ = writeln!(out, "  range       {}", text::range(range));
     }
     if let Some(q) = &report.quantiser {

@@ -48,7 +48,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
     args.plot.iter().try_for_each(|plot| args.force.check(plot, [&args.archive]))?;
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
-    let archive = Archive::open(&args.archive)?;
+    let archive = Archive::open(&args.archive)?.in_field(args.step.field());
     if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {
         let steps = archive.spectra(steps)?;
         if let Some((file, format)) = args.plot.as_deref().zip(format) {

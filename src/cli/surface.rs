@@ -191,7 +191,7 @@ fn colours(args: &Args, archive: &Archive) -> Result<Option<ColourBy>> {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = args.format()?;
     // One question is asked: no block is cached for a next one.
-    let archive = Archive::open(&args.archive)?.keeping(0);
+    let archive = Archive::open(&args.archive)?.keeping(0).in_field(args.step.field());
     let steps = args.steps.or(args.all_steps.then(StepRange::default));
     let settings = SurfaceSettings {
         resources: args.machine.resources(args.scratch.scratch.clone(), talk),

@@ -6,7 +6,7 @@ use super::plane::{Hull, Slice};
 use super::{Args, Job};
 use isospan::exec::Progress;
 use isospan::formats::surface::{SurfaceFormat, load_surface};
-use isospan::pipeline::{Step, StepChoice, SurfaceSettings, is_archive};
+use isospan::pipeline::{Step, StepChoice, StepSummary, SurfaceSettings, is_archive};
 use isospan::render::Paint;
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
@@ -107,14 +107,22 @@ impl Input {
                     Some(time) => format!("time {}", super::with_unit(time, about.units.time.as_ref())),
                     None => format!("step {number}"),
                 };
-                let of = |number, time| (StepChoice::Number(number), Some((number, words(number, time))));
-                let found = about.steps.iter().filter(|s| range.contains(s.number));
+                let field = args.step.field();
+                let of = |number, time| {
+                    let choice = match &field {
+                        None => StepChoice::Number(number),
+                        Some(field) => StepChoice::NumberOf(number, field.clone()),
+                    };
+                    (choice, Some((number, words(number, time))))
+                };
+                let is_of_field = |s: &&StepSummary| field.as_ref().is_none_or(|field| *field == s.field);
+                let found = about.steps.iter().filter(|s| range.contains(s.number)).filter(is_of_field);
                 found.map(|s| of(s.number, s.time)).collect()
             }
         };
         if choices.is_empty() {
             let (first, last) = (about.steps.first(), about.steps.last());
-            let number = |s: Option<&isospan::pipeline::StepSummary>| s.map_or(0, |s| s.number);
+            let number = |s: Option<&StepSummary>| s.map_or(0, |s| s.number);
             return Err(Error::usage(format!(
                 "{}: no step in that range; it has the steps {} to {}",
                 path.display(),
