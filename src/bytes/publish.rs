@@ -21,7 +21,7 @@
 //! its temporary, where the file system has locks. That covers what a process number cannot show
 //! (containers that share a host's name, numbers used again).
 
-use super::plain::{names_of, open_plain};
+use super::plain::{kind_of, names_of, open_plain};
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -124,6 +124,13 @@ impl Unpublished {
     }
 
     fn begin_with(mut options: std::fs::OpenOptions, path: &Path) -> Result<Self> {
+        // A rename would replace a device.
+        if let Ok(about) = std::fs::symlink_metadata(path)
+            && !(about.is_file() || about.is_symlink() || about.is_dir())
+        {
+            let (path, kind) = (path.display(), kind_of(&about));
+            return Err(Error::usage(format!("cannot write {path}: it is {kind}; give the name of a file")));
+        }
         let temporary = temporary_name(path)?;
         let file = options.read(true).write(true).create_new(true).open(&temporary);
         let file = file.map_err(|e| Error::io("create", &temporary, e))?;

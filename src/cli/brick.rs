@@ -2,7 +2,7 @@
 
 use super::grammar;
 use super::input::InputArgs;
-use super::output::{Force, exists, expect_no_input};
+use super::output::{Force, exists, expect_a_file, expect_no_input};
 use super::progress::Talk;
 use super::text;
 use isospan::volume::bricked::BrickedVolume;
@@ -44,6 +44,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     }
     let source = formats::open_volume(&args.input, &args.read.options()?)?;
     expect_no_input(&args.output, source.info().files().iter().chain([&args.input]))?;
+    expect_a_file(&args.output)?;
     talk.detail(&args.read.io_text(&args.input));
     let (bar, cancel) = (talk.progress(), super::signals::cancel_token());
     let made_before = args.output.exists() && !args.force.is_given();

@@ -48,7 +48,10 @@ pub(crate) fn exists(output: &Path) -> Error {
 }
 
 /// Refuses what is there and no regular file, and a file in a folder that is not there.
-fn expect_a_file(output: &Path) -> Result<()> {
+///
+/// # Errors
+/// [`Error::Usage`] that names it.
+pub(crate) fn expect_a_file(output: &Path) -> Result<()> {
     let refuse = |why: String| Err(Error::usage(format!("cannot write {}: {why}", output.display())));
     match std::fs::metadata(output) {
         Ok(about) if about.is_dir() => return refuse("it is a folder; give the name of a file".into()),

@@ -9,7 +9,8 @@
 //! ```
 //!
 //! All is written beside the folder and synced; the folder gets its name last. `--force` replaces
-//! what the list in a folder names, as it was written. A folder that holds anything else is refused.
+//! what the list in a folder names, as it was written. A folder that holds anything else is
+//! refused.
 
 mod own;
 

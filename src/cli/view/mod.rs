@@ -1,7 +1,8 @@
 //! `isospan view`: archives in a browser, served from this machine to itself.
 //!
 //! ```text
-//!  browser ─▶ connections ─▶ server: token, host, limits ─▶ answers: blocking work in a slot ─▶ bytes, streamed
+//!  browser ─▶ connections: places, time limits ─▶ server: token, host, slots
+//!                             bytes, streamed ◀─ answers: blocking work ◀─┘
 //!  page: the files of tools/viewer/page, compiled in          archives: those that are open
 //! ```
 

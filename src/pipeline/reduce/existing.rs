@@ -331,8 +331,8 @@ pub(in crate::pipeline) fn replace_archive(new: &Path, out: &Path) -> Result<()>
     Ok(())
 }
 
-/// Refuses to remove an archive whose folders hold what no archive has: a user's files. Those beside
-/// the folders are found by [`Existing::at`].
+/// Refuses to remove an archive whose folders hold what no archive has: a user's files. Those
+/// beside the folders are found by [`Existing::at`].
 fn refuse_strangers(out: &Path) -> Result<()> {
     let refuse = |path: &Path| {
         let (out, path) = (out.display(), path.display());
