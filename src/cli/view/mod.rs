@@ -1,8 +1,9 @@
 //! `isospan view`: archives in a browser, served from this machine to itself.
 //!
 //! ```text
-//!  browser ─▶ connections: places, time limits ─▶ server: token, host, slots
-//!                             bytes, streamed ◀─ answers: blocking work ◀─┘
+//!  browser ─▶ connections: places, seconds ─▶ server: token, host, limits ─▶ answers
+//!     ▲                                                                        │
+//!     └───────────── bytes, streamed ◀── blocking work in a slot ◀─────────────┘
 //!  page: the files of tools/viewer/page, compiled in          archives: those that are open
 //! ```
 
