@@ -129,8 +129,7 @@ impl Part {
 pub(in crate::formats) enum Rules {
     /// Nothing: names count, and the first of four axes has frames or channels.
     Plain,
-    /// Volumes of three axes alone, as those of MINC in HDF5.
-    #[cfg_attr(not(feature = "hdf5"), expect(dead_code, reason = "MINC is HDF5"))]
+    /// Volumes of three axes alone, as those of MINC.
     Volumes,
     /// Volumes, and vectors whose components are the last of four axes.
     Vectors,
@@ -152,7 +151,7 @@ pub(in crate::formats) fn parts_of(
             |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
         let got: Vec<String> = shape.iter().zip(kinds).map(axis).collect();
         let help = if shape.len() == 3 && kinds.contains(&'t') {
-            "time is no place: cut out a volume of one time; to read times as z, rename the axis \
+            "time is no place, and one time is no volume; to read times as z, rename the axis \
              and leave out its coordinates (xarray: rename(time='z').drop_vars('z'))"
         } else {
             "write the part that is wanted to a dataset of its own, its axes z, y, x"

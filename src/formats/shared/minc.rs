@@ -11,8 +11,8 @@ use super::cf::{Convert, MOST_COORDINATES};
 use super::header::geometry;
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
-use crate::volume::ScalarType;
 use crate::volume::units::{Unit, Units, common};
+use crate::volume::{Assumed, ScalarType};
 use std::path::Path;
 
 /// The axes of space, in the order x, y, z.
@@ -53,6 +53,8 @@ pub(in crate::formats) struct Image {
     /// How stored numbers become values, where they are not values themselves.
     pub(in crate::formats) convert: Option<Convert>,
     pub(in crate::formats) units: Units,
+    /// Axes without a step.
+    pub(in crate::formats) assumed: Assumed,
 }
 
 /// Reads what a file says of its image.
@@ -69,10 +71,12 @@ pub(in crate::formats) fn image(file: &impl Variables, stored: &Stored<'_>) -> R
         return Err(bad(file, "dimorder", "xspace, yspace and zspace in some order", got));
     }
     let (mut columns, mut origin, mut lengths) = ([[0.0; 3]; 3], [0.0; 3], vec![]);
+    let mut assumed = [false; 3];
     for (n, name) in stored.axes.iter().enumerate() {
         let axis = axis(file, name)?;
         // The last name is the fastest axis, our x.
-        columns[2 - n] = axis.direction.map(|d| d * axis.step);
+        columns[2 - n] = axis.direction.map(|d| d * axis.step.unwrap_or(1.0));
+        assumed[2 - n] = axis.step.is_none();
         lengths.push(axis.unit);
         for (o, d) in origin.iter_mut().zip(axis.direction) {
             *o += d * axis.start;
@@ -86,7 +90,8 @@ pub(in crate::formats) fn image(file: &impl Variables, stored: &Stored<'_>) -> R
     let geometry = geometry(file.path(), "start, step and direction_cosines", origin, columns)?;
     let convert = if stored.scalar.is_float() { None } else { Some(slices(file, stored)?) };
     let value = Unit::new(&file.text("image", "units"));
-    Ok(Image { geometry, convert, units: Units { value, ..Units::of_length(common(lengths)) } })
+    let units = Units { value, ..Units::of_length(common(lengths)) };
+    Ok(Image { geometry, convert, units, assumed: Assumed::in_header(assumed) })
 }
 
 fn bad(file: &impl Variables, what: &str, expected: &str, got: String) -> Error {
@@ -96,7 +101,7 @@ fn bad(file: &impl Variables, what: &str, expected: &str, got: String) -> Error 
 
 struct Axis {
     start: f64,
-    step: f64,
+    step: Option<f64>,
     direction: [f64; 3],
     unit: Option<Unit>,
 }
@@ -107,8 +112,7 @@ fn axis(file: &impl Variables, name: &str) -> Result<Axis> {
         return Err(Error::bad_input(file.path(), file.place(name), "regular spacing", "irregular spacing")
             .with_help("resample it to regular axes (mincresample)"));
     }
-    let one =
-        |key: &str, default: f64| file.numbers(name, key).and_then(|v| v.first().copied()).unwrap_or(default);
+    let one = |key: &str| file.numbers(name, key).and_then(|v| v.first().copied());
     let own = SPACE.map(|axis| if axis == name { 1.0 } else { 0.0 });
     let direction = file.numbers(name, "direction_cosines").map_or(Ok(own), |v| {
         <[f64; 3]>::try_from(v).map_err(|v| {
@@ -118,7 +122,7 @@ fn axis(file: &impl Variables, name: &str) -> Result<Axis> {
         })
     })?;
     let unit = Unit::length(&file.text(name, "units"));
-    Ok(Axis { start: one("start", 0.0), step: one("step", 1.0), direction, unit })
+    Ok(Axis { start: one("start").unwrap_or(0.0), step: one("step"), direction, unit })
 }
 
 /// The stored numbers that have values.

@@ -21,8 +21,8 @@ use crate::formats::shared::cf::{Convert, OF_ATOMS, Rules, refused_convention};
 use crate::formats::shared::header::geometry;
 use crate::formats::shared::minc;
 use crate::grid::Geometry;
-use crate::volume::FieldInfo;
 use crate::volume::units::Units;
+use crate::volume::{Assumed, FieldInfo};
 use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
 use hdf5_reader::{Dataset, Hdf5File};
@@ -174,13 +174,22 @@ pub(super) struct Placed {
     /// How stored numbers become values, where that is not one line for all.
     pub(super) convert: Option<Convert>,
     pub(super) units: Units,
+    pub(super) assumed: Assumed,
 }
 
 impl Placed {
     /// A field whose numbers are its values, in units that are not known.
     pub(super) fn plain(number: usize, fields: Vec<FieldInfo>, geometry: Geometry) -> Self {
         let field = fields[number].clone();
-        Self { number, fields, field, geometry, convert: None, units: Units::default() }
+        Self {
+            number,
+            fields,
+            field,
+            geometry,
+            convert: None,
+            units: Units::default(),
+            assumed: Assumed::default(),
+        }
     }
 }
 
@@ -271,7 +280,15 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     let step = |i: usize| -> f64 { (0..3).map(|a| columns[a][i] * first[a]).sum() };
     let origin = std::array::from_fn(|i| origin[i] + step(i));
     let geometry = geometry(path, "Origin, Spacing and Direction", origin, columns)?;
-    Ok(Placed { number, fields, field, geometry, convert: None, units: Units::default() })
+    Ok(Placed {
+        number,
+        fields,
+        field,
+        geometry,
+        convert: None,
+        units: Units::default(),
+        assumed: Assumed::default(),
+    })
 }
 
 /// The image of a file of ITK: `Origin`, `Spacing`, and in each row of `Directions` the direction
@@ -314,10 +331,10 @@ pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&st
     let axes: Vec<String> = axes.collect();
     let scalar = field.part.info.scalar;
     let stored = minc::Stored { axes: &axes, shape: field.dataset.shape(), scalar };
-    let minc::Image { geometry, convert, units } = minc::image(&file, &stored)?;
+    let minc::Image { geometry, convert, units, assumed } = minc::image(&file, &stored)?;
     let name = |f: FieldInfo| FieldInfo { name: "image".into(), ..f };
     let fields: Vec<FieldInfo> = fields.into_iter().map(name).collect();
-    Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert, units })
+    Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert, units, assumed })
 }
 
 /// The image of a MINC file.

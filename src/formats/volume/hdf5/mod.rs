@@ -160,7 +160,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let file = open_file(path, &source)?;
     let dialect = Dialect::of(path, &file)?;
     let mut tree = Tree::of(path, &file, dialect)?;
-    let Placed { number, fields, field: info, geometry, convert, units } =
+    let Placed { number, fields, field: info, geometry, convert, units, assumed } =
         tree.pick(path, &file, dialect, options)?;
     let field = &tree.fields[number];
     let has_place = dialect != Dialect::Plain || field.lines(&tree).iter().any(Option::is_some);
@@ -178,8 +178,11 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     info.fields = fields;
     if dialect == Dialect::Plain {
         info.notes.extend(field.lengths(&tree).note);
-        info.assumed = options.assumed(field.assumed(path, &tree)?);
     }
+    info.assumed = match dialect {
+        Dialect::Plain => options.assumed(field.assumed(path, &tree)?),
+        _ => assumed,
+    };
     info.units = match dialect {
         Dialect::Plain => field.units(&tree, &file),
         _ => units,

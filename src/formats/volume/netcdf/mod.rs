@@ -315,8 +315,8 @@ impl<'a> File<'a> {
         let variable = &self.header.variables[field.variable];
         let (axes, shape) = (self.header.dim_names(variable), self.header.shape(variable));
         let stored = minc::Stored { axes: &axes, shape: &shape, scalar: field.part.info.scalar };
-        let minc::Image { geometry, convert, units } = minc::image(self, &stored)?;
-        let info = VolumeInfo { format: "MINC 1".into(), units, ..self.info(field, geometry) };
+        let minc::Image { geometry, convert, units, assumed } = minc::image(self, &stored)?;
+        let info = VolumeInfo { format: "MINC 1".into(), units, assumed, ..self.info(field, geometry) };
         self.source(field, info, convert)
     }
 
