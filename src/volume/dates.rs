@@ -1,7 +1,7 @@
 //! Times that are counted from a date, as CF's units have it: "hours since 2000-01-01 06:00".
 //!
-//! Files of one series may each count from a date of their own. Their times are turned into those of
-//! another unit, where the calendar is one whose days are counted here.
+//! Files of one series may each count from a date of their own. Their times are turned into those
+//! of another unit, where the calendar is one whose days are counted here.
 
 /// A date, with the seconds of its day less those of its time zone.
 struct Date {

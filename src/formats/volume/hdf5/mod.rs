@@ -19,10 +19,10 @@
 //! not read.
 //!
 //! These attributes are used: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
-//! `valid_range`, `valid_min`, `valid_max`; `element_size_um` (z, y, x); coordinate variables
-//! (`DIMENSION_LIST`, `axes` of NeXus, or what the module `axes` knows): where all are regular to a thousandth of a step they are
-//! spacing and origin, else the dataset is a rectilinear grid. Without any of these, the spacing is
-//! 1 and the origin is 0.
+//! `valid_range`, `valid_min`, `valid_max`, `_Unsigned`; `element_size_um` (z, y, x); coordinate
+//! variables (`DIMENSION_LIST`, `axes` of NeXus, or what the module `axes` knows): where all are
+//! regular to a thousandth of a step they are spacing and origin, else the dataset is a rectilinear
+//! grid. Without any of these, the spacing is 1 and the origin is 0.
 //!
 //! Conventions of other programs: see the module `dialect`. Files of MATLAB 7.3 begin with a block
 //! of text; the first index of their arrays is x.

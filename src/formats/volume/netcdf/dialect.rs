@@ -63,8 +63,8 @@ impl Dialect {
     }
 }
 
-/// The type of the samples of an image of MINC: bytes have no sign unless `signtype` says so, others
-/// have one.
+/// The type of the samples of an image of MINC: bytes have no sign unless `signtype` says so,
+/// others have one.
 ///
 /// # Errors
 /// [`Error::BadInput`] for text.
