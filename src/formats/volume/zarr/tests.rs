@@ -951,7 +951,8 @@ fn transformations_that_are_not_read_are_refused() {
 #[test]
 fn axes_of_an_image_are_what_their_types_say() {
     let dir = tempfile::tempdir().unwrap();
-    for (kinds, is_read) in [(["space"; 3], true), (["channel", "space", "space"], false), (["time", "space", "space"], false)]
+    for (kinds, is_read) in
+        [(["space"; 3], true), (["channel", "space", "space"], false), (["time", "space", "space"], false)]
     {
         put(dir.path(), ".zgroup", &json!({ "zarr_format": 2 }));
         let axis = |(name, kind): (&str, &str)| json!({ "name": name, "type": kind });
