@@ -76,7 +76,7 @@ def mesh(tmp_path_factory):
     import pyvista
 
     path = tmp_path_factory.mktemp("mesh") / "field.vtu"
-    grid = pyvista.ImageData(dimensions=(14, 12, 10)).to_tetrahedra()
+    grid = pyvista.ImageData(dimensions=(12, 12, 12)).to_tetrahedra()
     x, y, z = grid.points.T / 14
     grid["field"] = np.sin(5 * x) + y * y - 0.5 * z
     grid.save(path)
