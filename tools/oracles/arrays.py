@@ -8,7 +8,7 @@ import scipy.io
 import tensorstore
 import xarray
 import zarr
-from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec, GzipCodec, ShardingCodec, TransposeCodec, ZstdCodec
+from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec, GzipCodec, TransposeCodec, ZstdCodec
 
 from placing import SHAPE, Case, Refused, along, grid, numbers, program
 

@@ -266,13 +266,16 @@ def dicom_segments(at):
 
 @program("highdicom")
 def dicom_maps(at):
-    for dtype in "u2", "f4":
+    for dtype, number in ("u2", int), ("f4", float):
         slices, values = segment("BINARY")[0], numbers(dtype)
         mapping = RealWorldValueMapping(
-            "m", "m", sr.CodedConcept("1", "UCUM", "no units"), (float(values.min()), float(values.max())), -7, 0.5
-        ) if dtype == "f4" else RealWorldValueMapping(
-            "m", "m", sr.CodedConcept("1", "UCUM", "no units"), (int(values.min()), int(values.max())), -7, 0.5
-        )  # fmt: skip
+            lut_label="m",
+            lut_explanation="m",
+            unit=sr.CodedConcept("s", "UCUM", "second"),
+            value_range=(number(values.min()), number(values.max())),
+            slope=0.5,
+            intercept=-7,
+        )
         made = ParametricMap(
             slices, values[..., None], generate_uid(), 1, generate_uid(), 1, "m", "m", "1", "1",
             contains_recognizable_visual_features=False, real_world_value_mappings=[[mapping]],
@@ -423,8 +426,10 @@ def nrrd_frames(at):
     head = oblique_nrrd(
         **{"space directions": np.vstack([none, OBLIQUE[:3, :3].T]), "kinds": ["list"] + ["domain"] * 3}
     )
-    nrrd.write(str(at / "first.nrrd"), values, head)
+    nrrd.write(str(at / "first.nrrd"), values, {**head, "encoding": "raw"})
     yield Case(at / "first.nrrd", values, affine(OBLIQUE, SHAPE), times=(None,) * 4)
+    nrrd.write(str(at / "packed.nrrd"), values, head)
+    yield Refused(at / "packed.nrrd", "interleaved")
     head["kinds"][0] = "vector"
     nrrd.write(str(at / "vector.nrrd"), values, head)
     yield Refused(at / "vector.nrrd", "vector|component|numbers of each|kind")

@@ -13,7 +13,7 @@ from ncempy.io.emd import fileEMD
 from rsciio import emd as rsciio_emd
 from rsciio import hspy, nexus, ripple
 
-from placing import SHAPE, Case, Refused, affine, along, grid, numbers, program
+from placing import SHAPE, Case, Refused, affine, grid, numbers, program
 
 PLAIN = grid()
 COMPRESSIONS = "none", "lzw", "zlib", "adobe_deflate", "deflate", "packbits", "zstd"

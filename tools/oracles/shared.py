@@ -5,7 +5,6 @@ import os
 from pathlib import Path
 
 import h5py
-import nibabel
 import netCDF4
 import nrrd
 import numpy as np
