@@ -69,7 +69,8 @@ def hdf5(at):
         layout = h5py.VirtualLayout(SHAPE, "f4")
         layout[:] = h5py.VirtualSource(str(at / "scales.h5"), "v", SHAPE)
         file.create_virtual_dataset("v", layout)
-    yield Refused(at / "virtual.h5", "virtual")
+    # Named by the number of its layout.
+    yield Refused(at / "virtual.h5", "layout class 3|virtual")
     with h5py.File(at / "outside.h5", "w") as file:
         file.create_dataset("v", data=numbers("f4"), external=[("outside.bin", 0, h5py.h5f.UNLIMITED)])
     yield Refused(at / "outside.h5", "external|outside")
