@@ -114,7 +114,8 @@ def vtk_pictures(at):
     write(vtkTIFFWriter(), image(numbers("u2"))[0], at / "a.tif")
     yield Case(at / "a.tif", numbers("u2"), grid())
     write(vtkMINCImageWriter(), picture, at / "a.mnc")
-    yield Case(at / "a.mnc", numbers("i2"), places)
+    # It writes no image-min; nibabel does not read that either.
+    yield Refused(at / "a.mnc", "image-min")
 
 
 @program("vtk")
