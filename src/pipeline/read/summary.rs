@@ -179,16 +179,18 @@ pub struct StepSummary {
 }
 
 impl StepSummary {
-    pub(in crate::pipeline) fn of(manifest: &Manifest, step: &Step) -> Self {
+    /// That of the step at a position in a manifest.
+    pub(in crate::pipeline) fn of(manifest: &Manifest, position: usize) -> Self {
+        let step = &manifest.steps[position];
         let Step { plan, .. } = step;
-        let number_of = |files: u64| manifest.steps.iter().find(|s| s.plan.number == files).map(Step::number);
+        let base = manifest.base_of(position).map(|base| manifest.step_at(base).number());
         Self {
             number: step.number(),
             time: plan.time,
             source: plan.source.path.clone(),
             field: step.field().to_owned(),
             unit: plan.source.units.value.clone(),
-            base: plan.base.map(|base| number_of(base.number).unwrap_or(base.number)),
+            base,
             range: step.file_range(),
             rounding: step.notable_rounding(),
             void_points: step.void_points,

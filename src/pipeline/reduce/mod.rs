@@ -11,6 +11,7 @@
 
 mod advice;
 mod append;
+mod arrange;
 mod build;
 mod cached;
 mod changed;

@@ -187,7 +187,9 @@ impl ReduceReport {
         manifest: &Manifest,
         first: u64,
     ) -> Result<Self> {
-        let steps: Vec<&Step> = manifest.steps.iter().filter(|s| s.plan.number >= first).collect();
+        let is_meant = |n: &usize| manifest.steps[*n].plan.number >= first;
+        let positions: Vec<usize> = (0..manifest.steps.len()).filter(is_meant).collect();
+        let steps: Vec<&Step> = positions.iter().map(|n| &manifest.steps[*n]).collect();
         let counts = manifest.counts;
         let ranges = steps.iter().filter_map(|step| step.file_range());
         Ok(Self {
@@ -202,7 +204,7 @@ impl ReduceReport {
             range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
             quantiser: steps.first().and_then(|step| step.plan.file_quantiser()),
             error: steps.first().and_then(|step| step.error.clone()),
-            steps: steps.iter().map(|step| StepSummary::of(manifest, step)).collect(),
+            steps: positions.iter().map(|n| StepSummary::of(manifest, *n)).collect(),
             archive_bytes: folder_bytes(root)?,
             shares: shares(manifest),
             ..self

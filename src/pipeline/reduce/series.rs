@@ -1,6 +1,5 @@
 //! The plan of a series of steps, and where each step comes from.
 
-use super::job::Job;
 use super::order::Order;
 use crate::archive::manifest::StepPlan;
 use crate::error::{Error, Result};
@@ -109,29 +108,6 @@ pub(in crate::pipeline) struct SeriesPlan {
 }
 
 impl SeriesPlan {
-    /// Gives steps whose files name no unit those of the steps before, also of an archive that they
-    /// are added to: of lengths and times those of any step, of values those of the same field.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] where a step has another unit; where steps may be left out, it is.
-    pub(super) fn share_units(&mut self, job: &Job<'_>) -> Result<()> {
-        let mut known = KnownUnits::default();
-        let old = job.basis.archive().into_iter().flat_map(|archive| &archive.manifest.steps);
-        old.for_each(|step| known.learn(&step.plan));
-        let mut n = 0;
-        while n < self.plan.steps.len() {
-            let step = &mut self.plan.steps[n];
-            match known.agree(step, &self.sources[n].source) {
-                Ok(()) => {
-                    known.learn(step);
-                    n += 1;
-                }
-                Err(e) => self.refuse(n, job, e)?,
-            }
-        }
-        Ok(())
-    }
-
     /// Whether the `n`-th step may be made with the one before it: where it refers to one, to that.
     pub(super) fn follows(&self, n: usize) -> bool {
         let base = self.plan.steps[n].base;
@@ -164,14 +140,14 @@ impl SeriesPlan {
 
 /// The units of the steps so far, and which step has each.
 #[derive(Default)]
-struct KnownUnits {
+pub(super) struct KnownUnits {
     length: Option<(Unit, u64)>,
     time: Option<(Unit, u64)>,
     values: HashMap<String, (Unit, u64)>,
 }
 
 impl KnownUnits {
-    fn learn(&mut self, step: &StepPlan) {
+    pub(super) fn learn(&mut self, step: &StepPlan) {
         let (units, number) = (&step.source.units, step.number);
         let with_step = |unit: &Option<Unit>| unit.clone().map(|unit| (unit, number));
         self.length = self.length.take().or(with_step(&units.length));
@@ -181,7 +157,7 @@ impl KnownUnits {
         }
     }
 
-    fn agree(&self, step: &mut StepPlan, from: &StepSource) -> Result<()> {
+    pub(super) fn agree(&self, step: &mut StepPlan, from: &StepSource) -> Result<()> {
         let units = &mut step.source.units;
         let same = |own: &mut Option<Unit>, known: Option<&(Unit, u64)>, of: &str, flag: &str| {
             let Some((known, number)) = known else { return Ok(()) };

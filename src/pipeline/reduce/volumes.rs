@@ -193,8 +193,8 @@ impl Planner<'_> {
     fn join(&mut self, archive: &OpenArchive) -> Result<()> {
         let first = &archive.manifest.steps[0];
         self.common = Some(Common {
-            step: first.plan.number,
-            field: FieldOfSeries::new(first.plan.number, &first.plan.source.field),
+            step: first.number(),
+            field: FieldOfSeries::new(first.number(), &first.plan.source.field),
             dims: first.plan.source.dims,
             geometry: first.plan.source.geometry,
             coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,

@@ -45,11 +45,11 @@ impl OpenArchive {
 
     /// All steps, with what is unpacked of them.
     pub(in crate::pipeline) fn summarized_steps(&self) -> Result<Vec<StepSummary>> {
-        let all = self.manifest.steps.iter().enumerate();
-        all.map(|(n, step)| {
+        let all = 0..self.manifest.steps.len();
+        all.map(|n| {
             let file = if is_remote(self.path()) { None } else { self.open_unpacked(n)? };
             let unpacked_bytes = file.map(|file| file.segment().info().bytes);
-            Ok(StepSummary { unpacked_bytes, ..StepSummary::of(&self.manifest, step) })
+            Ok(StepSummary { unpacked_bytes, ..StepSummary::of(&self.manifest, n) })
         })
         .collect()
     }
