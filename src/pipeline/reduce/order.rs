@@ -112,13 +112,13 @@ pub(super) fn next_files(manifest: &Manifest) -> u64 {
 
 /// Steps field after field, by time; fields of the same time have the same number.
 pub(super) fn numbered(mut entries: Vec<Entry>) -> Vec<Step> {
-    let mut times: Vec<f64> = entries.iter().map(|e| e.time).collect();
-    times.sort_by(f64::total_cmp);
-    times.dedup();
-    let (mut numbers, mut next) = (vec![], 0);
-    for time in &times {
-        let wish = entries.iter().filter(|e| e.time == *time).filter_map(|e| e.wish).min();
+    let mut wishes: Vec<(f64, Option<u64>)> = entries.iter().map(|e| (e.time, e.wish)).collect();
+    wishes.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (mut times, mut numbers, mut next) = (vec![], vec![], 0);
+    for same in wishes.chunk_by(|a, b| a.0 == b.0) {
+        let wish = same.iter().filter_map(|(_, wish)| *wish).min();
         let number = wish.unwrap_or(next).max(next);
+        times.push(same[0].0);
         numbers.push(number);
         next = number + 1;
     }
