@@ -12,7 +12,8 @@ use std::path::PathBuf;
 ///
 /// Its segments that are not done yet are made.
 /// A shard may be started again at any time, twice at once, or on another machine. A signal
-/// (SIGTERM, SIGINT, SIGHUP, SIGUSR1, SIGXCPU) ends it with code 75; the same command then continues.
+/// (SIGTERM, SIGINT, SIGHUP, SIGUSR1, SIGXCPU) ends it with code 75; the same command then
+/// continues.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan work scan.isospan --shard 3/16\n  isospan work scan.isospan --threads 8 --memory 16GiB"

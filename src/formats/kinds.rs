@@ -67,6 +67,7 @@ fn found(head: &Head<'_>) -> Option<&'static dyn Format> {
 /// [`Error::BadInput`] for a format that is not read from servers.
 fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
     if !is_remote(path) {
+        Unread::refuse_empty(path)?;
         let is_zarr = options.raw.is_none() && is_in_archive(path)?;
         return if is_zarr { Ok(Head::of_folder(path)) } else { Head::of(path, options.io) };
     }
@@ -190,6 +191,7 @@ fn mesh_format(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn
     if options.raw.is_some() || is_remote(path) || !path.is_file() {
         return Ok(None);
     }
+    Unread::refuse_empty(path)?;
     let head = Head::of(path, options.io)?;
     Ok(found(&head).filter(|format| format.is_mesh(&head)))
 }

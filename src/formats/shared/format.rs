@@ -3,7 +3,6 @@
 use super::coordinates::GridCoordinates;
 use super::hdf5_head;
 use super::stream::Codec;
-use super::unread::Unread;
 use super::{Frames, OpenOptions};
 use crate::bytes::{ByteSource, IoMode};
 use crate::cells::CellMesh;
@@ -45,12 +44,6 @@ impl<'a> Head<'a> {
     pub(in crate::formats) fn of(path: &'a Path, io: IoMode) -> Result<Self> {
         if path.is_dir() {
             return Ok(Self::of_folder(path));
-        }
-        // The name says enough: a case of OpenFOAM is named by an empty file.
-        if std::fs::metadata(path).is_ok_and(|m| m.is_file() && m.len() == 0)
-            && let Some(unread) = Unread::of_name(path)
-        {
-            return Err(unread.error(path, "kind of file", "a volume or a mesh"));
         }
         let source = ByteSource::open(path, io)?;
         let mut bytes = vec![0; source.len().min(HEAD) as usize];

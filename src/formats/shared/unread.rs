@@ -4,7 +4,7 @@
 use super::format::Head;
 use super::has_suffix;
 use crate::bytes::publish::folder_of;
-use crate::error::Error;
+use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -128,6 +128,18 @@ impl Unread {
     pub(in crate::formats) fn of_name(path: &Path) -> Option<Self> {
         let by_name = BY_NAME.iter().find(|(suffixes, ..)| has_suffix(path, suffixes));
         by_name.map(|&(_, name, help)| Self { name, help })
+    }
+
+    /// Refuses an empty file whose name says enough: a case of OpenFOAM is named by one.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`].
+    pub(in crate::formats) fn refuse_empty(path: &Path) -> Result<()> {
+        let is_empty = std::fs::metadata(path).is_ok_and(|m| m.is_file() && m.len() == 0);
+        match Self::of_name(path).filter(|_| is_empty) {
+            Some(unread) => Err(unread.error(path, "kind of file", "a volume or a mesh")),
+            None => Ok(()),
+        }
     }
 
     /// What a folder is that no reader took.

@@ -17,9 +17,9 @@
 //!
 //! Values are those of Rescale Slope and Intercept; where these differ from slice to slice (PET),
 //! they are computed as `f64`. Segmentations of fractions are divided by Maximum Fractional Value,
-//! dose grids are multiplied by Dose Grid Scaling, parametric maps have their Real World Values. The
-//! Pixel Padding Value means "no data". Bits above Bits Stored may be overlays, and are not part of
-//! a sample.
+//! dose grids are multiplied by Dose Grid Scaling, parametric maps have their Real World Values.
+//! The Pixel Padding Value means "no data". Bits above Bits Stored may be overlays, and are not
+//! part of a sample.
 //!
 //! Files are read where they lie, some rows at a time. Memory: what describes the frames.
 //!
