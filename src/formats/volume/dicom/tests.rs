@@ -82,7 +82,7 @@ fn frames_of_one_file_are_a_volume() {
 #[test]
 fn dose_grids_are_placed_and_scaled() {
     let expected: Vec<f32> = (0..60).map(|i| (2.5e-4 * f64::from(i)) as f32).collect();
-    let descending = [&expected[40..], &expected[20..40], &expected[..20]].concat();
+    let sorted = [&expected[..20], &expected[40..], &expected[20..40]].concat();
     for (name, first, last, expected) in [
         ("dose.dcm", [100.0, -7.25, 30.5], [96.0, -4.25, 29.0], &expected),
         ("dose_places.dcm", [-10.0, 20.0, -30.5], [-7.0, 21.5, -26.5], &expected),
@@ -96,12 +96,12 @@ fn dose_grids_are_placed_and_scaled() {
         assert_eq!(info.units.value.as_ref().map(ToString::to_string).as_deref(), Some("Gy"));
         torture(name, &std::fs::read(data(name)).unwrap(), usize::MAX);
     }
-    // Frames that go against the normal are put in order.
+    // Frames are put in the order of their places.
     let dir = tempfile::tempdir().unwrap();
     let bytes = std::fs::read(data("dose.dcm")).unwrap();
-    let path = write(&dir, "a.dcm", &replaced(&bytes, br"0\2\4 ", br"0\-2\-4"));
+    let path = write(&dir, "a.dcm", &replaced(&bytes, br"0\2\4 ", br"0\4\2 "));
     let (info, values) = read_all(open_default(&path).unwrap());
-    assert_eq!((info.geometry.to_world([0.0; 3]), values), ([104.0, -7.25, 30.5], descending));
+    assert_eq!((info.geometry.to_world([0.0; 3]), values), ([100.0, -7.25, 30.5], sorted));
     for (from, to, says) in [
         (&br"0\2\4 "[..], &br"1\2\4 "[..], "Grid Frame Offset Vector: expected 0 first"),
         (br"0\2\4 ", br"0\2   ", "3 numbers"),
