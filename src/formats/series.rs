@@ -109,7 +109,12 @@ impl StepSource {
     /// The same moment in another field of the file.
     pub(crate) fn in_field(&self, options: &OpenOptions) -> Self {
         let part = self.part.clone();
-        Self { stated: self.stated, time: self.time, part, ..Self::new(&self.path, options) }
+        let step = Self { stated: self.stated, time: self.time, part, ..Self::new(&self.path, options) };
+        match self.time {
+            Some(_) => step,
+            // Several fields of a file need not have one time.
+            None => step.at_stated(time_of(&self.path, options).ok().flatten(), None),
+        }
     }
 
     /// The units of the step: those that the user names, else those of its file. A time that the
