@@ -23,7 +23,7 @@ def cases_of(packages, function, folder):
     found = []
     try:
         for case in function(folder):
-            case.name = f"{function.__name__}: {placing.name_of(case, folder)}"
+            case.name = f"{function.__name__}:{placing.name_of(case, folder)}"
             found.append(case)
     except Exception:
         return found, f"{function.__name__}: {', '.join(packages)}: {traceback.format_exc(limit=-3)}"
