@@ -32,14 +32,14 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// The first run makes the archive of all files, as `reduce` with the same choices does. Later runs
 /// add files whose names the archive does not have yet, each where its time lies; files without
 /// times come last, in the order of their names. The choices are then those of the archive's last
-/// step. A file that cannot be used, as one of a time that is there, is left out and reported, every
-/// time until it is gone; all others are added. So is a file that has changed since it was added:
-/// --replace takes it anew. A run that was stopped is continued by the next.
+/// step. A file that cannot be used, as one of a time that is there, is left out and reported,
+/// every time until it is gone; all others are added. So is a file that has changed since it was
+/// added: --replace takes it anew. A run that was stopped is continued by the next.
 ///
 /// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all files are in the
 /// archive as they are. 1: some were left out, or have changed. 6: the steps that were added do not
-/// meet the target. Otherwise that of the error; 5 if no new file could be used, or the folder could
-/// not be read.
+/// meet the target. Otherwise that of the error; 5 if no new file could be used, or the folder
+/// could not be read.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan nightly /data/scope '*.vti' scope.isospan --target-rms 1%\n  isospan nightly /data/scope '*.vti' scope.isospan --submit 02:00 --again"

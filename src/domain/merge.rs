@@ -32,7 +32,8 @@ impl Firsts {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         let mut equals: Sorter<[u64; 5]> = Sorter::new(memory, &settings.scratch);
         for (v, ([x, y, z], value)) in positions.iter().zip(values).enumerate() {
-            // One NaN, one zero. A compiler may take the NaN of a sum for any other: bits are chosen.
+            // One NaN, one zero. A compiler may take the NaN of a sum for any other: bits are
+            // chosen.
             let bits = if value.is_nan() { VOID } else { (value + 0.0).to_bits() };
             equals.push([*x as u64, *y as u64, *z as u64, u64::from(bits), v as u64])?;
         }

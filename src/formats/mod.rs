@@ -25,10 +25,10 @@ mod vtk;
 
 pub use kinds::{Input, is_mesh, open_coordinates, open_input, open_mesh, open_volume};
 pub(crate) use mesh::{tet_arrays, tetrahedra};
-pub(crate) use series::{counted_from, listed_files, without_frame};
 pub use series::{
     FieldOfStep, StepSource, order_in_doubt, packed_frames, steps_of, steps_of_fields, unpack_frames,
 };
+pub(crate) use series::{counted_from, listed_files, without_frame};
 pub use shared::coordinates;
 pub use shared::{OpenOptions, RawLayout, pick_field};
 pub(crate) use volume::brick_map;

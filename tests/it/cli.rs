@@ -639,12 +639,14 @@ fn what_exists_is_replaced_with_force_alone() {
         ok(d, &[args, &["--force"]].concat());
         assert_ne!(fs::read(d.join(file)).unwrap(), b"mine");
     }
-    // What was unpacked is not made again.
+    // What was unpacked is not made again: other blocks are.
     let again = ["unpack", "a.isospan", "-q"];
     ok(d, &again);
-    let (code, text) = fails(d, &again);
+    ok(d, &again);
+    let other = [&again[..], &["--range", "0:0.1"]].concat();
+    let (code, text) = fails(d, &other);
     assert!(code == 2 && text.contains("unpacked.seg exists"), "{text}");
-    ok(d, &[&again[..], &["--force"]].concat());
+    ok(d, &[&other[..], &["--force"]].concat());
     // What no file can replace is reported before any work, too.
     let (code, text) = fails(d, &["export", "a.isospan", "-o", "a.isospan/mesh", "--force", "-q"]);
     assert_eq!(code, 2, "{text}");
@@ -874,7 +876,7 @@ fn a_target_that_is_not_met_has_an_exit_code() {
     assert_eq!(out.status.code(), Some(6), "{told}");
     assert!(told.contains("a.isospan: written, but the target is not met: RMS "), "{told}");
     let report = String::from_utf8(out.stdout).unwrap();
-    assert!(report.contains("NOT MET") && report.matches("fit ").count() == 1, "{report}");
+    assert!(report.contains("NOT MET"), "{report}");
     ok(d, &["check", "a.isospan"]);
     let (code, text) = fails(d, &["reduce", "v.npy", "-o", "b.isospan", "--size", "5"]);
     assert!(code == 2 && text.contains("expected a unit: 5MiB, or 5% of the source"), "{text}");

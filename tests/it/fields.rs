@@ -87,8 +87,11 @@ fn each_step_has_all_fields() {
     let d = dir.path();
     (0..3).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
     let reduce = |out: &str, inputs: &[&str]| {
-        let args =
-            [&["reduce", "-q", "-o", out, "--fields", "T,p", "--fraction", "1/2"][..], inputs].concat();
+        let args = [
+            &["reduce", "-q", "-o", out, "--fields", "T,p", "--points", "halton", "--fraction", "1/2"][..],
+            inputs,
+        ]
+        .concat();
         let (code, _, errors) = run(d, &args);
         assert_eq!(code, 0, "{errors}");
     };
@@ -101,7 +104,19 @@ fn each_step_has_all_fields() {
     for (field, isovalue) in [("T", "310"), ("p", "110000")] {
         for n in ["0", "1", "2"] {
             let (file, out) = (format!("v{n}.vti"), format!("{field}{n}.isospan"));
-            let args = ["reduce", "-q", &file, "-o", &out, "--field", field, "--fraction", "1/2"];
+            let args = [
+                "reduce",
+                "-q",
+                &file,
+                "-o",
+                &out,
+                "--field",
+                field,
+                "--points",
+                "halton",
+                "--fraction",
+                "1/2",
+            ];
             assert_eq!(run(d, &args).0, 0);
             let alone = count(d, &out, &["-i", isovalue]);
             assert!(alone > 0);

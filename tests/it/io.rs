@@ -146,8 +146,9 @@ fn progress_comes_in_the_form_asked_for() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("w.npy"), [40, 30, 20], waves);
-    let reduce =
-        |extra: &[&str]| ok(d, &[&["reduce", "w.npy", "-o", "w.isospan", "--force"], extra].concat());
+    let reduce = |extra: &[&str]| {
+        ok(d, &[&["reduce", "w.npy", "-o", "w.isospan", "--force", "--spacing", "1,1,1"], extra].concat())
+    };
     // JSON alone on standard error, the counts of each stage complete.
     let (_, err) = reduce(&["--progress", "json", "-v"]);
     let lines: Vec<serde_json::Value> = err.lines().map(|l| serde_json::from_str(l).unwrap()).collect();

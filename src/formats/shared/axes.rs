@@ -1,10 +1,10 @@
 //! Which axes of an array are of space, which one has the volumes of a series, and which one has
 //! channels: one rule for all formats whose arrays have axes.
 //!
-//! Each axis has a kind: 'x', 'y', 'z', 's' (of space, which one is not told), 't' (time, or volumes
-//! in some other order), 'c' (channels), or '?'. The axes of space are x, y and z, in any places;
-//! where these are not all there, the last three of those that are no others. Of the others one may
-//! have the volumes of a series and one channels; more axes must have a single entry.
+//! Each axis has a kind: 'x', 'y', 'z', 's' (of space, which one is not told), 't' (time, or
+//! volumes in some other order), 'c' (channels), or '?'. The axes of space are x, y and z, in any
+//! places; where these are not all there, the last three of those that are no others. Of the others
+//! one may have the volumes of a series and one channels; more axes must have a single entry.
 
 /// The axes of an array, whose sizes and kinds are given slowest first.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -59,8 +59,8 @@ pub(in crate::formats) fn check_last(
     open(&OpenOptions { field: Some(format!("t{}", frames - 1)), ..options.clone() }).map(drop)
 }
 
-/// The frames by the names of their fields, and their times, where the first and the step are known.
-/// None where there is one volume.
+/// The frames by the names of their fields, and their times, where the first and the step are
+/// known. None where there is one volume.
 pub(in crate::formats) fn list(frames: u64, times: Option<[f64; 2]>) -> Frames {
     if frames == 1 {
         return vec![];

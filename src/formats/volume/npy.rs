@@ -11,8 +11,8 @@
 //! An array is indexed `[z, y, x]`, as volumes are in NumPy: a shape of (256, 128, 64) has 64
 //! samples along x. In memory order that is x fastest, unless `fortran_order` is true: then z is
 //! fastest, and the same array gives the same volume. `bool` is read as `u8` 0 and 1. The reader
-//! refuses by name: other than three axes (further ones of one entry apart), complex numbers, long double, records, objects.
-//! `.npz` archives are read by [`crate::formats::volume::npz`].
+//! refuses by name: other than three axes (further ones of one entry apart), complex numbers, long
+//! double, records, objects. `.npz` archives are read by [`crate::formats::volume::npz`].
 //!
 //! The format: NumPy Enhancement Proposal 1, and `numpy.lib.format`.
 

@@ -97,9 +97,7 @@ impl NewFolders {
     /// Looks before the first of them is made.
     pub(super) fn of(out: &Path) -> Self {
         let work = work_folder(out);
-        let mut archives = vec![new_archive(out)];
-        archives.extend(["try.isospan", "best.isospan"].map(|name| work.join(name)));
-        archives.push(out.to_path_buf());
+        let archives = [new_archive(out), out.to_path_buf()];
         let inner = |archive: PathBuf| [mesh_folder(&archive), steps_folder(&archive), archive];
         let all = archives.into_iter().flat_map(inner).chain([work]);
         Self(all.filter(|folder| fs::symlink_metadata(folder).is_err()).collect())
@@ -145,9 +143,9 @@ pub(in crate::pipeline) fn strays(archive: &Path, manifest: &Manifest) -> Result
     Ok(strays)
 }
 
-/// Removes the strays that have the names of segments, but for those that the archive had `before`. The archive's writer calls this while it
-/// holds the lock. Files of another, unfinished `append` are among them. A failure costs only disk
-/// space.
+/// Removes the strays that have the names of segments, but for those that the archive had `before`.
+/// The archive's writer calls this while it holds the lock. Files of another, unfinished `append`
+/// are among them. A failure costs only disk space.
 pub(super) fn remove_strays(archive: &Path, manifest: &Manifest, before: Option<&Manifest>) {
     let before = before.map_or(vec![], |before| segments(archive, before));
     let was_there = |path: &PathBuf| before.iter().any(|(named, _)| named == path);

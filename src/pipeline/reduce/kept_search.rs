@@ -17,8 +17,8 @@ use super::job::Job;
 use super::plan_file::work_folder;
 use super::report::ReduceReport;
 use super::series::SkippedStep;
-use super::tries::remove_tries;
-use crate::archive::manifest::{Manifest, check_sum, sealed_text};
+use super::tries::{remove_tries, tries_in};
+use crate::archive::manifest::{Manifest, check_sum, mesh_folder, sealed_text, steps_folder};
 use crate::archive::segment::PlanHash;
 use crate::bytes::publish::Unpublished;
 use crate::bytes::read_whole;
@@ -27,7 +27,7 @@ use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::formats::{Input, StepSource};
 use crate::pipeline::plan::Inputs;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -189,6 +189,23 @@ fn read<S: DeserializeOwned>(archive: &Path) -> Option<Noted<S>> {
     let bytes = read_whole(&path, LARGEST).ok()?;
     check_sum(&bytes, &path, "").ok()?;
     serde_json::from_slice(&bytes).ok()
+}
+
+/// Removes a search of which no try has made anything: it was refused. Folders of tries that are
+/// empty go as well.
+pub(super) fn forget_unbegun(archive: &Path) {
+    let folder = work_folder(archive);
+    let tries: Vec<PathBuf> = tries_in(&folder, TRY).into_iter().map(|(_, path)| path).collect();
+    for made in &tries {
+        for inner in [mesh_folder(made), steps_folder(made), made.clone()] {
+            // One with a file in it stays: the same call goes on with that.
+            let _ = fs::remove_dir(inner);
+        }
+    }
+    if !tries.iter().any(|made| made.exists()) && read::<IgnoredAny>(archive).is_some() {
+        let _ = fs::remove_file(search_file(archive));
+        let _ = fs::remove_dir(folder);
+    }
 }
 
 /// Removes a search that is over, or that an archive makes needless.

@@ -58,7 +58,7 @@ use existing::NewFolders;
 pub use existing::archive_files;
 pub(super) use existing::{Existing, lock_for_writing, replace_archive, strays, sweep};
 pub(super) use job::{Basis, Job};
-use kept_search::forget_search;
+use kept_search::{forget_search, forget_unbegun};
 use plan_file::new_archive;
 pub(super) use plan_file::{Cut, PLANNED_TRY, PlanFile, PlannedSearch, planned_try};
 pub use plan_file::{plan_path, work_folder};
@@ -103,6 +103,7 @@ pub fn reduce_series(
     let new_folders = NewFolders::of(out);
     let made = make_series(&job, &existing);
     if made.is_err() {
+        forget_unbegun(out);
         new_folders.remove_empty();
     }
     Ok(made?.finished(started))

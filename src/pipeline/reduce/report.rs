@@ -42,7 +42,8 @@ pub struct ReduceReport {
     /// The error that is wanted, in units of the field.
     #[serde(skip)]
     pub(in crate::pipeline) bound: Option<f64>,
-    /// Whether the sources are several fields of each step: an error is a part of the range of each.
+    /// Whether the sources are several fields of each step: an error is a part of the range of
+    /// each.
     #[serde(skip)]
     pub of_fields: bool,
     /// The errors of each step, RMS and largest, as parts of the range of its field.

@@ -4,11 +4,11 @@ use super::existing::{remove_strays, replace_archive};
 use super::plan_file::work_folder;
 use crate::archive::manifest::Manifest;
 use crate::bytes::publish::remove_folder;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::pipeline::plan::{Attachments, Plan};
 use crate::pipeline::settings::ReduceSettings;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Cells of an archive that have a point a sample or more, and all cells.
 pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
@@ -41,20 +41,18 @@ pub(super) fn tidy(made: &Path) {
 
 /// Removes the tries of an archive whose names begin so, all but some.
 pub(in crate::pipeline) fn remove_tries(archive: &Path, name: &str, kept: &[Option<u32>]) -> Result<()> {
-    let folder = work_folder(archive);
-    let list = |e| Error::io("list", &folder, e);
-    let entries = match fs::read_dir(&folder) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-        entries => entries.map_err(list)?,
-    };
-    for entry in entries {
-        let path = entry.map_err(list)?.path();
-        let number = number_of(&path, name);
-        if number.is_some() && !kept.contains(&number) {
+    for (number, path) in tries_in(&work_folder(archive), name) {
+        if !kept.contains(&Some(number)) {
             remove_folder(&path)?;
         }
     }
     Ok(())
+}
+
+/// The tries in a folder whose names begin so; none where it cannot be listed.
+pub(super) fn tries_in(folder: &Path, name: &str) -> Vec<(u32, PathBuf)> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.filter_map(|entry| Some((number_of(&entry.path(), name)?, entry.path()))).collect()
 }
 
 /// The number of a try, by the name of its folder.

@@ -8,7 +8,6 @@
 //! The format: the DICOM standard, part PS3.3 (C.8.8.3).
 
 use super::element::*;
-use super::file::missing;
 use crate::error::{Error, Result};
 use crate::geom::vec3::cross;
 use std::path::Path;

@@ -380,3 +380,8 @@ impl DataSet {
 pub(super) fn shown(tag: Tag) -> String {
     format!("({:04x},{:04x})", tag >> 16, tag & 0xffff)
 }
+
+/// The error of an element that is not there.
+pub(super) fn missing(path: &Path, name: &str, tag: Tag) -> Error {
+    Error::bad_input(path, format!("{name} {}", shown(tag)), "a value", "none")
+}

@@ -332,7 +332,3 @@ fn unit(reader: &Reader<'_>, all: &DataSet, values: &DataSet) -> Option<Unit> {
 fn no_image(path: &Path) -> Error {
     Error::bad_input(path, "Pixel Data", "samples", "none: the file is no image")
 }
-
-pub(super) fn missing(path: &Path, name: &str, tag: Tag) -> Error {
-    Error::bad_input(path, format!("{name} {}", shown(tag)), "a value", "none")
-}

@@ -57,8 +57,8 @@ pub(super) struct Chunks {
     groups: Mutex<Vec<(Group, Arc<[Entry]>)>>,
 }
 
-/// A box of chunks: its place along all axes, 0 along those of the volume, and its first chunk along
-/// these.
+/// A box of chunks: its place along all axes, 0 along those of the volume, and its first chunk
+/// along these.
 type Group = (Vec<u64>, [u64; 3]);
 
 /// A chunk in the file, and its number in its group.
@@ -73,8 +73,8 @@ struct Entry {
 }
 
 impl Chunks {
-    /// The chunks of a dataset whose samples have `size` bytes, for volumes of three of its axes, the
-    /// last one first; `None` where it has none.
+    /// The chunks of a dataset whose samples have `size` bytes, for volumes of three of its axes,
+    /// the last one first; `None` where it has none.
     pub(super) fn of(
         file: &Hdf5File,
         dataset: &Dataset,

@@ -7,11 +7,11 @@
 //!
 //! The fields are the datasets of three axes (slowest first: z, y, x, as in NPY) and of one number
 //! a sample, named by their path. In a dataset with more axes those of space are found by their
-//! names, in any places, else they are the last three (see [`layout`](crate::formats::shared::axes)).
-//! Each entry of an axis of time, or of the first of four, is a field of its own. They are the steps
-//! `name:t0`, `name:t1`, …; `name` is all of them, as a series. Entries of an axis of channels are
-//! the fields `name:c0`, `name:c1`, …, with frames `name:c0:t0`. Other axes must have one entry.
-//! Links to one dataset are one field.
+//! names, in any places, else they are the last three (see
+//! [`layout`](crate::formats::shared::axes)). Each entry of an axis of time, or of the first of
+//! four, is a field of its own. They are the steps `name:t0`, `name:t1`, …; `name` is all of them,
+//! as a series. Entries of an axis of channels are the fields `name:c0`, `name:c1`, …, with frames
+//! `name:c0:t0`. Other axes must have one entry. Links to one dataset are one field.
 //!
 //! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
 //! are what their names say: time, x, y, z in any order, channels. If the last of four axes without

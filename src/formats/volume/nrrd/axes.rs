@@ -1,8 +1,8 @@
 //! The axes of an NRRD: which are of space, and which one has the volumes of a series.
 //!
-//! An axis is what its kind says: `domain` and `space` are of space, `time` and `list` have volumes,
-//! others (`vector`, `RGB-color` …) have components and are refused. Where the kind says nothing, an
-//! axis without a direction in space is none of space, and a label "time" counts.
+//! An axis is what its kind says: `domain` and `space` are of space, `time` and `list` have
+//! volumes, others (`vector`, `RGB-color` …) have components and are refused. Where the kind says
+//! nothing, an axis without a direction in space is none of space, and a label "time" counts.
 
 use super::Header;
 use crate::error::{Error, Result};
