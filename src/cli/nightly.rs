@@ -150,7 +150,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     } else {
         super::print(&in_words(&summary, false))?
     }
-    let is_said = !args.json && !(summary.skipped.is_empty() && summary.changed.is_empty());
+    let is_said = !args.json && (!summary.skipped.is_empty() || !summary.changed.is_empty());
     match done {
         // The summary has the reasons already.
         Err(_) if is_said => {

@@ -8,8 +8,11 @@ use std::process::Command;
 
 const DIMS: [usize; 3] = [12, 11, 10];
 
+/// A field by its name and its values.
+type Field<'a> = (&'a str, &'a dyn Fn(f64, f64, f64) -> f64);
+
 /// An image with some fields, at a time.
-fn image(dir: &Path, name: &str, time: Option<f64>, fields: &[(&str, &dyn Fn(f64, f64, f64) -> f64)]) {
+fn image(dir: &Path, name: &str, time: Option<f64>, fields: &[Field<'_>]) {
     let [nx, ny, nz] = DIMS;
     let at = |n: usize, count: usize| n as f64 / (count - 1) as f64;
     let mut arrays = String::new();

@@ -128,7 +128,7 @@ fn a_time_that_is_there_is_refused_or_replaced() {
         are_alone(dir, &out, &sources, bits);
         // What comes next may refer to what is there.
         let next = step(dir, "next.npy", 2.0);
-        append(&[next.clone()], false, &out).unwrap();
+        append(std::slice::from_ref(&next), false, &out).unwrap();
         let sources: Vec<&StepSource> = all.iter().chain([&next]).collect();
         are_alone(dir, &out, &sources, bits);
         all = steps(dir, &[0.0, 0.5, 1.0, 1.5]);

@@ -164,6 +164,9 @@ mod others {
         assert!(Command::new("mkfifo").arg(at).status().unwrap().success());
     }
 
+    /// What is done to a folder, by its name.
+    type Way<'a> = (&'a str, &'a dyn Fn(&Path));
+
     #[test]
     fn a_folder_that_holds_anything_else_is_refused_by_name() {
         use std::os::unix::fs::symlink;
@@ -171,7 +174,7 @@ mod others {
         let d = dir.path();
         archive(d);
         assert_eq!(publish(d, &["waves.isospan", "-o", "fresh"]).0, Some(0));
-        let add: &[(&str, &dyn Fn(&Path))] = &[
+        let add: &[Way<'_>] = &[
             ("photo.jpg", &|v| fs::write(v.join("photo.jpg"), "photo").unwrap()),
             (".git", &|v| {
                 fs::create_dir_all(v.join(".git/objects")).unwrap();
@@ -236,7 +239,7 @@ mod others {
             fs::remove_file(&segment).unwrap();
             make(&segment);
         };
-        let ways: &[(&str, &dyn Fn(&Path))] = &[
+        let ways: &[Way<'_>] = &[
             ("a link to a key", &|at| symlink(d.join("key"), at).unwrap()),
             ("a link to the segment", &|at| {
                 fs::write(d.join("copy.seg"), &whole).unwrap();
@@ -314,7 +317,6 @@ mod others {
             names.sort();
             assert_eq!(names, ["viewer", "waves.isospan", "waves.npy"], "round {round}");
         }
-        println!("{killed} of {rounds} were killed");
         assert!(killed > 0 && begun.elapsed() < Duration::from_secs(3600));
     }
 }

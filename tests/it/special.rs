@@ -9,8 +9,11 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+/// Makes a file of a kind, which may lead to another one.
+type Make = fn(&Path, &Path);
+
 /// Ways to take a name; `letter` is a user's file beside it.
-const KINDS: [(&str, fn(&Path, &Path)); 10] = [
+const KINDS: [(&str, Make); 10] = [
     ("a link to a file", |at, letter| symlink(letter, at).unwrap()),
     ("a link to nothing", |at, _| symlink(at.with_extension("none"), at).unwrap()),
     ("a link to itself", |at, _| symlink(at, at).unwrap()),
@@ -25,7 +28,7 @@ const KINDS: [(&str, fn(&Path, &Path)); 10] = [
     }),
     ("a file of nobody", |at, letter| {
         fs::copy(letter, at).unwrap();
-        fs::set_permissions(at, fs::Permissions::from_mode(0)).unwrap();
+        fs::set_permissions(at, fs::Permissions::from_mode(0o0)).unwrap();
     }),
 ];
 

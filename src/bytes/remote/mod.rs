@@ -286,7 +286,7 @@ mod tests {
             Liar(2 * all, 0..all, all as usize),
             Liar(all, 0..2 * all, 2 * all as usize),
             Liar(u64::MAX, u64::MAX - all..u64::MAX, all as usize),
-            Liar(u64::MAX, u64::MAX..0, 0),
+            Liar(u64::MAX, Range { start: u64::MAX, end: 0 }, 0),
             Liar(0, 0..all, all as usize),
         ]
         .into_iter()

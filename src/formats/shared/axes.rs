@@ -74,7 +74,9 @@ fn space(kinds: &[char]) -> Option<[usize; 3]> {
 mod tests {
     use super::*;
 
-    fn of(shape: &[u64], kinds: &str) -> Result<([usize; 3], Option<usize>, Option<usize>), Expected> {
+    type Found = ([usize; 3], Option<usize>, Option<usize>);
+
+    fn of(shape: &[u64], kinds: &str) -> Result<Found, Expected> {
         let kinds: Vec<char> = kinds.chars().collect();
         layout(shape, &kinds).map(|found| (found.space, found.series, found.channels))
     }

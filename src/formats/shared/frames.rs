@@ -70,6 +70,9 @@ pub(in crate::formats) fn list(frames: u64, times: Option<[f64; 2]>) -> Frames {
     (0..frames).map(|t| (format!("t{t}"), time(t))).collect()
 }
 
+/// A file, and where in it samples begin.
+pub(in crate::formats) type PlacedFile = (Arc<ByteSource>, u64);
+
 /// Where a frame lies in files that have the slices of all frames, front to back, `offset` bytes
 /// after the beginning of each: parts of equal numbers of slices, and that number.
 ///
@@ -81,7 +84,7 @@ pub(in crate::formats) fn parts_of(
     offset: u64,
     [frame, frames]: [u64; 2],
     [slices, slice_bytes]: [u64; 2],
-) -> Result<(Vec<(Arc<ByteSource>, u64)>, u64)> {
+) -> Result<(Vec<PlacedFile>, u64)> {
     let (count, all) = (files.len() as u64, slices.saturating_mul(frames));
     if count == 0 || slices == 0 || !all.is_multiple_of(count) {
         let got = format!("{count} files for {all} slices");

@@ -215,12 +215,11 @@ fn read_text(path: &Path, bytes: &[u8], limits: &ReadLimits, out: &mut StoredSur
     build.finish(out)
 }
 
+/// Takes the corners of a facet, and the words after it.
+type EachFacet<'a> = dyn FnMut([[f64; 3]; 3], &Words<'_>) -> Result<()> + 'a;
+
 /// Hands the corners of each facet of a text, and the place after it.
-fn each_facet(
-    path: &Path,
-    bytes: &[u8],
-    each: &mut dyn FnMut([[f64; 3]; 3], &Words<'_>) -> Result<()>,
-) -> Result<()> {
+fn each_facet(path: &Path, bytes: &[u8], each: &mut EachFacet<'_>) -> Result<()> {
     let mut words = Words::new(path, bytes, 0);
     // The name of a solid is the rest of its line, and any text.
     while let Some(first) = words.next() {

@@ -41,7 +41,7 @@ enum Coordinates {
         offset: f64,
         scale: f64,
     },
-    Listed(Dataset),
+    Listed(Box<Dataset>),
     /// Something else: names, or a formula.
     Unread,
 }
@@ -181,7 +181,7 @@ fn emd(group: &Group, name: &str) -> Read<Axis> {
     };
     let name = text(line.attribute("name"));
     let is_list = line.ndim() == 1;
-    let coordinates = if is_list { Coordinates::Listed(line) } else { Coordinates::Unread };
+    let coordinates = if is_list { Coordinates::Listed(Box::new(line)) } else { Coordinates::Unread };
     Ok(Axis { name, unit, coordinates })
 }
 
@@ -193,7 +193,7 @@ fn hyperspy(group: &Group, name: &str) -> Read<Axis> {
         numbers.and_then(|n| n.first().copied())
     };
     let coordinates = match (number("scale"), axis.dataset("axis")) {
-        (_, Ok(line)) if line.ndim() == 1 => Coordinates::Listed(line),
+        (_, Ok(line)) if line.ndim() == 1 => Coordinates::Listed(Box::new(line)),
         (Some(scale), _) if axis.attribute("expression").is_err() => {
             Coordinates::Regular { offset: number("offset").unwrap_or(0.0), scale }
         }

@@ -473,7 +473,7 @@ fn axes_are_found_by_their_names() {
         let word = c.to_string();
         let options =
             OpenOptions { field: Some("movie".into()), channel: Some(word), ..OpenOptions::default() };
-        let steps = crate::formats::steps_of(&[path.clone()], &options).unwrap();
+        let steps = crate::formats::steps_of(std::slice::from_ref(&path), &options).unwrap();
         assert_eq!(steps.len(), 2);
         let (_, values) = read_all(open_volume(&path, &steps[t].options).unwrap());
         assert_eq!(values, of_axes(t, c));

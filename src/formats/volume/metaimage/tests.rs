@@ -131,8 +131,10 @@ fn damage_is_refused() {
 const SERIES: &str = "ObjectType = Image\nNDims = 4\nDimSize = 4 3 2 3\nElementType = MET_USHORT\n\
     ElementSpacing = 2 2 3 0.5\nOffset = 1 2 3 10\n";
 
+type Series = (Vec<Vec<f32>>, Vec<Option<f64>>);
+
 /// The volumes of a series with these lines, and their times.
-fn series(dir: &tempfile::TempDir, fields: &str, data: &[u8]) -> Result<(Vec<Vec<f32>>, Vec<Option<f64>>)> {
+fn series(dir: &tempfile::TempDir, fields: &str, data: &[u8]) -> Result<Series> {
     let file = write(dir, "a.mha", &[format!("{SERIES}{fields}").as_bytes(), data].concat());
     let steps = crate::formats::steps_of(&[file], &OpenOptions::default())?;
     let read = |step: &crate::formats::StepSource| {

@@ -172,8 +172,10 @@ fn units_of_single_axes_become_one() {
     assert!(error.contains("parsecs ago") && error.contains("units"), "{error}");
 }
 
+type Series = (Vec<Vec<f32>>, Vec<Option<f64>>, VolumeInfo);
+
 /// The samples of three volumes of 4 x 3 x 2 of a file with these lines, and its times.
-fn series(fields: &str, data: &[u8]) -> Result<(Vec<Vec<f32>>, Vec<Option<f64>>, VolumeInfo)> {
+fn series(fields: &str, data: &[u8]) -> Result<Series> {
     let dir = tempfile::tempdir().unwrap();
     let head = format!("NRRD0005\ntype: ushort\ndimension: 4\n{fields}endian: little\n\n");
     let file = write(&dir, "a.nrrd", &[head.as_bytes(), data].concat());

@@ -302,10 +302,10 @@ fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
     let of = |center| fields(center).collect::<Vec<_>>();
     let (points, cells) = (of(Center::Point), of(Center::Cell));
     let missing = |name: &str| !points.iter().chain(&cells).any(|f| f.name == name);
-    if let Some(name) = wanted.filter(|name| missing(name)) {
-        if file.arrays.iter().chain(&file.cell_arrays).any(|a| a.name == name) {
-            return refuse("one of bits or strings".into(), "write it as unsigned_char");
-        }
+    if let Some(name) = wanted.filter(|name| missing(name))
+        && file.arrays.iter().chain(&file.cell_arrays).any(|a| a.name == name)
+    {
+        return refuse("one of bits or strings".into(), "write it as unsigned_char");
     }
     let active = |center| {
         let active = |a: &&Array| a.is_scalars && a.field().is_some_and(|f| f.components == 1);
