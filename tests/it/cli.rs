@@ -639,14 +639,14 @@ fn what_exists_is_replaced_with_force_alone() {
         ok(d, &[args, &["--force"]].concat());
         assert_ne!(fs::read(d.join(file)).unwrap(), b"mine");
     }
-    // What was unpacked is not made again: other blocks are.
+    // What was unpacked is not made again.
     let again = ["unpack", "a.isospan", "-q"];
-    ok(d, &again);
-    ok(d, &again);
-    let other = [&again[..], &["--range", "0:0.1"]].concat();
-    let (code, text) = fails(d, &other);
+    let few = [&again[..], &["--range", "0:0.1"]].concat();
+    ok(d, &few);
+    ok(d, &few);
+    let (code, text) = fails(d, &again);
     assert!(code == 2 && text.contains("unpacked.seg exists"), "{text}");
-    ok(d, &[&other[..], &["--force"]].concat());
+    ok(d, &[&again[..], &["--force"]].concat());
     // What no file can replace is reported before any work, too.
     let (code, text) = fails(d, &["export", "a.isospan", "-o", "a.isospan/mesh", "--force", "-q"]);
     assert_eq!(code, 2, "{text}");
