@@ -167,6 +167,12 @@ class Archive:
         return self._path
 
     @property
+    def _shown(self) -> str:
+        """The path from the current folder, where the archive lies in it."""
+        here = os.path.join(os.getcwd(), "")
+        return self._path.removeprefix(here)
+
+    @property
     def target_met(self) -> bool | None:
         """Whether the target was met that :func:`isospan.reduce` was asked for; None where there was
         none, and of an archive that was opened."""
@@ -188,10 +194,10 @@ class Archive:
 
     def __repr__(self) -> str:
         if self._open is None:
-            return f"<isospan.Archive {self._path!r}, closed>"
+            return f"<isospan.Archive {self._shown!r}, closed>"
         dims, steps = "x".join(map(str, self.dims)), len(self.steps)
         series = f", {steps} steps" if steps > 1 else ""
-        return f"<isospan.Archive {self._path!r} of {dims} samples{series}>"
+        return f"<isospan.Archive {self._shown!r} of {dims} samples{series}>"
 
     def at(self, *, step: Which | None = None, time: float | None = None) -> Archive:
         """The same archive at a step, by its number, or at a time: between steps values are
