@@ -26,6 +26,8 @@ mod testing;
 pub mod weld;
 mod world_map;
 
+#[cfg(feature = "compare")]
+pub(crate) use model::vertices_from;
 pub use model::{Joined, SurfaceSource, TriMesh, Vertex};
-pub(crate) use model::{relative_to, vertices_from, world_of};
+pub(crate) use model::{relative_to, world_of};
 pub use world_map::{WorldMap, nearby_origin};

@@ -6,7 +6,7 @@
 //!
 //! Whoever can reach the port can connect. So a connection counts only while a request is under
 //! way: when all places are taken, the one that has been without a request for longest is closed,
-//! first of those that never had the token.
+//! first of those that never had the token, but none before two seconds.
 
 use axum::extract::connect_info::Connected;
 use axum::serve::{IncomingStream, Listener};
@@ -30,6 +30,8 @@ const HEAD: Duration = Duration::from_secs(10);
 const IDLE: Duration = Duration::from_secs(60);
 /// A request of which nothing comes or goes for so long is ended.
 const QUIET: Duration = Duration::from_secs(300);
+/// A connection that has been idle for less stays: its request may be on the way.
+const GRACE: Duration = Duration::from_secs(2);
 /// How often is looked for a place, or for a listener that works again.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -131,6 +133,7 @@ impl Limited {
             self.seats.retain(|_, seat| seat.strong_count() > 0);
             let seats = self.seats.values().filter_map(|seat| seat.upgrade().map(Seat));
             let idle = seats.filter_map(|seat| seat.idle_since().map(|since| (since, seat)));
+            let idle = idle.filter(|((_, since), _)| since.elapsed() >= GRACE);
             if let Some((_, seat)) = idle.min_by_key(|(since, _)| *since) {
                 seat.close();
             }
