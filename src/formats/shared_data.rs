@@ -95,7 +95,10 @@ fn variants_are_read_right_or_refused_clearly() {
         let (dims, scalar) = (dims_of(&row.size), scalar_of(&row.scalar));
         match &result {
             Ok((info, _)) if row.notes.starts_with("loads") => {
-                assert_eq!((Some(info.dims), Some(info.field.scalar)), (dims, scalar), "{}", row.file);
+                // Of four axes the first three are of space.
+                let first: Vec<&str> = row.size.split('x').take(3).collect();
+                let expected = (dims_of(&first.join("x")), scalar);
+                assert_eq!((Some(info.dims), Some(info.field.scalar)), expected, "{}", row.file);
             }
             // Halves of pairs, about which the manifest says nothing.
             Ok((info, _)) => assert!(row.notes == "not loaded" && info.dims == [64, 64, 10], "{}", row.file),
@@ -119,7 +122,6 @@ fn known_traps_are_named() {
         ("BallBinary30x30x30_nifti.nhdr", "more bytes"),
         ("BallBinary30x30x30_bz2.nrrd", "bzip2"),
         ("test1d_ascii.nrrd", "dimension"),
-        ("test_simple4d_raw.nrrd", "dimension"),
         ("multi_component_i16.nii.gz", "dim[5]"),
         ("rgb/3D.nii", "RGB"),
         ("rgba/4D.nii", "RGBA"),

@@ -99,14 +99,14 @@ fn dose_grids_are_placed_and_scaled() {
     // Frames are put in the order of their places.
     let dir = tempfile::tempdir().unwrap();
     let bytes = std::fs::read(data("dose.dcm")).unwrap();
-    let path = write(&dir, "a.dcm", &replaced(&bytes, br"0\2\4 ", br"0\4\2 "));
+    let path = write(&dir, "a.dcm", &replaced(&bytes, br"0.0\2.0\4.0 ", br"0.0\4.0\2.0 "));
     let (info, values) = read_all(open_default(&path).unwrap());
     assert_eq!((info.geometry.to_world([0.0; 3]), values), ([100.0, -7.25, 30.5], sorted));
     for (from, to, says) in [
-        (&br"0\2\4 "[..], &br"1\2\4 "[..], "Grid Frame Offset Vector: expected 0 first"),
-        (br"0\2\4 ", br"0\2   ", "3 numbers"),
-        (br"0\2\4 ", br"0\2\9 ", "slices 2 mm apart"),
-        (br"0\2\4 ", br"0\2\x ", "3 numbers"),
+        (&br"0.0\2.0\4.0 "[..], &br"1.0\2.0\4.0 "[..], "Grid Frame Offset Vector: expected 0 first"),
+        (br"0.0\2.0\4.0 ", br"0.0\2.0     ", "3 numbers"),
+        (br"0.0\2.0\4.0 ", br"0.0\2.0\9.0 ", "slices 2 mm apart"),
+        (br"0.0\2.0\4.0 ", br"0.0\2.0\x.0 ", "3 numbers"),
         (b"2.5e-4", b"-2.5e4", "Dose Grid Scaling: expected a number above 0"),
         (b"2.5e-4", b"      ", "Dose Grid Scaling (3004,000e)"),
     ] {
