@@ -1,0 +1,328 @@
+//! A whole array in memory as bytes, of which each level, or a box of it, can be decoded alone.
+
+use std::collections::HashMap;
+
+use crate::delay::{boxes, choose_delay};
+use crate::error::{Error, Result};
+use crate::pyramid::{Box3, Pyramid};
+use crate::quantise::Scale;
+use crate::range_coder::{Coder, Decoder, Encoder, Odds};
+use crate::refilter::{REACH, each_row, refilter};
+use crate::tile::{Tile, TileId};
+use crate::top::{decode_top, encode_top};
+use crate::transform::{MARGIN, Scratch, Window};
+
+const MAGIC: &[u8; 8] = b"isowave1";
+/// Bytes before the lengths of tiles: magic, u32 sizes, u8 delays, a zero, f64 least and largest sample, i32 exponent,
+/// f32 step, u32 bytes of the coarsest level, u32 bytes of lengths.
+const HEADER: usize = 56;
+/// Samples that an array may have.
+const MOST: usize = 1 << 40;
+
+/// What is asked of [`compress`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// What neighbouring values of a coefficient differ by, in units of the samples. The RMS error is
+    /// about a fifth of it in smooth data, less where most coefficients are zero, more in noise.
+    pub step: f64,
+    /// Levels by which the splits of each axis begin later: see [`Pyramid::new`]. `None` tries which
+    /// serves best, on a part of the samples: [`choose_delay`].
+    pub delay: Option<[u8; 3]>,
+}
+
+/// Samples of a box of an array.
+fn cut(samples: &[f32], dims: [usize; 3], part: &Box3) -> Vec<f32> {
+    let mut found = Vec::with_capacity(part.len());
+    each_row(&Box3::all(dims), part, |at| found.extend_from_slice(&samples[at..at + part.size[0]]));
+    found
+}
+
+fn tiles_of(pyramid: &Pyramid, level: usize) -> impl Iterator<Item = TileId> + use<> {
+    let [nx, ny, nz] = pyramid.tiles(level);
+    (0..nx * ny * nz).map(move |i| TileId { level, at: [i % nx, i / nx % ny, i / nx / ny] })
+}
+
+/// Compresses an array of samples, x fastest.
+pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Result<Vec<u8>> {
+    let wanted = dims.iter().try_fold(1_usize, |n, d| n.checked_mul(*d));
+    let sizes_fit = dims.iter().all(|d| u32::try_from(*d).is_ok());
+    if samples.is_empty() || samples.len() > MOST || wanted != Some(samples.len()) || !sizes_fit {
+        return Err(Error::Size { dims, samples: samples.len() });
+    }
+    if let Some(index) = samples.iter().position(|s| !s.is_finite()) {
+        return Err(Error::NotFinite { index });
+    }
+    let range = samples.iter().fold([f64::MAX, f64::MIN], |[low, high], s| {
+        let s = f64::from(*s);
+        [low.min(s), high.max(s)]
+    });
+    let scale = Scale::new(range, settings.step)?;
+    let delay = match settings.delay {
+        Some(delay) => delay,
+        None => {
+            let tried: Vec<_> = boxes(dims).iter().map(|b| (cut(samples, dims, b), b.size)).collect();
+            choose_delay(&tried, scale.in_samples(scale.step))?
+        }
+    };
+    let pyramid = Pyramid::new(dims, delay);
+    let entered = samples.iter().map(|s| scale.enter(f64::from(*s))).collect();
+    let mut window = Window { place: Box3::all(dims), samples: entered };
+    window.forward(pyramid.splits(), &mut Scratch::default());
+
+    let size = pyramid.nodes(pyramid.coarsest());
+    let low = window.band(pyramid.splits(), [false; 3], &Box3::all(size));
+    let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
+    let top = encode_top(&low, size);
+    let (mut lengths, mut bytes) = (vec![], vec![]);
+    let mut above = HashMap::new();
+    for level in (1..=pyramid.coarsest()).rev() {
+        let mut made = HashMap::new();
+        for id in tiles_of(&pyramid, level) {
+            let coefficients = window.tile(&pyramid, id, |c| scale.in_steps(c));
+            let parent = above.get(&pyramid.parent(level, id.at));
+            let (tile, encoded) = Tile::encode(&pyramid, id, &coefficients, parent)?;
+            lengths.push(encoded.len() as u32);
+            bytes.extend(encoded);
+            made.insert(id.at, tile);
+        }
+        above = made;
+    }
+    let lengths = encode_lengths(&lengths);
+    let mut out = MAGIC.to_vec();
+    dims.iter().for_each(|d| out.extend((*d as u32).to_le_bytes()));
+    out.extend(delay);
+    out.push(0);
+    scale.range.iter().for_each(|r| out.extend(r.to_le_bytes()));
+    out.extend(scale.exponent.to_le_bytes());
+    out.extend(scale.step.to_le_bytes());
+    out.extend((top.len() as u32).to_le_bytes());
+    out.extend((lengths.len() as u32).to_le_bytes());
+    out.extend([top, lengths, bytes].concat());
+    Ok(out)
+}
+
+/// An array that [`compress`] made, to be decoded in parts.
+#[derive(Clone, Debug)]
+pub struct Compressed<'a> {
+    delay: [u8; 3],
+    pyramid: Pyramid,
+    scale: Scale,
+    top: Vec<i32>,
+    /// Where tiles begin and end.
+    places: HashMap<TileId, &'a [u8]>,
+}
+
+impl<'a> Compressed<'a> {
+    /// Reads the header and the lengths of tiles of an array with at most `most` samples. Damaged
+    /// bytes are an error here or when they are decoded, or other samples.
+    pub fn new(bytes: &'a [u8], most: usize) -> Result<Self> {
+        let damaged = Error::Damaged;
+        let (header, rest) = bytes.split_at_checked(HEADER).ok_or(damaged("there is no whole header"))?;
+        if !header.starts_with(MAGIC) || header[23] != 0 {
+            return Err(damaged("this is no compressed array"));
+        }
+        let u32_at =
+            |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+        let dims = [8, 12, 16].map(|at| u32_at(at) as usize);
+        let samples = dims.iter().try_fold(1_usize, |n, d| n.checked_mul(*d)).unwrap_or(usize::MAX);
+        if samples == 0 || samples > most {
+            return Err(Error::Size { dims, samples: most });
+        }
+        let f64_at = |at: usize| f64::from_bits(u64::from(u32_at(at)) | u64::from(u32_at(at + 4)) << 32);
+        let range = [f64_at(24), f64_at(32)];
+        let scale =
+            Scale { range, exponent: u32_at(40) as i32, step: f32::from_bits(u32_at(44)) }.checked()?;
+        if range.iter().any(|r| !(*r as f32).is_finite()) {
+            return Err(damaged("the range is beyond f32"));
+        }
+        let delay = [header[20], header[21], header[22]];
+        let pyramid = Pyramid::new(dims, delay);
+        let (of_top, of_lengths) = (u32_at(48) as usize, u32_at(52) as usize);
+        let (top, rest) = rest.split_at_checked(of_top).ok_or(damaged("it ends in the coarsest level"))?;
+        let (lengths, mut rest) =
+            rest.split_at_checked(of_lengths).ok_or(damaged("it ends in the lengths"))?;
+        let top = decode_top(top, pyramid.nodes(pyramid.coarsest()))?;
+        let mut lengths = Lengths::new(lengths);
+        let mut places = HashMap::new();
+        for id in (1..=pyramid.coarsest()).rev().flat_map(|level| tiles_of(&pyramid, level)) {
+            let (tile, behind) =
+                rest.split_at_checked(lengths.next()? as usize).ok_or(damaged("it ends in a tile"))?;
+            rest = behind;
+            if !tile.is_empty() {
+                places.insert(id, tile);
+            }
+        }
+        lengths.decoder.finish()?;
+        match rest.is_empty() {
+            true => Ok(Self { delay, pyramid, scale, top, places }),
+            false => Err(damaged("bytes behind the last tile")),
+        }
+    }
+
+    /// Its levels.
+    pub fn pyramid(&self) -> &Pyramid {
+        &self.pyramid
+    }
+
+    /// What neighbouring values of a coefficient differ by, in units of the samples.
+    pub fn step(&self) -> f64 {
+        self.scale.in_samples(self.scale.step)
+    }
+
+    /// Levels by which the splits of each axis begin later.
+    pub fn delay(&self) -> [u8; 3] {
+        self.delay
+    }
+
+    /// Calls with each tile of a level and its parent.
+    pub fn each_tile(
+        &self,
+        level: usize,
+        mut tell: impl FnMut(Tile, Option<&Tile>) -> Result<()>,
+    ) -> Result<()> {
+        let mut tiles = Tiles::default();
+        for id in tiles_of(&self.pyramid, level) {
+            let tile = self.tile(id, &mut tiles)?.clone();
+            let up = TileId { level: level + 1, at: self.pyramid.parent(level, id.at) };
+            tell(tile, tiles.get(&up))?;
+        }
+        Ok(())
+    }
+
+    /// All nodes of a level, x fastest; of level 0 these are its samples.
+    pub fn level(&self, level: usize) -> Result<Vec<f32>> {
+        self.check(level)?;
+        self.nodes(level, &Box3::all(self.pyramid.nodes(level)))
+    }
+
+    /// The nodes of a level in a box: the same bits as [`Compressed::level`] has there. What lies
+    /// elsewhere is not decoded.
+    pub fn nodes(&self, level: usize, wanted: &Box3) -> Result<Vec<f32>> {
+        self.check(level)?;
+        let nodes = self.pyramid.nodes(level);
+        let all = Box3::all(nodes);
+        if wanted.is_empty() || wanted.cut(&all) != *wanted {
+            return Err(Error::Box { level, nodes });
+        }
+        let values = match level {
+            0 => self.low(0, wanted, &mut Tiles::default())?,
+            _ => {
+                let around = wanted.widened(REACH).cut(&all);
+                let low = self.low(level, &around, &mut Tiles::default())?;
+                refilter(&self.pyramid, level, &around, low, wanted)
+            }
+        };
+        Ok(values.into_iter().map(|v| self.scale.leave(v) as f32).collect())
+    }
+
+    fn check(&self, level: usize) -> Result<()> {
+        let coarsest = self.pyramid.coarsest();
+        if level > coarsest { Err(Error::Level { level, coarsest }) } else { Ok(()) }
+    }
+
+    /// Low coefficients of a level in a box: the transform undone, coarsest level first.
+    fn low(&self, level: usize, wanted: &Box3, tiles: &mut Tiles) -> Result<Vec<f32>> {
+        let p = &self.pyramid;
+        let mut found = Vec::with_capacity(wanted.len());
+        if level == p.coarsest() {
+            let place = Box3::all(p.nodes(level));
+            each_row(&place, wanted, |at| {
+                let row = &self.top[at..at + wanted.size[0]];
+                found.extend(row.iter().map(|n| self.scale.restored(*n)));
+            });
+            return Ok(found);
+        }
+        let split = p.split(level + 1);
+        let window = wanted.around(split, MARGIN).cut(&Box3::all(p.nodes(level)));
+        let mut work = Window { place: window, samples: vec![0.0; window.len()] };
+        let low = window.halved(split);
+        work.put_band(&[split], [false; 3], &low, &self.low(level + 1, &low, tiles)?);
+        self.details(level + 1, &mut work, tiles)?;
+        work.inverse(&[split], &mut Scratch::default());
+        each_row(&window, wanted, |at| found.extend_from_slice(&work.samples[at..at + wanted.size[0]]));
+        Ok(found)
+    }
+
+    /// The coefficients between a level and the finer one, into a window of the finer one.
+    fn details(&self, level: usize, work: &mut Window, tiles: &mut Tiles) -> Result<()> {
+        let p = &self.pyramid;
+        let first = work.place.start.map(|s| s / crate::pyramid::TILE);
+        let last = work.place.end().map(|e| (e - 1) / crate::pyramid::TILE);
+        for z in first[2]..=last[2] {
+            for y in first[1]..=last[1] {
+                for x in first[0]..=last[0] {
+                    let id = TileId { level, at: [x, y, z] };
+                    if self.places.contains_key(&id) {
+                        let tile = self.tile(id, tiles)?;
+                        work.put_tile(p, tile, |n| self.scale.restored(n));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A decoded tile; its parents are decoded first.
+    fn tile<'t>(&self, id: TileId, tiles: &'t mut Tiles) -> Result<&'t Tile> {
+        if !tiles.contains_key(&id) {
+            let p = &self.pyramid;
+            let up = TileId { level: id.level + 1, at: p.parent(id.level, id.at) };
+            let parent = match Tile::has_parent(p, id.level) && self.places.contains_key(&up) {
+                true => Some(self.tile(up, tiles)?.clone()),
+                false => None,
+            };
+            let bytes = self.places.get(&id).copied().unwrap_or_default();
+            tiles.insert(id, Tile::decode(p, id, bytes, parent.as_ref())?);
+        }
+        Ok(&tiles[&id])
+    }
+}
+
+/// Tiles that are decoded.
+type Tiles = HashMap<TileId, Tile>;
+
+/// Odds of the number of bits of a length: after no bytes, and after some.
+type LengthOdds = [[Odds; 33]; 2];
+
+fn length<C: Coder>(wanted: u32, before: usize, odds: &mut LengthOdds, coder: &mut C) -> Result<u32> {
+    let bits = 32 - wanted.leading_zeros() as usize;
+    let mut read = 0;
+    while coder.bit(&mut odds[before.min(1)][read], bits > read) {
+        read += 1;
+        if read > 32 {
+            return Err(Error::Damaged("a length is too large"));
+        }
+    }
+    let mut value = u32::from(read > 0);
+    for bit in (0..read.saturating_sub(1)).rev() {
+        value = value << 1 | u32::from(coder.even(wanted >> bit & 1 == 1));
+    }
+    Ok(value)
+}
+
+fn encode_lengths(lengths: &[u32]) -> Vec<u8> {
+    let (mut coder, mut odds, mut before) = (Encoder::default(), [[Odds::new(1 << 15); 33]; 2], 0);
+    for wanted in lengths {
+        length(*wanted, before, &mut odds, &mut coder).unwrap_or_else(|_| unreachable!());
+        before = *wanted as usize;
+    }
+    coder.finish()
+}
+
+struct Lengths<'a> {
+    decoder: Decoder<'a>,
+    odds: LengthOdds,
+    before: usize,
+}
+
+impl<'a> Lengths<'a> {
+    fn new(bytes: &'a [u8]) -> Self {
+        Self { decoder: Decoder::new(bytes), odds: [[Odds::new(1 << 15); 33]; 2], before: 0 }
+    }
+
+    fn next(&mut self) -> Result<u32> {
+        let length = length(0, self.before, &mut self.odds, &mut self.decoder)?;
+        self.before = length as usize;
+        Ok(length)
+    }
+}
