@@ -1,17 +1,21 @@
 //! Compresses a file of raw samples, and decodes one.
 //!
-//! `array compress SAMPLES NX NY NZ STEP OUT`: raw little-endian `f32`, x fastest. STEP is the
-//! quantiser's, in units of the samples. `array decode FILE LEVEL OUT`: the nodes of a level.
+//! `array compress SAMPLES NX NY NZ STEP|rms:ERROR OUT`: raw little-endian `f32`, x fastest. STEP is
+//! the quantiser's, ERROR the RMS error, both in units of the samples. `array decode FILE LEVEL OUT`: the nodes of a level.
 use std::process::ExitCode;
 
-use isospan_wavelet::{Compressed, Settings, compress};
+use isospan_wavelet::{Accuracy, Compressed, Settings, compress};
 
 fn run(args: &[&str]) -> Result<(), Box<dyn std::error::Error>> {
     match args {
         ["compress", samples, nx, ny, nz, step, out] => {
             let bytes = std::fs::read(samples)?;
             let samples: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-            let settings = Settings { step: step.parse()?, delay: None };
+            let accuracy = match step.strip_prefix("rms:") {
+                Some(error) => Accuracy::Rms(error.parse()?),
+                None => Accuracy::Step(step.parse()?),
+            };
+            let settings = Settings { accuracy, delay: None };
             std::fs::write(out, compress(&samples, [nx.parse()?, ny.parse()?, nz.parse()?], &settings)?)?;
         }
         ["decode", file, level, out] => {
@@ -21,7 +25,8 @@ fn run(args: &[&str]) -> Result<(), Box<dyn std::error::Error>> {
         }
         _ => {
             return Err(
-                "usage: array compress SAMPLES NX NY NZ STEP OUT, or array decode FILE LEVEL OUT".into()
+                "usage: array compress SAMPLES NX NY NZ STEP|rms:ERROR OUT, or array decode FILE LEVEL OUT"
+                    .into(),
             );
         }
     }

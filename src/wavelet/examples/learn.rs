@@ -7,7 +7,7 @@
 
 use std::time::Instant;
 
-use isospan_wavelet::{Compressed, Settings, compress, learn};
+use isospan_wavelet::{Accuracy, Compressed, Settings, compress, learn};
 
 struct Volume {
     name: String,
@@ -29,26 +29,6 @@ fn rms(a: &[f32], b: &[f32]) -> f64 {
     (sum / a.len() as f64).sqrt()
 }
 
-/// Bytes with the largest step that has an RMS error of at most `target`, within a percent.
-fn at_error(volume: &Volume, target: f64) -> (Vec<u8>, f64) {
-    let (mut step, mut delay) = (5.0 * target, None);
-    let mut best = None;
-    for _ in 0..9 {
-        let bytes = compress(&volume.samples, volume.dims, &Settings { step, delay }).expect("it compresses");
-        let array = Compressed::new(&bytes, volume.samples.len()).expect("it is whole");
-        delay = Some(array.delay());
-        let back = array.level(0).expect("it decodes");
-        let error = rms(&volume.samples, &back);
-        let ratio = target / error.max(target / 100.0);
-        best = Some((bytes, error));
-        if (0.995..1.005).contains(&ratio) {
-            break;
-        }
-        step *= ratio.powf(1.2).clamp(0.2, 5.0);
-    }
-    best.expect("a try")
-}
-
 fn main() {
     let args: Vec<String> = std::env::args().collect();
     let list = std::fs::read_to_string(&args[1]).expect("a list of volumes");
@@ -61,15 +41,19 @@ fn main() {
         let extent = f64::from(range[1]) - f64::from(range[0]);
         n += 1.0;
         for (target, log) in targets.iter().zip(&mut logs) {
-            let (bytes, error) = at_error(&volume, target / 100.0 * extent);
+            let settings = Settings { accuracy: Accuracy::Rms(target / 100.0 * extent), delay: None };
+            let bytes = compress(&volume.samples, volume.dims, &settings).expect("it compresses");
             let bits = 8.0 * bytes.len() as f64 / volume.samples.len() as f64;
             let compressed = Compressed::new(&bytes, usize::MAX).expect("it is whole");
             let (step, delay) = (compressed.step(), Some(compressed.delay()));
             let start = Instant::now();
-            let _ = compress(&volume.samples, volume.dims, &Settings { step, delay });
+            let _ =
+                compress(&volume.samples, volume.dims, &Settings { accuracy: Accuracy::Step(step), delay });
             let write = start.elapsed().as_secs_f64();
             let start = Instant::now();
-            let _ = compressed.level(0);
+            let back = compressed.level(0).expect("it decodes");
+            let read = start.elapsed().as_secs_f64();
+            let error = rms(&volume.samples, &back);
             let speed = |s: f64| volume.samples.len() as f64 / s / 1e6;
             println!(
                 "{:10} {target} % {:?}: {bits:.4} bits a sample, error {:.3} %, {} bytes, M samples/s: write {:.0}, read {:.0}",
@@ -78,7 +62,7 @@ fn main() {
                 100.0 * error / extent,
                 bytes.len(),
                 speed(write),
-                speed(start.elapsed().as_secs_f64()),
+                speed(read),
             );
             *log += bits.ln();
             learn::count(&compressed, &mut counts).expect("it decodes");

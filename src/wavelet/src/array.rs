@@ -19,12 +19,22 @@ const HEADER: usize = 56;
 /// Samples that an array may have.
 const MOST: usize = 1 << 40;
 
+/// How much a compressed array may differ from its samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Accuracy {
+    /// What neighbouring values of a coefficient differ by, in units of the samples. The RMS error is
+    /// about a fifth of it in smooth data, less where most coefficients are zero, more in noise.
+    Step(f64),
+    /// The RMS error over all samples at most, in their units. It is met, by at most a twentieth
+    /// less, in two to four tries.
+    Rms(f64),
+}
+
 /// What is asked of [`compress`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// What neighbouring values of a coefficient differ by, in units of the samples. The RMS error is
-    /// about a fifth of it in smooth data, less where most coefficients are zero, more in noise.
-    pub step: f64,
+    /// The step, or the error.
+    pub accuracy: Accuracy,
     /// Levels by which the splits of each axis begin later: see [`Pyramid::new`]. `None` tries which
     /// serves best, on a part of the samples: [`choose_delay`].
     pub delay: Option<[u8; 3]>,
@@ -56,7 +66,12 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
         let s = f64::from(*s);
         [low.min(s), high.max(s)]
     });
-    let scale = Scale::new(range, settings.step)?;
+    let guess = match settings.accuracy {
+        Accuracy::Step(step) => step,
+        // Most often a little more or less.
+        Accuracy::Rms(error) => 6.0 * error,
+    };
+    let scale = Scale::new(range, guess)?;
     let delay = match settings.delay {
         Some(delay) => delay,
         None => {
@@ -68,37 +83,102 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
     let entered = samples.iter().map(|s| scale.enter(f64::from(*s))).collect();
     let mut window = Window { place: Box3::all(dims), samples: entered };
     window.forward(pyramid.splits(), &mut Scratch::default());
-
-    let size = pyramid.nodes(pyramid.coarsest());
-    let low = window.band(pyramid.splits(), [false; 3], &Box3::all(size));
-    let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
-    let top = encode_top(&low, size);
-    let (mut lengths, mut bytes) = (vec![], vec![]);
-    let mut above = HashMap::new();
-    for level in (1..=pyramid.coarsest()).rev() {
-        let mut made = HashMap::new();
-        for id in tiles_of(&pyramid, level) {
-            let coefficients = window.tile(&pyramid, id, |c| scale.in_steps(c));
-            let parent = above.get(&pyramid.parent(level, id.at));
-            let (tile, encoded) = Tile::encode(&pyramid, id, &coefficients, parent)?;
-            lengths.push(encoded.len() as u32);
-            bytes.extend(encoded);
-            made.insert(id.at, tile);
-        }
-        above = made;
+    let transformed = Transformed { pyramid, delay, window };
+    match settings.accuracy {
+        Accuracy::Step(_) => transformed.encode(&scale),
+        Accuracy::Rms(error) => transformed.search(samples, range, error),
     }
-    let lengths = encode_lengths(&lengths);
-    let mut out = MAGIC.to_vec();
-    dims.iter().for_each(|d| out.extend((*d as u32).to_le_bytes()));
-    out.extend(delay);
-    out.push(0);
-    scale.range.iter().for_each(|r| out.extend(r.to_le_bytes()));
-    out.extend(scale.exponent.to_le_bytes());
-    out.extend(scale.step.to_le_bytes());
-    out.extend((top.len() as u32).to_le_bytes());
-    out.extend((lengths.len() as u32).to_le_bytes());
-    out.extend([top, lengths, bytes].concat());
-    Ok(out)
+}
+
+/// The coefficients of a whole array.
+struct Transformed {
+    pyramid: Pyramid,
+    delay: [u8; 3],
+    window: Window,
+}
+
+impl Transformed {
+    /// The bytes with the largest step that meets an RMS error, nearly.
+    fn search(&self, samples: &[f32], range: [f64; 2], target: f64) -> Result<Vec<u8>> {
+        /// Steps are accepted that use this much of the error.
+        const USED: f64 = 0.95;
+        const TRIES: usize = 6;
+        let mut step = self.guess(range, target)?;
+        let mut best: Option<(f64, Vec<u8>)> = None;
+        for tried in 0.. {
+            let bytes = self.encode(&Scale::new(range, step)?)?;
+            let back = Compressed::new(&bytes, samples.len())?.level(0)?;
+            let errors = samples.iter().zip(&back).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
+            let used = (errors.sum::<f64>() / samples.len() as f64).sqrt() / target;
+            if used <= 1.0 && best.as_ref().is_none_or(|(s, _)| *s < step) {
+                best = Some((step, bytes));
+            }
+            let enough = (USED..=1.0).contains(&used) || tried + 1 >= TRIES;
+            if enough && let Some((_, bytes)) = best {
+                return Ok(bytes);
+            }
+            // A step that misses in the end is halved until it does not, or is too small.
+            let aim = if tried < TRIES { 0.98 / used.max(0.2) } else { 0.5 };
+            step *= aim.min(2.5);
+        }
+        unreachable!("the loop ends by what it returns")
+    }
+
+    /// The step with which coefficients, most of those of less than 0.8 steps become zero, have an error.
+    fn guess(&self, range: [f64; 2], target: f64) -> Result<f64> {
+        let every = (self.window.samples.len() >> 18) + 1;
+        let unit = Scale::new(range, target)?;
+        let target = f64::from(unit.step);
+        let error = |step: f64| {
+            let lost = |c: &f32| match f64::from(c.abs()) / step {
+                c if c < 0.8 => c * c,
+                c => (c - c.round()).powi(2),
+            };
+            let some = self.window.samples.iter().step_by(every);
+            let n = some.len() as f64;
+            step * (some.map(lost).sum::<f64>() / n).sqrt()
+        };
+        let (mut low, mut high) = (target, 64.0 * target);
+        for _ in 0..12 {
+            let middle = (low * high).sqrt();
+            *(if error(middle) < target { &mut low } else { &mut high }) = middle;
+        }
+        Ok(unit.in_samples(low as f32))
+    }
+
+    fn encode(&self, scale: &Scale) -> Result<Vec<u8>> {
+        let p = &self.pyramid;
+        let size = p.nodes(p.coarsest());
+        let low = self.window.band(p.splits(), [false; 3], &Box3::all(size));
+        let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
+        let top = encode_top(&low, size);
+        let (mut lengths, mut tiles) = (vec![], vec![]);
+        let mut above = HashMap::new();
+        for level in (1..=p.coarsest()).rev() {
+            let mut made = HashMap::new();
+            for id in tiles_of(p, level) {
+                let coefficients = self.window.tile(p, id, |c| scale.in_steps(c));
+                let parent = above.get(&p.parent(level, id.at));
+                let (tile, bytes) = Tile::encode(p, id, &coefficients, parent)?;
+                lengths.push(bytes.len() as u32);
+                tiles.extend(bytes);
+                made.insert(id.at, tile);
+            }
+            above = made;
+        }
+        let lengths = encode_lengths(&lengths);
+        let mut out = MAGIC.to_vec();
+        p.nodes(0).iter().for_each(|d| out.extend((*d as u32).to_le_bytes()));
+        out.extend(self.delay);
+        out.push(0);
+        scale.range.iter().for_each(|r| out.extend(r.to_le_bytes()));
+        out.extend(scale.exponent.to_le_bytes());
+        out.extend(scale.step.to_le_bytes());
+        out.extend((top.len() as u32).to_le_bytes());
+        out.extend((lengths.len() as u32).to_le_bytes());
+        out.extend([top, lengths, tiles].concat());
+        Ok(out)
+    }
 }
 
 /// An array that [`compress`] made, to be decoded in parts.

@@ -1,6 +1,6 @@
 //! Which axis is split later than the others: tried on boxes of samples.
 
-use crate::array::{Compressed, Settings, compress};
+use crate::array::{Accuracy, Compressed, Settings, compress};
 use crate::error::Result;
 use crate::pyramid::Box3;
 
@@ -57,7 +57,8 @@ pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], step: f64) -> Result<[u8; 
 fn price(boxes: &[(Vec<f32>, [usize; 3])], step: f64, delay: [u8; 3]) -> Result<f64> {
     let mut sum = 0.0;
     for (samples, dims) in boxes {
-        let bytes = compress(samples, *dims, &Settings { step, delay: Some(delay) })?;
+        let bytes =
+            compress(samples, *dims, &Settings { accuracy: Accuracy::Step(step), delay: Some(delay) })?;
         let back = Compressed::new(&bytes, samples.len())?.level(0)?;
         let errors = samples.iter().zip(&back).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
         sum += 8.0 * bytes.len() as f64 + errors.sum::<f64>() / (step * step) / BIT;

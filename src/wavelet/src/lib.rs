@@ -5,10 +5,10 @@
 //! a small box, or a coarse level, is read without the rest.
 //!
 //! ```
-//! use isospan_wavelet::{Box3, Compressed, Settings, compress};
+//! use isospan_wavelet::{Accuracy, Box3, Compressed, Settings, compress};
 //!
 //! let samples: Vec<f32> = (0..64 * 64 * 64).map(|i| ((i % 64) as f32 * 0.1).sin()).collect();
-//! let bytes = compress(&samples, [64; 3], &Settings { step: 0.01, delay: None })?;
+//! let bytes = compress(&samples, [64; 3], &Settings { accuracy: Accuracy::Rms(0.002), delay: None })?;
 //! let array = Compressed::new(&bytes, samples.len())?;
 //! // Every second sample along each axis, nearly; and a box of samples.
 //! let coarse = array.level(1)?;
@@ -41,7 +41,7 @@ mod top;
 mod transform;
 mod vectors;
 
-pub use array::{Compressed, Settings, compress};
+pub use array::{Accuracy, Compressed, Settings, compress};
 pub use delay::{boxes, choose_delay};
 pub use error::{Error, Result};
 pub use pyramid::{Band, Box3, GROUP, Pyramid, TILE};

@@ -1,6 +1,8 @@
 //! Arrays are what they were, up to the step, however they are cut, decoded and damaged.
 
-use isospan_wavelet::{Box3, Compressed, Error, HALO, Pyramid, Scratch, Settings, Window, compress};
+use isospan_wavelet::{
+    Accuracy, Box3, Compressed, Error, HALO, Pyramid, Scratch, Settings, Window, compress,
+};
 use proptest::prelude::*;
 
 fn noise(i: usize, seed: u32) -> f32 {
@@ -28,7 +30,7 @@ fn worst(a: &[f32], b: &[f32]) -> f32 {
 
 /// Compresses, and decodes level 0.
 fn there_and_back(samples: &[f32], dims: [usize; 3], step: f64) -> Vec<f32> {
-    let bytes = compress(samples, dims, &Settings { step, delay: None }).unwrap();
+    let bytes = compress(samples, dims, &Settings { accuracy: Accuracy::Step(step), delay: None }).unwrap();
     Compressed::new(&bytes, samples.len()).unwrap().level(0).unwrap()
 }
 
@@ -58,7 +60,8 @@ fn extreme_samples_come_back() {
     }
     let constant = vec![-0.3_f32; 20 * 17 * 11];
     assert_eq!(there_and_back(&constant, dims, 0.5), constant);
-    let bytes = compress(&constant, dims, &Settings { step: 0.5, delay: Some([0; 3]) }).unwrap();
+    let bytes =
+        compress(&constant, dims, &Settings { accuracy: Accuracy::Step(0.5), delay: Some([0; 3]) }).unwrap();
     assert!(bytes.len() < 64, "{}", bytes.len());
     let noisy: Vec<f32> = (0..constant.len()).map(|i| noise(i, 9)).collect();
     assert!(worst(&noisy, &there_and_back(&noisy, dims, 1e-4)) < 6e-4);
@@ -72,20 +75,53 @@ fn the_largest_error_falls_with_the_step() {
     assert!(errors[0] > 3.0 * errors[1] && errors[1] > 3.0 * errors[2], "{errors:?}");
 }
 
+fn rms(a: &[f32], b: &[f32]) -> f64 {
+    let sum: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    (sum / a.len() as f64).sqrt()
+}
+
+#[test]
+fn an_error_that_is_asked_for_is_met() {
+    let dims = [50, 40, 45];
+    let n = dims.iter().product();
+    let smooth = field(dims, 7);
+    let noisy: Vec<f32> = (0..n).map(|i| noise(i, 4) * 2e20).collect();
+    let spike: Vec<f32> = (0..n).map(|i| if i == 12_345 { 1e-9 } else { 0.0 }).collect();
+    for (samples, extent) in [(smooth, 7.0), (noisy, 2e20), (spike, 1e-9)] {
+        for part in [0.5, 0.02, 0.001] {
+            let settings = Settings { accuracy: Accuracy::Rms(part * extent), delay: None };
+            let bytes = compress(&samples, dims, &settings).unwrap();
+            let error = rms(&samples, &Compressed::new(&bytes, n).unwrap().level(0).unwrap());
+            assert!(error <= part * extent, "{part} of {extent}: {error}");
+        }
+    }
+    let settings = Settings { accuracy: Accuracy::Rms(0.02), delay: None };
+    let bytes = compress(&field(dims, 7), dims, &settings).unwrap();
+    let error = rms(&field(dims, 7), &Compressed::new(&bytes, n).unwrap().level(0).unwrap());
+    assert!((0.95 * 0.02..=0.02).contains(&error), "{error}");
+}
+
 #[test]
 fn what_cannot_be_compressed_is_told() {
-    let settings = Settings { step: 0.1, delay: Some([0; 3]) };
+    let settings = Settings { accuracy: Accuracy::Step(0.1), delay: Some([0; 3]) };
     assert_eq!(compress(&[], [0, 1, 1], &settings), Err(Error::Size { dims: [0, 1, 1], samples: 0 }));
     assert_eq!(compress(&[1.0], [2, 1, 1], &settings), Err(Error::Size { dims: [2, 1, 1], samples: 1 }));
     let dims = [usize::MAX, 2, 1];
     assert_eq!(compress(&[1.0], dims, &settings), Err(Error::Size { dims, samples: 1 }));
     assert_eq!(compress(&[1.0, f32::NAN], [2, 1, 1], &settings), Err(Error::NotFinite { index: 1 }));
+    for error in [1e-12, 0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let settings = Settings { accuracy: Accuracy::Rms(error), delay: None };
+        assert!(matches!(compress(&[1.0, 3.0], [2, 1, 1], &settings), Err(Error::Step { .. })), "{error}");
+    }
     for step in [1e-9, 0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let settings = Settings { step, delay: Some([0; 3]) };
+        let settings = Settings { accuracy: Accuracy::Step(step), delay: Some([0; 3]) };
         let Err(Error::Step { least, .. }) = compress(&[1.0, 3.0], [2, 1, 1], &settings) else {
             panic!("{step}")
         };
-        assert!(compress(&[1.0, 3.0], [2, 1, 1], &Settings { step: least, ..settings }).is_ok());
+        assert!(
+            compress(&[1.0, 3.0], [2, 1, 1], &Settings { accuracy: Accuracy::Step(least), ..settings })
+                .is_ok()
+        );
     }
 }
 
@@ -97,7 +133,9 @@ fn coarse_levels_are_near_the_samples() {
         (x * 0.11).sin() + (y * 0.09).cos() * (z * 0.1).sin()
     };
     let samples: Vec<f32> = (0..dims.iter().product()).map(smooth).collect();
-    let bytes = compress(&samples, dims, &Settings { step: 1e-4, delay: Some([0, 0, 1]) }).unwrap();
+    let bytes =
+        compress(&samples, dims, &Settings { accuracy: Accuracy::Step(1e-4), delay: Some([0, 0, 1]) })
+            .unwrap();
     let array = Compressed::new(&bytes, samples.len()).unwrap();
     for level in 0..3 {
         let nodes = array.pyramid().nodes(level);
@@ -120,7 +158,9 @@ fn coarse_levels_are_near_the_samples() {
 #[test]
 fn damaged_arrays_end_in_an_error_or_in_samples() {
     let dims = [34, 20, 40];
-    let bytes = compress(&field(dims, 1), dims, &Settings { step: 0.3, delay: Some([0, 1, 0]) }).unwrap();
+    let bytes =
+        compress(&field(dims, 1), dims, &Settings { accuracy: Accuracy::Step(0.3), delay: Some([0, 1, 0]) })
+            .unwrap();
     let most = dims.iter().product();
     let mut refused = 0;
     let mut ask = |bytes: &[u8]| match Compressed::new(bytes, most).and_then(|a| a.level(0)) {
@@ -161,7 +201,8 @@ fn the_bytes_are_those_they_have_always_been() {
             .iter()
             .fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3))
     };
-    let bytes = compress(&samples, dims, &Settings { step: 0.1, delay: Some([0, 0, 1]) }).unwrap();
+    let bytes = compress(&samples, dims, &Settings { accuracy: Accuracy::Step(0.1), delay: Some([0, 0, 1]) })
+        .unwrap();
     let back = Compressed::new(&bytes, samples.len()).unwrap().level(0).unwrap();
     let decoded: Vec<u8> = back.iter().flat_map(|s| s.to_le_bytes()).collect();
     assert_eq!(
@@ -183,7 +224,7 @@ proptest! {
         dims in dims(), delay in prop::array::uniform3(0_u8..3), seed: u32, part in prop::array::uniform6(0.0..1.0_f64), at: usize,
     ) {
         let samples = field(dims, seed);
-        let bytes = compress(&samples, dims, &Settings { step: 0.05, delay: Some(delay) }).unwrap();
+        let bytes = compress(&samples, dims, &Settings { accuracy: Accuracy::Step(0.05), delay: Some(delay) }).unwrap();
         let array = Compressed::new(&bytes, samples.len()).unwrap();
         let level = at % (array.pyramid().coarsest() + 1);
         let nodes = array.pyramid().nodes(level);
