@@ -6,7 +6,7 @@
 //! | a pattern, `"step_*.vti"`, `"run_?/out.vtu"` | the files that match, by the numbers in their names |
 //! | `.pvd` (ParaView) | its data sets, with their times |
 //! | `.series` (ParaView, JSON) | its files, with their times |
-//! | a 4-D NIfTI, MetaImage or NRRD file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
+//! | a 4-D NIfTI, MetaImage or NRRD file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis; moments of a TIFF file (where there are several: named by `--field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
 //! A pattern that matches TIFF files is one volume, whose slices they are. The time of a VTK file
