@@ -84,8 +84,10 @@ impl SeriesPlan {
                 continue;
             }
             let numbers = [n - 1, n].map(|n| self.plan.steps[n].number);
+            let is_number = self.plan.steps[n].time.is_none();
+            let why = if is_number { ", its number, because it has no time" } else { "" };
             let error = Error::usage(format!(
-                "times must ascend: step {} is at {a}, step {} at {b} (give them with --times)",
+                "times must ascend: step {} is at {a}, step {} at {b}{why} (give them with --times)",
                 numbers[0], numbers[1]
             ));
             self.refuse(n, job, error)?;
