@@ -349,9 +349,9 @@ impl Step {
     }
 
     /// The values of a field, at a step of this archive or of another one in the same world, at the
-    /// vertices of an isosurface of this step, as `f32`. NaN where the field has no value.
+    /// vertices of an isosurface of this step. NaN where the field has no value.
     ///
-    /// Memory: four bytes a vertex, besides what the resources allow.
+    /// Memory: eight bytes a vertex, besides what the resources allow.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] where a field of another archive has no value at any vertex; those
@@ -362,7 +362,7 @@ impl Step {
         surface: &dyn SurfaceSource,
         isovalue: f64,
         resources: &Resources,
-    ) -> Result<Vec<f32>> {
+    ) -> Result<Vec<f64>> {
         values_on(&self.view, &field.view, surface, isovalue, resources)
     }
 

@@ -99,7 +99,7 @@ def parts_of(body):
         (length,) = struct.unpack_from("<I", body, at)
         head = json.loads(body[at + 4 : at + 4 + length])
         at += 4 + length
-        counts = [(24, "vertices"), (28, "changed"), (12, "triangles"), (4, "values")]
+        counts = [(24, "vertices"), (28, "changed"), (12, "triangles"), (8, "values")]
         size = sum(bytes_each * head.get(name, 0) for bytes_each, name in counts)
         yield head, body[at : at + size]
         assert at + size <= len(body), "the part is whole"
@@ -117,7 +117,7 @@ def surface_of(body, coloured=False, number=0):
         elif head["surface"] != number:
             pass
         elif "values" in head:
-            values = numpy.frombuffer(content, "<f4")
+            values = numpy.frombuffer(content, "<f8")
         else:
             if is_preview and not head["preview"]:
                 # The finished surface takes the place of its preview.
@@ -188,7 +188,7 @@ def requests(server):
     # A plane through the middle: the distance from the centre is in the values.
     step = 23 / 32
     status, _, body = server.ask(f"1/slice?step=1&origin=0,0,11.5&u={step},0,0&v=0,{step},0&size=33,33")
-    values = numpy.frombuffer(body, "<f4", 33 * 33, len(body) - 4 * 33 * 33).reshape(33, 33)
+    values = numpy.frombuffer(body, "<f8", 33 * 33, len(body) - 8 * 33 * 33).reshape(33, 33)
     # The tip of the cone is rounded off by the points; along x it falls by 1.
     assert status == 200 and abs(values[16, 16] - 0.5) < 0.1, values[16, 16]
     assert numpy.allclose(values[16, 20:31] , 0.5 - numpy.arange(4, 15) / 16, atol=0.05), values[16]
@@ -202,7 +202,7 @@ def requests(server):
         middle = (lo[2] + hi[2]) / 2
         u, v = ((hi[a] - lo[a]) / 63 for a in (0, 1))
         body = server.ask(f"{archive}/slice?origin={lo[0]},{lo[1]},{middle}&u={u},0,0&v=0,{v},0&size=64,64")[2]
-        values = numpy.frombuffer(body, "<f4", 64 * 64, len(body) - 4 * 64 * 64).reshape(64, 64)
+        values = numpy.frombuffer(body, "<f8", 64 * 64, len(body) - 8 * 64 * 64).reshape(64, 64)
         x, y = numpy.meshgrid(lo[0] + u * numpy.arange(64), lo[1] + v * numpy.arange(64))
         expected = numpy.hypot(x, y) if archive == 4 else numpy.sqrt(x**2 + y**2 + middle**2)
         there = ~numpy.isnan(values)

@@ -148,7 +148,7 @@ fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
 /// (position and normal, 3 × f32 each; positions count from `origin`), numbers of earlier vertices
 /// that change (u32), what they become, and triangles (3 × u32). Parts of a preview come first
 /// where the surface is cut or has holes; the first other one replaces them. The values of the
-/// field that colours a surface (f32) are a part after its triangles. The last part has the report.
+/// field that colours a surface (f64) are a part after its triangles. The last part has the report.
 pub(super) fn surface(
     archives: &Archives,
     archive: usize,
@@ -227,7 +227,7 @@ pub(super) fn export(
     archive.stream_surface_file(&settings, format, &mut |bytes| sink.write(bytes)).map(drop)
 }
 
-/// The values of a slice: f32, NaN outside of the domain, `u` fastest.
+/// The values of a slice: f64, NaN outside of the domain, `u` fastest.
 pub(super) fn slice(
     archives: &Archives,
     archive: usize,
@@ -240,7 +240,7 @@ pub(super) fn slice(
     let settings = ProbeSettings { resources: resources.clone() };
     let values = archive.probe_with(&points, &settings)?;
     json_part(&serde_json::json!({ "size": [width, height] }), sink)?;
-    values.iter().try_for_each(|&v| sink.write(&(v as f32).to_le_bytes()))
+    values.iter().try_for_each(|v| sink.write(&v.to_le_bytes()))
 }
 
 /// The least box of the world that holds the domain, as JSON: two corners.

@@ -120,7 +120,7 @@ export async function surface(archive, parameters, signal, part) {
     if (head.report) {
       Object.assign(found, head, { chunks: Infinity });
     } else if (head.values !== undefined) {
-      found.values = new Float32Array(head.values);
+      found.values = new Float64Array(head.values);
       await pieces.fill(bytesOf(found.values));
     } else {
       if (found.preview && !head.preview) Object.assign(found, empty());
@@ -148,7 +148,7 @@ export async function slice(archive, parameters, signal) {
   if (!response.ok) throw await refusal(response);
   const pieces = new Pieces(response);
   const { size } = await pieces.json();
-  const values = new Float32Array(size[0] * size[1]);
+  const values = new Float64Array(size[0] * size[1]);
   await pieces.fill(new Uint8Array(values.buffer));
   return { size, values };
 }
