@@ -164,8 +164,8 @@ pub(in crate::formats) trait Format: Sync {
         Ok(HashMap::new())
     }
 
-    /// The steps of a file where reading one means to unpack those before it, and the description of
-    /// the first.
+    /// The steps of a file where reading one means to unpack those before it, and the description
+    /// of the first.
     fn packed_frames(&self, _: &Path, _: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
         Ok(None)
     }

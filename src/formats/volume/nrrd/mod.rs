@@ -20,9 +20,10 @@
 //! count decoded bytes in a compressed file; `byte skip: -1` means that the samples are the last
 //! bytes. The reader takes three axes of space, and one more of time or of a list, whose volumes
 //! are the fields "t0", "t1", … (see the module `axes`); their times follow from that axis' spacing
-//! and minimum, or from the fourth direction of a space with time, as ITK writes it. Units of single axes become one. It refuses by name: other numbers of axes, colour
-//! and vector axes, bzip2 and hex, compressed or text data in several files, and such data of a
-//! series whose volumes do not follow each other.
+//! and minimum, or from the fourth direction of a space with time, as ITK writes it (see the module
+//! `space`). Units of single axes become one. It refuses by name: other numbers of axes, colour and
+//! vector axes, bzip2 and hex, compressed or text data in several files, and such data of a series
+//! whose volumes do not follow each other.
 //!
 //! The format: <https://teem.sourceforge.net/nrrd/format.html>.
 
