@@ -25,8 +25,8 @@
 //!
 //! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
 //! spacing comes from ImageJ's description or from OME-XML (see the module `place`); without either
-//! it is 1. What the user gives replaces it. The times of moments are in these descriptions too (see
-//! the module `times`). Rows are in the file's order: the tag for orientation is not applied.
+//! it is 1. What the user gives replaces it. The times of moments are in these descriptions too
+//! (see the module `times`). Rows are in the file's order: the tag for orientation is not applied.
 //!
 //! The parser is our own, because mapping in place needs the places of the strips, and they are
 //! most of TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
