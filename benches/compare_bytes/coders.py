@@ -55,7 +55,7 @@ def whole(shape):
 
 
 def padded(shape):
-    """One dataset in chunks. HDF5 pads those at the upper ends of axes to the size of all others."""
+    """A filter of HDF5. The bytes are those of the chunks, without what says where they are."""
     yield (...,), tuple(min(CHUNK, n) for n in shape)
 
 
@@ -68,7 +68,7 @@ def chunks(shape):
 
 
 class Hdf5:
-    """A filter of HDF5. The bytes are those of the chunks: what says where they are isn't counted."""
+    """A filter of HDF5. The bytes are those of the chunks; what says where they are is left out."""
 
     def __init__(self, options, datasets):
         self.options, self.datasets = options, datasets
@@ -82,8 +82,9 @@ class Hdf5:
             size = 0
             with h5py.File(path, "w") as file:
                 for k, (box, shape) in enumerate(datasets):
-                    # SPERR refuses a row of samples and a single one: these are kept as they are.
-                    options = self.options(setting) if sum(n > 1 for n in shape) > 1 else {}
+                    # SPERR refuses rows of samples, and single ones.
+                    plain = sum(n > 1 for n in shape) < 2
+                    options = {} if plain else self.options(setting)
                     made = file.create_dataset(str(k), data=values[box], chunks=shape, **options)
                     size += made.id.get_storage_size()
             return size

@@ -11,14 +11,14 @@ range of values. Each coder is asked for more and more error until the target li
 answers; bits a sample are interpolated between these (both in logarithms). CPU seconds to write and
 to read are those of the answer that meets the target.
 
-* *isospan*: `reduce --points lattice --target-rms`, or what --ours says: `--ours
-  "fine=--points lattice --value-bits 10"` makes a coder "fine", and --ours may be given several
-  times. All files of the archive count. The samples are what `probe` finds at all places.
-* *SZ3*, *SPERR*: HDF5 filters of hdf5plugin, with an absolute bound, all samples at once.
-  *Chunks*: each of 32^3 alone, what lets a part be read; those at upper ends are smaller, and have a
-  dataset each, with their true shapes. *Padded chunks*: a dataset in chunks, which HDF5 pads at the
-  upper ends. SPERR refuses rows of samples and single ones: such chunks are stored as they are.
-  *SPERR, rate*: it gets a number of bits a sample, and no bound; only for all samples at once.
+* *isospan*: `reduce --points lattice --target-rms`, or what --ours says: `--ours "fine=--points
+  lattice --value-bits 10"` makes a coder "fine", and --ours may be given several times. All files
+  of the archive count. The samples are what `probe` finds at all places.
+* *SZ3*, *SPERR*: HDF5 filters of hdf5plugin, with an absolute bound, all samples at once. *Chunks*:
+  each of 32^3 alone, what lets a part be read; those at upper ends are smaller. Each has a dataset
+  with its true shape. *Padded chunks*: a dataset in chunks, which HDF5 pads at the upper ends.
+  SPERR refuses rows of samples and single ones: such chunks are stored as they are. *SPERR, rate*:
+  it gets a number of bits a sample, and no bound; only for all samples at once.
 * *ZFP*: zfpy, with an absolute tolerance. *TTHRESH*: numcodecs-wasm-tthresh, with a relative error.
 * *hammersley*: `reduce --points hammersley`, exact values, at 4, 2, 1, 1/2, ... of the samples.
 * *voxels*: every k-th sample along each axis, compressed with xz, and trilinear values between.
@@ -28,13 +28,13 @@ With --surfaces, for targets of 1 and 2 % (or those given): the surfaces of deco
 the samples), and isospan's own surface, beside that of all samples: mean, RMS and largest distance
 to it in samples, mean angle between triangles' normals in degrees, components, false islands
 (components no vertex of which has a vertex of the true surface within 2 samples), Euler number,
-bytes read, CPU seconds from the files. They are those of the answer that meets the target; where its
-error is below half of it (k and ZFP's bounds are coarse) there are none.
+bytes read, CPU seconds from the files. They are those of the answer that meets the target; where
+its error is below half of it (k and ZFP's bounds are coarse) there are none.
 
 Rows of earlier runs (--json) are added by --with, in the order that is given.
 
-Needs cargo, or a built program (--program), and the Python packages below: where they are missing, a
-virtual environment is made in target/compare_bytes and they are installed there from PyPI.
+Needs cargo, or a built program (--program), and the Python packages below: where they are missing,
+a virtual environment is made in target/compare_bytes and they are installed there from PyPI.
 """
 import argparse
 import json
@@ -80,7 +80,7 @@ def numbers(text):
 def name_and_options(text):
     name, equals, options = text.partition("=")
     if not (name and equals and options.strip()):
-        raise argparse.ArgumentTypeError(f'{text}: expected NAME=OPTIONS, as in "a=--points lattice"')
+        raise argparse.ArgumentTypeError(f'{text}: expected NAME=OPTIONS, as "a=--points lattice"')
     return name, options.split()
 
 

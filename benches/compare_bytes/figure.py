@@ -46,7 +46,7 @@ def plain(value, _):
 def draw(rows, ours, path):
     volumes, targets = in_order(rows, "volume"), sorted(in_order(rows, "target"))
     looks = styles(in_order(rows, "coder"), ours)
-    looks = {c: looks[c] for c in [*(c for c in ours if c in looks), *(c for c in looks if c not in ours)]}
+    looks = dict(sorted(looks.items(), key=lambda look: look[0] not in ours))
     across = min(ACROSS, len(volumes))
     down = -(-len(volumes) // across)
     size = (3.9 * across, 3.3 * down + 0.9)

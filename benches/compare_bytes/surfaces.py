@@ -9,7 +9,7 @@ from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 
 from coders import Isospan, timed
 
-# A component is a false island if no vertex of it has one of the true surface this near, in samples.
+# A component is a false island if no vertex has one of the true surface this near, in samples.
 FAR = 2.0
 # Distances and angles are those of so many triangles.
 TRIANGLES = 20_000
@@ -35,7 +35,7 @@ def contour(samples, isovalue):
 
 
 class Mesh:
-    """Points and triangles of a surface, and the normals of the triangles, as long as their areas."""
+    """Points and triangles of a surface, and normals of these, twice as long as their areas."""
 
     def __init__(self, surface):
         self.surface = surface
@@ -78,7 +78,8 @@ class Truth:
 
     def nearest(self, places):
         """Distances to the surface, and the triangles that are nearest."""
-        close, cell, part, square = [0.0] * 3, vtk.reference(0), vtk.reference(0), vtk.reference(0.0)
+        close, square = [0.0] * 3, vtk.reference(0.0)
+        cell, part = vtk.reference(0), vtk.reference(0)
         squares, cells = [], []
         for place in places:
             self.locator.FindClosestPoint(place, close, cell, part, square)

@@ -63,16 +63,16 @@ def tables_of_islands(rows):
 
 
 def table_of_surfaces(rows):
-    heads = "volume, isovalue|target, reached, %|coder|bytes|mean, RMS, largest distance|normals|components|"
-    heads += "false islands|Euler|triangles|bytes read|CPU s"
-    lines = []
+    heads = "volume, isovalue|target, reached, %|coder|bytes|mean, RMS, largest distance|normals|"
+    heads += "components|false islands|Euler|triangles|bytes read|CPU s"
     place = {volume: k for k, volume in enumerate(in_order(rows, "volume"))}
+    lines = []
     for r in sorted(rows, key=lambda r: (place[r["volume"]], r["target"], r["isovalue"])):
         lines.append([
-            f"{r['volume']}, {r['isovalue']:.4g}", f"{r['target']:g}, {r['reached']:.2f}", r["coder"], f"{r['size']}",
-            f"{r['mean']:.3f}, {r['rms']:.3f}, {r['most']:.2f}", f"{r['angle']:.1f}",
-            f"{r['components']}", f"{r['islands']}", f"{r['euler']}", f"{r['triangles']}",
-            f"{r['read']}", f"{r['seconds']:.2f}",
+            f"{r['volume']}, {r['isovalue']:.4g}", f"{r['target']:g}, {r['reached']:.2f}",
+            r["coder"], f"{r['size']}", f"{r['mean']:.3f}, {r['rms']:.3f}, {r['most']:.2f}",
+            f"{r['angle']:.1f}", f"{r['components']}", f"{r['islands']}", f"{r['euler']}",
+            f"{r['triangles']}", f"{r['read']}", f"{r['seconds']:.2f}",
         ])
     print("\nSurfaces; distances in samples, angles in degrees\n")
     print_table(heads.split("|"), lines)
