@@ -88,11 +88,11 @@ def by_target(curve, target):
 
 
 def by_halves(first):
-    """Errors rise with the setting: until two within a tenth enclose the target."""
+    """Errors rise with the setting: until two within 3 % enclose the target."""
 
     def find(curve, target):
         setting, low, high = first(target), None, None
-        for _ in range(14):
+        for _ in range(20):
             error = curve.ask(setting).error
             if error <= target:
                 low = setting
@@ -102,7 +102,7 @@ def by_halves(first):
                 setting = low * 2 if high is None else high / 2
                 continue
             above, below = curve.ask(high).error, curve.ask(low).error
-            if above < 1.1 * max(below, 1e-300) or high < 1.02 * low:
+            if above < 1.03 * max(below, 1e-300) or high < 1.001 * low:
                 break
             setting = math.sqrt(low * high)
         return curve.between(target)
