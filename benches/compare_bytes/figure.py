@@ -1,6 +1,4 @@
 """A figure: bytes against error, a panel a volume."""
-import math
-
 import matplotlib
 
 matplotlib.use("Agg")
@@ -49,7 +47,7 @@ def draw(rows, ours, path):
     looks = dict(sorted(looks.items(), key=lambda look: look[0] not in ours))
     across = min(ACROSS, len(volumes))
     down = -(-len(volumes) // across)
-    size = (3.9 * across, 3.3 * down + 0.9)
+    size = (3.9 * across, 3.3 * down + 0.7)
     sheet, panels = pyplot.subplots(down, across, figsize=size, squeeze=False, sharex=True)
     for panel in panels.flat[len(volumes):]:
         panel.axis("off")
@@ -74,8 +72,9 @@ def draw(rows, ours, path):
         Line2D([], [], color=c, linestyle=d, linewidth=w, marker="o", markersize=4, label=coder)
         for coder, (c, d, w) in looks.items()
     ]
-    sheet.tight_layout(rect=(0, 0, 1, 1 - 0.75 / size[1]))
     columns = min(len(handles), 2 * across)
+    rows_of_legend = -(-len(handles) // columns)
+    sheet.tight_layout(rect=(0, 0, 1, 1 - (0.2 + 0.23 * rows_of_legend) / size[1]))
     sheet.legend(handles=handles, loc="upper center", ncols=columns, fontsize=10, frameon=False)
     sheet.savefig(path, dpi=130)
 
@@ -88,9 +87,10 @@ def lay_out_axes(panel, targets):
     panel.xaxis.set_major_locator(ticker.FixedLocator(targets))
     panel.xaxis.set_minor_locator(ticker.NullLocator())
     low, high = panel.get_ylim()
-    steps = (1, 2, 5) if math.log10(high / low) < 2.5 else (1,)
+    steps = (1, 2, 5) if high < 300 * low else (1,)
     panel.yaxis.set_major_locator(ticker.LogLocator(subs=steps, numticks=30))
-    panel.yaxis.set_minor_locator(ticker.NullLocator())
+    panel.yaxis.set_minor_locator(ticker.LogLocator(subs=range(1, 10), numticks=30))
+    panel.yaxis.set_minor_formatter(ticker.NullFormatter())
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_formatter(ticker.FuncFormatter(plain))
     panel.tick_params(labelsize=9)
