@@ -181,6 +181,11 @@ def measure(volume, some_coders, settings, scratch):
     return of_bytes, of_surfaces
 
 
+def keep(rows, file):
+    if file:
+        file.write_text(json.dumps(rows, indent=1))
+
+
 def main():
     settings = arguments()
     if settings.program is None and (settings.volumes or settings.generated):
@@ -196,8 +201,8 @@ def main():
             of_bytes, of_surfaces = measure(volume, some_coders, settings, pathlib.Path(scratch))
         rows["bytes"] += of_bytes
         rows["surfaces"] += of_surfaces
-        if settings.json:
-            settings.json.write_text(json.dumps(rows, indent=1))
+        keep(rows, settings.json)
+    keep(rows, settings.json)
     ours = [name for name, _ in settings.ours]
     tables.tables_of_bytes(rows["bytes"], ours)
     if rows["surfaces"]:
