@@ -163,7 +163,7 @@ def measure(volume, some_coders, settings, scratch):
         curve = errors.Curve(name, coder, volume, scratch)
         for percent in settings.targets:
             target = percent / 100 * volume.extent
-            point = errors.found(curve, find, target)
+            point = errors.tried(curve, lambda: find(curve, target))
             if point is None:
                 continue
             of_bytes.append(dict(
@@ -175,8 +175,10 @@ def measure(volume, some_coders, settings, scratch):
             if percent in settings.surfaces and point.reached >= target / 2:
                 about = dict(volume=volume.name, target=percent)
                 about["reached"] = 100 * point.reached / volume.extent
-                answer = curve.answer(target)
-                of_surfaces += surfaces.rows_of(name, coder, answer, about, truths, scratch)
+                describe = lambda: surfaces.rows_of(
+                    name, coder, curve.answer(target), about, truths, scratch
+                )
+                of_surfaces += errors.tried(curve, describe) or []
         print(f"{volume.name}, {name}: done", file=sys.stderr, flush=True)
     return of_bytes, of_surfaces
 

@@ -122,10 +122,10 @@ def by_steps(settings):
     return find
 
 
-def found(curve, find, target):
-    """The point at a target; None, with a line that says why, where the coder fails."""
+def tried(curve, work):
+    """What the work gives; None, with a line that says why, where the coder fails."""
     try:
-        return find(curve, target)
+        return work()
     except CoderFailed as failure:
         print(f"{curve.volume.name}, {curve.name}: {failure}", file=sys.stderr)
         return None
