@@ -35,7 +35,8 @@ pub(crate) struct Args {
     )]
     fields: Vec<String>,
     /// Only tetrahedra whose corners all have values from LO to HI; either end may be omitted. 100%
-    /// is the range of the values of the step. Of several fields, the first of --fields. Only blocks that can hold such tetrahedra are read.
+    /// is the range of the values of the step. Of several fields, the first of --fields. Only
+    /// blocks that can hold such tetrahedra are read.
     #[arg(long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
     range: Option<Range>,
     /// With --range: tetrahedra with at least one corner in the range.
@@ -79,7 +80,8 @@ impl Args {
                 fields.join(", ")
             )));
         }
-        Ok(fields.into_iter().map(str::to_owned).collect())
+        let is_several = fields.len() > 1;
+        Ok(fields.into_iter().filter(|_| is_several).map(str::to_owned).collect())
     }
 }
 

@@ -535,8 +535,8 @@ impl Step {
     /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on
     /// memory: what memory does not hold waits in the scratch folder. Tetrahedra with a corner
     /// without value are left out; of several fields, those that are whole in none, and a value
-    /// that one field does not have is NaN. With a range or a region, what cannot have an answer is not
-    /// read. An answer without tetrahedra is an empty, valid file.
+    /// that one field does not have is NaN. With a range or a region, what cannot have an answer is
+    /// not read. An answer without tetrahedra is an empty, valid file.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a

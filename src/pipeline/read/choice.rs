@@ -130,6 +130,9 @@ impl Moment {
     /// The same moment, of another field.
     pub(super) fn in_field(self, manifest: &Manifest, field: &str, shown: &Path) -> Result<Self> {
         let steps = &manifest.steps;
+        if steps[self.step].field() == field {
+            return Ok(self);
+        }
         if is_of_fields(manifest) {
             return Self::of(manifest, StepChoice::Field(field.to_owned()), shown);
         }
