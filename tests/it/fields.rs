@@ -46,7 +46,7 @@ fn pressure(t: f64) -> impl Fn(f64, f64, f64) -> f64 {
     move |x, y, z| 1e5 + 4e4 * (x + 0.1 * t) * y + 1e3 * z
 }
 
-fn both(dir: &Path, name: &str, time: f64) {
+pub(crate) fn both(dir: &Path, name: &str, time: f64) {
     image(dir, name, Some(time), &[("T", &heat(time)), ("p", &pressure(time))]);
 }
 
@@ -317,6 +317,60 @@ fn an_export_of_fields_keeps_what_any_has() {
     let has_nan = |field: &(String, Vec<u64>)| field.1.iter().any(|v| f64::from_bits(*v).is_nan());
     let fields = Exported::read(&d.join("both.vtu")).fields;
     assert!(has_nan(&fields[0]) && !has_nan(&fields[1]));
+}
+
+/// Points go where the fields need them, whatever their units are.
+#[test]
+fn adapted_points_do_not_depend_on_units() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    // One field bends where x is small, the other where it is large.
+    let bend = |x: f64, y: f64, z: f64| (40.0 * x * x).sin() + 0.1 * y * z;
+    let errors_of = |scale: f64, out: &str| {
+        let scaled = move |x: f64, y: f64, z: f64| scale * bend(x, y, z);
+        image(d, "a.vti", None, &[("T", &|x, y, z| bend(1.0 - x, y, z)), ("p", &scaled)]);
+        let args = ["reduce", "-q", "a.vti", "-o", out, "--fields", "T,p", "--adapt", "--fraction", "1/3"];
+        let (code, _, errors) = run(d, &[&args[..], &["--value-bits", "exact"]].concat());
+        assert_eq!(code, 0, "{errors}");
+        let file = format!("{out}.vtu");
+        assert_eq!(run(d, &["export", "-q", out, "--field", "T", "-o", &file]).0, 0);
+        Exported::read(&d.join(file))
+    };
+    let [same, large, small] =
+        [(1.0, "same.isospan"), (1024.0, "large.isospan"), (1.0 / 1024.0, "small.isospan")]
+            .map(|(scale, out)| errors_of(scale, out));
+    assert!(same == large && same == small);
+    // A target in parts of the ranges as well.
+    let args =
+        ["reduce", "-q", "a.vti", "-o", "t.isospan", "--fields", "T,p", "--adapt", "--target-rms", "3%"];
+    let report = json(d, &args);
+    assert_eq!(report["target"]["met"], true, "{report}");
+    let found = report["target"]["reached"].as_f64().unwrap();
+    assert!(found > 0.01 && found <= 0.03, "{found}");
+    // What is there already is judged as it was.
+    let again = json(d, &args);
+    assert_eq!(again["made_before"], true);
+    assert_eq!(
+        (&again["target"]["bound"], &again["target"]["reached"]),
+        (&report["target"]["bound"], &report["target"]["reached"])
+    );
+}
+
+/// A published page knows steps by their numbers alone.
+#[cfg(feature = "view")]
+#[test]
+fn several_fields_of_a_step_are_not_published() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    (0..2).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
+    for (out, fields) in [("f.isospan", ["--fields", "T,p"]), ("T.isospan", ["--field", "T"])] {
+        assert_eq!(run(d, &[&["reduce", "-q", "v0.vti", "v1.vti", "-o", out][..], &fields].concat()).0, 0);
+    }
+    let words =
+        "f.isospan: each step has the fields T, p, and a published page shows one: make an archive of one";
+    refused(d, &["publish", "T.isospan", "f.isospan", "-o", "page"], words);
+    assert!(!d.join("page").exists());
+    assert_eq!(run(d, &["publish", "-q", "T.isospan", "-o", "page"]).0, 0);
 }
 
 /// A part of the range is that of each field: kelvins and pascals are not added.
