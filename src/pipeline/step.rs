@@ -371,6 +371,12 @@ impl Step {
         &self.view.step().plan.source.field
     }
 
+    /// The names of all fields that the archive has at this moment: that of the step, and others
+    /// on the same points.
+    pub fn fields_here(&self) -> Vec<&str> {
+        self.view.fields()
+    }
+
     /// Streams isosurfaces, in bounded memory, with world positions: `part` gets each chunk's part
     /// as soon as it is welded, in the order of the chunks; then `whole` gets each surface, in the
     /// order of the isovalues.
@@ -523,13 +529,14 @@ impl Step {
         probe_grid(&self.view, dims, settings, out, format, progress)
     }
 
-    /// Writes tetrahedra to a file (`.vtu`, `.vtkhdf`), each point once, with its value, in bounded
-    /// memory.
+    /// Writes tetrahedra to a file (`.vtu`, `.vtkhdf`), each point once, with its value or those of
+    /// several fields, in bounded memory.
     ///
     /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on
     /// memory: what memory does not hold waits in the scratch folder. Tetrahedra with a corner
-    /// without value are left out. With a range or a region, what cannot have an answer is not
-    /// read. An answer without tetrahedra is an empty, valid file.
+    /// without value are left out; of several fields, those that are whole in none, and a value
+    /// that one field does not have is NaN. With a range or a region, what cannot have an answer is
+    /// not read. An answer without tetrahedra is an empty, valid file.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a

@@ -2,7 +2,7 @@
 
 The page without a server is served by a few lines of Python, from a folder that `isospan publish` made.
 
-Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES [FOLDER for screenshots]
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES SEVERAL [FOLDER for screenshots]
 """
 
 import concurrent.futures
@@ -30,15 +30,20 @@ from folders import Ranges, Whole
 
 PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:9]
 TOOTH, BALL, OTHER, FIELDS, TUBE, AXES = ARCHIVES
-PICTURES = pathlib.Path(sys.argv[9]) if sys.argv[9:] and sys.argv[9] else None
+# Several fields at each step, which no page without a server shows.
+SEVERAL = sys.argv[9]
+PICTURES = pathlib.Path(sys.argv[10]) if sys.argv[10:] and sys.argv[10] else None
 MEMORY_MIB = 1536
 
 
 class Server:
     """`isospan view`, until it is stopped."""
 
+    def __init__(self, archives=ARCHIVES):
+        self.archives = archives
+
     def __enter__(self):
-        command = [PROGRAM, "view", *ARCHIVES, "--json", "--memory", f"{MEMORY_MIB}MiB"]
+        command = [PROGRAM, "view", *self.archives, "--json", "--memory", f"{MEMORY_MIB}MiB"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.url = json.loads(self.process.stdout.readline())["url"]
         self.port, self.token = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/", self.url).groups()
@@ -466,6 +471,42 @@ def placed(browser, server):
     page.close()
 
 
+def several(browser):
+    """Of several fields at each step one is chosen; the page and its address name it."""
+    options = dict(viewport={"width": 900, "height": 700}, color_scheme="light")
+    with Server([SEVERAL]) as server:
+        page = Page(browser, server, **options)
+        assert page.page.is_visible("#field") and page.page.input_value("#field") == "ball"
+        assert page.page.eval_on_selector_all("#field option", "all => all.map(o => o.textContent)") == ["ball", "height"]
+        assert page.page.inner_text("#now") == "t = 0" and page.page.is_visible("#play")
+        assert page.page.get_attribute("#step", "max") == "2" and page.page.inner_text("#colours h2") == "Colours of ball"
+        page.after(lambda: page.set("#isovalue", 0.9))
+        page.after(lambda: page.set("#step", 2))
+        # The other field, at the same time: its own isovalue and range.
+        page.after(lambda: page.page.select_option("#field", label="height"))
+        assert page.page.inner_text("#now") == "t = 2" and page.page.inner_text("#colours h2") == "Colours of height"
+        assert page.page.input_value("#low") == "11" and page.page.input_value("#high") == "13"
+        isovalue = float(page.page.input_value("#surfaces input[type=number]"))
+        assert 11 < isovalue < 13, isovalue
+        parameters = f"isovalues={isovalue}&step=2&field=height"
+        assert page.triangles() == surface_of(server.ask(f"0/surface?{parameters}")[2])[0]["triangles"] > 100
+        page.after(lambda: page.page.select_option("#by", label="ball"))
+        assert page.page.inner_text("#colours h2") == "Colours of ball"
+        values = surface_of(server.ask(f"0/surface?{parameters}&colour=2&colour_field=ball")[2], coloured=True)[3]
+        assert values.max() > 0.4 > values.min(), (values.min(), values.max())
+        page.after(lambda: page.page.select_option("#clip", "x"), "slices", 2)
+        shown, address = page.picture("several"), page.page.url.split("#")[1]
+        assert "field=height" in address and "by=ball" in address, address
+        again = Page(browser, server, f"#{address}", **options)
+        again.until(2, "slices")
+        assert again.page.input_value("#field") == "height" and again.page.input_value("#by") == "ball"
+        assert (abs(again.picture("several again") - shown).sum(axis=2) > 30).mean() < 0.002
+        again.close()
+        page.close()
+    refused = subprocess.run([PROGRAM, "publish", SEVERAL, "-o", "none"], capture_output=True, text=True)
+    assert refused.returncode == 2 and "each step has the fields ball, height" in refused.stderr, refused
+
+
 def volume_of(step, isovalue):
     """The volume inside of an isosurface of the ball, as the program has it."""
     command = [PROGRAM, "spectrum", BALL, "--step", str(step), "--json"]
@@ -644,6 +685,7 @@ def main():
         hostile_unit(browser, server)
         coloured(browser, server)
         placed(browser, server)
+        several(browser)
         without_a_server(browser, server)
         browser.close()
         crowds(server)

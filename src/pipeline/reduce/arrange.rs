@@ -3,14 +3,14 @@
 use super::contents::ArchiveContents;
 use super::job::Job;
 use super::order::{
-    Entry, ends_with, is_of_fields, is_of_series, is_there, name_of, needed, next_numbers, numbered,
-    series_in, series_of, time_in,
+    Entry, ends_with, is_of_series, is_there, name_of, needed, next_numbers, numbered, series_in, series_of,
+    time_in,
 };
 use super::series::{KnownUnits, SeriesPlan, is_of_data};
 use crate::archive::manifest::{BaseStep, Manifest, Step, StepPlan};
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
-use crate::pipeline::read::OpenArchive;
+use crate::pipeline::read::{OpenArchive, is_of_fields};
 use std::collections::BTreeSet;
 
 impl SeriesPlan {

@@ -28,8 +28,8 @@ function query(parameters) {
 /** The archives, each with its steps, box, errors. */
 export const archives = () => json("archives");
 
-/** The contour spectrum of a step. */
-export const spectrum = (archive, step) => json(`${archive}/spectrum?${query({ step })}`);
+/** The contour spectrum of a step, and of one of its fields where it has several. */
+export const spectrum = (archive, step, field) => json(`${archive}/spectrum?${query({ step, field })}`);
 
 /** The least box of the world that holds the domain: two corners. */
 export const bounds = (archive) => json(`${archive}/bounds`);
