@@ -75,6 +75,46 @@ def mincs():
     minc("minc1_shorts.mnc", ["zspace", "yspace", "xspace"], "i2", "signed__", RAMP * 500 - 15000, 2, xspace=dict(step=0.5))
 
 
+def minc_times():
+    """MINC 1 and 2 with an axis of time, and ends of the valid range of each slice of each volume."""
+    order, shape = ["time", "zspace", "yspace", "xspace"], (2, *SHAPE)
+    steps = dict(time=(10.0, 2.5), zspace=(5.0, 4.5), yspace=(30.0, -3.0), xspace=(-20.0, 2.0))
+    image = (np.arange(120).reshape(shape) * 200).astype("i2")
+    ends = np.arange(6.0).reshape(2, 3) * 7, np.arange(6.0).reshape(2, 3) ** 2 + 100
+    with netcdf_file(OUT / "minc1_times.mnc", "w", version=1) as f:
+        for axis, count in zip(order, shape):
+            f.createDimension(axis, count)
+        for axis in order:
+            v = f.createVariable(axis, "i4", ())
+            v.varid, v.vartype, v.spacing = "MINC standard variable", "dimension____", "regular__"
+            v.units = "s" if axis == "time" else "mm"
+            v.start, v.step = (np.array(x, ">f8") for x in steps[axis])
+        f.createVariable("rootvariable", "i4", ()).varid = "MINC standard variable"
+        for end, values in zip(("min", "max"), ends):
+            f.createVariable(f"image-{end}", "f8", ("time", "zspace"))[...] = values
+        v = f.createVariable("image", "i2", tuple(order))
+        v.varid, v.signtype, v.valid_range = "MINC standard variable", "signed__", np.array([0, 30000], ">f8")
+        v[:] = image
+    with h5py.File(OUT / "minc2_times.mnc", "w", libver="latest") as f:
+        for axis, count in zip(order, shape):
+            # Times that are listed, not even.
+            data = np.array([10.0, 12.5]) if axis == "time" else np.int32(0)
+            d = f.create_dataset(f"minc-2.0/dimensions/{axis}", data=data)
+            d.attrs["spacing"] = np.bytes_("irregular" if axis == "time" else "regular__")
+            d.attrs["start"], d.attrs["step"], d.attrs["length"] = *steps[axis], np.int32(count)
+            d.attrs["units"] = np.bytes_("s" if axis == "time" else "mm")
+        d = f.create_dataset("minc-2.0/image/0/image", data=image, chunks=(1, 3, 4, 5), compression="gzip")
+        d.attrs["dimorder"], d.attrs["valid_range"] = np.bytes_(",".join(order)), np.array([0.0, 30000.0])
+        for end, values in zip(("min", "max"), ends):
+            f[f"minc-2.0/image/0/image-{end}"] = values
+            f[f"minc-2.0/image/0/image-{end}"].attrs["dimorder"] = np.bytes_("time,zspace")
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in SHAPE], indexing="ij"), -1)
+    # nibabel reads no irregular axis, even of time. The samples of both files are the same.
+    found = nibabel.load(OUT / "minc1_times.mnc")
+    for t, values in enumerate(found.get_fdata()):
+        oracle(f"minc_times.t{t}", nibabel.affines.apply_affine(found.affine, index), values)
+
+
 def emd():
     axis = lambda name, scale, offset, size: dict(
         _type="UniformDataAxis", name=name, scale=scale, offset=offset, size=size, units="nm", navigate=False
@@ -164,6 +204,7 @@ def cf(name, model):
 if __name__ == "__main__":
     OUT.mkdir(exist_ok=True)
     mincs()
+    minc_times()
     emd()
     tomviz()
     velox()

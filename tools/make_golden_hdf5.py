@@ -35,6 +35,14 @@ def user_block():
         f.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + bytes(4))
 
 
+def virtual():
+    layout = h5py.VirtualLayout(RAMP.shape, "<i2")
+    layout[:] = h5py.VirtualSource("parts.h5", "ramp", RAMP.shape)
+    with h5py.File(OUT / "virtual.h5", "w", libver="latest") as f:
+        f.create_virtual_dataset("entry/data", layout)
+        f["entry/own"] = RAMP.astype("<i2")
+
+
 def layouts(version):
     with h5py.File(OUT / f"layouts_{version}.h5", "w", libver=version) as f:
         i2 = RAMP.astype("<i2")
@@ -273,3 +281,4 @@ if __name__ == "__main__":
     dialects()
     units()
     user_block()
+    virtual()

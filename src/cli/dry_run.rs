@@ -2,7 +2,7 @@
 
 use super::text;
 use isospan::Result;
-use isospan::pipeline::{Estimate, SearchEstimate};
+use isospan::pipeline::{Estimate, SearchEstimate, Target};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Duration;
@@ -38,19 +38,17 @@ fn in_words(e: &Estimate, output: &Path) -> String {
             text::plural(e.workers as u64, "chunk")
         ),
     );
-    let most = match e.search {
-        Some(SearchEstimate { archive_bytes: [least, most], .. }) => {
-            let free = free(e.archive_free);
-            row("archive", format!("{} to {} ({free} free)", text::bytes(least), text::bytes(most)));
-            most
+    let (words, most) = match e.search {
+        Some(SearchEstimate { target, archive_bytes: [least, most], .. }) => {
+            // A size that is wanted is a bound; all else is a guess.
+            let to = if matches!(target, Target::Size(_) | Target::Ratio(_)) { "to" } else { "to about" };
+            (format!("{} {to} {}", text::bytes(least), text::bytes(most)), most)
         }
-        None => {
-            row("archive", format!("up to {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
-            e.archive_bytes
-        }
+        None => (format!("about {}", text::bytes(e.archive_bytes)), e.archive_bytes),
     };
+    row("archive", format!("{words} ({} free)", free(e.archive_free)));
     if let Some(source) = e.source_bytes {
-        row("ratio", text::at_most_of(most, source));
+        row("ratio", text::about_of(most, source));
     }
     match e.scratch_bytes {
         0 => row("scratch", "none".into()),

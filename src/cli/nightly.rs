@@ -14,7 +14,7 @@ use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::{grammar, signals, text};
-use isospan::formats::{StepSource, is_mesh, steps_of, steps_of_fields};
+use isospan::formats::{StepSource, is_mesh, sort_by_names, steps_of, steps_of_fields};
 use isospan::pipeline::{
     AppendSettings, ReduceReport, RunSettings, StepSummary, append, changed_sources, work_folder,
 };
@@ -30,10 +30,11 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// Add the new files of a folder to an archive, night by night.
 ///
 /// The first run makes the archive of all files, as `reduce` with the same choices does. Later runs
-/// add files whose names the archive does not have yet, each where its time lies; files without
-/// times come last, in the order of their names. The choices are then those of the archive's last
-/// step. A file that cannot be used, as one of a time that is there, is left out and reported,
-/// every time until it is gone; all others are added. So is a file that has changed since it was
+/// add files whose names the archive does not have yet, each where its time lies. Files without
+/// times come after all others, by the numbers in their names, and the summary names them; their
+/// numbers as steps count as their times. The choices are then those of the archive's last step. A
+/// file that cannot be used, as one of a time that is there, is left out and reported, every time
+/// until it is gone; all others are added. So is a file that has changed since it was
 /// added: --replace takes it anew. A run that was stopped is continued by the next.
 ///
 /// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all files are in the
@@ -106,6 +107,8 @@ struct Summary {
     /// Files that have changed since they were added.
     changed: Vec<LeftOut>,
     added: Vec<StepSummary>,
+    /// Names of files that were added without times, where other steps have times.
+    without_time: Vec<String>,
     /// Numbers of steps that were replaced.
     replaced: Vec<u64>,
     skipped: Vec<LeftOut>,
@@ -191,7 +194,7 @@ fn add(args: &Args, talk: &Talk, summary: &mut Summary) -> Result<()> {
             summary.changed.push(LeftOut { source: name_of(&file), reason });
             files.extend(Some(file).filter(|_| args.replace));
         }
-        files.sort();
+        sort_by_names(&mut files);
     }
     let steps = usable(args, &files, &mut summary.skipped)?;
     if !steps.is_empty() {
@@ -214,6 +217,7 @@ fn add(args: &Args, talk: &Talk, summary: &mut Summary) -> Result<()> {
             }
         }
         summary.error = unmet;
+        summary.without_time = without_time(&there, &report.steps);
         (summary.added, summary.archive_bytes) = (report.steps, Some(report.archive_bytes));
         summary.replaced = report.replaced;
         if args.replace {
@@ -260,7 +264,7 @@ fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The files that match and are not written to any more, in the order of their names.
+/// The files that match and are not written to any more, by the numbers in their names.
 ///
 /// # Errors
 /// [`Error::BadInput`] where the folder cannot be read: it may not be mounted tonight.
@@ -279,12 +283,12 @@ fn settled(args: &Args) -> Result<Vec<PathBuf>> {
     }
     let archive = args.archive.canonicalize().ok();
     files.retain(|file| archive.is_none() || file.canonicalize().ok() != archive);
-    files.sort();
+    sort_by_names(&mut files);
     Ok(files)
 }
 
-/// The steps in the files, by their times where they have some. A file whose steps cannot be found
-/// is left out.
+/// The steps in the files by their times, then those without. A file whose steps cannot be found is
+/// left out.
 ///
 /// # Errors
 /// That of the first file, where no file has steps; [`Error::Usage`] for flags that contradict each
@@ -306,14 +310,29 @@ fn usable(args: &Args, files: &[PathBuf], left_out: &mut Vec<LeftOut>) -> Result
             }
         }
     }
-    if found.iter().all(|fields| fields[0].time.is_some_and(f64::is_finite)) {
-        found.sort_by(|a, b| a[0].time.partial_cmp(&b[0].time).expect("finite times have an order"));
-    }
+    let time = |fields: &[StepSource]| fields[0].time.filter(|time| time.is_finite());
+    found.sort_by(|a, b| match (time(a), time(b)) {
+        (Some(a), Some(b)) => a.total_cmp(&b),
+        (a, b) => a.is_none().cmp(&b.is_none()),
+    });
     let steps: Vec<StepSource> = match args.fields.is_empty() {
         true => found.into_iter().flatten().collect(),
         false => by_field(&args.fields, &found),
     };
     first_error.filter(|_| steps.is_empty()).map_or(Ok(steps), Err)
+}
+
+/// The names of the files that were added without times, where other steps have times.
+fn without_time(there: &[StepSummary], added: &[StepSummary]) -> Vec<String> {
+    let mut names: Vec<String> = vec![];
+    if there.iter().chain(added).any(|step| step.time.is_some()) {
+        for step in added.iter().filter(|step| step.time.is_none()) {
+            if names.last() != Some(&step.source) {
+                names.push(step.source.clone());
+            }
+        }
+    }
+    names
 }
 
 /// Steps of one field after another, as the fields of each step.
@@ -370,6 +389,9 @@ fn in_words(s: &Summary, with_error: bool) -> String {
     if !s.replaced.is_empty() {
         let numbers: Vec<String> = s.replaced.iter().map(|n| text::count(*n)).collect();
         let _ = writeln!(out, "  replaced   {}", numbers.join(", "));
+    }
+    if !s.without_time.is_empty() {
+        let _ = writeln!(out, "  no times   {}: after all others", s.without_time.join(", "));
     }
     for left_out in &s.skipped {
         let _ = writeln!(out, "  left out   {}: {}", left_out.source, left_out.reason);

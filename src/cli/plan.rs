@@ -90,9 +90,9 @@ fn in_words(args: &Args, r: &PlanReport) -> String {
         let are = if r.segments == 1 { "is" } else { "are" };
         row("", format!("not {asked}: there {are} {all}, and each is made by one worker"));
     }
-    row("archive", format!("up to {}", text::bytes(e.archive_bytes)));
+    row("archive", format!("about {}", text::bytes(e.archive_bytes)));
     if let Some(source) = e.source_bytes {
-        row("ratio", text::at_most_of(e.archive_bytes, source));
+        row("ratio", text::about_of(e.archive_bytes, source));
     }
     let at_work = plural(e.workers as u64, "chunk");
     let (least, all) = (text::bytes(e.memory_least), text::bytes(e.memory_comfortable));

@@ -175,6 +175,24 @@ impl StepArgs {
     pub(crate) fn choice(&self) -> StepChoice {
         self.moment.choice(self.field.as_deref())
     }
+
+    /// Whether a field is named, as such or as a step.
+    pub(crate) fn names_field(&self) -> bool {
+        self.field.is_some() || matches!(self.moment.choice(None), StepChoice::Field(_))
+    }
+
+    /// The step of a question about some fields, or about all where none is named: that of the
+    /// first.
+    pub(crate) fn choice_among(&self, fields: &[String], archive: &Archive) -> Result<StepChoice> {
+        if self.names_field() {
+            return match fields {
+                [] => Ok(self.choice()),
+                _ => Err(Error::usage("--step FIELD is one field: with --fields, give a step by its number")),
+            };
+        }
+        let first = fields.first().map(String::as_str).or(archive.fields().first().copied());
+        Ok(self.moment.choice(first))
+    }
 }
 
 /// The field that `--colour-by` names, for each of some steps of an archive: one of the archive

@@ -97,9 +97,9 @@ fn ratio(ours: u64, theirs: u64) -> String {
     }
 }
 
-/// `at most 1/3.0 of the source (3.0 MiB)`.
-pub(crate) fn at_most_of(ours: u64, source: u64) -> String {
-    format!("at most {} ({})", ratio(ours, source), bytes(source))
+/// `about 1/3.0 of the source (3.0 MiB)`.
+pub(crate) fn about_of(ours: u64, source: u64) -> String {
+    format!("about {} ({})", ratio(ours, source), bytes(source))
 }
 
 /// The line that compares the bytes of an archive with those of its source; `of` names one of the

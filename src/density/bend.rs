@@ -72,6 +72,13 @@ impl Bend {
         }
     }
 
+    /// The same in units in which a square is `scale` times as large.
+    #[must_use]
+    pub fn scaled(mut self, scale: f64) -> Self {
+        self.axes.iter_mut().flat_map(|along| &mut along.squares).for_each(|sum| *sum *= scale);
+        self
+    }
+
     /// How many times as many steps a voxel each axis should have as the one with the fewest, as
     /// powers of two, for points at this mean distance, in voxels.
     pub fn finer(&self, spacing: f64) -> [u32; 3] {

@@ -139,6 +139,17 @@ impl ErrorCurves {
             }
         }
     }
+
+    /// Adds the errors of another field on the same cells, in units in which a square is `scale`
+    /// times as large.
+    pub fn add_field(&mut self, other: &Self, scale: f64) {
+        for (logs, more) in self.logs.iter_mut().zip(&other.logs) {
+            for (log, &more) in logs.iter_mut().zip(more) {
+                *log = to_log(from_log(*log) + from_log(more) * scale);
+            }
+        }
+        self.mixed.iter_mut().zip(&other.mixed).for_each(|(mixed, more)| *mixed |= more);
+    }
 }
 
 /// Voxel cells along the edge of a cell, at least.

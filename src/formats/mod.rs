@@ -26,14 +26,15 @@ mod vtk;
 pub use kinds::{Input, is_mesh, open_coordinates, open_input, open_mesh, open_volume};
 pub(crate) use mesh::{tet_arrays, tetrahedra};
 pub use series::{
-    FieldOfStep, StepSource, order_in_doubt, packed_frames, steps_of, steps_of_fields, unpack_frames,
+    FieldOfStep, StepSource, order_in_doubt, packed_frames, sort_by_names, steps_of, steps_of_fields,
+    unpack_frames,
 };
 pub(crate) use series::{counted_from, listed_files, without_frame};
 pub use shared::coordinates;
+pub use shared::packed::UnpackedFrames;
 pub use shared::{OpenOptions, RawLayout, pick_field};
 pub(crate) use volume::brick_map;
 pub(crate) use volume::folder::passed_over;
-pub use volume::nifti::UnpackedFrames;
 pub use volume::{raw, samples};
 
 #[cfg(test)]

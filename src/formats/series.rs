@@ -6,7 +6,7 @@
 //! | a pattern, `"step_*.vti"`, `"run_?/out.vtu"` | the files that match, by the numbers in their names |
 //! | `.pvd` (ParaView) | its data sets, with their times |
 //! | `.series` (ParaView, JSON) | its files, with their times |
-//! | a 4-D NIfTI, MetaImage or NRRD file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
+//! | a 4-D NIfTI, MetaImage or NRRD file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis; moments of a TIFF file (where there are several: named by `--field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
 //! A pattern that matches TIFF files is one volume, whose slices they are. The time of a VTK file
@@ -19,15 +19,15 @@ use crate::exec::CancelToken;
 use crate::formats::kinds::{Input, format_of, is_mesh, open_input, open_mesh, open_volume};
 use crate::formats::shared::format::Format;
 use crate::formats::shared::header::sibling;
+use crate::formats::shared::packed::{PackedFrames, UnpackedFrames};
 use crate::formats::shared::{Frames, OpenOptions, field_matches, has_suffix, is_pattern};
-use crate::formats::volume::nifti::UnpackedFrames;
 use crate::formats::volume::stack::{by_numbers, rise};
 use crate::formats::volume::tiff;
 use crate::volume::chunked::DecodeCount;
 use crate::volume::dates::conversion;
 use crate::volume::slabs::ReaderSlabs;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{SharedVolume, SlabStream, VolumeReader, VolumeSource};
+use crate::volume::{SharedVolume, SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use serde::{Deserialize, Serialize};
@@ -437,8 +437,13 @@ fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     if files.iter().all(|f| has_suffix(f, &tiff::SUFFIXES)) {
         return Ok(vec![(input.to_path_buf(), None)]);
     }
-    by_numbers(&mut files, |f| f.to_string_lossy().into_owned());
+    sort_by_names(&mut files);
     Ok(files.into_iter().map(|f| (f, None)).collect())
+}
+
+/// Puts files in the order of those of a pattern: by the numbers in their names, then by the names.
+pub fn sort_by_names(files: &mut [PathBuf]) {
+    by_numbers(files, |file| file.to_string_lossy().into_owned());
 }
 
 /// The files that a list names, with their times: `.pvd`, or ParaView's `.series`.
@@ -533,6 +538,11 @@ fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
 /// # Errors
 /// [`Error::BadInput`] for a malformed file.
 pub fn packed_frames(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
+    packed(path, options)?.map(|(frames, info)| frames.bytes(&info)).transpose()
+}
+
+/// The steps of such a file, and the description of the first.
+fn packed(path: &Path, options: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
     single(path, options)?.map_or(Ok(None), |format| format.packed_frames(path, options))
 }
 
@@ -546,7 +556,10 @@ pub fn unpack_frames(
     folder: &Path,
     cancel: &CancelToken,
 ) -> Result<UnpackedFrames> {
-    UnpackedFrames::new(path, options, folder, cancel)
+    let Some((frames, info)) = packed(path, options)? else {
+        return Err(Error::bad_input(path, "file", "the compressed series it was", "another one"));
+    };
+    frames.unpack(info, folder, cancel)
 }
 
 /// The fields with one number a sample whose names match a pattern.

@@ -1,7 +1,8 @@
 //! Helpers for the tests of all readers, and tests of the doors.
 
-use super::{OpenOptions, RawLayout, open_volume, pick_field};
+use super::{OpenOptions, RawLayout, open_volume, packed_frames, pick_field, unpack_frames};
 use crate::error::Result;
+use crate::exec::CancelToken;
 use crate::grid::IndexBox;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource, strided::convert_row};
 use std::io::Write;
@@ -225,4 +226,37 @@ fn unknown_kinds_are_told_what_is_read() {
     let error = open_volume(&nrrd, &options).err().expect("refused");
     assert_eq!(error.exit_code(), 2);
     assert!(error.to_string().contains("an NRRD file"), "{error}");
+}
+
+/// A series in one compressed stream is unpacked once, whatever its format: each step, decoded by
+/// itself, would decode those before it.
+#[test]
+fn compressed_series_are_unpacked_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let samples: Vec<u8> = (0..72u16).flat_map(u16::to_le_bytes).collect();
+    let mut packed = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
+    packed.write_all(&samples).unwrap();
+    let packed = packed.finish().unwrap();
+    let nrrd = "NRRD0005\ntype: ushort\ndimension: 4\nsizes: 4 3 2 3\nendian: little\nencoding: gzip\n\n";
+    let meta = "ObjectType = Image\nNDims = 4\nDimSize = 4 3 2 3\nElementType = MET_USHORT\n\
+                CompressedData = True\nElementDataFile = LOCAL\n";
+    for (name, head) in [("a.nrrd", nrrd), ("a.mha", meta)] {
+        let path = write(&dir, name, &[head.as_bytes(), &packed[..]].concat());
+        let options = OpenOptions { field: Some("t1".into()), ..OpenOptions::default() };
+        assert_eq!(packed_frames(&path, &options).unwrap(), Some(144), "{name}");
+        let cancel = CancelToken::default();
+        let frames = unpack_frames(&path, &options, dir.path(), &cancel).unwrap();
+        for t in 0..3 {
+            let reader = frames.open(&format!("t{t}")).unwrap();
+            let (info, values) = read_all(VolumeSource::Random(reader));
+            let expected: Vec<f32> = (24 * t..24 * t + 24).map(|i| i as f32).collect();
+            assert_eq!((info.field.name, values), (format!("t{t}"), expected), "{name}");
+        }
+        let longer = [head.as_bytes(), &packed[..packed.len() - 9]].concat();
+        let error = unpack_frames(&write(&dir, name, &longer), &options, dir.path(), &cancel).err().unwrap();
+        assert_eq!(error.exit_code(), 5, "{error}");
+    }
+    let one = nrrd.replace("sizes: 4 3 2 3", "sizes: 4 3 6 1");
+    let path = write(&dir, "b.nrrd", &[one.as_bytes(), &packed[..]].concat());
+    assert_eq!(packed_frames(&path, &OpenOptions::default()).unwrap(), None, "of one volume");
 }

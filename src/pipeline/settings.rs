@@ -263,10 +263,10 @@ pub enum Bound {
 
 impl Bound {
     /// The bound in units of the field, whose samples have this range.
-    pub fn in_units(self, range: [f32; 2]) -> f64 {
+    pub fn in_units(self, range: [f64; 2]) -> f64 {
         match self {
             Self::Value(v) => v,
-            Self::OfRange(part) => part * (f64::from(range[1]) - f64::from(range[0])),
+            Self::OfRange(part) => part * (range[1] - range[0]),
         }
     }
 }

@@ -349,9 +349,9 @@ impl Step {
     }
 
     /// The values of a field, at a step of this archive or of another one in the same world, at the
-    /// vertices of an isosurface of this step, as `f32`. NaN where the field has no value.
+    /// vertices of an isosurface of this step. NaN where the field has no value.
     ///
-    /// Memory: four bytes a vertex, besides what the resources allow.
+    /// Memory: eight bytes a vertex, besides what the resources allow.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] where a field of another archive has no value at any vertex; those
@@ -362,13 +362,19 @@ impl Step {
         surface: &dyn SurfaceSource,
         isovalue: f64,
         resources: &Resources,
-    ) -> Result<Vec<f32>> {
+    ) -> Result<Vec<f64>> {
         values_on(&self.view, &field.view, surface, isovalue, resources)
     }
 
     /// The name of the field that the step was made from; empty where the file names none.
     pub fn field(&self) -> &str {
         &self.view.step().plan.source.field
+    }
+
+    /// The names of all fields that the archive has at this moment: that of the step, and others
+    /// on the same points.
+    pub fn fields_here(&self) -> Vec<&str> {
+        self.view.fields()
     }
 
     /// Streams isosurfaces, in bounded memory, with world positions: `part` gets each chunk's part
@@ -523,13 +529,14 @@ impl Step {
         probe_grid(&self.view, dims, settings, out, format, progress)
     }
 
-    /// Writes tetrahedra to a file (`.vtu`, `.vtkhdf`), each point once, with its value, in bounded
-    /// memory.
+    /// Writes tetrahedra to a file (`.vtu`, `.vtkhdf`), each point once, with its value or those of
+    /// several fields, in bounded memory.
     ///
     /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on
     /// memory: what memory does not hold waits in the scratch folder. Tetrahedra with a corner
-    /// without value are left out. With a range or a region, what cannot have an answer is not
-    /// read. An answer without tetrahedra is an empty, valid file.
+    /// without value are left out; of several fields, those that are whole in none, and a value
+    /// that one field does not have is NaN. With a range or a region, what cannot have an answer is
+    /// not read. An answer without tetrahedra is an empty, valid file.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a

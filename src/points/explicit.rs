@@ -115,7 +115,8 @@ impl ExplicitPoints {
     }
 
     /// Removes the sites that lie too near to a point of the list; `level` gives the level at a
-    /// position. The sites lie in the box.
+    /// position. The sites lie in the box. At each corner of the domain a point stays, for without
+    /// it the tetrahedra would not fill the domain.
     pub(super) fn drop_near(
         &self,
         domain: &LatticeBox,
@@ -126,6 +127,7 @@ impl ExplicitPoints {
         if self.clear == 0 || self.count_in(&b.grow_within([self.clear; 3], domain)) == 0 {
             return;
         }
+        let is_corner = |p: LatticePos| (0..3).all(|a| p[a] == domain.lo[a] || p[a] + 1 == domain.hi[a]);
         sites.retain(|site| {
             let reach = at_level(self.clear, level(site.pos));
             let around =
@@ -134,7 +136,9 @@ impl ExplicitPoints {
                 |p: LatticePos| (0..3).map(|a| u64::from(p[a].abs_diff(site.pos[a])).pow(2)).sum::<u64>();
             let mut is_far = true;
             self.each_in(&around, |i| is_far &= square(self.positions[i]) >= u64::from(reach).pow(2));
-            is_far || site.id.class() == Some(PointClass::Corner)
+            is_far
+                || site.id.class() == Some(PointClass::Corner)
+                || is_corner(site.pos) && self.find(site.pos).is_none()
         });
     }
 

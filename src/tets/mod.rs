@@ -13,10 +13,10 @@
 //! tetrahedron, corner after corner. The result is a function of the sequence of
 //! [`TetBuilder::push`] alone.
 //!
-//! **Memory.** Up to `memory_bytes` of finished records (16 bytes a point, 32 a tetrahedron); what
-//! exceeds it goes to nameless files in the scratch folder. In addition about 40 bytes for each
-//! shared point that is still open: a caller that knows which points later chunks can still use
-//! closes the others ([`TetBuilder::keep_open`]).
+//! **Memory.** Up to `memory_bytes` of finished records (12 bytes a point, 4 for the value of each
+//! field, 32 a tetrahedron); what exceeds it goes to nameless files in the scratch folder. In
+//! addition about 40 bytes for each shared point that is still open: a caller that knows which
+//! points later chunks can still use closes the others ([`TetBuilder::keep_open`]).
 
 use crate::bytes::store::Store;
 use crate::error::Result;
@@ -25,16 +25,6 @@ use crate::mesh::tet::Tet;
 use rustc_hash::FxHashMap;
 use std::path::Path;
 
-/// A point of a mesh, with its value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-#[repr(C)]
-pub struct TetPoint {
-    /// Position on the lattice.
-    pub pos: LatticePos,
-    /// Value.
-    pub value: f32,
-}
-
 /// Tetrahedra of a chunk. Arrays of corners are indexed by chunk-local vertex numbers.
 #[derive(Clone, Copy, Debug)]
 pub struct ChunkTets<'a> {
@@ -42,8 +32,8 @@ pub struct ChunkTets<'a> {
     pub positions: &'a [LatticePos],
     /// Ids.
     pub ids: &'a [PointId],
-    /// Values.
-    pub values: &'a [f32],
+    /// Values of each field.
+    pub values: &'a [&'a [f32]],
     /// Whether other chunks have the point too.
     pub shared: &'a [bool],
     /// The tetrahedra.
@@ -56,7 +46,8 @@ const NONE: u64 = u64::MAX;
 /// Joins the tetrahedra of chunks.
 #[derive(Debug)]
 pub struct TetBuilder {
-    points: Store<TetPoint>,
+    points: Store<LatticePos>,
+    values: Vec<Store<f32>>,
     tets: Store<[u64; 4]>,
     /// Numbers of shared points that later chunks may have; looked up, never iterated in its order.
     open: FxHashMap<PointId, u64>,
@@ -65,10 +56,13 @@ pub struct TetBuilder {
 }
 
 impl TetBuilder {
-    /// An empty mesh. What exceeds `memory_bytes` goes to the folder `scratch`.
-    pub fn new(memory_bytes: usize, scratch: &Path) -> Self {
+    /// An empty mesh with the values of so many fields. What exceeds `memory_bytes` goes to the
+    /// folder `scratch`.
+    pub fn new(fields: usize, memory_bytes: usize, scratch: &Path) -> Self {
+        let share = memory_bytes / 4 / (3 + fields);
         Self {
-            points: Store::new(memory_bytes / 4, scratch),
+            points: Store::new(3 * share, scratch),
+            values: (0..fields).map(|_| Store::new(share, scratch)).collect(),
             tets: Store::new(memory_bytes / 4 * 3, scratch),
             open: FxHashMap::default(),
             numbers: vec![],
@@ -102,7 +96,8 @@ impl TetBuilder {
             false => next,
         };
         if number == next {
-            self.points.push(TetPoint { pos: chunk.positions[v], value: chunk.values[v] })?;
+            self.points.push(chunk.positions[v])?;
+            self.values.iter_mut().zip(chunk.values).try_for_each(|(all, of)| all.push(of[v]))?;
         }
         self.numbers[v] = number;
         Ok(number)
@@ -126,7 +121,7 @@ impl TetBuilder {
 
     /// The finished mesh.
     pub fn finish(self) -> StoredTets {
-        StoredTets { points: self.points, tets: self.tets }
+        StoredTets { points: self.points, values: self.values, tets: self.tets }
     }
 }
 
@@ -134,7 +129,8 @@ impl TetBuilder {
 /// as needed, in batches.
 #[derive(Debug)]
 pub struct StoredTets {
-    points: Store<TetPoint>,
+    points: Store<LatticePos>,
+    values: Vec<Store<f32>>,
     tets: Store<[u64; 4]>,
 }
 
@@ -149,12 +145,20 @@ impl StoredTets {
         self.tets.len()
     }
 
-    /// Hands all points, in order, in batches, to `each`.
+    /// Hands the positions of all points, in order, in batches, to `each`.
     ///
     /// # Errors
     /// Those of reading the scratch file, and those of `each`.
-    pub fn points(&self, each: &mut dyn FnMut(&[TetPoint]) -> Result<()>) -> Result<()> {
+    pub fn points(&self, each: &mut dyn FnMut(&[LatticePos]) -> Result<()>) -> Result<()> {
         self.points.each(each)
+    }
+
+    /// Hands the values of a field at all points, in order, in batches, to `each`.
+    ///
+    /// # Errors
+    /// Those of reading the scratch file, and those of `each`.
+    pub fn values(&self, field: usize, each: &mut dyn FnMut(&[f32]) -> Result<()>) -> Result<()> {
+        self.values[field].each(each)
     }
 
     /// Hands all tetrahedra (four point numbers, positively oriented) in order, in batches, to
@@ -175,13 +179,13 @@ mod tests {
     fn shared_points_are_one_until_they_are_closed() {
         let scratch = tempfile::tempdir().unwrap();
         for memory in [0, 1 << 20] {
-            let mut builder = TetBuilder::new(memory, scratch.path());
+            let mut builder = TetBuilder::new(2, memory, scratch.path());
             let positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]];
             let ids = [7, 8, 9, 10, 11].map(PointId);
             let chunk = ChunkTets {
                 positions: &positions,
                 ids: &ids,
-                values: &[0.0, 1.0, 2.0, 3.0, 4.0],
+                values: &[&[0.0, 1.0, 2.0, 3.0, 4.0], &[5.0, 6.0, 7.0, 8.0, 9.0]],
                 shared: &[false, true, true, true, false],
                 tets: &[[1, 2, 3, 4], [0, 1, 2, 3]],
             };
@@ -191,18 +195,21 @@ mod tests {
             assert_eq!(builder.open_points(), 2);
             builder.push(&ChunkTets { tets: &[[2, 3, 1, 0]], ..chunk }).unwrap();
             let mesh = builder.finish();
-            let (mut points, mut tets) = (vec![], vec![]);
-            mesh.points(&mut |p| {
-                points.extend(p.iter().map(|p| p.value));
-                Ok(())
-            })
-            .unwrap();
+            let (mut values, mut tets) = ([vec![], vec![]], vec![]);
+            for (field, all) in values.iter_mut().enumerate() {
+                mesh.values(field, &mut |some| {
+                    all.extend_from_slice(some);
+                    Ok(())
+                })
+                .unwrap();
+            }
             mesh.tets(&mut |t| {
                 tets.extend_from_slice(t);
                 Ok(())
             })
             .unwrap();
-            assert_eq!(points, [1.0, 2.0, 3.0, 4.0, 0.0, 0.0, 1.0, 0.0]);
+            assert_eq!(values[0], [1.0, 2.0, 3.0, 4.0, 0.0, 0.0, 1.0, 0.0]);
+            assert_eq!(values[1], [6.0, 7.0, 8.0, 9.0, 5.0, 5.0, 6.0, 5.0]);
             assert_eq!(tets, [[0, 1, 2, 3], [4, 0, 1, 2], [5, 0, 1, 2], [1, 2, 6, 7]]);
             assert_eq!((mesh.point_count(), mesh.tet_count()), (8, 4));
         }

@@ -85,10 +85,10 @@ impl Unit {
     /// A unit of time, in the one spelling that it has here.
     pub fn time(text: &str) -> Option<Self> {
         let unit = Self::new(text)?;
-        let one = match &*unit.0.to_lowercase() {
+        let one = match &*unit.0.to_lowercase().replace('μ', "µ") {
             "second" | "seconds" | "sec" => "s",
             "millisecond" | "milliseconds" | "msec" => "ms",
-            "microsecond" | "microseconds" | "us" | "usec" => "µs",
+            "microsecond" | "microseconds" | "us" | "usec" | "µs" => "µs",
             "nanosecond" | "nanoseconds" => "ns",
             "minute" | "minutes" => "min",
             "hour" | "hours" => "h",
@@ -229,6 +229,7 @@ mod tests {
         assert_eq!(text(Unit::length("furlong")).as_deref(), Some("furlong"));
         assert_eq!(Unit::length("pixel"), None);
         assert_eq!(text(Unit::time("seconds")).as_deref(), Some("s"));
+        assert_eq!(text(Unit::time("μs")), text(Unit::time("µs")), "a Greek letter is the sign");
         assert_eq!(text(Unit::time("days since 2000-01-01")).as_deref(), Some("days since 2000-01-01"));
     }
 

@@ -93,6 +93,36 @@ fn a_surface_on_a_map_has_the_area_that_it_has_at_the_origin() {
     ok(d, &["render", "far.vtp", "-o", "far.png", "--size", "64x64"]);
 }
 
+/// Two tetrahedra as they are: one with sides of 1000, and one so small, at its far end, that
+/// `f32` has one number for the corners of a triangle in it.
+#[test]
+fn triangles_that_f32_leaves_no_area_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let corners = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let tet = |at: f64, side: f64| -> String {
+        corners.map(|c| c.map(|x| (at + side * x).to_string()).join(" ") + "\n").concat()
+    };
+    let text = format!(
+        "# vtk DataFile Version 3.0\nx\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 8 double\n{}{}CELLS 2 10\n\
+         4 0 1 2 3\n4 4 5 6 7\nCELL_TYPES 2\n10\n10\nPOINT_DATA 8\nSCALARS a float 1\n\
+         LOOKUP_TABLE default\n0 1 1 1 0 1 1 1\n",
+        tet(0.0, 1000.0),
+        tet(1000.3, 0.0005)
+    );
+    fs::write(d.join("m.vtk"), text).unwrap();
+    ok(d, &["reduce", "m.vtk", "-o", "m.isospan", "--fraction", "1", "-q"]);
+    let out = isospan(d, &["surface", "m.isospan", "-i", "0.01", "-o", "m.ply"]);
+    let error = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(5), "{error}");
+    let line = "m.ply: surface: expected triangles that have an area, got 1 of 2 without";
+    assert!(error.contains(line) && error.lines().count() == 1, "{error}");
+    let found = check(&read_surface(&d.join("m.ply")).unwrap());
+    assert_eq!((found.triangles, found.zero_area_triangles), (2, 1), "the file is there all the same");
+    assert_eq!(isospan(d, &["check", "m.ply"]).status.code(), Some(5));
+    ok(d, &["surface", "m.isospan", "-i", "0.5", "-o", "m.ply", "--force"]);
+}
+
 #[test]
 fn a_volume_on_a_map_is_cut_where_the_box_says() {
     let dir = tempfile::tempdir().unwrap();

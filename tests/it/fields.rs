@@ -1,6 +1,8 @@
 //! Several fields of each step: from one file or from several, each judged by its own range.
 
 use crate::common::*;
+use isospan::cells::CellBlock;
+use isospan::formats::{OpenOptions, open_mesh};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -44,7 +46,7 @@ fn pressure(t: f64) -> impl Fn(f64, f64, f64) -> f64 {
     move |x, y, z| 1e5 + 4e4 * (x + 0.1 * t) * y + 1e3 * z
 }
 
-fn both(dir: &Path, name: &str, time: f64) {
+pub(crate) fn both(dir: &Path, name: &str, time: f64) {
     image(dir, name, Some(time), &[("T", &heat(time)), ("p", &pressure(time))]);
 }
 
@@ -64,6 +66,43 @@ fn json(dir: &Path, args: &[&str]) -> Value {
 fn refused(dir: &Path, args: &[&str], words: &str) {
     let (code, _, errors) = run(dir, args);
     assert!(code != 0 && errors.contains(words), "{args:?}: {code}: {errors}");
+}
+
+/// What a file of tetrahedra has, numbers by their bits.
+#[derive(PartialEq)]
+struct Exported {
+    /// Name and values.
+    fields: Vec<(String, Vec<u64>)>,
+    points: Vec<[u64; 3]>,
+    cells: Vec<Vec<u64>>,
+}
+
+impl Exported {
+    fn read(path: &Path) -> Self {
+        let mesh = open_mesh(path, &OpenOptions::default()).unwrap();
+        let (mut points, mut cells, mut fields) = (vec![], vec![], vec![]);
+        let (mut stream, mut block) = (mesh.points().unwrap(), vec![]);
+        while stream.next_block(&mut block).unwrap() {
+            points.extend(block.iter().map(|p| p.map(f64::to_bits)));
+        }
+        let (mut stream, mut block) = (mesh.cells().unwrap(), CellBlock::default());
+        while stream.next_block(&mut block).unwrap() {
+            cells.extend(block.iter().map(|(_, vertices)| vertices.to_vec()));
+        }
+        for field in &mesh.info().fields {
+            let (mut values, mut block) = (vec![], vec![]);
+            let mut stream = mesh.with_field(&field.name).unwrap().values(0, |_| false).unwrap();
+            while stream.next_block(&mut block).unwrap() {
+                values.extend(block.iter().map(|v| v.to_bits()));
+            }
+            fields.push((field.name.clone(), values));
+        }
+        Self { fields, points, cells }
+    }
+
+    fn names(&self) -> Vec<&str> {
+        self.fields.iter().map(|f| &*f.0).collect()
+    }
 }
 
 /// Number, time and field of each step.
@@ -187,6 +226,151 @@ fn fields_of_one_moment_become_those_of_steps() {
     assert_eq!(steps, [(0, "T"), (1, "T"), (0, "p"), (1, "p")]);
     assert_eq!(count(d, "a.isospan", &["-i", "110000", "--step", "0", "--field", "p"]), before);
     assert_eq!(run(d, &["check", "a.isospan"]).0, 0);
+}
+
+/// One file of a step has all its fields, each as it is exported alone.
+#[test]
+fn an_export_has_all_fields_of_the_step() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    (0..3).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
+    let plain = ["--points", "halton", "--fraction", "1/2"];
+    let reduce = |out: &str, inputs: &[&str]| {
+        let args =
+            [&["reduce", "-q", "-o", out, "--fields", "T,p", "--chunk-points", "300"][..], &plain, inputs];
+        let (code, _, errors) = run(d, &args.concat());
+        assert_eq!(code, 0, "{errors}");
+    };
+    reduce("all.isospan", &["v0.vti", "v1.vti", "v2.vti"]);
+    reduce("one.isospan", &["v2.vti"]);
+    let export = |archive: &str, out: &str, more: &[&str]| {
+        json(d, &[&["export", archive, "-q", "-o", out, "--force"][..], more].concat())
+    };
+    let vtu = |out: &str| Exported::read(&d.join(out));
+    let alone = |archive: &str, more: &[&str]| {
+        export(archive, "alone.vtu", more);
+        vtu("alone.vtu")
+    };
+    for (archive, step, of_field) in [
+        ("all.isospan", &["--step", "2"][..], ["--field", "--field"]),
+        ("all.isospan", &["--time", "1.25"], ["--field", "--field"]),
+        ("one.isospan", &[], ["--step", "--field"]),
+    ] {
+        for (out, more) in
+            [("b.vtu", &[][..]), ("b.vtkhdf", &[]), ("b.vtu", &["--fields", "T,p", "--compress"])]
+        {
+            if out == "b.vtkhdf" && cfg!(not(feature = "hdf5")) {
+                continue;
+            }
+            let report = export(archive, out, &[step, more].concat());
+            assert_eq!(report["fields"], serde_json::json!(["T", "p"]));
+            let found = vtu(out);
+            assert_eq!(found.names(), ["T", "p"]);
+            for (n, (flag, name)) in of_field.into_iter().zip(["T", "p"]).enumerate() {
+                let one = alone(archive, &[step, &[flag, name]].concat());
+                assert_eq!(one.fields.len(), 1);
+                assert!(one.fields[0] == found.fields[n], "{archive} {step:?} {name}");
+                assert!(one.points == found.points && one.cells == found.cells);
+            }
+        }
+    }
+    // Any memory and threads; what does not fit waits on disk.
+    let whole = export("all.isospan", "whole.vtu", &["--step", "1"]);
+    let tight = export("all.isospan", "tight.vtu", &["--step", "1", "--threads", "1", "--memory", "40M"]);
+    assert_eq!(whole["bytes_read"], tight["bytes_read"]);
+    assert!(fs::read(d.join("whole.vtu")).unwrap() == fs::read(d.join("tight.vtu")).unwrap());
+    // The first field is that of the range.
+    for (fields, range) in [("T,p", "310:"), ("p,T", "110000:")] {
+        let both = export("all.isospan", "r.vtu", &["--step", "1", "--fields", fields, "--range", range]);
+        let one = alone("all.isospan", &["--step", "1", "--field", &fields[..1], "--range", range]);
+        assert_eq!(both["tetrahedra"].as_u64().unwrap(), one.cells.len() as u64);
+        assert!(vtu("r.vtu").fields[0] == one.fields[0] && !one.cells.is_empty());
+    }
+    let out = ["export", "all.isospan", "-o", "n.vtu"];
+    let refuse = |more: &[&str], words: &str| refused(d, &[&out[..], more].concat(), words);
+    refuse(&["--range", "310:"], "name that field first in --fields");
+    refuse(&["--fields", "T,q"], "no field q; it has T, p");
+    refuse(&["--fields", "T,T"], "T is asked for twice");
+    refuse(&["--step", "T", "--fields", "p"], "give a step by its number");
+    assert!(!d.join("n.vtu").exists());
+}
+
+/// Where one field has no value and another has, the other is written; where none has, nothing is.
+#[test]
+fn an_export_of_fields_keeps_what_any_has() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let hole = |from: f64| move |x: f64, y: f64, z: f64| if x > from { f64::NAN } else { waves(x, y, z) };
+    image(d, "a.vti", None, &[("T", &hole(0.4)), ("p", &hole(0.7))]);
+    let args =
+        ["reduce", "-q", "a.vti", "-o", "a.isospan", "--fields", "T,p", "--fraction", "1", "--nan", "mask"];
+    let (code, _, errors) = run(d, &args);
+    assert_eq!(code, 0, "{errors}");
+    let export =
+        |out: &str, more: &[&str]| json(d, &[&["export", "a.isospan", "-q", "-o", out][..], more].concat());
+    let count = |report: &Value, name: &str| report[name].as_u64().unwrap();
+    let [t, p, both] = [("T.vtu", &["--field", "T"][..]), ("p.vtu", &["--field", "p"]), ("both.vtu", &[])]
+        .map(|(out, more)| export(out, more));
+    assert!(count(&t, "tetrahedra") < count(&p, "tetrahedra"));
+    assert_eq!(count(&both, "tetrahedra"), count(&p, "tetrahedra"));
+    assert_eq!(count(&both, "void_tetrahedra"), count(&p, "void_tetrahedra"));
+    let has_nan = |field: &(String, Vec<u64>)| field.1.iter().any(|v| f64::from_bits(*v).is_nan());
+    let fields = Exported::read(&d.join("both.vtu")).fields;
+    assert!(has_nan(&fields[0]) && !has_nan(&fields[1]));
+}
+
+/// Points go where the fields need them, whatever their units are.
+#[test]
+fn adapted_points_do_not_depend_on_units() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    // One field bends where x is small, the other where it is large.
+    let bend = |x: f64, y: f64, z: f64| (40.0 * x * x).sin() + 0.1 * y * z;
+    let errors_of = |scale: f64, out: &str| {
+        let scaled = move |x: f64, y: f64, z: f64| scale * bend(x, y, z);
+        image(d, "a.vti", None, &[("T", &|x, y, z| bend(1.0 - x, y, z)), ("p", &scaled)]);
+        let args = ["reduce", "-q", "a.vti", "-o", out, "--fields", "T,p", "--adapt", "--fraction", "1/3"];
+        let (code, _, errors) = run(d, &[&args[..], &["--value-bits", "exact"]].concat());
+        assert_eq!(code, 0, "{errors}");
+        let file = format!("{out}.vtu");
+        assert_eq!(run(d, &["export", "-q", out, "--field", "T", "-o", &file]).0, 0);
+        Exported::read(&d.join(file))
+    };
+    let [same, large, small] =
+        [(1.0, "same.isospan"), (1024.0, "large.isospan"), (1.0 / 1024.0, "small.isospan")]
+            .map(|(scale, out)| errors_of(scale, out));
+    assert!(same == large && same == small);
+    // A target in parts of the ranges as well.
+    let args =
+        ["reduce", "-q", "a.vti", "-o", "t.isospan", "--fields", "T,p", "--adapt", "--target-rms", "3%"];
+    let report = json(d, &args);
+    assert_eq!(report["target"]["met"], true, "{report}");
+    let found = report["target"]["reached"].as_f64().unwrap();
+    assert!(found > 0.01 && found <= 0.03, "{found}");
+    // What is there already is judged as it was.
+    let again = json(d, &args);
+    assert_eq!(again["made_before"], true);
+    assert_eq!(
+        (&again["target"]["bound"], &again["target"]["reached"]),
+        (&report["target"]["bound"], &report["target"]["reached"])
+    );
+}
+
+/// A published page knows steps by their numbers alone.
+#[cfg(feature = "view")]
+#[test]
+fn several_fields_of_a_step_are_not_published() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    (0..2).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
+    for (out, fields) in [("f.isospan", ["--fields", "T,p"]), ("T.isospan", ["--field", "T"])] {
+        assert_eq!(run(d, &[&["reduce", "-q", "v0.vti", "v1.vti", "-o", out][..], &fields].concat()).0, 0);
+    }
+    let words =
+        "f.isospan: each step has the fields T, p, and a published page shows one: make an archive of one";
+    refused(d, &["publish", "T.isospan", "f.isospan", "-o", "page"], words);
+    assert!(!d.join("page").exists());
+    assert_eq!(run(d, &["publish", "-q", "T.isospan", "-o", "page"]).0, 0);
 }
 
 /// A part of the range is that of each field: kelvins and pascals are not added.

@@ -58,6 +58,38 @@ fn a_linear_field_on_a_block_gives_its_plane() {
     assert_eq!((error.exit_code(), out.exists()), (2, false), "{error}");
 }
 
+/// Corners of the lattice's box lie beside those of the mesh there, where samples of its boundary
+/// clear all other points.
+#[test]
+fn a_box_of_unequal_sides_is_filled_by_points_of_a_grid() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_mesh(&d.join("box.vtk"), 10, |_| true, |p| [1.3 * p[0], 1.1 * p[1], 0.9 * p[2]], |p| p[0]);
+    let chunked = ["--chunk-points", "200"];
+    let all = [
+        ("lattice", &[chunked, ["--size", "20KiB"]][..]),
+        ("regular", &[chunked, ["--ratio", "2"]]),
+        ("halton", &[chunked]),
+    ];
+    for (points, flags) in all {
+        for more in flags {
+            let args = ["reduce", "-q", "box.vtk", "-o", "box.isospan", "--force", "--points", points];
+            let out = std::process::Command::new(env!("CARGO_BIN_EXE_isospan"))
+                .current_dir(d)
+                .args(args.iter().chain(more))
+                .output()
+                .unwrap();
+            let errors = String::from_utf8_lossy(&out.stderr).into_owned();
+            assert_eq!(out.status.code(), Some(0), "{points} {more:?}: {errors}");
+            let archive = d.join("box.isospan");
+            check_archive(&archive).unwrap();
+            let (mesh, found) = extracted(&archive, 0.7);
+            assert!((found.area - 0.99).abs() < 0.05, "{points}: {}", found.area);
+            assert!(mesh.vertices.iter().all(|p| (p.position[0] - 0.7).abs() < 0.01), "a plane");
+        }
+    }
+}
+
 /// Area of the section through the cubes that are kept, at a height within the layer `z`.
 fn section(n: u32, z: u32, keep: impl Fn([f64; 3]) -> bool) -> f64 {
     let centre = |c: u32| (f64::from(c) + 0.5) / f64::from(n);

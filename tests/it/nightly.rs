@@ -93,6 +93,53 @@ fn new_files_become_steps_night_by_night() {
     assert!(folder(&dir.join("scope.isospan")) == folder(&dir.join("at-once.isospan")));
 }
 
+/// A volume with a time, or none.
+fn timed_file(dir: &Path, name: &str, time: Option<f64>) {
+    let time = time.map_or(String::new(), |t| format!("FIELD f 1\nTIME 1 1 double\n{t}\n"));
+    let head = format!("# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\n{time}");
+    let samples: String = (0..1000).map(|i| format!("{} ", i * i % 97)).collect();
+    let grid = "DIMENSIONS 10 10 10\nORIGIN 0 0 0\nSPACING 1 1 1\nPOINT_DATA 1000\nSCALARS a float 1\n";
+    let text = format!("{head}{grid}LOOKUP_TABLE default\n{samples}\n");
+    fs::write(dir.join("scope").join(name), text).unwrap();
+}
+
+#[test]
+fn files_without_times_come_last_and_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    fs::create_dir(dir.join("scope")).unwrap();
+    let night = || {
+        let args = ["nightly", "scope", "*.vtk", "scope.isospan", "--settle=0s", "--quiet", "--json"];
+        let mut command = Command::new(env!("CARGO_BIN_EXE_isospan"));
+        let out = command.current_dir(dir).args(args).args(CHOICES).env_remove("SLURM_JOB_ID").output();
+        let out = out.unwrap();
+        let summary: Value = serde_json::from_slice(&out.stdout).unwrap();
+        assert!(out.status.success(), "{summary}");
+        summary
+    };
+    let words = |summary: &Value| {
+        let folder = dir.join("scope.isospan.work/nightly");
+        let files = fs::read_dir(folder).unwrap().map(|f| f.unwrap().path());
+        let of_it = |f: &std::path::PathBuf| {
+            let text = fs::read_to_string(f.with_extension("json")).unwrap();
+            f.extension().unwrap() == "txt" && serde_json::from_str::<Value>(&text).unwrap() == *summary
+        };
+        fs::read_to_string(files.into_iter().find(of_it).unwrap()).unwrap()
+    };
+    for (name, time) in [("n10", None), ("n9", None), ("p", Some(0.25)), ("q", Some(-1.0))] {
+        timed_file(dir, &format!("{name}.vtk"), time);
+    }
+    let summary = night();
+    assert_eq!(names(&summary, "added", "source"), ["q.vtk", "p.vtk", "n9.vtk", "n10.vtk"]);
+    assert_eq!(names(&summary, "without_time", ""), ["n9.vtk", "n10.vtk"]);
+    let line = "  no times   n9.vtk, n10.vtk: after all others\n";
+    assert!(words(&summary).contains(line), "{}", words(&summary));
+    timed_file(dir, "n11.vtk", None);
+    let summary = night();
+    assert_eq!(names(&summary, "without_time", ""), ["n11.vtk"]);
+    assert!(words(&summary).contains("n11.vtk: after all others"), "{}", words(&summary));
+}
+
 #[test]
 fn a_first_file_that_is_damaged_holds_nothing_up() {
     let dir = tempfile::tempdir().unwrap();

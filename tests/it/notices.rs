@@ -193,7 +193,7 @@ fn more_points_than_samples_and_a_large_archive_are_named_before_work() {
     bytes(&d.join("u.nrrd"), [64, 64, 64], wave);
     let dry =
         |more: &[&str]| notices(d, &[&["reduce", "u.nrrd", "-o", "u.isospan", "--dry-run"], more].concat());
-    let larger = "isospan: u.nrrd: the archive may take up to 1.5 MiB (48.0 bits a sample), more than its source, \
+    let larger = "isospan: u.nrrd: the archive takes about 1.5 MiB (48.0 bits a sample), more than its source, \
                   256.0 KiB (8.0 bits a sample): --fraction 1/8 or --value-bits makes it smaller";
     assert_eq!(dry(&["--points", "regular", "--fraction", "100%"]), [larger]);
     assert_eq!(dry(&["--fraction", "12.5%"]), [""; 0]);

@@ -280,6 +280,46 @@ fn whole_numbers_are_exact_where_they_can_be() {
     }
 }
 
+/// Hexahedra whose 64 points have the whole numbers from `first` on.
+fn write_ids(path: &Path, first: u64) {
+    let at = |n: u64| [n % 4, n / 4 % 4, n / 16];
+    let point = |n: u64| at(n).map(|x| x.to_string()).join(" ");
+    let corner = |cell: [u64; 3], [x, y, z]: [u64; 3]| {
+        let n = cell[0] + x + 4 * (cell[1] + y) + 16 * (cell[2] + z);
+        n.to_string()
+    };
+    let square = [[0, 0], [1, 0], [1, 1], [0, 1]];
+    let cube: Vec<[u64; 3]> = (0..2).flat_map(|z| square.map(|[x, y]| [x, y, z])).collect();
+    let cell = |n: u64| -> String {
+        let at = [n % 3, n / 3 % 3, n / 9];
+        format!("8 {}\n", cube.iter().map(|&c| corner(at, c)).collect::<Vec<_>>().join(" "))
+    };
+    let lines =
+        |count: u64, line: &dyn Fn(u64) -> String| -> String { (0..count).map(|n| line(n) + "\n").collect() };
+    let text = format!(
+        "# vtk DataFile Version 3.0\nx\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 64 float\n{}CELLS 27 243\n{}\
+         CELL_TYPES 27\n{}POINT_DATA 64\nSCALARS id vtktypeint64 1\nLOOKUP_TABLE default\n{}",
+        lines(64, &point),
+        lines(27, &cell),
+        lines(27, &|_| "12".into()),
+        lines(64, &|n| (first + n).to_string()),
+    );
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn what_f64_loses_of_a_mesh_is_reported() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = |name: &str| dir.path().join(name);
+    let settings = settings(SetKind::Halton, Amount::Count(200), 900);
+    for (name, first, lost) in [("a", 1 << 52, None), ("b", 1 << 60, Some(128.0))] {
+        write_ids(&out(&format!("{name}.vtk")), first);
+        let report = reduce(&out(&format!("{name}.vtk")), &settings, &out(&format!("{name}.isospan")), 2);
+        assert_eq!(report.steps[0].rounding, lost, "{name}");
+        assert_eq!(report.error.unwrap().max >= 128.0, lost.is_some(), "{name}");
+    }
+}
+
 #[test]
 fn a_mesh_has_an_offset_too() {
     let dir = tempfile::tempdir().unwrap();

@@ -293,6 +293,32 @@ fn a_planned_search_goes_on_where_it_was() {
     assert!(folder(&d.join("a.isospan")) == folder(&d.join("whole.isospan")));
 }
 
+/// A file of the name alone is no manifest.
+#[test]
+fn a_damaged_manifest_is_told_by_status() {
+    let case = Case::new();
+    let d = case.dir.path();
+    plan(d, "v.npy", "a.isospan", "1", &[]);
+    work(d, "a.isospan", "0/1");
+    assert!(ok(d, &["status", "a.isospan"]).contains("commit it"));
+    ok(d, &["commit", "a.isospan"]);
+    assert!(ok(d, &["status", "a.isospan"]).contains("committed"));
+    let manifest = d.join("a.isospan/manifest.json");
+    for damaged in ["{}", "", r#"{"format": "other"}"#] {
+        fs::write(&manifest, damaged).unwrap();
+        for more in [&[][..], &["--quick"], &["--json"], &["--missing"]] {
+            let (code, error) = fails(d, &[&["status", "a.isospan"][..], more].concat());
+            assert!(code == 5 && error.contains("manifest.json"), "{damaged} {more:?}: {code} {error}");
+            assert!(error.contains("the manifest is damaged"), "{error}");
+        }
+    }
+    // What it says helps.
+    fs::remove_file(&manifest).unwrap();
+    work(d, "a.isospan", "0/1");
+    ok(d, &["commit", "a.isospan"]);
+    assert!(ok(d, &["status", "a.isospan"]).contains("committed"));
+}
+
 fn write_vts(path: &Path) {
     let (n, mut points, mut values) = ([16, 14, 12], String::new(), String::new());
     for z in 0..n[2] {

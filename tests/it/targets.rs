@@ -223,6 +223,10 @@ fn a_dry_run_says_what_is_known_of_a_search() {
     };
     let text = dry(&["--target-rms", "1%"]);
     assert!(text.contains("about 5 tries") && text.contains("for all tries"), "{text}");
+    // Sizes are guesses, unless one is wanted.
+    assert!(text.contains(" to about ") && !text.contains("at most 1/"), "{text}");
+    assert!(dry(&["--size", "20KiB"]).contains("KiB to 20.0 KiB"));
+    assert!(dry(&[]).lines().any(|line| line.starts_with("  archive    about ")));
     for (flags, most) in [(["--size", "20KiB"], Some(20 << 10)), (["--target-max", "5%"], None)] {
         let report: Value = serde_json::from_str(&dry(&[&flags[..], &["--json"]].concat())).unwrap();
         let bytes = [0, 1].map(|n| report["search"]["archive_bytes"][n].as_u64().unwrap());
@@ -231,6 +235,36 @@ fn a_dry_run_says_what_is_known_of_a_search() {
     }
     dry(&["--target-max", "5%", "--adapt"]);
     assert!(!d.join("a.isospan").exists() && !d.join("a.isospan.work").exists());
+}
+
+/// A part of the range is one of the range of all samples, also of steps behind the first, and not
+/// of the values that are left of them.
+#[test]
+fn a_part_of_the_range_is_that_of_the_samples_of_all_steps() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("a.npy"), [16, 16, 16], waves);
+    // A peak of one sample, which fewer points do not have.
+    let is_peak = |x: f64, y: f64, z: f64| [x, y, z].iter().all(|c| (c - 1.0 / 15.0).abs() < 1e-9);
+    write_npy(
+        &d.join("b.npy"),
+        [16, 16, 16],
+        move |x, y, z| if is_peak(x, y, z) { 64.0 } else { 0.25 * waves(x, y, z) },
+    );
+    let least = |name: &str| {
+        let bytes = fs::read(d.join(name)).unwrap();
+        let of = |b: &[u8]| f32::from_le_bytes(b.try_into().unwrap());
+        bytes[bytes.len() - 4 * 16 * 16 * 16..].chunks(4).map(of).fold(f32::INFINITY, f32::min)
+    };
+    let range = 64.0 - f64::from(least("a.npy").min(least("b.npy")));
+    for more in [&[][..], &["--points", "halton"], &["--adapt"]] {
+        let args =
+            ["reduce", "a.npy", "b.npy", "-o", "s.isospan", "--force", "-q", "--json", "--target-rms", "2%"];
+        let (code, text, error) = program(d, &[&args[..], more].concat());
+        assert!(code == 0 || code == 6, "{more:?}: {error}");
+        let report: Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(report["target"]["bound"].as_f64().unwrap(), 0.02 * range, "{more:?}");
+    }
 }
 
 /// Points are chosen by the first night: a later one with another field is told.

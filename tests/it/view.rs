@@ -33,6 +33,30 @@ impl Viewer {
         Self { child, address: address.to_owned(), path: format!("/{path}") }
     }
 
+    /// The answer to a question, without its head.
+    fn answer(&self, question: &str) -> Vec<u8> {
+        let mut stream = self.connect();
+        self.send(&mut stream, &format!("{}{question}", self.path));
+        let mut answer = vec![];
+        stream.read_to_end(&mut answer).unwrap();
+        let end = |bytes: &[u8], mark: &[u8]| bytes.windows(mark.len()).position(|w| w == mark).unwrap();
+        let head = end(&answer, b"\r\n\r\n") + 4;
+        let mut body = &answer[head..];
+        if !String::from_utf8_lossy(&answer[..head]).to_ascii_lowercase().contains("chunked") {
+            return body.to_vec();
+        }
+        let mut whole = vec![];
+        loop {
+            let (length, rest) = body.split_at(end(body, b"\r\n"));
+            let length = usize::from_str_radix(std::str::from_utf8(length).unwrap(), 16).unwrap();
+            if length == 0 {
+                return whole;
+            }
+            whole.extend_from_slice(&rest[2..2 + length]);
+            body = &rest[2 + length + 2..];
+        }
+    }
+
     /// What is sent on a connection of its own, and how long the answer took.
     fn ask(&self) -> (String, Duration) {
         let begun = Instant::now();
@@ -105,6 +129,44 @@ fn idle_connections_keep_nobody_out() {
         assert!(begun.elapsed() < Duration::from_secs(30), "it is open yet");
     }
     assert!(begun.elapsed() > Duration::from_secs(5));
+    viewer.end();
+}
+
+/// A step of a field is asked for by its number and the name: each answer is that of the program.
+#[test]
+fn each_field_of_a_step_is_answered_by_its_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let run = |args: &[&str]| {
+        let out = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(args).output().unwrap();
+        assert!(out.status.success(), "{args:?}: {}", String::from_utf8_lossy(&out.stderr));
+    };
+    (0..2).for_each(|t| crate::fields::both(d, &format!("v{t}.vti"), f64::from(t)));
+    run(&["reduce", "-q", "v0.vti", "v1.vti", "-o", "f.isospan", "--fields", "T,p"]);
+    let viewer = Viewer::start(d, |command| {
+        command.arg("f.isospan");
+    });
+    for (field, isovalue) in [("T", "310"), ("p", "110000")] {
+        for step in ["0", "1"] {
+            let what = ["-i", isovalue, "--step", step, "--field", field];
+            run(&[&["surface", "-q", "f.isospan", "-o", "s.ply", "--force"][..], &what].concat());
+            let question = format!("1/export?isovalues={isovalue}&step={step}&field={field}&format=ply");
+            assert!(viewer.answer(&question) == fs::read(d.join("s.ply")).unwrap(), "{question}");
+            let other = if field == "T" { "p" } else { "T" };
+            run(&[
+                &["surface", "-q", "f.isospan", "-o", "s.ply", "--force", "--colour-by", other][..],
+                &what,
+            ]
+            .concat());
+            let question = format!("{question}&colour={step}&colour_field={other}");
+            assert!(viewer.answer(&question) == fs::read(d.join("s.ply")).unwrap(), "{question}");
+        }
+        let text = |question: &str| String::from_utf8_lossy(&viewer.answer(question)).into_owned();
+        let spectrum = text(&format!("1/spectrum?step=1&field={field}"));
+        assert!(spectrum.contains("\"suggestions\""), "{spectrum}");
+        let refused = text("1/spectrum?step=1");
+        assert!(refused.contains("each step has the fields T, p"), "{refused}");
+    }
     viewer.end();
 }
 

@@ -2,7 +2,7 @@
 
 The page without a server is served by a few lines of Python, from a folder that `isospan publish` made.
 
-Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES [FOLDER for screenshots]
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES SEVERAL [FOLDER for screenshots]
 """
 
 import concurrent.futures
@@ -30,15 +30,20 @@ from folders import Ranges, Whole
 
 PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:9]
 TOOTH, BALL, OTHER, FIELDS, TUBE, AXES = ARCHIVES
-PICTURES = pathlib.Path(sys.argv[9]) if sys.argv[9:] and sys.argv[9] else None
+# Several fields at each step, which no page without a server shows.
+SEVERAL = sys.argv[9]
+PICTURES = pathlib.Path(sys.argv[10]) if sys.argv[10:] and sys.argv[10] else None
 MEMORY_MIB = 1536
 
 
 class Server:
     """`isospan view`, until it is stopped."""
 
+    def __init__(self, archives=ARCHIVES):
+        self.archives = archives
+
     def __enter__(self):
-        command = [PROGRAM, "view", *ARCHIVES, "--json", "--memory", f"{MEMORY_MIB}MiB"]
+        command = [PROGRAM, "view", *self.archives, "--json", "--memory", f"{MEMORY_MIB}MiB"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.url = json.loads(self.process.stdout.readline())["url"]
         self.port, self.token = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/", self.url).groups()
@@ -99,7 +104,7 @@ def parts_of(body):
         (length,) = struct.unpack_from("<I", body, at)
         head = json.loads(body[at + 4 : at + 4 + length])
         at += 4 + length
-        counts = [(24, "vertices"), (28, "changed"), (12, "triangles"), (4, "values")]
+        counts = [(24, "vertices"), (28, "changed"), (12, "triangles"), (8, "values")]
         size = sum(bytes_each * head.get(name, 0) for bytes_each, name in counts)
         yield head, body[at : at + size]
         assert at + size <= len(body), "the part is whole"
@@ -117,7 +122,7 @@ def surface_of(body, coloured=False, number=0):
         elif head["surface"] != number:
             pass
         elif "values" in head:
-            values = numpy.frombuffer(content, "<f4")
+            values = numpy.frombuffer(content, "<f8")
         else:
             if is_preview and not head["preview"]:
                 # The finished surface takes the place of its preview.
@@ -188,7 +193,7 @@ def requests(server):
     # A plane through the middle: the distance from the centre is in the values.
     step = 23 / 32
     status, _, body = server.ask(f"1/slice?step=1&origin=0,0,11.5&u={step},0,0&v=0,{step},0&size=33,33")
-    values = numpy.frombuffer(body, "<f4", 33 * 33, len(body) - 4 * 33 * 33).reshape(33, 33)
+    values = numpy.frombuffer(body, "<f8", 33 * 33, len(body) - 8 * 33 * 33).reshape(33, 33)
     # The tip of the cone is rounded off by the points; along x it falls by 1.
     assert status == 200 and abs(values[16, 16] - 0.5) < 0.1, values[16, 16]
     assert numpy.allclose(values[16, 20:31] , 0.5 - numpy.arange(4, 15) / 16, atol=0.05), values[16]
@@ -202,7 +207,7 @@ def requests(server):
         middle = (lo[2] + hi[2]) / 2
         u, v = ((hi[a] - lo[a]) / 63 for a in (0, 1))
         body = server.ask(f"{archive}/slice?origin={lo[0]},{lo[1]},{middle}&u={u},0,0&v=0,{v},0&size=64,64")[2]
-        values = numpy.frombuffer(body, "<f4", 64 * 64, len(body) - 4 * 64 * 64).reshape(64, 64)
+        values = numpy.frombuffer(body, "<f8", 64 * 64, len(body) - 8 * 64 * 64).reshape(64, 64)
         x, y = numpy.meshgrid(lo[0] + u * numpy.arange(64), lo[1] + v * numpy.arange(64))
         expected = numpy.hypot(x, y) if archive == 4 else numpy.sqrt(x**2 + y**2 + middle**2)
         there = ~numpy.isnan(values)
@@ -466,6 +471,42 @@ def placed(browser, server):
     page.close()
 
 
+def several(browser):
+    """Of several fields at each step one is chosen; the page and its address name it."""
+    options = dict(viewport={"width": 900, "height": 700}, color_scheme="light")
+    with Server([SEVERAL]) as server:
+        page = Page(browser, server, **options)
+        assert page.page.is_visible("#field") and page.page.input_value("#field") == "ball"
+        assert page.page.eval_on_selector_all("#field option", "all => all.map(o => o.textContent)") == ["ball", "height"]
+        assert page.page.inner_text("#now") == "t = 0" and page.page.is_visible("#play")
+        assert page.page.get_attribute("#step", "max") == "2" and page.page.inner_text("#colours h2") == "Colours of ball"
+        page.after(lambda: page.set("#isovalue", 0.9))
+        page.after(lambda: page.set("#step", 2))
+        # The other field, at the same time: its own isovalue and range.
+        page.after(lambda: page.page.select_option("#field", label="height"))
+        assert page.page.inner_text("#now") == "t = 2" and page.page.inner_text("#colours h2") == "Colours of height"
+        assert page.page.input_value("#low") == "11" and page.page.input_value("#high") == "13"
+        isovalue = float(page.page.input_value("#surfaces input[type=number]"))
+        assert 11 < isovalue < 13, isovalue
+        parameters = f"isovalues={isovalue}&step=2&field=height"
+        assert page.triangles() == surface_of(server.ask(f"0/surface?{parameters}")[2])[0]["triangles"] > 100
+        page.after(lambda: page.page.select_option("#by", label="ball"))
+        assert page.page.inner_text("#colours h2") == "Colours of ball"
+        values = surface_of(server.ask(f"0/surface?{parameters}&colour=2&colour_field=ball")[2], coloured=True)[3]
+        assert values.max() > 0.4 > values.min(), (values.min(), values.max())
+        page.after(lambda: page.page.select_option("#clip", "x"), "slices", 2)
+        shown, address = page.picture("several"), page.page.url.split("#")[1]
+        assert "field=height" in address and "by=ball" in address, address
+        again = Page(browser, server, f"#{address}", **options)
+        again.until(2, "slices")
+        assert again.page.input_value("#field") == "height" and again.page.input_value("#by") == "ball"
+        assert (abs(again.picture("several again") - shown).sum(axis=2) > 30).mean() < 0.002
+        again.close()
+        page.close()
+    refused = subprocess.run([PROGRAM, "publish", SEVERAL, "-o", "none"], capture_output=True, text=True)
+    assert refused.returncode == 2 and "each step has the fields ball, height" in refused.stderr, refused
+
+
 def volume_of(step, isovalue):
     """The volume inside of an isosurface of the ball, as the program has it."""
     command = [PROGRAM, "spectrum", BALL, "--step", str(step), "--json"]
@@ -644,6 +685,7 @@ def main():
         hostile_unit(browser, server)
         coloured(browser, server)
         placed(browser, server)
+        several(browser)
         without_a_server(browser, server)
         browser.close()
         crowds(server)

@@ -23,6 +23,8 @@ const MOST_BOXES: u64 = 1 << 18;
 const STEPS: usize = 20;
 /// A position this far outside of a cell, in parts of its size, is in it: what rounding moves.
 const NEAR: f64 = 1e-4;
+/// And in parts of its distance from the place that surfaces are counted from, in `f32`.
+const ROUNDED: f64 = 4.0 * f32::EPSILON as f64;
 
 /// The bounds of boxes of cells.
 pub struct CellBoxes {
@@ -70,7 +72,8 @@ impl CoordinateMap {
         Ok(found)
     }
 
-    /// The places in index space of positions of the world; `None` outside of the grid.
+    /// The places in index space of positions of the world; `None` outside of the grid. Positions
+    /// may be rounded as those of a surface are, to `f32` less an origin.
     ///
     /// # Errors
     /// When the segment cannot be read, or is damaged; those of `check`, which is called for each
@@ -79,11 +82,12 @@ impl CoordinateMap {
         &self,
         boxes: &CellBoxes,
         positions: &[[f64; 3]],
+        origin: [f64; 3],
         check: &dyn Fn() -> Result<()>,
     ) -> Result<Vec<Option<[f64; 3]>>> {
         if let Some(axes) = self.axes() {
             let find = |p: &[f64; 3]| {
-                let [x, y, z] = [0, 1, 2].map(|a| along_axis(&axes[a], p[a]));
+                let [x, y, z] = [0, 1, 2].map(|a| along_axis(&axes[a], p[a], origin[a]));
                 Some([x?, y?, z?])
             };
             return Ok(positions.iter().map(find).collect());
@@ -98,6 +102,7 @@ impl CoordinateMap {
                 ijk: DVec3::ZERO,
             })
             .collect();
+        let origin = DVec3::from_array(origin);
         let [least, most] = bounds(sought.iter().map(|s| s.world));
         // The axis along which they are farthest apart tells most of them from others.
         let along = (0..3).fold(0, |best, a| if (most - least)[a] > (most - least)[best] { a } else { best });
@@ -106,7 +111,7 @@ impl CoordinateMap {
         let (cells, mut samples, mut near) = (self.dims().map(|d| d.saturating_sub(1)), vec![], vec![]);
         for (number, &at) in (0..).zip(&boxes.bounds) {
             near.clear();
-            near.extend(within(&sought, along, grown(at)).map(|(n, _)| n));
+            near.extend(within(&sought, along, grown(at, origin)).map(|(n, _)| n));
             if near.is_empty() {
                 continue;
             }
@@ -118,7 +123,7 @@ impl CoordinateMap {
                 for y in lo[1]..hi[1] {
                     for x in lo[0]..hi[0] {
                         let corners = corners_of(&samples, lo, hi, [x, y, z]);
-                        improve(&mut some, along, &corners, [x, y, z]);
+                        improve(&mut some, along, &corners, [x, y, z], origin);
                     }
                 }
             }
@@ -165,7 +170,7 @@ impl CoordinateMap {
         if !(is_falling || table.is_sorted()) {
             return None;
         }
-        let ends = [lo, hi].map(|x| if x.is_finite() { along_axis(table, x) } else { None });
+        let ends = [lo, hi].map(|x| if x.is_finite() { along_axis(table, x, x) } else { None });
         let [a, b] = if is_falling { [ends[1], ends[0]] } else { ends };
         Some([a.unwrap_or(f64::NEG_INFINITY), b.unwrap_or(f64::INFINITY)])
     }
@@ -177,12 +182,13 @@ fn bounds(positions: impl Iterator<Item = DVec3>) -> [DVec3; 2] {
 }
 
 /// How far outside of a cell or box a position counts as in it.
-fn tolerance([lo, hi]: [DVec3; 2]) -> f64 {
-    NEAR * (hi - lo).length() + 4.0 * f64::from(f32::EPSILON) * lo.abs().max(hi.abs()).max_element()
+fn tolerance([lo, hi]: [DVec3; 2], origin: DVec3) -> f64 {
+    let far = (lo - origin).abs().max((hi - origin).abs()).max_element();
+    NEAR * (hi - lo).length() + ROUNDED * far
 }
 
-fn grown(at: [DVec3; 2]) -> [DVec3; 2] {
-    let more = DVec3::splat(tolerance(at));
+fn grown(at: [DVec3; 2], origin: DVec3) -> [DVec3; 2] {
+    let more = DVec3::splat(tolerance(at, origin));
     [at[0] - more, at[1] + more]
 }
 
@@ -204,9 +210,9 @@ fn corners_of(samples: &[DVec3], lo: [u64; 3], hi: [u64; 3], cell: [u64; 3]) -> 
 }
 
 /// Finds positions in a cell.
-fn improve(sought: &mut [Sought], along: usize, corners: &[DVec3; 8], cell: [u64; 3]) {
+fn improve(sought: &mut [Sought], along: usize, corners: &[DVec3; 8], cell: [u64; 3], origin: DVec3) {
     let at = bounds(corners.iter().copied());
-    let near: Vec<usize> = within(sought, along, grown(at)).map(|(n, _)| n).collect();
+    let near: Vec<usize> = within(sought, along, grown(at, origin)).map(|(n, _)| n).collect();
     let cell = DVec3::from_array(cell.map(|c| c as f64));
     for n in near {
         let s = &mut sought[n];
@@ -214,7 +220,7 @@ fn improve(sought: &mut [Sought], along: usize, corners: &[DVec3; 8], cell: [u64
             continue;
         }
         let Some((t, distance)) = solve(corners, s.world, (at[1] - at[0]).length()) else { continue };
-        if distance <= tolerance(at) && distance < s.distance {
+        if distance <= tolerance(at, origin) && distance < s.distance {
             (s.distance, s.ijk) = (distance, cell + t);
         }
     }
@@ -242,10 +248,10 @@ fn solve(corners: &[DVec3; 8], world: DVec3, size: f64) -> Option<(DVec3, f64)> 
 }
 
 /// Where in a table is a coordinate? The table may fall, and the first interval counts.
-fn along_axis(table: &[f64], x: f64) -> Option<f64> {
+fn along_axis(table: &[f64], x: f64, origin: f64) -> Option<f64> {
     let (first, last) = (*table.first()?, *table.last()?);
-    let far = first.abs().max(last.abs());
-    let near = NEAR * (last - first).abs() / table.len() as f64 + 4.0 * f64::from(f32::EPSILON) * far;
+    let far = (first - origin).abs().max((last - origin).abs());
+    let near = NEAR * (last - first).abs() / table.len() as f64 + ROUNDED * far;
     let is_rising = table.is_sorted();
     let is_falling = table.iter().rev().is_sorted();
     let x = match (first.min(last), first.max(last)) {
@@ -270,9 +276,9 @@ mod tests {
     use super::super::coordinates::tests::{cylinder, grid};
     use super::*;
 
-    fn found(map: &CoordinateMap, positions: &[[f64; 3]]) -> Vec<Option<[f64; 3]>> {
+    fn found(map: &CoordinateMap, positions: &[[f64; 3]], origin: [f64; 3]) -> Vec<Option<[f64; 3]>> {
         let boxes = map.cell_boxes(&|| Ok(())).unwrap();
-        map.find(&boxes, positions, &|| Ok(())).unwrap()
+        map.find(&boxes, positions, origin, &|| Ok(())).unwrap()
     }
 
     #[test]
@@ -286,17 +292,39 @@ mod tests {
             .chain([[0.0, 0.0, 0.0], [39.0, 18.0, 10.0], [8.0, 8.0, 8.0], [39.0, 0.0, 5.0]])
             .collect();
         let world: Vec<_> = places.iter().map(|&p| map.place(p).unwrap().position).collect();
-        for (place, found) in places.iter().zip(found(&map, &world)) {
+        for (place, found) in places.iter().zip(found(&map, &world, [0.0; 3])) {
             let found = found.unwrap_or_else(|| panic!("{place:?} is in the grid"));
             assert!((0..3).all(|a| (found[a] - place[a]).abs() < 1e-6), "{place:?}: {found:?}");
         }
         // As a surface has them, in f32.
         let rounded: Vec<_> = world.iter().map(|p| p.map(|x| f64::from(x as f32))).collect();
-        assert!(found(&map, &rounded).iter().all(Option::is_some));
+        assert!(found(&map, &rounded, [0.0; 3]).iter().all(Option::is_some));
         // Within the tube, beyond it, and beyond its ends.
         let outside = [[0.0, 0.0, 1.0], [0.9, 0.0, 1.0], [2.1, 0.0, 1.0], [1.5, 0.0, -0.1], [1.5, 0.0, 18.1]];
-        assert_eq!(found(&map, &outside), [None; 5]);
-        assert_eq!(found(&map, &[[f64::NAN, 0.0, 0.0], [f64::INFINITY; 3]]), [None; 2]);
+        assert_eq!(found(&map, &outside, [0.0; 3]), [None; 5]);
+        let no_places = [[f64::NAN, 0.0, 0.0], [f64::INFINITY; 3]];
+        assert_eq!(found(&map, &no_places, [0.0; 3]), [None; 2]);
+    }
+
+    #[test]
+    fn cells_are_small_far_from_0() {
+        // Of a thousandth, a million from 0; sheared, and as tables.
+        let far = 1e6;
+        let sheared = |[x, y, z]: [f64; 3]| [far + 1e-3 * (x + 0.25 * y), far + 1e-3 * y, far + 1e-3 * z];
+        let (_dir, points) = grid([9, 9, 9], sheared);
+        let tables: [Vec<f64>; 3] = [0; 3].map(|_| (0..9).map(|n| far + 1e-3 * f64::from(n)).collect());
+        let origin = [far; 3];
+        let at = |ijk: [f64; 3]| sheared(ijk);
+        let [inside, outside] = [[4.5, 3.25, 2.0], [4.5, 3.25, -1.0]].map(at);
+        let places = found(&points, &[inside, outside], origin);
+        let place = places[0].unwrap();
+        assert!((0..3).all(|a| (place[a] - [4.5, 3.25, 2.0][a]).abs() < 1e-5), "{place:?}");
+        assert_eq!(places[1], None, "a cell away is outside");
+        let along = |x: f64| along_axis(&tables[0], far + 1e-3 * x, far);
+        assert!((along(2.5).unwrap() - 2.5).abs() < 1e-5 && along(-1.0).is_none() && along(9.0).is_none());
+        // As a surface that is counted from there has it.
+        let rounded = at([8.0, 8.0, 8.0]).map(|x| far + f64::from((x - far) as f32));
+        assert!(found(&points, &[rounded], origin)[0].is_some());
     }
 
     #[test]
@@ -312,7 +340,7 @@ mod tests {
             (vec![0.0, 2.0, 1.0, 3.0], 2.5, Some(2.75)),
             (vec![0.0, 1.0], f64::NAN, None),
         ] {
-            assert_eq!(along_axis(&table, x), place, "{x} in {table:?}");
+            assert_eq!(along_axis(&table, x, 0.0), place, "{x} in {table:?}");
         }
     }
 }

@@ -428,14 +428,17 @@ impl Job<'_> {
 
     /// Gives the surfaces of archives the values of the field that colours them.
     fn colour(&self, panels: &mut [Panel], colours: &Colours, progress: &dyn Progress) -> Result<()> {
-        let paint = Paint::Map(colours.map, colours.range.map(|v| v as f32));
+        // Counted from the least one: large values that differ little are one f32.
+        let [least, largest] = colours.range;
+        let paint = Paint::Map(colours.map, [0.0, (largest - least) as f32]);
         progress.begin("colours", panels.len() as u64, "panels");
         for panel in panels {
             let Some(moment) = &panel.moment else { continue };
             for shape in &mut panel.shapes {
                 let (Some(surface), Some(isovalue)) = (&shape.surface, shape.isovalue) else { continue };
                 let found = moment.step.values_on(&moment.field, surface, isovalue, &self.resources(0));
-                shape.values = found.map_err(|e| self.whole(e, self.memory / 8 * 7))?;
+                let found = found.map_err(|e| self.whole(e, self.memory / 8 * 7))?;
+                shape.values = found.into_iter().map(|v| (v - least) as f32).collect();
                 shape.paint = paint;
             }
             progress.advance(1);

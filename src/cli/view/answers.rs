@@ -22,11 +22,22 @@ const MOST_SAMPLES: u32 = 1024;
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct StepQuery {
     step: Option<u64>,
+    field: Option<String>,
 }
 
 impl StepQuery {
     pub(super) fn choice(&self) -> StepChoice {
-        self.step.map_or(StepChoice::First, StepChoice::Number)
+        choice_of(self.step, self.field.as_ref())
+    }
+}
+
+/// A step by its number, and by a field where each step has several.
+fn choice_of(step: Option<u64>, field: Option<&String>) -> StepChoice {
+    match (step, field.cloned()) {
+        (None, None) => StepChoice::First,
+        (None, Some(field)) => StepChoice::Field(field),
+        (Some(number), None) => StepChoice::Number(number),
+        (Some(number), Some(field)) => StepChoice::NumberOf(number, field),
     }
 }
 
@@ -36,12 +47,14 @@ pub(super) struct SurfaceQuery {
     /// `1,2.5`.
     isovalues: String,
     step: Option<u64>,
+    field: Option<String>,
     /// As `--roi` has it.
     roi: Option<String>,
     #[serde(default)]
     cap: bool,
-    /// The step whose field colours the surface.
+    /// The step whose field colours the surface, and which one where it has several.
     colour: Option<u64>,
+    colour_field: Option<String>,
     /// Of an export: the ending of the file's name, the colour map, and the values at its ends.
     format: Option<String>,
     map: Option<String>,
@@ -50,12 +63,12 @@ pub(super) struct SurfaceQuery {
 
 impl SurfaceQuery {
     pub(super) fn choice(&self) -> StepChoice {
-        StepQuery { step: self.step }.choice()
+        choice_of(self.step, self.field.as_ref())
     }
 
     /// The step whose field colours the surface.
     pub(super) fn colour(&self) -> Option<StepChoice> {
-        self.colour.map(StepChoice::Number)
+        self.colour.map(|step| choice_of(Some(step), self.colour_field.as_ref()))
     }
 
     pub(super) fn settings(&self, resources: &Resources) -> Result<SurfaceSettings> {
@@ -87,6 +100,7 @@ pub(super) fn numbers<T: std::str::FromStr, const N: usize>(text: &str, what: &s
 #[derive(Debug, Deserialize)]
 pub(super) struct SliceQuery {
     step: Option<u64>,
+    field: Option<String>,
     origin: String,
     u: String,
     v: String,
@@ -96,7 +110,7 @@ pub(super) struct SliceQuery {
 
 impl SliceQuery {
     pub(super) fn choice(&self) -> StepChoice {
-        StepQuery { step: self.step }.choice()
+        choice_of(self.step, self.field.as_ref())
     }
 
     fn points(&self) -> Result<([u32; 2], Vec<[f64; 3]>)> {
@@ -148,7 +162,7 @@ fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
 /// (position and normal, 3 × f32 each; positions count from `origin`), numbers of earlier vertices
 /// that change (u32), what they become, and triangles (3 × u32). Parts of a preview come first
 /// where the surface is cut or has holes; the first other one replaces them. The values of the
-/// field that colours a surface (f32) are a part after its triangles. The last part has the report.
+/// field that colours a surface (f64) are a part after its triangles. The last part has the report.
 pub(super) fn surface(
     archives: &Archives,
     archive: usize,
@@ -227,7 +241,7 @@ pub(super) fn export(
     archive.stream_surface_file(&settings, format, &mut |bytes| sink.write(bytes)).map(drop)
 }
 
-/// The values of a slice: f32, NaN outside of the domain, `u` fastest.
+/// The values of a slice: f64, NaN outside of the domain, `u` fastest.
 pub(super) fn slice(
     archives: &Archives,
     archive: usize,
@@ -240,7 +254,7 @@ pub(super) fn slice(
     let settings = ProbeSettings { resources: resources.clone() };
     let values = archive.probe_with(&points, &settings)?;
     json_part(&serde_json::json!({ "size": [width, height] }), sink)?;
-    values.iter().try_for_each(|&v| sink.write(&(v as f32).to_le_bytes()))
+    values.iter().try_for_each(|v| sink.write(&v.to_le_bytes()))
 }
 
 /// The least box of the world that holds the domain, as JSON: two corners.

@@ -17,17 +17,23 @@ pub(crate) struct TetMeta<'a> {
     pub place: &'a dyn Fn(LatticePos) -> Result<[f64; 3]>,
     /// Whether that turns tetrahedra over.
     pub mirrors: bool,
-    /// Name of the field.
-    pub field: String,
-    /// The offset that is added to all values; where it is not 0, they are written as `f64`.
-    pub offset: f64,
+    /// The fields, in the order of the mesh.
+    pub fields: Vec<TetField>,
     /// Free text, a line.
     pub comment: String,
     /// Compresses the arrays on the threads of a pool; they are written as they are without one.
     pub compress: Option<&'a rayon::ThreadPool>,
 }
 
-impl TetMeta<'_> {
+/// What a file states of a field.
+pub(crate) struct TetField {
+    /// Its name.
+    pub name: String,
+    /// The offset that is added to all values; where it is not 0, they are written as `f64`.
+    pub offset: f64,
+}
+
+impl TetField {
     /// Bytes of a value.
     pub(super) fn value_bytes(&self) -> u64 {
         if self.offset == 0.0 { 4 } else { 8 }
@@ -39,8 +45,8 @@ impl TetMeta<'_> {
 pub(super) enum Array {
     /// 3 × f64 a point.
     Points,
-    /// f32 or f64 a point: see [`TetMeta::value_bytes`].
-    Values,
+    /// f32 or f64 a point, of the field of a number: see [`TetField::value_bytes`].
+    Values(usize),
     /// 4 × i64 a tetrahedron.
     Connectivity,
     /// i64 a tetrahedron: where its vertices end; where they begin as well, from the first number 0
@@ -56,7 +62,7 @@ impl Array {
         let (points, tets) = (mesh.point_count(), mesh.tet_count());
         match self {
             Self::Points => [points, 24],
-            Self::Values => [points, meta.value_bytes()],
+            Self::Values(field) => [points, meta.fields[field].value_bytes()],
             Self::Connectivity => [4 * tets, 8],
             Self::Offsets { first } => [tets + 1 - first, 8],
             Self::Types => [tets, 1],
@@ -75,18 +81,16 @@ pub(super) fn each_part(
     match array {
         Array::Points => mesh.points(&mut |batch| {
             bytes.clear();
-            for point in batch {
-                (meta.place)(point.pos)?.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
+            for &point in batch {
+                (meta.place)(point)?.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
             }
             put(&bytes)
         }),
-        Array::Values => mesh.points(&mut |batch| {
+        Array::Values(field) => mesh.values(field, &mut |batch| {
             bytes.clear();
-            match meta.offset {
-                0.0 => batch.iter().for_each(|point| bytes.extend(point.value.to_le_bytes())),
-                offset => {
-                    batch.iter().for_each(|p| bytes.extend((offset + f64::from(p.value)).to_le_bytes()))
-                }
+            match meta.fields[field].offset {
+                0.0 => batch.iter().for_each(|v| bytes.extend(v.to_le_bytes())),
+                offset => batch.iter().for_each(|&v| bytes.extend((offset + f64::from(v)).to_le_bytes())),
             }
             put(&bytes)
         }),

@@ -9,7 +9,7 @@
 //!   …  DataArray … format="appended" offset="N"     N counted from the byte after the '_'
 //!   <AppendedData encoding="raw">
 //!    _[u64 length][Points 3 × f64 a point]
-//!     [u64 length][the field f32 a point]                  (f64 where it is counted from an offset)
+//!     [u64 length][each field f32 a point]                 (f64 where it is counted from an offset)
 //!     [u64 length][connectivity 4 × i64 a tetrahedron]
 //!     [u64 length][offsets i64 a tetrahedron: 4, 8, 12, …]
 //!     [u64 length][types u8 a tetrahedron: 10]
@@ -27,15 +27,18 @@
 //! The compressed lengths are known only at the end, so the streams wait in a nameless file next to
 //! the target until the header is written.
 
-use super::tet_arrays::{Array, BLOCK, Packed, TetMeta, each_part};
+use super::tet_arrays::{Array, BLOCK, Packed, TetField, TetMeta, each_part};
 use crate::error::Result;
 use crate::formats::shared::sink::Sink;
 use crate::formats::shared::text::xml_attribute;
 use crate::tets::StoredTets;
 
 /// The arrays of a file, in order.
-const ARRAYS: [Array; 5] =
-    [Array::Points, Array::Values, Array::Connectivity, Array::Offsets { first: 1 }, Array::Types];
+fn arrays(meta: &TetMeta<'_>) -> Vec<Array> {
+    let values = (0..meta.fields.len()).map(Array::Values);
+    let cells = [Array::Connectivity, Array::Offsets { first: 1 }, Array::Types];
+    [Array::Points].into_iter().chain(values).chain(cells).collect()
+}
 
 /// Writes a mesh as VTU.
 pub(super) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) -> Result<()> {
@@ -48,9 +51,11 @@ pub(super) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) 
 
 fn put_plain(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) -> Result<()> {
     // Fewer than 2^59 points and tetrahedra: no product overflows.
-    let lengths = ARRAYS.map(|array| array.size(mesh, meta).iter().product::<u64>());
-    sink.put(head(mesh, lengths.map(|length| 8 + length), meta).as_bytes())?;
-    for (array, length) in ARRAYS.into_iter().zip(lengths) {
+    let arrays = arrays(meta);
+    let length = |array: &Array| array.size(mesh, meta).iter().product::<u64>();
+    sink.put(head(mesh, arrays.iter().map(|array| 8 + length(array)), meta).as_bytes())?;
+    for array in arrays {
+        let length = length(&array);
         sink.put(&length.to_le_bytes())?;
         each_part(mesh, meta, array, &mut |bytes| sink.put(bytes))?;
     }
@@ -63,51 +68,60 @@ fn put_compressed(
     pool: &rayon::ThreadPool,
     sink: &mut Sink<'_>,
 ) -> Result<()> {
-    let packed = Packed::of(mesh, meta, (pool, false), &ARRAYS, sink)?;
+    let arrays = arrays(meta);
+    let packed = Packed::of(mesh, meta, (pool, false), &arrays, sink)?;
     let table = |array: usize| -> Vec<u8> {
         let blocks = &packed.blocks[array];
         let last = blocks.last().map_or(0, |block| block[0] % BLOCK as u64);
         let head = [blocks.len() as u64, BLOCK as u64, last];
         head.into_iter().chain(blocks.iter().map(|block| block[1])).flat_map(u64::to_le_bytes).collect()
     };
-    let lengths = std::array::from_fn(|array| table(array).len() as u64 + packed.bytes(array));
+    let lengths = (0..arrays.len()).map(|array| table(array).len() as u64 + packed.bytes(array));
     sink.put(head(mesh, lengths, meta).as_bytes())?;
-    for array in 0..ARRAYS.len() {
+    for array in 0..arrays.len() {
         sink.put(&table(array))?;
         packed.put(array, sink)?;
     }
     Ok(())
 }
 
-fn head(mesh: &StoredTets, lengths: [u64; 5], meta: &TetMeta<'_>) -> String {
+/// The file up to its arrays, which take so many bytes, in the order of [`arrays`].
+fn head(mesh: &StoredTets, lengths: impl Iterator<Item = u64>, meta: &TetMeta<'_>) -> String {
     let (points, tets) = (mesh.point_count(), mesh.tet_count());
     let mut offset = 0;
-    let [at_points, at_values, at_connectivity, at_offsets, at_types] = lengths.map(|length| {
+    let mut offsets = lengths.map(|length| {
         let at = offset;
         offset += length;
         at
     });
-    let name = xml_attribute(&meta.field);
-    let array = |kind: &str, name: &str, components: u32, offset: u64| {
+    // In the order of the arrays.
+    let mut array = |kind: &str, name: &str, components: u32| {
+        let offset = offsets.next().expect("a length of each array");
         format!(
             "        <DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" \
              format=\"appended\" offset=\"{offset}\"/>\n"
         )
     };
+    let positions = array("Float64", "Points", 3);
+    let of_field = |field: &TetField| {
+        array(&format!("Float{}", 8 * field.value_bytes()), &xml_attribute(&field.name), 1)
+    };
+    let fields: String = meta.fields.iter().map(of_field).collect();
+    let first = meta.fields.first().map_or(String::new(), |field| xml_attribute(&field.name));
     let compressor = if meta.compress.is_some() { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
     [
         format!("<?xml version=\"1.0\"?>\n<!-- {} -->\n", meta.comment.replace("--", "- -").replace("--", "- -")),
         "<VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\"".into(),
         format!("{compressor}>\n"),
         format!("  <UnstructuredGrid>\n    <Piece NumberOfPoints=\"{points}\" NumberOfCells=\"{tets}\">\n"),
-        format!("      <PointData Scalars=\"{name}\">\n"),
-        array(&format!("Float{}", 8 * meta.value_bytes()), &name, 1, at_values),
+        format!("      <PointData Scalars=\"{first}\">\n"),
+        fields,
         "      </PointData>\n      <Points>\n".into(),
-        array("Float64", "Points", 3, at_points),
+        positions,
         "      </Points>\n      <Cells>\n".into(),
-        array("Int64", "connectivity", 1, at_connectivity),
-        array("Int64", "offsets", 1, at_offsets),
-        array("UInt8", "types", 1, at_types),
+        array("Int64", "connectivity", 1),
+        array("Int64", "offsets", 1),
+        array("UInt8", "types", 1),
         "      </Cells>\n    </Piece>\n  </UnstructuredGrid>\n  <AppendedData encoding=\"raw\">\n   _".into(),
     ]
     .concat()

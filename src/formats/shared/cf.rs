@@ -129,7 +129,7 @@ impl Part {
 pub(in crate::formats) enum Rules {
     /// Nothing: names count, and the first of four axes has frames or channels.
     Plain,
-    /// Volumes of three axes alone, as those of MINC.
+    /// Volumes of three axes, and maybe one that is called time, as those of MINC.
     Volumes,
     /// Volumes, and vectors whose components are the last of four axes.
     Vectors,
@@ -164,7 +164,9 @@ pub(in crate::formats) fn parts_of(
     let Layout { space, series, channels } = layout(shape, kinds).map_err(refuse)?;
     let count = |axis: Option<usize>| axis.map_or(1, |axis| shape[axis]);
     let all = count(series).checked_mul(count(channels)).filter(|&all| all <= MOST_FRAMES);
-    if all.is_none() || rules != Rules::Plain && all != Some(1) {
+    let has_times = channels.is_none() && series.is_some_and(|axis| kinds[axis] == 't');
+    let may_have_several = rules == Rules::Plain || rules == Rules::Volumes && has_times;
+    if all.is_none() || !may_have_several && all != Some(1) {
         let expected = "three axes of space, and others of at most 65536 frames and channels";
         return Err(refuse(if rules == Rules::Plain { expected } else { "three axes" }));
     }
@@ -202,7 +204,7 @@ fn world_of(kinds: [char; 3]) -> [usize; 3] {
 /// The field of an array of vectors, or of colours, which are the last of its axes.
 fn vectors(name: &str, (shape, kinds): (&[u64], &[char]), scalar: ScalarType, rules: Rules) -> Option<Part> {
     let rank = shape.len();
-    let is_named = rules == Rules::Plain && kinds.iter().any(|&kind| kind != '?');
+    let is_named = rules != Rules::Vectors && kinds.iter().any(|&kind| kind != '?');
     let is_short = rank == 4 && shape[3] <= 4 && shape[1] > 4 && shape[2] > 4 && !is_named;
     let is_told = rank == 4 && rules == Rules::Vectors || rules != Rules::Plain && kinds[rank - 1] == 'c';
     if rank < 4 || shape[rank - 1] < 2 || !(is_short || is_told) {

@@ -2,12 +2,13 @@
 
 use super::coordinates::GridCoordinates;
 use super::hdf5_head;
+use super::packed::PackedFrames;
 use super::stream::Codec;
 use super::{Frames, OpenOptions};
 use crate::bytes::{ByteSource, IoMode};
 use crate::cells::CellMesh;
 use crate::error::{Error, Result};
-use crate::volume::VolumeSource;
+use crate::volume::{VolumeInfo, VolumeSource};
 use std::collections::HashMap;
 use std::io::Read;
 use std::path::Path;
@@ -163,8 +164,9 @@ pub(in crate::formats) trait Format: Sync {
         Ok(HashMap::new())
     }
 
-    /// Bytes of all steps of a file, unpacked, where reading one means to unpack those before it.
-    fn packed_frames(&self, _: &Path, _: &OpenOptions) -> Result<Option<u64>> {
+    /// The steps of a file where reading one means to unpack those before it, and the description
+    /// of the first.
+    fn packed_frames(&self, _: &Path, _: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
         Ok(None)
     }
 }

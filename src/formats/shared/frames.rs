@@ -17,6 +17,11 @@ pub(in crate::formats) fn fields(frames: u64, scalar: ScalarType) -> Vec<FieldIn
     if frames == 1 { vec![one("data".into())] } else { (0..frames).map(|t| one(format!("t{t}"))).collect() }
 }
 
+/// Options that choose the first of several frames.
+pub(in crate::formats) fn first(options: &OpenOptions) -> OpenOptions {
+    OpenOptions { field: Some("t0".into()), ..options.clone() }
+}
+
 /// Refuses more frames than are listed, and none at all.
 ///
 /// # Errors

@@ -4,7 +4,8 @@
 //!  xspace, yspace, zspace           start, step, direction_cosines, units: where samples lie
 //!  image                            stored numbers; valid_range, signtype
 //!  image-min, image-max             the values of the ends of the valid range: one pair for all,
-//!                                   or one for each slice or row
+//!                                   or one for each slice or row, of each volume
+//!  time                             start, step and units, or all times: an axis of the image
 //! ```
 
 use super::cf::{Convert, MOST_COORDINATES};
@@ -17,6 +18,14 @@ use std::path::Path;
 
 /// The axes of space, in the order x, y, z.
 const SPACE: [&str; 3] = ["xspace", "yspace", "zspace"];
+
+/// The axis of time.
+const TIME: &str = "time";
+
+/// What each axis of an image is: 't' of time, '?' of others, which its names tell.
+pub(in crate::formats) fn kinds(axes: &[String], rank: usize) -> Vec<char> {
+    (0..rank).map(|axis| if axes.get(axis).is_some_and(|name| name == TIME) { 't' } else { '?' }).collect()
+}
 
 /// The variables of a MINC file, by their names in MINC.
 pub(in crate::formats) trait Variables {
@@ -45,6 +54,20 @@ pub(in crate::formats) struct Stored<'a> {
     pub(in crate::formats) axes: &'a [String],
     pub(in crate::formats) shape: &'a [u64],
     pub(in crate::formats) scalar: ScalarType,
+    /// The entry of the axis of time, where there is one.
+    pub(in crate::formats) moment: Option<u64>,
+}
+
+impl Stored<'_> {
+    /// The axis of time.
+    fn time(&self) -> Option<usize> {
+        self.axes.iter().position(|name| name == TIME)
+    }
+
+    /// The names of the axes of one volume.
+    fn of_volume(&self) -> Vec<&String> {
+        self.axes.iter().filter(|name| *name != TIME).collect()
+    }
 }
 
 /// What a file says of its image.
@@ -63,16 +86,15 @@ pub(in crate::formats) struct Image {
 /// [`Error::BadInput`] for other axes than those of space, irregular ones, and ranges that are
 /// none.
 pub(in crate::formats) fn image(file: &impl Variables, stored: &Stored<'_>) -> Result<Image> {
-    let axes: Vec<&String> = stored.axes.iter().filter(|name| SPACE.contains(&name.as_str())).collect();
-    let is_space =
-        stored.axes.len() == 3 && axes.len() == 3 && SPACE.iter().all(|n| axes.iter().any(|a| a == n));
-    if !is_space || stored.shape.len() != 3 {
+    let axes = stored.of_volume();
+    let is_space = axes.len() == 3 && SPACE.iter().all(|n| axes.iter().any(|a| a == n));
+    if !is_space || stored.shape.len() != stored.axes.len() {
         let got = format!("'{}'", stored.axes.join(","));
-        return Err(bad(file, "dimorder", "xspace, yspace and zspace in some order", got));
+        return Err(bad(file, "dimorder", "xspace, yspace and zspace in some order, and maybe time", got));
     }
     let (mut columns, mut origin, mut lengths) = ([[0.0; 3]; 3], [0.0; 3], vec![]);
     let mut assumed = [false; 3];
-    for (n, name) in stored.axes.iter().enumerate() {
+    for (n, name) in axes.into_iter().enumerate() {
         let axis = axis(file, name)?;
         // The last name is the fastest axis, our x.
         columns[2 - n] = axis.direction.map(|d| d * axis.step.unwrap_or(1.0));
@@ -90,8 +112,20 @@ pub(in crate::formats) fn image(file: &impl Variables, stored: &Stored<'_>) -> R
     let geometry = geometry(file.path(), "start, step and direction_cosines", origin, columns)?;
     let convert = if stored.scalar.is_float() { None } else { Some(slices(file, stored)?) };
     let value = Unit::new(&file.text("image", "units"));
-    let units = Units { value, ..Units::of_length(common(lengths)) };
+    let time = stored.time().and_then(|_| Unit::time(&file.text(TIME, "units")));
+    let units = Units { value, time, length: common(lengths) };
     Ok(Image { geometry, convert, units, assumed: Assumed::in_header(assumed) })
+}
+
+/// The times of the `count` volumes of a file, where it tells them.
+pub(in crate::formats) fn times(file: &impl Variables, count: u64) -> Option<Vec<f64>> {
+    if file.text(TIME, "spacing").starts_with("irregular") {
+        let (_, times) = file.table(TIME, MOST_COORDINATES).ok()??;
+        return Some(times).filter(|times| times.len() as u64 == count);
+    }
+    let one = |key: &str| file.numbers(TIME, key).and_then(|v| v.first().copied());
+    let (start, step) = (one("start").unwrap_or(0.0), one("step").filter(|step| *step > 0.0)?);
+    Some((0..count).map(|n| start + n as f64 * step).collect())
 }
 
 fn bad(file: &impl Variables, what: &str, expected: &str, got: String) -> Error {
@@ -149,18 +183,17 @@ fn valid_range(file: &impl Variables, scalar: ScalarType) -> Result<[f64; 2]> {
 /// The lines from stored integers to values: the valid range is stretched to `image-min` …
 /// `image-max` of each slice.
 fn slices(file: &impl Variables, stored: &Stored<'_>) -> Result<Convert> {
-    let (valid, shape) = (valid_range(file, stored.scalar)?, stored.shape);
-    let table = |name: &str| -> Result<(Vec<f64>, usize)> {
+    let valid = valid_range(file, stored.scalar)?;
+    let table = |name: &str| -> Result<(Vec<u64>, Vec<f64>)> {
         let found = file.table(name, MOST_COORDINATES)?;
-        let of_slices = found.filter(|(own, _)| *own == shape[..own.len()]);
-        let (own, numbers) = of_slices.ok_or_else(|| {
+        let of_slices = found.filter(|(own, _)| stored.shape.starts_with(own)).map(|t| of_moment(stored, t));
+        of_slices.ok_or_else(|| {
             bad(file, name, "one number, one a slice, or one a row", "another number of them".into())
-        })?;
-        Ok((numbers, own.len()))
+        })
     };
-    let ((least, rank), (most, other)) = (table("image-min")?, table("image-max")?);
-    if rank != other || least.len() != most.len() {
-        let got = format!("{rank} and {other} axes");
+    let ((shape, least), (other, most)) = (table("image-min")?, table("image-max")?);
+    if shape != other || least.len() != most.len() {
+        let got = format!("{} and {} axes", shape.len(), other.len());
         return Err(bad(file, "image-min, image-max", "as many of either", got));
     }
     let line = |(lo, hi): (&f64, &f64)| {
@@ -172,6 +205,16 @@ fn slices(file: &impl Variables, stored: &Stored<'_>) -> Result<Convert> {
         let got = format!("{} and {}", least[wrong], most[wrong]);
         return Err(bad(file, "image-min, image-max", "finite numbers", got));
     }
-    let slices = [if rank > 1 { shape[1] } else { 1 }, if rank > 0 { shape[0] } else { 1 }];
+    let slices = [shape.get(1).copied().unwrap_or(1), shape.first().copied().unwrap_or(1)];
     Ok(Convert { valid, missing: vec![], lines, slices })
+}
+
+/// The part of a table of the first axes of an image that is of one moment.
+fn of_moment(stored: &Stored<'_>, (mut shape, numbers): (Vec<u64>, Vec<f64>)) -> (Vec<u64>, Vec<f64>) {
+    let found = stored.time().filter(|&axis| axis < shape.len());
+    let (Some(axis), Some(moment)) = (found, stored.moment) else { return (shape, numbers) };
+    let (inner, count) = (shape[axis + 1..].iter().product::<u64>(), shape[axis]);
+    shape.remove(axis);
+    let is_of_it = |(n, _): &(usize, f64)| *n as u64 / inner.max(1) % count.max(1) == moment;
+    (shape, numbers.into_iter().enumerate().filter(is_of_it).map(|(_, number)| number).collect())
 }

@@ -16,6 +16,7 @@ pub(in crate::formats) mod lengths;
 pub(in crate::formats) mod minc;
 pub(in crate::formats) mod numbers;
 mod options;
+pub(in crate::formats) mod packed;
 mod packing;
 pub(in crate::formats) mod ranges;
 pub(in crate::formats) mod sink;

@@ -85,6 +85,25 @@ fn changed(name: &str, from: &[u8], to: &[u8]) -> Vec<u8> {
 }
 
 #[test]
+fn times_of_minc_are_steps() {
+    for name in ["minc1_times.mnc", "minc2_times.mnc"] {
+        for field in [None, Some("image"), Some("image:t*")] {
+            let steps = steps_of(&[data(name)], &options(field)).unwrap();
+            assert_eq!(steps.iter().map(|s| s.time).collect::<Vec<_>>(), [Some(10.0), Some(12.5)], "{name}");
+            for (t, step) in steps.iter().enumerate() {
+                let source = open_volume(&step.path, &step.options).unwrap();
+                let info = agrees(source, &format!("minc_times.t{t}"));
+                assert_eq!((info.field.name, info.fields.len()), (format!("image:t{t}"), 2));
+                let [length, time] = [info.units.length, info.units.time].map(|unit| unit.unwrap());
+                assert_eq!([length.as_str(), time.as_str()], ["mm", "s"]);
+            }
+        }
+        let line = open(&data(name), None).err().expect("two volumes").to_string();
+        assert!(line.contains("image:t0 (int16), image:t1 (int16)"), "{line}");
+    }
+}
+
+#[test]
 fn minc_1_that_is_not_read_is_named() {
     let dir = tempfile::tempdir().unwrap();
     for (from, to, reason) in [

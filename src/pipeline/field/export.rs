@@ -3,12 +3,13 @@
 use crate::bytes::publish::folder_of;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, pool};
-use crate::formats::tet_arrays::{PACKING_BYTES, TetMeta};
+use crate::formats::tet_arrays::{PACKING_BYTES, TetField, TetMeta};
 use crate::formats::tetrahedra::{TetFormat, write_tetrahedra};
+use crate::grid::ChunkId;
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Blocks, Cut, DecodedChunk, Frontier, IndexToWorld, Roi, RoiSpace, StepView, Visit,
+    Blocks, Cut, DecodedChunk, Frontier, IndexToWorld, Roi, RoiSpace, StepView, Visit, bytes_per_vertex,
 };
 use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::tets::{ChunkTets, TetBuilder};
@@ -29,7 +30,11 @@ pub enum Corners {
 /// What is exported.
 #[derive(Clone, Debug)]
 pub struct ExportSettings {
-    /// Only tetrahedra with values in this range, both ends included.
+    /// The fields whose values are written, of those that the archive has at the moment of the
+    /// step ([`Step::fields_here`](crate::pipeline::Step::fields_here)); that of the step alone
+    /// where none is named.
+    pub fields: Vec<String>,
+    /// Only tetrahedra with values in this range, both ends included: those of the first field.
     pub range: Option<[f64; 2]>,
     /// How many of their corners.
     pub corners: Corners,
@@ -46,6 +51,7 @@ pub struct ExportSettings {
 impl Default for ExportSettings {
     fn default() -> Self {
         Self {
+            fields: vec![],
             range: None,
             corners: Corners::All,
             roi: None,
@@ -60,6 +66,8 @@ impl Default for ExportSettings {
 #[derive(Clone, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct ExportReport {
+    /// The fields whose values were written.
+    pub fields: Vec<String>,
     /// Points written.
     pub points: u64,
     /// Tetrahedra written.
@@ -67,7 +75,8 @@ pub struct ExportReport {
     /// Tetrahedra of the archive.
     pub archive_tetrahedra: u64,
     /// Tetrahedra with a corner without value, which are never written, in the blocks that were
-    /// read.
+    /// read. Of several fields, those that have such a corner in each field; with a range, in the
+    /// first.
     pub void_tetrahedra: u64,
     /// Chunks read.
     pub chunks_read: u64,
@@ -90,6 +99,24 @@ const OPEN_POINT: u64 = 100;
 /// [`Step::write_tetrahedra`](crate::pipeline::Step::write_tetrahedra).
 pub(in crate::pipeline) fn export(
     archive: &StepView,
+    settings: &ExportSettings,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<ExportReport> {
+    let Some((first, others)) = settings.fields.split_first() else {
+        return export_fields(archive, &[], settings, out, progress);
+    };
+    if let Some(twice) = others.iter().enumerate().find(|(n, name)| settings.fields[..=*n].contains(name)) {
+        return Err(Error::usage(format!("the field {} is asked for twice", twice.1)));
+    }
+    let others = others.iter().map(|name| archive.in_field(name)).collect::<Result<Vec<_>>>()?;
+    export_fields(&archive.in_field(first)?, &others, settings, out, progress)
+}
+
+/// Writes the values of a view and of `others`, which are further fields of the same moment.
+fn export_fields(
+    archive: &StepView,
+    others: &[StepView],
     settings: &ExportSettings,
     out: &Path,
     progress: &dyn Progress,
@@ -127,12 +154,15 @@ pub(in crate::pipeline) fn export(
     if let Some(cut) = &cut {
         visit.confine(|region| cut.may_touch_box(region))?;
     }
-    visit.check_memory(0)?;
+    // The chunk is read once more for each, one after another.
+    let bytes = others.iter().map(bytes_per_vertex).max().map_or(0, |most| most + 4 * others.len() as u64);
+    let extra = visit.most_vertices() * bytes;
+    visit.check_memory(extra)?;
     let scratch = settings.resources.scratch.clone().unwrap_or_else(|| folder_of(out).to_path_buf());
-    let mut join = Join::new(&visit, settings, rest / 8, &scratch);
+    let mut join = Join::new(&visit, others, settings, rest / 8, &scratch);
     progress.begin("export", visit.chunks.len() as u64, "chunks");
-    let select = |_, chunk: DecodedChunk| Ok(selected(chunk, range, settings.corners, cut.as_ref()));
-    visit.each(0, progress, select, |n, chosen| join.push(n, &chosen))?;
+    let wanted = Wanted { range, corners: settings.corners, cut: cut.as_ref(), others };
+    visit.each(extra, progress, |id, chunk| wanted.of(id, chunk), |n, chosen| join.push(n, &chosen))?;
     let (void_tetrahedra, mesh) = (join.void, join.builder.finish());
     let read = start.elapsed();
 
@@ -143,53 +173,77 @@ pub(in crate::pipeline) fn export(
     let meta = TetMeta {
         place: &|p| place.world(lattice.to_index_space(p)),
         mirrors: place.mirrors(),
-        field: source.field.clone(),
-        offset: source.offset,
+        fields: std::iter::once(archive).chain(others).map(field_of).collect(),
         comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
         compress: threads.as_ref(),
     };
     let file_bytes = write_tetrahedra(&mesh, out, format, &meta)?;
+    // Of the mesh, the archive counts the bytes of all.
+    let bytes_of_others = others.iter().map(StepView::value_bytes_read).sum::<u64>();
     Ok(ExportReport {
+        fields: meta.fields.into_iter().map(|field| field.name).collect(),
         points: mesh.point_count(),
         tetrahedra: mesh.tet_count(),
         archive_tetrahedra: archive.manifest.counts.tetrahedra,
         void_tetrahedra,
         chunks_read: visit.chunks.len() as u64,
         chunks: archive.chunks.len(),
-        bytes_read: archive.bytes_read() - read_before + index_bytes,
+        bytes_read: archive.bytes_read() - read_before + index_bytes + bytes_of_others,
         file_bytes,
         seconds: vec![(Stage::Join, read.as_secs_f64()), (Stage::Write, start.elapsed().as_secs_f64())],
     })
 }
 
-/// A chunk with the tetrahedra that are wanted, and the number of void ones.
+/// A field, as a file states it: by the name that it has in the archive.
+fn field_of(view: &StepView) -> TetField {
+    let step = view.step();
+    TetField { name: step.field().to_owned(), offset: step.plan.source.offset }
+}
+
+/// A chunk with the tetrahedra that are wanted, the values of each further field, and the number
+/// of void tetrahedra.
 struct Selected {
     chunk: DecodedChunk,
+    others: Vec<Vec<f32>>,
     void: u64,
 }
 
-fn selected(
-    mut chunk: DecodedChunk,
+/// Which tetrahedra of a chunk are wanted, with which further fields.
+struct Wanted<'a> {
     range: Option<[f32; 2]>,
     corners: Corners,
-    cut: Option<&Cut>,
-) -> Selected {
-    let mut void = 0;
-    let (values, positions) = (&chunk.values, &chunk.positions);
-    chunk.tets.retain(|tet: &Tet| {
-        if cut.is_some_and(|cut| !cut.touches(&tet.map(|v| positions[v as usize]))) {
-            return false;
-        }
-        let of_tet = tet.map(|v| values[v as usize]);
-        let has_void = of_tet.iter().any(|v| v.is_nan());
-        void += u64::from(has_void);
-        !has_void && in_range(of_tet, range, corners)
-    });
-    Selected { chunk, void }
+    cut: Option<&'a Cut>,
+    others: &'a [StepView],
 }
 
-fn in_range(values: [f32; 4], range: Option<[f32; 2]>, corners: Corners) -> bool {
-    let Some([lo, hi]) = range else { return true };
+impl Wanted<'_> {
+    fn of(&self, id: ChunkId, mut chunk: DecodedChunk) -> Result<Selected> {
+        let mut void = 0;
+        let has_all = |values: &[f32], tet: &Tet| tet.iter().all(|&v| !values[v as usize].is_nan());
+        let (values, positions) = (&chunk.values, &chunk.positions);
+        chunk.tets.retain(|tet: &Tet| {
+            if self.cut.is_some_and(|cut| !cut.touches(&tet.map(|v| positions[v as usize]))) {
+                return false;
+            }
+            let Some(range) = self.range else { return true };
+            let has_all = has_all(values, tet);
+            void += u64::from(!has_all);
+            has_all && in_range(tet.map(|v| values[v as usize]), range, self.corners)
+        });
+        let others = self.others.iter().map(|view| view.values_at_corners(id, &chunk.tets));
+        let others = others.collect::<Result<Vec<_>>>()?;
+        if self.range.is_none() {
+            chunk.tets.retain(|tet| {
+                let has_any = has_all(values, tet) || others.iter().any(|values| has_all(values, tet));
+                void += u64::from(!has_any);
+                has_any
+            });
+        }
+        Ok(Selected { chunk, others, void })
+    }
+}
+
+fn in_range(values: [f32; 4], [lo, hi]: [f32; 2], corners: Corners) -> bool {
     let inside = |v: &f32| (lo..=hi).contains(v);
     match corners {
         Corners::All => values.iter().all(inside),
@@ -200,6 +254,7 @@ fn in_range(values: [f32; 4], range: Option<[f32; 2]>, corners: Corners) -> bool
 /// Joins chunks, in order, and closes points that no chunk to come can have.
 struct Join<'a> {
     visit: &'a Visit<'a>,
+    others: &'a [StepView],
     builder: TetBuilder,
     every: u64,
     /// Tetrahedra that passed so far.
@@ -214,11 +269,19 @@ struct Join<'a> {
 
 impl<'a> Join<'a> {
     /// `share` bytes for finished records, and as many for open points.
-    fn new(visit: &'a Visit<'a>, settings: &ExportSettings, share: u64, scratch: &Path) -> Self {
+    fn new(
+        visit: &'a Visit<'a>,
+        others: &'a [StepView],
+        settings: &ExportSettings,
+        share: u64,
+        scratch: &Path,
+    ) -> Self {
         let most_open = share / OPEN_POINT;
+        let records = usize::try_from(share).unwrap_or(usize::MAX);
         Self {
             visit,
-            builder: TetBuilder::new(usize::try_from(share).unwrap_or(usize::MAX), scratch),
+            others,
+            builder: TetBuilder::new(1 + others.len(), records, scratch),
             every: settings.every,
             passed: 0,
             void: 0,
@@ -243,13 +306,15 @@ impl<'a> Join<'a> {
             &each_nth
         };
         self.passed += chunk.tets.len() as u64;
+        let others = selected.others.iter().map(Vec::as_slice);
         self.builder.push(&ChunkTets {
             positions: &chunk.positions,
             ids: &chunk.ids,
-            values: &chunk.values,
+            values: &std::iter::once(&*chunk.values).chain(others).collect::<Vec<_>>(),
             shared: &chunk.shared,
             tets,
         })?;
+        self.others.iter().for_each(|view| view.close_before(self.visit.chunks[n]));
         self.close_points(n + 1)
     }
 

@@ -34,8 +34,6 @@ pub(in crate::pipeline) struct MeshChoice {
     pub(in crate::pipeline) choice: Choice,
     /// Points inside.
     pub(in crate::pipeline) count: u64,
-    /// The error that is wanted, in units of the field.
-    pub(in crate::pipeline) bound: Option<f64>,
 }
 
 /// The errors of simple reductions of a mesh, from which levels are chosen.
@@ -81,14 +79,14 @@ impl MeshCurves {
     /// When threads cannot be started.
     pub(in crate::pipeline) fn choose(&self, target: Option<Target>, count: u64) -> Result<MeshChoice> {
         let curves = &self.curves;
-        let bound = target.and_then(Target::bound).map(|b| b.in_units(self.range));
+        let bound = target.and_then(Target::bound).map(|b| b.in_units(self.range.map(f64::from)));
         pool(self.threads)?.install(|| {
             if let (Some(Target::Max(_)), Some(bound)) = (target, bound) {
                 let choice = Choice::of_bound(curves, bound, self.vertices)?;
-                return Ok(MeshChoice { count: choice.points_in(curves), choice, bound: Some(bound) });
+                return Ok(MeshChoice { count: choice.points_in(curves), choice });
             }
             let count = bound.map_or(count, |bound| Choice::count_of_rms(curves, bound));
-            Ok(MeshChoice { choice: Choice::of_count(curves, count)?, count, bound })
+            Ok(MeshChoice { choice: Choice::of_count(curves, count)?, count })
         })
     }
 }

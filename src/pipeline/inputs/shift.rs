@@ -11,8 +11,11 @@ use crate::exec::CancelToken;
 use crate::pipeline::settings::NanPolicy;
 use crate::simd::with_vectors;
 use crate::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
-use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
+use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use std::path::Path;
+
+/// From this on, `f64` has not all whole numbers.
+const WHOLE_F64: f64 = 9_007_199_254_740_992.0;
 
 /// How the values of a source are kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -74,16 +77,24 @@ impl Shift {
         if exact && offset.is_none_or(|o| o == 0.0) {
             return Ok(Self::default());
         }
+        let mut largest = 0.0f64;
         let look = |offset| {
             let (mut values, mut block, mut found) =
                 (mesh.values(memory, move |v| is_missing(v, missing))?, vec![], Surveyed::NONE);
             while values.next_block(&mut block)? {
                 cancel.check()?;
-                block.iter().filter(|v| !is_missing(**v, missing)).for_each(|v| found.add(v - offset));
+                for v in block.iter().filter(|v| !is_missing(**v, missing)) {
+                    found.add(v - offset);
+                    largest = largest.max(v.abs());
+                }
             }
             Ok(found)
         };
-        Self::chosen(&mesh.info().path, is_whole(scalar, 1.0, 0.0), offset, look)
+        let shift = Self::chosen(&mesh.info().path, is_whole(scalar, 1.0, 0.0), offset, look)?;
+        // Numbers of meshes are read as f64, which has not all of these whole numbers.
+        let wide = matches!(scalar, ScalarType::I64 | ScalarType::U64) && largest >= WHOLE_F64;
+        let lost = if wide { (largest.next_up() - largest) / 2.0 } else { 0.0 };
+        Ok(Self { rounding: shift.rounding + lost, ..shift })
     }
 
     fn chosen(

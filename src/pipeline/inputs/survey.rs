@@ -19,6 +19,8 @@ const BUDGET: u64 = 1 << 20;
 const PIECES: u64 = 64;
 /// The most samples of a stream that are decoded for a survey.
 const STREAM_SAMPLES: u64 = 1 << 23;
+/// The samples that a chunk counts as, at least: each is a file, or a request.
+const CHUNK_SAMPLES: u64 = 1 << 10;
 /// The least part of the samples that a fill value has.
 const FILL_SHARE: f64 = 0.001;
 /// The most values of a field of labels; and the number of values up to which a field of whole
@@ -386,13 +388,20 @@ pub(in crate::pipeline) fn survey_volume(source: VolumeSource, budget: u64) -> R
     match source {
         VolumeSource::Random(reader) => survey_reader(&*reader, budget),
         other => {
+            let chunk = match &other {
+                VolumeSource::Chunked(chunks) => Some(chunks.chunk_dims()),
+                _ => None,
+            };
             let mut stream = other.into_stream();
             let mut watch = Watch::new(stream.info(), budget);
-            let (mut bytes, mut done) = (vec![], 0);
-            while done < STREAM_SAMPLES
+            let (mut bytes, mut done, mut work) = (vec![], 0, 0u64);
+            while work < STREAM_SAMPLES
                 && let Some(slab) = stream.next_slab(&mut bytes)?
             {
-                done += slab.len() as u64;
+                let samples = slab.len() as u64;
+                let chunks = chunk.map_or(0, |chunk| chunks_of(slab, chunk));
+                done += samples;
+                work = work.saturating_add(samples.max(chunks.saturating_mul(CHUNK_SAMPLES)));
                 watch.see(slab, &bytes);
             }
             let total = stream.info().dims.iter().product::<u64>();
@@ -402,6 +411,11 @@ pub(in crate::pipeline) fn survey_volume(source: VolumeSource, budget: u64) -> R
             Ok(watch.survey)
         }
     }
+}
+
+/// How many chunks of a size a slab has.
+fn chunks_of(slab: IndexBox, chunk: [u64; 3]) -> u64 {
+    slab.dims().iter().zip(chunk).fold(1, |n, (&d, c)| n.saturating_mul(d.div_ceil(c.max(1))))
 }
 
 fn survey_reader(reader: &dyn VolumeReader, budget: u64) -> Result<Survey> {
@@ -560,6 +574,7 @@ impl Survey {
 mod tests {
     use super::*;
     use crate::formats::{OpenOptions, RawLayout};
+    use crate::volume::chunked::DecodeCount;
 
     /// What is found in rows that hold all samples.
     fn found(rows: &[Vec<f64>]) -> Found {
@@ -695,6 +710,22 @@ mod tests {
                 _ => assert!(!is_long && sorted(stream) == random, "{dims:?}"),
             }
         }
+    }
+
+    /// Chunks of one sample each, of which there is no file: each is looked for.
+    #[test]
+    fn few_of_many_small_chunks_are_opened() {
+        let dir = tempfile::tempdir().unwrap();
+        let array = r#"{"zarr_format": 2, "shape": [1000, 1000, 1000], "chunks": [1, 1, 1], "dtype": "|u1",
+            "compressor": null, "filters": null, "fill_value": 0, "order": "C"}"#;
+        std::fs::write(dir.path().join(".zarray"), array).unwrap();
+        let source = crate::formats::open_volume(dir.path(), &OpenOptions::default()).unwrap();
+        let VolumeSource::Chunked(chunks) = source else { panic!("chunks") };
+        let count = DecodeCount::default();
+        let survey = survey_volume(VolumeSource::Chunked(count.counting(chunks)), BUDGET).unwrap();
+        let most = STREAM_SAMPLES / CHUNK_SAMPLES;
+        assert!((1..=2 * most).contains(&count.decodes()), "{}", count.decodes());
+        assert!(matches!(survey.seen, Seen::First(_)));
     }
 
     #[test]

@@ -419,7 +419,7 @@ pub struct SearchEstimate {
     pub target: Target,
     /// How many tries there will be, about.
     pub tries: u32,
-    /// Bytes of the archive: the least and the most that the search may end with.
+    /// Bytes of the archive: the least, and about the most, that the search may end with.
     pub archive_bytes: [u64; 2],
     /// Seconds of all tries, roughly.
     #[serde(rename = "estimated_seconds")]
@@ -444,7 +444,7 @@ pub struct Estimate {
     pub memory_comfortable: u64,
     /// Chunks at work at one time with the memory given; 0 when it does not suffice.
     pub workers: usize,
-    /// Bytes of the archive, at most; usually it has fewer.
+    /// Bytes of the archive, about: most fields take fewer, noise takes more.
     pub archive_bytes: u64,
     /// Bytes of the source: its files, or its samples as they are stored, whichever is less. None
     /// where that is not known.

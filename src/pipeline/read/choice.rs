@@ -3,6 +3,7 @@
 use crate::archive::manifest::{Manifest, Step};
 use crate::error::{Error, Result};
 use crate::formats::without_frame;
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::Path;
 use std::str::FromStr;
@@ -112,6 +113,43 @@ impl Moment {
         }
     }
 
+    /// The names of all fields that a manifest has at this moment.
+    pub(super) fn fields(self, manifest: &Manifest) -> Vec<&str> {
+        let steps = &manifest.steps;
+        if is_of_fields(manifest) {
+            return steps.iter().map(Step::field).collect();
+        }
+        let number = steps[self.step].number();
+        let has_it = |run: &&[Step]| run.iter().any(|step| step.number() == number);
+        match steps[self.step].series {
+            Some(_) => manifest.runs().filter(has_it).map(|run| run[0].field()).collect(),
+            None => vec![steps[self.step].field()],
+        }
+    }
+
+    /// The same moment, of another field.
+    pub(super) fn in_field(self, manifest: &Manifest, field: &str, shown: &Path) -> Result<Self> {
+        let steps = &manifest.steps;
+        if steps[self.step].field() == field {
+            return Ok(self);
+        }
+        if is_of_fields(manifest) {
+            return Self::of(manifest, StepChoice::Field(field.to_owned()), shown);
+        }
+        let at = |n: usize| Self::of_number(manifest, steps[n].number(), Some(field), shown);
+        let found = at(self.step)?;
+        // Between two steps the field must have the same two.
+        if self.beyond.is_some() && at(self.step + 1)?.step != found.step + 1 {
+            return Err(Error::usage(format!(
+                "{}: {field} has a step between steps {} and {}",
+                shown.display(),
+                steps[self.step].number(),
+                steps[self.step + 1].number()
+            )));
+        }
+        Ok(Self { beyond: self.beyond, ..found })
+    }
+
     fn of_number(manifest: &Manifest, number: u64, field: Option<&str>, shown: &Path) -> Result<Self> {
         let run = run_of(manifest, field, shown)?;
         let steps = &manifest.steps[run.clone()];
@@ -160,6 +198,20 @@ impl Moment {
             ))),
         }
     }
+}
+
+/// Whether the steps of an archive are the fields of one moment.
+pub(in crate::pipeline) fn is_of_fields(manifest: &Manifest) -> bool {
+    let steps = &manifest.steps;
+    let is_plain = |s: &Step| {
+        let field = &s.plan.source.field;
+        s.series.is_none() && s.plan.time.is_none() && without_frame(field) == field
+    };
+    if steps.len() < 2 || !steps.iter().all(is_plain) {
+        return false;
+    }
+    let names: BTreeSet<&str> = steps.iter().map(|s| &*s.plan.source.field).collect();
+    names.len() == steps.len()
 }
 
 /// Whether a step has the field of a name, or a frame of it.

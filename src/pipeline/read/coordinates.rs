@@ -268,7 +268,9 @@ pub(in crate::pipeline) fn index_places(
     positions: &[[f64; 3]],
     cancel: &CancelToken,
 ) -> Result<Option<Vec<Option<[f64; 3]>>>> {
-    with_cells(archive, cancel, |map, boxes| map.find(boxes, positions, &|| cancel.check()))
+    with_cells(archive, cancel, |map, boxes| {
+        map.find(boxes, positions, origin_of_grid(archive, map)?, &|| cancel.check())
+    })
 }
 
 /// The least box of the world that holds the domain.

@@ -42,4 +42,12 @@ impl StepView {
         let (positions, ids, values, shared) = reader.into_corners();
         Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })
     }
+
+    /// The values at the corners of some tetrahedra of a chunk, by chunk-local vertex number; the
+    /// others are anything. For tetrahedra that another view of the archive has decoded.
+    pub(in crate::pipeline) fn values_at_corners(&self, id: ChunkId, tets: &[Tet]) -> Result<Vec<f32>> {
+        let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
+        reader.load_values(tets)?;
+        Ok(reader.into_corners().2)
+    }
 }

@@ -39,7 +39,7 @@ pub(super) use archive::OpenArchive;
 pub use archive::is_archive;
 pub(super) use block::{Block, BlockCorners, NumberedShape};
 pub(super) use block_cache::{CacheHit, CachedBlock, unpack_precomputed};
-pub(super) use choice::Moment;
+pub(super) use choice::{Moment, is_of_fields};
 pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::{MeshedChunk, used_corners};
 pub(super) use chunk_reader::{ChunkReader, Needed, Wanted, bytes_per_vertex};

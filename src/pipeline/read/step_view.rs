@@ -131,6 +131,17 @@ impl StepView {
         self.moment.step
     }
 
+    /// The names of all fields that the archive has at this moment.
+    pub(in crate::pipeline) fn fields(&self) -> Vec<&str> {
+        self.moment.fields(&self.manifest)
+    }
+
+    /// The same moment, of another field.
+    pub(in crate::pipeline) fn in_field(&self, field: &str) -> Result<Self> {
+        let moment = self.moment.in_field(&self.manifest, field, self.path())?;
+        Ok(Self::new(Arc::clone(&self.archive), moment))
+    }
+
     /// Whether this is a moment between two steps, for which nothing is stored.
     pub(in crate::pipeline) fn is_between(&self) -> bool {
         self.moment.beyond.is_some()
@@ -219,10 +230,15 @@ impl StepView {
 
     /// Bytes read so far for this view, and of the mesh also for others.
     pub(in crate::pipeline) fn bytes_read(&self) -> u64 {
-        let open = self.values.lock().unwrap_or_else(PoisonError::into_inner);
-        let values = self.read_before.load(Ordering::Relaxed) + bytes_read(open.values());
         let unpacked = self.unpacked.get().and_then(Option::as_ref);
-        self.mesh_bytes_read() + values + unpacked.map_or(0, |file| file.segment().bytes_read())
+        let unpacked = unpacked.map_or(0, |file| file.segment().bytes_read());
+        self.mesh_bytes_read() + self.value_bytes_read() + unpacked
+    }
+
+    /// Bytes read so far of values for this view.
+    pub(in crate::pipeline) fn value_bytes_read(&self) -> u64 {
+        let open = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        self.read_before.load(Ordering::Relaxed) + bytes_read(open.values())
     }
 
     /// Bytes of all files of the archive, with the unpacked blocks that are used.

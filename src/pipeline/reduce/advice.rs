@@ -411,7 +411,7 @@ fn of_numbers(
     if archive > size.bytes.max(SMALL) {
         let flags = smaller(archive, size.bytes, settings, bits.is_some());
         let text = format!(
-            "the archive may take up to {}, more than its source, {}: {flags} makes it smaller",
+            "the archive takes about {}, more than its source, {}: {flags} makes it smaller",
             size.in_words(archive),
             size.in_words(size.bytes)
         );

@@ -3,14 +3,14 @@
 use super::contents::ArchiveContents;
 use super::job::Job;
 use super::order::{
-    Entry, ends_with, is_of_fields, is_of_series, is_there, name_of, needed, next_numbers, numbered,
-    series_in, series_of, time_in,
+    Entry, ends_with, is_of_series, is_there, name_of, needed, next_numbers, numbered, series_in, series_of,
+    time_in,
 };
 use super::series::{KnownUnits, SeriesPlan, is_of_data};
 use crate::archive::manifest::{BaseStep, Manifest, Step, StepPlan};
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
-use crate::pipeline::read::OpenArchive;
+use crate::pipeline::read::{OpenArchive, is_of_fields};
 use std::collections::BTreeSet;
 
 impl SeriesPlan {
@@ -84,8 +84,10 @@ impl SeriesPlan {
                 continue;
             }
             let numbers = [n - 1, n].map(|n| self.plan.steps[n].number);
+            let is_number = self.plan.steps[n].time.is_none();
+            let why = if is_number { ", its number, because it has no time" } else { "" };
             let error = Error::usage(format!(
-                "times must ascend: step {} is at {a}, step {} at {b} (give them with --times)",
+                "times must ascend: step {} is at {a}, step {} at {b}{why} (give them with --times)",
                 numbers[0], numbers[1]
             ));
             self.refuse(n, job, error)?;

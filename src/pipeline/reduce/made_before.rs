@@ -43,7 +43,8 @@ pub(super) fn made_before(
         return Err(exists(job.out));
     }
     let samples = manifest.steps[0].plan.source.samples();
-    let report = ReduceReport { samples, made_before: true, ..ReduceReport::default() };
+    let of_fields = job.has_fields();
+    let report = ReduceReport { samples, of_fields, made_before: true, ..ReduceReport::default() };
     let report = report.of_archive(job.out, manifest, 0)?;
     let full_cells = if job.settings.adapt.is_some() { Some(full_cells(job.out)?) } else { None };
     let target = target.report_of(&report, source, full_cells)?;

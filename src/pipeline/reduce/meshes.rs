@@ -184,7 +184,7 @@ pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInp
             let record = OwnRecord::new(store.census.tetrahedra, vertices.volume6);
             plan.keep_own(&vertices.points, record)?;
         }
-        (Dense { levels: None, wanted, bound: None }, Listed::Own(vertices))
+        (Dense { levels: None, wanted }, Listed::Own(vertices))
     } else {
         let (dense, boundary) = dense_enough(&mut plan, &store, wanted, job, how, path).map_err(of_share)?;
         (dense, Listed::Boundary(boundary))
@@ -195,11 +195,8 @@ pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInp
         Some(archive) => expect_listed(archive, record)?,
     }
     let series = plan_steps(&mesh, &store, listed.points(), plan, (job, how, inputs))?;
-    let series = SeriesPlan {
-        bound: dense.bound,
-        attachments: Attachments { levels: dense.levels, ..series.attachments },
-        ..series
-    };
+    let series =
+        SeriesPlan { attachments: Attachments { levels: dense.levels, ..series.attachments }, ..series };
     Ok((MeshInput { store, listed, settings }, series, dense.wanted))
 }
 
@@ -232,8 +229,6 @@ struct Dense {
     levels: Option<Arc<Levels>>,
     /// Points that are wanted.
     wanted: u64,
-    /// The error that is wanted, in units of the field.
-    bound: Option<f64>,
 }
 
 /// Gives a plan as many points as are wanted, boundary included, denser in some places where that
@@ -249,7 +244,7 @@ fn dense_enough(
 ) -> Result<(Dense, BoundarySamples)> {
     let known = |levels, plan: &Plan| {
         let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
-        Ok((Dense { levels, wanted, bound: None }, boundary))
+        Ok((Dense { levels, wanted }, boundary))
     };
     if let Some(archive) = job.basis.archive() {
         return known(archive.points.levels().cloned(), plan);
@@ -275,7 +270,7 @@ fn dense_enough(
         let spaced =
             Plan::on_lattice(plan.mesh.lattice, (kind, count), plan.first().source.clone(), job.settings)?;
         plan.mesh = MeshPlan { points, repeated: plan.mesh.repeated, ..spaced.mesh };
-        return Ok((Dense { levels: None, wanted, bound: None }, boundary));
+        return Ok((Dense { levels: None, wanted }, boundary));
     };
     let curves = MeshCurves::new(store, how, adapt, job.run)?;
     let adapted = |plan: &mut Plan, choice: MeshChoice| {
@@ -285,10 +280,10 @@ fn dense_enough(
     };
     if let Some(target) = job.settings.target {
         let choice = curves.choose(Some(target), wanted)?;
-        let (wanted, bound) = (choice.count, choice.bound);
+        let wanted = choice.count;
         let levels = Some(adapted(plan, choice)?.1);
         let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
-        return Ok((Dense { levels, wanted, bound }, boundary));
+        return Ok((Dense { levels, wanted }, boundary));
     }
     let (adapted, boundary) = Search { store, how, path, wanted }.find(1.0, |count| {
         let mut plan = plan.clone();
@@ -297,7 +292,7 @@ fn dense_enough(
     })?;
     let (mesh, levels) = adapted;
     plan.mesh = mesh;
-    Ok((Dense { levels: Some(levels), wanted, bound: None }, boundary))
+    Ok((Dense { levels: Some(levels), wanted }, boundary))
 }
 
 /// The samples of the boundary that belong to a set of points.
@@ -480,7 +475,6 @@ fn plan_steps(
         is_there: false,
         keyframes: job.settings.keyframes,
         attachments: Attachments { explicit: Some(Arc::clone(listed)), levels: None, repeated },
-        bound: None,
         watch: Watch::default(),
     };
     let mut first_error = None;

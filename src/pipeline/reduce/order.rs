@@ -11,6 +11,7 @@
 
 use crate::archive::manifest::{BaseStep, Manifest, Step, StepPlan};
 use crate::formats::{StepSource, without_frame};
+use crate::pipeline::read::is_of_fields;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What the order of further steps is decided by.
@@ -43,20 +44,6 @@ pub(super) fn series_in(manifest: &Manifest, step: &Step) -> String {
         None if is_of_fields(manifest) => step.plan.source.field.clone(),
         None => without_frame(&step.plan.source.field).to_owned(),
     }
-}
-
-/// Whether the steps of an archive are the fields of one moment.
-pub(super) fn is_of_fields(manifest: &Manifest) -> bool {
-    let steps = &manifest.steps;
-    let is_plain = |s: &Step| {
-        let field = &s.plan.source.field;
-        s.series.is_none() && s.plan.time.is_none() && without_frame(field) == field
-    };
-    if steps.len() < 2 || !steps.iter().all(is_plain) {
-        return false;
-    }
-    let names: BTreeSet<&str> = steps.iter().map(|s| &*s.plan.source.field).collect();
-    names.len() == steps.len()
 }
 
 /// Whether a step of an archive is one of a field that further steps have.

@@ -116,14 +116,12 @@ pub(in crate::pipeline) struct PlannedSearch {
     pub(in crate::pipeline) shards: u64,
     /// Points of this try that are no samples of the boundary, or that a mesh was asked for.
     pub(in crate::pipeline) inner_points: u64,
-    /// The error that is wanted, in units of the field, where it was predicted.
-    pub(in crate::pipeline) bound: Option<f64>,
 }
 
 impl PlannedSearch {
     /// A search whose next try is planned, as its report says so far.
     pub(in crate::pipeline) fn new(search: TargetSearch, shards: u64, planned: &ReduceReport) -> Self {
-        Self { search, shards, inner_points: planned.inner_points, bound: planned.bound }
+        Self { search, shards, inner_points: planned.inner_points }
     }
 }
 
@@ -218,7 +216,6 @@ impl PlanFile {
             is_there: false,
             keyframes: self.settings.keyframes,
             attachments: Attachments::default(),
-            bound: None,
             watch,
         }
     }

@@ -83,7 +83,6 @@ fn of_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Planned> {
     let report = ReduceReport {
         samples: series.plan.first().source.samples(),
         inner_points: parts.points.interior_len(),
-        bound: series.bound,
         of_fields: job.has_fields(),
         seconds: vec![(Stage::Plan, planning.elapsed().as_secs_f64())],
         ..ReduceReport::default()
@@ -106,7 +105,6 @@ fn of_meshes(job: &Job<'_>) -> Result<Planned> {
     let report = ReduceReport {
         samples: census.vertices,
         inner_points: wanted,
-        bound: series.bound,
         of_fields: job.has_fields(),
         mesh: Some(census),
         seconds: vec![(Stage::Read, reading.elapsed().as_secs_f64())],
@@ -174,9 +172,9 @@ impl Planned {
 
     /// The report of an archive that is complete already.
     pub(super) fn report_of(self, manifest: &Manifest, layout: &Layout) -> Result<ReduceReport> {
-        let ReduceReport { samples, inner_points, bound, of_fields, .. } = self.report;
+        let ReduceReport { samples, inner_points, of_fields, .. } = self.report;
         let (skipped, made_before) = (self.series.skipped, true);
-        let report = ReduceReport { samples, inner_points, bound, of_fields, ..ReduceReport::default() };
+        let report = ReduceReport { samples, inner_points, of_fields, ..ReduceReport::default() };
         let report = ReduceReport { skipped, made_before, ..report };
         report.of_archive(layout.root(), manifest, 0)
     }

@@ -39,9 +39,9 @@ pub struct ReduceReport {
     /// The result of the search for a wanted error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
-    /// The error that is wanted, in units of the field.
+    /// The range of the samples of all steps; where no error was measured, of their points.
     #[serde(skip)]
-    pub(in crate::pipeline) bound: Option<f64>,
+    pub(in crate::pipeline) source_range: Option<[f64; 2]>,
     /// Whether the sources are several fields of each step: an error is a part of the range of
     /// each.
     #[serde(skip)]
@@ -154,12 +154,17 @@ impl SourceChunks {
     }
 }
 
+/// The range of the samples of some steps; where no error was measured, of their points.
+fn range_of<'a>(steps: impl Iterator<Item = &'a Step>) -> Option<[f64; 2]> {
+    let of_step = |step: &Step| step.error.as_ref().and_then(|e| e.source_range).or(step.file_range());
+    steps.filter_map(of_step).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+}
+
 /// The errors of each step as parts of the range of its field, in all steps that have this.
 fn shares(manifest: &Manifest) -> Vec<[f64; 2]> {
-    let range_of = |step: &Step| step.error.as_ref().and_then(|e| e.source_range).or(step.file_range());
     let of_field = |name: &str| {
-        let same = manifest.steps.iter().filter(|s| without_frame(s.field()) == name).filter_map(range_of);
-        same.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).map_or(0.0, |[lo, hi]| hi - lo)
+        let same = manifest.steps.iter().filter(|s| without_frame(s.field()) == name);
+        range_of(same).map_or(0.0, |[lo, hi]| hi - lo)
     };
     let mut known: BTreeMap<&str, f64> = BTreeMap::new();
     let mut all = vec![];
@@ -207,6 +212,7 @@ impl ReduceReport {
             error: steps.first().and_then(|step| step.error.clone()),
             steps: positions.iter().map(|n| StepSummary::of(manifest, *n)).collect(),
             archive_bytes: folder_bytes(root)?,
+            source_range: range_of(steps.into_iter()),
             shares: shares(manifest),
             ..self
         })

@@ -17,13 +17,11 @@ use crate::sample::Values;
 use serde::{Deserialize, Serialize};
 
 impl Target {
-    /// The bound, in units of the field or in bytes, known from the first try.
-    fn limit(self, report: &ReduceReport, source: Option<u64>) -> Result<f64> {
+    /// The bound, in units of the field or in bytes: any try tells the range of the samples.
+    pub(super) fn limit(self, report: &ReduceReport, source: Option<u64>) -> Result<f64> {
         match self {
-            Self::Rms(Bound::OfRange(part)) | Self::Max(Bound::OfRange(part)) if report.of_fields => Ok(part),
             Self::Rms(bound) | Self::Max(bound) => {
-                let range = source_range(report).map(|r| r.map(|v| v as f32)).unwrap_or_default();
-                Ok(report.bound.unwrap_or_else(|| bound.in_units(range)))
+                Ok(bound.in_units(source_range(report).unwrap_or_default()))
             }
             Self::Size(_) | Self::Ratio(_) => self.bytes(source),
         }
@@ -89,15 +87,9 @@ const LEAST_BYTES: u64 = 4 << 10;
 /// Bytes of the manifest that state the target, at most.
 const RECORD: u64 = 64;
 
-/// The range of the samples, of all steps as far as it is known. Errors of several fields are parts
-/// of the range of each.
+/// The range of the samples of all steps. Errors of several fields are parts of the range of each.
 fn source_range(report: &ReduceReport) -> Option<[f64; 2]> {
-    if report.of_fields {
-        return Some([0.0, 1.0]);
-    }
-    let of_steps = report.steps.iter().filter_map(|s| s.range);
-    let of_first = report.error.as_ref().and_then(|e| e.source_range);
-    of_first.into_iter().chain(of_steps).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+    if report.of_fields { Some([0.0, 1.0]) } else { report.source_range }
 }
 
 /// Tries, at most.

@@ -101,8 +101,6 @@ pub(in crate::pipeline) struct SeriesPlan {
     pub(in crate::pipeline) keyframes: u64,
     /// What is stored with the plan.
     pub(in crate::pipeline) attachments: Attachments,
-    /// The error that is wanted, in units of the field.
-    pub(in crate::pipeline) bound: Option<f64>,
     /// The files of all steps, which must not change until all is made.
     pub(in crate::pipeline) watch: Watch,
 }

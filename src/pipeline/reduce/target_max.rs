@@ -166,7 +166,7 @@ fn make_try(
     let search = LevelSearch {
         tries: number,
         samples: report.samples,
-        bound: last.map_or_else(|| report.bound.unwrap_or_default(), |last| last.bound),
+        bound: last.map_or_else(|| target.limit(&report, None), |last| Ok(last.bound))?,
         reached: error_of(target, &report),
         meshed_chunks: [meshed + report.chunks - report.reused_chunks, chunks + report.chunks],
         is_over: false,

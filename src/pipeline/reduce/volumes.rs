@@ -67,7 +67,6 @@ struct Planner<'a> {
     /// Where points are needed, from the steps examined so far.
     errors: Option<Errors<'a>>,
     attachments: Attachments,
-    bound: Option<f64>,
     inputs: Inputs<'a>,
     /// The offset that is subtracted from the values of all steps, once it is known.
     offset: Option<f64>,
@@ -98,7 +97,6 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
         plan: None,
         errors: None,
         attachments: Attachments::default(),
-        bound: None,
         inputs: job.basis.inputs(),
         offset: None,
         looked_into: None,
@@ -115,8 +113,11 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
     let every = sources.len().div_ceil(MOST_LOOKED_AT);
     for (i, (number, source)) in sources.iter().map(|(n, s)| (*n, s)).enumerate() {
         run.resources.cancel.check()?;
+        // Of each field at least one.
+        let name = |source: &StepSource| source.part().map(|part| part.name.clone());
+        let begins_field = i > 0 && name(&sources[i - 1].1) != name(source);
         let step = planner
-            .step(number, source, i % every == 0)
+            .step(number, source, i % every == 0 || begins_field)
             .map_err(|e| if several { e.at_step(number) } else { e });
         match step {
             Ok((step, source)) => {
@@ -131,7 +132,7 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
         }
     }
     planner.set_levels()?;
-    let (attachments, bound, watch) = (planner.attachments, planner.bound, planner.inputs.watch);
+    let (attachments, watch) = (planner.attachments, planner.inputs.watch);
     let Some(plan) = planner.plan.filter(|_| !steps.is_empty()) else {
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
     };
@@ -143,7 +144,6 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
         is_there: false,
         keyframes: settings.keyframes,
         attachments,
-        bound,
         watch,
     };
     skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
@@ -223,10 +223,10 @@ impl Planner<'_> {
             self.attachments = Attachments::read(self.job.out, &planned.mesh)?;
             plan.mesh.clone_from(&planned.mesh);
         }
-        if let Some(errors) = self.errors.take() {
+        if let Some(errors) = self.errors.take().map(Errors::finished) {
             let (target, dims) = (self.job.settings.target, plan.mesh.lattice.dims);
-            self.bound = target.and_then(Target::bound).map(|b| b.in_units(errors.range()));
-            let choice = match target.zip(self.bound) {
+            let bound = target.and_then(Target::bound).map(|b| b.in_units(errors.range()));
+            let choice = match target.zip(bound) {
                 Some((Target::Rms(_), bound)) => errors.choice(errors.count_of_rms(bound)?)?,
                 Some((Target::Max(_), bound)) => errors.choice_of_bound(bound, dims.iter().product())?,
                 _ => errors.choice(count_of(self.job.settings, dims))?,
@@ -243,10 +243,11 @@ impl Planner<'_> {
     fn look_at(&mut self, source: &StepSource) -> Result<()> {
         let (Some(plan), Some(adapt)) = (&self.plan, &self.job.settings.adapt) else { return Ok(()) };
         if self.errors.is_none() {
-            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.job.run)?);
+            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.job.run, self.job.has_fields())?);
         }
         let (volume, reading) = (volume_of(source, "the volume it was")?, self.reading());
-        self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume, reading))
+        let field = source.part().map(|part| &*part.name);
+        self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume, reading, field))
     }
 
     fn step(&mut self, number: u64, source: &StepSource, look: bool) -> Result<(StepPlan, PlannedSource)> {

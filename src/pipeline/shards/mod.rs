@@ -348,9 +348,9 @@ fn planned_report(file: &PlanFile) -> ReduceReport {
         Some(mesh) => mesh.vertices,
         None => file.plan.first().source.dims.iter().product(),
     };
-    let (inner_points, bound) = file.search.as_ref().map_or((0, None), |s| (s.inner_points, s.bound));
+    let inner_points = file.search.as_ref().map_or(0, |search| search.inner_points);
     let of_fields = file.numbered().iter().any(|(_, source)| source.part().is_some());
-    ReduceReport { samples, inner_points, bound, of_fields, ..ReduceReport::default() }
+    ReduceReport { samples, inner_points, of_fields, ..ReduceReport::default() }
 }
 
 /// The parts of a plan, with what is stored in the archive.

@@ -146,7 +146,7 @@ pub struct StatusReport {
 /// says if not given; `quick` believes headers, lengths and footers and does not read the blocks.
 ///
 /// # Errors
-/// [`Error::BadInput`] when there is no plan.
+/// [`Error::BadInput`] when there is no plan, and for a damaged manifest.
 pub fn shard_status(
     out: &Path,
     shards: Option<u64>,
@@ -167,9 +167,15 @@ pub fn shard_status(
     let mut missing_shards: Vec<u64> = faults.iter().map(shard_of).collect();
     missing_shards.dedup();
     let left = leftovers(out)?;
+    // A file of the name alone makes no archive: what it says does.
+    let committed = root == out && out.join(MANIFEST_NAME).exists();
+    if committed {
+        let help = "the manifest is damaged: remove this file, then isospan work and commit make it again";
+        Manifest::read(out).map_err(|e| e.with_help(help))?;
+    }
     Ok(StatusReport {
         archive: out.to_path_buf(),
-        committed: root == out && out.join(MANIFEST_NAME).exists(),
+        committed,
         try_number: file.search.as_ref().map(|planned| planned.search.this_try()),
         segments: inventory.segments(),
         done: inventory.segments() - faults.chunk_by(|a, b| a.segment == b.segment).count() as u64,

@@ -45,11 +45,11 @@ pub(in crate::pipeline) fn values_on(
     surface: &dyn SurfaceSource,
     isovalue: f64,
     resources: &Resources,
-) -> Result<Vec<f32>> {
+) -> Result<Vec<f64>> {
     let (count, source) = (surface.vertex_count(), &field.step().plan.source);
     let mut all = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
     each_value(archive, field, surface, &[(isovalue, count)], resources, |some| {
-        all.extend(some.iter().map(|&v| source.in_file(v) as f32));
+        all.extend(some.iter().map(|&v| source.in_file(v)));
         Ok(())
     })?;
     Ok(all)

@@ -157,6 +157,7 @@ pub(crate) struct Part {
     roi: Option<String>,
     every: u64,
     compress: bool,
+    fields: Vec<String>,
 }
 
 /// What an archive is measured against.
@@ -178,10 +179,19 @@ impl Against {
 impl Archive {
     /// The archive at a step; at the one that it was opened at, if none is given.
     fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<Step>> {
+        self.at_field(py, when, None)
+    }
+
+    /// As [`Archive::at`], of a field that is known.
+    fn at_field(&self, py: Python<'_>, when: When, field: Option<&String>) -> PyResult<Arc<Step>> {
         if when == (None, None) {
             return Ok(Arc::clone(&self.here));
         }
-        let choice = choice(py, when)?;
+        let choice = match (choice(py, when)?, field.cloned()) {
+            (StepChoice::Number(number), Some(field)) => StepChoice::NumberOf(number, field),
+            (StepChoice::Time(time), Some(field)) => StepChoice::TimeOf(time, field),
+            (choice, _) => choice,
+        };
         py.detach(|| {
             let mut other = self.other.lock().unwrap_or_else(PoisonError::into_inner);
             if let Some((known, step)) = &*other
@@ -372,8 +382,9 @@ impl Archive {
         when: When,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let archive = self.at(py, when)?;
+        let archive = self.at_field(py, when, part.fields.first())?;
         let settings = ExportSettings {
+            fields: part.fields,
             resources: machine.resources(py)?,
             range: part.range,
             corners: if part.any_corner { Corners::Any } else { Corners::All },

@@ -183,6 +183,28 @@ def test_tetrahedra(tooth, program, tmp_path):
     assert grid.n_cells == report["tetrahedra"] and grid.n_points == report["points"]
 
 
+def test_tetrahedra_of_several_fields(program, tmp_path):
+    z, y, x = np.mgrid[-1:1:9j, -1:1:10j, -1:1:11j]
+    for n in range(2):
+        fields = {"T": (x * y + n).astype("f4"), "p": (z * x - n).astype("f4")}
+        np.savez(tmp_path / f"s{n}.npz", **fields)
+    inputs = [tmp_path / f"s{n}.npz" for n in range(2)]
+    program("reduce", *inputs, "-o", tmp_path / "f.isospan", "--fields", "T,p", "--times", "0,1")
+    archive = isospan.open(tmp_path / "f.isospan")
+    for keywords, flags in [({"step": 1}, ["--step", 1]), ({"time": 0.25}, ["--time", 0.25])]:
+        program("export", archive.path, "-o", tmp_path / "p.vtu", "--force", *flags)
+        report = archive.save_tetrahedra(tmp_path / "s.vtu", fields=["T", "p"], **keywords)
+        assert report["fields"] == ["T", "p"]
+        assert (tmp_path / "s.vtu").read_bytes() == (tmp_path / "p.vtu").read_bytes()
+    grid = archive.to_unstructured_grid(step=1, fields=["p", "T"])
+    assert grid.point_data.keys() == ["p", "T"]
+    assert archive.save_tetrahedra(tmp_path / "s.vtu", step=(1, "p"))["fields"] == ["p"]
+    with pytest.raises(isospan.UsageError, match="no field q"):
+        archive.save_tetrahedra(tmp_path / "n.vtu", step=1, fields=["q"])
+    with pytest.raises(isospan.UsageError, match="list of names"):
+        archive.save_tetrahedra(tmp_path / "n.vtu", step=1, fields="T")
+
+
 def test_measure_and_check(tooth, program, tmp_path):
     from conftest import TOOTH
 

@@ -11,6 +11,7 @@ const FINE = 512;
 
 const state = {
   archive: 0,
+  field: null,
   step: undefined,
   surfaces: [],
   active: 0,
@@ -36,15 +37,35 @@ let nextName = 0;
 let isPlaced = false;
 
 const archive = () => archives[state.archive];
-const steps = () => archive().steps;
+/** The names of the fields, where each step has several. */
+function names() {
+  const all = archive().steps;
+  const isOne = new Set(all.map((s) => s.number)).size === all.length;
+  return isOne ? [] : [...new Set(all.map((s) => s.field))];
+}
+/** The steps; those of the field that is chosen, where each step has several. */
+const steps = () => (names().length ? archive().steps.filter((s) => s.field === state.field) : archive().steps);
 const stepInfo = () => steps().find((s) => s.number === state.step) ?? steps()[0];
 /** The step whose field colours show: that of the surfaces, or another field of the archive. */
-const colourInfo = () => steps().find((s) => s.number === state.by) ?? stepInfo();
+function colourInfo() {
+  const isIt = names().length ? (s) => s.number === state.step && s.field === state.by : (s) => s.number === state.by;
+  return archive().steps.find(isIt) ?? stepInfo();
+}
 /** The steps that are fields of their own, where surfaces can have their colours. */
 function fields() {
   const isField = new Set(steps().map((s) => s.field)).size === steps().length && steps().length > 1;
   return isField ? steps() : [];
 }
+
+/** The fields that can colour the surfaces: their names, and what `by` is of each. */
+function colourChoices() {
+  const several = names().map((name) => ({ name, value: name }));
+  return several.length ? several : fields().map((s) => ({ name: s.field, value: s.number }));
+}
+
+/** The field that colours surfaces, as the server takes it. */
+const colourOf = () =>
+  state.by !== null && names().length ? { colour: state.step, colour_field: state.by } : { colour: state.by };
 
 /** Whether the steps follow each other in time. */
 const isSeries = () => steps().length > 1 && !fields().length;
@@ -91,6 +112,7 @@ const failed = (error) => {
 function toAddress() {
   const p = new URLSearchParams();
   if (state.archive) p.set("archive", state.archive);
+  if (names().length) p.set("field", state.field);
   if (steps().length > 1) p.set("step", state.step);
   for (const s of state.surfaces) {
     p.append("iso", [s.isovalue, s.colour.slice(1), s.opacity].join("_"));
@@ -118,6 +140,7 @@ function fromAddress() {
   };
   const n = Number(p.get("archive") ?? 0);
   if (Number.isInteger(n) && n >= 0 && n < archives.length) state.archive = n;
+  setField(p.get("field"));
   const number = Number(p.get("step") ?? NaN);
   state.step = (steps().find((s) => s.number === number) ?? steps()[0]).number;
   state.surfaces = p.getAll("iso").slice(0, 8).flatMap((text) => {
@@ -132,8 +155,8 @@ function fromAddress() {
   if (["x", "y", "z"].includes(axis) && Number(place) >= 0 && Number(place) <= 1) {
     Object.assign(state, { clip: "xyz".indexOf(axis), place: Number(place), flip: flip === "1", slice: slice !== "0" });
   }
-  const by = fields().find((s) => String(s.number) === p.get("by"));
-  state.by = by ? by.number : null;
+  const by = colourChoices().find(({ value }) => String(value) === p.get("by"));
+  state.by = by ? by.value : null;
   if (maps[p.get("map")]) state.map = p.get("map");
   state.range = numbers(p.get("range"), 2);
   const region = numbers(p.get("region"), 6);
@@ -153,7 +176,7 @@ function newSurface(isovalue, colour, opacity = 1) {
 /** What decides a surface, as the server takes it. */
 function parameters(isovalues) {
   const roi = roiOf(state.region);
-  return { isovalues, step: state.step, roi, cap: state.cap && !roi, colour: state.by };
+  return { isovalues, step: state.step, field: state.field, roi, cap: state.cap && !roi, ...colourOf() };
 }
 
 function roiOf(region) {
@@ -245,7 +268,7 @@ function fetchAll() {
 
 /** The archive and the step that a report is of. */
 function momentKey(number) {
-  return JSON.stringify([state.archive, number]);
+  return JSON.stringify([state.archive, number, state.field]);
 }
 
 /** The volume inside of a surface, in words: none before the spectrum of its step is there. */
@@ -428,7 +451,9 @@ async function fetchSlice(most) {
   const lengths = [Math.hypot(...u), Math.hypot(...v)];
   const size = lengths.map((l) => Math.max(2, Math.round((most * l) / Math.max(...lengths))));
   const each = (vector, count) => vector.map((x) => x / (count - 1)).join(",");
-  const wish = { step: colourInfo().number, origin: origin.join(","), u: each(u, size[0]), v: each(v, size[1]), size: size.join(",") };
+  const shown = colourInfo();
+  const field = names().length ? shown.field : null;
+  const wish = { step: shown.number, field, origin: origin.join(","), u: each(u, size[0]), v: each(v, size[1]), size: size.join(",") };
   sliceRequest = new AbortController();
   try {
     const found = await source.slice(state.archive, wish, sliceRequest.signal);
@@ -516,6 +541,12 @@ function drawBar() {
 
 // ---- steps
 
+/** Chooses a field by its name, where each step has several: the first unless it is one of them. */
+function setField(name) {
+  const all = names();
+  state.field = all.includes(name) ? name : (all[0] ?? null);
+}
+
 let playing = false;
 
 async function setStep(number) {
@@ -540,7 +571,7 @@ async function fetchSpectrum() {
   const moment = momentKey(state.step);
   let report = null;
   try {
-    report = await source.spectrum(state.archive, state.step);
+    report = await source.spectrum(state.archive, state.step, state.field);
   } catch (error) {
     failed(error);
   }
@@ -584,8 +615,11 @@ async function setArchive(camera) {
   view.lengthUnit = it.units.length;
   view.setDomain(it.corners);
   it.bounds = undefined;
-  $("coloured").hidden = !fields().length;
-  $("by").replaceChildren(new Option("their own colours", ""), ...fields().map((s) => new Option(s.field, s.number)));
+  $("of-field").hidden = !names().length;
+  $("field").replaceChildren(...names().map((name) => new Option(name, name)));
+  $("field").value = state.field ?? "";
+  $("coloured").hidden = !colourChoices().length;
+  $("by").replaceChildren(new Option("their own colours", ""), ...colourChoices().map((c) => new Option(c.name, c.value)));
   $("by").value = state.by ?? "";
   // Fields are chosen; only a series plays.
   $("time").hidden = steps().length < 2;
@@ -603,7 +637,9 @@ async function setArchive(camera) {
   else view.reset();
   if (!state.surfaces.length) {
     const [lo, hi] = stepInfo().range ?? [0, 1];
-    const best = it.suggestions?.[0]?.isovalue ?? settle(lo + 0.5 * (hi - lo));
+    // Those of the archive are of its first field.
+    const suggestions = state.field === (names()[0] ?? null) ? it.suggestions : [];
+    const best = suggestions?.[0]?.isovalue ?? settle(lo + 0.5 * (hi - lo));
     state.surfaces = [newSurface(best, COLOURS[0])];
   }
   listSurfaces();
@@ -654,9 +690,18 @@ function listen() {
     state.surfaces.forEach((s) => (s.removed = true));
     state.surfaces.forEach((s) => view.remove(s.name));
     Object.assign(state, { archive: Number($("archive").value), surfaces: [], active: 0, region: null, range: null, clip: null, by: null });
+    setField(null);
     state.step = steps()[0].number;
     $("clip").value = "";
     setArchive();
+  });
+  on("field", "change", () => {
+    state.surfaces.forEach((s) => (s.removed = true));
+    state.surfaces.forEach((s) => view.remove(s.name));
+    Object.assign(state, { surfaces: [], active: 0, range: null });
+    setField($("field").value);
+    state.step = stepInfo().number;
+    setArchive(view.camera6);
   });
   on("isovalue", "input", () => {
     const [lo, hi] = stepInfo().range ?? [0, 1];
@@ -701,7 +746,7 @@ function listen() {
     setClip();
   });
   on("by", "change", () => {
-    state.by = $("by").value === "" ? null : Number($("by").value);
+    state.by = colourChoices().find(({ value }) => String(value) === $("by").value)?.value ?? null;
     state.range = null;
     setColours();
     drawBar();
@@ -789,8 +834,8 @@ async function saveSurfaces(format) {
   const isovalues = [...new Set(state.surfaces.map((s) => s.isovalue))].join(",");
   $(format).disabled = true;
   try {
-    const colours = state.by === null ? {} : { colour: state.by, map: state.map, range: state.range ?? undefined };
-    const wish = { isovalues, step: state.step, roi, cap: state.cap && !roi, format, ...colours };
+    const colours = state.by === null ? {} : { ...colourOf(), map: state.map, range: state.range ?? undefined };
+    const wish = { isovalues, step: state.step, field: state.field, roi, cap: state.cap && !roi, format, ...colours };
     save(await source.file(state.archive, wish), format);
     say("");
   } catch (error) {

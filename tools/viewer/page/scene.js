@@ -345,10 +345,13 @@ export class View {
     const { uniforms } = this.slice.material;
     if (uniforms.values.of !== values) {
       uniforms.values.value?.dispose();
-      const texture = new DataTexture(values, size[0], size[1], RedFormat, FloatType);
+      // Less one of them: large values that differ little are one number of a texture.
+      const base = values.find(Number.isFinite) ?? 0;
+      const less = Float32Array.from(values, (value) => value - base);
+      const texture = new DataTexture(less, size[0], size[1], RedFormat, FloatType);
       texture.minFilter = texture.magFilter = NearestFilter;
       texture.needsUpdate = true;
-      uniforms.values = { value: texture, of: values };
+      uniforms.values = { value: texture, of: values, base };
     }
     if (uniforms.colours.of !== colours) {
       uniforms.colours.value?.dispose();
@@ -361,7 +364,7 @@ export class View {
       uniforms.colours = { value: texture, of: colours };
     }
     uniforms.size.value.set(...size);
-    uniforms.range.value.set(...range);
+    uniforms.range.value.set(...range.map((end) => end - uniforms.values.base));
     this.slice.material.uniformsNeedUpdate = true;
     this.slice.visible = true;
     this.draw();

@@ -28,8 +28,8 @@ function query(parameters) {
 /** The archives, each with its steps, box, errors. */
 export const archives = () => json("archives");
 
-/** The contour spectrum of a step. */
-export const spectrum = (archive, step) => json(`${archive}/spectrum?${query({ step })}`);
+/** The contour spectrum of a step, and of one of its fields where it has several. */
+export const spectrum = (archive, step, field) => json(`${archive}/spectrum?${query({ step, field })}`);
 
 /** The least box of the world that holds the domain: two corners. */
 export const bounds = (archive) => json(`${archive}/bounds`);
@@ -120,7 +120,7 @@ export async function surface(archive, parameters, signal, part) {
     if (head.report) {
       Object.assign(found, head, { chunks: Infinity });
     } else if (head.values !== undefined) {
-      found.values = new Float32Array(head.values);
+      found.values = new Float64Array(head.values);
       await pieces.fill(bytesOf(found.values));
     } else {
       if (found.preview && !head.preview) Object.assign(found, empty());
@@ -148,7 +148,7 @@ export async function slice(archive, parameters, signal) {
   if (!response.ok) throw await refusal(response);
   const pieces = new Pieces(response);
   const { size } = await pieces.json();
-  const values = new Float32Array(size[0] * size[1]);
+  const values = new Float64Array(size[0] * size[1]);
   await pieces.fill(new Uint8Array(values.buffer));
   return { size, values };
 }

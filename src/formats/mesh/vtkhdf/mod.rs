@@ -10,7 +10,7 @@
 //!   Connectivity                                4 × i64 a tetrahedron
 //!   Offsets                                     i64: 0, 4, 8, …
 //!   Types                                       u8 a tetrahedron: 10
-//!   PointData/FIELD                             f32 a point      (f64 where it is counted from an offset)
+//!   PointData/FIELD, …                          f32 a point      (f64 where it is counted from an offset)
 //! ```
 //!
 //! Arrays lie in the file as they are, or in chunks that are compressed (zlib). In the name of the
@@ -37,15 +37,15 @@ use crate::volume::ScalarType;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The arrays of a file, in the order of its tree.
-const ARRAYS: [Array; 5] =
-    [Array::Points, Array::Connectivity, Array::Offsets { first: 0 }, Array::Types, Array::Values];
+/// The arrays of the mesh, in the order of a file's tree; those of the fields follow.
+const OF_MESH: [Array; 4] = [Array::Points, Array::Connectivity, Array::Offsets { first: 0 }, Array::Types];
 
 /// Writes a mesh as VTKHDF.
 pub(in crate::formats) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) -> Result<()> {
-    let packed = meta.compress.map(|pool| Packed::of(mesh, meta, (pool, true), &ARRAYS, sink)).transpose()?;
-    sink.put(&tree(mesh, meta, packed.as_ref()).head()?)?;
-    for (n, array) in ARRAYS.into_iter().enumerate() {
+    let arrays: Vec<Array> = OF_MESH.into_iter().chain((0..meta.fields.len()).map(Array::Values)).collect();
+    let packed = meta.compress.map(|pool| Packed::of(mesh, meta, (pool, true), &arrays, sink)).transpose()?;
+    sink.put(&tree(mesh, meta, &arrays, packed.as_ref()).head()?)?;
+    for (n, array) in arrays.into_iter().enumerate() {
         match &packed {
             None => each_part(mesh, meta, array, &mut |bytes| sink.put(bytes))?,
             Some(packed) => packed.put(n, sink)?,
@@ -54,15 +54,15 @@ pub(in crate::formats) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mu
     Ok(())
 }
 
-fn tree(mesh: &StoredTets, meta: &TetMeta<'_>, packed: Option<&Packed>) -> Group {
+fn tree(mesh: &StoredTets, meta: &TetMeta<'_>, arrays: &[Array], packed: Option<&Packed>) -> Group {
     let array = |n: usize, scalar: ScalarType| {
-        let [rows, row_bytes] = ARRAYS[n].size(mesh, meta);
+        let [rows, row_bytes] = arrays[n].size(mesh, meta);
         let shape = if n == 0 { &[rows, 3][..] } else { &[rows] };
         let data = match packed {
             // Fewer than 2^59 points and tetrahedra: no product overflows.
             None => Data::After(rows * row_bytes),
             Some(packed) => Data::Chunks {
-                rows: block_rows(ARRAYS[n], mesh, meta),
+                rows: block_rows(arrays[n], mesh, meta),
                 packed: packed.blocks[n].iter().map(|block| block[1]).collect(),
             },
         };
@@ -76,9 +76,18 @@ fn tree(mesh: &StoredTets, meta: &TetMeta<'_>, packed: Option<&Packed>) -> Group
     group.add("Connectivity", array(1, ScalarType::I64));
     group.add("Offsets", array(2, ScalarType::I64));
     group.add("Types", array(3, ScalarType::U8));
-    let scalar = if meta.value_bytes() == 4 { ScalarType::F32 } else { ScalarType::F64 };
-    let mut data = Group::default();
-    data.add(&array_name(&meta.field, &[]), active(array(4, scalar), "Scalars"));
+    let (mut data, mut names) = (Group::default(), Vec::<String>::new());
+    for (n, field) in meta.fields.iter().enumerate() {
+        let others: Vec<&str> = names.iter().map(String::as_str).collect();
+        let name = array_name(&field.name, &others);
+        let scalar = if field.value_bytes() == 4 { ScalarType::F32 } else { ScalarType::F64 };
+        let values = array(OF_MESH.len() + n, scalar);
+        match n {
+            0 => data.add(&name, active(values, "Scalars")),
+            _ => data.add(&name, values),
+        }
+        names.push(name);
+    }
     group.add_group("PointData", data);
     hdf::root("UnstructuredGrid", std::slice::from_ref(&meta.comment), group)
 }

@@ -4,7 +4,7 @@
 //! | convention | known by | |
 //! |---|---|---|
 //! | VTKHDF | `/VTKHDF`, its `Type` | an image is read here, a mesh and a surface elsewhere; other types are refused |
-//! | MINC 2 | `/minc-2.0` | read; of irregular spacing, or with a time axis, refused |
+//! | MINC 2 | `/minc-2.0` | read, an axis of time as a series; of irregular spacing in space, refused |
 //! | ITK | `/ITKImage` | read |
 //! | EMD, HyperSpy | groups with `emd_group_type`, or `axis-0` | read, see the module `axes` |
 //! | those of the table below | groups and attributes of the root group | refused |
@@ -147,14 +147,19 @@ impl Dialect {
         }
     }
 
-    /// The group of the datasets that are fields; the whole file where it has no such group.
-    pub(super) fn within(self) -> &'static str {
+    /// Whether a dataset, by its path, may be a field.
+    pub(super) fn has(self, name: &str) -> bool {
         match self {
-            Self::Plain => "",
-            Self::Vtk => "VTKHDF/",
-            Self::Minc => IMAGE,
-            Self::Itk => "ITKImage/0/VoxelData",
+            Self::Plain => true,
+            Self::Vtk => name.starts_with("VTKHDF/"),
+            Self::Minc => name == IMAGE,
+            Self::Itk => name.starts_with("ITKImage/0/VoxelData"),
         }
+    }
+
+    /// The name of a field, given the path of its dataset.
+    pub(super) fn name_of(self, path: &str) -> &str {
+        if self == Self::Minc { "image" } else { path }
     }
 }
 
@@ -322,19 +327,28 @@ pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
 /// The image of a MINC file: axes by `dimorder`, values scaled slice by slice.
 pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
     let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
-    let wanted = wanted.map(|w| if w == "image" { IMAGE } else { w });
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
-    let field = &tree.fields[number];
-    let file = Minc { path, file };
-    let order = minc::Variables::text(&file, "image", "dimorder");
-    let axes = order.split(',').map(|name| name.trim().to_string()).filter(|name| !name.is_empty());
-    let axes: Vec<String> = axes.collect();
-    let scalar = field.part.info.scalar;
-    let stored = minc::Stored { axes: &axes, shape: field.dataset.shape(), scalar };
-    let minc::Image { geometry, convert, units, assumed } = minc::image(&file, &stored)?;
-    let name = |f: FieldInfo| FieldInfo { name: "image".into(), ..f };
-    let fields: Vec<FieldInfo> = fields.into_iter().map(name).collect();
+    let super::Field { part, dataset, .. } = &tree.fields[number];
+    let axes = minc_axes(dataset);
+    let stored = minc::Stored {
+        axes: &axes,
+        shape: dataset.shape(),
+        scalar: part.info.scalar,
+        moment: part.time.map(|axis| part.entries[axis]),
+    };
+    let minc::Image { geometry, convert, units, assumed } = minc::image(&Minc { path, file }, &stored)?;
     Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert, units, assumed })
+}
+
+/// The names of the axes of an image of MINC.
+pub(super) fn minc_axes(image: &Dataset) -> Vec<String> {
+    let order = image.attribute("dimorder").ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
+    order.split(',').map(|name| name.trim().to_string()).filter(|name| !name.is_empty()).collect()
+}
+
+/// The times of the `count` volumes of a MINC file.
+pub(super) fn minc_times(path: &Path, file: &Hdf5File, count: u64) -> Option<Vec<f64>> {
+    minc::times(&Minc { path, file }, count)
 }
 
 /// The image of a MINC file.

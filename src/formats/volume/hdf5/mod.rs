@@ -66,6 +66,7 @@ use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::lengths::Lengths;
+use crate::formats::shared::minc;
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, pick_field};
@@ -128,19 +129,19 @@ impl Format for Hdf5 {
     }
 
     fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        times::frames(path, options, options.field.as_deref()).map(Some)
+        Opened::of(path, options)?.frames(options).map(Some)
     }
 
     fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-        times::time(path, options)
+        Opened::of(path, options)?.time(options)
     }
 
     fn calendar(&self, path: &Path, options: &OpenOptions) -> Result<String> {
-        times::calendar(path, options)
+        Opened::of(path, options)?.calendar(options)
     }
 
     fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        times::times(path, options)
+        Ok(Opened::of(path, options)?.times())
     }
 }
 
@@ -156,12 +157,9 @@ const PIECE: u64 = 128 << 10;
 /// [`Error::BadInput`] when the file is malformed or has no dataset that can be read;
 /// [`Error::Usage`] when it has several and none is chosen.
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let file = open_file(path, &source)?;
-    let dialect = Dialect::of(path, &file)?;
-    let mut tree = Tree::of(path, &file, dialect)?;
-    let Placed { number, fields, field: info, geometry, convert, units, assumed } =
-        tree.pick(path, &file, dialect, options)?;
+    let mut opened = Opened::of(path, options)?;
+    let Placed { number, fields, field: info, geometry, convert, units, assumed } = opened.pick(options)?;
+    let Opened { source, file, dialect, tree, .. } = opened;
     let field = &tree.fields[number];
     let has_place = dialect != Dialect::Plain || field.lines(&tree).iter().any(Option::is_some);
     if has_place {
@@ -215,17 +213,38 @@ fn is_netcdf(path: &Path, file: &Hdf5File) -> bool {
 /// # Errors
 /// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
 pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let file = open_file(path, &source)?;
-    let dialect = Dialect::of(path, &file)?;
-    if dialect != Dialect::Plain {
+    let mut opened = Opened::of(path, options)?;
+    if opened.dialect != Dialect::Plain {
         return Ok(None);
     }
-    let mut tree = Tree::of(path, &file, dialect)?;
-    let number = tree.pick(path, &file, dialect, options)?.number;
-    let field = &tree.fields[number];
+    let number = opened.pick(options)?.number;
+    let field = &opened.tree.fields[number];
     let Part { info, world, .. } = &field.part;
-    cf::grid_of(path, &info.name, field.lines(&tree), *world, field.dims())
+    cf::grid_of(path, &info.name, field.lines(&opened.tree), *world, field.dims())
+}
+
+/// A file whose datasets were found.
+struct Opened<'a> {
+    path: &'a Path,
+    source: Arc<ByteSource>,
+    file: Hdf5File,
+    dialect: Dialect,
+    tree: Tree,
+}
+
+impl<'a> Opened<'a> {
+    fn of(path: &'a Path, options: &OpenOptions) -> Result<Self> {
+        let source = Arc::new(ByteSource::open(path, options.io)?);
+        let file = open_file(path, &source)?;
+        let dialect = Dialect::of(path, &file)?;
+        let tree = Tree::of(path, &file, dialect)?;
+        Ok(Self { path, source, file, dialect, tree })
+    }
+
+    /// Picks a field by the file's convention.
+    fn pick(&mut self, options: &OpenOptions) -> Result<Placed> {
+        self.tree.pick(self.path, &self.file, self.dialect, options)
+    }
 }
 
 fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
@@ -269,6 +288,9 @@ fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
         let got = format!("the filter {} ({filter})", filters::name_of_unread(number));
         return Error::bad_input(path, at, filters::READ, got).with_help(help);
     }
+    if let Some(child) = got.strip_suffix("unsupported layout class 3") {
+        return virtual_dataset(path, at, child);
+    }
     // Not the file's fault, but of the disk or the server.
     if let hdf5_reader::error::Error::Io(failed) = error
         && failed.get_ref().is_some_and(|inner| matches!(inner.downcast_ref(), Some(Error::Io { .. })))
@@ -277,6 +299,16 @@ fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
     }
     let help = "the file is damaged, cut short, or uses what is not read; try h5dump or h5repack on it";
     Error::bad_input(path, at, "good HDF5 or NetCDF-4", got).with_help(help)
+}
+
+/// Refuses a dataset without samples of its own. The reader tells which member of a group it is.
+fn virtual_dataset(path: &Path, at: &str, child: &str) -> Error {
+    let name = child.strip_prefix("child '").and_then(|rest| rest.split('\'').next()).unwrap_or_default();
+    let at = format!("{at}{name}");
+    let help = "a file that has one is not read: copy the samples into it (h5repack -l NAME:CONTI OLD NEW), \
+                or name the files that they are in";
+    Error::bad_input(path, at, "datasets with samples", "a virtual dataset, whose samples are elsewhere")
+        .with_help(help)
 }
 
 /// The datasets of a file.
@@ -305,7 +337,7 @@ impl Tree {
                 groups.extend(below.into_iter().rev());
             }
         }
-        for (name, dataset) in volumes.into_iter().filter(|(n, _)| n.starts_with(dialect.within())) {
+        for (name, dataset) in volumes.into_iter().filter(|(name, _)| dialect.has(name)) {
             match tree.fields_of(path, &name, &dataset, dialect) {
                 Ok(fields) => tree.fields.extend(fields),
                 Err(e) => tree.refused.push((name, e)),
@@ -366,8 +398,12 @@ impl Tree {
         if let Some(axes) = self.axes_of(name) {
             axes.check(path, name, dataset)?;
         }
-        let kinds = self.axis_kinds(name, dataset);
+        let kinds = match dialect {
+            Dialect::Minc => minc::kinds(&dialect::minc_axes(dataset), dataset.ndim()),
+            _ => self.axis_kinds(name, dataset),
+        };
         let (scalar, big_endian) = scalar_of(path, name, dataset)?;
+        let name = dialect.name_of(name);
         let parts = cf::parts_of(path, name, (dataset.shape(), &kinds), scalar, dialect.rules())?;
         Ok(parts.into_iter().map(|part| Field { part, dataset: dataset.clone(), big_endian }).collect())
     }
@@ -630,11 +666,6 @@ impl Field {
     /// Samples along x, y, z.
     fn dims(&self) -> [u64; 3] {
         self.part.dims(self.dataset.shape())
-    }
-
-    /// The times of the frames.
-    fn times(&self, tree: &Tree) -> Option<Vec<f64>> {
-        self.line(self.part.frames?, tree)
     }
 
     fn volume_info(

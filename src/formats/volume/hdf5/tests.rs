@@ -276,6 +276,19 @@ fn minc_is_placed_and_scaled_slice_by_slice() {
 }
 
 #[test]
+fn virtual_datasets_are_named() {
+    // The reader stops at one, so that the other datasets of the file are not read either.
+    for field in [None, Some("entry/data"), Some("entry/own")] {
+        let options = OpenOptions { field: field.map(str::to_owned), ..OpenOptions::default() };
+        let error = open_volume(&data("virtual.h5"), &options).err().expect("refused");
+        let line = error.to_string();
+        assert!(error.exit_code() == 5 && !line.contains('\n'), "{line}");
+        let words = ["virtual.h5: /entry/data: expected", "a virtual dataset", "h5repack -l NAME:CONTI"];
+        assert!(words.iter().all(|word| line.contains(word)), "{line}");
+    }
+}
+
+#[test]
 fn images_of_itk_are_placed() {
     let source = open_volume(&data("itk.h5"), &OpenOptions::default()).unwrap();
     assert_eq!(place(&source), [1.0 - 0.5, 2.0 + 0.5, 3.0 + 2.0]);

@@ -31,11 +31,12 @@ use crate::error::{Error, Result};
 use crate::formats::shared::format::Format;
 use crate::formats::shared::frames;
 use crate::formats::shared::header::{Lines, geometry, numbered_files, numbers, open_files, plain_info};
-use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
+use crate::formats::shared::packed::PackedFrames;
+use crate::formats::shared::stream::{Codec, Tail, TextSlabs, sample_bytes};
 use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{Assumed, ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -68,6 +69,23 @@ impl Format for MetaImage {
     fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
         frames_in(path, options).map(known_times)
     }
+
+    fn packed_frames(
+        &self,
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<Option<(PackedFrames, VolumeInfo)>> {
+        let source = Arc::new(ByteSource::open(path, options.io)?);
+        let header = Header::parse(&source)?;
+        let ([_, [count, ..]], encoding) = (header.dims()?, header.encoding()?);
+        if count == 1 || encoding != Encoding::Zlib {
+            return Ok(None);
+        }
+        let info = open(path, &frames::first(options))?.info().clone();
+        let bytes = sample_bytes(path, info.dims, info.field.scalar)?.saturating_mul(count);
+        let (parts, start) = header.parts(&source, options.io, bytes)?;
+        Ok(Some((header.packed(header.only(&parts, encoding)?, start, count)?, info)))
+    }
 }
 
 /// Opens a MetaImage file.
@@ -81,16 +99,14 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let ([dims, [frames, ..]], scalar) = (header.dims()?, header.scalar()?);
     let bytes = sample_bytes(path, [dims[0], dims[1], dims[2].saturating_mul(frames)], scalar)?;
     let encoding = header.encoding()?;
-    let local = matches!(header.require("ElementDataFile")?, "LOCAL" | "Local" | "local");
-    let format = format!("MetaImage ({}, {})", if local { "attached" } else { "detached" }, encoding.name());
+    let place = if header.is_local()? { "attached" } else { "detached" };
+    let format = format!("MetaImage ({place}, {})", encoding.name());
     let mut info = plain_info(path, format, dims, scalar, header.geometry()?);
     info.assumed = Assumed::in_header([header.any(&SPACING).is_none(); 3]);
     frames::check_last(frames, options, |options| open(path, options))?;
     let (frame, fields) = frames::choose(path, frames, scalar, options)?;
     (info.field, info.fields) = (fields[frame as usize].clone(), fields);
-    let slices = dims[2].saturating_mul(frames);
-    let parts = if local { vec![Arc::clone(&source)] } else { header.files(slices, options.io)? };
-    let start = header.start(&parts, local, encoding, bytes / parts.len() as u64)?;
+    let (parts, start) = header.parts(&source, options.io, bytes)?;
     header.samples(info, parts, start, encoding, [frame, frames])
 }
 
@@ -301,6 +317,19 @@ impl<'a> Header<'a> {
         geometry(self.path, "ElementSpacing and TransformMatrix", [o_x, o_y, o_z], columns)
     }
 
+    fn is_local(&self) -> Result<bool> {
+        Ok(matches!(self.require("ElementDataFile")?, "LOCAL" | "Local" | "local"))
+    }
+
+    /// The files that hold the samples, `bytes` of them in all, and where these start in each.
+    fn parts(&self, source: &Arc<ByteSource>, io: IoMode, bytes: u64) -> Result<(Vec<Arc<ByteSource>>, u64)> {
+        let ([dims, [frames, ..]], local) = (self.dims()?, self.is_local()?);
+        let slices = dims[2].saturating_mul(frames);
+        let parts = if local { vec![Arc::clone(source)] } else { self.files(slices, io)? };
+        let start = self.start(&parts, local, self.encoding()?, bytes / parts.len() as u64)?;
+        Ok((parts, start))
+    }
+
     /// The files next to the header that hold the samples.
     fn files(&self, slices: u64, io: IoMode) -> Result<Vec<Arc<ByteSource>>> {
         let value = self.require("ElementDataFile")?;
@@ -376,43 +405,50 @@ impl<'a> Header<'a> {
         [frame, frames]: [u64; 2],
     ) -> Result<VolumeSource> {
         info.data_files = parts.iter().map(|p| p.path().to_path_buf()).collect();
-        let big = self.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)?;
-        let count = parts.len() as u64;
         if encoding == Encoding::Raw {
             let strides =
                 StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
             let slices = [info.dims[2], strides[2] as u64];
             let (parts, each) = frames::parts_of(self.path, &parts, start, [frame, frames], slices)?;
-            let volume = StridedVolume::stacked_at(info, parts, each, big, strides)?;
+            let volume = StridedVolume::stacked_at(info, parts, each, self.big_endian()?, strides)?;
             return Ok(volume.source());
         }
-        let [part] = &parts[..] else {
-            let got = format!("{count} files of {} data", encoding.name());
-            return Err(Error::bad_input(
-                self.path,
-                "ElementDataFile",
-                "one file, or several without compression",
-                got,
-            ));
-        };
-        if encoding == Encoding::Text && frames > 1 {
+        let part = self.only(&parts, encoding)?;
+        if encoding == Encoding::Zlib {
+            return self.packed(part, start, frames)?.volume(info, frame);
+        }
+        if frames > 1 {
             let got = "text of several volumes";
             return Err(Error::bad_input(self.path, "BinaryData", "binary data of a series", got)
                 .with_help("write it again as binary data"));
         }
-        let before = frame * sample_bytes(self.path, info.dims, info.field.scalar)?;
-        let tail = if frame + 1 == frames { Tail::Nothing } else { Tail::Ignored };
-        let stream: Box<dyn SlabStream> = if encoding == Encoding::Text {
-            Box::new(TextSlabs::new(info, Arc::clone(part), start..part.len().max(start))?)
-        } else {
-            let range = start..self.compressed_end(part, start)?;
-            // MetaIO takes a gzip header for a zlib one, too.
-            let start = range.start..range.end.min(range.start.saturating_add(2));
-            let gzip = part.slice(start)?.starts_with(&[0x1f, 0x8b]);
-            let codec = if gzip { Codec::Gzip } else { Codec::Zlib };
-            Box::new(ByteSlabs::new(info, part, range, codec, before, big, tail)?)
+        let slabs = TextSlabs::new(info, Arc::clone(part), start..part.len().max(start))?;
+        Ok(VolumeSource::Stream(Box::new(slabs)))
+    }
+
+    fn big_endian(&self) -> Result<bool> {
+        self.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)
+    }
+
+    /// The only file of data that is read front to back.
+    fn only<'b>(&self, parts: &'b [Arc<ByteSource>], encoding: Encoding) -> Result<&'b Arc<ByteSource>> {
+        let [part] = parts else {
+            let got = format!("{} files of {} data", parts.len(), encoding.name());
+            let expected = "one file, or several without compression";
+            return Err(Error::bad_input(self.path, "ElementDataFile", expected, got));
         };
-        Ok(VolumeSource::Stream(stream))
+        Ok(part)
+    }
+
+    /// The volumes of compressed data.
+    fn packed(&self, part: &Arc<ByteSource>, start: u64, frames: u64) -> Result<PackedFrames> {
+        let (source, range) = (Arc::clone(part), start..self.compressed_end(part, start)?);
+        // MetaIO takes a gzip header for a zlib one, too.
+        let start = range.start..range.end.min(range.start.saturating_add(2));
+        let gzip = part.slice(start)?.starts_with(&[0x1f, 0x8b]);
+        let codec = if gzip { Codec::Gzip } else { Codec::Zlib };
+        let (skip, tail, big_endian) = (0, Tail::Nothing, self.big_endian()?);
+        Ok(PackedFrames { source, range, codec, skip, frames, big_endian, tail })
     }
 
     fn compressed_end(&self, part: &ByteSource, start: u64) -> Result<u64> {

@@ -101,8 +101,7 @@ impl Format for NetCdf {
             None => file.fields.first().filter(|f| f.part.is_frame()),
         };
         let Some(first) = first else { return Ok(Some(vec![])) };
-        let times = first.part.frames.map_or(Ok(None), |axis| file.line(first, axis))?;
-        let times = times.map(|line| line.values);
+        let times = first.part.frames.map_or(Ok(None), |axis| file.times_along(first, axis))?;
         let parts = file.fields.iter().map(|f| &f.part);
         Ok(Some(cf::frames(parts, &first.part, wanted.is_some(), times)))
     }
@@ -126,13 +125,13 @@ impl Format for NetCdf {
     fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
         let file = File::open(path, options)?;
         let mut failed = Ok(());
-        let of_frames = |field: &Field| field.part.frames.map_or(Ok(None), |axis| file.line(field, axis));
-        let times = cf::times(file.fields.iter(), |field| match of_frames(field) {
-            Ok(line) => line.map(|line| line.values),
-            Err(e) => {
+        let of_frames =
+            |field: &Field| field.part.frames.map_or(Ok(None), |axis| file.times_along(field, axis));
+        let times = cf::times(file.fields.iter(), |field| {
+            of_frames(field).unwrap_or_else(|e| {
                 failed = Err(e);
                 None
-            }
+            })
         });
         failed.map(|()| times)
     }
@@ -227,7 +226,7 @@ impl<'a> File<'a> {
                 .with_help("the file has no records yet, or an empty dimension"));
         }
         if self.dialect == Dialect::Minc {
-            let kinds = vec!['?'; shape.len()];
+            let kinds = minc::kinds(&self.header.dim_names(variable), shape.len());
             return cf::parts_of(self.path, &variable.name, (&shape, &kinds), scalar, Rules::Volumes);
         }
         cf::refuse_mesh(&variable.of(self.path), &self.header.dim_names(variable))?;
@@ -279,16 +278,25 @@ impl<'a> File<'a> {
 
     /// The time of a field.
     fn time(&self, field: &Field) -> Result<Option<f64>> {
-        if self.dialect == Dialect::Minc {
-            return Ok(None);
-        }
         let variable = &self.header.variables[field.variable];
         let Some(axis) = field.part.time else {
+            if self.dialect == Dialect::Minc {
+                return Ok(None);
+            }
             let time = self.single_time(variable).map(|time| self.small(time)).transpose()?;
             return Ok(time.and_then(|numbers| numbers.first().copied()));
         };
-        let line = self.line(field, axis)?;
-        Ok(line.and_then(|line| line.values.get(field.part.entries[axis] as usize).copied()))
+        let times = self.times_along(field, axis)?;
+        Ok(times.and_then(|times| times.get(field.part.entries[axis] as usize).copied()))
+    }
+
+    /// The times along an axis of a variable.
+    fn times_along(&self, field: &Field, axis: usize) -> Result<Option<Vec<f64>>> {
+        if self.dialect == Dialect::Minc {
+            let count = self.header.shape(&self.header.variables[field.variable])[axis];
+            return Ok(minc::times(self, count));
+        }
+        Ok(self.line(field, axis)?.map(|line| line.values))
     }
 
     fn info(&self, field: &Field, geometry: Geometry) -> VolumeInfo {
@@ -314,7 +322,9 @@ impl<'a> File<'a> {
         options.refuse_geometry(self.path, "a MINC file")?;
         let variable = &self.header.variables[field.variable];
         let (axes, shape) = (self.header.dim_names(variable), self.header.shape(variable));
-        let stored = minc::Stored { axes: &axes, shape: &shape, scalar: field.part.info.scalar };
+        let Part { info, time, entries, .. } = &field.part;
+        let moment = time.map(|axis| entries[axis]);
+        let stored = minc::Stored { axes: &axes, shape: &shape, scalar: info.scalar, moment };
         let minc::Image { geometry, convert, units, assumed } = minc::image(self, &stored)?;
         let info = VolumeInfo { format: "MINC 1".into(), units, assumed, ..self.info(field, geometry) };
         self.source(field, info, convert)

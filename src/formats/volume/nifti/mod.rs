@@ -28,21 +28,21 @@
 //! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and
 //! `nifti1.h`, `nifti2.h`.
 
-use crate::bytes::{ByteSource, IoMode, place};
+use crate::bytes::{ByteSource, place};
 use crate::error::{Error, Result};
-use crate::exec::CancelToken;
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::frames::{self, fields};
 use crate::formats::shared::header::{geometry, scaled_axes};
-use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
+use crate::formats::shared::packed::PackedFrames;
+use crate::formats::shared::stream::{Codec, Tail, sample_bytes};
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, known_times, pick_field};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use std::collections::HashMap;
-use std::io::{BufWriter, Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -80,8 +80,17 @@ impl Format for Nifti {
         frames(path, &all).map(known_times)
     }
 
-    fn packed_frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
-        packed_bytes(path, options)
+    fn packed_frames(
+        &self,
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<Option<(PackedFrames, VolumeInfo)>> {
+        let (header, data, offset) = parts(path, options)?;
+        if header.frames()? == 1 || !is_gzip(&data)? {
+            return Ok(None);
+        }
+        let info = open(path, &frames::first(options))?.info().clone();
+        Ok(Some((header.packed(data, offset)?, info)))
     }
 }
 
@@ -120,13 +129,10 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         data_files: vec![data.path().to_path_buf()],
         assumed: Assumed::in_header(header.assumed()),
     };
-    let offset = offset + frame * frame_bytes;
     if gzip {
-        let tail = if frame + 1 == frames { Tail::Nothing } else { Tail::Ignored };
-        let range = 0..data.len();
-        let slabs = ByteSlabs::new(info, &data, range, Codec::Gzip, offset, header.big_endian, tail)?;
-        return Ok(VolumeSource::Stream(Box::new(slabs)));
+        return header.packed(data, offset)?.volume(info, frame);
     }
+    let offset = offset + frame * frame_bytes;
     let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
     let volume = StridedVolume::new(info, data, offset, header.big_endian, strides)?;
     Ok(volume.source())
@@ -141,94 +147,9 @@ pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<F
         return Ok(vec![]);
     }
     // Refuses a header that claims more frames than there are, before they are listed.
-    let first = OpenOptions { field: Some("t0".into()), ..options.clone() };
-    open(path, &first)?;
+    open(path, &frames::first(options))?;
     let times = [header.float(136, 216, 0), header.float(76, 104, 4)];
     Ok(frames::list(frames, header.spectral_unit().is_none().then_some(times)))
-}
-
-/// Bytes of the samples of all frames, unpacked, of a gzipped file with several; `None` of other
-/// files.
-pub(in crate::formats) fn packed_bytes(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
-    let names = frames(path, options)?;
-    let VolumeSource::Stream(stream) = open(path, &first_frame(options))? else { return Ok(None) };
-    let info = stream.info();
-    let frame = sample_bytes(path, info.dims, info.field.scalar)?;
-    Ok((names.len() > 1).then(|| frame.saturating_mul(names.len() as u64)))
-}
-
-fn first_frame(options: &OpenOptions) -> OpenOptions {
-    OpenOptions { field: Some("t0".into()), ..options.clone() }
-}
-
-/// The frames of a gzipped file, unpacked into a nameless file: otherwise each frame would be
-/// decoded from the beginning.
-pub struct UnpackedFrames {
-    source: Arc<ByteSource>,
-    /// The description of the first frame.
-    info: VolumeInfo,
-    big_endian: bool,
-}
-
-impl UnpackedFrames {
-    /// Unpacks a file into a folder.
-    ///
-    /// # Errors
-    /// Those of [`open`], and when the file ends too early or too late, or the folder cannot be
-    /// written.
-    pub(in crate::formats) fn new(
-        path: &Path,
-        options: &OpenOptions,
-        folder: &Path,
-        cancel: &CancelToken,
-    ) -> Result<Self> {
-        let info = open(path, &first_frame(options))?.info().clone();
-        let (header, data, offset) = parts(path, options)?;
-        let frames = header.frames()?;
-        let needed = sample_bytes(path, info.dims, info.field.scalar)?.saturating_mul(frames);
-        let mut packed = Codec::Gzip.reader(&data, 0..data.len())?;
-        let short = |got: String| {
-            let expected = format!("{frames} frames, {needed} bytes from byte {offset} on");
-            Error::bad_input(data.path(), "samples", expected, got)
-        };
-        let read = |e: std::io::Error| short(e.to_string());
-        let skipped = std::io::copy(&mut packed.by_ref().take(offset), &mut std::io::sink()).map_err(read)?;
-        let failed = |e| Error::io("write a temporary file in", folder, e);
-        let mut out = BufWriter::with_capacity(1 << 18, tempfile::tempfile_in(folder).map_err(failed)?);
-        let (mut left, mut buffer) = (needed, vec![0; 1 << 20]);
-        while left > 0 {
-            cancel.check()?;
-            let want = left.min(buffer.len() as u64) as usize;
-            let n = packed.read(&mut buffer[..want]).map_err(read)?;
-            if n == 0 {
-                return Err(short(format!("{} bytes", skipped + needed - left)));
-            }
-            out.write_all(&buffer[..n]).map_err(failed)?;
-            left -= n as u64;
-        }
-        // Read to the end, because the checksum of all is there.
-        match packed.read(&mut buffer[..1]).map_err(read)? {
-            0 => {}
-            _ => return Err(short("more".into())),
-        }
-        let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
-        let source = Arc::new(ByteSource::of_file(folder, file, IoMode::Map)?);
-        Ok(Self { source, info, big_endian: header.big_endian })
-    }
-
-    /// A frame by the name of its field.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] when there is none of that name.
-    pub fn open(&self, name: &str) -> Result<Box<dyn VolumeReader>> {
-        let frame = pick_field(&self.info.path, &self.info.fields, Some(name))?;
-        let info = VolumeInfo { field: self.info.fields[frame].clone(), ..self.info.clone() };
-        let bytes = sample_bytes(&info.path, info.dims, info.field.scalar)?;
-        let strides =
-            StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
-        let at = frame as u64 * bytes;
-        Ok(Box::new(StridedVolume::new(info, self.source.clone(), at, self.big_endian, strides)?))
-    }
 }
 
 fn is_gzip(source: &ByteSource) -> Result<bool> {
@@ -475,6 +396,13 @@ impl Header {
             return Ok(offset as u64);
         }
         Err(self.bad("vox_offset", &format!("a whole number of bytes, at least {least}"), offset.to_string()))
+    }
+
+    /// The volumes of gzipped data. As other readers do, bytes after the last one are passed over.
+    fn packed(&self, source: Arc<ByteSource>, skip: u64) -> Result<PackedFrames> {
+        let (range, codec, tail) = (0..source.len(), Codec::Gzip, Tail::Checked);
+        let (frames, big_endian) = (self.frames()?, self.big_endian);
+        Ok(PackedFrames { source, range, codec, skip, frames, big_endian, tail })
     }
 
     fn scaling(&self) -> Result<(f64, f64)> {

@@ -227,6 +227,33 @@ fn damage_is_refused() {
     torture("a.nii", &file, file.len());
 }
 
+/// As of a file that is not packed, and as nibabel, ITK and VTK read it.
+#[test]
+fn what_follows_the_last_sample_is_passed_over() {
+    let dir = tempfile::tempdir().unwrap();
+    for frames in [1, 2] {
+        let m = Maker::new(false, false, b"n+1\0", &[4, 3, 2, frames]);
+        let samples = ramp(false).repeat(frames as usize);
+        let file = gzip(&m.with(&[&samples[..], &[7; 100]].concat()));
+        let path = write(&dir, "a.nii.gz", &file);
+        let options = OpenOptions { field: (frames > 1).then(|| "t1".into()), ..OpenOptions::default() };
+        let (_, values) = read_all(open_volume(&path, &options).unwrap());
+        assert_eq!((values[0], values[23]), (1000.0, 1023.0));
+        // The checksum of all is still looked at.
+        let mut damaged = file.clone();
+        let crc = file.len() - 8;
+        damaged[crc] ^= 1;
+        let VolumeSource::Stream(mut stream) =
+            open_volume(&write(&dir, "b.nii.gz", &damaged), &options).unwrap()
+        else {
+            panic!("a stream")
+        };
+        let mut slab = vec![];
+        let read = std::iter::from_fn(|| stream.next_slab(&mut slab).transpose()).find_map(|slab| slab.err());
+        assert!(read.expect("damaged").to_string().contains("gzip"));
+    }
+}
+
 #[test]
 fn units_of_space_and_time() {
     let dir = tempfile::tempdir().unwrap();

@@ -2,7 +2,8 @@
 //!
 //! An axis is what its kind says: `domain` and `space` are of space, `time` and `list` have
 //! volumes, others (`vector`, `RGB-color` …) have components and are refused. Where the kind says
-//! nothing, an axis without a direction in space is none of space, and a label "time" counts.
+//! nothing, an axis without a direction in space is none of space, and a label "time" counts. In a
+//! space with time, the axis along it has volumes, whatever its kind says (see the module `space`).
 
 use super::Header;
 use crate::error::{Error, Result};
@@ -27,6 +28,8 @@ pub(super) struct Axes {
     series: Option<usize>,
     /// Whether it is one of time.
     is_time: bool,
+    /// The time of the first volume and the step, where directions tell them.
+    times: Option<[f64; 2]>,
     /// Lines for the user.
     notes: Vec<String>,
 }
@@ -44,6 +47,7 @@ impl Axes {
         let sizes: Option<Vec<u64>> = text.split_whitespace().map(|n| n.parse().ok()).collect();
         let sizes = sizes.filter(|sizes| sizes.len() == count);
         let sizes = sizes.ok_or_else(|| Error::bad_input(path, "sizes", format!("{count} numbers"), text))?;
+        let along_time = header.directions(count)?.and_then(|found| found.time);
         let kinds = header.kinds(&sizes)?;
         let reversed = |list: &[char]| list.iter().rev().copied().collect::<Vec<char>>();
         let shape: Vec<u64> = sizes.iter().rev().copied().collect();
@@ -58,7 +62,9 @@ impl Axes {
         let place = |axis: usize| count - 1 - axis;
         let series = found.series.map(place);
         let (mut notes, mut is_time) = (vec![], false);
-        if let Some(axis) = series {
+        if series.is_some() && series == along_time.map(|(axis, _)| axis) {
+            is_time = true;
+        } else if let Some(axis) = series {
             is_time = header.word("kinds", axis).eq_ignore_ascii_case("time")
                 || kind_of_name(&header.quoted("labels", count).get(axis).cloned().unwrap_or_default())
                     == 't';
@@ -67,7 +73,12 @@ impl Axes {
                     .push(format!("no kind says what axis {axis} is: its {} entries are steps", sizes[axis]));
             }
         }
-        let axes = Self { space: found.space.map(place), sizes, series, is_time, notes };
+        let start = header.origin()?.map_or(0.0, |(_, time)| time);
+        let times = along_time.map(|(_, step)| [start, step]);
+        if times.is_some_and(|[_, step]| step < 0.0) && series.is_some() {
+            notes.push("its volumes go back in time: they have no times".into());
+        }
+        let axes = Self { space: found.space.map(place), sizes, series, is_time, times, notes };
         frames::check_count(path, "sizes", axes.frames())?;
         Ok(axes)
     }
@@ -103,8 +114,10 @@ impl Axes {
         info.geometry = self.geometry(header, &lengths)?;
         info.assumed = Assumed::in_header(self.space.map(|axis| header.is_assumed(axis)));
         let value = header.get("sampleunits").and_then(|text| Unit::new(text.trim_matches('"')));
-        let times = header.quoted("units", self.sizes.len());
-        let time = self.series.filter(|_| self.is_time).and_then(|axis| Unit::time(times.get(axis)?));
+        let of_space = header.quoted("spaceunits", 4);
+        let of_axes = header.quoted("units", self.sizes.len());
+        let named = |axis: usize| if self.times.is_some() { of_space.get(3) } else { of_axes.get(axis) };
+        let time = self.series.filter(|_| self.is_time).and_then(|axis| Unit::time(named(axis)?));
         info.units = Units { value, length: lengths.unit, time };
         info.notes.extend(lengths.note.into_iter().chain(self.notes.iter().cloned()));
         Ok(())
@@ -115,6 +128,9 @@ impl Axes {
         let Some(axis) = self.series.filter(|_| self.is_time) else {
             return Ok(frames::list(self.frames(), None));
         };
+        if self.times.is_some() {
+            return Ok(frames::list(self.frames(), self.times));
+        }
         let of = |name: &str, label: &str| header.per_axis_number(name, label, self.sizes.len());
         let (spacing, min) = (of("spacings", "spacings")?[axis], of("axismins", "axis mins")?[axis]);
         Ok(frames::list(self.frames(), Some([if min.is_nan() { 0.0 } else { min }, spacing])))
@@ -123,7 +139,7 @@ impl Axes {
     /// The units of lengths: those of the space, else of the axes.
     fn lengths(&self, header: &Header<'_>) -> Result<Lengths> {
         let (at, names) = if header.get("space").or(header.get("spacedimension")).is_some() {
-            ("space units", header.quoted("spaceunits", 3))
+            ("space units", header.quoted("spaceunits", header.space_dimension()?))
         } else {
             let all = header.quoted("units", self.sizes.len());
             ("units", self.space.iter().filter_map(|&axis| all.get(axis).cloned()).collect())
@@ -134,16 +150,12 @@ impl Axes {
 
     fn geometry(&self, header: &Header<'_>, lengths: &Lengths) -> Result<Geometry> {
         let path = header.path;
-        let origin = match header.get("spaceorigin") {
-            Some(text) => header.vectors("space origin", text, 1)?[0],
-            None => None,
-        };
+        let origin = header.origin()?.map(|(in_space, _)| in_space);
         let in_unit = |origin: [f64; 3], columns: [[f64; 3]; 3]| {
             (lengths.of_vector(origin), columns.map(|column| lengths.of_vector(column)))
         };
-        if let Some(text) = header.get("spacedirections") {
-            let all = header.vectors("space directions", text, self.sizes.len())?;
-            let columns = self.space.map(|axis| all[axis].unwrap_or([0.0; 3]));
+        if let Some(all) = header.directions(self.sizes.len())? {
+            let columns = self.space.map(|axis| all.of_axes[axis].unwrap_or([0.0; 3]));
             let (origin, columns) = in_unit(origin.unwrap_or([0.0; 3]), columns);
             return geometry(path, "space directions", origin, columns);
         }
@@ -185,16 +197,15 @@ impl Axes {
 impl Header<'_> {
     /// What each axis is, for [`layout`], the fastest first.
     fn kinds(&self, sizes: &[u64]) -> Result<Vec<char>> {
-        let directions = match self.get("spacedirections") {
-            Some(text) => Some(self.vectors("space directions", text, sizes.len())?),
-            None => None,
-        };
+        let directions = self.directions(sizes.len())?;
+        let along_time = directions.as_ref().and_then(|found| found.time).map(|(axis, _)| axis);
         let labels = self.quoted("labels", sizes.len());
         let mut kinds = vec![];
         for (axis, &size) in sizes.iter().enumerate() {
-            let has_direction = directions.as_ref().map(|all| all[axis].is_some());
+            let has_direction = directions.as_ref().map(|all| all.of_axes[axis].is_some());
             let of_label = labels.get(axis).map_or('?', |label| kind_of_name(label));
             let kind = match &*self.word("kinds", axis).to_ascii_lowercase() {
+                "domain" | "space" | "time" | "list" | "" | "none" | "???" if along_time == Some(axis) => 't',
                 "domain" | "space" => 's',
                 "time" | "list" => 't',
                 "" | "none" | "???" => match has_direction {

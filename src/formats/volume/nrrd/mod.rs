@@ -20,20 +20,23 @@
 //! count decoded bytes in a compressed file; `byte skip: -1` means that the samples are the last
 //! bytes. The reader takes three axes of space, and one more of time or of a list, whose volumes
 //! are the fields "t0", "t1", … (see the module `axes`); their times follow from that axis' spacing
-//! and minimum. Units of single axes become one. It refuses by name: other numbers of axes, colour
-//! and vector axes, bzip2 and hex, compressed or text data in several files, and such data of a
-//! series whose volumes do not follow each other.
+//! and minimum, or from the fourth direction of a space with time, as ITK writes it (see the module
+//! `space`). Units of single axes become one. It refuses by name: other numbers of axes, colour and
+//! vector axes, bzip2 and hex, compressed or text data in several files, and such data of a series
+//! whose volumes do not follow each other.
 //!
 //! The format: <https://teem.sourceforge.net/nrrd/format.html>.
 
 mod axes;
+mod space;
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::frames;
 use crate::formats::shared::header::{Lines, numbered_files, numbers, open_files, plain_info};
-use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
+use crate::formats::shared::packed::PackedFrames;
+use crate::formats::shared::stream::{Codec, Tail, TextSlabs, sample_bytes};
 use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
@@ -75,6 +78,22 @@ impl Format for Nrrd {
 
     fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
         frames_in(path, options).map(known_times)
+    }
+
+    fn packed_frames(
+        &self,
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<Option<(PackedFrames, VolumeInfo)>> {
+        let source = Arc::new(ByteSource::open(path, options.io)?);
+        let header = Header::parse(&source)?;
+        let axes = Axes::of(&header)?;
+        if axes.frames() == 1 || header.encoding()? != Encoding::Gzip {
+            return Ok(None);
+        }
+        let info = open(path, &frames::first(options))?.info().clone();
+        let data = header.data(Arc::clone(&source), &axes, options.io)?;
+        Ok(Some((header.packed(&info, &data, &axes)?, info)))
     }
 }
 
@@ -253,28 +272,6 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// `count` vectors "(x,y,z)"; `None` of an axis that has "none".
-    fn vectors(&self, at: &str, text: &str, count: usize) -> Result<Vec<Option<[f64; 3]>>> {
-        let wrong = || {
-            let expected = format!("{count} vector(s) of the form (x,y,z), or none for an axis of no space");
-            Error::bad_input(self.path, at, expected, text)
-        };
-        let (mut vectors, mut rest) = (vec![], text.trim());
-        while !rest.is_empty() {
-            if let Some(after) = rest.strip_prefix("none") {
-                vectors.push(None);
-                rest = after.trim_start();
-                continue;
-            }
-            let (inside, after) = rest.strip_prefix('(').and_then(|r| r.split_once(')')).ok_or_else(wrong)?;
-            let parts =
-                inside.split(',').map(|x| x.trim().parse()).collect::<std::result::Result<Vec<f64>, _>>();
-            vectors.push(Some(parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(wrong)?));
-            rest = after.trim_start();
-        }
-        if vectors.len() == count { Ok(vectors) } else { Err(wrong()) }
-    }
-
     /// The files that hold the samples.
     fn data(&self, header: Arc<ByteSource>, axes: &Axes, io: IoMode) -> Result<Data> {
         let Some(value) = self.get("datafile") else {
@@ -318,39 +315,54 @@ impl<'a> Header<'a> {
         frame: u64,
     ) -> Result<VolumeSource> {
         info.data_files = data.parts.iter().map(|p| p.path().to_path_buf()).collect();
-        let (scalar, frames) = (info.field.scalar, axes.frames());
-        let [x, y, z] = info.dims;
-        let needed = sample_bytes(self.path, [x, y, z.saturating_mul(frames)], scalar)?;
-        let parts = data.parts.len() as u64;
-        let [byte_skip] = numbers::<i64, 1>(self.path, "byte skip", self.get("byteskip").unwrap_or("0"))?;
-        if byte_skip < -1 {
-            return Err(Error::bad_input(self.path, "byte skip", "-1, 0 or more", byte_skip.to_string()));
+        if encoding != Encoding::Raw {
+            self.check_stream(&data, encoding, axes)?;
         }
-        let first = &data.parts[0];
+        if encoding == Encoding::Gzip {
+            return self.packed(&info, &data, axes)?.volume(info, frame);
+        }
+        let (first, byte_skip) = (&data.parts[0], self.byte_skip()?);
         if encoding == Encoding::Raw {
             let offset = match u64::try_from(byte_skip) {
                 Ok(skip) => self.skip_lines(first, data.start)?.saturating_add(skip),
-                Err(_) => self.last_bytes(first, needed / parts)?,
+                Err(_) => {
+                    let needed = self.needed(&info, axes)?;
+                    self.last_bytes(first, needed / data.parts.len() as u64)?
+                }
             };
             return self.mapped(info, &data, offset, axes, frame);
         }
-        self.check_stream(&data, encoding, axes)?;
         let start = self.skip_lines(first, data.start)?;
-        if encoding == Encoding::Ascii {
-            let start = start.saturating_add(u64::try_from(byte_skip).unwrap_or(0));
-            let range = start..first.len().max(start);
-            return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, Arc::clone(first), range)?)));
+        let start = start.saturating_add(u64::try_from(byte_skip).unwrap_or(0));
+        let range = start..first.len().max(start);
+        Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, Arc::clone(first), range)?)))
+    }
+
+    /// Bytes of the samples of all volumes.
+    fn needed(&self, info: &VolumeInfo, axes: &Axes) -> Result<u64> {
+        let [x, y, z] = info.dims;
+        sample_bytes(self.path, [x, y, z.saturating_mul(axes.frames())], info.field.scalar)
+    }
+
+    fn byte_skip(&self) -> Result<i64> {
+        let [skip] = numbers::<i64, 1>(self.path, "byte skip", self.get("byteskip").unwrap_or("0"))?;
+        if skip < -1 {
+            return Err(Error::bad_input(self.path, "byte skip", "-1, 0 or more", skip.to_string()));
         }
-        let range = start..first.len();
-        let skip = match u64::try_from(byte_skip) {
+        Ok(skip)
+    }
+
+    /// The volumes of gzipped data, one of which is described.
+    fn packed(&self, info: &VolumeInfo, data: &Data, axes: &Axes) -> Result<PackedFrames> {
+        let (source, needed) = (Arc::clone(&data.parts[0]), self.needed(info, axes)?);
+        let start = self.skip_lines(&source, data.start)?;
+        let skip = match u64::try_from(self.byte_skip()?) {
             Ok(skip) => skip,
-            Err(_) => self.decoded_before(first, start, needed)?,
+            Err(_) => self.decoded_before(&source, start, needed)?,
         };
-        let skip = skip.saturating_add(frame * (needed / frames));
-        let tail = if frame + 1 == frames { Tail::Nothing } else { Tail::Ignored };
-        let big = self.big_endian(scalar)?;
-        let slabs = ByteSlabs::new(info, first, range, Codec::Gzip, skip, big, tail)?;
-        Ok(VolumeSource::Stream(Box::new(slabs)))
+        let (range, codec, tail) = (start..source.len(), Codec::Gzip, Tail::Nothing);
+        let (frames, big_endian) = (axes.frames(), self.big_endian(info.field.scalar)?);
+        Ok(PackedFrames { source, range, codec, skip, frames, big_endian, tail })
     }
 
     /// A volume that is read where it lies.

@@ -225,6 +225,45 @@ fn a_fourth_axis_has_the_volumes_of_a_series() {
 }
 
 #[test]
+fn a_space_may_have_time() {
+    let data: Vec<u8> = (0..72u16).flat_map(u16::to_le_bytes).collect();
+    let expected: Vec<Vec<f32>> = (0..3).map(|t| (0..24).map(|i| (24 * t + i) as f32).collect()).collect();
+    let known = vec![Some(10.0), Some(10.5), Some(11.0)];
+    // As ITK writes an image of four dimensions; and with a name of the space.
+    let itk = "space dimension: 4\nkinds: domain domain domain domain\n";
+    let named = "space: right-anterior-superior-time\nkinds: domain domain domain time\n";
+    let directions =
+        "space directions: (0,-1,0,0) (2,0,0,0) (0,0,3,0) (0,0,0,0.5)\nspace origin: (1,2,3,10)\n";
+    let units = "space units: \"mm\" \"mm\" \"mm\" \"s\"\n";
+    for (space, encoding) in [(itk, "raw"), (itk, "gzip"), (named, "raw"), ("space: RAST\n", "raw")] {
+        let fields = format!("sizes: 4 3 2 3\n{space}{directions}{units}encoding: {encoding}\n");
+        let data = if encoding == "gzip" { gzip(&data) } else { data.clone() };
+        let (values, times, info) = series(&fields, &data).unwrap();
+        assert_eq!((info.dims, &values, &times), ([4, 3, 2], &expected, &known), "{space}");
+        let place = info.geometry.to_world([1.0, 1.0, 1.0]);
+        assert_eq!((info.geometry.origin, place), ([1.0, 2.0, 3.0], [3.0, 1.0, 6.0]));
+        let [length, time] = [info.units.length, info.units.time].map(|unit| unit.unwrap());
+        assert_eq!(([length.as_str(), time.as_str()], info.notes), (["mm", "s"], vec![]));
+    }
+    let back = directions.replace("0.5", "-0.5");
+    let (_, times, info) = series(&format!("sizes: 4 3 2 3\n{itk}{back}encoding: raw\n"), &data).unwrap();
+    assert_eq!(times, [None; 3]);
+    assert!(info.notes[0].contains("no times"), "{:?}", info.notes);
+    for (directions, word) in [
+        ("(0,-1,0,0) (2,0,0,0) (0,0,3,0) (0.1,0,0,0.5)", "right angles"),
+        ("(0,-1,0,0) (2,0,0,0) (0,0,0,3) (0,0,0,0.5)", "right angles"),
+        ("(0,-1,0) (2,0,0) (0,0,3) (0,0,0)", "(x,y,z,t)"),
+    ] {
+        let fields = format!("sizes: 4 3 2 3\n{itk}space directions: {directions}\nencoding: raw\n");
+        let error = series(&fields, &data).unwrap_err();
+        assert!(error.exit_code() == 5 && error.to_string().contains(word), "{error}");
+    }
+    let fields = format!("sizes: 4 3 2 3\nspace dimension: 5\n{directions}encoding: raw\n");
+    let error = series(&fields, &data).unwrap_err().to_string();
+    assert!(error.contains("space dimension") && error.contains("got 5"), "{error}");
+}
+
+#[test]
 fn axes_that_are_no_space_and_no_series_are_refused() {
     let data = vec![0; 1000];
     for (fields, word) in [

@@ -25,8 +25,8 @@
 //!
 //! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
 //! spacing comes from ImageJ's description or from OME-XML (see the module `place`); without either
-//! it is 1. What the user gives replaces it. Rows are in the file's order: the tag for orientation
-//! is not applied.
+//! it is 1. What the user gives replaces it. The times of moments are in these descriptions too
+//! (see the module `times`). Rows are in the file's order: the tag for orientation is not applied.
 //!
 //! The parser is our own, because mapping in place needs the places of the strips, and they are
 //! most of TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
@@ -37,13 +37,14 @@ mod page;
 mod place;
 mod planes;
 mod slices;
+mod times;
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::shared::format::{Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
 use crate::formats::shared::stream::sample_bytes;
-use crate::formats::shared::{Frames, OpenOptions, pick_field};
+use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
@@ -54,6 +55,7 @@ use page::{Page, Shape};
 use place::{Place, imagej, ome};
 use planes::Planes;
 use slices::SliceFiles;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -86,7 +88,13 @@ impl Format for TiffFile {
     }
 
     fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        frames(path, options).map(Some)
+        let planes = planes_of(path, options)?;
+        Ok(Some(planes.map_or(vec![], |planes| planes.frames(options))))
+    }
+
+    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        let planes = planes_of(path, options)?;
+        Ok(planes.map_or_else(HashMap::new, |planes| known_times(planes.all_frames())))
     }
 
     fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
@@ -176,6 +184,8 @@ fn of_planes(
     let kind = if is_one_page { "TIFF (ImageJ stack" } else { "TIFF (pages" };
     let mut info = info(path, kind, tiff, first, planes.slices, &all)?;
     (info.field, info.fields) = (field, planes.fields(scalar));
+    info.units.time.clone_from(&planes.times.unit);
+    info.notes.extend(planes.times.notes.iter().cloned());
     let number = |z| planes.number(channel, z, moment);
     if is_one_page {
         return imagej_stack(
@@ -195,12 +205,11 @@ fn of_planes(
     }
 }
 
-/// The moments of a file's channel, by the names of their fields. None where there is one.
-fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
+/// The channels and moments of a file; none where there is one.
+fn planes_of(path: &Path, options: &OpenOptions) -> Result<Option<Planes>> {
     let tiff = Tiff::open(Arc::new(ByteSource::open(path, options.io)?))?;
-    let Some(place) = tiff.places()?.first().copied() else { return Ok(vec![]) };
-    let planes = Planes::of(path, &Page::parse(&tiff, place)?.description)?;
-    Ok(planes.map_or(vec![], |planes| planes.frames(options)))
+    let Some(place) = tiff.places()?.first().copied() else { return Ok(None) };
+    Planes::of(path, &Page::parse(&tiff, place)?.description)
 }
 
 /// Opens a stack of files, a slice each; `path` is the folder or the pattern that was named.

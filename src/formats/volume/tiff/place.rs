@@ -82,7 +82,7 @@ fn imagej_units(text: &str) -> [Option<String>; 3] {
 }
 
 /// Text in which ImageJ has written letters as Java does: "\u00B5m".
-fn unescaped(text: &str) -> String {
+pub(super) fn unescaped(text: &str) -> String {
     let mut parts = text.split("\\u");
     let mut out = parts.next().unwrap_or_default().to_owned();
     for part in parts {

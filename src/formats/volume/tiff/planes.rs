@@ -1,5 +1,6 @@
 //! Pages of several channels and moments, as ImageJ and OME-XML describe them.
 
+use super::times::Times;
 use super::{imagej, ome};
 use crate::error::{Error, Result};
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
@@ -21,6 +22,8 @@ pub(super) struct Planes {
     moments: u64,
     /// The axes C, Z and T, the fastest first.
     order: [char; 3],
+    /// When the moments are.
+    pub(super) times: Times,
 }
 
 impl fmt::Display for Planes {
@@ -66,7 +69,7 @@ impl Planes {
             of_ome("SizeZ")
         };
         let channels = if count > 1 { channels(&labels(description), count) } else { vec![] };
-        Ok(Some(Self { channels, slices, moments, order }))
+        Ok(Some(Self { channels, slices, moments, order, times: Times::of(description, moments) }))
     }
 
     /// The number of pages.
@@ -135,7 +138,12 @@ impl Planes {
             return vec![];
         };
         let of_channel = self.all().filter(|(_, c, t)| wanted.are_of(*c) && t.is_some());
-        of_channel.map(|(name, ..)| (name, None)).collect()
+        of_channel.map(|(name, _, t)| (name, t.and_then(|t| self.times.at(t)))).collect()
+    }
+
+    /// The moments of all channels.
+    pub(super) fn all_frames(&self) -> Frames {
+        self.all().map(|(name, _, t)| (name, t.and_then(|t| self.times.at(t)))).collect()
     }
 }
 

@@ -463,6 +463,77 @@ fn channels_and_moments_are_fields() {
     }
 }
 
+/// Times of the volumes of a series of three moments with a description, their unit, and notes.
+fn times_of(text: &str) -> (Vec<Option<f64>>, Option<String>, Vec<String>) {
+    let dir = tempfile::tempdir().unwrap();
+    let more = [(270, 2, format!("{text}\0").into_bytes())];
+    let path = write(&dir, "a.tif", &pages(PLAIN, ScalarType::U16, 6, &more));
+    let steps = |field: Option<&str>| {
+        let options = OpenOptions { field: field.map(str::to_owned), ..OpenOptions::default() };
+        crate::formats::steps_of(std::slice::from_ref(&path), &options).unwrap()
+    };
+    let times = |steps: &[crate::formats::StepSource]| steps.iter().map(|s| s.time).collect::<Vec<_>>();
+    let all = steps(None);
+    assert_eq!(times(&all), times(&steps(Some("data:t*"))), "by a pattern as by the array");
+    let info = open_volume(&path, &all[0].options).unwrap().info().clone();
+    (times(&all), info.units.time.map(|unit| unit.to_string()), info.notes)
+}
+
+const NO_TIMES: [Option<f64>; 3] = [None; 3];
+
+#[test]
+fn moments_of_imagej_have_times() {
+    let imagej = |lines: &str| times_of(&format!("ImageJ=1.53t\nimages=6\nslices=2\nframes=3\n{lines}"));
+    let known = vec![Some(0.0), Some(0.5), Some(1.0)];
+    assert_eq!(imagej("finterval=0.5\nfps=7\n"), (known.clone(), Some("s".into()), vec![]));
+    assert_eq!(imagej("finterval=0.5\ntunit=\\u00B5s\n"), (known, Some("µs".into()), vec![]));
+    for (lines, note) in
+        [("fps=7\n", "how fast"), ("finterval=-1\n", "finterval=-1"), ("finterval=x\n", "=x")]
+    {
+        let (times, unit, notes) = imagej(lines);
+        assert_eq!((&times[..], unit), (&NO_TIMES[..], None));
+        assert!(notes.iter().any(|n| n.contains(note) && n.contains("no times")), "{notes:?}");
+    }
+    assert_eq!(imagej("finterval=0\n"), (NO_TIMES.to_vec(), None, vec![]), "0 is none");
+}
+
+#[test]
+fn moments_of_ome_have_times() {
+    let ome = |attributes: &str, planes: &str| {
+        times_of(&format!(
+            "<OME><Image><Pixels SizeC=\"1\" SizeZ=\"2\" SizeT=\"3\" DimensionOrder=\"XYZTC\" {attributes}>\
+             {planes}</Pixels></Image><Image><Pixels><Plane TheT=\"7\" DeltaT=\"1\"/></Pixels></Image></OME>"
+        ))
+    };
+    let steps = "TimeIncrement=\"0.5\" TimeIncrementUnit=\"min\"";
+    let by_steps = (vec![Some(0.0), Some(0.5), Some(1.0)], Some("min".to_owned()));
+    let (times, unit, notes) = ome(steps, "");
+    assert_eq!(((times, unit), notes), (by_steps.clone(), vec![]));
+    assert_eq!(ome("TimeIncrement=\"0.5\"", "").1.as_deref(), Some("s"), "as OME's schema says");
+    let plane = |t: u8, time: &str, unit: &str| {
+        format!("<Plane TheT=\"{t}\" TheZ=\"0\" TheC=\"0\" DeltaT=\"{time}\"{unit}/>")
+    };
+    let planes = |of: &[(u8, &str, &str)]| of.iter().map(|(t, time, unit)| plane(*t, time, unit)).collect();
+    let of_planes = |list: &[(u8, &str, &str)]| -> (Vec<Option<f64>>, Option<String>, Vec<String>) {
+        let planes: String = planes(list);
+        ome(steps, &planes)
+    };
+    // The first plane of a moment counts, in any order.
+    let good = [(1, "4", ""), (0, "1.5", ""), (0, "1", ""), (2, "8", "")];
+    assert_eq!(of_planes(&good), (vec![Some(1.0), Some(4.0), Some(8.0)], Some("s".into()), vec![]));
+    for (list, why) in [
+        (vec![(0, "1", ""), (2, "4", "")], "missing"),
+        (vec![(0, "1", ""), (1, "1", ""), (2, "4", "")], "does not rise"),
+        (vec![(0, "1", ""), (1, "2", " DeltaTUnit=\"ms\""), (2, "4", "")], "several units (s, ms)"),
+        (vec![(0, "1", ""), (1, "x", ""), (2, "4", "")], "no number"),
+        (vec![(0, "1", ""), (1, "2", ""), (9, "4", "")], "no moment"),
+    ] {
+        let (times, unit, notes) = of_planes(&list);
+        assert_eq!((times, unit), by_steps);
+        assert!(notes.len() == 1 && notes[0].contains(why), "{notes:?}");
+    }
+}
+
 #[test]
 fn thumbnails_are_skipped() {
     let dir = tempfile::tempdir().unwrap();

@@ -123,7 +123,6 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
         is_there: false,
         keyframes: settings.keyframes,
         attachments: Attachments::default(),
-        bound: None,
         watch: Default::default(),
     };
     let chunks = manifest.counts.chunks;

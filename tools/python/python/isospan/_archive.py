@@ -449,6 +449,7 @@ class Archive:
         bounds: Sequence[float | None] | None = None,
         every: int = 1,
         compress: bool = False,
+        fields: Sequence[str] = (),
         step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
@@ -460,12 +461,15 @@ class Archive:
 
         range: only tetrahedra whose corners all (with any_corner: at least one) have values in it;
             an end that is None is open. roi, bounds: only those that touch the box. every: each
-            so-manyth of them.
+            so-manyth of them. fields: names of the fields whose values are written, of those that
+            the archive has at the step; range is of the first. By default that of the step.
         """
         from ._errors import UsageError
 
         if any_corner and range is None:
             raise UsageError("any_corner needs a range")
+        if isinstance(fields, str):
+            raise UsageError("fields is a list of names")
         ends = (-np.inf, np.inf)
         part = {
             "range": None
@@ -475,6 +479,7 @@ class Archive:
             "roi": _box(roi, bounds),
             "every": every,
             "compress": compress,
+            "fields": list(fields),
         }
         with Reporter(progress) as callback:
             machine = _machine(threads, memory, scratch)
