@@ -187,6 +187,22 @@ def cpu_of(command):
     return output, usage.ru_utime + usage.ru_stime
 
 
+class Wavelet:
+    """The crate isospan-wavelet: a compressed array, by the step of its quantiser."""
+
+    def __init__(self, program):
+        self.program = program
+
+    def __call__(self, volume, step, scratch):
+        source, made, back = scratch / "source.f32", scratch / "made", scratch / "back.f32"
+        volume.values.astype("<f4").tofile(source)
+        dims = volume.values.shape[::-1]
+        _, write = cpu_of([self.program, "compress", source, *dims, f"{step:.9g}", made])
+        _, read = cpu_of([self.program, "decode", made, 0, back])
+        decoded = np.fromfile(back, "<f4").reshape(volume.values.shape)
+        return Answer(made.stat().st_size, decoded, write, read)
+
+
 def folder_bytes(folder):
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
 

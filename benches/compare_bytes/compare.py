@@ -14,6 +14,7 @@ to read are those of the answer that meets the target.
 * *isospan*: `reduce --points lattice --target-rms`, or what --ours says: `--ours "fine=--points
   lattice --value-bits 10"` makes a coder "fine", and --ours may be given several times. All files
   of the archive count. The samples are what `probe` finds at all places.
+* *wavelet*: the crate isospan-wavelet, which an archive of volumes will use; its own bytes, whole.
 * *SZ3*, *SPERR*: HDF5 filters of hdf5plugin, with an absolute bound, all samples at once. *Chunks*:
   each of 32^3 alone, what lets a part be read; those at upper ends are smaller. Each has a dataset
   with its true shape. *Padded chunks*: a dataset in chunks, which HDF5 pads at the upper ends.
@@ -104,6 +105,7 @@ def arguments():
     add("--with", type=pathlib.Path, action="append", default=[], dest="earlier",
         metavar="FILE", help="rows of an earlier run")
     add("--program", type=pathlib.Path, help="isospan, built already")
+    add("--wavelet", type=pathlib.Path, help="the example `array` of isospan-wavelet, built already")
     add("--scratch", type=pathlib.Path)
     settings = parser.parse_args()
     settings.ours = settings.ours or [("isospan", ["--points", "lattice"])]
@@ -124,6 +126,7 @@ def all_coders(settings):
     even = coders.Isospan(program, ["--points", "hammersley", "--fraction"])
     others = [
         ("hammersley", even, errors.by_steps(fractions)),
+        ("wavelet", coders.Wavelet(settings.wavelet), errors.by_halves(lambda target: 5 * target)),
         ("SPERR", Hdf5(coders.sperr, coders.whole), bound),
         ("SPERR, rate", Hdf5(coders.sperr_of_rate, coders.whole), errors.by_halves(lambda _: 16.0)),
         ("SPERR, chunks", Hdf5(coders.sperr, coders.chunks), bound),
@@ -188,11 +191,22 @@ def keep(rows, file):
         file.write_text(json.dumps(rows, indent=1))
 
 
+def build(settings):
+    """Builds the programs that are not given."""
+    release = ["cargo", "build", "--locked", "--release"]
+    if settings.program is None:
+        subprocess.run(release, cwd=ROOT, check=True)
+        settings.program = target_folder() / "release/isospan"
+    if settings.wavelet is None:
+        example = ["--package", "isospan-wavelet", "--example", "array"]
+        subprocess.run([*release, *example], cwd=ROOT, check=True)
+        settings.wavelet = target_folder() / "release/examples/array"
+
+
 def main():
     settings = arguments()
-    if settings.program is None and (settings.volumes or settings.generated):
-        subprocess.run(["cargo", "build", "--locked", "--release"], cwd=ROOT, check=True)
-        settings.program = target_folder() / "release/isospan"
+    if settings.volumes or settings.generated:
+        build(settings)
     rows = dict(bytes=[], surfaces=[])
     for file in settings.earlier:
         for kind, more in json.loads(file.read_text()).items():

@@ -66,28 +66,46 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
         let s = f64::from(*s);
         [low.min(s), high.max(s)]
     });
-    let guess = match settings.accuracy {
-        Accuracy::Step(step) => step,
-        // Most often a little more or less.
-        Accuracy::Rms(error) => 6.0 * error,
+    let (mut scale, error) = match settings.accuracy {
+        Accuracy::Step(step) => (Scale::new(range, step)?, None),
+        // The scale is that of any step.
+        Accuracy::Rms(error) => (Scale::new(range, error)?, Some(error)),
     };
-    let scale = Scale::new(range, guess)?;
-    let delay = match settings.delay {
-        Some(delay) => delay,
-        None => {
-            let tried: Vec<_> = boxes(dims).iter().map(|b| (cut(samples, dims, b), b.size)).collect();
-            choose_delay(&tried, scale.in_samples(scale.step))?
+    let mut transformed = Transformed::new(samples, dims, &scale, settings.delay.unwrap_or_default());
+    if settings.delay.is_none() {
+        if let Some(error) = error {
+            scale = Scale::new(range, transformed.guess(range, error)?)?;
         }
-    };
-    let pyramid = Pyramid::new(dims, delay);
-    let entered = samples.iter().map(|s| scale.enter(f64::from(*s))).collect();
-    let mut window = Window { place: Box3::all(dims), samples: entered };
-    window.forward(pyramid.splits(), &mut Scratch::default());
-    let transformed = Transformed { pyramid, delay, window };
-    match settings.accuracy {
-        Accuracy::Step(_) => transformed.encode(&scale),
-        Accuracy::Rms(error) => transformed.search(samples, range, error),
+        let tried: Vec<_> = boxes(dims).iter().map(|b| (cut(samples, dims, b), b.size)).collect();
+        let delay = choose_delay(&tried, &scale)?;
+        if delay != transformed.delay {
+            transformed = Transformed::new(samples, dims, &scale, delay);
+        }
     }
+    match error {
+        None => Ok(transformed.encode(&scale)?.bytes),
+        Some(error) => transformed.search(samples, range, error),
+    }
+}
+
+/// What an encoder made.
+struct Encoded {
+    bytes: Vec<u8>,
+    /// The sum of the squared errors of coefficients, in squared steps.
+    error: f64,
+}
+
+/// What a whole array takes with a step and a delay, with the worth of a bit in squared steps, as
+/// bits. Errors are those of the coefficients.
+pub(crate) fn price(
+    samples: &[f32],
+    dims: [usize; 3],
+    scale: &Scale,
+    delay: [u8; 3],
+    bit: f64,
+) -> Result<f64> {
+    let made = Transformed::new(samples, dims, scale, delay).encode(scale)?;
+    Ok(8.0 * made.bytes.len() as f64 + made.error / bit)
 }
 
 /// The coefficients of a whole array.
@@ -98,6 +116,14 @@ struct Transformed {
 }
 
 impl Transformed {
+    fn new(samples: &[f32], dims: [usize; 3], scale: &Scale, delay: [u8; 3]) -> Self {
+        let pyramid = Pyramid::new(dims, delay);
+        let entered = samples.iter().map(|s| scale.enter(f64::from(*s))).collect();
+        let mut window = Window { place: Box3::all(dims), samples: entered };
+        window.forward(pyramid.splits(), &mut Scratch::default());
+        Self { pyramid, delay, window }
+    }
+
     /// The bytes with the largest step that meets an RMS error, nearly.
     fn search(&self, samples: &[f32], range: [f64; 2], target: f64) -> Result<Vec<u8>> {
         /// Steps are accepted that use this much of the error.
@@ -106,7 +132,7 @@ impl Transformed {
         let mut step = self.guess(range, target)?;
         let mut best: Option<(f64, Vec<u8>)> = None;
         for tried in 0.. {
-            let bytes = self.encode(&Scale::new(range, step)?)?;
+            let bytes = self.encode(&Scale::new(range, step)?)?.bytes;
             let back = Compressed::new(&bytes, samples.len())?.level(0)?;
             let errors = samples.iter().zip(&back).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
             let used = (errors.sum::<f64>() / samples.len() as f64).sqrt() / target;
@@ -146,13 +172,13 @@ impl Transformed {
         Ok(unit.in_samples(low as f32))
     }
 
-    fn encode(&self, scale: &Scale) -> Result<Vec<u8>> {
+    fn encode(&self, scale: &Scale) -> Result<Encoded> {
         let p = &self.pyramid;
         let size = p.nodes(p.coarsest());
         let low = self.window.band(p.splits(), [false; 3], &Box3::all(size));
         let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
         let top = encode_top(&low, size);
-        let (mut lengths, mut tiles) = (vec![], vec![]);
+        let (mut lengths, mut tiles, mut error) = (vec![], vec![], 0.0);
         let mut above = HashMap::new();
         for level in (1..=p.coarsest()).rev() {
             let mut made = HashMap::new();
@@ -162,6 +188,7 @@ impl Transformed {
                 let (tile, bytes) = Tile::encode(p, id, &coefficients, parent)?;
                 lengths.push(bytes.len() as u32);
                 tiles.extend(bytes);
+                error += tile.error(&coefficients);
                 made.insert(id.at, tile);
             }
             above = made;
@@ -177,7 +204,7 @@ impl Transformed {
         out.extend((top.len() as u32).to_le_bytes());
         out.extend((lengths.len() as u32).to_le_bytes());
         out.extend([top, lengths, tiles].concat());
-        Ok(out)
+        Ok(Encoded { bytes: out, error })
     }
 }
 

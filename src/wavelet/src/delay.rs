@@ -1,8 +1,9 @@
 //! Which axis is split later than the others: tried on boxes of samples.
 
-use crate::array::{Accuracy, Compressed, Settings, compress};
+use crate::array;
 use crate::error::Result;
 use crate::pyramid::Box3;
+use crate::quantise::Scale;
 
 /// Splits by which an axis may be late.
 const LATEST: u8 = 3;
@@ -12,8 +13,8 @@ const EDGE: usize = 64;
 const BOXES: usize = 8;
 /// A delay must be this much better than none: a box is not all of the samples.
 const BETTER: f64 = 0.97;
-/// What a bit is worth, in squared steps: the slope of error over bits at a fine step, ln(2) / 6.
-const BIT: f64 = 0.1155;
+/// What a bit is worth, in squared steps.
+const BIT: f64 = 0.08;
 
 /// Boxes of an array to try delays on: one in the middle, and more of them in a large one.
 pub fn boxes(dims: [usize; 3]) -> Vec<Box3> {
@@ -30,21 +31,21 @@ pub fn boxes(dims: [usize; 3]) -> Vec<Box3> {
     (0..n).map(one).collect()
 }
 
-/// The delay with which boxes of samples take the least bits and errors, with a step in their units.
-pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], step: f64) -> Result<[u8; 3]> {
+/// The delay with which boxes of samples take the least bits and errors, at a step.
+pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale) -> Result<[u8; 3]> {
     let none = [0; 3];
-    let mut best = (BETTER * price(boxes, step, none)?, none);
+    let mut best = (BETTER * price(boxes, scale, none)?, none);
     let mut way = none;
     // An axis alone, or both others.
     for one in [[0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]] {
-        let price = price(boxes, step, one)?;
+        let price = price(boxes, scale, one)?;
         if price < best.0 {
             (best, way) = ((price, one), one);
         }
     }
     for late in 2..=LATEST {
         let later = way.map(|d| d * late);
-        let price = if way == none { break } else { price(boxes, step, later)? };
+        let price = if way == none { break } else { price(boxes, scale, later)? };
         if price >= best.0 {
             break;
         }
@@ -54,16 +55,8 @@ pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], step: f64) -> Result<[u8; 
 }
 
 /// Bits and squared errors of boxes, in bits.
-fn price(boxes: &[(Vec<f32>, [usize; 3])], step: f64, delay: [u8; 3]) -> Result<f64> {
-    let mut sum = 0.0;
-    for (samples, dims) in boxes {
-        let bytes =
-            compress(samples, *dims, &Settings { accuracy: Accuracy::Step(step), delay: Some(delay) })?;
-        let back = Compressed::new(&bytes, samples.len())?.level(0)?;
-        let errors = samples.iter().zip(&back).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
-        sum += 8.0 * bytes.len() as f64 + errors.sum::<f64>() / (step * step) / BIT;
-    }
-    Ok(sum)
+fn price(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale, delay: [u8; 3]) -> Result<f64> {
+    boxes.iter().map(|(samples, dims)| array::price(samples, *dims, scale, delay, BIT)).sum()
 }
 
 #[cfg(test)]
@@ -72,13 +65,14 @@ mod tests {
 
     #[test]
     fn an_axis_along_which_little_is_alike_is_split_late() {
+        let scale = Scale::new([-4.0, 4.0], 0.05).unwrap();
         let dims = [64, 64, 32];
         let wave = |i: usize| {
             let [x, y, z] = [i % 64, i / 64 % 64, i / 4096].map(|n| n as f64);
             ((x * 0.1).sin() + (y * 0.12).cos() + 1.5 * (z * 1.9).sin()) as f32
         };
         let samples: Vec<f32> = (0..dims.iter().product()).map(wave).collect();
-        let delay = choose_delay(&[(samples, dims)], 0.05).unwrap();
+        let delay = choose_delay(&[(samples, dims)], &scale).unwrap();
         assert!(delay[2] > 0 && delay[..2] == [0, 0], "{delay:?}");
         let dims = [40, 40, 40];
         let ball = |i: usize| {
@@ -86,7 +80,7 @@ mod tests {
             (1.0 / (1.0 + (r - 120.0) * (r - 120.0) / 4000.0)) as f32
         };
         let samples: Vec<f32> = (0..dims.iter().product()).map(ball).collect();
-        assert_eq!(choose_delay(&[(samples, dims)], 0.05), Ok([0; 3]));
+        assert_eq!(choose_delay(&[(samples, dims)], &scale), Ok([0; 3]));
     }
 
     #[test]

@@ -8,7 +8,7 @@
 use crate::error::{Error, Result};
 use crate::model::{Model, Odd, UNARY, class, cost, step};
 use crate::pyramid::{Band, Box3, GROUP, Pyramid};
-use crate::quantise::{BACK, in_bounds, nearest};
+use crate::quantise::{BACK, in_bounds, nearest, restored};
 use crate::range_coder::{Coder, Decoder, Encoder};
 
 /// Magnitudes count for at most this much in an energy.
@@ -100,6 +100,13 @@ impl Tile {
         // What was left may have been too little to be worth its bits.
         let bytes = if tile.is_zero() { vec![] } else { encoder.finish() };
         Ok((tile, bytes))
+    }
+
+    /// The sum of the squared differences to what it was made of, in squared steps.
+    pub fn error(&self, coefficients: &[Vec<f32>]) -> f64 {
+        let pairs =
+            self.parts.iter().zip(coefficients).flat_map(|(part, real)| part.numbers.iter().zip(real));
+        pairs.map(|(n, c)| f64::from(restored(*n) - c).powi(2)).sum()
     }
 
     /// Decodes what [`Tile::encode`] made.
