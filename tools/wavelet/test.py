@@ -1,0 +1,135 @@
+"""Compares what read_array.py reads with what isospan-wavelet decodes, bit by bit.
+
+Usage: test.py PROGRAM FOLDER. PROGRAM is the crate's example `array`; FOLDER is for files.
+"""
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import read_array
+
+SEED = 20
+# Sizes along x, y, z.
+SIZES = [
+    (1, 1, 1), (7, 3, 2), (8, 1, 1), (8, 8, 8), (9, 9, 9), (17, 1, 40), (5, 100, 3), (31, 33, 8),
+    (128, 8, 8), (40, 33, 21), (130, 40, 9), (70, 20, 65),
+]
+DAMAGED = 60
+
+
+def wave(size):
+    """A smooth field."""
+    z, y, x = np.meshgrid(*(np.arange(n) for n in reversed(size)), indexing="ij")
+    return np.sin(0.21 * x + 0.5) * np.cos(0.13 * y) + np.sin(0.3 * z + 0.02 * x)
+
+
+def cases():
+    """A name, samples (z, y, x) and a step, of each array."""
+    random = np.random.default_rng(SEED)
+    for size in SIZES:
+        yield "smooth", wave(size), 0.01
+    for size in SIZES[:10]:
+        yield "noise", random.normal(size=size[::-1]), 0.3
+        yield "constant", np.full(size[::-1], -3.7), 0.3
+    field = wave((40, 33, 21))
+    for step in (1e-6, 1e-4, 0.1, 1, 1e6):
+        yield f"a step of {step}", field, step
+    for scale in (1.5e38, 1e37, 1e-30, 1e-40, 1e-44):
+        yield f"times {scale}", field * scale, 0.003 * scale
+    yield "edges", np.sign(field) + 20 * (field > 0.5), 0.5
+    yield "points", 1000 * (random.random(field.shape) < 0.002), 1
+    yield "zeros of both signs", np.where(field > 0, field, -0.0), 0.01
+    # Axes along which neighbours differ more than along the others are split later.
+    z, _, x = np.meshgrid(*(np.arange(n) for n in (40, 35, 48)), indexing="ij")
+    yield "rough along x", np.sin(0.01 * z) + random.normal(size=(1, 1, 48)), 0.02
+    yield "rough along z", np.sin(0.02 * x) + random.normal(size=(40, 1, 1)), 0.02
+    yield "rough along y and z", np.sin(0.01 * x) + random.normal(size=(40, 35, 1)), 0.1
+
+
+class Program:
+    """The crate's example."""
+
+    def __init__(self, program, folder):
+        self.program, self.folder = program, Path(folder)
+
+    def _run(self, *words):
+        return subprocess.run([self.program, *map(str, words)], capture_output=True, text=True)
+
+    def compress(self, samples, step):
+        """The bytes of an array."""
+        given, made = self.folder / "given.f32", self.folder / "made"
+        given.write_bytes(samples.astype("<f4").tobytes())
+        done = self._run("compress", given, *samples.shape[::-1], f"{step:.17g}", made)
+        if done.returncode:
+            sys.exit(f"tools/wavelet/test: {done.stderr}")
+        return made.read_bytes()
+
+    def decode(self, data, level):
+        """The bytes of the nodes of a level; None if they are refused, and why."""
+        file, out = self.folder / "file", self.folder / "out.f32"
+        file.write_bytes(data)
+        done = self._run("decode", file, level, out)
+        if done.returncode not in (0, 1):
+            sys.exit(f"tools/wavelet/test: the program fails: {done.stderr}")
+        return (None if done.returncode else out.read_bytes()), done.stderr
+
+
+def read(data, level):
+    """The bytes of the nodes of a level; None if they are refused, and why."""
+    try:
+        return read_array.read(data, level).astype("<f4").tobytes(), ""
+    except ValueError as why:
+        return None, str(why)
+
+
+def differences(program, data, level):
+    """What differs at a level, in words; nothing if nothing does."""
+    (theirs, error), (ours, why) = program.decode(data, level), read(data, level)
+    if theirs is None or ours is None:
+        return "" if theirs is ours else f"one refuses it: {error or why}"
+    theirs, ours = (np.frombuffer(b, "<u4") for b in (theirs, ours))
+    if theirs.size != ours.size:
+        return f"{ours.size} nodes, not {theirs.size}"
+    differing = np.flatnonzero(ours != theirs)
+    return f"{differing.size} nodes, the first is {differing[0]}" if differing.size else ""
+
+
+def damaged(data, random):
+    """The bytes with one or two others at places behind the sizes."""
+    data = bytearray(data)
+    for _ in range(random.integers(1, 3)):
+        data[random.integers(20, len(data))] = random.integers(256)
+    return bytes(data)
+
+
+def main():
+    """Tries all arrays; says which differ."""
+    program, random, faults = Program(*sys.argv[1:]), np.random.default_rng(SEED), 0
+
+    def compare(name, data, levels):
+        nonlocal faults
+        for level in levels:
+            if what := differences(program, data, level):
+                print(f"tools/wavelet/test: {name}, level {level}: {what}", file=sys.stderr)
+                faults += 1
+
+    small, arrays, tried, delayed = [], 0, 0, 0
+    for name, samples, step in cases():
+        name = f"{name}, {samples.shape[::-1]}"
+        data = program.compress(samples, step)
+        levels = len(read_array.Reader(data).levels)
+        compare(name, data, range(levels + 1))
+        arrays, tried, delayed = arrays + 1, tried + levels, delayed + any(data[20:23])
+        if samples.size < 30_000 and len(data) > 64:
+            small.append((name, data))
+    for i in range(DAMAGED):
+        name, data = small[i % len(small)]
+        compare(f"{name}, damaged", damaged(data, random), [0])
+    if faults or not delayed:
+        sys.exit(f"tools/wavelet/test: {faults} differ, {delayed} arrays have delays")
+    print(f"{arrays} arrays, {delayed} with delays, of {tried} levels; and {DAMAGED} damaged ones")
+
+
+if __name__ == "__main__":
+    main()
