@@ -19,8 +19,10 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let of_tests =
             name.ends_with("tests.rs") || ["tests", "testing.rs", "shared_data.rs"].contains(&&*name);
+        // A crate of its own, whose imports cargo checks.
+        let of_another_crate = path.join("Cargo.toml").exists();
         match path.is_dir() {
-            _ if of_tests => {}
+            _ if of_tests || of_another_crate => {}
             true => sources(&path, found),
             false if name.ends_with(".rs") => found.push(path),
             false => {}

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Documents besides the pages of the book.
-const DOCUMENTS: [&str; 6] = [
+const DOCUMENTS: [&str; 7] = [
     "README.md",
     "ARCHITECTURE.md",
     "CHANGELOG.md",
     "src/archive/FORMAT.md",
+    "src/wavelet/FORMAT.md",
     "benches/README.md",
     "datasets/README.md",
 ];
