@@ -123,9 +123,9 @@ def read_coarsest(data, size):
         difference = decoder.below_highest(bits)
         if difference and decoder.even():
             difference = -difference
-        numbers[z, y, x] = difference + around.sum()
+        numbers[z, y, x] = number = difference + around.sum()
+        fail_unless(-(2**31) <= number < 2**31, "a number is too large")
     decoder.end()
-    fail_unless(np.abs(numbers).max() < 2**31, "a number is too large")
     return numbers[1:, 1:, 1:]
 
 
