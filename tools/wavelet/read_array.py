@@ -95,7 +95,7 @@ def first_odds():
     """The nine sets that FORMAT.md lists, each as ten lines of numbers."""
     table = FORMAT.read_text(encoding="utf-8").split("```text\n")[1].split("```")[0]
     rows = filter(None, table.split("\n"))
-    lines = [[min(max(int(n), 128), 65408) for n in row.split()] for row in rows]
+    lines = [[int(n) for n in row.split()] for row in rows]
     return [lines[i : i + 10] for i in range(0, len(lines), 10)]
 
 

@@ -2,6 +2,7 @@
 
 Usage: test.py PROGRAM FOLDER. PROGRAM is the crate's example `array`; FOLDER is for files.
 """
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -103,6 +104,17 @@ def damaged(data, random):
     return bytes(data)
 
 
+def wrong_headers(data):
+    """The bytes with headers that are none: the least sample, the largest, a size, a step."""
+    for at, kind, value in [
+        (24, "<d", 1e9), (24, "<d", np.nan), (32, "<d", np.inf), (32, "<d", 1e300), (16, "<I", 0),
+        (40, "<i", 1001), (44, "<f", 2.0**-23), (44, "<f", 2.0**61), (44, "<f", np.nan),
+    ]:
+        changed = bytearray(data)
+        struct.pack_into(kind, changed, at, value)
+        yield bytes(changed)
+
+
 def main():
     """Tries all arrays; says which differ."""
     program, random, faults = Program(*sys.argv[1:]), np.random.default_rng(SEED), 0
@@ -126,6 +138,8 @@ def main():
     for i in range(DAMAGED):
         name, data = small[i % len(small)]
         compare(f"{name}, damaged", damaged(data, random), [0])
+    for changed in wrong_headers(small[0][1]):
+        compare(f"{small[0][0]}, a wrong header", changed, [0])
     if faults or not delayed:
         sys.exit(f"tools/wavelet/test: {faults} differ, {delayed} arrays have delays")
     print(f"{arrays} arrays, {delayed} with delays, of {tried} levels; and {DAMAGED} damaged ones")
