@@ -116,6 +116,7 @@ enum Target<'a> {
     Surface(&'a Format),
     Folders(&'a [Folder]),
     Blocks(&'a [Vec<u8>]),
+    Arrays(&'a [Vec<u8>]),
     Archive(&'a Archive),
 }
 
@@ -125,6 +126,7 @@ impl Target<'_> {
             Self::Volume(f) | Self::Mesh(f) | Self::Surface(f) => f.extension,
             Self::Folders(_) => "folders",
             Self::Blocks(_) => "blocks",
+            Self::Arrays(_) => "arrays",
             Self::Archive(_) => "archive",
         }
     }
@@ -144,11 +146,11 @@ fn run(settings: &Settings) -> Result<u64> {
     let [volumes, meshes, surfaces] = seeds::all(folder)?;
     let archive = Archive::make(folder)?;
     let blocks = archive.block_inputs()?;
-    let folders = folders::all();
+    let (folders, arrays) = (folders::all(), seeds::arrays()?);
     let mut targets: Vec<Target<'_>> = volumes.iter().map(Target::Volume).collect();
     targets.extend(meshes.iter().map(Target::Mesh));
     targets.extend(surfaces.iter().map(Target::Surface));
-    targets.push(Target::Blocks(&blocks));
+    targets.extend([Target::Blocks(&blocks), Target::Arrays(&arrays)]);
     // Folders are of many kinds.
     targets.extend([Target::Folders(&folders), Target::Folders(&folders), Target::Folders(&folders)]);
     // An archive has several parts; each case of it costs more than one of a file.
@@ -230,6 +232,11 @@ impl Fuzzer<'_> {
                 let [input, other] = [0; 2].map(|_| random.pick::<Vec<u8>>(inputs));
                 let bytes = mutate(input, other, &mut random);
                 return Ok(self.guarded(bytes.len(), || targets::blocks(&bytes)).told(|| text(&bytes)));
+            }
+            Target::Arrays(inputs) => {
+                let [input, other] = [0; 2].map(|_| random.pick::<Vec<u8>>(inputs));
+                let bytes = mutate(input, other, &mut random);
+                return Ok(self.guarded(bytes.len(), || targets::array(&bytes)).told(|| text(&bytes)));
             }
             Target::Folders(folders) => {
                 let (mut what, folder) = (String::new(), self.folder.join("case.folder"));
@@ -448,5 +455,6 @@ mod tests {
         }
         let archive = Archive::make(dir.path()).unwrap();
         assert!(archive.block_inputs().unwrap().len() > 20);
+        seeds::arrays().unwrap().iter().for_each(|array| targets::array(array).unwrap());
     }
 }

@@ -5,11 +5,12 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::Compression;
 use flate2::write::{GzEncoder, ZlibEncoder};
-use isospan::Result;
+use isospan::{Error, Result};
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
 use isospan::formats::{OpenOptions, open_volume};
 use isospan::surface::{TriMesh, Vertex};
 use isospan::volume::bricked::BrickedVolume;
+use isospan_wavelet::{Accuracy, Settings, compress};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -488,3 +489,22 @@ const PLY_TEXT: &str = "ply\nformat ascii 1.0\ncomment a\nelement vertex 4\nprop
 
 const STL_TEXT: &str = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\n\
     endfacet\nendsolid a\n";
+
+/// Compressed arrays: of several sizes and delays, smooth and noisy.
+pub(crate) fn arrays() -> Result<Vec<Vec<u8>>> {
+    let make = |dims: [usize; 3], step: f64, delay| {
+        let noise = |i: usize| (i as u32).wrapping_mul(2_654_435_761) as f32 / 4e9;
+        let sample = |i: usize| (i % dims[0]) as f32 * 0.3 + noise(i);
+        let samples: Vec<f32> = (0..dims.iter().product()).map(sample).collect();
+        let settings = Settings { accuracy: Accuracy::Step(step), delay: Some(delay) };
+        compress(&samples, dims, &settings).map_err(|e| Error::usage(e.to_string()))
+    };
+    vec![
+        make([40, 20, 34], 1.0, [0; 3]),
+        make([16, 16, 16], 0.1, [0, 0, 1]),
+        make([33, 9, 7], 0.01, [1, 0, 0]),
+        make([3, 2, 5], 0.1, [0; 3]),
+    ]
+    .into_iter()
+    .collect()
+}

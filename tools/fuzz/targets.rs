@@ -25,6 +25,7 @@ use isospan::surface::check::check;
 use isospan::volume::chunked::ChunkedVolume;
 use isospan::volume::{ScalarType, VolumeReader, VolumeSource};
 use isospan::{Error, Resources, Result};
+use isospan_wavelet::{Box3, Compressed};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -112,6 +113,21 @@ fn raw_layout(path: &Path, bytes: &[u8]) -> Option<RawLayout> {
 /// Reads a surface and checks it.
 pub(crate) fn surface(path: &Path) -> Result<()> {
     check(&read_surface(path)?);
+    Ok(())
+}
+
+/// The decoder of compressed arrays: all samples, the coarsest level, and a box.
+pub(crate) fn array(bytes: &[u8]) -> Result<()> {
+    const MOST: usize = 1 << 16;
+    let refused = |error: isospan_wavelet::Error| Error::usage(error.to_string());
+    let array = Compressed::new(bytes, MOST).map_err(refused)?;
+    let coarsest = array.pyramid().coarsest();
+    for level in [0, coarsest] {
+        let nodes = array.level(level).map_err(refused)?;
+        assert!(nodes.iter().all(|n| n.is_finite()), "a sample is infinite or no number");
+    }
+    let last = array.pyramid().nodes(0).map(|n| n - 1);
+    array.nodes(0, &Box3 { start: last, size: [1; 3] }).map_err(refused)?;
     Ok(())
 }
 
