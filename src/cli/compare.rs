@@ -75,7 +75,7 @@ fn opened(args: &Args, path: &Path) -> Result<Option<Step>> {
         let text = "is an archive: give the isovalue whose surface is compared, --isovalue VALUE";
         return Err(Error::usage(format!("{path} {text}")));
     }
-    Archive::open(path)?.at(args.step.choice()).map(Some)
+    Archive::open(path)?.at(args.step.choice()?).map(Some)
 }
 
 /// The isovalue of the archives; 0 where there are none.

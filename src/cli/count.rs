@@ -39,7 +39,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let step = Archive::open(&args.archive)?.at(args.step.choice())?;
+    let step = Archive::open(&args.archive)?.at(args.step.choice()?)?;
     args.isovalue.iter().try_for_each(|isovalue| {
         let isovalue = isovalue.of(step.value_range())?;
         let report = step.count(isovalue)?;

@@ -41,7 +41,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 
 fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(path) {
-        let summary = Archive::open(path)?.at(args.step.choice(args.read.field.as_deref()))?.info()?;
+        let summary = Archive::open(path)?.at(args.step.choice(args.read.field.as_deref())?)?.info()?;
         return if args.json {
             super::print_json("info.archive", &summary)
         } else {
@@ -106,7 +106,7 @@ struct Opened {
 fn open(path: &Path, args: &Args) -> Result<Opened> {
     let options = args.read.options()?;
     let steps = formats::steps_of(&[path.to_path_buf()], &options)?;
-    let shown = chosen(path, &steps, args.step.choice(None))?;
+    let shown = chosen(path, &steps, args.step.choice(None)?)?;
     let step = steps.get(shown).cloned().unwrap_or_else(|| StepSource::new(path, &options));
     let (mut options, mut several) = (step.options, false);
     let input = match formats::open_input(&step.path, &options) {

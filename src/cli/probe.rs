@@ -47,7 +47,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ProbeSettings { resources: args.machine.resources(None, talk) };
     args.force.check(&args.output, args.at.iter().chain([&args.archive]))?;
-    let archive = Archive::open(&args.archive)?.at(args.step.choice())?;
+    let archive = Archive::open(&args.archive)?.at(args.step.choice()?)?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {
         (Some(grid), _) => SampleFormat::from_path(&args.output)

@@ -115,7 +115,7 @@ fn names_of(archives: &[PathBuf]) -> Result<Vec<String>> {
             return Err(Error::usage(text));
         }
         // Of `.` and the like, too; what is no archive is told here.
-        expect_one_field(&Archive::open(archive)?)?;
+        Archive::open(archive)?;
         let place = archive.canonicalize().map_err(|e| Error::io("find", archive, e))?;
         let name =
             place.file_name().and_then(|name| name.to_str()).filter(|name| !name.contains(['\n', '\r']));
@@ -132,20 +132,6 @@ fn names_of(archives: &[PathBuf]) -> Result<Vec<String>> {
         names.push(name.to_owned());
     }
     Ok(names)
-}
-
-/// Refuses an archive with several fields at each step: the queries that the page has know steps by
-/// their numbers alone.
-fn expect_one_field(archive: &Archive) -> Result<()> {
-    match &archive.fields()[..] {
-        [] | [_] => Ok(()),
-        fields => Err(Error::usage(format!(
-            "{}: each step has the fields {}, and a published page shows one: make an archive of one field, \
-             with --field, or look at this one with isospan view",
-            archive.path().display(),
-            fields.join(", ")
-        ))),
-    }
 }
 
 /// Refuses a place where no folder can be written, before anything is made beside it.

@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             super::print(&lines(&steps))
         };
     }
-    let step = archive.at(args.step.choice())?;
+    let step = archive.at(args.step.choice()?)?;
     let (report, units) = (step.spectrum()?, step.units());
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
         figure::write(&report, (&name, units), file, format)?;

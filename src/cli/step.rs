@@ -130,19 +130,33 @@ impl MomentArgs {
     }
 
     /// The step, and the field of it.
-    pub(crate) fn choice(&self, field: Option<&str>) -> StepChoice {
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where the step is asked by the name of another field.
+    pub(crate) fn choice(&self, field: Option<&str>) -> Result<StepChoice> {
         let field = field.map(str::to_owned);
-        match (&self.step, self.time, field) {
+        Ok(match (&self.step, self.time, field) {
             (Some(step), _, field) => match (step.parse(), field) {
                 (Ok(number), None) => StepChoice::Number(number),
                 (Ok(number), Some(field)) => StepChoice::NumberOf(number, field),
+                (Err(_), Some(field)) if field != *step => {
+                    return Err(Error::usage(format!(
+                        "--step {step} and --field {field} are two fields: give one of them, or the step by its \
+                         number"
+                    )));
+                }
                 (Err(_), _) => StepChoice::Field(step.clone()),
             },
             (None, Some(time), None) => StepChoice::Time(time),
             (None, Some(time), Some(field)) => StepChoice::TimeOf(time, field),
             (None, None, Some(field)) => StepChoice::Field(field),
             (None, None, None) => StepChoice::First,
-        }
+        })
+    }
+
+    /// Whether the step is asked by the name of its field.
+    fn names_field(&self) -> bool {
+        self.step.as_ref().is_some_and(|step| step.parse::<u64>().is_err())
     }
 }
 
@@ -164,7 +178,7 @@ impl StepArgs {
         archive: &Archive,
         steps: Option<StepRange>,
     ) -> Result<Option<[f64; 2]>> {
-        let Some(steps) = steps else { return Ok(archive.at(self.choice())?.value_range()) };
+        let Some(steps) = steps else { return Ok(archive.at(self.choice()?)?.value_range()) };
         let is_asked = |s: &StepSummary| {
             steps.contains(s.number) && self.field.as_ref().is_none_or(|field| *field == s.field)
         };
@@ -172,13 +186,17 @@ impl StepArgs {
         Ok(ranges.filter_map(|s| s.range).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]))
     }
 
-    pub(crate) fn choice(&self) -> StepChoice {
+    /// The step, and the field of it.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where two fields are named.
+    pub(crate) fn choice(&self) -> Result<StepChoice> {
         self.moment.choice(self.field.as_deref())
     }
 
     /// Whether a field is named, as such or as a step.
     pub(crate) fn names_field(&self) -> bool {
-        self.field.is_some() || matches!(self.moment.choice(None), StepChoice::Field(_))
+        self.field.is_some() || self.moment.names_field()
     }
 
     /// The step of a question about some fields, or about all where none is named: that of the
@@ -186,12 +204,12 @@ impl StepArgs {
     pub(crate) fn choice_among(&self, fields: &[String], archive: &Archive) -> Result<StepChoice> {
         if self.names_field() {
             return match fields {
-                [] => Ok(self.choice()),
+                [] => self.choice(),
                 _ => Err(Error::usage("--step FIELD is one field: with --fields, give a step by its number")),
             };
         }
         let first = fields.first().map(String::as_str).or(archive.fields().first().copied());
-        Ok(self.moment.choice(first))
+        self.moment.choice(first)
     }
 }
 

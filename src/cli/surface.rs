@@ -182,7 +182,7 @@ fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
 /// The field that colours the surface.
 fn colours(args: &Args, archive: &Archive) -> Result<Option<ColourBy>> {
     let Some(by) = &args.colour_by else { return Ok(None) };
-    let field = colour_fields(by, archive, [args.step.choice()])?.swap_remove(0);
+    let field = colour_fields(by, archive, [args.step.choice()?])?.swap_remove(0);
     let mut colours = field.colours(args.colour_map);
     colours.range = args.colour_range.map(|asked| asked.within(field.value_range())).transpose()?;
     Ok(Some(colours))
@@ -225,7 +225,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         }
         return expect_area(&args.output, report.steps.iter().map(|s| &s.report));
     }
-    let step = archive.at(args.step.choice())?;
+    let step = archive.at(args.step.choice()?)?;
     let report = step.write_surface(&settings, &args.output, format, &*bar);
     bar.end();
     let report = with_opening(report?, archive.opening());
@@ -265,7 +265,7 @@ fn expect_more_than_nothing(
     if !there.contains(&true) {
         return Ok(());
     }
-    let range = archive.at(args.step.choice())?.value_range();
+    let range = archive.at(args.step.choice()?)?.value_range();
     let cuts = |v: f64| range.is_some_and(|[lo, hi]| v <= hi && (v > lo || settings.cap));
     let each_alone = files.len() == settings.isovalues.len();
     for (n, (file, is_there)) in files.iter().zip(there).enumerate() {
@@ -351,7 +351,7 @@ fn to_standard_output(
         tempfile::tempdir_in(&scratch).map_err(|e| Error::io("make a temporary folder in", &scratch, e))?;
     let file = folder.path().join("surface");
     let bar = talk.progress();
-    let report = archive.at(args.step.choice())?.write_surface(settings, &file, format, &*bar);
+    let report = archive.at(args.step.choice()?)?.write_surface(settings, &file, format, &*bar);
     bar.end();
     let mut report = with_opening(report?, archive.opening());
     talk.stages(&report.seconds);

@@ -58,11 +58,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             .with_threads(args.machine.threads)
             .with_memory(if args.remove { all.resources.memory } else { args.machine.memory(talk) })
             .with_cancel(super::signals::cancel_token()),
-        step: args.step.choice(),
+        step: args.step.choice()?,
         steps: args.steps.or(args.all_steps.then(StepRange::default)),
         field: args.step.field(),
         range: match args.range {
-            Some(range) => range.of(Archive::open(&args.archive)?.at(args.step.choice())?.value_range())?,
+            Some(range) => range.of(Archive::open(&args.archive)?.at(args.step.choice()?)?.value_range())?,
             None => all.range,
         },
         keep: !args.force.is_given(),

@@ -356,21 +356,95 @@ fn adapted_points_do_not_depend_on_units() {
     );
 }
 
-/// A published page knows steps by their numbers alone.
+/// A page without a server shows each field: the copy has all.
 #[cfg(feature = "view")]
 #[test]
-fn several_fields_of_a_step_are_not_published() {
+fn several_fields_of_a_step_are_published() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     (0..2).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
-    for (out, fields) in [("f.isospan", ["--fields", "T,p"]), ("T.isospan", ["--field", "T"])] {
-        assert_eq!(run(d, &[&["reduce", "-q", "v0.vti", "v1.vti", "-o", out][..], &fields].concat()).0, 0);
+    let reduce = ["reduce", "-q", "v0.vti", "v1.vti", "-o", "f.isospan", "--fields", "T,p"];
+    assert_eq!(run(d, &reduce).0, 0);
+    let (code, _, errors) = run(d, &["publish", "-q", "f.isospan", "-o", "page"]);
+    assert_eq!(code, 0, "{errors}");
+    for (field, isovalue) in [("T", "310"), ("p", "110000")] {
+        for step in ["0", "1"] {
+            let what = ["-i", isovalue, "--step", step, "--field", field];
+            let found = count(d, "page/f.isospan", &what);
+            assert!(found > 0 && found == count(d, "f.isospan", &what), "{field} {step}");
+        }
     }
-    let words =
-        "f.isospan: each step has the fields T, p, and a published page shows one: make an archive of one";
-    refused(d, &["publish", "T.isospan", "f.isospan", "-o", "page"], words);
-    assert!(!d.join("page").exists());
-    assert_eq!(run(d, &["publish", "-q", "T.isospan", "-o", "page"]).0, 0);
+}
+
+/// A question is about one field: no command takes the one that `--step` names for that of
+/// `--field`.
+#[test]
+fn a_step_that_is_another_field_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    (0..2).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
+    assert_eq!(run(d, &["reduce", "-q", "v0.vti", "v1.vti", "-o", "s.isospan", "--fields", "T,p"]).0, 0);
+    assert_eq!(run(d, &["reduce", "-q", "v0.vti", "-o", "f.isospan", "--fields", "T,p"]).0, 0);
+    let commands: [&[&str]; 15] = [
+        &["count", "-i", "310"],
+        &["spectrum"],
+        &["spectrum", "--plot", "o.svg"],
+        &["surface", "-i", "310", "-o", "o.ply"],
+        &["surface", "-i", "50%", "-o", "o.ply"],
+        &["surface", "-i", "310", "-o", "-"],
+        &["surface", "-i", "310", "-o", "o.ply", "--colour-by", "p"],
+        &["unpack"],
+        &["unpack", "--range", "50%:"],
+        &["unpack", "--remove"],
+        &["compare", "s.isospan", "-i", "310"],
+        &["probe", "--grid", "3,3,3", "-o", "o.npy"],
+        &["export", "-o", "o.vtu"],
+        &["info"],
+        &["render", "-i", "310", "-o", "o.png"],
+    ];
+    for archive in ["s.isospan", "f.isospan"] {
+        for command in &commands {
+            let ask = |field| {
+                let what = ["--step", "T", "--field", field];
+                run(d, &[&command[..1], &[archive], &command[1..], &what].concat())
+            };
+            let (code, out, errors) = ask("p");
+            let words = "isospan: error: --step T and --field p are two fields: give one of them, or the step by \
+                         its number\n";
+            assert_eq!((code, &*out, &*errors), (2, "", words), "{archive} {command:?}");
+        }
+        // The same field twice is one.
+        let twice = ["-i", "310", "--step", "T", "--field", "T"];
+        assert!(count(d, archive, &twice) > 0);
+        assert!(!d.join(archive).join("steps/000000-unpacked.seg").exists());
+    }
+    assert_eq!(fs::read_dir(d).unwrap().count(), 4, "nothing was written");
+}
+
+/// All steps of a field are not those of another one.
+#[test]
+fn steps_of_a_field_that_is_not_there_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    (0..2).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
+    assert_eq!(run(d, &["reduce", "-q", "v0.vti", "v1.vti", "-o", "T.isospan", "--field", "T"]).0, 0);
+    assert_eq!(run(d, &["reduce", "-q", "v0.vti", "-o", "f.isospan", "--fields", "T,p"]).0, 0);
+    for archive in ["T.isospan", "f.isospan"] {
+        for command in [
+            &["surface", archive, "-i", "310", "-o", "o%d.ply"][..],
+            &["spectrum", archive],
+            &["unpack", archive],
+        ] {
+            let words = format!("{archive}: step 0 has the field T, not p: steps together");
+            refused(d, &[command, &["--all-steps", "--field", "p"]].concat(), &words);
+        }
+        assert!(!d.join("o0.ply").exists() && !d.join(archive).join("steps/000000-unpacked.seg").exists());
+    }
+    let of_one =
+        ["surface", "-q", "f.isospan", "-i", "110000", "-o", "o%d.ply", "--steps", "1", "--field", "p"];
+    assert_eq!(run(d, &of_one).0, 0);
+    let all = ["surface", "-q", "T.isospan", "-i", "310", "-o", "T%d.ply", "--all-steps", "--field", "T"];
+    assert_eq!(run(d, &all).0, 0);
 }
 
 /// A part of the range is that of each field: kelvins and pascals are not added.

@@ -28,10 +28,8 @@ from playwright.sync_api import sync_playwright
 
 from folders import Ranges, Whole
 
-PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:9]
-TOOTH, BALL, OTHER, FIELDS, TUBE, AXES = ARCHIVES
-# Several fields at each step, which no page without a server shows.
-SEVERAL = sys.argv[9]
+PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:10]
+TOOTH, BALL, OTHER, FIELDS, TUBE, AXES, SEVERAL = ARCHIVES
 PICTURES = pathlib.Path(sys.argv[10]) if sys.argv[10:] and sys.argv[10] else None
 MEMORY_MIB = 1536
 
@@ -39,11 +37,8 @@ MEMORY_MIB = 1536
 class Server:
     """`isospan view`, until it is stopped."""
 
-    def __init__(self, archives=ARCHIVES):
-        self.archives = archives
-
     def __enter__(self):
-        command = [PROGRAM, "view", *self.archives, "--json", "--memory", f"{MEMORY_MIB}MiB"]
+        command = [PROGRAM, "view", *ARCHIVES, "--json", "--memory", f"{MEMORY_MIB}MiB"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.url = json.loads(self.process.stdout.readline())["url"]
         self.port, self.token = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/", self.url).groups()
@@ -149,7 +144,7 @@ def requests(server):
 
     archives = json.loads(server.ask("archives")[2])
     assert [a["name"] for a in archives] == ARCHIVES
-    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2, 2, 1]
+    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2, 2, 1, 6]
 
     # The surface is that of the command line.
     report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
@@ -471,40 +466,39 @@ def placed(browser, server):
     page.close()
 
 
-def several(browser):
+def several(browser, shown, server):
     """Of several fields at each step one is chosen; the page and its address name it."""
     options = dict(viewport={"width": 900, "height": 700}, color_scheme="light")
-    with Server([SEVERAL]) as server:
-        page = Page(browser, server, **options)
-        assert page.page.is_visible("#field") and page.page.input_value("#field") == "ball"
-        assert page.page.eval_on_selector_all("#field option", "all => all.map(o => o.textContent)") == ["ball", "height"]
-        assert page.page.inner_text("#now") == "t = 0" and page.page.is_visible("#play")
-        assert page.page.get_attribute("#step", "max") == "2" and page.page.inner_text("#colours h2") == "Colours of ball"
-        page.after(lambda: page.set("#isovalue", 0.9))
-        page.after(lambda: page.set("#step", 2))
-        # The other field, at the same time: its own isovalue and range.
-        page.after(lambda: page.page.select_option("#field", label="height"))
-        assert page.page.inner_text("#now") == "t = 2" and page.page.inner_text("#colours h2") == "Colours of height"
-        assert page.page.input_value("#low") == "11" and page.page.input_value("#high") == "13"
-        isovalue = float(page.page.input_value("#surfaces input[type=number]"))
-        assert 11 < isovalue < 13, isovalue
-        parameters = f"isovalues={isovalue}&step=2&field=height"
-        assert page.triangles() == surface_of(server.ask(f"0/surface?{parameters}")[2])[0]["triangles"] > 100
-        page.after(lambda: page.page.select_option("#by", label="ball"))
-        assert page.page.inner_text("#colours h2") == "Colours of ball"
-        values = surface_of(server.ask(f"0/surface?{parameters}&colour=2&colour_field=ball")[2], coloured=True)[3]
-        assert values.max() > 0.4 > values.min(), (values.min(), values.max())
-        page.after(lambda: page.page.select_option("#clip", "x"), "slices", 2)
-        shown, address = page.picture("several"), page.page.url.split("#")[1]
-        assert "field=height" in address and "by=ball" in address, address
-        again = Page(browser, server, f"#{address}", **options)
-        again.until(2, "slices")
-        assert again.page.input_value("#field") == "height" and again.page.input_value("#by") == "ball"
-        assert (abs(again.picture("several again") - shown).sum(axis=2) > 30).mean() < 0.002
-        again.close()
-        page.close()
-    refused = subprocess.run([PROGRAM, "publish", SEVERAL, "-o", "none"], capture_output=True, text=True)
-    assert refused.returncode == 2 and "each step has the fields ball, height" in refused.stderr, refused
+    page = Page(browser, shown, **options)
+    assert not page.page.is_visible("#field")
+    page.after(lambda: page.page.select_option("#archive", label=SEVERAL))
+    assert page.page.is_visible("#field") and page.page.input_value("#field") == "ball"
+    assert page.page.eval_on_selector_all("#field option", "all => all.map(o => o.textContent)") == ["ball", "height"]
+    assert page.page.inner_text("#now") == "t = 0" and page.page.is_visible("#play")
+    assert page.page.get_attribute("#step", "max") == "2" and page.page.inner_text("#colours h2") == "Colours of ball"
+    page.after(lambda: page.set("#isovalue", 0.9))
+    page.after(lambda: page.set("#step", 2))
+    # The other field, at the same time: its own isovalue and range.
+    page.after(lambda: page.page.select_option("#field", label="height"))
+    assert page.page.inner_text("#now") == "t = 2" and page.page.inner_text("#colours h2") == "Colours of height"
+    assert page.page.input_value("#low") == "11" and page.page.input_value("#high") == "13"
+    isovalue = float(page.page.input_value("#surfaces input[type=number]"))
+    assert 11 < isovalue < 13, isovalue
+    parameters = f"isovalues={isovalue}&step=2&field=height"
+    assert page.triangles() == surface_of(server.ask(f"6/surface?{parameters}")[2])[0]["triangles"] > 100
+    page.after(lambda: page.page.select_option("#by", label="ball"))
+    assert page.page.inner_text("#colours h2") == "Colours of ball"
+    values = surface_of(server.ask(f"6/surface?{parameters}&colour=2&colour_field=ball")[2], coloured=True)[3]
+    assert values.max() > 0.4 > values.min(), (values.min(), values.max())
+    page.after(lambda: page.page.select_option("#clip", "x"), "slices", 2)
+    seen, address = page.picture("several"), page.page.url.split("#")[1]
+    assert "field=height" in address and "by=ball" in address, address
+    again = Page(browser, shown, f"#{address}", **options)
+    again.until(2, "slices")
+    assert again.page.input_value("#field") == "height" and again.page.input_value("#by") == "ball"
+    assert (abs(again.picture("several again") - seen).sum(axis=2) > 30).mean() < 0.002
+    again.close()
+    page.close()
 
 
 def volume_of(step, isovalue):
@@ -603,6 +597,8 @@ def same(page, server):
               (0, {"isovalues": 600, "roi": "world:10:70,:,20.5:100"}), (2, {"isovalues": 500, "roi": "0:50,0:50,0:99"}),
               (1, {"isovalues": 0.2, "step": 2, "cap": "true"}), (3, {"isovalues": 0.1, "step": 0, "colour": 1}), (4, {"isovalues": 1.5}), (5, {"isovalues": 5}),
               (4, {"isovalues": 1.5, "step": 0, "colour": 1, "roi": "world:0.5:,:,:"})]
+    cases += [(6, {"isovalues": v, "step": n, "field": field, "colour": n, "colour_field": other})
+              for n in range(3) for field, other, v in [("ball", "height", 0.1), ("height", "ball", 10.5 + n)]]
     for archive, parameters in cases:
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         status, _, body = server.ask(f"{archive}/surface?{query}")
@@ -612,24 +608,28 @@ def same(page, server):
         content = vertices.tobytes() + (b"" if values is None else values.tobytes()) + triangles.tobytes()
         expected = [3 * report["triangles"], hashlib.sha256(content).hexdigest()]
         assert found == expected, f"{archive} {parameters}: run tools/viewer/wasm; {found}, expected {expected}"
-    for archive in range(len(ARCHIVES)):
-        parameters = {"step": 0, "origin": "1,2,11.5", "u": "0.7,0,0", "v": "0,0.7,0.1", "size": "31,27"}
+    of_fields = [{}] * 6 + [{"step": 2, "field": "ball"}, {"step": 2, "field": "height"}]
+    for n, (isovalue, moment) in enumerate(zip([600, 0.1, 600, 0.1, 1.5, 5, 0.1, 12.5], of_fields)):
+        archive, which = min(n, 6), "&".join(f"{k}={v}" for k, v in moment.items())
+        parameters = {"step": 0, "origin": "1,2,11.5", "u": "0.7,0,0", "v": "0,0.7,0.1", "size": "31,27"} | moment
         query = "&".join(f"{k}={v}" for k, v in parameters.items())
         body = server.ask(f"{archive}/slice?{query}")[2]
         (length,) = struct.unpack_from("<I", body)
-        assert bytes(page.evaluate(SLICE, [archive, parameters])) == body[4 + length :], archive
-        status, text = page.evaluate(ASK, f"{archive}/spectrum")
-        assert status == 200 and json.loads(text)["knots"] == json.loads(server.ask(f"{archive}/spectrum")[2])["knots"]
+        assert bytes(page.evaluate(SLICE, [archive, parameters])) == body[4 + length :], (archive, moment)
+        status, text = page.evaluate(ASK, f"{archive}/spectrum?{which}")
+        expected = json.loads(server.ask(f"{archive}/spectrum?{which}")[2])
+        assert status == 200 and json.loads(text)["knots"] == expected["knots"], (archive, moment)
         status, text = page.evaluate(ASK, f"{archive}/bounds")
         assert status == 200 and json.loads(text) == json.loads(server.ask(f"{archive}/bounds")[2])
         for form in ["glb", "stl", "ply"]:
-            wish = {"isovalues": [600, 0.1, 600, 0.1, 1.5, 5][archive], "format": form}
+            wish = {"isovalues": isovalue, "format": form} | moment
             expected = server.ask(f"{archive}/export?" + "&".join(f"{k}={v}" for k, v in wish.items()))[2]
             assert page.evaluate(FILE, [archive, wish]) == hashlib.sha256(expected).hexdigest(), (archive, wish)
     wish = {"isovalues": "0.1", "step": 0, "colour": 1, "map": "grey", "range": "0,1", "format": "glb"}
     expected = server.ask("3/export?" + "&".join(f"{k}={v}" for k, v in wish.items()))[2]
     assert page.evaluate(FILE, [3, wish]) == hashlib.sha256(expected).hexdigest()
-    for address in ["0/surface?isovalues=nan", "0/surface", "9/spectrum", "0/export?isovalues=0&format=exe", "0/surface?isovalues=0&step=9"]:
+    for address in ["0/surface?isovalues=nan", "0/surface", "9/spectrum", "0/export?isovalues=0&format=exe", "0/surface?isovalues=0&step=9",
+                    "6/spectrum?step=1", "6/spectrum?step=1&field=none"]:
         status, text = page.evaluate(ASK, address)
         assert status == 400 and text, (address, status, text)
 
@@ -651,6 +651,7 @@ def without_a_server(browser, server):
         hostile_unit(browser, published)
         coloured(browser, published)
         placed(browser, published)
+        several(browser, published, server)
         page = Page(browser, published)
         same(page.page, server)
         stopped(page.page)
@@ -685,7 +686,7 @@ def main():
         hostile_unit(browser, server)
         coloured(browser, server)
         placed(browser, server)
-        several(browser)
+        several(browser, server, server)
         without_a_server(browser, server)
         browser.close()
         crowds(server)

@@ -101,7 +101,7 @@ impl Input {
         let about = archive.info()?;
         let steps = args.step_range();
         let choices: Vec<(StepChoice, Option<(u64, String)>)> = match steps {
-            None => vec![(args.step.choice(), None)],
+            None => vec![(args.step.choice()?, None)],
             Some(range) => {
                 let words = |number: u64, time: Option<f64>| match time {
                     Some(time) => format!("time {}", super::with_unit(time, about.units.time.as_ref())),

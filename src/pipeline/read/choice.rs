@@ -55,6 +55,7 @@ impl StepRange {
         let from = steps.partition_point(|s| self.first.is_some_and(|first| s.number() < first));
         let to = steps.partition_point(|s| self.last.is_none_or(|last| s.number() <= last));
         if from < to {
+            expect_field(&steps[from..to], field, "steps together are those of one field", shown)?;
             return Ok(run.start + from..run.start + to);
         }
         Err(Error::usage(format!("{}: no step in that range; it has {}", shown.display(), numbers(steps))))
@@ -170,16 +171,7 @@ impl Moment {
     fn of_time(manifest: &Manifest, t: f64, field: Option<&str>, shown: &Path) -> Result<Self> {
         let run = run_of(manifest, field, shown)?;
         let steps = &manifest.steps[run.clone()];
-        if let Some(name) = field
-            && let Some(other) = steps.iter().find(|step| !has_field(step, name))
-        {
-            return Err(Error::usage(format!(
-                "{}: step {} has the field {}, not {name}: values at a time are those of one field",
-                shown.display(),
-                other.number(),
-                other.field()
-            )));
-        }
+        expect_field(steps, field, "values at a time are those of one field", shown)?;
         let time = |n: usize| steps[n].time_or_number();
         let at = |n: usize, beyond| Ok(Self { step: run.start + n, beyond });
         match (0..steps.len()).position(|n| time(n) >= t) {
@@ -217,6 +209,20 @@ pub(in crate::pipeline) fn is_of_fields(manifest: &Manifest) -> bool {
 /// Whether a step has the field of a name, or a frame of it.
 fn has_field(step: &Step, name: &str) -> bool {
     step.field() == name || without_frame(step.field()) == name
+}
+
+/// Refuses steps of which one has not the field that is asked.
+fn expect_field(steps: &[Step], field: Option<&str>, why: &str, shown: &Path) -> Result<()> {
+    let Some(name) = field else { return Ok(()) };
+    match steps.iter().find(|step| !has_field(step, name)) {
+        Some(other) => Err(Error::usage(format!(
+            "{}: step {} has the field {}, not {name}: {why}",
+            shown.display(),
+            other.number(),
+            other.field()
+        ))),
+        None => Ok(()),
+    }
 }
 
 /// The positions of the steps of a field, where each step has several; else of all steps.
