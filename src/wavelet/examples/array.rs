@@ -1,7 +1,8 @@
 //! Compresses a file of raw samples, and decodes one.
 //!
-//! `array compress SAMPLES NX NY NZ STEP|rms:ERROR OUT`: raw little-endian `f32`, x fastest. STEP is
-//! the quantiser's, ERROR the RMS error, both in units of the samples. `array decode FILE LEVEL OUT`: the nodes of a level.
+//! `array compress SAMPLES NX NY NZ STEP|rms:ERROR OUT`: raw little-endian `f32`, x fastest. STEP
+//! is the quantiser's, ERROR the RMS error, both in units of the samples.
+//! `array decode FILE LEVEL OUT`: the nodes of a level.
 use std::process::ExitCode;
 
 use isospan_wavelet::{Accuracy, Compressed, Settings, compress};

@@ -13,8 +13,8 @@ use crate::top::{decode_top, encode_top};
 use crate::transform::{MARGIN, Scratch, Window};
 
 const MAGIC: &[u8; 8] = b"isowave1";
-/// Bytes before the lengths of tiles: magic, u32 sizes, u8 delays, a zero, f64 least and largest sample, i32 exponent,
-/// f32 step, u32 bytes of the coarsest level, u32 bytes of lengths.
+/// Bytes before the lengths of tiles: magic, u32 sizes, u8 delays, a zero, f64 least and largest
+/// sample, i32 exponent, f32 step, u32 bytes of the coarsest level, u32 bytes of lengths.
 const HEADER: usize = 56;
 /// Samples that an array may have.
 const MOST: usize = 1 << 40;
@@ -150,7 +150,7 @@ impl Transformed {
         unreachable!("the loop ends by what it returns")
     }
 
-    /// The step with which coefficients, most of those of less than 0.8 steps become zero, have an error.
+    /// The step with which coefficients have an error, as if those below 0.8 steps became zero.
     fn guess(&self, range: [f64; 2], target: f64) -> Result<f64> {
         let every = (self.window.samples.len() >> 18) + 1;
         let unit = Scale::new(range, target)?;

@@ -8,7 +8,8 @@
 //! use isospan_wavelet::{Accuracy, Box3, Compressed, Settings, compress};
 //!
 //! let samples: Vec<f32> = (0..64 * 64 * 64).map(|i| ((i % 64) as f32 * 0.1).sin()).collect();
-//! let bytes = compress(&samples, [64; 3], &Settings { accuracy: Accuracy::Rms(0.002), delay: None })?;
+//! let settings = Settings { accuracy: Accuracy::Rms(0.002), delay: None };
+//! let bytes = compress(&samples, [64; 3], &settings)?;
 //! let array = Compressed::new(&bytes, samples.len())?;
 //! // Every second sample along each axis, nearly; and a box of samples.
 //! let coarse = array.level(1)?;
@@ -20,8 +21,8 @@
 //!
 //! A program that streams uses the parts: [`Pyramid`] says which levels, bands and tiles there are,
 //! [`Window`] transforms a box with a halo, [`Tile`] encodes and decodes, [`Scale`] quantises. The
-//! results are the same bits for any boxes, on any machine: all arithmetic is `f32` or whole numbers,
-//! in a fixed order. `FORMAT.md` specifies every byte and every rounding.
+//! results are the same bits for any boxes, on any machine: all arithmetic is IEEE 754 or of whole
+//! numbers, in a fixed order. `FORMAT.md` specifies every byte and every rounding.
 //!
 //! Costs: a transform, its inverse, and coding take about 20 to 60 ns a sample altogether, each way.
 //! An array is held in memory three times while it is compressed as a whole.

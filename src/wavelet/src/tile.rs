@@ -13,9 +13,9 @@ use crate::range_coder::{Coder, Decoder, Encoder};
 
 /// Magnitudes count for at most this much in an energy.
 const MOST: u8 = 15;
-/// Weights of magnitudes in an energy: of the three coefficients just before along an axis, of the six
-/// diagonally before, of the three two before along an axis, of the parent, of its six neighbours,
-/// and of the bands before. From a regression on 17 volumes.
+/// Weights of magnitudes in an energy: of the three coefficients just before along an axis, of the
+/// six diagonally before, of the three two before along an axis, of the parent, of its six
+/// neighbours, and of the bands before. From a regression on 17 volumes.
 const NEAR: u32 = 13;
 const DIAGONAL: u32 = 5;
 const TWO: u32 = 4;
@@ -153,7 +153,7 @@ impl Tile {
     }
 }
 
-/// Sums of magnitudes of the bands that are coded, by place in the tile, and whether a group has any.
+/// Sums of magnitudes of the bands that are coded, by place, and whether a group has any.
 struct Before {
     size: [usize; 3],
     sums: Vec<u8>,
@@ -425,7 +425,8 @@ fn coded_magnitude<C: Coder>(wanted: u32, class: usize, odds: &mut Odd, coder: &
         }
         magnitude += 1;
     }
-    // The rest, plus 1, as an Exp-Golomb code: as many ones as bits follow the highest, a zero, those bits.
+    // The rest, plus 1, as an Exp-Golomb code: a one for each bit below the highest, a zero, those
+    // bits.
     let rest = wanted.wrapping_sub(magnitude).wrapping_add(1);
     let bits = rest.max(1).ilog2();
     let mut more = 0;
