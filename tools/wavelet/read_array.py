@@ -15,7 +15,14 @@ HEADER = struct.Struct("<8s3I3BB2dif2I")
 F = np.float32
 ALPHA, BETA, GAMMA, DELTA = F(-1.5861343), F(-0.052980117), F(0.8829111), F(0.44350687)
 SCALE_LOW, SCALE_HIGH = F(0.86986446), F(1.1496044)
-TAPS = F(1.146337), F(-0.057543527), F(-0.015625)
+TAPS = np.array([
+    (1.146337, -0.0575435, -0.015625, 0),
+    (1.241616, -0.111747, -0.008649, -0.000412),
+    (1.280196, -0.136096, -0.002927, -0.001075),
+    (1.292542, -0.144179, -0.000754, -0.001338),
+    (1.296106, -0.146554, -0.000076, -0.001423),
+    (1.297398, -0.147427, 0.000183, -0.001455),
+], F)
 BANDS = [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)]
 ROWS = [0, 1, 2, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 5]
 # The known neighbours of a coefficient, as steps along x, y, z, by their weight.
@@ -399,8 +406,9 @@ def smoothed(c, s, even):
         i = np.abs(np.arange(m + 1) + step)
         return c[..., np.clip(np.where(i > m, 2 * m - i + even, i), 0, m)]
 
-    t0, t1, t2 = TAPS
-    return (t0 * c + t1 * (at(-1) + at(1)) + t2 * (at(-2) + at(2))) * g
+    t0, t1, t2, t3 = TAPS[min(s, len(TAPS)) - 1]
+    near, far, farthest = (at(-step) + at(step) for step in (1, 2, 3))
+    return (t0 * c + t1 * near + t2 * far + t3 * farthest) * g
 
 
 def read(data, level=0):

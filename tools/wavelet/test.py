@@ -48,6 +48,37 @@ def cases():
     yield "rough along y and z", np.sin(0.01 * x) + random.normal(size=(40, 35, 1)), 0.1
 
 
+def turbulence(shape, random):
+    """Noise of all directions, the coarser the stronger."""
+    frequencies = np.meshgrid(*(np.fft.fftfreq(n) for n in shape), indexing="ij")
+    k = np.sqrt(sum(f**2 for f in frequencies)) + 1 / max(shape)
+    return np.fft.ifftn(np.fft.fftn(random.normal(size=shape)) * k**-2.5).real
+
+
+def hats(n, stride):
+    """What nodes at each `stride`-th of n samples give between them, linearly: a matrix."""
+    nodes = (n - 1) // stride + 1
+    made = np.zeros(((nodes - 1) * stride + 1, nodes))
+    for i, row in enumerate(made):
+        j = min(i // stride, nodes - 2)
+        row[j : j + 2] = 1 - (i / stride - j), i / stride - j
+    return made
+
+
+def along_all(matrices, array):
+    """The array (z, y, x) with a matrix applied along each axis."""
+    return np.einsum("kz,jy,ix,zyx->kji", *matrices, array, optimize=True)
+
+
+def far_from_best(samples, nodes, stride):
+    """The RMS error of nodes over that of the best ones, with linear interpolation."""
+    matrices = [hats(n, stride) for n in samples.shape]
+    samples = samples[tuple(slice(len(m)) for m in matrices)]
+    best = along_all([np.linalg.pinv(m) for m in matrices], samples)
+    error = lambda nodes: np.sqrt(np.mean((along_all(matrices, nodes) - samples) ** 2))
+    return error(nodes) / error(best)
+
+
 class Program:
     """The crate's example."""
 
@@ -140,6 +171,14 @@ def main():
         compare(f"{name}, damaged", damaged(data, random), [0])
     for changed in wrong_headers(small[0][1]):
         compare(f"{small[0][0]}, a wrong header", changed, [0])
+    rough = turbulence((61, 64, 70), random)
+    data = program.compress(rough, 0.01 * rough.std())
+    faults += any(data[20:23])  # Strides differ where an axis is split later.
+    for level in (1, 2, 3):
+        ratio = far_from_best(rough, read_array.read(data, level).astype(float), 2**level)
+        if not 1 <= ratio < 1.05:
+            print(f"tools/wavelet/test: level {level} is {ratio:.3f} times the best", file=sys.stderr)
+            faults += 1
     if faults or not delayed:
         sys.exit(f"tools/wavelet/test: {faults} differ, {delayed} arrays have delays")
     print(f"{arrays} arrays, {delayed} with delays, of {tried} levels; and {DAMAGED} damaged ones")

@@ -1,16 +1,25 @@
 //! Nodes of a coarse level as its surfaces see them.
 //!
 //! Low coefficients of 9/7 are too smooth for linear interpolation. The nodes of a level are what
-//! the low filter of 5/3 (Le Gall and Tabatabai 1988: -1, 2, 6, 2, -1 eighths) makes of the finer
-//! level that the low coefficients alone give: one filter of five taps. Its RMS error is within a
-//! few hundredths of that of the least-squares fit of the level.
+//! the low filter of 5/3 (Le Gall and Tabatabai 1988: -1, 2, 6, 2, -1 eighths), once a level, makes
+//! of the samples that the low coefficients alone give. Together that is one filter of seven taps.
+//! The RMS error of trilinear interpolation is then 1.002 to 1.022 times that of the least-squares
+//! fit on levels 1 to 3 of five volumes, and up to 1.19 times on a very smooth one.
 
 use crate::pyramid::{Box3, Pyramid};
 
-/// The taps: of a node, of its neighbours, of theirs.
-pub const TAPS: [f32; 3] = [1.146_337, -0.057_543_527, -0.015_625];
-/// Neighbours of a node that it depends on.
-pub(crate) const REACH: usize = 2;
+/// The taps of an axis that was split once, twice, …, six times or more: of a node, and of those
+/// that are one, two and three beside it.
+pub const TAPS: [[f32; 4]; 6] = [
+    [1.146_337, -0.057_543_5, -0.015_625, 0.0],
+    [1.241_616, -0.111_747, -0.008_649, -0.000_412],
+    [1.280_196, -0.136_096, -0.002_927, -0.001_075],
+    [1.292_542, -0.144_179, -0.000_754, -0.001_338],
+    [1.296_106, -0.146_554, -0.000_076, -0.001_423],
+    [1.297_398, -0.147_427, 0.000_183, -0.001_455],
+];
+/// Neighbours of a node on each side that it depends on.
+pub(crate) const REACH: usize = 3;
 /// One over the square root of 2: what a low coefficient of constant samples is multiplied by, for
 /// each split.
 const UNDO: f32 = std::f32::consts::FRAC_1_SQRT_2;
@@ -37,8 +46,7 @@ pub(crate) fn refilter(
                     nodes: pyramid.nodes(level)[axis],
                     even: pyramid.nodes(finer)[axis].is_multiple_of(2),
                 };
-                let gain = (0..splits).fold(1.0_f32, |g, _| g * UNDO);
-                filter(&values, &place, &to, axis, &line, gain)
+                filter(&values, &place, &to, axis, &line, splits as usize)
             }
         };
         place = to;
@@ -81,7 +89,10 @@ pub(crate) fn each_row(from: &Box3, to: &Box3, mut row: impl FnMut(usize)) {
     }
 }
 
-fn filter(values: &[f32], from: &Box3, to: &Box3, axis: usize, line: &Line, gain: f32) -> Vec<f32> {
+/// Filters along an axis that was split some times.
+fn filter(values: &[f32], from: &Box3, to: &Box3, axis: usize, line: &Line, splits: usize) -> Vec<f32> {
+    let taps = TAPS[splits.min(TAPS.len()) - 1];
+    let gain = (0..splits).fold(1.0_f32, |g, _| g * UNDO);
     let [nx, ny, _] = from.size;
     let stride = [1, nx, nx * ny][axis];
     let mut found = Vec::with_capacity(to.len());
@@ -93,9 +104,9 @@ fn filter(values: &[f32], from: &Box3, to: &Box3, axis: usize, line: &Line, gain
                 at[axis] = 0;
                 let base = (at[2] * ny + at[1]) * nx + at[0];
                 let value = |d: isize| values[base + (line.reflect(node + d) - from.start[axis]) * stride];
-                let near = value(-1) + value(1);
-                let far = value(-2) + value(2);
-                found.push((TAPS[0] * value(0) + TAPS[1] * near + TAPS[2] * far) * gain);
+                let both = |d: isize| value(-d) + value(d);
+                let sum = taps[0] * value(0) + taps[1] * both(1) + taps[2] * both(2) + taps[3] * both(3);
+                found.push(sum * gain);
             }
         }
     }
