@@ -99,7 +99,7 @@ def even_odds(rows, columns):
 
 
 def first_odds():
-    """The nine sets that FORMAT.md lists, each as ten lines of numbers."""
+    """The ten sets that FORMAT.md lists, each as ten lines of numbers."""
     table = FORMAT.read_text(encoding="utf-8").split("```text\n")[1].split("```")[0]
     rows = filter(None, table.split("\n"))
     lines = [[int(n) for n in row.split()] for row in rows]
@@ -269,23 +269,29 @@ class Reader:
     def __init__(self, data):
         fail_unless(len(data) >= HEADER.size, "the file is too short")
         magic, *rest = HEADER.unpack_from(data)
-        sizes, delays, zero = rest[:3], rest[3:6], rest[6]
+        sizes, delays, self.kind = rest[:3], rest[3:6], rest[6]
         self.least, self.largest, self.exponent, step, coarsest, lengths = rest[7:]
         most = float(np.finfo(F).max)
-        fail_unless(magic == b"isowave1" and zero == 0, "not a compressed array")
+        fail_unless(magic == b"isowave1" and self.kind <= 2, "not a compressed array")
         fail_unless(min(sizes) > 0, "an array without samples")
         fail_unless(-most <= self.least <= self.largest <= most, "the range is none")
         fail_unless(abs(self.exponent) <= 1000 and 2**-22 <= step <= 2**60, "the step is none")
         self.step = F(step)
         self.levels, self.splits = levels_of(sizes, delays)
         self.odds = first_odds()
-        at = HEADER.size + coarsest
-        self.coarsest = read_coarsest(data[HEADER.size : at], self.levels[-1])
-        tiles = list(self._tiles())
+        start = HEADER.size + 8 * (self.kind == 1)
+        fail_unless(len(data) >= start, "the file is too short")
+        self.quantum = struct.unpack_from("<d", data, start - 8)[0] if self.kind == 1 else 0
+        fail_unless(0 <= self.quantum < np.inf, "the quantum is none")
+        fail_unless(self.kind != 1 or self.quantum > 0, "the quantum is none")
+        at = start + coarsest
+        self.coarsest = read_coarsest(data[start:at], self.levels[-1])
+        records = [*self._tiles(), *self._boxes()]
         start = at + lengths
-        self.tiles = {}
-        for tile, length in zip(tiles, read_lengths(data[at:start], len(tiles))):
-            self.tiles[tile] = data[start : start + length]
+        self.tiles, self.boxes = {}, {}
+        for record, length in zip(records, read_lengths(data[at:start], len(records))):
+            of = self.tiles if isinstance(record[1], tuple) else self.boxes
+            of[record] = data[start : start + length]
             start += length
         fail_unless(start == len(data), "the tiles are not as long as the file says")
 
@@ -294,6 +300,32 @@ class Reader:
         for m in range(len(self.levels) - 1, 0, -1):
             x, y, z = (range(-(-n // 32)) for n in self.levels[m - 1])
             yield from ((m, (i, j, k)) for k, j, i in itertools.product(z, y, x))
+
+    def _boxes(self):
+        """The first sample, (z, y, x), of each box of corrections, in their order."""
+        if self.kind:
+            yield from itertools.product(*(range(0, n, 32) for n in reversed(self.levels[0])))
+
+    def _corrected(self, samples):
+        """The samples of level 0, corrected."""
+        numbers = np.zeros(samples.shape, np.int64)
+        for first, data in self.boxes.items():
+            box = tuple(slice(i, min(i + 32, n)) for i, n in zip(first, samples.shape))
+            if data:
+                shape = samples[box].shape
+                decoder, band = RangeDecoder(data), BandOfTile(shape, np.zeros(shape, np.int64), [])
+                band.read(decoder, Odds(self.odds[9]), False)
+                decoder.end()
+                numbers[box] = band.array()
+        exact = samples.astype(np.float64)
+        if self.kind == 1:
+            exact = np.where(numbers == 0, exact, exact + self.quantum * numbers)
+        elif self.kind == 2:
+            exact = np.floor(exact + 0.5) + numbers
+        with np.errstate(over="ignore"):
+            corrected = exact.astype(F)
+        fail_unless(np.isfinite(corrected).all(), "a corrected sample is infinite")
+        return corrected
 
     def _shape(self, m, high):
         """The shape, (z, y, x), of a band of level m."""
@@ -343,7 +375,8 @@ class Reader:
                 if of == m and self.tiles[m, tile]:
                     self._read_tile(m, tile, bands)
             values = self._joined(m, values, bands[m])
-        return self._samples(self._filtered(level, values))
+        samples = self._samples(self._filtered(level, values))
+        return samples if level else self._corrected(samples)
 
     def _joined(self, m, low, bands):
         """The values of level m - 1, of the low ones and the bands of level m."""

@@ -26,7 +26,7 @@ def wave(size):
 
 
 def cases():
-    """A name, samples (z, y, x) and a step, of each array."""
+    """A name, samples (z, y, x) and a step, or another accuracy, of each array."""
     random = np.random.default_rng(SEED)
     for size in SIZES:
         yield "smooth", wave(size), 0.01
@@ -40,6 +40,12 @@ def cases():
         yield f"times {scale}", field * scale, 0.003 * scale
     yield "edges", np.sign(field) + 20 * (field > 0.5), 0.5
     yield "points", 1000 * (random.random(field.shape) < 0.002), 1
+    for bound in (1e-5, 0.01, 0.3):
+        yield f"within {bound}", field + 0.1 * random.normal(size=field.shape), f"max:{bound}"
+        yield f"within {bound}", random.normal(size=(9, 1, 40)), f"max:{bound}"
+    yield "whole numbers", np.round(200 * field), "lossless"
+    yield "labels", np.round(2 * field), "lossless"
+    yield "an RMS error", field, "rms:0.01"
     yield "zeros of both signs", np.where(field > 0, field, -0.0), 0.01
     # Axes along which neighbours differ more than along the others are split later.
     z, _, x = np.meshgrid(*(np.arange(n) for n in (40, 35, 48)), indexing="ij")
@@ -88,11 +94,13 @@ class Program:
     def _run(self, *words):
         return subprocess.run([self.program, *map(str, words)], capture_output=True, text=True)
 
-    def compress(self, samples, step):
+    def compress(self, samples, accuracy):
         """The bytes of an array."""
         given, made = self.folder / "given.f32", self.folder / "made"
         given.write_bytes(samples.astype("<f4").tobytes())
-        done = self._run("compress", given, *samples.shape[::-1], f"{step:.17g}", made)
+        if not isinstance(accuracy, str):
+            accuracy = f"{accuracy:.17g}"
+        done = self._run("compress", given, *samples.shape[::-1], accuracy, made)
         if done.returncode:
             sys.exit(f"tools/wavelet/test: {done.stderr}")
         return made.read_bytes()
@@ -136,10 +144,10 @@ def damaged(data, random):
 
 
 def wrong_headers(data):
-    """The bytes with headers that are none: the least sample, the largest, a size, a step."""
+    """The bytes with headers that are none: samples, a size, a step, a kind of corrections."""
     for at, kind, value in [
         (24, "<d", 1e9), (24, "<d", np.nan), (32, "<d", np.inf), (32, "<d", 1e300), (16, "<I", 0),
-        (40, "<i", 1001), (44, "<f", 2.0**-23), (44, "<f", 2.0**61), (44, "<f", np.nan),
+        (40, "<i", 1001), (23, "<B", 3), (44, "<f", 2.0**-23), (44, "<f", 2.0**61), (44, "<f", np.nan),
     ]:
         changed = bytearray(data)
         struct.pack_into(kind, changed, at, value)
@@ -164,7 +172,7 @@ def main():
         levels = len(read_array.Reader(data).levels)
         compare(name, data, range(levels + 1))
         arrays, tried, delayed = arrays + 1, tried + levels, delayed + any(data[20:23])
-        if samples.size < 30_000 and len(data) > 64:
+        if samples.size < 60_000 and len(data) > 64:
             small.append((name, data))
     for i in range(DAMAGED):
         name, data = small[i % len(small)]

@@ -1,7 +1,7 @@
 //! Compresses a file of raw samples, and decodes one.
 //!
-//! `array compress SAMPLES NX NY NZ STEP|rms:ERROR OUT`: raw little-endian `f32`, x fastest. STEP
-//! is the quantiser's, ERROR the RMS error, both in units of the samples.
+//! `array compress SAMPLES NX NY NZ ACCURACY OUT`: raw little-endian `f32`, x fastest. ACCURACY is
+//! `STEP` (of the quantiser), `rms:ERROR`, `max:ERROR` or `lossless`, in units of the samples.
 //! `array decode FILE LEVEL OUT`: the nodes of a level.
 use std::process::ExitCode;
 
@@ -12,9 +12,11 @@ fn run(args: &[&str]) -> Result<(), Box<dyn std::error::Error>> {
         ["compress", samples, nx, ny, nz, step, out] => {
             let bytes = std::fs::read(samples)?;
             let samples: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-            let accuracy = match step.strip_prefix("rms:") {
-                Some(error) => Accuracy::Rms(error.parse()?),
-                None => Accuracy::Step(step.parse()?),
+            let accuracy = match step.split_once(':') {
+                Some(("rms", error)) => Accuracy::Rms(error.parse()?),
+                Some(("max", bound)) => Accuracy::Max(bound.parse()?),
+                None if *step == "lossless" => Accuracy::Lossless,
+                _ => Accuracy::Step(step.parse()?),
             };
             let settings = Settings { accuracy, delay: None };
             std::fs::write(out, compress(&samples, [nx.parse()?, ny.parse()?, nz.parse()?], &settings)?)?;
@@ -26,8 +28,7 @@ fn run(args: &[&str]) -> Result<(), Box<dyn std::error::Error>> {
         }
         _ => {
             return Err(
-                "usage: array compress SAMPLES NX NY NZ STEP|rms:ERROR OUT, or array decode FILE LEVEL OUT"
-                    .into(),
+                "usage: array compress SAMPLES NX NY NZ ACCURACY OUT, or array decode FILE LEVEL OUT".into(),
             );
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p isospan-wavelet --example learn -- LIST TARGETS [TABLES.rs]`. Each line
 //! of LIST has a name, a file of raw little-endian `f32` samples, and samples along x, y, z. TARGETS
-//! are RMS errors in percent of the range: 1,2.
+//! are RMS errors in percent of the range: 1,2; or largest errors: max1,max2; or `lossless`.
 #![allow(clippy::print_stdout)]
 
 use std::time::Instant;
@@ -32,7 +32,7 @@ fn rms(a: &[f32], b: &[f32]) -> f64 {
 fn main() {
     let args: Vec<String> = std::env::args().collect();
     let list = std::fs::read_to_string(&args[1]).expect("a list of volumes");
-    let targets: Vec<f64> = args[2].split(',').map(|t| t.parse().expect("an error in percent")).collect();
+    let targets: Vec<&str> = args[2].split(',').collect();
     let mut counts = vec![];
     let mut logs = vec![0.0; targets.len()];
     let mut n = 0.0;
@@ -41,7 +41,13 @@ fn main() {
         let extent = f64::from(range[1]) - f64::from(range[0]);
         n += 1.0;
         for (target, log) in targets.iter().zip(&mut logs) {
-            let settings = Settings { accuracy: Accuracy::Rms(target / 100.0 * extent), delay: None };
+            let percent = |text: &str| text.parse::<f64>().expect("an error in percent") / 100.0 * extent;
+            let accuracy = match target.strip_prefix("max") {
+                Some(bound) => Accuracy::Max(percent(bound)),
+                None if *target == "lossless" => Accuracy::Lossless,
+                None => Accuracy::Rms(percent(target)),
+            };
+            let settings = Settings { accuracy, delay: None };
             let bytes = compress(&volume.samples, volume.dims, &settings).expect("it compresses");
             let bits = 8.0 * bytes.len() as f64 / volume.samples.len() as f64;
             let compressed = Compressed::new(&bytes, usize::MAX).expect("it is whole");
@@ -56,7 +62,7 @@ fn main() {
             let error = rms(&volume.samples, &back);
             let speed = |s: f64| volume.samples.len() as f64 / s / 1e6;
             println!(
-                "{:10} {target} % {:?}: {bits:.4} bits a sample, error {:.3} %, {} bytes, M samples/s: write {:.0}, read {:.0}",
+                "{:10} {target} {:?}: {bits:.4} bits a sample, error {:.3} %, {} bytes, M samples/s: write {:.0}, read {:.0}",
                 volume.name,
                 compressed.delay(),
                 100.0 * error / extent,
@@ -69,7 +75,7 @@ fn main() {
         }
     }
     for (target, log) in targets.iter().zip(&logs) {
-        println!("geometric mean at {target} %: {:.5} bits a sample", (log / n).exp());
+        println!("geometric mean at {target}: {:.5} bits a sample", (log / n).exp());
     }
     if let Some(file) = args.get(3).filter(|f| f.ends_with(".rs")) {
         let head = std::fs::read_to_string(file).expect("tables.rs");

@@ -2,13 +2,14 @@
 
 use std::collections::HashMap;
 
+use crate::correct::{self, Correction};
 use crate::delay::{boxes, choose_delay};
 use crate::error::{Error, Result};
 use crate::pyramid::{Box3, Pyramid};
 use crate::quantise::Scale;
 use crate::range_coder::{Coder, Decoder, Encoder, Odds};
 use crate::refilter::{REACH, each_row, refilter};
-use crate::tile::{Tile, TileId};
+use crate::tile::{Part, Tile, TileId, decode_numbers, encode_numbers};
 use crate::top::{decode_top, encode_top};
 use crate::transform::{MARGIN, Scratch, Window};
 
@@ -28,6 +29,10 @@ pub enum Accuracy {
     /// The RMS error over all samples at most, in their units. It is met, by at most a twentieth
     /// less, in two to four tries.
     Rms(f64),
+    /// The error of each sample at most, in their units. Samples that are farther off are corrected.
+    Max(f64),
+    /// No error of samples that are whole numbers of at most 2^24.
+    Lossless,
 }
 
 /// What is asked of [`compress`].
@@ -66,14 +71,21 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
         let s = f64::from(*s);
         [low.min(s), high.max(s)]
     });
-    let (mut scale, error) = match settings.accuracy {
-        Accuracy::Step(step) => (Scale::new(range, step)?, None),
-        // The scale is that of any step.
-        Accuracy::Rms(error) => (Scale::new(range, error)?, Some(error)),
+    let correction = match settings.accuracy {
+        Accuracy::Max(bound) => Correction::within(bound, range)?,
+        Accuracy::Lossless => Correction::lossless(samples)?,
+        Accuracy::Step(_) | Accuracy::Rms(_) => Correction::None,
+    };
+    // The scale is that of any step.
+    let mut scale = match settings.accuracy {
+        Accuracy::Step(step) => Scale::new(range, step)?,
+        Accuracy::Rms(error) => Scale::new(range, error)?,
+        Accuracy::Max(bound) => Scale::near(range, STEPS[1] * bound)?,
+        Accuracy::Lossless => Scale::near(range, STEPS[1] * HALF)?,
     };
     let mut transformed = Transformed::new(samples, dims, &scale, settings.delay.unwrap_or_default());
     if settings.delay.is_none() {
-        if let Some(error) = error {
+        if let Accuracy::Rms(error) = settings.accuracy {
             scale = Scale::new(range, transformed.guess(range, error)?)?;
         }
         let tried: Vec<_> = boxes(dims).iter().map(|b| (cut(samples, dims, b), b.size)).collect();
@@ -82,17 +94,53 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
             transformed = Transformed::new(samples, dims, &scale, delay);
         }
     }
-    match error {
-        None => Ok(transformed.encode(&scale)?.bytes),
-        Some(error) => transformed.search(samples, range, error),
+    match settings.accuracy {
+        Accuracy::Step(_) => Ok(transformed.encode(&scale)?.bytes(&transformed, &scale)),
+        Accuracy::Rms(error) => transformed.search(samples, range, error),
+        Accuracy::Max(bound) => transformed.bounded(samples, &scale, correction, bound),
+        Accuracy::Lossless => transformed.bounded(samples, &scale, correction, HALF),
     }
 }
 
+/// Steps that are tried under a bound, in bounds: with fewer corrections, and with less before them.
+const STEPS: [f64; 3] = [2.0, 3.0, 4.5];
+/// The bound of whole numbers, before they are rounded.
+const HALF: f64 = 0.5;
+
 /// What an encoder made.
 struct Encoded {
-    bytes: Vec<u8>,
+    top: Vec<u8>,
+    /// Bytes of each tile.
+    lengths: Vec<u32>,
+    tiles: Vec<u8>,
     /// The sum of the squared errors of coefficients, in squared steps.
     error: f64,
+    /// How samples are corrected; the corrections are in the last tiles.
+    correction: Correction,
+}
+
+impl Encoded {
+    /// The whole array.
+    fn bytes(&self, of: &Transformed, scale: &Scale) -> Vec<u8> {
+        let lengths = encode_lengths(&self.lengths);
+        let mut out = MAGIC.to_vec();
+        of.pyramid.nodes(0).iter().for_each(|d| out.extend((*d as u32).to_le_bytes()));
+        out.extend(of.delay);
+        out.push(match self.correction {
+            Correction::None => 0,
+            Correction::Quanta(_) => 1,
+            Correction::Whole => 2,
+        });
+        scale.range.iter().for_each(|r| out.extend(r.to_le_bytes()));
+        out.extend(scale.exponent.to_le_bytes());
+        out.extend(scale.step.to_le_bytes());
+        out.extend((self.top.len() as u32).to_le_bytes());
+        out.extend((lengths.len() as u32).to_le_bytes());
+        if let Correction::Quanta(quantum) = self.correction {
+            out.extend(quantum.to_le_bytes());
+        }
+        [&out, &self.top, &lengths, &self.tiles].into_iter().flatten().copied().collect()
+    }
 }
 
 /// What a whole array takes with a step and a delay, with the worth of a bit in squared steps, as
@@ -105,7 +153,7 @@ pub(crate) fn price(
     bit: f64,
 ) -> Result<f64> {
     let made = Transformed::new(samples, dims, scale, delay).encode(scale)?;
-    Ok(8.0 * made.bytes.len() as f64 + made.error / bit)
+    Ok(8.0 * (made.top.len() + made.tiles.len()) as f64 + made.error / bit)
 }
 
 /// The coefficients of a whole array.
@@ -132,7 +180,8 @@ impl Transformed {
         let mut step = self.guess(range, target)?;
         let mut best: Option<(f64, Vec<u8>)> = None;
         for tried in 0.. {
-            let bytes = self.encode(&Scale::new(range, step)?)?.bytes;
+            let scale = Scale::new(range, step)?;
+            let bytes = self.encode(&scale)?.bytes(self, &scale);
             let back = Compressed::new(&bytes, samples.len())?.level(0)?;
             let errors = samples.iter().zip(&back).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
             let used = (errors.sum::<f64>() / samples.len() as f64).sqrt() / target;
@@ -172,6 +221,31 @@ impl Transformed {
         Ok(unit.in_samples(low as f32))
     }
 
+    /// The fewest bytes with which no corrected sample is off by more than a bound. The scale has the
+    /// second of the steps.
+    fn bounded(&self, samples: &[f32], scale: &Scale, by: Correction, bound: f64) -> Result<Vec<u8>> {
+        let dims = self.pyramid.nodes(0);
+        let mut best: Option<Vec<u8>> = None;
+        for part in STEPS {
+            let scale = Scale::near(scale.range, scale.in_samples(scale.step) * part / STEPS[1])?;
+            let mut made = self.encode(&scale)?;
+            let back = Compressed::new(&made.bytes(self, &scale), samples.len())?.level(0)?;
+            made.correction = by;
+            for place in correct::boxes(dims) {
+                let pairs = cut(samples, dims, &place).into_iter().zip(cut(&back, dims, &place));
+                let numbers = pairs.map(|(sample, back)| by.number(sample, back, bound)).collect();
+                let bytes = encode_numbers(place, numbers)?;
+                made.lengths.push(bytes.len() as u32);
+                made.tiles.extend(bytes);
+            }
+            let bytes = made.bytes(self, &scale);
+            if best.as_ref().is_none_or(|b| bytes.len() < b.len()) {
+                best = Some(bytes);
+            }
+        }
+        best.ok_or(Error::Damaged("there is no step to try"))
+    }
+
     fn encode(&self, scale: &Scale) -> Result<Encoded> {
         let p = &self.pyramid;
         let size = p.nodes(p.coarsest());
@@ -193,18 +267,7 @@ impl Transformed {
             }
             above = made;
         }
-        let lengths = encode_lengths(&lengths);
-        let mut out = MAGIC.to_vec();
-        p.nodes(0).iter().for_each(|d| out.extend((*d as u32).to_le_bytes()));
-        out.extend(self.delay);
-        out.push(0);
-        scale.range.iter().for_each(|r| out.extend(r.to_le_bytes()));
-        out.extend(scale.exponent.to_le_bytes());
-        out.extend(scale.step.to_le_bytes());
-        out.extend((top.len() as u32).to_le_bytes());
-        out.extend((lengths.len() as u32).to_le_bytes());
-        out.extend([top, lengths, tiles].concat());
-        Ok(Encoded { bytes: out, error })
+        Ok(Encoded { top, lengths, tiles, error, correction: Correction::None })
     }
 }
 
@@ -215,8 +278,11 @@ pub struct Compressed<'a> {
     pyramid: Pyramid,
     scale: Scale,
     top: Vec<i32>,
-    /// Where tiles begin and end.
+    /// The bytes of tiles that have any.
     places: HashMap<TileId, &'a [u8]>,
+    correction: Correction,
+    /// Those of boxes of corrections.
+    corrections: Vec<(Box3, &'a [u8])>,
 }
 
 impl<'a> Compressed<'a> {
@@ -225,9 +291,10 @@ impl<'a> Compressed<'a> {
     pub fn new(bytes: &'a [u8], most: usize) -> Result<Self> {
         let damaged = Error::Damaged;
         let (header, rest) = bytes.split_at_checked(HEADER).ok_or(damaged("there is no whole header"))?;
-        if !header.starts_with(MAGIC) || header[23] != 0 {
+        if !header.starts_with(MAGIC) {
             return Err(damaged("this is no compressed array"));
         }
+        let (correction, rest) = correction(header[23], rest)?;
         let u32_at =
             |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
         let dims = [8, 12, 16].map(|at| u32_at(at) as usize);
@@ -259,9 +326,19 @@ impl<'a> Compressed<'a> {
                 places.insert(id, tile);
             }
         }
+        let mut corrections = vec![];
+        for place in correct::boxes(dims).filter(|_| correction != Correction::None) {
+            let (numbers, behind) = rest
+                .split_at_checked(lengths.next()? as usize)
+                .ok_or(damaged("it ends in the corrections"))?;
+            rest = behind;
+            if !numbers.is_empty() {
+                corrections.push((place, numbers));
+            }
+        }
         lengths.decoder.finish()?;
         match rest.is_empty() {
-            true => Ok(Self { delay, pyramid, scale, top, places }),
+            true => Ok(Self { delay, pyramid, scale, top, places, correction, corrections }),
             false => Err(damaged("bytes behind the last tile")),
         }
     }
@@ -319,7 +396,43 @@ impl<'a> Compressed<'a> {
                 refilter(&self.pyramid, level, &around, low, wanted)
             }
         };
-        Ok(values.into_iter().map(|v| self.scale.leave(v) as f32).collect())
+        let mut values: Vec<f32> = values.into_iter().map(|v| self.scale.leave(v) as f32).collect();
+        if level == 0 {
+            self.correct(&mut values, wanted)?;
+        }
+        Ok(values)
+    }
+
+    /// Corrects the samples of a box.
+    fn correct(&self, samples: &mut [f32], wanted: &Box3) -> Result<()> {
+        if self.correction == Correction::Whole {
+            samples.iter_mut().for_each(|s| *s = self.correction.correct(*s, 0));
+        }
+        for (place, bytes) in &self.corrections {
+            let here = place.cut(wanted);
+            if here.is_empty() {
+                continue;
+            }
+            let numbers = decode_numbers(*place, bytes)?.numbers;
+            let (mut from, mut to) = (vec![], vec![]);
+            each_row(place, &here, |at| from.push(at));
+            each_row(wanted, &here, |at| to.push(at));
+            for (from, to) in from.into_iter().zip(to) {
+                let numbers = &numbers[from..from + here.size[0]];
+                for (sample, number) in samples[to..to + here.size[0]].iter_mut().zip(numbers) {
+                    *sample = self.correction.correct(*sample, *number);
+                }
+            }
+        }
+        match samples.iter().all(|s| s.is_finite()) {
+            true => Ok(()),
+            false => Err(Error::Damaged("a corrected sample is infinite")),
+        }
+    }
+
+    /// Calls with the corrections of each box that has some.
+    pub(crate) fn each_correction(&self, mut tell: impl FnMut(&mut Part) -> Result<()>) -> Result<()> {
+        self.corrections.iter().try_for_each(|(place, bytes)| tell(&mut decode_numbers(*place, bytes)?))
     }
 
     fn check(&self, level: usize) -> Result<()> {
@@ -382,6 +495,23 @@ impl<'a> Compressed<'a> {
             tiles.insert(id, Tile::decode(p, id, bytes, parent.as_ref())?);
         }
         Ok(&tiles[&id])
+    }
+}
+
+/// How samples are corrected, and what follows.
+fn correction(kind: u8, rest: &[u8]) -> Result<(Correction, &[u8])> {
+    match kind {
+        0 => Ok((Correction::None, rest)),
+        1 => {
+            let (quantum, rest) = rest.split_first_chunk().ok_or(Error::Damaged("it ends in the quantum"))?;
+            let quantum = f64::from_le_bytes(*quantum);
+            match quantum.is_finite() && quantum > 0.0 {
+                true => Ok((Correction::Quanta(quantum), rest)),
+                false => Err(Error::Damaged("the quantum of corrections is none")),
+            }
+        }
+        2 => Ok((Correction::Whole, rest)),
+        _ => Err(Error::Damaged("corrections of a kind that is not known")),
     }
 }
 

@@ -23,6 +23,18 @@ pub enum Error {
         /// The least one that works.
         least: f64,
     },
+    /// The bound of errors is not positive, or so small that `f32` does not hold what is within it.
+    Bound {
+        /// The bound that was asked for.
+        bound: f64,
+        /// One that works.
+        least: f64,
+    },
+    /// A sample is no whole number of at most 2^24, which the lossless way wants.
+    NotWhole {
+        /// Its index, x fastest.
+        index: usize,
+    },
     /// A level that the pyramid does not have.
     Level {
         /// The level that was asked for.
@@ -55,6 +67,12 @@ impl fmt::Display for Error {
             Self::NotFinite { index } => write!(f, "sample {index} is infinite or no number"),
             Self::Step { step, least } => {
                 write!(f, "a step of {step} is below what f32 holds of these samples: {least} works")
+            }
+            Self::Bound { bound, least } => {
+                write!(f, "a bound of {bound} is below what f32 holds of these samples: {least} works")
+            }
+            Self::NotWhole { index } => {
+                write!(f, "sample {index} is no whole number of at most 2^24: give a bound instead")
             }
             Self::Level { level, coarsest } => {
                 write!(f, "there is no level {level}: levels are 0 (the finest) to {coarsest}")

@@ -2,9 +2,10 @@
 
 use crate::array::Compressed;
 use crate::error::Result;
-use crate::model::{Model, Odd, PER_SET, SETS};
+use crate::model::{CORRECTIONS, Model, Odd, PER_SET};
 use crate::range_coder::{Coder, Odds};
 use crate::tables::TABLES;
+use crate::tile::walk_numbers;
 
 /// How often a bit was not set and set, of each of the format's odds, in the order of the tables.
 pub type Counts = Vec<[u64; 2]>;
@@ -27,7 +28,7 @@ impl Coder for Counter<'_> {
 
 /// Adds the decisions of a compressed array to `counts`, which begin empty.
 pub fn count(array: &Compressed<'_>, counts: &mut Counts) -> Result<()> {
-    counts.resize(SETS * PER_SET, [0; 2]);
+    counts.resize(TABLES.len() * PER_SET, [0; 2]);
     for level in 1..=array.pyramid().coarsest() {
         array.each_tile(level, |mut tile, parent| {
             let first = (level - 1) % 3 * 3;
@@ -36,7 +37,10 @@ pub fn count(array: &Compressed<'_>, counts: &mut Counts) -> Result<()> {
             tile.walk(array.pyramid(), parent, &mut model, &mut Counter(counts), None)
         })?;
     }
-    Ok(())
+    array.each_correction(|part| {
+        let mut odds = Odd::numbered((CORRECTIONS * PER_SET) as u16);
+        walk_numbers(part, &mut odds, &mut Counter(counts))
+    })
 }
 
 /// The tables that counts and, where there are few, those of now make: the source of `tables.rs`.

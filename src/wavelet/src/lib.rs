@@ -28,6 +28,7 @@
 //! An array is held in memory three times while it is compressed as a whole.
 
 mod array;
+mod correct;
 mod delay;
 mod error;
 pub mod learn;

@@ -32,6 +32,9 @@ pub(crate) const PER_SET: usize = 2 + 4 + (KINDS + STEPS) * CLASSES;
 /// Sets of odds: for each level of a group, and for one, two and three high axes.
 pub(crate) const SETS: usize = 9;
 
+/// The set of the tables that corrections of samples begin with, after those of tiles.
+pub(crate) const CORRECTIONS: usize = SETS;
+
 /// All odds of a tile.
 #[derive(Clone, Debug)]
 pub(crate) struct Model {
@@ -47,6 +50,11 @@ impl Model {
 }
 
 impl Odd {
+    /// The odds with which corrections of samples begin.
+    pub(crate) fn of_corrections() -> Self {
+        Self::from(&TABLES[CORRECTIONS])
+    }
+
     fn from(numbers: &[u16; PER_SET]) -> Self {
         let mut next = numbers.iter().map(|n| Odds::new(*n));
         Self::of(|| next.next().unwrap_or(Odds::new(1 << 15)))

@@ -41,6 +41,14 @@ impl Scale {
         Ok(Self { step: step_there.min(f64::from(most)) as f32, ..scale })
     }
 
+    /// As [`Scale::new`], with the least step that works if that is larger.
+    pub(crate) fn near(range: [f64; 2], step: f64) -> Result<Self> {
+        match Self::new(range, step) {
+            Err(Error::Step { step, least }) if step > 0.0 => Self::new(range, least),
+            other => other,
+        }
+    }
+
     /// An error if no [`Scale::new`] made it.
     pub(crate) fn checked(self) -> Result<Self> {
         let step_is_one = (STEPS[0]..=STEPS[1]).contains(&self.step);

@@ -153,6 +153,33 @@ impl Tile {
     }
 }
 
+/// Encodes numbers of a box by themselves, as a band without a parent. No bytes are zeros.
+pub(crate) fn encode_numbers(place: Box3, numbers: Vec<i32>) -> Result<Vec<u8>> {
+    if numbers.iter().all(|n| *n == 0) {
+        return Ok(vec![]);
+    }
+    let mut coder = Encoder::default();
+    walk_numbers(&mut Part { place, numbers }, &mut Odd::of_corrections(), &mut coder)?;
+    Ok(coder.finish())
+}
+
+/// Decodes what [`encode_numbers`] made.
+pub(crate) fn decode_numbers(place: Box3, bytes: &[u8]) -> Result<Part> {
+    let mut part = Part { place, numbers: vec![0; place.len()] };
+    if !bytes.is_empty() {
+        let mut coder = Decoder::new(bytes);
+        walk_numbers(&mut part, &mut Odd::of_corrections(), &mut coder)?;
+        coder.finish()?;
+    }
+    Ok(part)
+}
+
+/// Codes the numbers of a box.
+pub(crate) fn walk_numbers<C: Coder>(part: &mut Part, odds: &mut Odd, coder: &mut C) -> Result<()> {
+    let mut before = Before::new([part.place.size].into_iter());
+    BandWalk { part, before: &mut before, parents: None, real: None }.code(odds, 0, coder)
+}
+
 /// Sums of magnitudes of the bands that are coded, by place, and whether a group has any.
 struct Before {
     size: [usize; 3],

@@ -102,6 +102,52 @@ fn an_error_that_is_asked_for_is_met() {
 }
 
 #[test]
+fn no_sample_is_off_by_more_than_a_bound() {
+    let dims = [50, 33, 45];
+    let n = dims.iter().product();
+    let rough: Vec<f32> = (0..n).map(|i| noise(i, 4) * 2e20 + 7e20).collect();
+    for (samples, extent) in [(field(dims, 7), 7.0), (rough, 2e20)] {
+        for part in [0.3, 0.01, 1e-4, 1e-6] {
+            let bound = part * extent;
+            let settings = Settings { accuracy: Accuracy::Max(bound), delay: None };
+            let bytes = compress(&samples, dims, &settings).unwrap();
+            let array = Compressed::new(&bytes, n).unwrap();
+            let back = array.level(0).unwrap();
+            let off = |a: f32, b: f32| (f64::from(a) - f64::from(b)).abs();
+            assert!(samples.iter().zip(&back).all(|(a, b)| off(*a, *b) <= bound), "{part} of {extent}");
+            let part = Box3 { start: [20, 7, 30], size: [20, 26, 5] };
+            let of_part = array.nodes(0, &part).unwrap();
+            assert_eq!(of_part[21], back[(30 * 33 + 8) * 50 + 21]);
+        }
+    }
+    let bound =
+        |bound| compress(&field(dims, 7), dims, &Settings { accuracy: Accuracy::Max(bound), delay: None });
+    for none in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-9] {
+        let Err(Error::Bound { least, .. }) = bound(none) else { panic!("{none}") };
+        assert!(bound(least).is_ok());
+    }
+}
+
+#[test]
+fn whole_numbers_come_back() {
+    let dims = [41, 33, 37];
+    let n: usize = dims.iter().product();
+    let whole = |scale: f32| field(dims, 3).iter().map(|s| (s * scale).round()).collect::<Vec<f32>>();
+    let labels = (0..n).map(|i| (noise(i / 7, 3) * 5.0).round()).collect();
+    let huge = (0..n).map(|i| (noise(i, 3) * 3.3e7).round()).collect();
+    for samples in [whole(20.0), whole(3000.0), labels, huge, vec![-3.0; n]] {
+        let settings = Settings { accuracy: Accuracy::Lossless, delay: None };
+        let bytes = compress(&samples, dims, &settings).unwrap();
+        assert_eq!(Compressed::new(&bytes, n).unwrap().level(0).unwrap(), samples);
+    }
+    let lossless = |sample: f32| {
+        compress(&[1.0, sample], [2, 1, 1], &Settings { accuracy: Accuracy::Lossless, delay: None })
+    };
+    assert_eq!(lossless(0.5), Err(Error::NotWhole { index: 1 }));
+    assert_eq!(lossless(3e7), Err(Error::NotWhole { index: 1 }));
+}
+
+#[test]
 fn what_cannot_be_compressed_is_told() {
     let settings = Settings { accuracy: Accuracy::Step(0.1), delay: Some([0; 3]) };
     assert_eq!(compress(&[], [0, 1, 1], &settings), Err(Error::Size { dims: [0, 1, 1], samples: 0 }));
@@ -162,6 +208,19 @@ fn damaged_arrays_end_in_an_error_or_in_samples() {
         compress(&field(dims, 1), dims, &Settings { accuracy: Accuracy::Step(0.3), delay: Some([0, 1, 0]) })
             .unwrap();
     let most = dims.iter().product();
+    let refused = damage(&bytes, most);
+    assert!(refused > bytes.len(), "{refused} of {}", 4 * bytes.len());
+    assert!(matches!(Compressed::new(&bytes, most - 1), Err(Error::Size { .. })));
+    // With corrections, and their quantum or none.
+    for accuracy in [Accuracy::Max(0.1), Accuracy::Lossless] {
+        let samples: Vec<f32> = field([20, 9, 34], 1).iter().map(|s| (s * 3.0).round()).collect();
+        let bytes = compress(&samples, [20, 9, 34], &Settings { accuracy, delay: None }).unwrap();
+        assert!(damage(&bytes, samples.len()) > bytes.len());
+    }
+}
+
+/// How many flips, cuts and longer ones are refused; the others give samples.
+fn damage(bytes: &[u8], most: usize) -> usize {
     let mut refused = 0;
     let mut ask = |bytes: &[u8]| match Compressed::new(bytes, most).and_then(|a| a.level(0)) {
         Ok(samples) => assert!(samples.iter().all(|s| s.is_finite()) && samples.len() <= most),
@@ -172,17 +231,14 @@ fn damaged_arrays_end_in_an_error_or_in_samples() {
     };
     for at in 0..bytes.len() {
         for bit in [0, 3, 7] {
-            let mut other = bytes.clone();
+            let mut other = bytes.to_vec();
             other[at] ^= 1 << bit;
             ask(&other);
         }
         ask(&bytes[..at]);
     }
-    let mut longer = bytes.clone();
-    longer.push(7);
-    ask(&longer);
-    assert!(refused > bytes.len(), "{refused} of {}", 4 * bytes.len());
-    assert!(matches!(Compressed::new(&bytes, most - 1), Err(Error::Size { .. })));
+    ask(&[bytes, &[7]].concat());
+    refused
 }
 
 #[test]
