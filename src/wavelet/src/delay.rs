@@ -1,6 +1,6 @@
 //! Which axis is split later than the others: tried on boxes of samples.
 
-use crate::array;
+use crate::encode;
 use crate::error::Result;
 use crate::pyramid::Box3;
 use crate::quantise::Scale;
@@ -56,7 +56,7 @@ pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale) -> Result<[
 
 /// Bits and squared errors of boxes, in bits.
 fn price(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale, delay: [u8; 3]) -> Result<f64> {
-    boxes.iter().map(|(samples, dims)| array::price(samples, *dims, scale, delay, BIT)).sum()
+    boxes.iter().map(|(samples, dims)| encode::price(samples, *dims, scale, delay, BIT)).sum()
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ pub enum Error {
     Step {
         /// The step that was asked for.
         step: f64,
-        /// The least one that works.
+        /// What it must be at least.
         least: f64,
     },
     /// The bound of errors is not positive, or so small that `f32` does not hold what is within it.
@@ -66,7 +66,7 @@ impl fmt::Display for Error {
             }
             Self::NotFinite { index } => write!(f, "sample {index} is infinite or no number"),
             Self::Step { step, least } => {
-                write!(f, "a step of {step} is below what f32 holds of these samples: {least} works")
+                write!(f, "a step of {step} is below what f32 holds of these samples: give at least {least}")
             }
             Self::Bound { bound, least } => {
                 write!(f, "a bound of {bound} is below what f32 holds of these samples: {least} works")

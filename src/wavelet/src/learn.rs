@@ -1,6 +1,6 @@
 //! Counts of decisions, of which the tables of the format are made: see `examples/learn.rs`.
 
-use crate::array::Compressed;
+use crate::decode::Compressed;
 use crate::error::Result;
 use crate::model::{CORRECTIONS, Model, Odd, PER_SET};
 use crate::range_coder::{Coder, Odds};

@@ -27,11 +27,13 @@
 //! Costs: a transform, its inverse, and coding take about 20 to 60 ns a sample altogether, each way.
 //! An array is held in memory three times while it is compressed as a whole.
 
-mod array;
 mod correct;
+mod decode;
 mod delay;
+mod encode;
 mod error;
 pub mod learn;
+mod lengths;
 mod model;
 mod pyramid;
 mod quantise;
@@ -43,8 +45,9 @@ mod top;
 mod transform;
 mod vectors;
 
-pub use array::{Accuracy, Compressed, Settings, compress};
+pub use decode::Compressed;
 pub use delay::{boxes, choose_delay};
+pub use encode::{Accuracy, Settings, compress};
 pub use error::{Error, Result};
 pub use pyramid::{Band, Box3, GROUP, Pyramid, TILE};
 pub use quantise::Scale;

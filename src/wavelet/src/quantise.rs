@@ -95,6 +95,15 @@ impl Scale {
         coefficient * (1.0 / self.step)
     }
 
+    /// An error with the least step that works if the step is too small for a coefficient.
+    pub(crate) fn expect_numbers_of(&self, largest: f32) -> Result<()> {
+        if in_bounds(self.in_steps(largest)) {
+            return Ok(());
+        }
+        let least = 1.01 * f64::from(largest) / f64::from(MOST_STEPS) * power_of_two(self.exponent);
+        Err(Error::Step { step: self.in_samples(self.step), least })
+    }
+
     /// The coefficient that stands for a number of steps.
     #[inline(always)]
     pub fn restored(&self, number: i32) -> f32 {

@@ -40,6 +40,12 @@ pub struct TileId {
     pub at: [usize; 3],
 }
 
+/// All tiles of a level, in their order.
+pub(crate) fn tiles_of(pyramid: &Pyramid, level: usize) -> impl Iterator<Item = TileId> + use<> {
+    let [nx, ny, nz] = pyramid.tiles(level);
+    (0..nx * ny * nz).map(move |i| TileId { level, at: [i % nx, i / nx % ny, i / nx / ny] })
+}
+
 /// Quantised coefficients of a tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tile {

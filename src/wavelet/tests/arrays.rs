@@ -172,6 +172,20 @@ fn what_cannot_be_compressed_is_told() {
 }
 
 #[test]
+fn a_step_that_is_too_small_for_coarse_coefficients_is_told() {
+    // Sums of many samples outgrow numbers of steps before samples do.
+    let samples: Vec<f32> = (0..1 << 18).map(|i| if i < 1 << 17 { -1.0 } else { 1.0 }).collect();
+    let dims = [1 << 18, 1, 1];
+    let settings = |step| Settings { accuracy: Accuracy::Step(step), delay: None };
+    let Err(Error::Step { least, .. }) = compress(&samples, dims, &settings(5e-7)) else { panic!() };
+    let bytes = compress(&samples, dims, &settings(least)).unwrap();
+    assert!(worst(&samples, &Compressed::new(&bytes, 1 << 18).unwrap().level(0).unwrap()) < 1e-4);
+    let settings = Settings { accuracy: Accuracy::Max(3e-7), delay: None };
+    let bytes = compress(&samples, dims, &settings).unwrap();
+    assert!(worst(&samples, &Compressed::new(&bytes, 1 << 18).unwrap().level(0).unwrap()) <= 3e-7);
+}
+
+#[test]
 fn coarse_levels_are_near_the_samples() {
     let dims = [65, 66, 49];
     let smooth = |i: usize| {

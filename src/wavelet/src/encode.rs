@@ -1,0 +1,276 @@
+//! A whole array in memory as bytes.
+
+use std::collections::HashMap;
+
+use crate::correct::{self, Correction};
+use crate::decode::Compressed;
+use crate::delay::{boxes, choose_delay};
+use crate::error::{Error, Result};
+use crate::lengths::encode_lengths;
+use crate::pyramid::{Box3, Pyramid};
+use crate::quantise::Scale;
+use crate::refilter::each_row;
+use crate::tile::{Tile, encode_numbers, tiles_of};
+use crate::top::encode_top;
+use crate::transform::{Scratch, Window};
+
+pub(crate) const MAGIC: &[u8; 8] = b"isowave1";
+/// Bytes before the lengths of tiles: magic, u32 sizes, u8 delays, a zero, f64 least and largest
+/// sample, i32 exponent, f32 step, u32 bytes of the coarsest level, u32 bytes of lengths.
+pub(crate) const HEADER: usize = 56;
+/// Samples that an array may have.
+const MOST: usize = 1 << 40;
+
+/// How much a compressed array may differ from its samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Accuracy {
+    /// What neighbouring values of a coefficient differ by, in units of the samples. The RMS error is
+    /// about a fifth of it in smooth data, less where most coefficients are zero, more in noise.
+    Step(f64),
+    /// The RMS error over all samples at most, in their units. It is met, by at most a twentieth
+    /// less, in two to four tries.
+    Rms(f64),
+    /// The error of each sample at most, in their units. Samples that are farther off are corrected.
+    Max(f64),
+    /// No error of samples that are whole numbers of at most 2^24.
+    Lossless,
+}
+
+/// What is asked of [`compress`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// The step, or the error.
+    pub accuracy: Accuracy,
+    /// Levels by which the splits of each axis begin later: see [`Pyramid::new`]. `None` tries which
+    /// serves best, on a part of the samples: [`choose_delay`].
+    pub delay: Option<[u8; 3]>,
+}
+
+/// Samples of a box of an array.
+fn cut(samples: &[f32], dims: [usize; 3], part: &Box3) -> Vec<f32> {
+    let mut found = Vec::with_capacity(part.len());
+    each_row(&Box3::all(dims), part, |at| found.extend_from_slice(&samples[at..at + part.size[0]]));
+    found
+}
+
+/// Compresses an array of samples, x fastest.
+pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Result<Vec<u8>> {
+    let wanted = dims.iter().try_fold(1_usize, |n, d| n.checked_mul(*d));
+    let sizes_fit = dims.iter().all(|d| u32::try_from(*d).is_ok());
+    if samples.is_empty() || samples.len() > MOST || wanted != Some(samples.len()) || !sizes_fit {
+        return Err(Error::Size { dims, samples: samples.len() });
+    }
+    if let Some(index) = samples.iter().position(|s| !s.is_finite()) {
+        return Err(Error::NotFinite { index });
+    }
+    let range = samples.iter().fold([f64::MAX, f64::MIN], |[low, high], s| {
+        let s = f64::from(*s);
+        [low.min(s), high.max(s)]
+    });
+    let correction = match settings.accuracy {
+        Accuracy::Max(bound) => Correction::within(bound, range)?,
+        Accuracy::Lossless => Correction::lossless(samples)?,
+        Accuracy::Step(_) | Accuracy::Rms(_) => Correction::None,
+    };
+    // The scale is that of any step.
+    let mut scale = match settings.accuracy {
+        Accuracy::Step(step) => Scale::new(range, step)?,
+        Accuracy::Rms(error) => Scale::new(range, error)?,
+        Accuracy::Max(bound) => Scale::near(range, STEPS[1] * bound)?,
+        Accuracy::Lossless => Scale::near(range, STEPS[1] * HALF)?,
+    };
+    let mut transformed = Transformed::new(samples, dims, &scale, settings.delay.unwrap_or_default());
+    if settings.delay.is_none() {
+        if let Accuracy::Rms(error) = settings.accuracy {
+            scale = Scale::new(range, transformed.guess(range, error)?)?;
+        }
+        let tried: Vec<_> = boxes(dims).iter().map(|b| (cut(samples, dims, b), b.size)).collect();
+        let delay = choose_delay(&tried, &scale)?;
+        if delay != transformed.delay {
+            transformed = Transformed::new(samples, dims, &scale, delay);
+        }
+    }
+    match settings.accuracy {
+        Accuracy::Step(_) => Ok(transformed.encode(&scale)?.bytes(&transformed, &scale)),
+        Accuracy::Rms(error) => transformed.search(samples, range, error),
+        Accuracy::Max(bound) => transformed.bounded(samples, &scale, correction, bound),
+        Accuracy::Lossless => transformed.bounded(samples, &scale, correction, HALF),
+    }
+}
+
+/// Steps that are tried under a bound, in bounds: with fewer corrections, and with less before them.
+const STEPS: [f64; 3] = [2.0, 3.0, 4.5];
+/// The bound of whole numbers, before they are rounded.
+const HALF: f64 = 0.5;
+
+/// What an encoder made.
+struct Encoded {
+    top: Vec<u8>,
+    /// Bytes of each tile.
+    lengths: Vec<u32>,
+    tiles: Vec<u8>,
+    /// The sum of the squared errors of coefficients, in squared steps.
+    error: f64,
+    /// How samples are corrected; the corrections are in the last tiles.
+    correction: Correction,
+}
+
+impl Encoded {
+    /// The whole array.
+    fn bytes(&self, of: &Transformed, scale: &Scale) -> Vec<u8> {
+        let lengths = encode_lengths(&self.lengths);
+        let mut out = MAGIC.to_vec();
+        of.pyramid.nodes(0).iter().for_each(|d| out.extend((*d as u32).to_le_bytes()));
+        out.extend(of.delay);
+        out.push(match self.correction {
+            Correction::None => 0,
+            Correction::Quanta(_) => 1,
+            Correction::Whole => 2,
+        });
+        scale.range.iter().for_each(|r| out.extend(r.to_le_bytes()));
+        out.extend(scale.exponent.to_le_bytes());
+        out.extend(scale.step.to_le_bytes());
+        out.extend((self.top.len() as u32).to_le_bytes());
+        out.extend((lengths.len() as u32).to_le_bytes());
+        if let Correction::Quanta(quantum) = self.correction {
+            out.extend(quantum.to_le_bytes());
+        }
+        [&out, &self.top, &lengths, &self.tiles].into_iter().flatten().copied().collect()
+    }
+}
+
+/// What a whole array takes with a step and a delay, with the worth of a bit in squared steps, as
+/// bits. Errors are those of the coefficients.
+pub(crate) fn price(
+    samples: &[f32],
+    dims: [usize; 3],
+    scale: &Scale,
+    delay: [u8; 3],
+    bit: f64,
+) -> Result<f64> {
+    let made = Transformed::new(samples, dims, scale, delay).encode(scale)?;
+    Ok(8.0 * (made.top.len() + made.tiles.len()) as f64 + made.error / bit)
+}
+
+/// The coefficients of a whole array.
+struct Transformed {
+    pyramid: Pyramid,
+    delay: [u8; 3],
+    window: Window,
+}
+
+impl Transformed {
+    fn new(samples: &[f32], dims: [usize; 3], scale: &Scale, delay: [u8; 3]) -> Self {
+        let pyramid = Pyramid::new(dims, delay);
+        let entered = samples.iter().map(|s| scale.enter(f64::from(*s))).collect();
+        let mut window = Window { place: Box3::all(dims), samples: entered };
+        window.forward(pyramid.splits(), &mut Scratch::default());
+        Self { pyramid, delay, window }
+    }
+
+    /// The bytes with the largest step that meets an RMS error, nearly.
+    fn search(&self, samples: &[f32], range: [f64; 2], target: f64) -> Result<Vec<u8>> {
+        /// Steps are accepted that use this much of the error.
+        const USED: f64 = 0.95;
+        const TRIES: usize = 6;
+        let mut step = self.guess(range, target)?;
+        let mut best: Option<(f64, Vec<u8>)> = None;
+        for tried in 0.. {
+            let scale = Scale::new(range, step)?;
+            let bytes = self.encode(&scale)?.bytes(self, &scale);
+            let back = Compressed::new(&bytes, samples.len())?.level(0)?;
+            let errors = samples.iter().zip(&back).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
+            let used = (errors.sum::<f64>() / samples.len() as f64).sqrt() / target;
+            if used <= 1.0 && best.as_ref().is_none_or(|(s, _)| *s < step) {
+                best = Some((step, bytes));
+            }
+            let enough = (USED..=1.0).contains(&used) || tried + 1 >= TRIES;
+            if enough && let Some((_, bytes)) = best {
+                return Ok(bytes);
+            }
+            // A step that misses in the end is halved until it does not, or is too small.
+            let aim = if tried < TRIES { 0.98 / used.max(0.2) } else { 0.5 };
+            step *= aim.min(2.5);
+        }
+        unreachable!("the loop ends by what it returns")
+    }
+
+    /// The step with which coefficients have an error, as if those below 0.8 steps became zero.
+    fn guess(&self, range: [f64; 2], target: f64) -> Result<f64> {
+        let every = (self.window.samples.len() >> 18) + 1;
+        let unit = Scale::new(range, target)?;
+        let target = f64::from(unit.step);
+        let error = |step: f64| {
+            let lost = |c: &f32| match f64::from(c.abs()) / step {
+                c if c < 0.8 => c * c,
+                c => (c - c.round()).powi(2),
+            };
+            let some = self.window.samples.iter().step_by(every);
+            let n = some.len() as f64;
+            step * (some.map(lost).sum::<f64>() / n).sqrt()
+        };
+        let (mut low, mut high) = (target, 64.0 * target);
+        for _ in 0..12 {
+            let middle = (low * high).sqrt();
+            *(if error(middle) < target { &mut low } else { &mut high }) = middle;
+        }
+        Ok(unit.in_samples(low as f32))
+    }
+
+    /// The fewest bytes with which no corrected sample is off by more than a bound. The scale has the
+    /// second of the steps.
+    fn bounded(&self, samples: &[f32], scale: &Scale, by: Correction, bound: f64) -> Result<Vec<u8>> {
+        let dims = self.pyramid.nodes(0);
+        let mut best: Option<Vec<u8>> = None;
+        for part in STEPS {
+            let scale = Scale::near(scale.range, scale.in_samples(scale.step) * part / STEPS[1])?;
+            let (scale, mut made) = match self.encode(&scale) {
+                Err(Error::Step { least, .. }) => {
+                    let scale = Scale::new(scale.range, least)?;
+                    (scale, self.encode(&scale)?)
+                }
+                made => (scale, made?),
+            };
+            let back = Compressed::new(&made.bytes(self, &scale), samples.len())?.level(0)?;
+            made.correction = by;
+            for place in correct::boxes(dims) {
+                let pairs = cut(samples, dims, &place).into_iter().zip(cut(&back, dims, &place));
+                let numbers = pairs.map(|(sample, back)| by.number(sample, back, bound)).collect();
+                let bytes = encode_numbers(place, numbers)?;
+                made.lengths.push(bytes.len() as u32);
+                made.tiles.extend(bytes);
+            }
+            let bytes = made.bytes(self, &scale);
+            if best.as_ref().is_none_or(|b| bytes.len() < b.len()) {
+                best = Some(bytes);
+            }
+        }
+        best.ok_or(Error::Damaged("there is no step to try"))
+    }
+
+    fn encode(&self, scale: &Scale) -> Result<Encoded> {
+        let largest = self.window.samples.iter().fold(0.0, |most: f32, c| most.max(c.abs()));
+        scale.expect_numbers_of(largest)?;
+        let p = &self.pyramid;
+        let size = p.nodes(p.coarsest());
+        let low = self.window.band(p.splits(), [false; 3], &Box3::all(size));
+        let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
+        let top = encode_top(&low, size)?;
+        let (mut lengths, mut tiles, mut error) = (vec![], vec![], 0.0);
+        let mut above = HashMap::new();
+        for level in (1..=p.coarsest()).rev() {
+            let mut made = HashMap::new();
+            for id in tiles_of(p, level) {
+                let coefficients = self.window.tile(p, id, |c| scale.in_steps(c));
+                let parent = above.get(&p.parent(level, id.at));
+                let (tile, bytes) = Tile::encode(p, id, &coefficients, parent)?;
+                lengths.push(bytes.len() as u32);
+                tiles.extend(bytes);
+                error += tile.error(&coefficients);
+                made.insert(id.at, tile);
+            }
+            above = made;
+        }
+        Ok(Encoded { top, lengths, tiles, error, correction: Correction::None })
+    }
+}
