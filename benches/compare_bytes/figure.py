@@ -9,6 +9,7 @@ from tables import in_order
 
 # One colour a coder; whole volumes are drawn in full, parts that are read alone are dashed.
 STYLES = {
+    "wavelet": ("#111111", "-"),
     "SPERR": ("#1f5fa8", "-"),
     "SPERR, rate": ("#5fb3e6", "-"),
     "SPERR, chunks": ("#1f5fa8", "--"),
