@@ -1,8 +1,9 @@
 //! Makes the tables of the format from volumes, and shows what these take with those of now.
 //!
 //! `cargo run --release -p isospan-wavelet --example learn -- LIST TARGETS [TABLES.rs]`. Each line
-//! of LIST has a name, a file of raw little-endian `f32` samples, and samples along x, y, z. TARGETS
-//! are RMS errors in percent of the range: 1,2; or largest errors: max1,max2; or `lossless`.
+//! of LIST has a name, a file of raw little-endian `f32` samples, and samples along x, y, z.
+//! TARGETS are RMS errors in percent of the range: 1,2; or largest errors: max1,max2; or
+//! `lossless`.
 #![allow(clippy::print_stdout)]
 
 use std::time::Instant;

@@ -24,13 +24,15 @@ const MOST: usize = 1 << 40;
 /// How much a compressed array may differ from its samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Accuracy {
-    /// What neighbouring values of a coefficient differ by, in units of the samples. The RMS error is
-    /// about a fifth of it in smooth data, less where most coefficients are zero, more in noise.
+    /// What neighbouring values of a coefficient differ by, in units of the samples. The RMS error
+    /// is about a fifth of it in smooth data, less where most coefficients are zero, more in
+    /// noise.
     Step(f64),
     /// The RMS error over all samples at most, in their units. It is met, by at most a twentieth
     /// less, in two to four tries.
     Rms(f64),
-    /// The error of each sample at most, in their units. Samples that are farther off are corrected.
+    /// The error of each sample at most, in their units. Samples that are farther off are
+    /// corrected.
     Max(f64),
     /// No error of samples that are whole numbers of at most 2^24.
     Lossless,
@@ -41,8 +43,8 @@ pub enum Accuracy {
 pub struct Settings {
     /// The step, or the error.
     pub accuracy: Accuracy,
-    /// Levels by which the splits of each axis begin later: see [`Pyramid::new`]. `None` tries which
-    /// serves best, on a part of the samples: [`choose_delay`].
+    /// Levels by which the splits of each axis begin later: see [`Pyramid::new`]. `None` tries
+    /// which serves best, on a part of the samples: [`choose_delay`].
     pub delay: Option<[u8; 3]>,
 }
 
@@ -98,7 +100,8 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
     }
 }
 
-/// Steps that are tried under a bound, in bounds: with fewer corrections, and with less before them.
+/// Steps that are tried under a bound, in bounds: with fewer corrections, and with less before
+/// them.
 const STEPS: [f64; 3] = [2.0, 3.0, 4.5];
 /// The bound of whole numbers, before they are rounded.
 const HALF: f64 = 0.5;
@@ -217,8 +220,8 @@ impl Transformed {
         Ok(unit.in_samples(low as f32))
     }
 
-    /// The fewest bytes with which no corrected sample is off by more than a bound. The scale has the
-    /// second of the steps.
+    /// The fewest bytes with which no corrected sample is off by more than a bound. The scale has
+    /// the second of the steps.
     fn bounded(&self, samples: &[f32], scale: &Scale, by: Correction, bound: f64) -> Result<Vec<u8>> {
         let dims = self.pyramid.nodes(0);
         let mut best: Option<Vec<u8>> = None;

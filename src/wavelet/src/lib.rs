@@ -1,8 +1,8 @@
 //! Compresses three-dimensional arrays of numbers by a wavelet transform.
 //!
 //! An array becomes the quantised coefficients of a CDF 9/7 wavelet transform of *all* of it. They
-//! are coded in *tiles*, each of which is decoded by itself. So the transform sees across tiles, and
-//! a small box, or a coarse level, is read without the rest.
+//! are coded in *tiles*, each of which is decoded by itself. So the transform sees across tiles,
+//! and a small box, or a coarse level, is read without the rest.
 //!
 //! ```
 //! use isospan_wavelet::{Accuracy, Box3, Compressed, Settings, compress};
@@ -24,8 +24,8 @@
 //! results are the same bits for any boxes, on any machine: all arithmetic is IEEE 754 or of whole
 //! numbers, in a fixed order. `FORMAT.md` specifies every byte and every rounding.
 //!
-//! Costs: a transform, its inverse, and coding take about 20 to 60 ns a sample altogether, each way.
-//! An array is held in memory three times while it is compressed as a whole.
+//! Costs: a transform, its inverse, and coding take about 20 to 60 ns a sample altogether, each
+//! way. An array is held in memory three times while it is compressed as a whole.
 
 mod correct;
 mod decode;

@@ -14,8 +14,8 @@ const STEPS: [f32; 2] = [1.0 / (1 << 22) as f32, (1_u64 << 60) as f32];
 /// power of 2. So huge and tiny samples, and small differences of large ones, keep their digits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
-    /// The least and the largest sample. What is decoded is moved between them: a wavelet overshoots
-    /// beside edges.
+    /// The least and the largest sample. What is decoded is moved between them: a wavelet
+    /// overshoots beside edges.
     pub range: [f64; 2],
     /// The power of 2 by which they are divided.
     pub exponent: i32,

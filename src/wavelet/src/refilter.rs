@@ -24,8 +24,8 @@ pub(crate) const REACH: usize = 3;
 /// each split.
 const UNDO: f32 = std::f32::consts::FRAC_1_SQRT_2;
 
-/// The nodes in a box of a level, of low coefficients in a box around it that is [`REACH`] wider, or
-/// ends where the level does.
+/// The nodes in a box of a level, of low coefficients in a box around it that is [`REACH`] wider,
+/// or ends where the level does.
 pub(crate) fn refilter(
     pyramid: &Pyramid,
     level: usize,

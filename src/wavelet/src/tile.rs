@@ -80,8 +80,8 @@ impl Tile {
     }
 
     /// Quantises and encodes. `coefficients` are those of each band, in steps, as `numbers` lie. A
-    /// coefficient becomes the nearest number or one of less magnitude, if that saves more bits than
-    /// its error is worth. No bytes are a tile of zeros.
+    /// coefficient becomes the nearest number or one of less magnitude, if that saves more bits
+    /// than its error is worth. No bytes are a tile of zeros.
     pub fn encode(
         pyramid: &Pyramid,
         id: TileId,

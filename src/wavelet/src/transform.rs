@@ -169,9 +169,9 @@ fn along_plainly(array: &mut Array<'_>, size: [usize; 3], axis: usize, inverse: 
 
 /// Samples of a box of an array, or its coefficients.
 ///
-/// The transform of an array at a coefficient depends on samples in a window around it. So a window
-/// of a large array has the array's coefficients, bit by bit, where it is [`HALO`] wide around them,
-/// or ends where the array ends.
+/// The transform of an array at a coefficient depends on samples in a window around it. So a
+/// window of a large array has the array's coefficients, bit by bit, where it is [`HALO`] wide
+/// around them, or ends where the array ends.
 #[derive(Clone, Debug)]
 pub struct Window {
     /// The box. Its start is a multiple of the stride of the levels that are made of it.
@@ -238,7 +238,8 @@ impl Window {
         let split = pyramid.split(tile.id.level);
         for (part, band) in tile.parts.iter().zip(pyramid.bands(tile.id.level)) {
             let low = self.place.halved(split);
-            // Of the window's nodes along a split axis, half are high ones, one less if they are odd.
+            // Of the window's nodes along a split axis, half are high ones, one less if they are
+            // odd.
             let size = |a: usize| if band.high[a] { self.place.size[a] / 2 } else { low.size[a] };
             let here = Box3 { start: low.start, size: [0, 1, 2].map(size) }.cut(&part.place);
             if here.is_empty() {

@@ -213,8 +213,8 @@ fn coarse_levels_are_near_the_samples() {
     assert_eq!(array.level(9), Err(Error::Level { level: 9, coarsest: array.pyramid().coarsest() }));
 }
 
-/// Flips bits of each byte, and cuts. The answer is an error or samples; nothing panics, and no more
-/// samples are made than are accepted.
+/// Flips bits of each byte, and cuts. The answer is an error or samples; nothing panics, and no
+/// more samples are made than are accepted.
 #[test]
 fn damaged_arrays_end_in_an_error_or_in_samples() {
     let dims = [34, 20, 40];
