@@ -53,7 +53,7 @@ impl Scale {
     pub(crate) fn checked(self) -> Result<Self> {
         let step_is_one = (STEPS[0]..=STEPS[1]).contains(&self.step);
         let range_is_one = self.range[0] <= self.range[1] && self.range.iter().all(|r| r.is_finite());
-        match range_is_one && self.exponent.abs() <= 1000 && step_is_one {
+        match range_is_one && (-1000..=1000).contains(&self.exponent) && step_is_one {
             true => Ok(self),
             false => Err(Error::Damaged("the range or the step is none")),
         }

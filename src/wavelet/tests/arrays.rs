@@ -225,6 +225,10 @@ fn damaged_arrays_end_in_an_error_or_in_samples() {
     let refused = damage(&bytes, most);
     assert!(refused > bytes.len(), "{refused} of {}", 4 * bytes.len());
     assert!(matches!(Compressed::new(&bytes, most - 1), Err(Error::Size { .. })));
+    // An exponent that has no negative.
+    let mut other = bytes.clone();
+    other[40..44].copy_from_slice(&i32::MIN.to_le_bytes());
+    assert!(matches!(Compressed::new(&other, most), Err(Error::Damaged(_))));
     // With corrections, and their quantum or none.
     for accuracy in [Accuracy::Max(0.1), Accuracy::Lossless] {
         let samples: Vec<f32> = field([20, 9, 34], 1).iter().map(|s| (s * 3.0).round()).collect();
