@@ -197,7 +197,7 @@ def build(settings):
     if settings.program is None:
         subprocess.run(release, cwd=ROOT, check=True)
         settings.program = target_folder() / "release/isospan"
-    if settings.wavelet is None:
+    if settings.wavelet is None and "wavelet" in (settings.coders or ["wavelet"]):
         example = ["--package", "isospan-wavelet", "--example", "array"]
         subprocess.run([*release, *example], cwd=ROOT, check=True)
         settings.wavelet = target_folder() / "release/examples/array"

@@ -101,7 +101,7 @@ impl<'a> Compressed<'a> {
     }
 
     /// Calls with each tile of a level and its parent.
-    pub fn each_tile(
+    pub(crate) fn each_tile(
         &self,
         level: usize,
         mut tell: impl FnMut(Tile, Option<&Tile>) -> Result<()>,
@@ -208,6 +208,8 @@ impl<'a> Compressed<'a> {
     /// The coefficients between a level and the finer one, into a window of the finer one.
     fn details(&self, level: usize, work: &mut Window, tiles: &mut Tiles) -> Result<()> {
         let p = &self.pyramid;
+        // Of the finer level, some tiles may have parents here; no others are asked for again.
+        let are_parents = level > 1 && Tile::has_parent(p, level - 1);
         let first = work.place.start.map(|s| s / TILE);
         let last = work.place.end().map(|e| (e - 1) / TILE);
         for z in first[2]..=last[2] {
@@ -217,6 +219,9 @@ impl<'a> Compressed<'a> {
                     if self.places.contains_key(&id) {
                         let tile = self.tile(id, tiles)?;
                         work.put_tile(p, tile, |n| self.scale.restored(n));
+                        if !are_parents {
+                            tiles.remove(&id);
+                        }
                     }
                 }
             }
@@ -229,12 +234,12 @@ impl<'a> Compressed<'a> {
         if !tiles.contains_key(&id) {
             let p = &self.pyramid;
             let up = TileId { level: id.level + 1, at: p.parent(id.level, id.at) };
-            let parent = match Tile::has_parent(p, id.level) && self.places.contains_key(&up) {
-                true => Some(self.tile(up, tiles)?.clone()),
-                false => None,
-            };
+            if Tile::has_parent(p, id.level) && self.places.contains_key(&up) {
+                self.tile(up, tiles)?;
+            }
             let bytes = self.places.get(&id).copied().unwrap_or_default();
-            tiles.insert(id, Tile::decode(p, id, bytes, parent.as_ref())?);
+            let tile = Tile::decode(p, id, bytes, tiles.get(&up))?;
+            tiles.insert(id, tile);
         }
         Ok(&tiles[&id])
     }
