@@ -1,17 +1,19 @@
 //! A compressed array, of which each level, or a box of it, is decoded alone.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
+use crate::chunks::decode_tile;
 use crate::correct::{self, Correction};
 use crate::encode::{HEADER, MAGIC};
 use crate::error::{Error, Result};
 use crate::lengths::Lengths;
-use crate::pyramid::{Box3, Pyramid, TILE};
+use crate::levels::{Levels, TileSource};
+use crate::pyramid::{Box3, Pyramid};
 use crate::quantise::Scale;
-use crate::refilter::{REACH, each_row, refilter};
+use crate::refilter::each_row;
 use crate::tile::{Part, Tile, TileId, decode_numbers, tiles_of};
 use crate::top::decode_top;
-use crate::transform::{MARGIN, Scratch, Window};
 
 /// An array that [`compress`](crate::compress) made, to be decoded in parts.
 #[derive(Clone, Debug)]
@@ -106,39 +108,29 @@ impl<'a> Compressed<'a> {
         level: usize,
         mut tell: impl FnMut(Tile, Option<&Tile>) -> Result<()>,
     ) -> Result<()> {
-        let mut tiles = Tiles::default();
+        let mut tiles = Decoded::of(self);
         for id in tiles_of(&self.pyramid, level) {
-            let tile = self.tile(id, &mut tiles)?.clone();
+            let tile = tiles.tile(id)?.map_or_else(|| Tile::zero(&self.pyramid, id), |tile| (*tile).clone());
             let up = TileId { level: level + 1, at: self.pyramid.parent(level, id.at) };
-            tell(tile, tiles.get(&up))?;
+            tell(tile, tiles.known.get(&up).map(|tile| &**tile))?;
         }
         Ok(())
     }
 
     /// All nodes of a level, x fastest; of level 0 these are its samples.
     pub fn level(&self, level: usize) -> Result<Vec<f32>> {
-        self.check(level)?;
-        self.nodes(level, &Box3::all(self.pyramid.nodes(level)))
+        let coarsest = self.pyramid.coarsest();
+        match level <= coarsest {
+            true => self.nodes(level, &Box3::all(self.pyramid.nodes(level))),
+            false => Err(Error::Level { level, coarsest }),
+        }
     }
 
     /// The nodes of a level in a box: the same bits as [`Compressed::level`] has there. What lies
     /// elsewhere is not decoded.
     pub fn nodes(&self, level: usize, wanted: &Box3) -> Result<Vec<f32>> {
-        self.check(level)?;
-        let nodes = self.pyramid.nodes(level);
-        let all = Box3::all(nodes);
-        if wanted.is_empty() || wanted.cut(&all) != *wanted {
-            return Err(Error::Box { level, nodes });
-        }
-        let values = match level {
-            0 => self.low(0, wanted, &mut Tiles::default())?,
-            _ => {
-                let around = wanted.widened(REACH).cut(&all);
-                let low = self.low(level, &around, &mut Tiles::default())?;
-                refilter(&self.pyramid, level, &around, low, wanted)
-            }
-        };
-        let mut values: Vec<f32> = values.into_iter().map(|v| self.scale.leave(v) as f32).collect();
+        let levels = Levels { pyramid: &self.pyramid, scale: &self.scale, top: &self.top };
+        let mut values = levels.nodes(level, wanted, &mut Decoded::of(self))?;
         if level == 0 {
             self.correct(&mut values, wanted)?;
         }
@@ -176,73 +168,6 @@ impl<'a> Compressed<'a> {
     pub(crate) fn each_correction(&self, mut tell: impl FnMut(&mut Part) -> Result<()>) -> Result<()> {
         self.corrections.iter().try_for_each(|(place, bytes)| tell(&mut decode_numbers(*place, bytes)?))
     }
-
-    fn check(&self, level: usize) -> Result<()> {
-        let coarsest = self.pyramid.coarsest();
-        if level > coarsest { Err(Error::Level { level, coarsest }) } else { Ok(()) }
-    }
-
-    /// Low coefficients of a level in a box: the transform undone, coarsest level first.
-    fn low(&self, level: usize, wanted: &Box3, tiles: &mut Tiles) -> Result<Vec<f32>> {
-        let p = &self.pyramid;
-        let mut found = Vec::with_capacity(wanted.len());
-        if level == p.coarsest() {
-            let place = Box3::all(p.nodes(level));
-            each_row(&place, wanted, |at| {
-                let row = &self.top[at..at + wanted.size[0]];
-                found.extend(row.iter().map(|n| self.scale.restored(*n)));
-            });
-            return Ok(found);
-        }
-        let split = p.split(level + 1);
-        let window = wanted.around(split, MARGIN).cut(&Box3::all(p.nodes(level)));
-        let mut work = Window { place: window, samples: vec![0.0; window.len()] };
-        let low = window.halved(split);
-        work.put_band(&[split], [false; 3], &low, &self.low(level + 1, &low, tiles)?);
-        self.details(level + 1, &mut work, tiles)?;
-        work.inverse(&[split], &mut Scratch::default());
-        each_row(&window, wanted, |at| found.extend_from_slice(&work.samples[at..at + wanted.size[0]]));
-        Ok(found)
-    }
-
-    /// The coefficients between a level and the finer one, into a window of the finer one.
-    fn details(&self, level: usize, work: &mut Window, tiles: &mut Tiles) -> Result<()> {
-        let p = &self.pyramid;
-        // Of the finer level, some tiles may have parents here; no others are asked for again.
-        let are_parents = level > 1 && Tile::has_parent(p, level - 1);
-        let first = work.place.start.map(|s| s / TILE);
-        let last = work.place.end().map(|e| (e - 1) / TILE);
-        for z in first[2]..=last[2] {
-            for y in first[1]..=last[1] {
-                for x in first[0]..=last[0] {
-                    let id = TileId { level, at: [x, y, z] };
-                    if self.places.contains_key(&id) {
-                        let tile = self.tile(id, tiles)?;
-                        work.put_tile(p, tile, |n| self.scale.restored(n));
-                        if !are_parents {
-                            tiles.remove(&id);
-                        }
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// A decoded tile; its parents are decoded first.
-    fn tile<'t>(&self, id: TileId, tiles: &'t mut Tiles) -> Result<&'t Tile> {
-        if !tiles.contains_key(&id) {
-            let p = &self.pyramid;
-            let up = TileId { level: id.level + 1, at: p.parent(id.level, id.at) };
-            if Tile::has_parent(p, id.level) && self.places.contains_key(&up) {
-                self.tile(up, tiles)?;
-            }
-            let bytes = self.places.get(&id).copied().unwrap_or_default();
-            let tile = Tile::decode(p, id, bytes, tiles.get(&up))?;
-            tiles.insert(id, tile);
-        }
-        Ok(&tiles[&id])
-    }
 }
 
 /// How samples are corrected, and what follows.
@@ -262,5 +187,32 @@ fn correction(kind: u8, rest: &[u8]) -> Result<(Correction, &[u8])> {
     }
 }
 
-/// Tiles that are decoded.
-type Tiles = HashMap<TileId, Tile>;
+/// The tiles of an array, decoded when they are asked for.
+struct Decoded<'t, 'a> {
+    of: &'t Compressed<'a>,
+    known: HashMap<TileId, Arc<Tile>>,
+}
+
+impl<'t, 'a> Decoded<'t, 'a> {
+    fn of(of: &'t Compressed<'a>) -> Self {
+        Self { of, known: HashMap::new() }
+    }
+}
+
+impl TileSource for Decoded<'_, '_> {
+    type Error = Error;
+
+    fn tile(&mut self, id: TileId) -> Result<Option<Arc<Tile>>> {
+        if let Some(known) = self.known.get(&id) {
+            return Ok(Some(Arc::clone(known)));
+        }
+        let (p, bytes) = (&self.of.pyramid, self.of.places.get(&id).copied());
+        let Some(tile) = decode_tile(p, id, bytes, self)? else { return Ok(None) };
+        self.known.insert(id, Arc::clone(&tile));
+        Ok(Some(tile))
+    }
+
+    fn used(&mut self, id: TileId) {
+        self.known.remove(&id);
+    }
+}

@@ -155,6 +155,47 @@ pub(crate) fn price(
     Ok(8.0 * (made.top.len() + made.tiles.len()) as f64 + made.error / bit)
 }
 
+/// The step with which the coefficients of boxes of samples have an RMS error. It is that of the
+/// array where the boxes stand for all of it. Samples and error are in the same units.
+///
+/// # Errors
+/// [`Error::Step`] for an error that `f32` does not hold.
+pub fn guess_step(
+    boxes: &[(Vec<f32>, [usize; 3])],
+    range: [f64; 2],
+    target: f64,
+    delay: [u8; 3],
+) -> Result<f64> {
+    let unit = Scale::new(range, target)?;
+    let all: usize = boxes.iter().map(|b| b.0.len()).sum();
+    let every = (all >> 20) + 1;
+    let mut some = vec![];
+    for (samples, dims) in boxes {
+        let transformed = Transformed::new(samples, *dims, &unit, delay);
+        some.extend(transformed.window.samples.iter().step_by(every));
+    }
+    guess(&some, &unit)
+}
+
+/// The step with which coefficients have the error that is the step of a scale, as if those below
+/// 0.8 steps became zero.
+fn guess(coefficients: &[f32], unit: &Scale) -> Result<f64> {
+    let target = f64::from(unit.step);
+    let error = |step: f64| {
+        let lost = |c: &f32| match f64::from(c.abs()) / step {
+            c if c < 0.8 => c * c,
+            c => (c - c.round()).powi(2),
+        };
+        step * (coefficients.iter().map(lost).sum::<f64>() / coefficients.len() as f64).sqrt()
+    };
+    let (mut low, mut high) = (target, 64.0 * target);
+    for _ in 0..12 {
+        let middle = (low * high).sqrt();
+        *(if error(middle) < target { &mut low } else { &mut high }) = middle;
+    }
+    Ok(unit.in_samples(low as f32))
+}
+
 /// The coefficients of a whole array.
 struct Transformed {
     pyramid: Pyramid,
@@ -198,26 +239,11 @@ impl Transformed {
         unreachable!("the loop ends by what it returns")
     }
 
-    /// The step with which coefficients have an error, as if those below 0.8 steps became zero.
+    /// As [`guess_step`], of some of the coefficients.
     fn guess(&self, range: [f64; 2], target: f64) -> Result<f64> {
         let every = (self.window.samples.len() >> 18) + 1;
-        let unit = Scale::new(range, target)?;
-        let target = f64::from(unit.step);
-        let error = |step: f64| {
-            let lost = |c: &f32| match f64::from(c.abs()) / step {
-                c if c < 0.8 => c * c,
-                c => (c - c.round()).powi(2),
-            };
-            let some = self.window.samples.iter().step_by(every);
-            let n = some.len() as f64;
-            step * (some.map(lost).sum::<f64>() / n).sqrt()
-        };
-        let (mut low, mut high) = (target, 64.0 * target);
-        for _ in 0..12 {
-            let middle = (low * high).sqrt();
-            *(if error(middle) < target { &mut low } else { &mut high }) = middle;
-        }
-        Ok(unit.in_samples(low as f32))
+        let some: Vec<f32> = self.window.samples.iter().copied().step_by(every).collect();
+        guess(&some, &Scale::new(range, target)?)
     }
 
     /// The fewest bytes with which no corrected sample is off by more than a bound. The scale has
@@ -264,7 +290,7 @@ impl Transformed {
         for level in (1..=p.coarsest()).rev() {
             let mut made = HashMap::new();
             for id in tiles_of(p, level) {
-                let coefficients = self.window.tile(p, id, |c| scale.in_steps(c));
+                let coefficients = self.window.tile(p, 0, id, |c| scale.in_steps(c));
                 let parent = above.get(&p.parent(level, id.at));
                 let (tile, bytes) = Tile::encode(p, id, &coefficients, parent)?;
                 lengths.push(bytes.len() as u32);

@@ -27,6 +27,7 @@
 //! Costs: a transform, its inverse, and coding take about 20 to 60 ns a sample altogether, each
 //! way. An array is held in memory three times while it is compressed as a whole.
 
+mod chunks;
 mod correct;
 mod decode;
 mod delay;
@@ -34,6 +35,7 @@ mod encode;
 mod error;
 pub mod learn;
 mod lengths;
+mod levels;
 mod model;
 mod pyramid;
 mod quantise;
@@ -45,10 +47,13 @@ mod top;
 mod transform;
 mod vectors;
 
+pub use chunks::{CHUNK, Coarse, PART, PartTiles, TileBlock, blocks_of, decode_tile, encode_part};
+pub use correct::{Correction, decode_corrections, encode_corrections};
 pub use decode::Compressed;
 pub use delay::{boxes, choose_delay};
-pub use encode::{Accuracy, Settings, compress};
+pub use encode::{Accuracy, Settings, compress, guess_step};
 pub use error::{Error, Result};
+pub use levels::{Levels, TileSource};
 pub use pyramid::{Band, Box3, GROUP, Pyramid, TILE};
 pub use quantise::Scale;
 pub use refilter::TAPS;

@@ -221,10 +221,16 @@ impl Window {
         found
     }
 
-    /// The coefficients of a tile, band by band. The window has all levels up to the tile's, from
-    /// level 0.
-    pub fn tile(&self, pyramid: &Pyramid, id: TileId, turn: impl Fn(f32) -> f32) -> Vec<Vec<f32>> {
-        let splits = &pyramid.splits()[..id.level];
+    /// The coefficients of a tile, band by band. The window was made of nodes of level `from`, and
+    /// has all levels up to the tile's.
+    pub fn tile(
+        &self,
+        pyramid: &Pyramid,
+        from: usize,
+        id: TileId,
+        turn: impl Fn(f32) -> f32,
+    ) -> Vec<Vec<f32>> {
+        let splits = &pyramid.splits()[from..id.level];
         let part = |band: Band| {
             let mut found = self.band(splits, band.high, &pyramid.part(id.level, &band, id.at));
             found.iter_mut().for_each(|c| *c = turn(*c));

@@ -1,0 +1,113 @@
+//! Nodes of a level in a box, from tiles that are found when they are needed.
+
+use std::sync::Arc;
+
+use crate::error::Error;
+use crate::pyramid::{Box3, Pyramid, TILE};
+use crate::quantise::Scale;
+use crate::refilter::{REACH, each_row, refilter};
+use crate::tile::{Tile, TileId};
+use crate::transform::{MARGIN, Scratch, Window};
+
+/// Where decoded tiles come from.
+pub trait TileSource {
+    /// What may go wrong.
+    type Error: From<Error>;
+
+    /// A tile, or none if all its coefficients are zero.
+    fn tile(&mut self, id: TileId) -> Result<Option<Arc<Tile>>, Self::Error>;
+
+    /// Tells that a tile is used, and is not asked for again for the same box.
+    fn used(&mut self, _id: TileId) {}
+}
+
+/// The levels of an array whose tiles are elsewhere.
+#[derive(Clone, Copy, Debug)]
+pub struct Levels<'a> {
+    /// Which levels there are.
+    pub pyramid: &'a Pyramid,
+    /// What coefficients stand for.
+    pub scale: &'a Scale,
+    /// The numbers of the coarsest level.
+    pub top: &'a [i32],
+}
+
+impl Levels<'_> {
+    /// The nodes of a level in a box, x fastest: the same bits for any box that has them. Samples
+    /// are those of level 0, without corrections.
+    pub fn nodes<S: TileSource>(
+        &self,
+        level: usize,
+        wanted: &Box3,
+        tiles: &mut S,
+    ) -> Result<Vec<f32>, S::Error> {
+        let coarsest = self.pyramid.coarsest();
+        if level > coarsest {
+            return Err(Error::Level { level, coarsest }.into());
+        }
+        let nodes = self.pyramid.nodes(level);
+        let all = Box3::all(nodes);
+        if wanted.is_empty() || wanted.cut(&all) != *wanted {
+            return Err(Error::Box { level, nodes }.into());
+        }
+        let mut values = match level {
+            0 => self.low(0, wanted, tiles)?,
+            _ => {
+                let around = wanted.widened(REACH).cut(&all);
+                let low = self.low(level, &around, tiles)?;
+                refilter(self.pyramid, level, &around, low, wanted)
+            }
+        };
+        values.iter_mut().for_each(|v| *v = self.scale.leave(*v) as f32);
+        Ok(values)
+    }
+
+    /// Low coefficients of a level in a box: the transform undone, coarsest level first.
+    fn low<S: TileSource>(&self, level: usize, wanted: &Box3, tiles: &mut S) -> Result<Vec<f32>, S::Error> {
+        let p = self.pyramid;
+        let mut found = Vec::with_capacity(wanted.len());
+        if level == p.coarsest() {
+            let place = Box3::all(p.nodes(level));
+            each_row(&place, wanted, |at| {
+                let row = &self.top[at..at + wanted.size[0]];
+                found.extend(row.iter().map(|n| self.scale.restored(*n)));
+            });
+            return Ok(found);
+        }
+        let split = p.split(level + 1);
+        let window = wanted.around(split, MARGIN).cut(&Box3::all(p.nodes(level)));
+        let mut work = Window { place: window, samples: vec![0.0; window.len()] };
+        let low = window.halved(split);
+        work.put_band(&[split], [false; 3], &low, &self.low(level + 1, &low, tiles)?);
+        self.details(level + 1, &mut work, tiles)?;
+        work.inverse(&[split], &mut Scratch::default());
+        if window == *wanted {
+            return Ok(work.samples);
+        }
+        each_row(&window, wanted, |at| found.extend_from_slice(&work.samples[at..at + wanted.size[0]]));
+        Ok(found)
+    }
+
+    /// The coefficients between a level and the finer one, into a window of the finer one.
+    fn details<S: TileSource>(&self, level: usize, work: &mut Window, tiles: &mut S) -> Result<(), S::Error> {
+        let p = self.pyramid;
+        // Of the finer level, some tiles may have parents here; no others are asked for again.
+        let are_parents = level > 1 && Tile::has_parent(p, level - 1);
+        let first = work.place.start.map(|s| s / TILE);
+        let last = work.place.end().map(|e| (e - 1) / TILE);
+        for z in first[2]..=last[2] {
+            for y in first[1]..=last[1] {
+                for x in first[0]..=last[0] {
+                    let id = TileId { level, at: [x, y, z] };
+                    if let Some(tile) = tiles.tile(id)? {
+                        work.put_tile(p, &tile, |n| self.scale.restored(n));
+                        if !are_parents {
+                            tiles.used(id);
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
