@@ -39,6 +39,10 @@ struct Targets {
     /// Find the least error in 1/N of the bytes of the source, as --size 1/N does: 20 for 5%.
     #[arg(help_heading = "Error and size", long, value_name = "N", value_parser = grammar::positive_number, conflicts_with_all = ["fraction", "count", "cross_m", "target_rms", "target_max", "size"], allow_negative_numbers = true)]
     ratio: Option<f64>,
+    /// Store all samples of a volume without loss, where they are whole numbers. For --points
+    /// pyramid.
+    #[arg(help_heading = "Error and size", long, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms", "target_max", "size", "ratio"])]
+    lossless: bool,
 }
 
 /// Point set, interpolation, missing values, numbers of points.
@@ -123,6 +127,9 @@ enum Set {
     /// A lattice with a node at each sample of a volume. The samples are stored, rounded; all other
     /// points have means of them.
     Samples,
+    /// All samples of a volume, as a wavelet pyramid: the fewest bytes to an error, and coarser
+    /// levels. Without a target its RMS error is 1 % of the range.
+    Pyramid,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -179,7 +186,8 @@ impl Targets {
             Size::Bytes(bytes) => Target::Size(bytes),
             Size::OfSource(share) => Target::Ratio(1.0 / share),
         });
-        error.or(size).or(self.ratio.map(Target::Ratio))
+        let lossless = self.lossless.then_some(Target::Lossless);
+        error.or(size).or(self.ratio.map(Target::Ratio)).or(lossless)
     }
 }
 
@@ -203,6 +211,7 @@ impl PlanChoices {
             Set::HyperbolicCross => SetKind::HyperbolicCross,
             Set::Regular => SetKind::Regular,
             Set::Lattice | Set::Samples => SetKind::Bcc,
+            Set::Pyramid => SetKind::Pyramid,
         });
         let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
         if cross && points != Some(Set::HyperbolicCross) {
@@ -256,6 +265,7 @@ impl PlanChoices {
             chunk_points: self.chunk_points,
             measure: !self.no_measure,
             keyframes: self.keyframes,
+            ..ReduceSettings::default()
         })
     }
 

@@ -409,6 +409,7 @@ fn point_set(set: &PointSpec) -> String {
         }
         PointSpec::Regular { counts } => format!("regular, {}", by(counts)),
         PointSpec::Bcc { cells } => format!("lattice, {} cells", by(cells.map(u64::from))),
+        PointSpec::Pyramid { dims, .. } => format!("pyramid, {} samples", by(dims)),
         PointSpec::Own { .. } => "the mesh's own vertices".into(),
     }
 }

@@ -134,6 +134,8 @@ pub(super) fn reached_text(t: &TargetReport) -> String {
         }
         Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Max(_) => format!("at most {} of {} wanted", four(t.reached), four(t.bound)),
+        Target::Lossless if t.met => "no sample is changed".into(),
+        Target::Lossless => format!("samples are changed by at most {}", four(t.reached)),
         Target::Size(_) | Target::Ratio(_) => {
             let [reached, bound] = [t.reached, t.bound].map(|b| text::bytes(b as u64));
             format!("{reached} of {bound} wanted")

@@ -85,6 +85,19 @@ impl ChunkCuts {
 }
 
 impl ChunkGrid {
+    /// Chunks of a brick each.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for too many bricks.
+    pub fn of_bricks(bricks: BrickGrid) -> Result<Self> {
+        check_size(bricks.dims())?;
+        let [x, y, z] = bricks.dims();
+        let rows = usize::try_from(y * z).map_err(|_| Error::usage("there are too many chunks"))?;
+        let all = |n: u64| (0..=n).collect::<Vec<u64>>();
+        let cuts = ChunkCuts { z: all(z), y: vec![all(y); z as usize], x: vec![all(x); rows] };
+        Self::from_cuts(bricks, &cuts)
+    }
+
     /// Bricks with the given cuts.
     ///
     /// # Errors

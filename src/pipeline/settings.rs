@@ -86,7 +86,24 @@ pub struct ReduceSettings {
     pub keyframes: u64,
     /// Whether the field is measured at every sample of the source in the end.
     pub measure: bool,
+    /// How many times coarser the coefficients of a pyramid are than a target seems to ask for: a
+    /// search for a target finds it.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[doc(hidden)]
+    pub step_factor: f64,
 }
+
+fn one() -> f64 {
+    1.0
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_one(factor: &f64) -> bool {
+    *factor == 1.0
+}
+
+/// The RMS error of a pyramid by default, as a part of the range of the samples.
+pub(super) const DEFAULT_ERROR: f64 = 0.01;
 
 impl ReduceSettings {
     /// A hash of all of them.
@@ -105,6 +122,10 @@ impl ReduceSettings {
     /// Where no set is named, a target is met by a lattice, which takes the fewest bytes. An error
     /// of a mesh, or with a Halton set, is met by points that adapt.
     pub(super) fn complete(&self, of_mesh: bool) -> Self {
+        if self.set_of(of_mesh) == SetKind::Pyramid {
+            let usual = Target::Rms(Bound::OfRange(DEFAULT_ERROR));
+            return Self { target: self.target.or(Some(usual)), values: Values::Sample, ..self.clone() };
+        }
         let Some(target) = self.target else { return self.clone() };
         let can_adapt = match self.points {
             None => of_mesh,
@@ -169,6 +190,7 @@ impl Default for ReduceSettings {
             chunk_points: Self::CHUNK_POINTS,
             keyframes: Self::KEYFRAMES,
             measure: true,
+            step_factor: 1.0,
         }
     }
 }
@@ -245,6 +267,8 @@ pub enum Target {
     Rms(Bound),
     /// The largest absolute error at a sample, or at a vertex of a mesh.
     Max(Bound),
+    /// No error of samples that are whole numbers, of a volume.
+    Lossless,
     /// Bytes of the archive.
     Size(u64),
     /// How many times as many bytes the source has: its files or its samples, whichever are less.
@@ -276,7 +300,7 @@ impl Target {
     pub(super) fn bound(self) -> Option<Bound> {
         match self {
             Self::Rms(bound) | Self::Max(bound) => Some(bound),
-            Self::Size(_) | Self::Ratio(_) => None,
+            Self::Lossless | Self::Size(_) | Self::Ratio(_) => None,
         }
     }
 
@@ -287,6 +311,8 @@ impl Target {
         let (what, bound) = match self {
             Self::Rms(Bound::Value(v) | Bound::OfRange(v))
             | Self::Max(Bound::Value(v) | Bound::OfRange(v)) => ("an error", v),
+            Self::Lossless if settings.set_of(false) == SetKind::Pyramid => return Ok(()),
+            Self::Lossless => return Err(Error::usage("only a pyramid holds all samples without loss")),
             Self::Size(bytes) => ("a size", bytes as f64),
             Self::Ratio(ratio) => ("a ratio", ratio),
         };

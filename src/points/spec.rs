@@ -25,14 +25,16 @@ pub enum SetKind {
     /// The body-centred cubic lattice.
     #[serde(rename = "lattice")]
     Bcc,
+    /// All samples, stored as a wavelet pyramid.
+    Pyramid,
     /// The own vertices of a mesh. It is not chosen by name: a mesh that is asked for whole has it.
     Own,
 }
 
 impl SetKind {
     /// All kinds that are chosen by name, in the order in which they are presented.
-    pub const ALL: [Self; 5] =
-        [Self::Hammersley, Self::Halton, Self::HyperbolicCross, Self::Regular, Self::Bcc];
+    pub const ALL: [Self; 6] =
+        [Self::Hammersley, Self::Halton, Self::HyperbolicCross, Self::Regular, Self::Bcc, Self::Pyramid];
 
     /// The name on the command line and in an archive.
     pub fn name(self) -> &'static str {
@@ -42,6 +44,7 @@ impl SetKind {
             Self::HyperbolicCross => "hyperbolic-cross",
             Self::Regular => "regular",
             Self::Bcc => "lattice",
+            Self::Pyramid => "pyramid",
             Self::Own => "own",
         }
     }
@@ -100,6 +103,13 @@ pub enum PointSpec {
         /// Cells along each axis: at least 1, at most half the axis's lattice steps.
         cells: [u32; 3],
     },
+    /// All samples, stored as a wavelet pyramid.
+    Pyramid {
+        /// Samples along each axis: those of the volume.
+        dims: [u64; 3],
+        /// Levels by which the splits of each axis begin later.
+        delay: [u8; 3],
+    },
     /// Listed points alone: the own vertices of a mesh. Several may share a position.
     Own {
         /// Number of points, at least 1 and at most [`ExplicitPoints::MOST`].
@@ -133,6 +143,8 @@ impl Default for SetSettings {
 const LARGEST_M: u32 = 40;
 const KS: std::ops::RangeInclusive<u32> = 2..=5;
 const LARGEST_R: u32 = 1000;
+/// Levels by which the splits of an axis begin later, at most.
+const MOST_DELAY: u8 = 8;
 
 impl PointSpec {
     /// The set of a kind with a number of interior points as near to `count` as the kind allows.
@@ -157,6 +169,7 @@ impl PointSpec {
                 }
                 Self::Bcc { cells: nearest_cells(count, lattice, spacing) }
             }
+            SetKind::Pyramid => Self::Pyramid { dims: lattice.dims, delay: [0; 3] },
             SetKind::Own => Self::Own { n: count },
         };
         spec.check(lattice)?;
@@ -182,6 +195,7 @@ impl PointSpec {
             Self::HyperbolicCross { .. } => SetKind::HyperbolicCross,
             Self::Regular { .. } => SetKind::Regular,
             Self::Bcc { .. } => SetKind::Bcc,
+            Self::Pyramid { .. } => SetKind::Pyramid,
             Self::Own { .. } => SetKind::Own,
         }
     }
@@ -193,6 +207,7 @@ impl PointSpec {
             Self::HyperbolicCross { m, k, r } => hyperbolic_cross_len(m, k, r),
             Self::Regular { counts } => counts.iter().map(|&c| u128::from(c)).product(),
             Self::Bcc { cells } => bcc_len(cells),
+            Self::Pyramid { dims, .. } => dims.iter().map(|&d| u128::from(d)).product(),
         }
     }
 
@@ -235,6 +250,13 @@ impl PointSpec {
                         return refuse("an axis of a lattice", c, &format!("1 to {} cells", max / 2));
                     }
                 }
+            }
+            Self::Pyramid { dims, delay } if dims != lattice.dims || delay.iter().any(|&d| d > MOST_DELAY) => {
+                return refuse(
+                    "a pyramid",
+                    format!("of {dims:?} samples with delays {delay:?}"),
+                    &format!("of all samples, with delays of at most {MOST_DELAY}"),
+                );
             }
             Self::Own { n } if n > ExplicitPoints::MOST as u64 => {
                 return refuse(

@@ -65,6 +65,9 @@ impl BlockRange {
         std::array::from_fn(|k| Self { min: min[k], max: max[k], tets: live[k] })
     }
 
+    /// That of nothing.
+    pub(crate) const NONE: Self = Self { min: f32::INFINITY, max: f32::NEG_INFINITY, tets: 0 };
+
     /// Rounds ranges outwards, none beyond all of them together.
     pub(crate) fn round(ranges: &mut [Self]) {
         let bounds = Self::bounds(ranges.iter().copied());

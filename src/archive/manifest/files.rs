@@ -36,6 +36,21 @@ pub fn sums_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
     of_step(archive, step, &format!("sums-{segment:06}.seg"))
 }
 
+/// Path of the low coefficients of a segment of a pyramid's step, until the coarse levels are made.
+pub fn low_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
+    of_step(archive, step, &format!("low-{segment:06}.seg"))
+}
+
+/// Path of the coarse levels of a pyramid's step.
+pub fn coarse_path(archive: &Path, step: u64) -> PathBuf {
+    of_step(archive, step, "coarse.seg")
+}
+
+/// Path of the ranges and corrections of a segment of a pyramid's step.
+pub fn ranges_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
+    of_step(archive, step, &format!("ranges-{segment:06}.seg"))
+}
+
 /// Path of the index of a step.
 pub fn index_path(archive: &Path, step: u64) -> PathBuf {
     of_step(archive, step, "index.seg")

@@ -18,7 +18,8 @@ mod plan;
 mod record;
 
 pub use self::files::{
-    coordinates_path, index_path, is_coordinates, mesh_folder, mesh_segment_path, spectrum_path, step_prefix,
+    coarse_path, coordinates_path, index_path, is_coordinates, low_segment_path, mesh_folder,
+    mesh_segment_path, ranges_segment_path, spectrum_path, step_prefix,
     steps_folder, sums_segment_path, unpacked_path, unpacked_step, values_segment_path,
 };
 pub use self::plan::{
@@ -138,6 +139,31 @@ pub struct MeshSource {
     pub cell_hash: PlanHash,
 }
 
+/// What the coefficients of a step of a pyramid stand for. All is less the offset of the source.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WaveletRecord {
+    /// Least and largest sample of the source.
+    pub range: [f64; 2],
+    /// What neighbouring values of a coefficient differ by.
+    pub step: f64,
+    /// How samples are corrected after they are decoded.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub correction: CorrectionRecord,
+}
+
+/// How samples of a pyramid are corrected.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CorrectionRecord {
+    /// Not at all.
+    #[default]
+    None,
+    /// So that no sample is off by more than this.
+    Max(f64),
+    /// Whole numbers are exact.
+    Lossless,
+}
+
 /// Everything, besides the plan, that decides the bytes of a step's values and index.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StepPlan {
@@ -169,6 +195,9 @@ pub struct StepPlan {
     /// How values were rounded, if they were.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quantiser: Option<Quantiser>,
+    /// What the coefficients of a pyramid stand for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wavelet: Option<WaveletRecord>,
     /// Steps from one keyframe to the next, by number; further steps go on with it.
     #[serde(default = "usual_keyframes", skip_serializing_if = "is_usual_keyframes")]
     pub keyframes: u64,
@@ -258,6 +287,10 @@ pub struct Step {
     pub void_points: u64,
     /// Value segments, in chunk order; the n-th is `values-n.seg`.
     pub values: Vec<SegmentRecord>,
+    /// Of a pyramid: the segments of ranges and corrections, in chunk order.
+    pub ranges: Vec<SegmentRecord>,
+    /// Of a pyramid: the coarse levels.
+    pub coarse: Option<SegmentInfo>,
     /// The index; none in a small archive, where the summaries of its chunks say as much.
     pub index: Option<SegmentInfo>,
     /// The contour spectrum; none in a small archive, nor where every tetrahedron is void.
@@ -271,6 +304,25 @@ pub struct Step {
 }
 
 impl Step {
+    /// A step of a plan, of which no file is known yet.
+    pub fn of(plan: StepPlan) -> Self {
+        Self {
+            plan,
+            place: None,
+            series: None,
+            value_range: None,
+            void_points: 0,
+            values: vec![],
+            ranges: vec![],
+            coarse: None,
+            index: None,
+            spectrum: None,
+            coordinates: None,
+            error: None,
+            level_errors: vec![],
+        }
+    }
+
     /// Smallest and largest value, as the file has values.
     pub fn file_range(&self) -> Option<[f64; 2]> {
         self.value_range.map(|range| range.map(|v| self.plan.source.in_file(v)))
@@ -452,7 +504,7 @@ impl Manifest {
             return bad("plan", "a lattice and bricks".into(), format!("{:?}", lattice.dims));
         }
         // A mesh that follows by formula is not stored.
-        let stored = if self.plan.lattice_cells().is_some() { 0 } else { self.counts.chunks };
+        let stored = if self.plan.stores_mesh() { self.counts.chunks } else { 0 };
         check_tiling(path, "mesh", &self.mesh, stored)?;
         let offset = self.steps.first().map_or(0.0, |step| step.plan.source.offset);
         if !self.all_steps().all(|s| s.plan.source.offset == offset && s.plan.source.rounding >= 0.0) {
@@ -460,6 +512,13 @@ impl Manifest {
         }
         for step in self.all_steps() {
             check_tiling(path, "values of a step", &step.values, self.counts.chunks)?;
+            if self.plan.is_pyramid() {
+                check_tiling(path, "ranges of a step", &step.ranges, self.counts.chunks)?;
+            }
+            if [step.plan.wavelet.is_some(), step.coarse.is_some()] != [self.plan.is_pyramid(); 2] {
+                let expected = "a scale and coarse levels, those of a pyramid alone".into();
+                return bad("wavelet and coarse of a step", expected, "others".into());
+            }
         }
         for step in &self.steps {
             if step.index.is_some() != self.counts.is_indexed(&self.plan) {
@@ -603,6 +662,8 @@ pub(crate) mod tests {
             coordinates: None,
             error: None,
             level_errors: vec![],
+            ranges: vec![],
+            coarse: None,
         };
         let counts = Counts { points: 1000, tetrahedra: 6000, chunks: 5, blocks: 12 };
         Manifest::new(plan(), counts, vec![record(0, 2), record(2, 3)], vec![step(0), step(3)])

@@ -142,7 +142,17 @@ impl Plan {
     /// lattice. How many blocks another mesh has is known when it is made.
     pub fn may_have_spectrum(&self, chunks: u64) -> bool {
         let counts = Counts { chunks, blocks: self.bricks().len(), ..Counts::default() };
-        self.lattice_cells().is_none() || counts.is_indexed(self)
+        !self.is_pyramid() && (self.lattice_cells().is_none() || counts.is_indexed(self))
+    }
+
+    /// Whether all samples are stored, as a wavelet pyramid.
+    pub fn is_pyramid(&self) -> bool {
+        matches!(self.points, PointSpec::Pyramid { .. })
+    }
+
+    /// Whether tetrahedra, or what they are made again from, are in files of their own.
+    pub fn stores_mesh(&self) -> bool {
+        !self.is_pyramid() && self.lattice_cells().is_none()
     }
 
     /// The cells along each axis of a body-centred cubic lattice that is all of the points: its
@@ -179,6 +189,7 @@ impl Counts {
     pub fn is_indexed(&self, plan: &Plan) -> bool {
         let [chunks, blocks] = match plan.lattice_cells() {
             Some(_) => [MOST_UNINDEXED_CHUNKS, MOST_UNINDEXED_BRICKS],
+            None if plan.is_pyramid() => [MOST_UNINDEXED_CHUNKS, MOST_UNINDEXED_BRICKS],
             None => [1, MOST_UNINDEXED],
         };
         self.chunks > chunks || self.blocks > blocks

@@ -73,6 +73,10 @@ pub(super) struct StepRecord {
     #[serde(default, skip_serializing_if = "is_default")]
     void_points: u64,
     values: Vec<SegmentRecord>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    ranges: Vec<SegmentRecord>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    coarse: Option<SegmentInfo>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     index: Option<SegmentInfo>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -95,6 +99,8 @@ impl From<Step> for StepRecord {
             value_range: step.value_range,
             void_points: step.void_points,
             values: step.values,
+            ranges: step.ranges,
+            coarse: step.coarse,
             index: step.index,
             spectrum: step.spectrum,
             coordinates: step.coordinates,
@@ -116,6 +122,8 @@ impl TryFrom<StepRecord> for Step {
             value_range: record.value_range,
             void_points: record.void_points,
             values: record.values,
+            ranges: record.ranges,
+            coarse: record.coarse,
             index: record.index,
             spectrum: record.spectrum,
             coordinates: record.coordinates,

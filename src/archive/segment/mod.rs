@@ -81,6 +81,12 @@ pub enum SegmentKind {
     Unpacked = 10,
     /// What the chunks of a range add to sums over all, of one step that is not finished.
     Sums = 11,
+    /// Low coefficients of a range of chunks of a pyramid, until its coarse levels are made.
+    Low = 12,
+    /// The coarse levels of a pyramid.
+    Coarse = 13,
+    /// Ranges and corrections of a range of chunks of a pyramid.
+    Ranges = 14,
 }
 
 impl SegmentKind {
@@ -97,6 +103,9 @@ impl SegmentKind {
             9 => "repeated vertices".into(),
             10 => "unpacked blocks".into(),
             11 => "sums".into(),
+            12 => "low coefficients".into(),
+            13 => "coarse levels".into(),
+            14 => "ranges".into(),
             other => format!("unknown kind {other}"),
         }
     }

@@ -85,7 +85,7 @@ impl GridField {
 
     /// Gives up the samples that no later chunk will need: those below the layer of chunks that
     /// lies before the current one, as a halo reaches into its neighbours.
-    pub(super) fn pass(&self, chunk: &Chunk) {
+    pub(in crate::pipeline) fn pass(&self, chunk: &Chunk) {
         let samples = self.voxels_of(chunk);
         let keep = samples.lo[2].saturating_sub(samples.dims()[2]);
         let released = self.released.fetch_max(keep, Ordering::Relaxed);
@@ -95,7 +95,7 @@ impl GridField {
     }
 
     /// Reads the samples of a window that values are fitted to; NaN means no sample.
-    pub(super) fn read_window(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
+    pub(in crate::pipeline) fn read_window(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
         self.reader.read_box(window, out)?;
         if self.nan == NanPolicy::Error && self.missing.is_none() && all_finite(out) {
             return Ok(());
@@ -108,6 +108,15 @@ impl GridField {
             let at = [i % d[0], i / d[0] % d[1], i / d[0] / d[1]];
             let sample = std::array::from_fn(|k| window.lo[k] + at[k]);
             return Err(self.nan_error(self.bricks.lattice.of_voxel(sample)));
+        }
+        Ok(())
+    }
+
+    /// Reads samples of the source; those that are missing are NaN.
+    pub(in crate::pipeline) fn read_originals(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
+        self.reader.read_box(window, out)?;
+        if self.nan != NanPolicy::Error || self.missing.is_some() {
+            treat_missing(self.missing, f32::NAN, out);
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! One pass over a volume: range, mean, missing samples, histogram. Memory: one slab.
 
 use super::bend::BendBlocks;
+use super::shift::Reading;
 use crate::density::Bend;
 use crate::error::Result;
 use crate::exec::CancelToken;
@@ -144,41 +145,38 @@ fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
 
 /// Looks at all finite samples besides the one that means "no data". Reads the volume once.
 pub(in crate::pipeline) fn spread(
-    reader: &dyn VolumeReader,
-    missing: Option<f64>,
+    source: VolumeSource,
+    reading: &Reading,
     cancel: &CancelToken,
 ) -> Result<Spread> {
-    let mut spread = Spread::new(reader.info().dims, missing);
-    for_slabs(reader, |slab, values| {
+    let mut spread = Spread::new(source.info().dims, reading.missing());
+    each_slab(source, reading, |slab, values| {
         spread.add(slab, values);
         cancel.check()
     })?;
     Ok(spread)
 }
 
-/// As [`spread`], of values less an offset.
-pub(in crate::pipeline) fn stream_spread(
-    stream: &mut dyn SlabStream,
-    missing: Option<f64>,
-    offset: f64,
-    cancel: &CancelToken,
-) -> Result<Spread> {
-    let mut spread = Spread::new(stream.info().dims, missing.filter(|_| offset == 0.0));
-    if offset == 0.0 {
-        for_stream(stream, |slab, values| {
-            spread.add(slab, values);
-            cancel.check()
-        })?;
-        return Ok(spread);
+/// Hands all samples of a volume to `each`, in boxes, less the offset. Reads the volume once.
+pub(super) fn each_slab(
+    source: VolumeSource,
+    reading: &Reading,
+    mut each: impl FnMut(&IndexBox, &[f32]) -> Result<()>,
+) -> Result<()> {
+    let mut stream = match source {
+        VolumeSource::Random(reader) => return for_slabs(&*reading.reader(reader), each),
+        other => other.into_stream(),
+    };
+    if reading.offset() == 0.0 {
+        return for_stream(&mut *stream, each);
     }
     let (info, mut bytes, mut values) = (stream.info().clone(), vec![], vec![]);
     while let Some(slab) = stream.next_slab(&mut bytes)? {
         values.clear();
-        each_value(&bytes, &info, missing, offset, |v| values.push(v as f32));
-        spread.add(&slab, &values);
-        cancel.check()?;
+        each_value(&bytes, &info, reading.declared(), reading.offset(), |v| values.push(v as f32));
+        each(&slab, &values)?;
     }
-    Ok(spread)
+    Ok(())
 }
 
 /// How samples are spread over the numbers, their range and the range of nearly all; and how they

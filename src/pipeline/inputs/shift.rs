@@ -148,6 +148,11 @@ impl Reading {
         self.offset
     }
 
+    /// The value that means "no data" in the source, besides what that declares.
+    pub(super) fn declared(&self) -> Option<f64> {
+        self.missing
+    }
+
     /// Values less the offset.
     pub(in crate::pipeline) fn reader(&self, reader: Box<dyn VolumeReader>) -> Box<dyn VolumeReader> {
         match self.offset {

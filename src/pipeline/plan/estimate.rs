@@ -29,8 +29,9 @@ use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::index::BuildSettings;
 use crate::pipeline::settings::{RunSettings, Target};
-use crate::points::PointSet;
+use crate::points::{PointSet, SetKind};
 use crate::raster::BatchScan;
+use isospan_wavelet::{CHUNK, PART};
 use serde::Serialize;
 use std::path::Path;
 
@@ -157,6 +158,18 @@ fn widths(points: &PointSet, core: &LatticeBox, quarters: u64, retries: u32) -> 
     points.spacing_around(core).map(|side| side.map(width))
 }
 
+/// Bytes in which a part of a chunk of a pyramid is made, and those of its chunk that wait: its
+/// samples with a halo, as they are and in tiles, low coefficients.
+fn part_bytes(dims: [u64; 3], edge: usize) -> u64 {
+    let of = |n: usize| dims.map(|d| d.min(n as u64 + 1)).iter().product::<u64>();
+    8 * of(edge + 64) + 6 * of(edge) + of(CHUNK) / 2 + (4 << 20)
+}
+
+/// Samples along each axis of the parts in which a chunk of a pyramid is made in some memory.
+pub(in crate::pipeline) fn part_edge(dims: [u64; 3], memory: u64) -> usize {
+    if part_bytes(dims, CHUNK) <= memory { CHUNK } else { PART }
+}
+
 /// Bytes in which a chunk with `points_in_region` points in its region is meshed, sampled and
 /// encoded.
 pub(in crate::pipeline) fn chunk_bytes(points_in_region: u64, halo: Halo) -> u64 {
@@ -238,6 +251,9 @@ pub(in crate::pipeline) struct Held {
 
 impl Need {
     pub(in crate::pipeline) fn of(parts: &MeshParts) -> Self {
+        if parts.points.spec().kind() == SetKind::Pyramid {
+            return Self::of_pyramid(parts);
+        }
         let (mut region_points, mut core_points) = (0, 0);
         let domain = parts.chunks.bricks().lattice.domain();
         for chunk in some_chunks(&parts.chunks) {
@@ -271,6 +287,27 @@ impl Need {
                 None if is_made_again(&parts.points) => MADE_AGAIN_PER_POINT,
                 None => ARCHIVE_PER_POINT,
             },
+        }
+    }
+
+    /// The need of a pyramid, whose chunks are made in the smallest parts where there is little
+    /// memory.
+    fn of_pyramid(parts: &MeshParts) -> Self {
+        let dims = parts.chunks.bricks().lattice.dims;
+        let core = dims.map(|n| n.min(CHUNK as u64 + 1)).iter().product::<u64>();
+        let points = parts.points.len();
+        Self {
+            base: BASE,
+            points,
+            chunks: parts.chunks.len(),
+            chunk: part_bytes(dims, PART),
+            region_points: 0,
+            core_points: core / 64,
+            steps: 1,
+            held: Held::default(),
+            window: 0,
+            entries: points / 32_768 + parts.chunks.len(),
+            archive_per_point: 1,
         }
     }
 

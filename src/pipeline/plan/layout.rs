@@ -112,6 +112,21 @@ impl Layout {
         manifest::sums_segment_path(&self.root, self.step, segment)
     }
 
+    /// Low coefficients of a pyramid, until its coarse levels are made.
+    pub(in crate::pipeline) fn low(&self, segment: u64) -> PathBuf {
+        manifest::low_segment_path(&self.root, self.step, segment)
+    }
+
+    /// The coarse levels of a pyramid.
+    pub(in crate::pipeline) fn coarse(&self) -> PathBuf {
+        manifest::coarse_path(&self.root, self.step)
+    }
+
+    /// Ranges and corrections of a pyramid.
+    pub(in crate::pipeline) fn ranges(&self, segment: u64) -> PathBuf {
+        manifest::ranges_segment_path(&self.root, self.step, segment)
+    }
+
     pub(in crate::pipeline) fn index(&self) -> PathBuf {
         manifest::index_path(&self.root, self.step)
     }

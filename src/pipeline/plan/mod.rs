@@ -23,14 +23,14 @@ use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
 use crate::grid::{BrickGrid, BrickId, ChunkGrid};
 use crate::mesh::bcc::{BccMesh, NODE_BRICK_CELLS};
-use crate::pipeline::settings::{Amount, ReduceSettings, ValueBits};
+use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings, ValueBits};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
 pub(super) use attachments::Attachments;
 pub(super) use estimate::{
     ERROR_WINDOW, Halo, Held, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares,
-    SurfaceShares, free_bytes, need_of,
+    SurfaceShares, free_bytes, need_of, part_edge,
 };
 pub use estimate::{Estimate, SearchEstimate};
 pub use finding::{Finding, Notice};
@@ -170,6 +170,10 @@ impl Plan {
             frame: None,
             stars: settings.values == Values::Fit,
         };
+        if mesh.points.kind() == SetKind::Pyramid {
+            check_pyramid(&source, settings)?;
+            (mesh.brick_edge, mesh.stars) = ([isospan_wavelet::CHUNK as u64; 3], false);
+        }
         if let (Some(cells), None) = (mesh.lattice_cells(), source.mesh) {
             let edge = if settings.values == Values::Nodes {
                 NODE_BRICK_CELLS.into()
@@ -189,6 +193,7 @@ impl Plan {
                 nan: settings.nan.to_string(),
                 missing: settings.finite_missing(),
                 quantiser: None,
+                wavelet: None,
                 keyframes: settings.keyframes,
                 measured: false,
                 base: None,
@@ -341,6 +346,24 @@ fn check_nodes(settings: &ReduceSettings) -> Result<()> {
     })
 }
 
+/// Refuses settings that are for points, where all samples are kept.
+fn check_pyramid(source: &Source, settings: &ReduceSettings) -> Result<()> {
+    let others = if source.mesh.is_some() {
+        Some("a mesh: choose a point set")
+    } else if settings.adapt.is_some() {
+        Some("points that adapt")
+    } else if settings.value_bits != ValueBits::Usual {
+        Some("bits of values: give an error that is not to be exceeded")
+    } else if settings.interpolation != Interpolation::Linear {
+        Some("an interpolation: all samples are kept")
+    } else if settings.nan == NanPolicy::Mask {
+        Some("--nan mask: give a value for missing samples, or choose a point set")
+    } else {
+        None
+    };
+    others.map_or(Ok(()), |others| Err(Error::usage(format!("a pyramid does not go with {others}"))))
+}
+
 /// The lattice whose nodes are the samples.
 fn nodes_at_samples(lattice: &Lattice) -> Result<PointSpec> {
     let spec = PointSpec::Bcc { cells: lattice.dims.map(|d| (d - 1) as u32) };
@@ -436,7 +459,12 @@ pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshPar
     if !plan.lattice.is_valid() {
         return Err(Error::usage("the lattice is not that of its dimensions"));
     }
-    if plan.brick_edge.iter().any(|e| !(1..=LARGEST_BRICK_EDGE).contains(e)) {
+    let is_pyramid = plan.points.kind() == SetKind::Pyramid;
+    let right_edge = |e: &u64| match is_pyramid {
+        true => *e == isospan_wavelet::CHUNK as u64,
+        false => (1..=LARGEST_BRICK_EDGE).contains(e),
+    };
+    if !plan.brick_edge.iter().all(right_edge) {
         return Err(Error::usage(format!(
             "bricks of {:?} voxels; an edge is 1 to {LARGEST_BRICK_EDGE}",
             plan.brick_edge
@@ -471,7 +499,7 @@ pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshPar
         points = points.ordered_by(frame.site_bits)?;
     }
     let bricks = plan.bricks().dims().iter().map(|&n| u128::from(n)).product::<u128>();
-    if u128::from(points.len()) / MOST_BRICK_POINTS > bricks {
+    if !is_pyramid && u128::from(points.len()) / MOST_BRICK_POINTS > bricks {
         return Err(Error::usage(format!(
             "{} points in {bricks} bricks: more than {MOST_BRICK_POINTS} a brick; choose fewer points",
             points.len()
@@ -480,6 +508,7 @@ pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshPar
     let counter = points.clone();
     let chunks = match &plan.frame {
         Some(frame) => ChunkGrid::from_cuts(plan.bricks(), &frame.cuts)?,
+        None if is_pyramid => ChunkGrid::of_bricks(plan.bricks())?,
         None => ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?,
     };
     let times =

@@ -91,7 +91,7 @@ impl OpenArchive {
         }
         let layout = Layout::new(root, chunks.len(), manifest.steps[0].plan.number);
         // A mesh that follows by formula is not stored: the manifest was checked.
-        let mesh = bcc.is_none().then_some(&manifest.mesh);
+        let mesh = manifest.plan.stores_mesh().then_some(&manifest.mesh);
         for records in manifest.all_steps().map(|s| &s.values).chain(mesh) {
             let as_cut = |(n, r): (u64, &SegmentRecord)| {
                 layout.chunks_of(n) == (r.first_chunk..r.first_chunk + r.chunks)
@@ -271,7 +271,7 @@ fn lost(root: &Path, error: Error) -> Error {
 impl OpenArchive {
     /// Whether the mesh follows by formula: then it is not stored.
     pub(in crate::pipeline) fn has_mesh_by_formula(&self) -> bool {
-        self.bcc.is_some()
+        !self.manifest.plan.stores_mesh()
     }
 
     /// A chunk whose mesh follows by formula.

@@ -11,6 +11,7 @@ use super::archive::{OpenArchive, bytes_read, expect_recorded};
 use super::block_cache::BlockCache;
 use super::choice::{Moment, StepChoice};
 use super::pools::BufferPool;
+use super::pyramid::PyramidStep;
 use super::recent::RecentBlocks;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::Step;
@@ -71,6 +72,10 @@ pub(in crate::pipeline) struct StepView {
     pub(in crate::pipeline) cache: BlockCache,
     /// Buffers for it, while blocks are cached.
     pub(in crate::pipeline) spare: BufferPool,
+    /// Segments of ranges of a pyramid, by number.
+    ranges: Mutex<BTreeMap<u64, Arc<ChunkSegment>>>,
+    /// The levels of a pyramid, once they were asked for.
+    pub(super) pyramid: OnceLock<PyramidStep>,
     /// The unpacked blocks of the step, once they were searched for.
     pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
 }
@@ -107,6 +112,8 @@ impl StepView {
             recent: RecentBlocks::default(),
             cache: BlockCache::default(),
             spare: BufferPool::default(),
+            ranges: Mutex::default(),
+            pyramid: OnceLock::new(),
             unpacked: OnceLock::new(),
         }
     }
@@ -162,8 +169,8 @@ impl StepView {
         let Some(recorded) = &self.step().index else {
             let mut entries = vec![];
             for chunk in 0..self.manifest.counts.chunks {
-                let summary =
-                    self.values_of(self.position(), ChunkId(chunk))?.value_summary(ChunkId(chunk))?;
+                let file = self.summaries_of(ChunkId(chunk))?;
+                let summary = file.value_summary(ChunkId(chunk))?;
                 entries.extend(index_entries(chunk, &summary.ranges));
             }
             return Ok(SpanIndex::of_entries(entries));
@@ -215,6 +222,28 @@ impl StepView {
     /// The value segment of a step, by its position in the manifest, that has a chunk.
     pub(in crate::pipeline) fn values_of(&self, step: usize, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
         self.values_segment(step, self.layout.segment_of(chunk))
+    }
+
+    /// The segment of the ranges of a pyramid that has a chunk.
+    pub(in crate::pipeline) fn ranges_of(&self, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
+        let number = self.layout.segment_of(chunk);
+        let mut open = self.ranges.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(segment) = open.get(&number) {
+            return Ok(Arc::clone(segment));
+        }
+        let (path, record) = (self.layout.ranges(number), self.step().ranges.get(number as usize));
+        let hash = self.step_hash();
+        let segment = Arc::new(self.chunk_segment(&path, SegmentKind::Ranges, hash, number, record)?);
+        open.insert(number, Arc::clone(&segment));
+        Ok(segment)
+    }
+
+    /// The segment with the summary of a chunk.
+    pub(in crate::pipeline) fn summaries_of(&self, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
+        match self.is_pyramid() {
+            true => self.ranges_of(chunk),
+            false => self.values_of(self.position(), chunk),
+        }
     }
 
     /// Closes the segments before that of a chunk: their files, and the cached pages of their

@@ -23,7 +23,7 @@ use super::sums::FinishedSteps;
 use super::workers::SegmentMaker;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
-use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
+use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
 use crate::exec::{Progress, pool};
 use crate::grid::ChunkId;
@@ -33,6 +33,7 @@ use crate::pipeline::plan::{Layout, MeshParts, Plan, Shares};
 use crate::pipeline::read::{Meter, OpenArchive, StepView, write_coordinates};
 use crate::pipeline::settings::RunSettings;
 use crate::pipeline::stage::StageTimes;
+use crate::points::SetKind;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -122,6 +123,9 @@ impl<'a> Build<'a> {
 
     /// Makes all segments that are not there yet.
     pub(super) fn run(&self, series: &mut SeriesPlan, source: &SegmentSource<'_>) -> Result<Segments> {
+        if series.plan.mesh.points.kind() == SetKind::Pyramid {
+            return self.run_pyramid(series, source);
+        }
         let (mut made, mut next) = (Segments::default(), 0);
         made.coordinates = self.coordinates(series)?;
         let (hash, segments) = (series.plan.mesh_hash(), &source.segments);
@@ -161,7 +165,7 @@ impl<'a> Build<'a> {
     }
 
     /// Copies the coordinates that a grid has of its own into the archive, with its first step.
-    fn coordinates(&self, series: &SeriesPlan) -> Result<Option<CoordinateRecord>> {
+    pub(super) fn coordinates(&self, series: &SeriesPlan) -> Result<Option<CoordinateRecord>> {
         match self.old {
             Some(old) => Ok(old.coordinates().map(|(_, record)| record)),
             None => grid_coordinates(series, self.layout),
@@ -323,17 +327,8 @@ impl<'a> Build<'a> {
         for n in first..wanted.end {
             let layout = self.layout.at(plan.steps[n].number);
             steps.push(Step {
-                plan: plan.steps[n].clone(),
-                place: None,
-                series: None,
-                value_range: None,
-                void_points: 0,
                 values: self.records(source, plan.step_hash(n), SegmentKind::Values, |n| layout.values(n))?,
-                index: None,
-                spectrum: None,
-                coordinates: None,
-                error: None,
-                level_errors: vec![],
+                ..Step::of(plan.steps[n].clone())
             });
         }
         if self.old.is_none() {
@@ -344,6 +339,28 @@ impl<'a> Build<'a> {
         let bases = self.old.map_or(vec![], |old| old.bases.clone());
         let manifest = Manifest::new(plan.mesh.clone(), counts, mesh, steps).with_bases(bases);
         OpenArchive::of(self.layout.root(), manifest).map(Some)
+    }
+
+    /// A step of a pyramid as an archive: its details and its coarse levels, without ranges. It may
+    /// refer to the steps before it.
+    pub(super) fn pyramid_archive(
+        &self,
+        plan: &Plan,
+        n: usize,
+        coordinates: Option<CoordinateRecord>,
+    ) -> Result<Arc<OpenArchive>> {
+        let layout = self.layout.at(plan.steps[n].number);
+        let (hash, all) = (plan.step_hash(n), 0..layout.segment_count());
+        let record = |s: u64| ChunkSegment::open(layout.values(s), SegmentKind::Values, Some(hash)).map(|f| f.record());
+        let coarse = Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))?.info();
+        let step = Step {
+            values: all.map(record).collect::<Result<_>>()?,
+            coarse: Some(coarse),
+            coordinates,
+            ..Step::of(plan.steps[n].clone())
+        };
+        let counts = Counts { chunks: self.parts.chunks.len(), ..Counts::default() };
+        OpenArchive::of(self.layout.root(), Manifest::new(plan.mesh.clone(), counts, vec![], vec![step]))
     }
 
     /// Records of the segments that are made. Other segments have their place alone, because they

@@ -7,7 +7,7 @@ use crate::archive::segment::SegmentKind;
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::{Layout, MeshParts, Plan};
-use crate::pipeline::read::sizes_of;
+use crate::pipeline::read::{bricks_of, chunk_place, pyramid_of, sizes_of};
 use std::path::Path;
 
 /// The mesh of an archive, and the steps that are finished.
@@ -43,6 +43,12 @@ impl ArchiveContents {
                 let [lo, hi] = parts.chunks.bricks().cells_of(&chunk);
                 contents.add_sizes(sizes_of(&bcc.chunk(lo, hi)));
             }
+            return Ok(contents);
+        }
+        if let Some(pyramid) = pyramid_of(plan.mesh.points) {
+            contents.counts.points = parts.points.len();
+            let bricks = |id: u64| bricks_of(&pyramid, chunk_place(&pyramid, ChunkId(id))).len() as u64;
+            contents.counts.blocks = (0..parts.chunks.len()).map(bricks).sum();
             return Ok(contents);
         }
         let mut volume6 = 0i128;

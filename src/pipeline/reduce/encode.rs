@@ -10,6 +10,7 @@
 
 use super::encoded::EncodedChunk;
 use super::reuse::ReusedChunks;
+use super::workers::MakeChunks;
 use crate::archive::chunked::{BlockRange, MeshSizes, MeshSummary, ValueSummary, encode_value_ranges};
 use crate::archive::manifest::StepPlan;
 use crate::archive::mesh::{ChunkEncoder, ChunkVertices};
@@ -68,7 +69,7 @@ impl BadSteps {
     }
 
     /// Notes whether the `n`-th step, of this number, could be used.
-    fn note<T>(&self, n: usize, number: u64, found: Result<T>) -> Result<T> {
+    pub(super) fn note<T>(&self, n: usize, number: u64, found: Result<T>) -> Result<T> {
         let found = found.map_err(|e| if self.several { e.at_step(number) } else { e });
         if let Err(e @ (Error::BadInput(_) | Error::Io { .. })) = &found {
             let mut bad = self.found.lock().unwrap_or_else(PoisonError::into_inner);
@@ -157,10 +158,10 @@ enum Encoding {
     NeedsRoom { bytes: u64 },
 }
 
-impl ChunkMaker<'_> {
+impl MakeChunks for ChunkMaker<'_> {
     /// Makes a chunk in a share of the scratch memory; if that is too small, in all of it. One that
     /// an earlier try has made is copied from that.
-    pub(super) fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
+    fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
         if let Some((reused, steps)) = &self.reused
             && let Some(encoded) = reused.encoded(chunk.id, self.stored.is_none(), steps)?
         {
@@ -189,6 +190,34 @@ impl ChunkMaker<'_> {
         }
     }
 
+    fn points(&self, chunk: &Chunk) -> u64 {
+        self.recipe.points.count_in(&chunk.core)
+    }
+
+    fn will_need(&self, chunk: &Chunk) {
+        self.steps.iter().for_each(|s| s.field.will_need(chunk));
+    }
+
+    fn pass(&self, chunk: &Chunk) {
+        self.steps.iter().for_each(|s| s.field.pass(chunk));
+        if let Some(stored) = &self.stored {
+            stored.archive.close_before(chunk.id);
+        }
+        if let Some((reused, _)) = &self.reused {
+            reused.pass(chunk.id);
+        }
+    }
+
+    fn queue(&self) -> u64 {
+        self.shares.queue
+    }
+
+    fn cancel(&self) -> &CancelToken {
+        self.cancel
+    }
+}
+
+impl ChunkMaker<'_> {
     fn encode(&self, chunk: &Chunk, workspace: &mut Workspace, limit: u64) -> Result<Encoding> {
         let mut times = StageTimes::default();
         let mut lap = Lap(Instant::now());
@@ -477,21 +506,6 @@ impl ChunkMaker<'_> {
         (blocks, ends)
     }
 
-    /// Reads ahead what a chunk needs.
-    pub(super) fn will_need(&self, chunk: &Chunk) {
-        self.steps.iter().for_each(|s| s.field.will_need(chunk));
-    }
-
-    /// Gives back what chunks before this one needed: it was written.
-    pub(super) fn pass(&self, chunk: &Chunk) {
-        self.steps.iter().for_each(|s| s.field.pass(chunk));
-        if let Some(stored) = &self.stored {
-            stored.archive.close_before(chunk.id);
-        }
-        if let Some((reused, _)) = &self.reused {
-            reused.pass(chunk.id);
-        }
-    }
 }
 
 /// Adds the errors at the samples of a window, x fastest.

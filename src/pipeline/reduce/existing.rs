@@ -17,8 +17,8 @@ use super::job::Job;
 use super::plan_file::{new_archive, old_archive, work_folder};
 use crate::archive::lock::WriterLock;
 use crate::archive::manifest::{
-    MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, is_coordinates, mesh_folder,
-    mesh_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
+    MANIFEST_NAME, Manifest, Step, coarse_path, coordinates_path, index_path, is_coordinates, mesh_folder,
+    mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
 };
 use crate::archive::segment::{PlanHash, SegmentInfo, segment_plan};
 use crate::bytes::publish::{self, TEMPORARY_MARK};
@@ -38,12 +38,15 @@ pub(super) fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, Seg
         let number = step.plan.number;
         let values = (0..).zip(&step.values);
         let values = values.map(|(n, s)| (values_segment_path(archive, number, n), s.info));
+        let ranges = (0..).zip(&step.ranges);
+        let ranges = ranges.map(|(n, s)| (ranges_segment_path(archive, number, n), s.info));
         let others = [
+            step.coarse.map(|i| (coarse_path(archive, number), i)),
             step.index.map(|i| (index_path(archive, number), i)),
             step.spectrum.map(|i| (spectrum_path(archive, number), i)),
             step.coordinates.map(|c| (coordinates_path(archive, number), c.info)),
         ];
-        values.chain(others.into_iter().flatten()).collect::<Vec<_>>()
+        values.chain(ranges).chain(others.into_iter().flatten()).collect::<Vec<_>>()
     };
     mesh.chain(manifest.all_steps().flat_map(of_step)).collect()
 }

@@ -31,6 +31,7 @@ mod order;
 mod plan_file;
 mod planned;
 mod publish;
+mod pyramid;
 mod report;
 mod reuse;
 mod search;
@@ -49,6 +50,7 @@ use crate::exec::{Progress, Silent};
 use crate::formats::StepSource;
 use crate::pipeline::plan::Estimate;
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::points::SetKind;
 pub(super) use advice::look;
 pub use advice::{header_notices, mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
@@ -129,9 +131,9 @@ fn make_series(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
 /// # Errors
 /// Those of opening the first source, where a target depends on its kind.
 pub(super) fn complete_settings(job: &Job<'_>) -> Result<ReduceSettings> {
-    match job.settings.target {
-        Some(_) => Ok(job.settings.complete(is_mesh(job)?)),
-        None => Ok(job.settings.clone()),
+    match job.settings.target.is_some() || job.settings.points == Some(SetKind::Pyramid) {
+        true => Ok(job.settings.complete(is_mesh(job)?)),
+        false => Ok(job.settings.clone()),
     }
 }
 

@@ -9,7 +9,7 @@ use super::series::SeriesPlan;
 use super::sums::{FinishedSteps, StoredSums, summed_error};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{Manifest, Step, StepPlan};
-use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
+use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::index::{BuildSettings, IndexBuilder, index_entries};
@@ -17,6 +17,7 @@ use crate::pipeline::field::{MeasureSettings, reopened_errors};
 use crate::pipeline::plan::{Layout, Plan, estimate};
 use crate::pipeline::read::{OpenArchive, limits};
 use crate::pipeline::stage::Stage;
+use crate::points::SetKind;
 use crate::spectrum::{Design, Limits, SpectrumBuilder};
 use std::time::Instant;
 
@@ -79,7 +80,8 @@ impl Build<'_> {
     fn step(&self, plan: &Plan, n: usize, is_indexed: bool, finished: &FinishedSteps) -> Result<Step> {
         let (step, hash) = (&plan.steps[n], plan.step_hash(n));
         let layout = self.layout.at(step.number);
-        let (mut values, mut void_points) = (vec![], 0);
+        let is_pyramid = plan.mesh.points.kind() == SetKind::Pyramid;
+        let (mut values, mut ranges, mut void_points) = (vec![], vec![], 0);
         // The ranges of all points, and of the tetrahedra that are not void.
         let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
         let mut range = value_range;
@@ -89,6 +91,14 @@ impl Build<'_> {
         });
         for number in 0..layout.segment_count() {
             let file = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
+            values.push(file.record());
+            let file = match is_pyramid {
+                true => ChunkSegment::open(layout.ranges(number), SegmentKind::Ranges, Some(hash))?,
+                false => file,
+            };
+            if is_pyramid {
+                ranges.push(file.record());
+            }
             for chunk in layout.chunks_of(number) {
                 let summary = file.value_summary(ChunkId(chunk))?;
                 void_points += u64::from(summary.void);
@@ -100,28 +110,28 @@ impl Build<'_> {
                     }
                 }
             }
-            values.push(file.record());
         }
         // Those that chunks were measured with: by the set's own number of points, which may be a
         // little off.
         let limits = limits(&plan.mesh, self.parts.points.len());
         let spectrum = match finished.get(step.number) {
-            _ if !is_indexed || range[0] > range[1] => None,
+            _ if !is_indexed || range[0] > range[1] || is_pyramid => None,
             Some(finished) => finished.spectrum,
             None => Some(sum_spectrum(&layout, step, hash, Design::new(range, limits), limits)?),
         };
+        let coarse = match is_pyramid {
+            true => Some(Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))?.info()),
+            false => None,
+        };
         Ok(Step {
-            plan: step.clone(),
-            place: None,
-            series: None,
             value_range: (value_range[0] <= value_range[1]).then_some(value_range),
             void_points,
             values,
+            ranges,
+            coarse,
             index: is_indexed.then(|| index.finish(layout.index(), hash)).transpose()?,
             spectrum,
-            coordinates: None,
-            error: None,
-            level_errors: vec![],
+            ..Step::of(step.clone())
         })
     }
 

@@ -23,6 +23,7 @@ impl Target {
             Self::Rms(bound) | Self::Max(bound) => {
                 Ok(bound.in_units(source_range(report).unwrap_or_default()))
             }
+            Self::Lossless => Ok(0.0),
             Self::Size(_) | Self::Ratio(_) => self.bytes(source),
         }
     }
@@ -33,7 +34,7 @@ impl Target {
             (Self::Size(bytes), _) => Ok(bytes as f64),
             (Self::Ratio(ratio), Some(source)) => Ok(source as f64 / ratio),
             (Self::Ratio(_), None) => Err(Error::usage("the bytes of the source are not known: give a size")),
-            (Self::Rms(_) | Self::Max(_), _) => Ok(f64::INFINITY),
+            (Self::Rms(_) | Self::Max(_) | Self::Lossless, _) => Ok(f64::INFINITY),
         }
     }
 
@@ -46,8 +47,8 @@ impl Target {
     ) -> Result<TargetReport> {
         let bound = self.limit(report, source)?;
         let reached = match self.bound() {
-            Some(_) => self.reached(report),
-            None => report.archive_bytes as f64,
+            None if self != Self::Lossless => report.archive_bytes as f64,
+            _ => self.reached(report),
         };
         let met = reached <= bound;
         Ok(TargetReport {
@@ -65,7 +66,7 @@ impl Target {
     /// The error or the size that an archive has; with several steps, that of the worst one.
     fn reached(self, report: &ReduceReport) -> f64 {
         match self {
-            Self::Rms(_) | Self::Max(_) => error_of(self, report),
+            Self::Rms(_) | Self::Max(_) | Self::Lossless => error_of(self, report),
             Self::Size(_) | Self::Ratio(_) => (report.archive_bytes + RECORD) as f64,
         }
     }
@@ -116,6 +117,8 @@ struct Search {
     bound: f64,
     /// The amount is not less than the first of these, and not more than the second.
     limits: [f64; 2],
+    /// The part of the bound that is good enough.
+    near: f64,
     /// The bounded quantity is about the amount to the negative of this power.
     usual: f64,
     tries: Vec<Try>,
@@ -138,7 +141,7 @@ impl Search {
             return None;
         }
         let amount = match (low, high) {
-            (_, Some(h)) if h.reached >= NEAR * self.bound => return None,
+            (_, Some(h)) if h.reached >= self.near * self.bound => return None,
             (Some(l), Some(h)) if h.amount <= LEAST_STEP * l.amount => return None,
             (Some(l), Some(h)) => {
                 let step = libm::sqrt(LEAST_STEP);
@@ -174,6 +177,13 @@ impl Search {
 /// The powers between errors and numbers of points, and between sizes and samples a point: archives
 /// have a manifest besides.
 const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
+
+/// The same of a pyramid: the powers between errors and finer steps, and sizes and coarser ones.
+const USUAL_POWERS_OF_STEPS: [f64; 2] = [0.8, 0.9];
+/// How many times coarser or finer the steps of a pyramid are than at first, at most.
+const LIMITS_OF_FACTORS: [f64; 2] = [1e-5, 1e5];
+/// A pyramid is made again only for more than this.
+const NEAR_OF_PYRAMIDS: f64 = 0.93;
 
 /// A lattice's values are rounded to a step of this many times the RMS error. Twice that is tried
 /// where a value takes fewer than `FEW_BITS`: then most of them are as predicted, and less off than
@@ -212,6 +222,11 @@ const POWER_OF_STEPS: f64 = 0.9;
 /// Whether a search is one for a lattice. Complete settings name another set, or adapt.
 fn is_lattice(settings: &ReduceSettings) -> bool {
     settings.set_of(false) == SetKind::Bcc
+}
+
+/// Whether a search is one for a pyramid.
+fn is_pyramid(settings: &ReduceSettings) -> bool {
+    settings.set_of(false) == SetKind::Pyramid
 }
 
 impl Rounding {
@@ -321,6 +336,9 @@ pub(in crate::pipeline) struct TargetSearch {
     /// The search for the steps of the range of a lattice with a node at each sample, once fewer
     /// points have been tried.
     nodes: Option<Search>,
+    /// Of a pyramid: how many times coarser its coefficients are in the next try.
+    #[serde(default)]
+    factor: Option<f64>,
     /// Whether each step has several fields.
     #[serde(default)]
     of_fields: bool,
@@ -348,6 +366,7 @@ impl TargetSearch {
             chunks: 0,
             best: None,
             nodes: None,
+            factor: is_pyramid(settings).then_some(1.0),
             of_fields: false,
         })
     }
@@ -359,7 +378,7 @@ impl TargetSearch {
 
     /// About how many tries there will be.
     pub(in crate::pipeline) fn about(&self) -> u32 {
-        self.next_try().max(USUAL_TRIES)
+        self.next_try().max(if is_pyramid(&self.settings) { 1 } else { USUAL_TRIES })
     }
 
     /// What is known before the first try, which has this estimate; the source has so many samples,
@@ -368,7 +387,7 @@ impl TargetSearch {
         let (target, tries) = (self.target, self.about());
         let archive_bytes = match target {
             Target::Size(_) | Target::Ratio(_) => [LEAST_BYTES, target.bytes(self.source)? as u64],
-            Target::Rms(_) | Target::Max(_) => {
+            Target::Rms(_) | Target::Max(_) | Target::Lossless => {
                 let exact = is_lattice(&self.settings) && self.rounding.bits == ValueBits::Exact;
                 let most = if exact { MOST_OF_LATTICE } else { 1.0 } * samples as f64;
                 let points = most / first.points.max(1) as f64;
@@ -396,7 +415,7 @@ impl TargetSearch {
 
     /// Whether the best try is what was searched for.
     pub(in crate::pipeline) fn is_over(&self) -> bool {
-        self.best.is_some() && self.count.is_none()
+        self.best.is_some() && self.count.is_none() && self.factor.is_none()
     }
 
     /// Whether it began with the same question.
@@ -406,6 +425,9 @@ impl TargetSearch {
 
     /// The settings of the next try.
     pub(in crate::pipeline) fn next_settings(&self) -> ReduceSettings {
+        if is_pyramid(&self.settings) {
+            return ReduceSettings { step_factor: self.factor.unwrap_or(1.0), ..self.settings.clone() };
+        }
         // For adapted points, the number of points that an error asks for is predicted.
         let adapts = self.settings.adapt.is_some();
         let predicted = self.settings.target.filter(|t| adapts && t.bound().is_some());
@@ -431,6 +453,7 @@ impl TargetSearch {
         self.tries = number;
         self.chunks += report.chunks;
         let made = match self.nodes.take() {
+            _ if is_pyramid(&self.settings) => self.note_factor(bound, report, settings),
             Some(nodes) => self.note_nodes(nodes, report, settings),
             None => self.note_points(bound, report, settings),
         };
@@ -445,7 +468,7 @@ impl TargetSearch {
         let most = if is_lattice && self.rounding.bits == ValueBits::Exact { MOST_OF_LATTICE } else { 1.0 };
         let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, most * samples] };
         let usual = USUAL_POWERS[usize::from(is_size)];
-        let search = self.search.get_or_insert_with(|| Search { bound, limits, usual, tries: vec![] });
+        let search = self.search.get_or_insert_with(|| Search { bound, limits, near: NEAR, usual, tries: vec![] });
         // This is the number that was asked for, because the resulting number is rounded: the limit
         // must be reached.
         let points = self.count.unwrap_or(report.inner_points).max(1) as f64;
@@ -490,7 +513,7 @@ impl TargetSearch {
             && !self.best.as_ref().is_some_and(is_enough)
             && let Some((first, limits)) = self.rounding.steps_for_nodes(target, bound, report)
         {
-            let nodes = Search { bound, limits, usual: POWER_OF_STEPS, tries: vec![] };
+            let nodes = Search { bound, limits, near: NEAR, usual: POWER_OF_STEPS, tries: vec![] };
             self.try_nodes(nodes, first, report.samples);
         }
         made
@@ -515,6 +538,35 @@ impl TargetSearch {
     fn try_nodes(&mut self, nodes: Search, steps: f64, samples: u64) {
         self.rounding.bits = ValueBits::Bits(libm::log2(steps + 1.0));
         (self.nodes, self.count) = (Some(nodes), Some(samples));
+    }
+
+    /// Notes a try of a pyramid. Corrections meet a bound of each sample in the first one.
+    fn note_factor(&mut self, bound: f64, report: &ReduceReport, settings: ReduceSettings) -> Try {
+        let is_size = matches!(self.target, Target::Size(_) | Target::Ratio(_));
+        let factor = settings.step_factor;
+        let amount = if is_size { factor } else { 1.0 / factor };
+        let usual = USUAL_POWERS_OF_STEPS[usize::from(is_size)];
+        let (limits, near) = (LIMITS_OF_FACTORS, NEAR_OF_PYRAMIDS);
+        let search = self.search.get_or_insert_with(|| Search { bound, limits, near, usual, tries: vec![] });
+        let made = Try { amount, reached: self.target.reached(report) };
+        search.tries.push(made);
+        let next = match self.target {
+            Target::Max(_) | Target::Lossless => None,
+            // A constant has no error, however coarse it is.
+            _ if made.reached == 0.0 => None,
+            _ => search.next(),
+        };
+        let meets = made.reached <= bound;
+        let is_best = match &self.best {
+            Some(best) => meets && made.amount < best.made.amount,
+            None => meets || next.is_none(),
+        };
+        if is_best {
+            let (bytes, number) = (report.archive_bytes, self.tries);
+            self.best = Some(BestTry { number, made, bytes, bits_a_value: bits_a_value(report), settings });
+        }
+        self.factor = next.map(|amount| if is_size { amount } else { 1.0 / amount });
+        made
     }
 
     /// Notes a try with a node at each sample.
@@ -587,7 +639,7 @@ const MOST_OF_LATTICE: f64 = 2.5;
 
 /// The error of the worst step; of several fields as a part of the range of each.
 pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
-    let which = usize::from(matches!(target, Target::Max(_)));
+    let which = usize::from(matches!(target, Target::Max(_) | Target::Lossless));
     if report.of_fields {
         return report.shares.iter().map(|shares| shares[which]).fold(0.0, f64::max);
     }
@@ -603,7 +655,7 @@ mod tests {
     fn look(bound: f64, cap: f64, first: f64, error: impl Fn(f64) -> f64) -> (usize, Option<f64>) {
         let tries = vec![Try { amount: first, reached: error(first) }];
         let usual = USUAL_POWERS[0];
-        let mut search = Search { bound, limits: [1.0, cap], usual, tries };
+        let mut search = Search { bound, limits: [1.0, cap], near: NEAR, usual, tries };
         while let Some(n) = search.next() {
             search.tries.push(Try { amount: n.round(), reached: error(n.round()) });
         }

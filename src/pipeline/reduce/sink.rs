@@ -19,10 +19,8 @@ use std::time::Instant;
 /// steps.
 pub(super) struct SegmentFiles<'a> {
     layout: &'a Layout,
-    /// The hash of the mesh, where that is made.
-    mesh: Option<PlanHash>,
-    /// Number and hash of each step, and whether sums are made of it.
-    steps: Vec<(u64, PlanHash, bool)>,
+    parts: Vec<SegmentFile>,
+    steps: u64,
 }
 
 impl<'a> SegmentFiles<'a> {
@@ -34,10 +32,28 @@ impl<'a> SegmentFiles<'a> {
         layout: &'a Layout,
         finished: &FinishedSteps,
     ) -> Self {
-        let needs_sums = |n: usize| finished.needs_sums(&plan.steps[n]);
-        let steps = steps.clone().map(|n| (plan.steps[n].number, plan.step_hash(n), needs_sums(n)));
-        let steps = steps.collect();
-        Self { layout, mesh: with_mesh.then(|| plan.mesh_hash()), steps }
+        let mesh = with_mesh.then(|| SegmentFile::Mesh(plan.mesh_hash()));
+        let of_step = |(n, step): (usize, usize)| {
+            let file = (plan.steps[step].number, plan.step_hash(step));
+            let sums = finished.needs_sums(&plan.steps[step]).then_some(SegmentFile::Sums(n, file));
+            std::iter::once(SegmentFile::Values(n, file)).chain(sums)
+        };
+        let parts = mesh.into_iter().chain(steps.clone().enumerate().flat_map(of_step)).collect();
+        Self { layout, parts, steps: steps.len() as u64 }
+    }
+
+    /// The files of the details of a step of a pyramid.
+    pub(super) fn of_details(number: u64, hash: PlanHash, layout: &'a Layout) -> Self {
+        let file = (number, hash);
+        Self { layout, parts: vec![SegmentFile::Values(0, file), SegmentFile::Low(file)], steps: 1 }
+    }
+
+    /// The files of the ranges of a step of a pyramid.
+    pub(super) fn of_ranges(number: u64, hash: PlanHash, with_sums: bool, layout: &'a Layout) -> Self {
+        let file = (number, hash);
+        let sums = with_sums.then_some(SegmentFile::Sums(0, file));
+        let parts = std::iter::once(SegmentFile::Ranges(file)).chain(sums).collect();
+        Self { layout, parts, steps: 1 }
     }
 
     pub(super) fn chunks_of(&self, segment: u64) -> Range<u64> {
@@ -46,13 +62,13 @@ impl<'a> SegmentFiles<'a> {
 
     /// How many steps there are.
     pub(super) fn steps(&self) -> u64 {
-        self.steps.len() as u64
+        self.steps
     }
 
     /// Done means that all files are there, belong to this plan, and verify; not that they exist.
     pub(super) fn is_done(&self, segment: u64) -> bool {
         let chunks = self.chunks_of(segment);
-        self.parts().all(|part| part.is_whole(self, segment, &chunks))
+        self.parts.iter().all(|part| part.is_whole(self, segment, &chunks))
     }
 
     /// What writers that run, or were killed, have left of the archive.
@@ -60,14 +76,6 @@ impl<'a> SegmentFiles<'a> {
         Left::in_folders(&[self.layout.mesh_folder(), self.layout.steps_folder()])
     }
 
-    fn parts(&self) -> impl Iterator<Item = SegmentFile> + use<> {
-        let mesh = self.mesh.map(SegmentFile::Mesh);
-        let steps = self.steps.clone();
-        mesh.into_iter().chain(steps.into_iter().enumerate().flat_map(|(n, (number, hash, has_sums))| {
-            let sums = has_sums.then_some(SegmentFile::Sums(n, (number, hash)));
-            std::iter::once(SegmentFile::Values(n, (number, hash))).chain(sums)
-        }))
-    }
 }
 
 /// Whether the mesh of some segments is there.
@@ -94,7 +102,8 @@ pub(super) fn has_values(
     segments.clone().all(whole)
 }
 
-fn is_whole(path: &Path, kind: SegmentKind, hash: PlanHash, chunks: &Range<u64>) -> bool {
+/// Whether a segment of some chunks is there, is that of a plan, and verifies.
+pub(super) fn is_whole(path: &Path, kind: SegmentKind, hash: PlanHash, chunks: &Range<u64>) -> bool {
     inspect(path, kind, hash, chunks, Depth::All) == SegmentState::Whole
 }
 
@@ -107,6 +116,10 @@ enum SegmentFile {
     Values(usize, (u64, PlanHash)),
     /// What chunks add to its sums.
     Sums(usize, (u64, PlanHash)),
+    /// The low coefficients of a step of a pyramid.
+    Low((u64, PlanHash)),
+    /// Its ranges and corrections.
+    Ranges((u64, PlanHash)),
 }
 
 impl SegmentFile {
@@ -115,6 +128,8 @@ impl SegmentFile {
             Self::Mesh(_) => files.layout.mesh(segment),
             Self::Values(_, (number, _)) => files.layout.at(number).values(segment),
             Self::Sums(_, (number, _)) => files.layout.at(number).sums(segment),
+            Self::Low((number, _)) => files.layout.at(number).low(segment),
+            Self::Ranges((number, _)) => files.layout.at(number).ranges(segment),
         }
     }
 
@@ -123,6 +138,8 @@ impl SegmentFile {
             Self::Mesh(hash) => (SegmentKind::Mesh, hash),
             Self::Values(_, (_, hash)) => (SegmentKind::Values, hash),
             Self::Sums(_, (_, hash)) => (SegmentKind::Sums, hash),
+            Self::Low((_, hash)) => (SegmentKind::Low, hash),
+            Self::Ranges((_, hash)) => (SegmentKind::Ranges, hash),
         }
     }
 
@@ -163,6 +180,8 @@ impl SegmentFile {
             Self::Mesh(_) => &encoded.mesh_blocks,
             Self::Values(n, _) => &encoded.value_blocks[n],
             Self::Sums(n, _) => &encoded.sum_blocks[n],
+            Self::Low(_) => &encoded.sum_blocks[0],
+            Self::Ranges(_) => &encoded.value_blocks[0],
         }
     }
 }
@@ -188,7 +207,7 @@ impl Sink {
             Ok((part, part.resume(files, segment, chunks, all, left.has(&part.path(files, segment)))?))
         };
         let mut opened: Vec<(SegmentFile, Option<ChunkSegmentWriter>)> =
-            files.parts().map(open).collect::<Result<_>>()?;
+            files.parts.iter().copied().map(open).collect::<Result<_>>()?;
         // Nothing is written again to a complete file; the others need all chunks after their last
         // common one.
         let done = opened.iter().map(|(_, w)| count(w)).min().unwrap_or(all);

@@ -5,20 +5,22 @@ use super::job::{Basis, Job};
 use super::order::Order;
 use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, is_of_data};
 use super::volume_fields::{shape, volume_of};
-use crate::archive::manifest::{Source, StepPlan};
+use crate::archive::manifest::{CorrectionRecord, Source, StepPlan, WaveletRecord};
 use crate::archive::values::{NodeCoder, Quantiser};
 use crate::density::Choice;
 use crate::error::{Error, Result};
 use crate::formats::{self, StepSource};
 use crate::grid::Geometry;
-use crate::pipeline::inputs::{Errors, Reading, Shift, Spread, copy_bytes, spread, stream_spread};
+use crate::pipeline::inputs::{Errors, Reading, Sampled, Shift, Spread, copy_bytes, spread};
 use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, source_of};
 use crate::pipeline::read::{OpenArchive, coordinate_hash};
-use crate::pipeline::settings::{ReduceSettings, Target, ValueBits};
-use crate::points::SetSettings;
+use crate::pipeline::settings::{Bound, DEFAULT_ERROR, ReduceSettings, Target, ValueBits};
+use crate::points::{PointSpec, SetKind, SetSettings};
 use crate::sample::Values;
 use crate::volume::chunked::ChunkShape;
 use crate::volume::{VolumeInfo, VolumeSource};
+use isospan_wavelet::{Scale, choose_delay, guess_step};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -74,6 +76,8 @@ struct Planner<'a> {
     looked_into: Option<PathBuf>,
     /// The bits of values by default, once the samples of the first step were examined.
     usual_bits: Option<Option<f64>>,
+    /// The steps of the coefficients of each field of a pyramid, once they are known.
+    wavelet_steps: HashMap<String, f64>,
     /// Whether memory and disk were checked.
     is_checked: bool,
     /// Whether the cells of a lattice have the edges that the field asks for.
@@ -101,6 +105,7 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
         offset: None,
         looked_into: None,
         usual_bits: None,
+        wavelet_steps: HashMap::new(),
         is_checked: false,
         is_shaped: false,
         only_estimates,
@@ -200,6 +205,11 @@ impl Planner<'_> {
             coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,
         });
         self.offset = Some(first.plan.source.offset);
+        for step in &archive.manifest.steps {
+            if let Some(wavelet) = &step.plan.wavelet {
+                self.wavelet_steps.insert(step.series.clone().unwrap_or_default(), wavelet.step);
+            }
+        }
         self.is_shaped = true;
         self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
         self.attachments = Attachments::read(archive.path(), &archive.manifest.plan)?;
@@ -217,7 +227,7 @@ impl Planner<'_> {
     fn set_levels(&mut self) -> Result<()> {
         let Some(plan) = &mut self.plan else { return Ok(()) };
         if let Some(planned) = self.job.basis.plan()
-            && (planned.mesh.levels.is_some() || planned.mesh.lattice_cells().is_some())
+            && (planned.mesh.levels.is_some() || !planned.mesh.stores_mesh())
             && planned.mesh.lattice.dims == plan.mesh.lattice.dims
         {
             self.attachments = Attachments::read(self.job.out, &planned.mesh)?;
@@ -292,10 +302,15 @@ impl Planner<'_> {
             nan: self.job.settings.nan.to_string(),
             missing: self.job.settings.finite_missing(),
             quantiser: None,
+            wavelet: None,
             keyframes: self.job.settings.keyframes,
             measured: self.job.settings.measure,
             base: None,
         };
+        if self.stores_pyramid() {
+            self.set_wavelet(&mut step, &planned, volume)?;
+            return Ok((step, planned));
+        }
         step.quantiser = match self.job.basis.plan() {
             Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
             None if self.only_estimates => None,
@@ -319,6 +334,49 @@ impl Planner<'_> {
             }
         };
         Ok((step, planned))
+    }
+
+    /// Whether all samples are kept, as a wavelet pyramid.
+    fn stores_pyramid(&self) -> bool {
+        self.plan.as_ref().is_some_and(|plan| plan.mesh.points.kind() == SetKind::Pyramid)
+    }
+
+    /// Finds out what the coefficients of a step stand for. The first step of a field decides how
+    /// fine they are, and that of the archive along which axes levels begin later.
+    fn set_wavelet(&mut self, step: &mut StepPlan, planned: &PlannedSource, volume: VolumeSource) -> Result<()> {
+        if let Some(plan) = self.job.basis.plan() {
+            step.wavelet = plan.steps.iter().find(|s| s.number == step.number).and_then(|s| s.wavelet);
+            return Ok(());
+        }
+        if self.only_estimates {
+            return Ok(());
+        }
+        self.check_budget(step, planned)?;
+        let found = Sampled::of(volume, &self.reading(), &self.job.run.resources.cancel)?;
+        let range = found.range.unwrap_or_default().map(f64::from);
+        let field = planned.source.part().map_or(String::new(), |part| part.name.clone());
+        let (bound, correction) = wanted(self.job.settings, range);
+        let wavelet_step = match self.wavelet_steps.get(&field) {
+            Some(step) => *step,
+            None => {
+                let chosen = wavelet_of(&found, range, bound, self.delay())?;
+                if let (None, Some(plan)) = (self.delay(), &mut self.plan) {
+                    plan.mesh.points = PointSpec::Pyramid { dims: step.source.dims, delay: chosen.delay };
+                }
+                chosen.step * self.job.settings.step_factor
+            }
+        };
+        self.wavelet_steps.insert(field, wavelet_step);
+        step.wavelet = Some(WaveletRecord { range, step: wavelet_step, correction });
+        Ok(())
+    }
+
+    /// The delay of the pyramid, once a step has decided it.
+    fn delay(&self) -> Option<[u8; 3]> {
+        match self.plan.as_ref()?.mesh.points {
+            PointSpec::Pyramid { delay, .. } if !self.wavelet_steps.is_empty() => Some(delay),
+            _ => None,
+        }
     }
 
     /// Checks memory and disk for the first step, before all its samples are read: a header may
@@ -357,14 +415,7 @@ impl Planner<'_> {
 
     /// Looks at all samples of a step.
     fn spread(&self, source: VolumeSource) -> Result<Spread> {
-        let (reading, cancel) = (self.reading(), &self.job.run.resources.cancel);
-        match source {
-            VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel),
-            other => {
-                let mut stream = other.into_stream();
-                stream_spread(&mut *stream, self.job.settings.missing, reading.offset(), cancel)
-            }
-        }
+        spread(source, &self.reading(), &self.job.run.resources.cancel)
     }
 
     /// Whether the field of the first step decides how long the cells of a lattice are along each
@@ -410,6 +461,45 @@ impl Planner<'_> {
         };
         bits.map(|bits| Quantiser::new(bits, range))
     }
+}
+
+/// The RMS error that a pyramid is made for at first, and how samples are corrected.
+fn wanted(settings: &ReduceSettings, range: [f64; 2]) -> (f64, CorrectionRecord) {
+    /// What a bound of each sample asks of the RMS error before corrections.
+    const OF_MAX: f64 = 0.75;
+    /// Of whole numbers.
+    const OF_WHOLE: f64 = 0.4;
+    match settings.target {
+        Some(Target::Rms(bound)) => (bound.in_units(range), CorrectionRecord::None),
+        Some(Target::Max(bound)) => {
+            let bound = bound.in_units(range);
+            (OF_MAX * bound, CorrectionRecord::Max(bound))
+        }
+        Some(Target::Lossless) => (OF_WHOLE, CorrectionRecord::Lossless),
+        _ => (Bound::OfRange(DEFAULT_ERROR).in_units(range), CorrectionRecord::None),
+    }
+}
+
+/// How fine the coefficients of a pyramid are, and which axes are split later.
+struct Chosen {
+    step: f64,
+    delay: [u8; 3],
+}
+
+/// Tries coefficients on boxes of samples.
+fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3]>) -> Result<Chosen> {
+    if range[0] == range[1] {
+        return Ok(Chosen { step: 1.0, delay: delay.unwrap_or_default() });
+    }
+    let refused = |e: isospan_wavelet::Error| Error::usage(format!("the error that is asked for: {e}"));
+    let step = guess_step(&found.boxes, range, bound, delay.unwrap_or_default()).map_err(refused)?;
+    let Some(delay) = delay else {
+        let scale = Scale::new(range, step).map_err(refused)?;
+        let delay = choose_delay(&found.small_boxes(), &scale).map_err(refused)?;
+        let step = guess_step(&found.boxes, range, bound, delay).map_err(refused)?;
+        return Ok(Chosen { step, delay });
+    };
+    Ok(Chosen { step, delay })
 }
 
 /// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits

@@ -14,7 +14,6 @@
 //! chunks in order: the bytes written do not depend on threads, on memory, or on which chunk is
 //! ready first.
 
-use super::encode::ChunkMaker;
 use super::encoded::EncodedChunk;
 use super::sink::{SegmentFiles, Sink};
 use crate::error::{Error, Result};
@@ -27,9 +26,38 @@ use std::any::Any;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+/// Makes the contents of chunks; shared by all threads.
+pub(super) trait MakeChunks: Sync {
+    /// Makes a chunk.
+    ///
+    /// # Errors
+    /// The first that occurs.
+    fn make(&self, chunk: &Chunk) -> Result<EncodedChunk>;
+
+    /// Points of a chunk, for the progress.
+    fn points(&self, chunk: &Chunk) -> u64;
+
+    /// Bytes of a chunk that waits to be written, of some steps, at most.
+    fn product_bytes(&self, chunk: &Chunk, steps: u64) -> u64 {
+        estimate::product_bytes(self.points(chunk), steps)
+    }
+
+    /// Tells that a chunk will be made soon.
+    fn will_need(&self, chunk: &Chunk);
+
+    /// Tells that all chunks up to one are made.
+    fn pass(&self, chunk: &Chunk);
+
+    /// Bytes of chunks that may wait to be written.
+    fn queue(&self) -> u64;
+
+    /// What stops the work.
+    fn cancel(&self) -> &CancelToken;
+}
+
 /// Makes segments: which, of what, and where they go.
 pub(super) struct SegmentMaker<'a> {
-    pub(super) maker: &'a ChunkMaker<'a>,
+    pub(super) maker: &'a dyn MakeChunks,
     pub(super) files: &'a SegmentFiles<'a>,
     pub(super) chunks: &'a ChunkGrid,
     /// The segments to make, of all.
@@ -49,7 +77,7 @@ impl SegmentMaker<'_> {
         let (to_pool, tasks) = channel::unbounded::<(u64, Chunk, Permit)>();
         let (to_writer, encoded) = channel::unbounded::<(u64, u64, Result<EncodedChunk>, Permit)>();
         let (to_sinks, sinks) = channel::unbounded::<(Sink, u64)>();
-        let budget = MemoryBudget::new(self.maker.shares.queue);
+        let budget = MemoryBudget::new(self.maker.queue());
         let stop = &CancelToken::new();
         std::thread::scope(|threads| {
             let thread = || std::thread::Builder::new();
@@ -67,7 +95,7 @@ impl SegmentMaker<'_> {
                     for (number, chunk, permit) in tasks {
                         let to_writer = to_writer.clone();
                         scope.spawn(move |_| {
-                            let encoded = match stop.check().and_then(|()| self.maker.cancel.check()) {
+                            let encoded = match stop.check().and_then(|()| self.maker.cancel().check()) {
                                 Ok(()) => self.encoded(&chunk),
                                 Err(e) => Err(e),
                             };
@@ -102,7 +130,7 @@ impl SegmentMaker<'_> {
     ) -> Result<()> {
         let (mut number, left) = (0, self.files.left());
         for segment in self.segments.clone() {
-            self.maker.cancel.check()?;
+            self.maker.cancel().check()?;
             let chunks = self.files.chunks_of(segment);
             if self.files.is_done(segment) {
                 self.progress.advance(self.points_in(&chunks));
@@ -116,9 +144,8 @@ impl SegmentMaker<'_> {
             }
             for id in first..chunks.end {
                 let chunk = self.chunks.chunk(ChunkId(id));
-                let points = self.maker.recipe.points.count_in(&chunk.core);
-                let bytes = estimate::product_bytes(points, self.files.steps());
-                let permit = budget.acquire(bytes.min(budget.total()), self.maker.cancel)?;
+                let bytes = self.maker.product_bytes(&chunk, self.files.steps());
+                let permit = budget.acquire(bytes.min(budget.total()), self.maker.cancel())?;
                 if stop.is_cancelled() {
                     return Ok(());
                 }
@@ -133,7 +160,7 @@ impl SegmentMaker<'_> {
     }
 
     fn points_in(&self, chunks: &Range<u64>) -> u64 {
-        chunks.clone().map(|c| self.maker.recipe.points.count_in(&self.chunks.chunk(ChunkId(c)).core)).sum()
+        chunks.clone().map(|c| self.maker.points(&self.chunks.chunk(ChunkId(c)))).sum()
     }
 
     /// Receives encoded, puts them in order and writes them, segment by segment. The first error in
@@ -167,7 +194,7 @@ impl SegmentMaker<'_> {
                 }
             }
         }
-        self.maker.cancel.check()?;
+        self.maker.cancel().check()?;
         if open.is_none() {
             // Segments whose chunks were all there, but not under their names yet. Where one comes
             // that misses chunks, the feeder has stopped, and says why.

@@ -55,13 +55,15 @@ impl<'a> Inventory<'a> {
         let wanted = |path, kind, hash| Wanted { path, kind, hash, chunks: layout.chunks_of(segment) };
         let mut files = vec![];
         // A mesh that follows by formula is not stored.
-        if file.plan.mesh.lattice_cells().is_none() {
+        if file.plan.mesh.stores_mesh() {
             files.push(wanted(layout.mesh(segment), SegmentKind::Mesh, file.mesh_hash));
         }
         for step in &file.plan.steps {
             let (layout, hash) = (layout.at(step.number), step.hash(file.mesh_hash));
             files.push(wanted(layout.values(segment), SegmentKind::Values, hash));
-            if self.finished.needs_sums(step) {
+            if file.plan.mesh.is_pyramid() {
+                files.push(wanted(layout.low(segment), SegmentKind::Low, hash));
+            } else if self.finished.needs_sums(step) {
                 files.push(wanted(layout.sums(segment), SegmentKind::Sums, hash));
             }
         }

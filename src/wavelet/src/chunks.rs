@@ -129,6 +129,15 @@ impl Pyramid {
         Box3 { start, size: std::array::from_fn(|a| wide.end()[a] - start[a]) }
     }
 
+    /// Where the low coefficients of a part or a chunk are among those of the coarse levels.
+    pub fn low_box(&self, part: &Box3) -> Box3 {
+        let details = self.details();
+        let (stride, nodes, dims) = (self.stride(details), self.nodes(details), self.nodes(0));
+        let start: [usize; 3] = std::array::from_fn(|a| part.start[a] / stride[a]);
+        let end = |a: usize| if part.end()[a] == dims[a] { nodes[a] } else { part.end()[a] / stride[a] };
+        Box3 { start, size: std::array::from_fn(|a| end(a) - start[a]) }
+    }
+
     /// The tiles of a level over a box of samples that begins and ends between tiles, or where the
     /// array ends.
     fn tiles_over(&self, level: usize, place: &Box3) -> Box3 {
@@ -160,6 +169,19 @@ impl Pyramid {
         blocks
     }
 
+    /// The number of the block of a chunk that has a tile, and the block.
+    ///
+    /// # Panics
+    /// When the tile is not in the chunk.
+    pub fn block_of(&self, chunk: [usize; 3], id: TileId) -> (usize, TileBlock) {
+        let here = |block: &(usize, TileBlock)| {
+            let Box3 { start, .. } = block.1.tiles;
+            let end = block.1.tiles.end();
+            block.1.level == id.level && (0..3).all(|a| (start[a]..end[a]).contains(&id.at[a]))
+        };
+        self.blocks(chunk).into_iter().enumerate().find(here).unwrap_or_else(|| panic!("a tile of the chunk"))
+    }
+
     /// The chunk that has a tile of the first levels.
     pub fn chunk_of(&self, id: TileId) -> [usize; 3] {
         let (stride, chunks) = (self.stride(id.level - 1), self.chunks());
@@ -172,9 +194,7 @@ impl Pyramid {
 pub struct PartTiles {
     /// The bytes of its tiles that have any.
     pub tiles: HashMap<TileId, Vec<u8>>,
-    /// Where its low coefficients are among those of the coarse levels.
-    pub place: Option<Box3>,
-    /// Its low coefficients, x fastest.
+    /// Its low coefficients, x fastest, in [`Pyramid::low_box`].
     pub low: Vec<f32>,
     /// The sum of squared errors of its other coefficients, in squared steps.
     pub error: f64,
@@ -201,16 +221,14 @@ pub fn encode_part(pyramid: &Pyramid, scale: &Scale, part: &Box3, samples: Vec<f
             if !bytes.is_empty() {
                 made.tiles.insert(id, bytes);
             }
-            here.insert(id.at, tile);
+            // Tiles of the first level are no parents.
+            if level > 1 {
+                here.insert(id.at, tile);
+            }
         }
         above = here;
     }
-    let (stride, nodes, dims) = (pyramid.stride(details), pyramid.nodes(details), pyramid.nodes(0));
-    let start: [usize; 3] = std::array::from_fn(|a| part.start[a] / stride[a]);
-    let end = |a: usize| if part.end()[a] == dims[a] { nodes[a] } else { part.end()[a] / stride[a] };
-    let place = Box3 { start, size: std::array::from_fn(|a| end(a) - start[a]) };
-    made.low = window.band(&pyramid.splits()[..details], [false; 3], &place);
-    made.place = Some(place);
+    made.low = window.band(&pyramid.splits()[..details], [false; 3], &pyramid.low_box(part));
     Ok(made)
 }
 

@@ -45,7 +45,7 @@ impl Stored {
                 }
                 let made = encode_part(&pyramid, &scale, &part, window).unwrap();
                 tiles.extend(made.tiles);
-                let place = made.place.unwrap();
+                let place = pyramid.low_box(&part);
                 for (i, value) in made.low.into_iter().enumerate() {
                     let [x, y, _] = place.size;
                     let at = [i % x + place.start[0], i / x % y + place.start[1], i / x / y + place.start[2]];

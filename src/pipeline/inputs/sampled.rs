@@ -1,0 +1,132 @@
+//! What is known of a volume before it becomes a pyramid: the range of its samples, and boxes of
+//! them that stand for all.
+
+use super::scan::each_slab;
+use super::shift::{Reading, treat_missing};
+use crate::error::Result;
+use crate::exec::CancelToken;
+use crate::grid::IndexBox;
+use crate::volume::VolumeSource;
+use isospan_wavelet::Box3;
+
+/// A volume of at most this many samples is a box by itself.
+const WHOLE: u64 = 1 << 23;
+/// Boxes of a larger one, and samples along each axis of a box.
+const BOXES: u64 = 24;
+const EDGE: u64 = 64;
+/// Boxes of a larger one to try out more.
+const TRIED: usize = 8;
+
+/// What one reading of a volume finds.
+pub(in crate::pipeline) struct Sampled {
+    /// Least and largest sample.
+    pub(in crate::pipeline) range: Option<[f32; 2]>,
+    /// Samples of boxes, x fastest, and their sizes.
+    pub(in crate::pipeline) boxes: Vec<(Vec<f32>, [usize; 3])>,
+}
+
+impl Sampled {
+    /// Reads a volume once.
+    ///
+    /// # Errors
+    /// Those of reading; [`crate::Error::Cancelled`].
+    pub(in crate::pipeline) fn of(source: VolumeSource, reading: &Reading, cancel: &CancelToken) -> Result<Self> {
+        let boxes = boxes(source.info().dims);
+        let mut found: Vec<Vec<f32>> = boxes.iter().map(|b| vec![0.0; b.len()]).collect();
+        let (missing, stand_in) = (reading.missing().map(|m| m as f32), reading.stand_in());
+        let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+        each_slab(source, reading, |slab, values| {
+            for value in values.iter().filter(|v| v.is_finite() && Some(**v) != missing) {
+                // A zero has no sign here.
+                range = [range[0].min(value + 0.0), range[1].max(value + 0.0)];
+            }
+            boxes.iter().zip(&mut found).for_each(|(b, to)| take(b, to, slab, values));
+            cancel.check()
+        })?;
+        if let Some(value) = stand_in {
+            range = [range[0].min(value), range[1].max(value)];
+        }
+        let range = (range[0] <= range[1]).then_some(range);
+        // Missing samples are refused later, where no value stands for them.
+        let fill = stand_in.or(range.map(|r| r[0])).unwrap_or(0.0);
+        found.iter_mut().for_each(|values| treat_missing(reading.missing(), fill, values));
+        let sizes = boxes.iter().map(|b| b.dims().map(|n| n as usize));
+        Ok(Self { range, boxes: found.into_iter().zip(sizes).collect() })
+    }
+}
+
+impl Sampled {
+    /// Fewer and smaller boxes, to try out more.
+    pub(in crate::pipeline) fn small_boxes(&self) -> Vec<(Vec<f32>, [usize; 3])> {
+        let [(values, dims)] = &self.boxes[..] else { return self.boxes.iter().take(TRIED).cloned().collect() };
+        let whole = IndexBox::whole(dims.map(|n| n as u64));
+        let cut = |part: Box3| {
+            let lo = part.start.map(|n| n as u64);
+            let place = IndexBox { lo, hi: part.end().map(|n| n as u64) };
+            let mut samples = vec![0.0; place.len()];
+            take(&place, &mut samples, &whole, values);
+            (samples, part.size)
+        };
+        isospan_wavelet::boxes(*dims).into_iter().map(cut).collect()
+    }
+}
+
+/// Copies what a box has in common with a slab.
+fn take(b: &IndexBox, to: &mut [f32], slab: &IndexBox, values: &[f32]) {
+    let here = b.intersect(slab);
+    if here.is_empty() {
+        return;
+    }
+    let width = here.dims()[0] as usize;
+    for z in here.lo[2]..here.hi[2] {
+        for y in here.lo[1]..here.hi[1] {
+            let [at, from] = [b, slab].map(|b| b.offset([here.lo[0], y, z]));
+            to[at..at + width].copy_from_slice(&values[from..from + width]);
+        }
+    }
+}
+
+/// Boxes of a volume that stand for all of it: all of a small one.
+fn boxes(dims: [u64; 3]) -> Vec<IndexBox> {
+    let samples = dims.iter().map(|&d| u128::from(d)).product::<u128>();
+    if samples <= u128::from(WHOLE) {
+        return vec![IndexBox::whole(dims)];
+    }
+    // The boxes of a thin volume are longer, so that all have as many samples.
+    let mut edges = dims.map(|n| n.min(EDGE));
+    for a in 0..3 {
+        let others = edges.iter().enumerate().filter(|(b, _)| *b != a).map(|(_, e)| e).product::<u64>();
+        edges[a] = (EDGE.pow(3) / others.max(1)).clamp(edges[a], 4 * EDGE).min(dims[a]);
+    }
+    // Each axis goes through the places in an order of its own: a net of base 2, 3 and 5.
+    let place = |i: u64, a: usize| {
+        let base = [2, 3, 5][a];
+        let (mut n, mut part, mut unit) = (i + 1, 0.0, 1.0);
+        while n > 0 {
+            unit /= base as f64;
+            part += (n % base) as f64 * unit;
+            n /= base;
+        }
+        (part * (dims[a] - edges[a] + 1) as f64) as u64
+    };
+    let one = |i: u64| {
+        let lo: [u64; 3] = std::array::from_fn(|a| place(i, a).min(dims[a] - edges[a]));
+        IndexBox { lo, hi: std::array::from_fn(|a| lo[a] + edges[a]) }
+    };
+    (0..BOXES).map(one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_lie_in_the_volume() {
+        for dims in [[2, 2, 2], [200, 200, 200], [1000, 900, 800], [4096, 4096, 3], [1 << 24, 2, 2]] {
+            let boxes = boxes(dims);
+            assert!(boxes.iter().all(|b| !b.is_empty() && (0..3).all(|a| b.hi[a] <= dims[a])), "{boxes:?}");
+            let samples: usize = boxes.iter().map(IndexBox::len).sum();
+            assert!(samples <= WHOLE as usize, "{dims:?}: {samples}");
+        }
+    }
+}
