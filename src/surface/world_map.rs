@@ -43,6 +43,20 @@ impl WorldMap {
         }
     }
 
+    /// The map of the index space of a structured volume: a step is a sample.
+    pub fn of_samples(geometry: &Geometry) -> Self {
+        let unit = |a: usize| std::array::from_fn(|b| if a == b { 1.0 } else { 0.0 });
+        Self {
+            geometry: *geometry,
+            steps: [1.0; 3],
+            axes: geometry.axes(),
+            covectors: std::array::from_fn(|a| geometry.gradient_to_world(unit(a))),
+            mirrors: geometry.mirrors(),
+            least: LEAST,
+            origin: [0.0; 3],
+        }
+    }
+
     /// The same map, of points that are `spacing` apart and whose positions reach `far`: where
     /// these are many spacings, a surface stays farther from the ends of edges, so that `f32` still
     /// tells its vertices apart.
@@ -73,6 +87,22 @@ impl WorldMap {
     /// Whether the map mirrors, so that triangles must be turned over.
     pub fn mirrors(&self) -> bool {
         self.mirrors
+    }
+
+    /// The place of a position in index space, counted from the origin.
+    #[inline(always)]
+    pub(super) fn position(&self, index: [f64; 3]) -> [f32; 3] {
+        std::array::from_fn(|k| {
+            let [x, y, z] = std::array::from_fn(|a| self.axes[a][k] * index[a]);
+            (x + y + z + self.geometry.origin[k]) as f32
+        })
+    }
+
+    /// The part of an edge at which a surface crosses it, away from its ends.
+    #[inline(always)]
+    pub(super) fn part_of_edge(&self, t: f64) -> f64 {
+        // Two infinities leave no number; the middle is as good as any point.
+        if t.is_nan() { 0.5 } else { t.clamp(self.least, 1.0 - self.least) }
     }
 
     /// The unit world vector of minus the lattice covector `g`; `None` when that has no direction.

@@ -1,9 +1,11 @@
-//! The triangles of one chunk: marching tetrahedra on its blocks.
+//! The triangles of one chunk: marching tetrahedra on its blocks, or marching cubes on blocks of a
+//! grid.
 //!
 //! ```text
 //!  cells ─▶ numbering ─▶ patch ───────────┐      tetrahedra as they were read
 //!  numbered ──────────▶ patch ────────────┼──▶ chunk_surface ──▶ weld
-//!  precomputed ─▶ crossed edges, triangles ─┘    a block for many isovalues
+//!  precomputed ─▶ crossed edges, triangles ─┤    a block for many isovalues
+//!  marching_cubes ──────────────────────────┘    cells of a grid
 //! ```
 //!
 //! The arithmetic of four edges or tetrahedra at a time is in `fours`, the table of cases in
@@ -16,6 +18,7 @@ mod cells;
 mod chunk_surface;
 mod edges;
 mod fours;
+mod marching_cubes;
 pub mod marching_tets;
 mod numbered;
 mod numbering;
@@ -28,6 +31,7 @@ mod workbench;
 pub(crate) use cells::in_order;
 pub use cells::{CellSource, Sides};
 pub use chunk_surface::{ChunkSurface, SharedEdge};
+pub use marching_cubes::{CubeBench, GridBlock, marching_cubes};
 pub use marching_tets::extract;
 pub(crate) use numbered::NumberedBlock;
 pub(crate) use ordered::Unpacked;
