@@ -11,6 +11,7 @@
 
 use super::at_vertices::AtVertices;
 use super::error_map::{Map, map_bytes};
+use super::levels::errors_of;
 use super::own_errors::own_errors;
 use super::vertex_errors::{StepErrors, reported_errors};
 use crate::archive::manifest::Source;
@@ -231,8 +232,10 @@ fn against_volume(
     let resources = &settings.resources;
     let run = RunSettings { resources: resources.clone(), ..RunSettings::default() };
     let of_map = if settings.map.is_some() { map_bytes(resources.memory) } else { 0 };
-    let visit = Visit::new(archive, Blocks::All, resources, |_| 0)?;
-    let least = visit.least(EXTRA) + estimate::BASE + of_map;
+    let least = match archive.is_pyramid() {
+        true => 2 * estimate::BASE + of_map,
+        false => Visit::new(archive, Blocks::All, resources, |_| 0)?.least(EXTRA) + estimate::BASE + of_map,
+    };
     let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
     let cache = ChunkCache::fitting(&volume, boxes, true, least, &run);
     let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), &run, progress)?;
@@ -410,6 +413,9 @@ impl AgainstSamples<'_> {
     ) -> Result<FieldError> {
         let archive = self.archive;
         let mapped = map.is_some();
+        if archive.is_pyramid() {
+            return self.measure_levels(map, settings, progress);
+        }
         let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory));
         let visit = Visit::new(archive, Blocks::All, &settings.resources, share)?;
@@ -437,6 +443,24 @@ impl AgainstSamples<'_> {
             map.finish()?;
         }
         field_error_of(archive, &sums)
+    }
+
+    /// Measures the samples of a pyramid.
+    fn measure_levels(
+        &self,
+        mut map: Option<Map>,
+        settings: &MeasureSettings,
+        progress: &dyn Progress,
+    ) -> Result<FieldError> {
+        let (bricks, lattice) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice);
+        let brick_of = |sample: [u64; 3]| bricks.id(bricks.brick_at(lattice.of_voxel(sample))).0;
+        let brick: Option<&(dyn Fn([u64; 3]) -> u64 + Sync)> = map.as_ref().map(|_| &brick_of as _);
+        let originals = |window, out: &mut [f32]| self.samples.read(window, out);
+        let sums = errors_of(self.archive, &settings.resources, progress, originals, brick, |chunk, bricks| {
+            map.as_mut().map_or(Ok(()), |map| map.add(chunk, &bricks))
+        })?;
+        map.map(Map::finish).transpose()?;
+        field_error_of(self.archive, &sums)
     }
 
     /// Measures the samples in the tetrahedra of a chunk.

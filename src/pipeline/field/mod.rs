@@ -4,6 +4,7 @@
 mod at_vertices;
 mod error_map;
 mod export;
+mod levels;
 mod measure;
 mod nearest;
 mod own_errors;

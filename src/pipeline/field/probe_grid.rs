@@ -13,6 +13,7 @@
 //! each sample says whether it is taken. Where two chunks have the same sample, all is done again
 //! on one thread, chunk by chunk.
 
+use super::levels::values_on_grid;
 use crate::error::{Error, Result};
 use crate::exec::{Clock, Progress, Resources, Silent};
 use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
@@ -76,6 +77,20 @@ pub(in crate::pipeline) fn probe_grid(
     let geometry = grid_geometry(&source.geometry, source.dims, dims)?;
     let meta = GridMeta { dims, geometry, field: source.field.clone(), offset: source.offset };
     let samples = meta.samples()?;
+    if archive.is_pyramid() {
+        let file = SampleFile::create(out, format, &meta)?;
+        let write = |first, run: &[f32]| file.write(first, run);
+        let void = values_on_grid(archive, dims, &settings.resources, progress, write)?;
+        return Ok(ProbeReport {
+            samples,
+            void,
+            chunks_read: archive.chunks.len(),
+            bytes_read: archive.bytes_read() - read_before,
+            file_bytes: file.publish()?,
+            seconds: start.elapsed().as_secs_f64(),
+            ..ProbeReport::default()
+        });
+    }
     let mut scan = GridScan::new(archive, dims, settings)?;
     let file = SampleFile::create(out, format, &meta)?;
     if scan.has_gaps {
@@ -108,13 +123,17 @@ pub(in crate::pipeline) fn sample_grid(
     if bytes > settings.resources.memory {
         return Err(Error::memory("", bytes, settings.resources.memory));
     }
-    let mut scan = GridScan::new(archive, dims, settings)?;
     let all = Mutex::new(vec![f64::NAN; samples as usize]);
-    scan.run(samples, &Silent, |first, run| {
+    let write = |first: u64, run: &[f32]| {
         let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
         all[first as usize..].iter_mut().zip(run).for_each(|(out, &v)| *out = offset + f64::from(v));
         Ok(())
-    })?;
+    };
+    if archive.is_pyramid() {
+        values_on_grid(archive, dims, &settings.resources, &Silent, write)?;
+    } else {
+        GridScan::new(archive, dims, settings)?.run(samples, &Silent, write)?;
+    }
     Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
 

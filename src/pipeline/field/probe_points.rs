@@ -11,6 +11,7 @@
 //! ([`super::nearest`]), if that is within such a rounding. For this, the chunks around the point
 //! are read once more.
 
+use super::levels::values_at_places;
 use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
 use crate::archive::manifest::Source;
@@ -256,14 +257,46 @@ pub(in crate::pipeline) fn values_at(
             points.len()
         )));
     }
-    let (placed, outside) = placed(archive, points, &settings.resources.cancel)?;
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
+    if archive.is_pyramid() {
+        let places = places(archive, points, &settings.resources.cancel)?;
+        let chunks_read = values_at_places(archive, &places, &settings.resources, progress, |n, value| {
+            values[n as usize] = value;
+        })?;
+        return Ok(Probed { values, outside: (points.len() - places.len()) as u64, chunks_read });
+    }
+    let (placed, outside) = placed(archive, points, &settings.resources.cancel)?;
     let find = Find { resources: &settings.resources, share, outside, bodies: None, surface: None };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
         values[n as usize] = value;
         found += 1;
     })?;
     Ok(Probed { values, outside: points.len() as u64 - found, chunks_read })
+}
+
+/// Points in the world among the samples of a pyramid, with their numbers; none of those outside.
+/// Those that rounding may have moved outside lie at its faces.
+fn places(
+    archive: &StepView,
+    points: &[[f64; 3]],
+    cancel: &CancelToken,
+) -> Result<Vec<([f64; 3], u32)>> {
+    let (lattice, source) = (archive.manifest.plan.lattice, &archive.step().plan.source);
+    let (found, tolerance) = match index_places(archive, points, cancel)? {
+        Some(places) => (places, 0.0),
+        None => {
+            let tolerance = tolerance(&source.geometry, &lattice, origin_of_volume(archive));
+            let steps = f64::from(1u32 << lattice.log2_steps.into_iter().min().unwrap_or(0));
+            let place = |p: &[f64; 3]| Some(source.geometry.to_index(*p));
+            (points.iter().map(place).collect(), f64::from(tolerance) / steps)
+        }
+    };
+    let within = |place: [f64; 3]| {
+        let far = source.dims.map(|n| (n - 1) as f64);
+        let inside = (0..3).all(|a| (-tolerance..=far[a] + tolerance).contains(&place[a]));
+        inside.then(|| std::array::from_fn(|a| place[a].clamp(0.0, far[a])))
+    };
+    Ok(found.into_iter().zip(0u32..).filter_map(|(place, n)| Some((within(place?)?, n))).collect())
 }
 
 /// Points in the world on the lattice, with their numbers, and how far outside others count.

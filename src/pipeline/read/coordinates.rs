@@ -95,7 +95,10 @@ fn finite(input: &Path, numbers: &[f64], first: u64) -> Result<()> {
 pub(in crate::pipeline) fn world_map(archive: &StepView) -> WorldMap {
     let own = archive.coordinate_record().is_some();
     let geometry = if own { Geometry::default() } else { archive.step().plan.source.geometry };
-    let map = WorldMap::new(&archive.manifest.plan.lattice, &geometry);
+    let map = match archive.is_pyramid() {
+        true => WorldMap::of_samples(&geometry),
+        false => WorldMap::new(&archive.manifest.plan.lattice, &geometry),
+    };
     if own {
         return map;
     }

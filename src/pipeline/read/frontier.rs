@@ -53,7 +53,7 @@ impl Frontier {
     }
 
     /// The frontier of regions, given with the place of their row.
-    fn of_regions(regions: &[([u64; 2], LatticeBox)]) -> Self {
+    pub(in crate::pipeline) fn of_regions(regions: &[([u64; 2], LatticeBox)]) -> Self {
         let mut rows: Vec<Row> = vec![];
         let mut end = 0;
         for row in regions.chunk_by(|a, b| a.0 == b.0) {

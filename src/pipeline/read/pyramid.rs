@@ -9,6 +9,7 @@
 //! A tile is decoded when a box needs it, and cached with those that were used lately.
 
 use super::step_view::StepView;
+use super::steps::mean;
 use crate::archive::manifest::{CorrectionRecord, WaveletRecord};
 use crate::archive::segment::{Segment, SegmentKind};
 use crate::error::{Error, Result};
@@ -32,6 +33,14 @@ pub(in crate::pipeline) struct PyramidStep {
     coarse: Coarse,
     tiles: Mutex<Recent<TileId, Arc<Tile>>>,
     blocks: Mutex<Recent<(u64, usize), Arc<StoredBlock>>>,
+    /// Nodes of level 0, for the next question.
+    windows: Mutex<Recent<[u64; 3], Arc<NodeWindow>>>,
+}
+
+/// Nodes of level 0 in a box.
+pub(in crate::pipeline) struct NodeWindow {
+    pub(in crate::pipeline) place: IndexBox,
+    pub(in crate::pipeline) values: Vec<f32>,
 }
 
 /// The bytes of a block, and where its tiles are in them.
@@ -193,6 +202,7 @@ impl StepView {
             coarse,
             tiles: Mutex::new(Recent::new(most)),
             blocks: Mutex::new(Recent::new(most / 8)),
+            windows: Mutex::new(Recent::new(self.cache.most())),
         };
         Ok(self.pyramid.get_or_init(|| made))
     }
@@ -202,11 +212,39 @@ impl StepView {
     /// # Errors
     /// [`Error::BadInput`] for a damaged archive; [`Error::Usage`] for a level that is not there.
     pub(in crate::pipeline) fn nodes(&self, level: usize, wanted: &IndexBox) -> Result<Vec<f32>> {
+        let mut values = self.nodes_at_step(level, wanted)?;
+        if let Some((next, share)) = self.next_step() {
+            let behind = next.nodes_at_step(level, wanted)?;
+            values.iter_mut().zip(behind).for_each(|(a, b)| *a = mean(*a, b, share));
+        }
+        Ok(values)
+    }
+
+    /// As [`StepView::nodes`], of the step before a moment between two.
+    fn nodes_at_step(&self, level: usize, wanted: &IndexBox) -> Result<Vec<f32>> {
         let mut values = self.uncorrected(level, wanted)?;
         if level == 0 {
             self.correct(&mut values, &box3(wanted))?;
         }
         Ok(values)
+    }
+
+    /// Nodes of level 0 that include a box, cached under a key where the view caches anything.
+    ///
+    /// # Errors
+    /// As [`StepView::nodes`].
+    pub(in crate::pipeline) fn cached_nodes(&self, key: [u64; 3], wanted: &IndexBox) -> Result<Arc<NodeWindow>> {
+        let of = self.pyramid()?;
+        let bytes = |window: &Arc<NodeWindow>| 64 + 4 * window.values.len();
+        let known = lock(&of.windows).get(&key, bytes);
+        if let Some(known) = known.filter(|known| known.place.intersect(wanted) == *wanted) {
+            return Ok(known);
+        }
+        let found = Arc::new(NodeWindow { place: *wanted, values: self.nodes(0, wanted)? });
+        if self.cache.most() > 0 {
+            lock(&of.windows).put(key, Arc::clone(&found), bytes(&found));
+        }
+        Ok(found)
     }
 
     /// As [`StepView::nodes`], without corrections.

@@ -76,6 +76,8 @@ pub(in crate::pipeline) struct StepView {
     ranges: Mutex<BTreeMap<u64, Arc<ChunkSegment>>>,
     /// The levels of a pyramid, once they were asked for.
     pub(super) pyramid: OnceLock<PyramidStep>,
+    /// The step behind a moment between two, of a pyramid.
+    next: OnceLock<Box<StepView>>,
     /// The unpacked blocks of the step, once they were searched for.
     pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
 }
@@ -114,6 +116,7 @@ impl StepView {
             spare: BufferPool::default(),
             ranges: Mutex::default(),
             pyramid: OnceLock::new(),
+            next: OnceLock::new(),
             unpacked: OnceLock::new(),
         }
     }
@@ -131,6 +134,13 @@ impl StepView {
     /// The step, or the one before the moment.
     pub(in crate::pipeline) fn step(&self) -> &Step {
         self.manifest.step_at(self.moment.step)
+    }
+
+    /// The step behind a moment between two, and how far that is from the step before.
+    pub(super) fn next_step(&self) -> Option<(&Self, f64)> {
+        let share = self.moment.beyond?;
+        let make = || Box::new(self.archive.step_at(self.moment.step + 1).keeping(self.cache.most()));
+        Some((self.next.get_or_init(make), share))
     }
 
     /// Its position in the manifest.
@@ -192,6 +202,15 @@ impl StepView {
             ));
         }
         Ok(())
+    }
+
+    /// Refuses a brick that an index names and that is not there.
+    pub(in crate::pipeline) fn expect_block(&self, id: ChunkId, block: u32, count: usize) -> Result<()> {
+        if (block as usize) < count {
+            return Ok(());
+        }
+        let (expected, got) = (format!("bricks below {count} of chunk {}", id.0), block.to_string());
+        Err(Error::bad_input(self.layout.index(), "entries", expected, got))
     }
 
     /// The segments of a number.

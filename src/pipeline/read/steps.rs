@@ -35,7 +35,7 @@ use std::ops::Range;
 
 /// A value between two, `share` of the way from the first; void where one of them is. Monotonic in
 /// both; a zero has no sign.
-fn mean(a: f32, b: f32, share: f64) -> f32 {
+pub(super) fn mean(a: f32, b: f32, share: f64) -> f32 {
     (f64::from(a) * (1.0 - share) + f64::from(b) * share) as f32 + 0.0
 }
 
@@ -216,7 +216,10 @@ impl StepView {
         for id in (0..self.chunks.len()).map(ChunkId) {
             self.close_before(id);
             let [a, b] = [self.moment.step, self.moment.step + 1]
-                .map(|step| self.values_of(step, id)?.value_summary(id).map(|s| s.ranges));
+                .map(|step| match self.is_pyramid() {
+                    true => self.archive().step_at(step).ranges_of(id)?.value_summary(id).map(|s| s.ranges),
+                    false => self.values_of(step, id)?.value_summary(id).map(|s| s.ranges),
+                });
             let (a, b) = (a?, b?);
             if a.len() != b.len() {
                 let what = format!("{} and {} ranges of blocks at two steps", a.len(), b.len());

@@ -26,7 +26,7 @@ use crate::grid::{Chunk, ChunkId, IndexBox};
 use crate::measure::ErrorSums;
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::plan::{Layout, Shares, part_edge};
-use crate::pipeline::read::{StepView, box3, bricks_of, chunk_place, index_box, pyramid_of, scale_of};
+use crate::pipeline::read::{StepView, bricks_of, chunk_place, index_box, pyramid_of, scale_of};
 use crate::pipeline::stage::StageTimes;
 use isospan_wavelet::{Box3, Coarse, Correction, Pyramid, Scale, blocks_of, encode_corrections, encode_part};
 use std::collections::HashMap;

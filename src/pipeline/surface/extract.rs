@@ -7,12 +7,14 @@
 //! after another into the same small buffer, so the memory of a chunk is that of its corners and of
 //! its surfaces, not of its tetrahedra.
 
+use super::cubes::{node_place, nodes_of, part_bytes};
 use super::parts::Parts;
 use super::settings::SurfaceSettings;
 use super::unpacked::UnpackedChunk;
 use super::worker::{ChunkSurfaces, ChunkWork, ChunkWorker, Question};
 use crate::error::Result;
 use crate::exec::{Progress, in_order};
+use crate::geom::LatticeBox;
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::is_active;
@@ -107,6 +109,9 @@ impl Question<'_> {
     /// Bytes in which the blocks of a chunk are extracted: from the plan's target and the point
     /// set, without reading.
     fn need(&self, work: &ChunkWork) -> u64 {
+        if let Some(cells) = &work.cells {
+            return part_bytes(cells, work.blocks.len() as u64, self.isovalues.len() as u64);
+        }
         let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
         let per_vertex =
             bytes_per_vertex(self.archive) + estimate::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
@@ -135,6 +140,9 @@ impl Question<'_> {
 
     /// The surfaces of a chunk; buffers come from `spare` where there are any.
     fn chunk_surfaces(&self, work: &ChunkWork, spare: &BufferPool) -> Result<ChunkSurfaces> {
+        if let Some(cells) = &work.cells {
+            return self.cube_surfaces(cells, spare);
+        }
         let (mut buffers, mut reader) = (spare.buffers(), None);
         let mut chunk = ChunkWorker::new(self, spare);
         let mut unpacked = UnpackedChunk::of(self.archive, work)?;
@@ -284,10 +292,15 @@ impl<'a> Weld<'a> {
             }
             let frontier = match self.frontier.take() {
                 Some(frontier) => frontier,
+                None if archive.is_pyramid() => Frontier::of_regions(&part_regions(self.question)),
                 None => Frontier::new(archive, self.question.work.iter().map(|w| w.chunk))?,
             };
             let beyond = self.frontier.insert(frontier).after(self.done);
-            let place = |id| archive.points.position(id);
+            let dims = archive.step().plan.source.dims;
+            let place = |id| match archive.is_pyramid() {
+                true => Some(node_place(dims, id)),
+                false => archive.points.position(id),
+            };
             builder.keep_open(|a, b| match (place(a), place(b)) {
                 (Some(a), Some(b)) => beyond.can_have(a, b),
                 _ => true,
@@ -321,6 +334,12 @@ impl<'a> Weld<'a> {
         };
         self.builders.into_iter().zip(self.active_tetrahedra).map(extracted).collect()
     }
+}
+
+/// The nodes of the parts of a pyramid, with the place of the row of each.
+fn part_regions(question: &Question<'_>) -> Vec<([u64; 2], LatticeBox)> {
+    let cells = question.work.iter().filter_map(|work| work.cells);
+    cells.map(|cells| ([cells[1][0], cells[2][0]], nodes_of(&cells))).collect()
 }
 
 /// When to look at the open edges of a surface: whenever they have doubled, which costs a constant

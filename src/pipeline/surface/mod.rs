@@ -8,6 +8,7 @@
 //! them.
 
 mod colours;
+mod cubes;
 mod extract;
 mod extract_steps;
 mod parts;

@@ -2,6 +2,7 @@
 //! read.
 
 use super::colours::colours;
+use super::cubes::{Cells, by_part, crossed_cells};
 use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
 use super::parts::{Parts, SurfacePart};
 use super::refine::{Means, RefineReport};
@@ -13,12 +14,13 @@ use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Clock, Progress, Silent, pool};
 use crate::formats::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
+use crate::geom::LatticeBox;
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox,
-    expect_in_f32, in_memory, in_world, world_box, world_map,
+    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox, cells_of,
+    chunk_place, expect_in_f32, pyramid_of, in_memory, in_world, world_box, world_map,
 };
 use crate::pipeline::stage::Stage;
 use crate::surface::check::zero_area_triangles;
@@ -67,9 +69,12 @@ fn decoded_count(archive: &StepView, isovalue: f32, cancel: &CancelToken) -> Res
     let refs = index.query_any(&[isovalue])?;
     let count = |work: &ChunkWork| {
         cancel.check()?;
-        count_in_chunk(archive, work, isovalue)
+        match work.cells {
+            Some(_) => crossed_cells(archive, work, isovalue, cancel),
+            None => count_in_chunk(archive, work, isovalue),
+        }
     };
-    let chunks = by_chunk(archive, &refs)?;
+    let chunks = by_part(archive, by_chunk(archive, &refs)?)?;
     let active = pool(0)?.install(|| chunks.par_iter().map(count).sum::<Result<u64>>())?;
     Ok((active, index.bytes_read() + archive.bytes_read() - read_before))
 }
@@ -388,7 +393,7 @@ fn work_of(
     let isovalues = settings.kept(archive);
     let refs =
         if settings.cap { with_inside(archive, index, &isovalues)? } else { index.query_any(&isovalues)? };
-    let work = by_chunk(archive, &refs)?;
+    let work = by_part(archive, by_chunk(archive, &refs)?)?;
     match cut {
         Some(cut) => touching(archive, cut, work),
         None => Ok(work),
@@ -427,6 +432,13 @@ fn with_inside(archive: &StepView, index: &Ranges<'_>, isovalues: &[f32]) -> Res
 fn chunks_at_ends(archive: &StepView) -> Result<Vec<bool>> {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);
+    if let Some(pyramid) = pyramid_of(archive.manifest.plan.points) {
+        let reaches_ends = |id: u64| {
+            let (cells, dims) = (cells_of(&pyramid, chunk_place(&pyramid, ChunkId(id))), pyramid.nodes(0));
+            (0..3).any(|a| cells[a].start == 0 || cells[a].end == dims[a] - 1)
+        };
+        return Ok((0..archive.chunks.len()).map(reaches_ends).collect());
+    }
     let reaches_ends = |id: ChunkId| {
         let core = archive.chunks.chunk(id).core;
         let reaches = |retries| {
@@ -473,7 +485,13 @@ fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<C
         // widened.
         Ok(reaches(0) || reaches(archive.mesh_sizes(id)?.retries))
     };
-    let keep = |w: ChunkWork| match touches(w.chunk) {
+    let steps = archive.manifest.plan.lattice.log2_steps;
+    let part_touches = |cells: &Cells| {
+        let lo = std::array::from_fn(|a| (cells[a][0] as u32) << steps[a]);
+        let hi = std::array::from_fn(|a| ((cells[a][1] as u32) << steps[a]) + 1);
+        Ok(cut.may_touch_box(&LatticeBox { lo, hi }))
+    };
+    let keep = |w: ChunkWork| match w.cells.as_ref().map_or_else(|| touches(w.chunk), part_touches) {
         Ok(touches) => touches.then_some(Ok(w)),
         Err(e) => Some(Err(e)),
     };

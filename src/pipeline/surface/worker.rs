@@ -1,5 +1,6 @@
 //! One chunk: the surfaces of its active blocks, at all isovalues.
 
+use super::cubes::Cells;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::grid::ChunkId;
@@ -17,6 +18,8 @@ use std::sync::atomic::AtomicU64;
 pub(super) struct ChunkWork {
     pub(super) chunk: ChunkId,
     pub(super) blocks: Vec<Entry>,
+    /// Of a pyramid: the cells of a part of the chunk, whose bricks these are.
+    pub(super) cells: Option<Cells>,
 }
 
 /// Blocks, as an index lists them, chunk by chunk.
@@ -25,7 +28,7 @@ pub(super) fn by_chunk(archive: &StepView, refs: &[Entry]) -> Result<Vec<ChunkWo
         .map(|run| {
             let chunk = ChunkId(run[0].chunk);
             archive.expect_chunk(chunk)?;
-            Ok(ChunkWork { chunk, blocks: run.to_vec() })
+            Ok(ChunkWork { chunk, blocks: run.to_vec(), cells: None })
         })
         .collect()
 }

@@ -1,0 +1,174 @@
+//! The field of a pyramid between its samples, which is trilinear; and its errors at them.
+//!
+//! Samples are decoded box after box, some at a time. Points are sorted by box. A box whose points
+//! need no node is not decoded.
+
+use crate::error::{Error, Result};
+use crate::exec::{Progress, Resources, pool};
+use crate::grid::IndexBox;
+use crate::measure::{BrickErrors, ErrorSums};
+use crate::pipeline::read::{StepView, index_box};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Cells along each axis of a box that is decoded at a time.
+const EDGE: u64 = 64;
+/// Bytes of a box: its nodes with margins, at several levels.
+const BOX_BYTES: u64 = 16 * (EDGE + 20).pow(3);
+/// Samples along each axis of a part that is measured at a time.
+const PART: usize = isospan_wavelet::PART;
+
+/// Threads for which there is memory.
+fn threads(resources: &Resources) -> usize {
+    let fitting = (resources.memory / 2 / BOX_BYTES).max(1);
+    resources.worker_threads().min(usize::try_from(fitting).unwrap_or(usize::MAX))
+}
+
+/// The value of a cell's nodes at a place in the window; NaN where a node with a weight has none.
+fn trilinear(values: &[f32], window: &IndexBox, at: [f64; 3]) -> f32 {
+    let (mut node, mut part) = ([0u64; 3], [0.0; 3]);
+    for a in 0..3 {
+        // The last node ends the last cell.
+        let last = window.hi[a] - 1;
+        node[a] = (at[a].floor().max(0.0) as u64).clamp(window.lo[a], last.saturating_sub(1).max(window.lo[a]));
+        part[a] = (at[a] - node[a] as f64).clamp(0.0, 1.0);
+    }
+    let mut sum = 0.0;
+    for corner in 0..8u64 {
+        let high = [0, 1, 2].map(|a| corner >> a & 1 == 1);
+        let weight: f64 = (0..3).map(|a| if high[a] { part[a] } else { 1.0 - part[a] }).product();
+        if weight > 0.0 {
+            let at = std::array::from_fn(|a| node[a] + u64::from(high[a]));
+            sum += weight * f64::from(values[window.offset(at)]);
+        }
+    }
+    sum as f32 + 0.0
+}
+
+/// The value of the field at places in index space, each with its number, which lie in the domain.
+pub(super) fn values_at_places(
+    archive: &StepView,
+    places: &[([f64; 3], u32)],
+    resources: &Resources,
+    progress: &dyn Progress,
+    mut each: impl FnMut(u32, f32),
+) -> Result<u64> {
+    let dims = archive.step().plan.source.dims;
+    let cell = |x: f64, a: usize| (x as u64).min(dims[a].saturating_sub(2)) / EDGE;
+    let mut by_box: BTreeMap<[u64; 3], Vec<usize>> = BTreeMap::new();
+    for (n, (place, _)) in places.iter().enumerate() {
+        by_box.entry([2, 1, 0].map(|a| cell(place[a], a))).or_default().push(n);
+    }
+    let boxes: Vec<_> = by_box.into_iter().collect();
+    progress.begin("probe", boxes.len() as u64, "boxes");
+    let pool = pool(threads(resources))?;
+    for some in boxes.chunks(64) {
+        resources.cancel.check()?;
+        let value = |([z, y, x], points): &([u64; 3], Vec<usize>)| {
+            let lo = [*x, *y, *z].map(|n| n * EDGE);
+            let window = IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + EDGE + 1).min(dims[a])) };
+            let values = archive.nodes(0, &window)?;
+            Ok(points.iter().map(|&n| (places[n].1, trilinear(&values, &window, places[n].0))).collect())
+        };
+        let found: Vec<Vec<(u32, f32)>> = pool.install(|| some.par_iter().map(value).collect::<Result<_>>())?;
+        found.into_iter().flatten().for_each(|(n, value)| each(n, value));
+        progress.advance(some.len() as u64);
+    }
+    Ok(boxes.len() as u64)
+}
+
+/// The field at the samples of a grid that spans the domain, in runs, in any order. Returns how many
+/// have no value.
+pub(super) fn values_on_grid(
+    archive: &StepView,
+    grid: [u64; 3],
+    resources: &Resources,
+    progress: &dyn Progress,
+    write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
+) -> Result<u64> {
+    let dims = archive.step().plan.source.dims;
+    if grid.contains(&0) {
+        return Err(Error::usage("a grid has at least one sample along each axis"));
+    }
+    // From samples of the grid to those of the source; one sample alone lies at the first.
+    let ratio: [f64; 3] = std::array::from_fn(|a| (dims[a] - 1) as f64 / (grid[a] - 1).max(1) as f64);
+    let at = |i: u64, a: usize| {
+        if i + 1 == grid[a] && i > 0 { (dims[a] - 1) as f64 } else { i as f64 * ratio[a] }
+    };
+    let edge = ratio.map(|r| ((EDGE as f64 / r) as u64).max(1));
+    let counts: [u64; 3] = std::array::from_fn(|a| grid[a].div_ceil(edge[a]));
+    let total = grid.iter().product();
+    progress.begin("probe", total, "samples");
+    let sample = |n: u64| {
+        resources.cancel.check()?;
+        let place = [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]];
+        let lo: [u64; 3] = std::array::from_fn(|a| place[a] * edge[a]);
+        let hi: [u64; 3] = std::array::from_fn(|a| (lo[a] + edge[a]).min(grid[a]));
+        let window = IndexBox {
+            lo: std::array::from_fn(|a| at(lo[a], a) as u64),
+            hi: std::array::from_fn(|a| (at(hi[a] - 1, a).ceil() as u64 + 1).min(dims[a])),
+        };
+        let values = archive.nodes(0, &window)?;
+        let mut void = 0;
+        let mut row = Vec::with_capacity((hi[0] - lo[0]) as usize);
+        for z in lo[2]..hi[2] {
+            for y in lo[1]..hi[1] {
+                row.clear();
+                row.extend((lo[0]..hi[0]).map(|x| trilinear(&values, &window, [at(x, 0), at(y, 1), at(z, 2)])));
+                void += row.iter().filter(|v| v.is_nan()).count() as u64;
+                write((z * grid[1] + y) * grid[0] + lo[0], &row)?;
+            }
+        }
+        progress.advance((0..3).map(|a| hi[a] - lo[a]).product());
+        Ok(void)
+    };
+    pool(threads(resources))?
+        .install(|| (0..counts.iter().product::<u64>()).into_par_iter().map(sample).sum::<Result<u64>>())
+}
+
+/// The errors at all samples, in parts in order. `originals` reads samples, with NaN for those that
+/// are missing. `brick` says in which brick of a map a sample is.
+pub(super) fn errors_of(
+    archive: &StepView,
+    resources: &Resources,
+    progress: &dyn Progress,
+    originals: impl Fn(IndexBox, &mut [f32]) -> Result<()> + Sync,
+    brick: Option<&(dyn Fn([u64; 3]) -> u64 + Sync)>,
+    mut each: impl FnMut(u64, BTreeMap<u64, BrickErrors>) -> Result<()>,
+) -> Result<ErrorSums> {
+    let (pyramid, dims) = (&archive.pyramid()?.pyramid, archive.step().plan.source.dims);
+    let chunks = pyramid.chunks();
+    let places = |i: usize| [i % chunks[0], i / chunks[0] % chunks[1], i / chunks[0] / chunks[1]];
+    let pool = pool(threads(resources))?;
+    progress.begin("measure", dims.iter().product(), "samples");
+    let mut sums = ErrorSums::default();
+    for chunk in 0..chunks.iter().product() {
+        let parts = pyramid.parts(places(chunk), PART);
+        let part = |part: &isospan_wavelet::Box3| {
+            resources.cancel.check()?;
+            let window = index_box(part);
+            let values = archive.nodes(0, &window)?;
+            let mut samples = vec![0.0; values.len()];
+            originals(window, &mut samples)?;
+            let (mut sums, mut bricks) = (ErrorSums::default(), BTreeMap::<u64, BrickErrors>::new());
+            let [nx, ny, _] = window.dims();
+            for (i, (original, value)) in samples.iter().zip(&values).enumerate() {
+                let i = i as u64;
+                let [x, y, z] = [i % nx, i / nx % ny, i / nx / ny];
+                let [x, y, z] = [window.lo[0] + x, window.lo[1] + y, window.lo[2] + z];
+                sums.add(*original, *value, || (z * dims[1] + y) * dims[0] + x);
+                if let Some(brick) = brick {
+                    bricks.entry(brick([x, y, z])).or_default().add(*original, *value);
+                }
+            }
+            Ok((sums, bricks))
+        };
+        let found: Vec<_> = pool.install(|| parts.par_iter().map(part).collect::<Result<_>>())?;
+        for (part, bricks) in found {
+            sums.merge(&part);
+            each(chunk as u64, bricks)?;
+        }
+        progress.advance(parts.iter().map(|p| p.len() as u64).sum());
+    }
+    Ok(sums)
+}
