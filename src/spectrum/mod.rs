@@ -42,6 +42,7 @@
 //! function of the chunk, its values and the [`Limits`].
 
 mod builder;
+mod cubes;
 mod design;
 mod grid;
 mod lanes;

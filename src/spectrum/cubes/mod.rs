@@ -1,0 +1,237 @@
+//! Sums over the cells of a grid, which are cubes: marching cubes without its triangles.
+//!
+//! N is exact. A cell is active where the least of its nodes is below v and the largest at or
+//! above it. So the places of all nodes among the isovalues are found first, and a cell's are the
+//! least and the largest of eight.
+//!
+//! A, V and T are those of the surface that marching cubes makes ([`cell`]). Cells and isovalues
+//! meet three or four times a cell in most volumes, too often to cut each. So at a knot at most
+//! [`MOST_CUT`] of a chunk's active cells are cut. With more of them, one of each m that follow
+//! each other is cut, at places of the golden sequence, and stands for the N / n that it is of.
+//! Areas differ by about a half of their mean from cell to cell, so a sum is off by about 0.7 %;
+//! errors of chunks are independent, so that of many chunks is off by less. The volume is off by
+//! far less: the share of a cell's nodes that are inside is known for all cells, and only what the
+//! share of its volume differs from that is taken from those that are cut.
+//!
+//! The isosurfaces of the trilinear field itself are others where there is noise: areas 5 to 10 %
+//! smaller, volumes 1 to 2 % larger. It is marching cubes that is extracted.
+
+mod cell;
+#[cfg(test)]
+mod tests;
+
+use super::design::{Design, Limits};
+use super::grid::{BinaryPlaces, Places};
+use super::lanes::NOTHING;
+use super::measure::{ChunkPart, Measured};
+use super::sums::counts;
+use crate::simd::with_vectors;
+use cell::{Cut, World, cut};
+
+/// Active cells of a knot that are cut, at most.
+const MOST_CUT: u64 = 4096;
+
+/// The place of a node without data: behind all others.
+const VOID: u16 = u16::MAX;
+
+impl ChunkPart {
+    /// Measures the cells of a box of a grid. `values` are those of its nodes, x fastest, NaN where
+    /// there is no data (infinity counts as such); a cell with such a node is void. `size` are
+    /// nodes along each axis, `axes` the edges of a cell in the world. See the module
+    /// for what is exact. A function of the box alone.
+    ///
+    /// # Panics
+    /// When there are not as many values as nodes.
+    pub fn of_cells(values: &[f32], size: [usize; 3], axes: [[f64; 3]; 3], limits: Limits) -> Self {
+        assert_eq!(Some(values.len()), size.iter().try_fold(1usize, |n, s| n.checked_mul(*s)), "nodes");
+        with_vectors(
+            #[inline(always)]
+            || Nodes { values, size }.measure(&World::new(axes), limits),
+        )
+    }
+}
+
+/// The nodes of a box.
+struct Nodes<'a> {
+    values: &'a [f32],
+    size: [usize; 3],
+}
+
+impl Nodes<'_> {
+    #[inline(always)]
+    fn measure(&self, world: &World, limits: Limits) -> ChunkPart {
+        let weights = self.weights();
+        let used = || self.values.iter().zip(&weights).filter(|(_, weight)| **weight > 0).map(|(v, _)| *v);
+        let none = [f32::INFINITY, f32::NEG_INFINITY];
+        let range = used().fold(none, |[lo, hi], v| [lo.min(v), hi.max(v)]);
+        if range[0] > range[1] {
+            return NOTHING;
+        }
+        // Either of two zeros may be the least; only one is written.
+        let design = Design::new(range.map(|v| v + 0.0), limits);
+        let places = Places::new(&design.levels);
+        let levels = self.active(design.levels.count, |v| places.of(v));
+        let places = BinaryPlaces::new(&design.knots);
+        let active = self.active(design.knots.count, |v| places.of(v));
+        // Eighths of cells, by the knots at or below their corners.
+        let mut eighths = vec![[0u64; COPIES]; design.knots.count as usize + 1];
+        for (n, (&v, &weight)) in self.values.iter().zip(&weights).enumerate() {
+            if weight > 0 {
+                eighths[places.of(v) as usize][n % COPIES] += u64::from(weight);
+            }
+        }
+        let eighths: Vec<u64> = eighths.iter().map(|copies| copies.iter().sum()).collect();
+        let cells = eighths.iter().sum::<u64>() / 8;
+        let mut sums = self.cuts(&design, &places, &active, world);
+        let mut above = 0;
+        for (sum, eighths) in sums.iter_mut().zip(&eighths[1..]).rev() {
+            above += eighths;
+            sum[1] = (sum[1] + above as f64 / 8.0).max(0.0) * world.volume;
+        }
+        let measured = Measured { design, active, sums, levels };
+        ChunkPart { tetrahedra: cells, volume: cells as f64 * world.volume, measured: Some(measured) }
+    }
+
+    /// Of how many cells that are not void each node is a corner.
+    #[inline(always)]
+    fn weights(&self) -> Vec<u8> {
+        let [nx, ny, _] = self.size;
+        let mut weights = vec![0; self.values.len()];
+        let place = |_: f32| 0;
+        self.rows(place, |first, _, most| {
+            for row in [first, first + nx, first + nx * ny, first + nx * ny + nx] {
+                for side in 0..2 {
+                    let to = &mut weights[row + side..][..most.len()];
+                    to.iter_mut().zip(most).for_each(|(to, most)| *to += u8::from(*most != VOID));
+                }
+            }
+        });
+        weights
+    }
+
+    /// The number of active cells at each of `count` isovalues; `place` is how many of them are at
+    /// or below a value.
+    #[inline(always)]
+    fn active(&self, count: u32, place: impl Fn(f32) -> u32) -> Vec<u64> {
+        let mut ends = vec![0i64; count as usize + 1];
+        self.rows(place, |_, least, most| {
+            for (&least, &most) in least.iter().zip(most) {
+                if least < most && most != VOID {
+                    ends[usize::from(least)] += 1;
+                    ends[usize::from(most)] -= 1;
+                }
+            }
+        });
+        counts(&ends)
+    }
+
+    /// At each knot: area, cells inside less those of their corners, gradient times area; of the
+    /// cells that are cut, times what they stand for.
+    #[inline(always)]
+    fn cuts(&self, design: &Design, places: &BinaryPlaces, active: &[u64], world: &World) -> Vec<[f64; 3]> {
+        let knots: Vec<f64> = design.knots.values().into_iter().map(f64::from).collect();
+        let mut choices: Vec<Choice> = active.iter().map(|&n| Choice::new(n)).collect();
+        let mut sums = vec![[0.0; 3]; knots.len()];
+        self.rows(
+            |v| places.of(v),
+            |first, least, most| {
+                for (i, (&least, &most)) in least.iter().zip(most).enumerate() {
+                    if least >= most || most == VOID {
+                        continue;
+                    }
+                    for k in usize::from(least)..usize::from(most) {
+                        if choices[k].takes() {
+                            let corners = self.corners(first + i).map(|v| f64::from(v) - knots[k]);
+                            let Cut { area, gradient, inside } = cut(&corners, world);
+                            let sum = &mut sums[k];
+                            *sum = [sum[0] + area, sum[1] + inside, sum[2] + gradient];
+                        }
+                    }
+                }
+            },
+        );
+        for ((sum, choice), &active) in sums.iter_mut().zip(&choices).zip(active) {
+            if choice.taken < active {
+                *sum = sum.map(|s| s * (active as f64 / choice.taken as f64));
+            }
+        }
+        sums
+    }
+
+    /// The values of a cell, by the first of its nodes.
+    #[inline(always)]
+    fn corners(&self, first: usize) -> [f32; 8] {
+        let [nx, ny, _] = self.size;
+        let at = |c: usize| self.values[first + (c & 1) + (c >> 1 & 1) * nx + (c >> 2) * nx * ny];
+        [at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7)]
+    }
+
+    /// Calls `row` for each row of cells with its first node, and the least and the largest place
+    /// of the nodes of each cell.
+    #[inline(always)]
+    fn rows(&self, place: impl Fn(f32) -> u32, mut row: impl FnMut(usize, &[u16], &[u16])) {
+        let [nx, ny, nz] = self.size;
+        if nx < 2 || ny < 2 || nz < 2 {
+            return;
+        }
+        let place = |v: &f32| if v.is_finite() { place(*v) as u16 } else { VOID };
+        let (mut low, mut high) = (vec![0; nx * ny], vec![0; nx * ny]);
+        let [mut quad_least, mut quad_most, mut least, mut most] = [(); 4].map(|()| vec![0u16; nx]);
+        for (z, plane) in self.values.chunks(nx * ny).enumerate() {
+            std::mem::swap(&mut low, &mut high);
+            high.iter_mut().zip(plane).for_each(|(to, v)| *to = place(v));
+            for y in 0..if z > 0 { ny - 1 } else { 0 } {
+                let [a, b] = [&low, &high].map(|plane| &plane[y * nx..][..2 * nx]);
+                let ((a, c), (b, d)) = (a.split_at(nx), b.split_at(nx));
+                for i in 0..nx {
+                    quad_least[i] = a[i].min(b[i]).min(c[i].min(d[i]));
+                    quad_most[i] = a[i].max(b[i]).max(c[i].max(d[i]));
+                }
+                for i in 0..nx - 1 {
+                    least[i] = quad_least[i].min(quad_least[i + 1]);
+                    most[i] = quad_most[i].max(quad_most[i + 1]);
+                }
+                row((z - 1) * nx * ny + y * nx, &least[..nx - 1], &most[..nx - 1]);
+            }
+        }
+    }
+}
+
+/// Sums are kept in some copies, so that equal values need not wait for each other.
+const COPIES: usize = 4;
+
+/// Which of the active cells of a knot are cut: one of each `every` that follow each other.
+struct Choice {
+    every: u64,
+    taken: u64,
+    /// Cells up to the next one.
+    left: u64,
+}
+
+impl Choice {
+    fn new(active: u64) -> Self {
+        let every = active.div_ceil(MOST_CUT).max(1);
+        let mut choice = Self { every, taken: 0, left: 0 };
+        choice.left = choice.place() + 1;
+        choice
+    }
+
+    /// Which of the next `every` is taken: the golden sequence.
+    fn place(&self) -> u64 {
+        let golden = (self.taken + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        (u128::from(golden) * u128::from(self.every) >> 64) as u64
+    }
+
+    /// Whether the next cell is taken.
+    #[inline(always)]
+    fn takes(&mut self) -> bool {
+        self.left -= 1;
+        if self.left > 0 {
+            return false;
+        }
+        let before = self.place();
+        self.taken += 1;
+        self.left = self.every - before + self.place();
+        true
+    }
+}
