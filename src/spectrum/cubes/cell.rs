@@ -30,6 +30,7 @@ impl World {
     }
 
     /// The area of a piece of this area vector in the unit cube.
+    #[inline(always)]
     fn area(&self, s: Place) -> f64 {
         let [x, y, z] = &self.normals;
         let v = [0, 1, 2].map(|i| s[0] * x[i] + s[1] * y[i] + s[2] * z[i]);
@@ -37,6 +38,7 @@ impl World {
     }
 
     /// The length of a gradient.
+    #[inline(always)]
     fn gradient(&self, g: Place) -> f64 {
         if self.volume > 0.0 { self.area(g) / self.volume } else { 0.0 }
     }
@@ -55,22 +57,32 @@ pub(super) struct Cut {
 
 /// The part of the surface in a cell with these corner values less the isovalue, not all of which
 /// are on one side.
-pub(super) fn cut(values: &[f64; 8], world: &World) -> Cut {
+#[inline(always)]
+pub(super) fn cut(values: &[f64; 8], world: &World, cases: &Cases) -> Cut {
     let corners = (0..8).fold(0, |bits, c| bits | usize::from(values[c] >= 0.0) << c);
-    let case = &CASES[corners];
+    let case = &cases[corners];
+    // Of all edges, those that are not crossed too: so vectors can do it.
+    let along: [f64; 12] = std::array::from_fn(
+        #[inline(always)]
+        |edge| {
+            let [a, b] = ENDS[edge].map(|c| values[usize::from(c)]);
+            a / (a - b)
+        },
+    );
     // Three times the volume, by the theorem of Gauss: the faces at 0 add nothing.
-    let mut thrice: f64 = case.runs[..usize::from(case.run_count)].iter().map(|run| run.area(values)).sum();
+    let mut thrice: f64 =
+        case.runs[..usize::from(case.run_count)].iter().map(|run| run.area(corners, &along)).sum();
     let mut out = Cut::default();
     let mut from = 0;
     for &length in &case.lengths[..usize::from(case.loop_count)] {
         let edges = &case.edges[from..from + usize::from(length)];
         from += edges.len();
-        let first = crossing(edges[0], values);
-        let second = crossing(edges[1], values);
+        let first = crossing(edges[0], &along);
+        let second = crossing(edges[1], &along);
         let (mut sum, mut before) = (add(first, second), sub(second, first));
         let mut area = 0.0;
         for &edge in &edges[2..] {
-            let place = crossing(edge, values);
+            let place = crossing(edge, &along);
             let side = sub(place, first);
             let normal = cross(before, side).map(|s| s * 0.5);
             area += world.area(normal);
@@ -87,7 +99,7 @@ pub(super) fn cut(values: &[f64; 8], world: &World) -> Cut {
 
 /// How the surface runs through a cell, by the corners that are inside.
 #[derive(Clone, Copy, Default)]
-struct Case {
+pub(super) struct Case {
     /// The edges of all loops, and how many each has.
     edges: [u8; 12],
     lengths: [u8; 4],
@@ -108,11 +120,16 @@ struct Run {
 
 impl Run {
     /// The area inside.
-    fn area(&self, values: &[f64; 8]) -> f64 {
+    #[inline(always)]
+    fn area(&self, corners: usize, along: &[f64; 12]) -> f64 {
+        let inside = |edge: u8| {
+            let edge = usize::from(edge);
+            if corners >> ENDS[edge][0] & 1 != 0 { along[edge] } else { 1.0 - along[edge] }
+        };
         if self.corners == 4 {
             return 1.0;
         }
-        let (a, b) = (inside(self.enters, values), inside(self.leaves, values));
+        let (a, b) = (inside(self.enters), inside(self.leaves));
         match self.corners {
             1 => a * b / 2.0,
             2 => (a + b) / 2.0,
@@ -121,7 +138,9 @@ impl Run {
     }
 }
 
-static CASES: LazyLock<[Case; 256]> = LazyLock::new(|| std::array::from_fn(Case::new));
+/// All cases.
+pub(super) type Cases = [Case; 256];
+pub(super) static CASES: LazyLock<Cases> = LazyLock::new(|| std::array::from_fn(Case::new));
 
 impl Case {
     fn new(corners: usize) -> Self {
@@ -163,8 +182,8 @@ impl Case {
 /// How many triangles of the fan from an edge of a loop lie in a face of the cell.
 fn flat(found: &[u8], start: usize) -> usize {
     let corners = |edge: u8| {
-        let (axis, low) = ends(edge);
-        1 << low | 1 << (low | 1 << axis)
+        let [a, b] = ENDS[usize::from(edge)];
+        1 << a | 1 << b
     };
     let at = |n: usize| corners(found[(start + n) % found.len()]);
     let faces = (0..6).map(|n| face(n / 2, n % 2 != 0).iter().fold(0u32, |bits, c| bits | 1 << c));
@@ -194,41 +213,37 @@ fn runs(corners: usize, face: &[usize; 4]) -> Vec<Run> {
     starts.map(run).collect()
 }
 
-/// The number of an edge: four along x, four along y, four along z.
+/// The number of an edge.
 fn edge_of(a: usize, b: usize) -> u8 {
-    let (axis, low) = ((a ^ b).trailing_zeros() as usize, a & b);
-    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-    (4 * axis + (low >> u & 1) + 2 * (low >> v & 1)) as u8
+    let edge = ENDS.iter().position(|ends| ends.map(usize::from) == [a.min(b), a.max(b)]);
+    edge.expect("corners of an edge") as u8
 }
 
-/// The axis of an edge, and its lower corner.
-fn ends(edge: u8) -> (usize, usize) {
-    let (axis, n) = (usize::from(edge / 4), usize::from(edge % 4));
-    (axis, (n & 1) << ((axis + 1) % 3) | (n >> 1) << ((axis + 2) % 3))
-}
+/// The lower and the upper corner of each edge.
+const ENDS: [[u8; 2]; 12] =
+    [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [4, 6], [1, 3], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
 
-/// How far from the lower corner the surface crosses an edge.
-fn along(edge: u8, values: &[f64; 8]) -> f64 {
-    let (axis, low) = ends(edge);
-    let (a, b) = (values[low], values[low | 1 << axis]);
-    a / (a - b)
-}
-
-/// Where that is.
-fn crossing(edge: u8, values: &[f64; 8]) -> Place {
-    let (axis, low) = ends(edge);
-    let mut place = [0, 1, 2].map(|i| (low >> i & 1) as f64);
-    place[axis] = along(edge, values);
+/// Where the surface crosses an edge, by how far that is from the lower corner.
+#[inline(always)]
+fn crossing(edge: u8, along: &[f64; 12]) -> Place {
+    let mut place = STARTS[usize::from(edge)];
+    place[usize::from(edge / 4)] = along[usize::from(edge)];
     place
 }
 
-/// The share of a crossed edge that is inside.
-fn inside(edge: u8, values: &[f64; 8]) -> f64 {
-    let t = along(edge, values);
-    if values[ends(edge).1] >= 0.0 { t } else { 1.0 - t }
-}
+/// The lower corner of each edge.
+const STARTS: [Place; 12] = {
+    let mut starts = [[0.0; 3]; 12];
+    let mut n = 0;
+    while n < 36 {
+        starts[n / 3][n % 3] = (ENDS[n / 3][0] >> (n % 3) & 1) as f64;
+        n += 1;
+    }
+    starts
+};
 
 /// The gradient of the trilinear field.
+#[inline(always)]
 fn gradient(f: &[f64; 8], place: Place) -> Place {
     [0, 1, 2].map(|axis| {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -238,18 +253,22 @@ fn gradient(f: &[f64; 8], place: Place) -> Place {
     })
 }
 
+#[inline(always)]
 fn add(a: Place, b: Place) -> Place {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
+#[inline(always)]
 fn sub(a: Place, b: Place) -> Place {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
+#[inline(always)]
 fn dot(a: Place, b: Place) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+#[inline(always)]
 fn cross(u: Place, v: Place) -> Place {
     [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
 }
@@ -266,11 +285,11 @@ mod tests {
         for corner in 0..8 {
             let mut values = [-1.0; 8];
             values[corner] = 1.0;
-            let one = cut(&values, &world);
+            let one = cut(&values, &world, &CASES);
             let area = 3f64.sqrt() / 8.0;
             assert!((one.area - area).abs() < 1e-12, "{one:?}");
             assert!((one.inside - (1.0 / 48.0 - 0.125)).abs() < 1e-12, "{corner}: {one:?}");
-            let rest = cut(&values.map(|v| -v), &world);
+            let rest = cut(&values.map(|v| -v), &world, &CASES);
             assert!((rest.area - area).abs() < 1e-12);
             assert!((rest.inside + one.inside).abs() < 1e-12, "{corner}: {rest:?}");
         }
@@ -282,8 +301,8 @@ mod tests {
         for corners in 1..255usize {
             let case = CASES[corners];
             let crossed = (0..12).filter(|&edge| {
-                let (axis, low) = ends(edge);
-                (corners >> low ^ corners >> (low | 1 << axis)) & 1 != 0
+                let [a, b]: [u8; 2] = ENDS[edge];
+                (corners >> a ^ corners >> b) & 1 != 0
             });
             let lengths = &case.lengths[..usize::from(case.loop_count)];
             assert_eq!(lengths.iter().sum::<u8>() as usize, crossed.count());
@@ -294,7 +313,8 @@ mod tests {
                 from += length;
             }
             let values = std::array::from_fn(|c| if corners >> c & 1 != 0 { 1.0 } else { -1.0 });
-            let share = cut(&values, &World::new(UNIT)).inside + f64::from(corners.count_ones()) / 8.0;
+            let share =
+                cut(&values, &World::new(UNIT), &CASES).inside + f64::from(corners.count_ones()) / 8.0;
             assert!(0.0 < share && share < 1.0, "{corners:08b}: {share}");
             triangles += lengths.iter().map(|n| usize::from(*n) - 2).sum::<usize>();
         }

@@ -5,13 +5,13 @@
 //! least and the largest of eight.
 //!
 //! A, V and T are those of the surface that marching cubes makes ([`cell`]). Cells and isovalues
-//! meet three or four times a cell in most volumes, too often to cut each. So at a knot at most
-//! [`MOST_CUT`] of a chunk's active cells are cut. With more of them, one of each m that follow
-//! each other is cut, at places of the golden sequence, and stands for the N / n that it is of.
-//! Areas differ by about a half of their mean from cell to cell, so a sum is off by about 0.7 %;
-//! errors of chunks are independent, so that of many chunks is off by less. The volume is off by
-//! far less: the share of a cell's nodes that are inside is known for all cells, and only what the
-//! share of its volume differs from that is taken from those that are cut.
+//! meet three or four times a cell in most volumes, too often to cut each. So where more than
+//! [`FEW`] cells of a box are active at a knot, and more than its share of an eighth of all cells,
+//! only some are cut: one of each m that follow each other, at places of the golden sequence. They
+//! stand for all. Areas differ by about a half of their mean from cell to cell, so a sum is off by
+//! about 0.8 %, seldom by 2 %. Errors of chunks are independent, so that of many is smaller. The
+//! volume is off by far less: the share of a cell's nodes that are inside is known for all cells,
+//! and those that are cut only tell how the share of the volume differs from it.
 //!
 //! The isosurfaces of the trilinear field itself are others where there is noise: areas 5 to 10 %
 //! smaller, volumes 1 to 2 % larger. It is marching cubes that is extracted.
@@ -26,10 +26,10 @@ use super::lanes::NOTHING;
 use super::measure::{ChunkPart, Measured};
 use super::sums::counts;
 use crate::simd::with_vectors;
-use cell::{Cut, World, cut};
+use cell::{CASES, Cut, World, cut};
 
-/// Active cells of a knot that are cut, at most.
-const MOST_CUT: u64 = 4096;
+/// So many active cells of a knot are all cut.
+const FEW: u64 = 4096;
 
 /// The place of a node without data: behind all others.
 const VOID: u16 = u16::MAX;
@@ -60,29 +60,32 @@ struct Nodes<'a> {
 impl Nodes<'_> {
     #[inline(always)]
     fn measure(&self, world: &World, limits: Limits) -> ChunkPart {
-        let weights = self.weights();
-        let used = || self.values.iter().zip(&weights).filter(|(_, weight)| **weight > 0).map(|(v, _)| *v);
-        let none = [f32::INFINITY, f32::NEG_INFINITY];
-        let range = used().fold(none, |[lo, hi], v| [lo.min(v), hi.max(v)]);
+        let (mut places, mut weights) = (vec![0; self.values.len()], vec![0; self.values.len()]);
+        self.place(&mut places, |_| 0);
+        self.weigh(&places, &mut weights);
+        let range = range(self.values, &weights);
         if range[0] > range[1] {
             return NOTHING;
         }
         // Either of two zeros may be the least; only one is written.
         let design = Design::new(range.map(|v| v + 0.0), limits);
-        let places = Places::new(&design.levels);
-        let levels = self.active(design.levels.count, |v| places.of(v));
-        let places = BinaryPlaces::new(&design.knots);
-        let active = self.active(design.knots.count, |v| places.of(v));
+        let levels = Places::new(&design.levels);
+        self.place(&mut places, |v| levels.of(v));
+        let levels = self.active(&places, design.levels.count);
+        let knots = BinaryPlaces::new(&design.knots);
+        self.place(&mut places, |v| knots.of(v));
+        let active = self.active(&places, design.knots.count);
         // Eighths of cells, by the knots at or below their corners.
         let mut eighths = vec![[0u64; COPIES]; design.knots.count as usize + 1];
-        for (n, (&v, &weight)) in self.values.iter().zip(&weights).enumerate() {
+        for (n, (&place, &weight)) in places.iter().zip(&weights).enumerate() {
             if weight > 0 {
-                eighths[places.of(v) as usize][n % COPIES] += u64::from(weight);
+                eighths[usize::from(place)][n % COPIES] += u64::from(weight);
             }
         }
         let eighths: Vec<u64> = eighths.iter().map(|copies| copies.iter().sum()).collect();
         let cells = eighths.iter().sum::<u64>() / 8;
-        let mut sums = self.cuts(&design, &places, &active, world);
+        let most = (cells / (8 * active.len() as u64).max(1)).max(FEW);
+        let mut sums = self.cuts(&design, &places, &active, most, world);
         let mut above = 0;
         for (sum, eighths) in sums.iter_mut().zip(&eighths[1..]).rev() {
             above += eighths;
@@ -92,13 +95,19 @@ impl Nodes<'_> {
         ChunkPart { tetrahedra: cells, volume: cells as f64 * world.volume, measured: Some(measured) }
     }
 
+    /// The place of each node: `of` its value.
+    #[inline(always)]
+    fn place(&self, places: &mut [u16], of: impl Fn(f32) -> u32) {
+        for (place, &v) in places.iter_mut().zip(self.values) {
+            *place = if v.is_finite() { of(v) as u16 } else { VOID };
+        }
+    }
+
     /// Of how many cells that are not void each node is a corner.
     #[inline(always)]
-    fn weights(&self) -> Vec<u8> {
+    fn weigh(&self, places: &[u16], weights: &mut [u8]) {
         let [nx, ny, _] = self.size;
-        let mut weights = vec![0; self.values.len()];
-        let place = |_: f32| 0;
-        self.rows(place, |first, _, most| {
+        self.rows(places, |first, _, most| {
             for row in [first, first + nx, first + nx * ny, first + nx * ny + nx] {
                 for side in 0..2 {
                     let to = &mut weights[row + side..][..most.len()];
@@ -106,15 +115,14 @@ impl Nodes<'_> {
                 }
             }
         });
-        weights
     }
 
-    /// The number of active cells at each of `count` isovalues; `place` is how many of them are at
-    /// or below a value.
+    /// The number of active cells at each of `count` isovalues. The place of a node is how many of
+    /// them are at or below its value.
     #[inline(always)]
-    fn active(&self, count: u32, place: impl Fn(f32) -> u32) -> Vec<u64> {
+    fn active(&self, places: &[u16], count: u32) -> Vec<u64> {
         let mut ends = vec![0i64; count as usize + 1];
-        self.rows(place, |_, least, most| {
+        self.rows(places, |_, least, most| {
             for (&least, &most) in least.iter().zip(most) {
                 if least < most && most != VOID {
                     ends[usize::from(least)] += 1;
@@ -128,28 +136,33 @@ impl Nodes<'_> {
     /// At each knot: area, cells inside less those of their corners, gradient times area; of the
     /// cells that are cut, times what they stand for.
     #[inline(always)]
-    fn cuts(&self, design: &Design, places: &BinaryPlaces, active: &[u64], world: &World) -> Vec<[f64; 3]> {
+    fn cuts(
+        &self,
+        design: &Design,
+        places: &[u16],
+        active: &[u64],
+        most: u64,
+        world: &World,
+    ) -> Vec<[f64; 3]> {
+        let cases = &*CASES;
         let knots: Vec<f64> = design.knots.values().into_iter().map(f64::from).collect();
-        let mut choices: Vec<Choice> = active.iter().map(|&n| Choice::new(n)).collect();
+        let mut choices: Vec<Choice> = active.iter().map(|&n| Choice::new(n, most)).collect();
         let mut sums = vec![[0.0; 3]; knots.len()];
-        self.rows(
-            |v| places.of(v),
-            |first, least, most| {
-                for (i, (&least, &most)) in least.iter().zip(most).enumerate() {
-                    if least >= most || most == VOID {
-                        continue;
-                    }
-                    for k in usize::from(least)..usize::from(most) {
-                        if choices[k].takes() {
-                            let corners = self.corners(first + i).map(|v| f64::from(v) - knots[k]);
-                            let Cut { area, gradient, inside } = cut(&corners, world);
-                            let sum = &mut sums[k];
-                            *sum = [sum[0] + area, sum[1] + inside, sum[2] + gradient];
-                        }
+        self.rows(places, |first, least, most| {
+            for (i, (&least, &most)) in least.iter().zip(most).enumerate() {
+                if least >= most || most == VOID {
+                    continue;
+                }
+                for k in usize::from(least)..usize::from(most) {
+                    if choices[k].takes() {
+                        let corners = self.corners(first + i).map(|v| f64::from(v) - knots[k]);
+                        let Cut { area, gradient, inside } = cut(&corners, world, cases);
+                        let sum = &mut sums[k];
+                        *sum = [sum[0] + area, sum[1] + inside, sum[2] + gradient];
                     }
                 }
-            },
-        );
+            }
+        });
         for ((sum, choice), &active) in sums.iter_mut().zip(&choices).zip(active) {
             if choice.taken < active {
                 *sum = sum.map(|s| s * (active as f64 / choice.taken as f64));
@@ -169,32 +182,42 @@ impl Nodes<'_> {
     /// Calls `row` for each row of cells with its first node, and the least and the largest place
     /// of the nodes of each cell.
     #[inline(always)]
-    fn rows(&self, place: impl Fn(f32) -> u32, mut row: impl FnMut(usize, &[u16], &[u16])) {
+    fn rows(&self, places: &[u16], mut row: impl FnMut(usize, &[u16], &[u16])) {
         let [nx, ny, nz] = self.size;
         if nx < 2 || ny < 2 || nz < 2 {
             return;
         }
-        let place = |v: &f32| if v.is_finite() { place(*v) as u16 } else { VOID };
-        let (mut low, mut high) = (vec![0; nx * ny], vec![0; nx * ny]);
-        let [mut quad_least, mut quad_most, mut least, mut most] = [(); 4].map(|()| vec![0u16; nx]);
-        for (z, plane) in self.values.chunks(nx * ny).enumerate() {
-            std::mem::swap(&mut low, &mut high);
-            high.iter_mut().zip(plane).for_each(|(to, v)| *to = place(v));
-            for y in 0..if z > 0 { ny - 1 } else { 0 } {
-                let [a, b] = [&low, &high].map(|plane| &plane[y * nx..][..2 * nx]);
-                let ((a, c), (b, d)) = (a.split_at(nx), b.split_at(nx));
-                for i in 0..nx {
-                    quad_least[i] = a[i].min(b[i]).min(c[i].min(d[i]));
-                    quad_most[i] = a[i].max(b[i]).max(c[i].max(d[i]));
-                }
-                for i in 0..nx - 1 {
-                    least[i] = quad_least[i].min(quad_least[i + 1]);
-                    most[i] = quad_most[i].max(quad_most[i + 1]);
-                }
-                row((z - 1) * nx * ny + y * nx, &least[..nx - 1], &most[..nx - 1]);
+        let [mut four_least, mut four_most, mut least, mut most] = [(); 4].map(|()| vec![0u16; nx]);
+        for first in (0..nz - 1).flat_map(|z| (0..ny - 1).map(move |y| (z * ny + y) * nx)) {
+            let (a, b) = places[first..][..2 * nx].split_at(nx);
+            let (c, d) = places[first + nx * ny..][..2 * nx].split_at(nx);
+            let ends = four_least.iter_mut().zip(&mut four_most);
+            for ((least, most), ((a, b), (c, d))) in ends.zip(a.iter().zip(b).zip(c.iter().zip(d))) {
+                (*least, *most) = (*a.min(b).min(c.min(d)), *a.max(b).max(c.max(d)));
             }
+            for (to, w) in least.iter_mut().zip(four_least.windows(2)) {
+                *to = w[0].min(w[1]);
+            }
+            for (to, w) in most.iter_mut().zip(four_most.windows(2)) {
+                *to = w[0].max(w[1]);
+            }
+            row(first, &least[..nx - 1], &most[..nx - 1]);
         }
     }
+}
+
+/// Least and largest value of the nodes that have a weight; the first above the second if none has.
+#[inline(always)]
+fn range(values: &[f32], weights: &[u8]) -> [f32; 2] {
+    const LANES: usize = 8;
+    let (mut least, mut most) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+    for (values, weights) in values.chunks(LANES).zip(weights.chunks(LANES)) {
+        for (i, (&v, &weight)) in values.iter().zip(weights).enumerate() {
+            least[i] = if weight > 0 && v < least[i] { v } else { least[i] };
+            most[i] = if weight > 0 && v > most[i] { v } else { most[i] };
+        }
+    }
+    [least.into_iter().fold(f32::INFINITY, f32::min), most.into_iter().fold(f32::NEG_INFINITY, f32::max)]
 }
 
 /// Sums are kept in some copies, so that equal values need not wait for each other.
@@ -209,8 +232,8 @@ struct Choice {
 }
 
 impl Choice {
-    fn new(active: u64) -> Self {
-        let every = active.div_ceil(MOST_CUT).max(1);
+    fn new(active: u64, most: u64) -> Self {
+        let every = active.div_ceil(most).max(1);
         let mut choice = Self { every, taken: 0, left: 0 };
         choice.left = choice.place() + 1;
         choice
