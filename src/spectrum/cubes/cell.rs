@@ -5,12 +5,12 @@
 //! corners inside; each run is cut off by a segment, from the edge where the walk enters it to the
 //! edge where it leaves it. So two corners inside that lie on a diagonal are kept apart. The two
 //! faces of an edge walk it in opposite directions, so each crossed edge is entered once and left
-//! once: the segments close to loops by themselves. A loop of n edges is a fan of n - 2 triangles, none of which
-//! lies in a face of the cell.
+//! once: the segments close to loops by themselves. A loop of n edges is a fan of n - 2 triangles,
+//! none of which lies in a face of the cell.
 
 use std::sync::LazyLock;
 
-/// The fraction of a cell, or of an edge or a face, that is inside; places in the unit cube.
+/// A place, or a direction, in the unit cube.
 type Place = [f64; 3];
 
 /// The shape of the cells in the world.

@@ -247,7 +247,7 @@ impl Sample {
     /// Which of the next `every` is taken: the golden sequence.
     fn place(&self) -> u64 {
         let golden = (self.taken + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        (u128::from(golden) * u128::from(self.every) >> 64) as u64
+        ((u128::from(golden) * u128::from(self.every)) >> 64) as u64
     }
 
     /// Whether the next cell is taken.

@@ -36,7 +36,7 @@ fn a_plane_is_exact_in_a_sheared_grid() {
     let below = |v: f64, power: i32| {
         let corners = (0..8).map(|c: u32| {
             let at: f64 = (0..3).filter(|a| c >> a & 1 != 0).map(|a| edges[a]).sum();
-            let sign = if c.count_ones() % 2 == 0 { 1.0 } else { -1.0 };
+            let sign = if c.count_ones().is_multiple_of(2) { 1.0 } else { -1.0 };
             sign * (v - at).max(0.0).powi(power)
         });
         corners.sum::<f64>() / (edges[0] * edges[1] * edges[2]) / if power == 3 { 6.0 } else { 2.0 }
