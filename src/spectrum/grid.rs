@@ -203,7 +203,7 @@ impl Places {
     #[inline]
     pub(super) fn of(&self, x: f32) -> u32 {
         // A cast makes 0 of what is below and of NaN.
-        let mut n = ((f64::from(x) * self.scale - self.first) as usize).min(self.values.len());
+        let mut n = ((f64::from(x) * self.scale - self.first) as u32 as usize).min(self.values.len());
         while n < self.values.len() && self.values[n] <= x {
             n += 1;
         }
@@ -233,8 +233,9 @@ impl BinaryPlaces {
     /// How many isovalues are at or below `x`, which is not NaN.
     #[inline(always)]
     pub(super) fn of(&self, x: f32) -> u32 {
-        // A cast makes 0 of what is below.
-        ((f64::from(x) * self.scale).floor() - self.before).min(self.count) as u32
+        let place = ((f64::from(x) * self.scale).floor() - self.before).max(0.0).min(self.count);
+        // The last bits are those of the integer: a sum is made in vectors, a cast is not.
+        (place + (1u64 << 52) as f64).to_bits() as u32
     }
 }
 

@@ -18,7 +18,7 @@ fn design(limits: Limits, step: &Vertices<'_>) -> Option<Design> {
 }
 
 /// The part where all is void.
-const NOTHING: ChunkPart = ChunkPart { tetrahedra: 0, volume: 0.0, measured: None };
+pub(super) const NOTHING: ChunkPart = ChunkPart { tetrahedra: 0, volume: 0.0, measured: None };
 
 /// One step, or up to eight.
 pub(super) enum Lanes {

@@ -129,7 +129,7 @@ impl Ends {
 }
 
 /// How many tetrahedra are active at each isovalue.
-fn counts(ends: &[i64]) -> Vec<u64> {
+pub(super) fn counts(ends: &[i64]) -> Vec<u64> {
     let mut active = 0;
     let count = |n: &i64| {
         active += n;
