@@ -8,10 +8,11 @@
 //! meet three or four times a cell in most volumes, too often to cut each. So where more than
 //! [`FEW`] cells of a box are active at a knot, and more than its share of an eighth of all cells,
 //! only some are cut: one of each m that follow each other, at places of the golden sequence. They
-//! stand for all. Areas differ by about a half of their mean from cell to cell, so a sum is off by
-//! about 0.8 %, seldom by 2 %. Errors of chunks are independent, so that of many is smaller. How
-//! many nodes of the active cells are inside is known of all: a line is laid through what the cells
-//! that are cut have, over the share of their nodes, and so the volume is off by far less.
+//! stand for all. Areas differ by about a half of their mean from cell to cell. So a sum of a box
+//! is off by 0.5 to 1.2 % (RMS, six volumes), by 3.3 % at the worst of 578 knots; gradient times
+//! area by up to 5 %. Errors of chunks are independent, so that of many is smaller. How many nodes
+//! of the active cells are inside is known of all: a line is laid through what the cells that are
+//! cut have, over the share of their nodes. So the volume is off by less, 0.04 to 0.24 %.
 //!
 //! The isosurfaces of the trilinear field itself are others where there is noise: areas 5 to 10 %
 //! smaller, volumes 1 to 2 % larger. It is marching cubes that is extracted.
