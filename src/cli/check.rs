@@ -196,9 +196,11 @@ fn archive_text(path: &Path, r: &ArchiveCheck) -> String {
     let _ = writeln!(out, "  segments    {} verified, {}", text::count(r.segments), text::bytes(r.bytes));
     let _ = writeln!(out, "  blocks      {} verified", text::count(r.blocks));
     let _ = writeln!(out, "  points      {}", text::count(r.points));
-    let _ = writeln!(out, "  tetrahedra  {}, all positively oriented", text::count(r.tetrahedra));
-    let volume = if r.own { "have the volume of the mesh, exactly" } else { "fill the domain exactly" };
-    let _ = writeln!(out, "  volume      the tetrahedra {volume}");
+    if r.tetrahedra > 0 {
+        let _ = writeln!(out, "  tetrahedra  {}, all positively oriented", text::count(r.tetrahedra));
+        let volume = if r.own { "have the volume of the mesh, exactly" } else { "fill the domain exactly" };
+        let _ = writeln!(out, "  volume      the tetrahedra {volume}");
+    }
     let _ =
         writeln!(out, "  index       {} entries, equal to the blocks' ranges", text::count(r.index_entries));
     for file in &r.strays {

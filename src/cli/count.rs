@@ -49,9 +49,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         let mut out = String::new();
         let _ = writeln!(
             out,
-            "isovalue {isovalue}: {} active tetrahedra of {} ({} read)",
+            "isovalue {isovalue}: {} active {} ({} read)",
             text::count(report.active_tetrahedra),
-            text::count(report.tetrahedra),
+            match report.tetrahedra {
+                0 => "cells".to_owned(),
+                all => format!("tetrahedra of {}", text::count(all)),
+            },
             text::bytes(report.bytes_read)
         );
         super::print(&out)

@@ -309,13 +309,21 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             })
         );
     }
-    let _ = writeln!(
-        out,
-        "  tetrahedra  {} in {}, {}",
-        text::count(s.tetrahedra),
-        text::plural(s.blocks, "block"),
-        text::plural(s.chunks, "chunk")
-    );
+    let (chunks, blocks) = (text::plural(s.chunks, "chunk"), text::count(s.blocks));
+    let _ = match s.tetrahedra {
+        0 => writeln!(out, "  bricks      {blocks} with a range each, in {chunks}"),
+        count => writeln!(
+            out,
+            "  tetrahedra  {} in {}, {chunks}",
+            text::count(count),
+            text::plural(s.blocks, "block")
+        ),
+    };
+    for level in &s.pyramid {
+        let [x, y, z] = level.nodes;
+        let cells = text::count(level.cells);
+        let _ = writeln!(out, "  level {:<5} {x} x {y} x {z} nodes, {cells} cells", level.level);
+    }
     if let Some(cells) = s.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
@@ -333,7 +341,9 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         Values::Fit => ", fitted to the samples",
         Values::Nodes => ", of the samples at nodes",
     };
-    let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
+    if s.pyramid.is_empty() {
+        let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
+    }
     if let Some(q) = &s.quantiser {
         let bound = text::value(text::figures(q.bound, 4));
         let _ = writeln!(out, "  values      {} bits, within {bound}", text::figures(q.bits, 3));

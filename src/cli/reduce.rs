@@ -237,12 +237,11 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     };
     let of = text::count(report.samples);
     let _ = writeln!(out, "  points      {} of {of} {of_what}{added}", text::count(points));
-    let _ = writeln!(
-        out,
-        "  tetrahedra  {} in {}",
-        text::count(report.tetrahedra),
-        text::plural(report.chunks, "chunk")
-    );
+    let chunks = text::plural(report.chunks, "chunk");
+    let _ = match report.tetrahedra {
+        0 => writeln!(out, "  pyramid     of all samples, in {chunks}"),
+        count => writeln!(out, "  tetrahedra  {} in {chunks}", text::count(count)),
+    };
     if let Some(cells) = report.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }

@@ -12,15 +12,17 @@
 
 use crate::archive::chunked::{BlockRange, MeshSizes, MeshSummary, value_ranges};
 use crate::archive::mesh::ChunkHeader;
-use crate::archive::segment::Segment;
+use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::RepeatedReader;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Threads, in_order};
 use crate::geom::predicates::signed_volume6;
-use crate::grid::{Chunk, ChunkId};
+use crate::grid::{Chunk, ChunkId, IndexBox};
 use crate::index::{Entry, EntryDigest, index_entries};
-use crate::pipeline::read::{Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, used_corners};
+use crate::pipeline::read::{
+    Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, bricks_of, chunk_place, used_corners,
+};
 use crate::pipeline::reduce::strays;
 use crate::pipeline::surface::check_unpacked;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
@@ -118,6 +120,9 @@ fn check_step(
 ) -> Result<()> {
     let with_mesh = archive.position() == 0;
     let mut entries = EntryDigest::default();
+    if archive.is_pyramid() {
+        return check_pyramid(archive, threads, cancel, check);
+    }
     let mut volume6 = 0i128;
     let spectrum = archive.stored_spectrum()?;
     let meter = spectrum.as_ref().map(|_| Meter::of_archive(archive));
@@ -174,6 +179,60 @@ fn check_step(
         _ => {}
     }
     Ok(())
+}
+
+/// Verifies a step of a pyramid: all its nodes are decoded, and lie in the ranges of their bricks.
+fn check_pyramid(
+    archive: &StepView,
+    threads: &Threads,
+    cancel: &CancelToken,
+    check: &mut ArchiveCheck,
+) -> Result<()> {
+    let (pyramid, mut entries) = (&archive.pyramid()?.pyramid, EntryDigest::default());
+    for number in 0..archive.layout.segment_count() {
+        let first = ChunkId(archive.layout.chunks_of(number).start);
+        for file in [archive.values_of(archive.position(), first)?, archive.ranges_of(first)?] {
+            file.segment().verify()?;
+            check.add(file.segment());
+        }
+    }
+    let coarse = Segment::open(archive.layout.coarse(), SegmentKind::Coarse, Some(archive.step_hash()))?;
+    coarse.verify()?;
+    check.add(&coarse);
+    let look = |n: usize| {
+        cancel.check()?;
+        let (id, at) = (ChunkId(n as u64), chunk_place(pyramid, ChunkId(n as u64)));
+        let file = archive.ranges_of(id)?;
+        let (summary, bricks) = (file.value_summary(id)?, bricks_of(pyramid, at));
+        let wrong = |at: String, expected: String, got: String| {
+            Err(Error::bad_input(file.segment().path(), format!("chunk {}, {at}", id.0), expected, got))
+        };
+        if summary.ranges.len() != bricks.len() {
+            return wrong("ranges".into(), bricks.len().to_string(), summary.ranges.len().to_string());
+        }
+        for (n, (range, cells)) in summary.ranges.iter().zip(&bricks).enumerate() {
+            let window = IndexBox {
+                lo: std::array::from_fn(|a| cells[a].start as u64),
+                hi: std::array::from_fn(|a| cells[a].end as u64 + 1),
+            };
+            let values = archive.nodes(0, &window)?;
+            if let Some(v) = values.iter().find(|v| !(range.min..=range.max).contains(*v)) {
+                let expected = format!("values from {} to {}", range.min, range.max);
+                return wrong(format!("brick {n}"), expected, v.to_string());
+            }
+        }
+        let ranges: Vec<Entry> = index_entries(id.0, &summary.ranges).collect();
+        Ok((ranges, pyramid.chunk(at).len() as u64))
+    };
+    let bytes = vec![0; archive.layout.chunk_count() as usize];
+    in_order(&bytes, 0, threads, look, |_, (ranges, samples): (Vec<Entry>, u64)| {
+        ranges.iter().for_each(|e| entries.add(e));
+        if archive.position() == 0 {
+            check.points += samples;
+        }
+        Ok(())
+    })?;
+    check_index(archive, entries, check)
 }
 
 /// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many

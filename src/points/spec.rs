@@ -32,9 +32,10 @@ pub enum SetKind {
 }
 
 impl SetKind {
-    /// All kinds that are chosen by name, in the order in which they are presented.
-    pub const ALL: [Self; 6] =
-        [Self::Hammersley, Self::Halton, Self::HyperbolicCross, Self::Regular, Self::Bcc, Self::Pyramid];
+    /// The kinds of points that are joined to tetrahedra and are chosen by name, in the order in
+    /// which they are presented.
+    pub const ALL: [Self; 5] =
+        [Self::Hammersley, Self::Halton, Self::HyperbolicCross, Self::Regular, Self::Bcc];
 
     /// The name on the command line and in an archive.
     pub fn name(self) -> &'static str {
@@ -60,8 +61,9 @@ impl FromStr for SetKind {
     type Err = Error;
 
     fn from_str(name: &str) -> Result<Self> {
-        Self::ALL.into_iter().find(|k| k.name() == name).ok_or_else(|| {
-            let known = Self::ALL.map(Self::name).join(", ");
+        let mut all = Self::ALL.into_iter().chain([Self::Pyramid]);
+        all.find(|k| k.name() == name).ok_or_else(|| {
+            let known = Self::ALL.map(Self::name).join(", ") + ", " + Self::Pyramid.name();
             Error::usage(format!("there is no point set called '{name}'; choose one of {known}"))
         })
     }

@@ -44,6 +44,7 @@ mod pipeline;
 mod polyhedra;
 mod programs;
 mod publish;
+mod pyramid;
 mod queries;
 mod refine;
 mod reports;

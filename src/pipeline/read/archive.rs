@@ -189,6 +189,13 @@ impl OpenArchive {
 
     /// The mesh segment of a number.
     pub(super) fn mesh_segment(&self, number: u64) -> Result<Arc<ChunkSegment>> {
+        if self.manifest.plan.is_pyramid() {
+            return Err(Error::usage(format!(
+                "{} is a pyramid of samples, which has no tetrahedra: isospan probe writes its samples, \
+                 isospan surface its isosurfaces",
+                self.path().display()
+            )));
+        }
         let mut open = self.meshes.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(segment) = open.get(&number) {
             return Ok(Arc::clone(segment));

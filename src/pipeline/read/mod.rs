@@ -65,5 +65,5 @@ pub use spectrum::{Knot, SpectrumReport, StepSpectrum, Suggestion};
 pub(super) use step_view::{OpenSegment, StepView};
 pub(super) use steps::{Ranges, ValuesOverTime};
 pub(super) use summary::summarize;
-pub use summary::{ArchiveSummary, LevelSummary, StepSummary};
+pub use summary::{ArchiveSummary, LevelSummary, PyramidLevel, StepSummary};
 pub(super) use visit::{Blocks, Visit, full_region};

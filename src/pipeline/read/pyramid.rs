@@ -33,11 +33,11 @@ pub(in crate::pipeline) struct PyramidStep {
     coarse: Coarse,
     tiles: Mutex<Recent<TileId, Arc<Tile>>>,
     blocks: Mutex<Recent<(u64, usize), Arc<StoredBlock>>>,
-    /// Nodes of level 0, for the next question.
-    windows: Mutex<Recent<[u64; 3], Arc<NodeWindow>>>,
+    /// Nodes, by level and part, for the next question.
+    windows: Mutex<Recent<(usize, [u64; 3]), Arc<NodeWindow>>>,
 }
 
-/// Nodes of level 0 in a box.
+/// Nodes of a level in a box.
 pub(in crate::pipeline) struct NodeWindow {
     pub(in crate::pipeline) place: IndexBox,
     pub(in crate::pipeline) values: Vec<f32>,
@@ -229,18 +229,23 @@ impl StepView {
         Ok(values)
     }
 
-    /// Nodes of level 0 that include a box, cached under a key where the view caches anything.
+    /// Nodes of a level that include a box, cached under a key where the view caches anything.
     ///
     /// # Errors
     /// As [`StepView::nodes`].
-    pub(in crate::pipeline) fn cached_nodes(&self, key: [u64; 3], wanted: &IndexBox) -> Result<Arc<NodeWindow>> {
-        let of = self.pyramid()?;
+    pub(in crate::pipeline) fn cached_nodes(
+        &self,
+        level: usize,
+        key: [u64; 3],
+        wanted: &IndexBox,
+    ) -> Result<Arc<NodeWindow>> {
+        let (of, key) = (self.pyramid()?, (level, key));
         let bytes = |window: &Arc<NodeWindow>| 64 + 4 * window.values.len();
         let known = lock(&of.windows).get(&key, bytes);
         if let Some(known) = known.filter(|known| known.place.intersect(wanted) == *wanted) {
             return Ok(known);
         }
-        let found = Arc::new(NodeWindow { place: *wanted, values: self.nodes(0, wanted)? });
+        let found = Arc::new(NodeWindow { place: *wanted, values: self.nodes(level, wanted)? });
         if self.cache.most() > 0 {
             lock(&of.windows).put(key, Arc::clone(&found), bytes(&found));
         }

@@ -11,11 +11,12 @@ use crate::archive::segment::PlanHash;
 use crate::archive::tables::CoordinateMap;
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticePos};
-use crate::grid::{ChunkId, Geometry};
+use crate::grid::{ChunkId, Geometry, IndexBox};
 use crate::mesh::bcc::NODE_BRICK_CELLS;
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
 use crate::spectrum::{ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices};
+use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -196,6 +197,9 @@ impl StepView {
     /// That of a small archive is summed from all its tetrahedra. One chunk at a time takes less
     /// memory than making it did.
     fn spectrum(&self) -> Result<Option<(Spectrum, u64)>> {
+        if self.is_pyramid() {
+            return self.spectrum_of_level();
+        }
         if self.manifest.counts.is_indexed(&self.manifest.plan) {
             return Ok(self.stored_spectrum()?.map(|file| (file.spectrum().clone(), file.bytes_read())));
         }
@@ -208,6 +212,42 @@ impl StepView {
             all.extend(meter.parts(&positions, &tets, &[(&values, &range)], &mut bench)?);
         }
         Ok(SpectrumBuilder::of_parts(&all, meter.limits()).map(|sum| (sum.spectrum(), 0)))
+    }
+}
+
+/// Nodes of the level of a pyramid whose spectrum is measured, at most.
+const MOST_NODES: usize = 1 << 22;
+/// Cells along each axis of a box that is measured at a time.
+const BOX_CELLS: usize = 64;
+
+impl StepView {
+    /// The contour spectrum of the finest level of a pyramid that costs little; none where a grid
+    /// has coordinates of its own, as cells are of one shape here.
+    fn spectrum_of_level(&self) -> Result<Option<(Spectrum, u64)>> {
+        if self.coordinate_record().is_some() {
+            return Ok(None);
+        }
+        let pyramid = &self.pyramid()?.pyramid;
+        let has_cells = |level: &usize| pyramid.nodes(*level).iter().all(|n| *n > 1);
+        let few = |level: &usize| pyramid.nodes(*level).iter().product::<usize>() <= MOST_NODES;
+        let levels = (0..=pyramid.coarsest()).filter(has_cells);
+        let level = levels.clone().find(few).or(levels.last()).unwrap_or(0);
+        let (nodes, stride) = (pyramid.nodes(level), pyramid.stride(level));
+        let axes = self.step().plan.source.geometry.axes();
+        let axes = std::array::from_fn(|a| axes[a].map(|x| x * stride[a] as f64));
+        let limits = Limits::of_mesh(nodes.iter().product::<usize>() as u64);
+        let counts = nodes.map(|n| (n - 1).div_ceil(BOX_CELLS));
+        let part = |i: usize| {
+            let at = [i % counts[0], i / counts[0] % counts[1], i / counts[0] / counts[1]];
+            let lo = at.map(|n| (n * BOX_CELLS) as u64);
+            let hi = std::array::from_fn(|a| (lo[a] + BOX_CELLS as u64 + 1).min(nodes[a] as u64));
+            let window = IndexBox { lo, hi };
+            let values = self.nodes(level, &window)?;
+            Ok(ChunkPart::of_cells(&values, window.dims().map(|n| n as usize), axes, limits))
+        };
+        let parts: Vec<ChunkPart> =
+            (0..counts.iter().product()).into_par_iter().map(part).collect::<Result<_>>()?;
+        Ok(SpectrumBuilder::of_parts(&parts, limits).map(|sum| (sum.spectrum(), 0)))
     }
 }
 

@@ -1,5 +1,6 @@
 //! What an archive holds, from its manifest: for `info`, and for reports.
 
+use super::pyramid::pyramid_of;
 use super::spectrum::{Suggestion, report};
 use super::step_view::StepView;
 use crate::archive::manifest::{Manifest, MeshSource, Step};
@@ -14,6 +15,7 @@ use crate::points::{Levels, PointSpec};
 use crate::sample::{Interpolation, Values};
 use crate::volume::ScalarType;
 use crate::volume::units::{Unit, Units};
+use isospan_wavelet::Pyramid;
 use serde::Serialize;
 
 /// A level of density.
@@ -103,6 +105,9 @@ pub struct ArchiveSummary {
     /// Where the density of the points differs from place to place: each level, the coarsest first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub levels: Vec<LevelSummary>,
+    /// The levels of a pyramid, the finest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub pyramid: Vec<PyramidLevel>,
     /// How values were interpolated.
     pub interpolation: Interpolation,
     /// Whether they are fitted to the samples.
@@ -139,6 +144,31 @@ pub struct ArchiveSummary {
     pub bytes: u64,
     /// Bytes of the samples of all steps as the source has them, not compressed; none of a mesh.
     pub sample_bytes: Option<u64>,
+}
+
+/// A level of a pyramid.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct PyramidLevel {
+    /// Its number: 0 is the finest.
+    pub level: usize,
+    /// Nodes along x, y, z.
+    pub nodes: [u64; 3],
+    /// Samples from one node to the next along x, y, z.
+    pub stride: [u64; 3],
+    /// Cells between nodes.
+    pub cells: u64,
+}
+
+impl PyramidLevel {
+    /// All levels that have cells.
+    fn all(pyramid: &Pyramid) -> Vec<Self> {
+        let level = |level: usize| {
+            let [nodes, stride] = [pyramid.nodes(level), pyramid.stride(level)].map(|n| n.map(|n| n as u64));
+            Self { level, nodes, stride, cells: nodes.iter().map(|n| n - 1).product() }
+        };
+        (0..=pyramid.coarsest()).map(level).filter(|level| level.cells > 0).collect()
+    }
 }
 
 /// A step of an archive, from its manifest.
@@ -222,6 +252,7 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
         own: archive.manifest.plan.own.is_some(),
         point_set: plan.points,
         levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(archive, levels)),
+        pyramid: pyramid_of(plan.points).map_or_else(Vec::new, |pyramid| PyramidLevel::all(&pyramid)),
         interpolation: step.plan.interpolation,
         values: step.plan.values,
         quantiser: step.plan.file_quantiser(),

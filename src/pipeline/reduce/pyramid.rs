@@ -380,7 +380,7 @@ impl Build<'_> {
             }
             make_coarse(&layout, hash, &pyramid, &scale, self.run.resources.memory)?;
         }
-        let measured = self.measure && step.measured;
+        let measured = step.measured;
         self.progress.begin(&name(if measured { "measure" } else { "look" }), samples, "samples");
         let archive = self.pyramid_archive(plan, n, made.coordinates)?;
         let view = archive.step_at(archive.manifest.steps.len() - 1);

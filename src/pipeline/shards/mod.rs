@@ -325,6 +325,9 @@ fn publish(
 ) -> Result<ReduceReport> {
     Inventory::new(root, file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
+    if file.plan.mesh.is_pyramid() {
+        return publish_pyramid(file, root, run, progress, verified);
+    }
     let parts = mesh_parts(root, &file.plan)?;
     let shares = Need::of(&parts).shares(run.resources.memory, run.resources.worker_threads())?;
     let layout = Layout::new(root, parts.chunks.len(), 0);
@@ -338,6 +341,27 @@ fn publish(
     let built = Built::of_shards(series, parts, shares, &layout, report)?;
     // What commits and workers of this machine have left that were killed is no part of the
     // archive's bytes.
+    reduce::sweep(&layout);
+    reduce::publish(built, &job, &layout)
+}
+
+/// Makes the coarse levels of a pyramid of what all workers have left, then its ranges.
+fn publish_pyramid(
+    file: &PlanFile,
+    root: &Path,
+    run: &RunSettings,
+    progress: &dyn Progress,
+    verified: f64,
+) -> Result<ReduceReport> {
+    let run = &RunSettings { replace: false, keep_going: false, ..run.clone() };
+    let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(file));
+    let job = Job { sources, settings, out: root, run, progress, basis, keeps_sums: false };
+    let planned = reduce::plan(&job, false)?;
+    planned.check()?;
+    let layout = planned.layout(root);
+    let all = 0..layout.segment_count();
+    let mut built = reduce::run(planned, &job, &layout, all)?;
+    built.report.seconds.insert(0, (Stage::Verify, verified));
     reduce::sweep(&layout);
     reduce::publish(built, &job, &layout)
 }

@@ -2,7 +2,7 @@
 //! written.
 
 use crate::archive::manifest::{MANIFEST_NAME, Manifest, mesh_folder, steps_folder};
-use crate::archive::segment::{PlanHash, SegmentKind};
+use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::bytes::publish::{final_name, open_own};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
@@ -62,6 +62,10 @@ impl<'a> Inventory<'a> {
             let (layout, hash) = (layout.at(step.number), step.hash(file.mesh_hash));
             files.push(wanted(layout.values(segment), SegmentKind::Values, hash));
             if file.plan.mesh.is_pyramid() {
+                // Of the low coefficients the coarse levels are made.
+                if Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash)).is_ok() {
+                    continue;
+                }
                 files.push(wanted(layout.low(segment), SegmentKind::Low, hash));
             } else if self.finished.needs_sums(step) {
                 files.push(wanted(layout.sums(segment), SegmentKind::Sums, hash));

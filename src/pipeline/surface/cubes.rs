@@ -4,10 +4,10 @@
 //! Of each part the least box that holds its active bricks is decoded, with a node on each side.
 
 use super::worker::{ChunkSurfaces, ChunkWork, Question};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::{LatticeBox, PointId};
-use crate::grid::IndexBox;
+use crate::grid::{ChunkId, IndexBox};
 use crate::index::Entry;
 use crate::pipeline::read::{BufferPool, StepView, bricks_of, chunk_place, pyramid_of};
 use crate::surface::extract::{ChunkSurface, CubeBench, GridBlock};
@@ -46,6 +46,32 @@ pub(super) fn by_part(archive: &StepView, work: Vec<ChunkWork>) -> Result<Vec<Ch
     Ok(parts)
 }
 
+/// All parts of a coarse level, which have no ranges of their own.
+///
+/// # Errors
+/// [`Error::Usage`] for an archive without that level.
+pub(super) fn of_level(archive: &StepView, level: usize) -> Result<Vec<ChunkWork>> {
+    let pyramid = &archive.pyramid()?.pyramid;
+    if level > pyramid.coarsest() {
+        return Err(Error::usage(format!(
+            "{} has no level {level}: it has levels 0 (the finest) to {}",
+            archive.path().display(),
+            pyramid.coarsest()
+        )));
+    }
+    let (nodes, range) = (pyramid.nodes(level).map(|n| n as u64), archive.value_range());
+    let Some([min, max]) = range else { return Ok(vec![]) };
+    let counts = nodes.map(|n| (n - 1).div_ceil(PART));
+    let part = |i: u64| {
+        let at = [i % counts[0], i / counts[0] % counts[1], i / counts[0] / counts[1]];
+        let cells: Cells = std::array::from_fn(|a| [at[a] * PART, ((at[a] + 1) * PART).min(nodes[a] - 1)]);
+        let tets = cells.iter().map(|[lo, hi]| hi - lo).product::<u64>() as u32;
+        let entry = Entry { min, max, chunk: 0, block: 0, tets };
+        ChunkWork { chunk: ChunkId(0), blocks: vec![entry], cells: Some(cells) }
+    };
+    Ok((0..counts.iter().product()).map(part).collect())
+}
+
 /// The box of nodes of some cells; past the last ones it ends.
 pub(super) fn nodes_of(cells: &Cells) -> LatticeBox {
     LatticeBox { lo: cells.map(|[lo, _]| lo as u32), hi: cells.map(|[_, hi]| hi as u32 + 1) }
@@ -69,7 +95,7 @@ impl Question<'_> {
     pub(super) fn cube_surfaces(&self, cells: &Cells, spare: &BufferPool) -> Result<ChunkSurfaces> {
         let mut surfaces: ChunkSurfaces = self.isovalues.iter().map(|_| spare.surface()).collect();
         let mut bench = CubeBench::default();
-        march(self.archive, cells, |block| {
+        march(self.archive, self.level, cells, |block| {
             for (surface, &isovalue) in surfaces.iter_mut().zip(self.isovalues) {
                 surface.start(isovalue, 0);
                 surface.add_cubes(block, self.caps.is_some(), &self.world, &mut bench);
@@ -81,16 +107,22 @@ impl Question<'_> {
 }
 
 /// Calls with the nodes of some cells.
-fn march(archive: &StepView, cells: &Cells, mut each: impl FnMut(&GridBlock<'_>)) -> Result<()> {
-    let grid = archive.step().plan.source.dims;
+fn march(
+    archive: &StepView,
+    level: usize,
+    cells: &Cells,
+    mut each: impl FnMut(&GridBlock<'_>),
+) -> Result<()> {
+    let pyramid = &archive.pyramid()?.pyramid;
+    let [grid, stride] = [pyramid.nodes(level), pyramid.stride(level)].map(|n| n.map(|n| n as u64));
     let wanted = IndexBox {
         lo: cells.map(|[lo, _]| lo.saturating_sub(1)),
         hi: std::array::from_fn(|a| (cells[a][1] + 2).min(grid[a])),
     };
-    let window = archive.cached_nodes(cells.map(|[lo, _]| lo / PART), &wanted)?;
+    let window = archive.cached_nodes(level, cells.map(|[lo, _]| lo / PART), &wanted)?;
     each(&GridBlock {
         grid,
-        stride: [1; 3],
+        stride,
         start: window.place.lo,
         size: window.place.dims().map(|n| n as usize),
         values: &window.values,
@@ -110,7 +142,7 @@ pub(super) fn crossed_cells(
     let (mut surface, mut bench, world) =
         (ChunkSurface::default(), CubeBench::default(), crate::pipeline::read::world_map(archive));
     let Some(cells) = &work.cells else { return Ok(0) };
-    march(archive, cells, |block| {
+    march(archive, 0, cells, |block| {
         surface.start(isovalue, 0);
         surface.add_cubes(block, false, &world, &mut bench);
     })?;

@@ -21,7 +21,7 @@ use crate::mesh::tet::is_active;
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
     BufferPool, CacheHit, ChunkReader, Frontier, Needed, StepView, Wanted, bytes_per_vertex, in_memory,
-    in_world,
+    in_world, pyramid_of,
 };
 use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
@@ -296,10 +296,11 @@ impl<'a> Weld<'a> {
                 None => Frontier::new(archive, self.question.work.iter().map(|w| w.chunk))?,
             };
             let beyond = self.frontier.insert(frontier).after(self.done);
-            let dims = archive.step().plan.source.dims;
-            let place = |id| match archive.is_pyramid() {
-                true => Some(node_place(dims, id)),
-                false => archive.points.position(id),
+            let pyramid = pyramid_of(archive.manifest.plan.points);
+            let nodes = pyramid.map(|pyramid| pyramid.nodes(self.question.level).map(|n| n as u64));
+            let place = |id| match nodes {
+                Some(nodes) => Some(node_place(nodes, id)),
+                None => archive.points.position(id),
             };
             builder.keep_open(|a, b| match (place(a), place(b)) {
                 (Some(a), Some(b)) => beyond.can_have(a, b),

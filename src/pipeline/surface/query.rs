@@ -2,7 +2,7 @@
 //! read.
 
 use super::colours::colours;
-use super::cubes::{Cells, by_part, crossed_cells};
+use super::cubes::{Cells, by_part, crossed_cells, of_level};
 use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
 use super::parts::{Parts, SurfacePart};
 use super::refine::{Means, RefineReport};
@@ -287,6 +287,7 @@ impl<'a> Prepared<'a> {
             isovalues: &self.isovalues,
             cut: self.cut.as_ref(),
             world: self.world,
+            level: settings.level,
             caps: settings.cap.then(|| self.view.manifest.plan.lattice.max()),
             work: &self.work,
             active_bytes: AtomicU64::new(0),
@@ -391,11 +392,15 @@ fn work_of(
     cut: Option<&Cut>,
 ) -> Result<Vec<ChunkWork>> {
     let isovalues = settings.kept(archive);
+    if settings.level > 0 {
+        let work = of_level(archive, settings.level)?;
+        return cut.map_or_else(|| Ok(work.clone()), |cut| touching(archive, cut, settings.level, work.clone()));
+    }
     let refs =
         if settings.cap { with_inside(archive, index, &isovalues)? } else { index.query_any(&isovalues)? };
     let work = by_part(archive, by_chunk(archive, &refs)?)?;
     match cut {
-        Some(cut) => touching(archive, cut, work),
+        Some(cut) => touching(archive, cut, 0, work),
         None => Ok(work),
     }
 }
@@ -474,7 +479,7 @@ fn refine_all(
 }
 
 /// The chunks with a tetrahedron that may touch the cut.
-fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
+fn touching(archive: &StepView, cut: &Cut, level: usize, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);
     let touches = |id: ChunkId| {
@@ -486,9 +491,11 @@ fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<C
         Ok(reaches(0) || reaches(archive.mesh_sizes(id)?.retries))
     };
     let steps = archive.manifest.plan.lattice.log2_steps;
+    let stride = pyramid_of(archive.manifest.plan.points).map_or([1; 3], |pyramid| pyramid.stride(level));
     let part_touches = |cells: &Cells| {
-        let lo = std::array::from_fn(|a| (cells[a][0] as u32) << steps[a]);
-        let hi = std::array::from_fn(|a| ((cells[a][1] as u32) << steps[a]) + 1);
+        let at = |node: u64, a: usize| ((node as u32) * stride[a] as u32) << steps[a];
+        let lo = std::array::from_fn(|a| at(cells[a][0], a));
+        let hi = std::array::from_fn(|a| at(cells[a][1], a) + 1);
         Ok(cut.may_touch_box(&LatticeBox { lo, hi }))
     };
     let keep = |w: ChunkWork| match w.cells.as_ref().map_or_else(|| touches(w.chunk), part_touches) {

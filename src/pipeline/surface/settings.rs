@@ -28,6 +28,9 @@ pub struct SurfaceSettings {
     pub refine: Refine,
     /// A field whose values a surface file has at the vertices, with their colours.
     pub colour_by: Option<ColourBy>,
+    /// The level of a pyramid: 0 is the finest, each further one has half as many nodes along each
+    /// axis that is split.
+    pub level: usize,
     /// Threads, memory, scratch folder, and what stops it.
     pub resources: Resources,
 }
@@ -57,6 +60,7 @@ impl Default for SurfaceSettings {
             cap: false,
             refine: Refine::default(),
             colour_by: None,
+            level: 0,
             resources: Resources::default(),
         }
     }

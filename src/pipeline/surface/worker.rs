@@ -15,6 +15,7 @@ use crate::surface::extract::{ChunkSurface, Precomputed, PrecomputedBlock, Workb
 use std::sync::atomic::AtomicU64;
 
 /// The blocks of a chunk that can hold an answer, in order.
+#[derive(Clone)]
 pub(super) struct ChunkWork {
     pub(super) chunk: ChunkId,
     pub(super) blocks: Vec<Entry>,
@@ -40,6 +41,8 @@ pub(super) struct Question<'a> {
     /// Where; everywhere without.
     pub(super) cut: Option<&'a Cut>,
     pub(super) world: WorldMap,
+    /// The level of a pyramid.
+    pub(super) level: usize,
     /// The upper corner of the domain, where caps are wanted on its faces.
     pub(super) caps: Option<LatticePos>,
     /// Active blocks, chunk by chunk.
