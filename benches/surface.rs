@@ -1,7 +1,7 @@
 //! Extraction, welding and checking of a gyroid in a chunk of 262 144 points and 1.5 million
 //! tetrahedra; and whole surfaces of archives whose blocks are kept and known (`kept/FIELD/POINTS`,
 //! one thread: of 60 000 points what is kept fits in the caches, of a million it does not).
-//! Throughput is in triangles.
+//! Throughput is in triangles; of the cells of a grid (`cubes/ISOVALUE`) it is in cells.
 //!
 //! `cargo bench --bench surface`, about a minute.
 
@@ -15,7 +15,9 @@ use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, re
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::check::check;
-use isospan::surface::extract::{CellSource, ChunkSurface, Workbench, extract};
+use isospan::surface::extract::{
+    CellSource, ChunkSurface, CubeBench, GridBlock, Workbench, extract, marching_cubes,
+};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
 use isospan::surface::{TriMesh, WorldMap};
 use isospan::{Archive, Resources};
@@ -118,6 +120,29 @@ fn surface(c: &mut Criterion) {
     group.finish();
 }
 
+/// The same gyroid by the cells of its grid: crossed as above, and by nothing.
+fn cubes(c: &mut Criterion) {
+    let values = Chunk::new().values;
+    let world = WorldMap::of_samples(&Geometry::default());
+    let block = GridBlock {
+        grid: [N; 3],
+        stride: [1; 3],
+        start: [0; 3],
+        size: [N as usize; 3],
+        values: &values,
+        cells: [[0, N - 1]; 3],
+    };
+    let (mut bench, mut out) = (CubeBench::default(), ChunkSurface::default());
+    let mut group = c.benchmark_group("cubes");
+    group.throughput(Throughput::Elements((N - 1).pow(3)));
+    for isovalue in [ISOVALUE, 10.0] {
+        group.bench_function(isovalue.to_string(), |b| {
+            b.iter(|| marching_cubes(black_box(&block), isovalue, false, &world, &mut bench, &mut out));
+        });
+    }
+    group.finish();
+}
+
 /// A gyroid with so many turns along each axis, reduced to an archive of so many points.
 fn archive(folder: &Path, turns: f32, points: u64) -> PathBuf {
     const SIZE: u32 = 128;
@@ -179,5 +204,5 @@ fn kept(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, surface, kept);
+criterion_group!(benches, surface, cubes, kept);
 criterion_main!(benches);

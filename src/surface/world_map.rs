@@ -28,29 +28,21 @@ pub struct WorldMap {
 impl WorldMap {
     /// The map of a structured volume.
     pub fn new(lattice: &Lattice, geometry: &Geometry) -> Self {
-        let unit = |a: usize| std::array::from_fn(|b| if a == b { 1.0 } else { 0.0 });
         let finer = lattice.finer().map(|f| f64::from(1u32 << f));
         Self {
-            geometry: *geometry,
             steps: lattice.log2_steps.map(|s| 1.0 / f64::from(1u32 << s)),
-            axes: geometry.axes(),
-            covectors: std::array::from_fn(|a| {
-                geometry.gradient_to_world(unit(a).map(|x: f64| x * finer[a]))
-            }),
-            mirrors: geometry.mirrors(),
-            least: LEAST,
-            origin: [0.0; 3],
+            covectors: covectors(geometry, finer),
+            ..Self::of_samples(geometry)
         }
     }
 
-    /// The map of the index space of a structured volume: a step is a sample.
+    /// The map of the samples of a structured volume: a step is from one sample to the next.
     pub fn of_samples(geometry: &Geometry) -> Self {
-        let unit = |a: usize| std::array::from_fn(|b| if a == b { 1.0 } else { 0.0 });
         Self {
             geometry: *geometry,
             steps: [1.0; 3],
             axes: geometry.axes(),
-            covectors: std::array::from_fn(|a| geometry.gradient_to_world(unit(a))),
+            covectors: covectors(geometry, [1.0; 3]),
             mirrors: geometry.mirrors(),
             least: LEAST,
             origin: [0.0; 3],
@@ -136,6 +128,15 @@ impl WorldMap {
     pub(super) fn scale_of(largest: f64) -> f64 {
         f64::from_bits((2046 - (largest.to_bits() >> 52).min(2045)) << 52)
     }
+}
+
+/// World covectors of covectors of index space along its axes, of these lengths.
+fn covectors(geometry: &Geometry, lengths: [f64; 3]) -> [[f64; 3]; 3] {
+    std::array::from_fn(|a| {
+        let mut along = [0.0; 3];
+        along[a] = lengths[a];
+        geometry.gradient_to_world(along)
+    })
 }
 
 /// The part of an edge that a surface stays away from its ends, and the most that it does.

@@ -3,8 +3,12 @@
 
 use crate::common::*;
 use isospan::formats::{OpenOptions, StepSource, open_volume};
+use isospan::grid::Geometry;
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
-use isospan::surface::check::{boundary_outside, check};
+use isospan::surface::check::{SurfaceReport, boundary_outside, check};
+use isospan::surface::extract::{ChunkSurface, CubeBench, GridBlock, marching_cubes};
+use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
+use isospan::surface::{TriMesh, WorldMap};
 use std::fs;
 use std::path::Path;
 
@@ -14,6 +18,8 @@ struct Entry {
     scalar: String,
     range: [f64; 2],
     isovalue: f32,
+    /// The triangles of `vtkFlyingEdges3D` at each of its isovalues.
+    triangles: Vec<(f32, u64)>,
 }
 
 /// The volumes of the manifest in formats that are read.
@@ -38,7 +44,12 @@ fn entry(line: &str) -> Option<Entry> {
         scalar: numpy_name(c.get(5)?)?,
         range: [lo.parse().ok()?, hi.parse().ok()?],
         isovalue: c.get(8)?.split(';').next()?.trim().parse().ok()?,
+        triangles: list(c.get(8)?).zip(list(c.get(9)?).map(|n| n as u64)).collect(),
     })
+}
+
+fn list(text: &str) -> impl Iterator<Item = f32> {
+    text.split(';').filter_map(|n| n.trim().parse().ok())
 }
 
 /// NumPy's name of a type that the manifest calls `u8`, `i16` or `f32`.
@@ -177,4 +188,92 @@ fn meshes_are_what_the_manifest_says_and_other_files_take_one_line() {
         }
     }
     assert!(good >= 30 && refused >= 15, "{good} meshes, {refused} refused");
+}
+
+/// The stored samples of a volume.
+fn samples(file: &Path) -> Vec<f32> {
+    let mut slabs = open_volume(file, &OpenOptions::default()).unwrap().into_stream();
+    let info = slabs.info().clone();
+    let mut samples = vec![0.0; info.dims.iter().product::<u64>() as usize];
+    let mut bytes = vec![];
+    while let Some(voxels) = slabs.next_slab(&mut bytes).unwrap() {
+        let size = bytes.len() / voxels.len();
+        let value = |b: &[u8]| match info.field.scalar.name() {
+            "uint8" => f32::from(b[0]),
+            "int16" => f32::from(i16::from_le_bytes(b.try_into().unwrap())),
+            "uint16" => f32::from(u16::from_le_bytes(b.try_into().unwrap())),
+            "float32" => f32::from_le_bytes(b.try_into().unwrap()),
+            "float64" => f64::from_le_bytes(b.try_into().unwrap()) as f32,
+            other => panic!("{other}"),
+        };
+        let [nx, ny, _] = voxels.dims();
+        for (n, b) in (0..).zip(bytes.chunks(size)) {
+            let [x, y, z] = [voxels.lo[0] + n % nx, voxels.lo[1] + n / nx % ny, voxels.lo[2] + n / nx / ny];
+            samples[((z * info.dims[1] + y) * info.dims[0] + x) as usize] = value(b);
+        }
+    }
+    samples
+}
+
+/// The surface of the cells between samples, in index space.
+fn surface_of_cells(values: &[f32], grid: [u64; 3], isovalue: f32, caps: bool) -> SurfaceReport {
+    let block = GridBlock {
+        grid,
+        stride: [1; 3],
+        start: [0; 3],
+        size: grid.map(|n| n as usize),
+        values,
+        cells: grid.map(|n| [0, n - 1]),
+    };
+    let world = WorldMap::of_samples(&Geometry::default());
+    let mut out = ChunkSurface::default();
+    marching_cubes(&block, isovalue, caps, &world, &mut CubeBench::default(), &mut out);
+    let mut builder = SurfaceBuilder::new(&world, &BuilderSettings::default());
+    builder.push(&out).unwrap();
+    check(&TriMesh::from_source(&builder.finish().unwrap()).unwrap())
+}
+
+#[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
+fn cells_have_the_triangles_of_flying_edges() {
+    let folder = shared_data();
+    let mut compared = 0;
+    for e in volumes(&folder) {
+        let values = samples(&folder.join(&e.file));
+        for &(isovalue, triangles) in &e.triangles {
+            let report = surface_of_cells(&values, e.dims, isovalue, false);
+            assert_eq!(report.triangles, triangles, "{} {isovalue}", e.file);
+            assert!(report.is_manifold() && report.is_oriented(), "{} {isovalue}: {report:?}", e.file);
+            compared += 1;
+        }
+    }
+    assert!(compared >= 15, "{compared}");
+}
+
+/// File, isovalue, and of the surface of VTK 9.7: area, Euler number, open edges.
+const OF_FLYING_EDGES: [(&str, f32, f64, i64, u64); 6] = [
+    ("volumes/tooth_ct_u16be/tooth.nhdr", 600.0, 43421.006, 6, 0),
+    ("volumes/tooth_ct_u16be/tooth.nhdr", 1000.0, 22282.272, -4, 0),
+    ("volumes/engine_ct_u8.nii.gz", 60.0, 218_937.962, -35, 1422),
+    ("volumes/engine_ct_u8.nii.gz", 150.0, 116_925.499, 2551, 46),
+    ("volumes/hydrogen_f32.vti", 0.05, 6584.235, 4, 0),
+    ("volumes/hydrogen_f32.vti", 0.3, 1165.037, 4, 0),
+];
+
+#[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
+fn cells_have_the_surface_of_flying_edges() {
+    let folder = shared_data();
+    let entries = volumes(&folder);
+    for (file, isovalue, area, euler, open) in OF_FLYING_EDGES {
+        let dims = entries.iter().find(|e| e.file == file).unwrap().dims;
+        let values = samples(&folder.join(file));
+        let report = surface_of_cells(&values, dims, isovalue, false);
+        assert_eq!((report.euler, report.boundary_edges), (euler, open), "{file} {isovalue}");
+        // Vertices are the same but for those at samples, which stay off these; loops are cut into
+        // triangles otherwise.
+        assert!((report.area / area - 1.0).abs() < 6e-4, "{file} {isovalue}: {}", report.area);
+        let capped = surface_of_cells(&values, dims, isovalue, true);
+        assert!(capped.is_closed() && capped.is_manifold() && capped.is_oriented(), "{capped:?}");
+    }
 }

@@ -3,19 +3,19 @@
 //! Corner x + 2y + 4z of a cube lies at (x, y, z). Edge 4a + b runs along axis a; b numbers the
 //! places of the other two axes, the lower axis first.
 //!
-//! On each face, seen from outside and walked counter-clockwise, the corners inside form runs. A
-//! run is bounded by the surface from the edge before it to the edge behind it:
+//! On each face, seen from outside and walked counter-clockwise, the corners inside form runs. The
+//! surface bounds a run by a segment from the edge before it to the edge behind it:
 //!
 //! ```text
-//!   d───────c      d───x───c      x───x───c       one run gives one segment; two corners on a
-//!   │       │      │   │   │      │  /    x       diagonal are two runs, and so kept apart:
-//!   x───┐   │      │   │   │      │ /    /│       a segment for each
-//!   │   │   │      │   │   │      a─────x─b
-//!   A───x───b      A───x───b
+//!   d───────c      D───x───c      d───x───C      A, C and D are inside. Two corners on a
+//!   │       │      │   │   │      │    ╲  │      diagonal are two runs, and so kept apart.
+//!   x       │      │   │   │      x     ╲ x
+//!   │ ╲     │      │   │   │      │ ╲     │
+//!   A───x───b      A───x───b      A───x───b
 //! ```
 //!
-//! A crossed edge lies on two faces, which walk it in opposite directions: there ends the segment
-//! of one and begins that of the other. So segments join to loops. A loop of n edges is cut into
+//! A crossed edge lies on two faces, which walk it in opposite directions: there the segment of one
+//! ends and that of the other begins. So segments join to loops. A loop of n edges is cut into
 //! n - 2 triangles such that no cut lies in a face, where a neighbour could have the same one, and
 //! the cuts are short in all.
 
