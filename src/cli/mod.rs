@@ -103,6 +103,11 @@ impl Command {
 /// Runs the program on arguments, the first of which is its name; returns the exit code.
 pub(crate) fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
     heap::give_back_early();
+    // Before anything is parsed: that takes memory too.
+    if let Err(error) = isospan::exec::expect_address_space() {
+        let _ = writeln!(std::io::stderr(), "isospan: error: {error}");
+        return error.exit_code();
+    }
     let args: Vec<OsString> = args.into_iter().collect();
     let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,

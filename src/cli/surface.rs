@@ -57,8 +57,8 @@ pub(crate) struct Args {
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
-    /// The level of a pyramid: 0 is the finest, 1 has every second sample along each axis, and so on;
-    /// isospan info lists them.
+    /// The level of a pyramid: 0 is the finest, 1 has every second sample along each axis, and so
+    /// on; isospan info lists them.
     #[arg(long, value_name = "L", default_value_t = 0, value_parser = grammar::whole::<usize>, allow_negative_numbers = true)]
     level: usize,
     /// Close the surfaces at the faces of the domain. Of a mesh, this needs one that fills its

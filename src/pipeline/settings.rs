@@ -296,6 +296,11 @@ impl Bound {
 }
 
 impl Target {
+    /// Whether corrections of single samples meet it, so that nothing is searched for.
+    pub(super) fn is_met_by_corrections(self, settings: &ReduceSettings) -> bool {
+        matches!(self, Self::Max(_) | Self::Lossless) && settings.set_of(false) == SetKind::Pyramid
+    }
+
     /// How large the error may be, if that is what is wanted.
     pub(super) fn bound(self) -> Option<Bound> {
         match self {

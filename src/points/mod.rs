@@ -344,7 +344,9 @@ impl Interior {
             }
             PointSpec::Halton { n } => Self::Net(Net::new([two, three, five], max, 1, n, 0)),
             PointSpec::HyperbolicCross { m, k, r } => Self::Grids(Grids::hyperbolic_cross(m, k, r, lattice)?),
-            PointSpec::Regular { counts } | PointSpec::Pyramid { dims: counts, .. } => Self::Grids(Grids::regular(counts, lattice)?),
+            PointSpec::Regular { counts } | PointSpec::Pyramid { dims: counts, .. } => {
+                Self::Grids(Grids::regular(counts, lattice)?)
+            }
             PointSpec::Bcc { cells } => Self::Grids(Grids::bcc(cells, lattice)?),
             PointSpec::Own { .. } => Self::Nothing,
         })

@@ -253,7 +253,9 @@ impl PointSpec {
                     }
                 }
             }
-            Self::Pyramid { dims, delay } if dims != lattice.dims || delay.iter().any(|&d| d > MOST_DELAY) => {
+            Self::Pyramid { dims, delay }
+                if dims != lattice.dims || delay.iter().any(|&d| d > MOST_DELAY) =>
+            {
                 return refuse(
                     "a pyramid",
                     format!("of {dims:?} samples with delays {delay:?}"),

@@ -19,8 +19,8 @@ mod record;
 
 pub use self::files::{
     coarse_path, coordinates_path, index_path, is_coordinates, low_segment_path, mesh_folder,
-    mesh_segment_path, ranges_segment_path, spectrum_path, step_prefix,
-    steps_folder, sums_segment_path, unpacked_path, unpacked_step, values_segment_path,
+    mesh_segment_path, ranges_segment_path, spectrum_path, step_prefix, steps_folder, sums_segment_path,
+    unpacked_path, unpacked_step, values_segment_path,
 };
 pub use self::plan::{
     BLOCK_TETS, CHUNK_POINTS, Counts, FrameRecord, MOST_UNINDEXED, MOST_UNINDEXED_BRICKS,
@@ -641,6 +641,7 @@ pub(crate) mod tests {
             nan: "error".into(),
             missing: None,
             quantiser: None,
+            wavelet: None,
             keyframes: KEYFRAMES,
             measured: false,
             base: None,

@@ -4,7 +4,7 @@
 //! need no node is not decoded.
 
 use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, pool};
+use crate::exec::{Progress, Resources, in_order, pool};
 use crate::grid::IndexBox;
 use crate::measure::{BrickErrors, ErrorSums};
 use crate::pipeline::read::{StepView, index_box};
@@ -30,7 +30,8 @@ fn trilinear(values: &[f32], window: &IndexBox, at: [f64; 3]) -> f32 {
     for a in 0..3 {
         // The last node ends the last cell.
         let last = window.hi[a] - 1;
-        node[a] = (at[a].floor().max(0.0) as u64).clamp(window.lo[a], last.saturating_sub(1).max(window.lo[a]));
+        node[a] =
+            (at[a].floor().max(0.0) as u64).clamp(window.lo[a], last.saturating_sub(1).max(window.lo[a]));
         part[a] = (at[a] - node[a] as f64).clamp(0.0, 1.0);
     }
     let mut sum = 0.0;
@@ -51,7 +52,7 @@ pub(super) fn values_at_places(
     places: &[([f64; 3], u32)],
     resources: &Resources,
     progress: &dyn Progress,
-    mut each: impl FnMut(u32, f32),
+    mut each: impl FnMut(u32, f32) + Send,
 ) -> Result<u64> {
     let dims = archive.step().plan.source.dims;
     let cell = |x: f64, a: usize| (x as u64).min(dims[a].saturating_sub(2)) / EDGE;
@@ -61,24 +62,26 @@ pub(super) fn values_at_places(
     }
     let boxes: Vec<_> = by_box.into_iter().collect();
     progress.begin("probe", boxes.len() as u64, "boxes");
-    let pool = pool(threads(resources))?;
-    for some in boxes.chunks(64) {
+    let value = |n: usize| {
         resources.cancel.check()?;
-        let value = |([z, y, x], points): &([u64; 3], Vec<usize>)| {
-            let lo = [*x, *y, *z].map(|n| n * EDGE);
-            let window = IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + EDGE + 1).min(dims[a])) };
-            let values = archive.nodes(0, &window)?;
-            Ok(points.iter().map(|&n| (places[n].1, trilinear(&values, &window, places[n].0))).collect())
-        };
-        let found: Vec<Vec<(u32, f32)>> = pool.install(|| some.par_iter().map(value).collect::<Result<_>>())?;
-        found.into_iter().flatten().for_each(|(n, value)| each(n, value));
-        progress.advance(some.len() as u64);
-    }
+        let ([z, y, x], points) = &boxes[n];
+        let lo = [*x, *y, *z].map(|n| n * EDGE);
+        let window = IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + EDGE + 1).min(dims[a])) };
+        let values = archive.nodes(0, &window)?;
+        let found = points.iter().map(|&n| (places[n].1, trilinear(&values, &window, places[n].0)));
+        Ok(found.collect::<Vec<(u32, f32)>>())
+    };
+    let threads = archive.pools.lend(threads(resources))?;
+    in_order(&vec![0; boxes.len()], 0, &threads, value, |_, found| {
+        found.into_iter().for_each(|(n, value)| each(n, value));
+        progress.advance(1);
+        Ok(())
+    })?;
     Ok(boxes.len() as u64)
 }
 
-/// The field at the samples of a grid that spans the domain, in runs, in any order. Returns how many
-/// have no value.
+/// The field at the samples of a grid that spans the domain, in runs, in any order. Returns how
+/// many have no value.
 pub(super) fn values_on_grid(
     archive: &StepView,
     grid: [u64; 3],
@@ -99,8 +102,9 @@ pub(super) fn values_on_grid(
     let counts: [u64; 3] = std::array::from_fn(|a| grid[a].div_ceil(edge[a]));
     let total = grid.iter().product();
     progress.begin("probe", total, "samples");
-    let sample = |n: u64| {
+    let sample = |n: usize| {
         resources.cancel.check()?;
+        let n = n as u64;
         let place = [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]];
         let lo: [u64; 3] = std::array::from_fn(|a| place[a] * edge[a]);
         let hi: [u64; 3] = std::array::from_fn(|a| (lo[a] + edge[a]).min(grid[a]));
@@ -114,7 +118,9 @@ pub(super) fn values_on_grid(
         for z in lo[2]..hi[2] {
             for y in lo[1]..hi[1] {
                 row.clear();
-                row.extend((lo[0]..hi[0]).map(|x| trilinear(&values, &window, [at(x, 0), at(y, 1), at(z, 2)])));
+                row.extend(
+                    (lo[0]..hi[0]).map(|x| trilinear(&values, &window, [at(x, 0), at(y, 1), at(z, 2)])),
+                );
                 void += row.iter().filter(|v| v.is_nan()).count() as u64;
                 write((z * grid[1] + y) * grid[0] + lo[0], &row)?;
             }
@@ -122,8 +128,12 @@ pub(super) fn values_on_grid(
         progress.advance((0..3).map(|a| hi[a] - lo[a]).product());
         Ok(void)
     };
-    pool(threads(resources))?
-        .install(|| (0..counts.iter().product::<u64>()).into_par_iter().map(sample).sum::<Result<u64>>())
+    let (threads, mut all) = (archive.pools.lend(threads(resources))?, 0);
+    in_order(&vec![0; counts.iter().product::<u64>() as usize], 0, &threads, sample, |_, void| {
+        all += void;
+        Ok(())
+    })?;
+    Ok(all)
 }
 
 /// The errors at all samples, in parts in order. `originals` reads samples, with NaN for those that

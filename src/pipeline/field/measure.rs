@@ -456,9 +456,10 @@ impl AgainstSamples<'_> {
         let brick_of = |sample: [u64; 3]| bricks.id(bricks.brick_at(lattice.of_voxel(sample))).0;
         let brick: Option<&(dyn Fn([u64; 3]) -> u64 + Sync)> = map.as_ref().map(|_| &brick_of as _);
         let originals = |window, out: &mut [f32]| self.samples.read(window, out);
-        let sums = errors_of(self.archive, &settings.resources, progress, originals, brick, |chunk, bricks| {
-            map.as_mut().map_or(Ok(()), |map| map.add(chunk, &bricks))
-        })?;
+        let sums =
+            errors_of(self.archive, &settings.resources, progress, originals, brick, |chunk, bricks| {
+                map.as_mut().map_or(Ok(()), |map| map.add(chunk, &bricks))
+            })?;
         map.map(Map::finish).transpose()?;
         field_error_of(self.archive, &sums)
     }

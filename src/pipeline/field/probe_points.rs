@@ -276,11 +276,7 @@ pub(in crate::pipeline) fn values_at(
 
 /// Points in the world among the samples of a pyramid, with their numbers; none of those outside.
 /// Those that rounding may have moved outside lie at its faces.
-fn places(
-    archive: &StepView,
-    points: &[[f64; 3]],
-    cancel: &CancelToken,
-) -> Result<Vec<([f64; 3], u32)>> {
+fn places(archive: &StepView, points: &[[f64; 3]], cancel: &CancelToken) -> Result<Vec<([f64; 3], u32)>> {
     let (lattice, source) = (archive.manifest.plan.lattice, &archive.step().plan.source);
     let (found, tolerance) = match index_places(archive, points, cancel)? {
         Some(places) => (places, 0.0),

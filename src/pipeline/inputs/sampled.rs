@@ -6,7 +6,8 @@ use super::shift::{Reading, treat_missing};
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
-use crate::volume::VolumeSource;
+use crate::volume::chunked::ChunkedVolume;
+use crate::volume::{VolumeReader, VolumeSource};
 use isospan_wavelet::Box3;
 
 /// A volume of at most this many samples is a box by itself.
@@ -14,6 +15,8 @@ const WHOLE: u64 = 1 << 23;
 /// Boxes of a larger one, and samples along each axis of a box.
 const BOXES: u64 = 24;
 const EDGE: u64 = 64;
+/// Bytes of decoded chunks while boxes are read.
+const CACHE: u64 = 32 << 20;
 /// Boxes of a larger one to try out more.
 const TRIED: usize = 8;
 
@@ -30,7 +33,11 @@ impl Sampled {
     ///
     /// # Errors
     /// Those of reading; [`crate::Error::Cancelled`].
-    pub(in crate::pipeline) fn of(source: VolumeSource, reading: &Reading, cancel: &CancelToken) -> Result<Self> {
+    pub(in crate::pipeline) fn of(
+        source: VolumeSource,
+        reading: &Reading,
+        cancel: &CancelToken,
+    ) -> Result<Self> {
         let boxes = boxes(source.info().dims);
         let mut found: Vec<Vec<f32>> = boxes.iter().map(|b| vec![0.0; b.len()]).collect();
         let (missing, stand_in) = (reading.missing().map(|m| m as f32), reading.stand_in());
@@ -56,9 +63,40 @@ impl Sampled {
 }
 
 impl Sampled {
+    /// As [`Sampled::of`], but of a source that is read in any order the boxes alone: the range is
+    /// theirs then.
+    ///
+    /// # Errors
+    /// As [`Sampled::of`].
+    pub(in crate::pipeline) fn of_boxes(
+        source: VolumeSource,
+        reading: &Reading,
+        cancel: &CancelToken,
+    ) -> Result<Self> {
+        let reader: Box<dyn VolumeReader> = match source {
+            VolumeSource::Random(reader) => reader,
+            VolumeSource::Chunked(chunks) => Box::new(ChunkedVolume::new(chunks, CACHE)),
+            stream @ VolumeSource::Stream(_) => return Self::of(stream, reading, cancel),
+        };
+        let (places, reader) = (boxes(reader.info().dims), reading.reader(reader));
+        let fill = reading.stand_in().unwrap_or(0.0);
+        let (mut range, mut found) = ([f32::INFINITY, f32::NEG_INFINITY], vec![]);
+        for place in places {
+            cancel.check()?;
+            let mut values = vec![0.0; place.len()];
+            reader.read_box(place, &mut values)?;
+            treat_missing(reading.missing(), fill, &mut values);
+            range = values.iter().fold(range, |[lo, hi], v| [lo.min(*v), hi.max(*v)]);
+            found.push((values, place.dims().map(|n| n as usize)));
+        }
+        Ok(Self { range: (range[0] <= range[1]).then_some(range), boxes: found })
+    }
+
     /// Fewer and smaller boxes, to try out more.
     pub(in crate::pipeline) fn small_boxes(&self) -> Vec<(Vec<f32>, [usize; 3])> {
-        let [(values, dims)] = &self.boxes[..] else { return self.boxes.iter().take(TRIED).cloned().collect() };
+        let [(values, dims)] = &self.boxes[..] else {
+            return self.boxes.iter().take(TRIED).cloned().collect();
+        };
         let whole = IndexBox::whole(dims.map(|n| n as u64));
         let cut = |part: Box3| {
             let lo = part.start.map(|n| n as u64);

@@ -187,15 +187,21 @@ impl OpenArchive {
         Ok(std::fs::metadata(&file).map_err(|e| Error::io("look at", &file, e))?.len())
     }
 
+    /// Refuses a question about tetrahedra that the archive does not have.
+    pub(super) fn expect_tetrahedra(&self) -> Result<()> {
+        if !self.manifest.plan.is_pyramid() {
+            return Ok(());
+        }
+        Err(Error::usage(format!(
+            "{} is a pyramid of samples, which has no tetrahedra: isospan probe writes its samples, \
+             isospan surface its isosurfaces",
+            self.path().display()
+        )))
+    }
+
     /// The mesh segment of a number.
     pub(super) fn mesh_segment(&self, number: u64) -> Result<Arc<ChunkSegment>> {
-        if self.manifest.plan.is_pyramid() {
-            return Err(Error::usage(format!(
-                "{} is a pyramid of samples, which has no tetrahedra: isospan probe writes its samples, \
-                 isospan surface its isosurfaces",
-                self.path().display()
-            )));
-        }
+        self.expect_tetrahedra()?;
         let mut open = self.meshes.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(segment) = open.get(&number) {
             return Ok(Arc::clone(segment));
@@ -276,7 +282,12 @@ fn lost(root: &Path, error: Error) -> Error {
 }
 
 impl OpenArchive {
-    /// Whether the mesh follows by formula: then it is not stored.
+    /// Whether the archive is a pyramid.
+    pub(in crate::pipeline) fn is_pyramid(&self) -> bool {
+        self.manifest.plan.is_pyramid()
+    }
+
+    /// Whether the mesh follows by formula, or there is none: then it is not stored.
     pub(in crate::pipeline) fn has_mesh_by_formula(&self) -> bool {
         !self.manifest.plan.stores_mesh()
     }

@@ -10,13 +10,13 @@ use crate::archive::manifest::{Plan as MeshPlan, Source};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::CoordinateMap;
 use crate::error::{Error, Result};
+use crate::exec::in_order;
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry, IndexBox};
 use crate::mesh::bcc::NODE_BRICK_CELLS;
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
 use crate::spectrum::{ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices};
-use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -245,8 +245,12 @@ impl StepView {
             let values = self.nodes(level, &window)?;
             Ok(ChunkPart::of_cells(&values, window.dims().map(|n| n as usize), axes, limits))
         };
-        let parts: Vec<ChunkPart> =
-            (0..counts.iter().product()).into_par_iter().map(part).collect::<Result<_>>()?;
+        let (bytes, mut parts) = (vec![0; counts.iter().product()], vec![]);
+        let threads = self.pools.lend(0)?;
+        in_order(&bytes, 0, &threads, part, |_, part| {
+            parts.push(part);
+            Ok(())
+        })?;
         Ok(SpectrumBuilder::of_parts(&parts, limits).map(|sum| (sum.spectrum(), 0)))
     }
 }

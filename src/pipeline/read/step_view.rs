@@ -215,6 +215,7 @@ impl StepView {
 
     /// The segments of a number.
     pub(in crate::pipeline) fn segment(&self, number: u64) -> Result<OpenSegment> {
+        self.expect_tetrahedra()?;
         let mesh = if self.has_mesh_by_formula() { None } else { Some(self.mesh_segment(number)?) };
         Ok(OpenSegment { mesh, values: self.values_segment(self.position(), number)? })
     }

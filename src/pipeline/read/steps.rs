@@ -215,11 +215,10 @@ impl StepView {
         let mut found = vec![];
         for id in (0..self.chunks.len()).map(ChunkId) {
             self.close_before(id);
-            let [a, b] = [self.moment.step, self.moment.step + 1]
-                .map(|step| match self.is_pyramid() {
-                    true => self.archive().step_at(step).ranges_of(id)?.value_summary(id).map(|s| s.ranges),
-                    false => self.values_of(step, id)?.value_summary(id).map(|s| s.ranges),
-                });
+            let [a, b] = [self.moment.step, self.moment.step + 1].map(|step| match self.is_pyramid() {
+                true => self.archive().step_at(step).ranges_of(id)?.value_summary(id).map(|s| s.ranges),
+                false => self.values_of(step, id)?.value_summary(id).map(|s| s.ranges),
+            });
             let (a, b) = (a?, b?);
             if a.len() != b.len() {
                 let what = format!("{} and {} ranges of blocks at two steps", a.len(), b.len());

@@ -351,7 +351,9 @@ impl<'a> Build<'a> {
     ) -> Result<Arc<OpenArchive>> {
         let layout = self.layout.at(plan.steps[n].number);
         let (hash, all) = (plan.step_hash(n), 0..layout.segment_count());
-        let record = |s: u64| ChunkSegment::open(layout.values(s), SegmentKind::Values, Some(hash)).map(|f| f.record());
+        let record = |s: u64| {
+            ChunkSegment::open(layout.values(s), SegmentKind::Values, Some(hash)).map(|f| f.record())
+        };
         let coarse = Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))?.info();
         let step = Step {
             values: all.map(record).collect::<Result<_>>()?,

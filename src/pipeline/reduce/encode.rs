@@ -505,7 +505,6 @@ impl ChunkMaker<'_> {
         blocks.push(MeshSummary { sizes, volume6, outside6 }.encode());
         (blocks, ends)
     }
-
 }
 
 /// Adds the errors at the samples of a window, x fastest.

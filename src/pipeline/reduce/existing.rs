@@ -18,7 +18,8 @@ use super::plan_file::{new_archive, old_archive, work_folder};
 use crate::archive::lock::WriterLock;
 use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, Step, coarse_path, coordinates_path, index_path, is_coordinates, mesh_folder,
-    mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
+    mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step,
+    values_segment_path,
 };
 use crate::archive::segment::{PlanHash, SegmentInfo, segment_plan};
 use crate::bytes::publish::{self, TEMPORARY_MARK};
@@ -399,7 +400,7 @@ fn may_be_of(job: &Job<'_>, manifest: &Manifest) -> bool {
         }
         && steps.iter().any(|(_, step)| name(step).as_ref() == first.map(|plan| &plan.source.path));
     // An archive that meets a target names it; the settings do not give its number of points.
-    match settings.target {
+    match settings.target.filter(|target| !target.is_met_by_corrections(settings)) {
         Some(_) => manifest.target == Some(settings.hash()),
         None => is_alike || lacks_files(job.out, manifest),
     }

@@ -49,7 +49,7 @@ use crate::error::Result;
 use crate::exec::{Progress, Silent};
 use crate::formats::StepSource;
 use crate::pipeline::plan::Estimate;
-use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
 use crate::points::SetKind;
 pub(super) use advice::look;
 pub use advice::{header_notices, mesh_notices, scan_with_notices};
@@ -75,6 +75,7 @@ pub(super) use sums::FinishedSteps;
 use target::reduce_to_target;
 pub(super) use target::{publish_best, with_target};
 pub(super) use tries::remove_tries;
+use volumes::pyramid_bytes;
 
 /// Reduces a series of steps to the archive `out`: one mesh, and the values of each step.
 ///
@@ -116,6 +117,7 @@ fn make_series(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
     let Job { sources, settings, out, run, .. } = *job;
     let looked = look(job)?;
     let report = match settings.target {
+        Some(target) if target.is_met_by_corrections(settings) => corrected(job, existing, target),
         Some(target) => reduce_to_target(job, existing, target, looked.size.map(|s| s.bytes)),
         None if run.replace && existing.is_finished() => replace(job),
         None => make(job, existing),
@@ -124,6 +126,21 @@ fn make_series(job: &Job<'_>, existing: &Existing) -> Result<ReduceReport> {
     forget_search(out)?;
     let report = ReduceReport { source_chunks: SourceChunks::of(sources), ..report };
     Ok(looked.complete(&sources[0].1.path, report, job))
+}
+
+/// Makes a pyramid whose samples are corrected as a target asks for.
+fn corrected(job: &Job<'_>, existing: &Existing, target: Target) -> Result<ReduceReport> {
+    target.check(job.settings)?;
+    target::expect_for_fields(job, target)?;
+    let report = match job.run.replace && existing.is_finished() {
+        true => replace(job),
+        false => make(job, existing),
+    }?;
+    let found = target.report_of(&report, None, None)?;
+    Ok(ReduceReport {
+        target: Some(TargetReport { tries: u32::from(!report.made_before), ..found }),
+        ..report
+    })
 }
 
 /// The settings of a job with what they imply.
@@ -171,17 +188,26 @@ pub fn estimate_series(
     existing.refuse_other(&job)?;
     let looked = look(&job)?;
     let source = looked.size.map(|size| size.bytes);
-    let search = settings.target.map(|target| TargetSearch::new(settings, target, source)).transpose()?;
+    let is_pyramid = settings.points == Some(SetKind::Pyramid);
+    let searched = settings.target.filter(|_| !is_pyramid);
+    let search = searched.map(|target| TargetSearch::new(settings, target, source)).transpose()?;
     // Of a search, the first try is estimated.
     let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
     let job = Job { settings, ..job };
     // A finished archive is compared with, in all that decides its bytes.
-    let is_compared = !run.replace && existing.is_finished() && search.is_none();
+    let is_compared = !run.replace && existing.is_finished() && settings.target.is_none();
     let mut planned = plan(&job, !is_compared)?;
     if is_compared {
         existing.compare(out, &planned.series.plan, run)?;
     }
     let samples = planned.report.samples;
+    if is_pyramid {
+        let wanted = match settings.target {
+            Some(target @ (Target::Size(_) | Target::Ratio(_))) => target.bytes(source)? as u64,
+            _ => pyramid_bytes(&job, &planned.series.plan)?,
+        };
+        planned.estimate.archive_bytes = wanted;
+    }
     planned.estimate.search = search.map(|search| search.estimate(&planned.estimate, samples)).transpose()?;
     looked.add_to(&mut planned.estimate);
     Ok(planned.estimate)

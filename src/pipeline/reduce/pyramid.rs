@@ -295,7 +295,11 @@ fn too_fine(e: &isospan_wavelet::Error) -> Error {
 
 impl Build<'_> {
     /// Makes all segments of a pyramid that are not there yet.
-    pub(super) fn run_pyramid(&self, series: &mut SeriesPlan, source: &SegmentSource<'_>) -> Result<Segments> {
+    pub(super) fn run_pyramid(
+        &self,
+        series: &mut SeriesPlan,
+        source: &SegmentSource<'_>,
+    ) -> Result<Segments> {
         let mut made = Segments::default();
         made.coordinates = self.coordinates(series)?;
         let finished = FinishedSteps::of(self.layout, &series.plan);
@@ -341,7 +345,8 @@ impl Build<'_> {
                 && (!needs_sums || whole(SegmentKind::Sums, layout.sums(s), s))
         });
         let has_values = all.clone().all(|s| whole(SegmentKind::Values, layout.values(s), s));
-        let has_coarse = Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash)).is_ok_and(|s| s.verify().is_ok());
+        let has_coarse =
+            Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash)).is_ok_and(|s| s.verify().is_ok());
         if has_values && has_coarse && has_ranges {
             return Ok(());
         }

@@ -29,7 +29,7 @@ impl Target {
     }
 
     /// The bytes that an archive may have.
-    fn bytes(self, source: Option<u64>) -> Result<f64> {
+    pub(super) fn bytes(self, source: Option<u64>) -> Result<f64> {
         match (self, source) {
             (Self::Size(bytes), _) => Ok(bytes as f64),
             (Self::Ratio(ratio), Some(source)) => Ok(source as f64 / ratio),
@@ -468,7 +468,8 @@ impl TargetSearch {
         let most = if is_lattice && self.rounding.bits == ValueBits::Exact { MOST_OF_LATTICE } else { 1.0 };
         let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, most * samples] };
         let usual = USUAL_POWERS[usize::from(is_size)];
-        let search = self.search.get_or_insert_with(|| Search { bound, limits, near: NEAR, usual, tries: vec![] });
+        let search =
+            self.search.get_or_insert_with(|| Search { bound, limits, near: NEAR, usual, tries: vec![] });
         // This is the number that was asked for, because the resulting number is rounded: the limit
         // must be reached.
         let points = self.count.unwrap_or(report.inner_points).max(1) as f64;

@@ -75,7 +75,6 @@ impl<'a> SegmentFiles<'a> {
     pub(super) fn left(&self) -> Left {
         Left::in_folders(&[self.layout.mesh_folder(), self.layout.steps_folder()])
     }
-
 }
 
 /// Whether the mesh of some segments is there.

@@ -19,7 +19,7 @@ use crate::points::{PointSpec, SetKind, SetSettings};
 use crate::sample::Values;
 use crate::volume::chunked::ChunkShape;
 use crate::volume::{VolumeInfo, VolumeSource};
-use isospan_wavelet::{Scale, choose_delay, guess_step};
+use isospan_wavelet::{Accuracy, Sampling, Scale, Settings, choose_delay, compress};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -343,7 +343,12 @@ impl Planner<'_> {
 
     /// Finds out what the coefficients of a step stand for. The first step of a field decides how
     /// fine they are, and that of the archive along which axes levels begin later.
-    fn set_wavelet(&mut self, step: &mut StepPlan, planned: &PlannedSource, volume: VolumeSource) -> Result<()> {
+    fn set_wavelet(
+        &mut self,
+        step: &mut StepPlan,
+        planned: &PlannedSource,
+        volume: VolumeSource,
+    ) -> Result<()> {
         if let Some(plan) = self.job.basis.plan() {
             step.wavelet = plan.steps.iter().find(|s| s.number == step.number).and_then(|s| s.wavelet);
             return Ok(());
@@ -480,6 +485,39 @@ fn wanted(settings: &ReduceSettings, range: [f64; 2]) -> (f64, CorrectionRecord)
     }
 }
 
+/// Bytes of all steps of a pyramid, about: those of boxes of the first step, for all its samples.
+pub(super) fn pyramid_bytes(job: &Job<'_>, plan: &Plan) -> Result<u64> {
+    let (settings, step) = (job.settings, plan.first());
+    let Some((_, source)) = job.sources.first() else { return Ok(0) };
+    let reading = Reading::new(step.source.offset, settings.missing, settings.nan);
+    let volume = volume_of(source, "the volume it was")?;
+    let found = Sampled::of_boxes(volume, &reading, &job.run.resources.cancel)?;
+    let range = found.range.unwrap_or_default().map(f64::from);
+    let (bound, correction) = wanted(settings, range);
+    let chosen = wavelet_of(&found, range, bound, None)?;
+    let accuracy = match correction {
+        CorrectionRecord::None => Accuracy::Step(chosen.step),
+        CorrectionRecord::Max(bound) => Accuracy::Max(bound),
+        CorrectionRecord::Lossless => Accuracy::Lossless,
+    };
+    let refused = |e: isospan_wavelet::Error| Error::usage(format!("the error that is asked for: {e}"));
+    let (mut bytes, mut samples) = (0, 0);
+    for (values, dims) in &found.boxes {
+        let made = compress(values, *dims, &Settings { accuracy, delay: Some(chosen.delay) });
+        bytes += made.map_err(refused)?.len().saturating_sub(HEAD);
+        samples += values.len();
+    }
+    let all = step.source.samples() as f64 / samples.max(1) as f64;
+    Ok((bytes as f64 * all * plan.steps.len() as f64) as u64 + OTHER_FILES)
+}
+
+/// Bytes before the coefficients of a compressed array, and those of an archive's manifest.
+const HEAD: usize = 56;
+const OTHER_FILES: u64 = 2 << 10;
+
+/// The part of a bound that is aimed at: the boxes are not all samples.
+const AIM: f64 = 0.975;
+
 /// How fine the coefficients of a pyramid are, and which axes are split later.
 struct Chosen {
     step: f64,
@@ -492,14 +530,22 @@ fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3
         return Ok(Chosen { step: 1.0, delay: delay.unwrap_or_default() });
     }
     let refused = |e: isospan_wavelet::Error| Error::usage(format!("the error that is asked for: {e}"));
-    let step = guess_step(&found.boxes, range, bound, delay.unwrap_or_default()).map_err(refused)?;
-    let Some(delay) = delay else {
-        let scale = Scale::new(range, step).map_err(refused)?;
-        let delay = choose_delay(&found.small_boxes(), &scale).map_err(refused)?;
-        let step = guess_step(&found.boxes, range, bound, delay).map_err(refused)?;
-        return Ok(Chosen { step, delay });
+    let some = found.small_boxes();
+    let mut sampling = Sampling::new(&found.boxes, range, delay.unwrap_or_default()).map_err(refused)?;
+    let mut step = sampling.step(bound).map_err(refused)?;
+    let delay = match delay {
+        Some(delay) => delay,
+        None => {
+            let delay = choose_delay(&some, &Scale::new(range, step).map_err(refused)?).map_err(refused)?;
+            if delay != [0; 3] {
+                sampling = Sampling::new(&found.boxes, range, delay).map_err(refused)?;
+                step = sampling.step(bound).map_err(refused)?;
+            }
+            delay
+        }
     };
-    Ok(Chosen { step, delay })
+    let excess = sampling.excess(&some, step).map_err(refused)?;
+    Ok(Chosen { step: sampling.step(AIM * bound / excess).map_err(refused)?, delay })
 }
 
 /// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits

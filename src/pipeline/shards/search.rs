@@ -23,6 +23,9 @@ pub(super) fn begin_search(settings: &ReduceSettings, source: Option<u64>) -> Re
             "a largest error with points that adapt is met by one process: use isospan reduce",
         ));
     }
+    if target.is_met_by_corrections(settings) {
+        return target.check(settings).map(|()| None);
+    }
     TargetSearch::new(settings, target, source).map(Some)
 }
 

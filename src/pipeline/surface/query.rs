@@ -20,7 +20,7 @@ use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
     Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox, cells_of,
-    chunk_place, expect_in_f32, pyramid_of, in_memory, in_world, world_box, world_map,
+    chunk_place, expect_in_f32, in_memory, in_world, pyramid_of, world_box, world_map,
 };
 use crate::pipeline::stage::Stage;
 use crate::surface::check::zero_area_triangles;
@@ -394,7 +394,8 @@ fn work_of(
     let isovalues = settings.kept(archive);
     if settings.level > 0 {
         let work = of_level(archive, settings.level)?;
-        return cut.map_or_else(|| Ok(work.clone()), |cut| touching(archive, cut, settings.level, work.clone()));
+        return cut
+            .map_or_else(|| Ok(work.clone()), |cut| touching(archive, cut, settings.level, work.clone()));
     }
     let refs =
         if settings.cap { with_inside(archive, index, &isovalues)? } else { index.query_any(&isovalues)? };

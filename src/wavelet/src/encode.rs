@@ -19,7 +19,7 @@ pub(crate) const MAGIC: &[u8; 8] = b"isowave1";
 /// sample, i32 exponent, f32 step, u32 bytes of the coarsest level, u32 bytes of lengths.
 pub(crate) const HEADER: usize = 56;
 /// Samples that an array may have.
-const MOST: usize = 1 << 40;
+const MOST: u64 = 1 << 40;
 
 /// How much a compressed array may differ from its samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,7 +59,7 @@ fn cut(samples: &[f32], dims: [usize; 3], part: &Box3) -> Vec<f32> {
 pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Result<Vec<u8>> {
     let wanted = dims.iter().try_fold(1_usize, |n, d| n.checked_mul(*d));
     let sizes_fit = dims.iter().all(|d| u32::try_from(*d).is_ok());
-    if samples.is_empty() || samples.len() > MOST || wanted != Some(samples.len()) || !sizes_fit {
+    if samples.is_empty() || samples.len() as u64 > MOST || wanted != Some(samples.len()) || !sizes_fit {
         return Err(Error::Size { dims, samples: samples.len() });
     }
     if let Some(index) = samples.iter().position(|s| !s.is_finite()) {
@@ -155,39 +155,74 @@ pub(crate) fn price(
     Ok(8.0 * (made.top.len() + made.tiles.len()) as f64 + made.error / bit)
 }
 
-/// The step with which the coefficients of boxes of samples have an RMS error. It is that of the
-/// array where the boxes stand for all of it. Samples and error are in the same units.
-///
-/// # Errors
-/// [`Error::Step`] for an error that `f32` does not hold.
-pub fn guess_step(
-    boxes: &[(Vec<f32>, [usize; 3])],
+/// Coefficients of boxes of samples that stand for an array, from which a step follows.
+#[derive(Clone, Debug)]
+pub struct Sampling {
+    coefficients: Vec<f32>,
     range: [f64; 2],
-    target: f64,
     delay: [u8; 3],
-) -> Result<f64> {
-    let unit = Scale::new(range, target)?;
-    let all: usize = boxes.iter().map(|b| b.0.len()).sum();
-    let every = (all >> 20) + 1;
-    let mut some = vec![];
-    for (samples, dims) in boxes {
-        let transformed = Transformed::new(samples, *dims, &unit, delay);
-        some.extend(transformed.window.samples.iter().step_by(every));
-    }
-    guess(&some, &unit)
 }
 
-/// The step with which coefficients have the error that is the step of a scale, as if those below
-/// 0.8 steps became zero.
+impl Sampling {
+    /// Transforms boxes of samples, each with its size. `range` is that of the array.
+    ///
+    /// # Errors
+    /// [`Error::Step`] for a range without a width.
+    pub fn new(boxes: &[(Vec<f32>, [usize; 3])], range: [f64; 2], delay: [u8; 3]) -> Result<Self> {
+        let unit = Scale::new(range, range[1] - range[0])?;
+        let all: usize = boxes.iter().map(|b| b.0.len()).sum();
+        let every = (all >> 20) + 1;
+        let mut coefficients = vec![];
+        for (samples, dims) in boxes {
+            let transformed = Transformed::new(samples, *dims, &unit, delay);
+            coefficients.extend(transformed.window.samples.iter().step_by(every));
+        }
+        Ok(Self { coefficients, range, delay })
+    }
+
+    /// The step with which the samples have an RMS error, about.
+    ///
+    /// # Errors
+    /// [`Error::Step`] for an error that `f32` does not hold.
+    pub fn step(&self, error: f64) -> Result<f64> {
+        guess(&self.coefficients, &Scale::new(self.range, error)?)
+    }
+
+    /// How many times larger the RMS error of samples is than [`Sampling::step`] supposes, at a
+    /// step: zeroing makes it larger, the range of the samples less. Some boxes are encoded and
+    /// decoded.
+    ///
+    /// # Errors
+    /// As [`compress`].
+    pub fn excess(&self, boxes: &[(Vec<f32>, [usize; 3])], step: f64) -> Result<f64> {
+        let scale = Scale::new(self.range, step)?;
+        let (mut supposed, mut found) = (0.0, 0.0);
+        for (samples, dims) in boxes {
+            let transformed = Transformed::new(samples, *dims, &scale, self.delay);
+            supposed += lost(&transformed.window.samples, f64::from(scale.step));
+            let bytes = transformed.encode(&scale)?.bytes(&transformed, &scale);
+            let back = Compressed::new(&bytes, samples.len())?.level(0)?;
+            let errors = samples.iter().zip(&back).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
+            found += errors.sum::<f64>();
+        }
+        let supposed = supposed.sqrt() * scale.in_samples(scale.step);
+        Ok(if supposed > 0.0 && found > 0.0 { found.sqrt() / supposed } else { 1.0 })
+    }
+}
+
+/// The squared errors of coefficients, in squared steps, as if those below 0.8 steps became zero.
+fn lost(coefficients: &[f32], step: f64) -> f64 {
+    let one = |c: &f32| match f64::from(c.abs()) / step {
+        c if c < 0.8 => c * c,
+        c => (c - c.round()).powi(2),
+    };
+    coefficients.iter().map(one).sum()
+}
+
+/// The step with which coefficients have the error that is the step of a scale.
 fn guess(coefficients: &[f32], unit: &Scale) -> Result<f64> {
     let target = f64::from(unit.step);
-    let error = |step: f64| {
-        let lost = |c: &f32| match f64::from(c.abs()) / step {
-            c if c < 0.8 => c * c,
-            c => (c - c.round()).powi(2),
-        };
-        step * (coefficients.iter().map(lost).sum::<f64>() / coefficients.len() as f64).sqrt()
-    };
+    let error = |step: f64| step * (lost(coefficients, step) / coefficients.len() as f64).sqrt();
     let (mut low, mut high) = (target, 64.0 * target);
     for _ in 0..12 {
         let middle = (low * high).sqrt();
@@ -239,7 +274,7 @@ impl Transformed {
         unreachable!("the loop ends by what it returns")
     }
 
-    /// As [`guess_step`], of some of the coefficients.
+    /// The step with which some of the coefficients have an error.
     fn guess(&self, range: [f64; 2], target: f64) -> Result<f64> {
         let every = (self.window.samples.len() >> 18) + 1;
         let some: Vec<f32> = self.window.samples.iter().copied().step_by(every).collect();

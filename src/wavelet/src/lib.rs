@@ -51,7 +51,7 @@ pub use chunks::{CHUNK, Coarse, PART, PartTiles, TileBlock, blocks_of, decode_ti
 pub use correct::{Correction, decode_corrections, encode_corrections};
 pub use decode::Compressed;
 pub use delay::{boxes, choose_delay};
-pub use encode::{Accuracy, Settings, compress, guess_step};
+pub use encode::{Accuracy, Sampling, Settings, compress};
 pub use error::{Error, Result};
 pub use levels::{Levels, TileSource};
 pub use pyramid::{Band, Box3, GROUP, Pyramid, TILE};

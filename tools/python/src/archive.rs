@@ -111,6 +111,7 @@ pub(crate) struct Wanted {
     min_volume: Option<f64>,
     decimate: Option<f64>,
     decimate_error: Option<f64>,
+    level: usize,
 }
 
 fn parsed<T: FromStr>(py: Python<'_>, text: Option<&String>) -> PyResult<Option<T>>
@@ -143,6 +144,7 @@ impl Wanted {
             roi: parsed(py, self.roi.as_ref())?,
             cap: self.cap,
             refine: self.refine(),
+            level: self.level,
             ..SurfaceSettings::default()
         })
     }

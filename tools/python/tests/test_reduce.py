@@ -30,6 +30,8 @@ CHOICES = [
     ({"target_rms": "2%", "focus": (-0.5, 1)}, ["--target-rms=2%", "--focus=-0.5:1"]),
     ({"target_max": 0.2}, ["--target-max=0.2"]),
     ({"size": "8KiB", "count": None}, ["--size=8KiB"]),
+    ({"points": "pyramid"}, ["--points=pyramid"]),
+    ({"points": "pyramid", "target_max": "2%"}, ["--points=pyramid", "--target-max=2%"]),
     ({"value_bits": 10, "chunk_points": 500}, ["--value-bits=10", "--chunk-points=500"]),
     (
         {"value_bits": "exact", "interp": "cubic", "measure": False},

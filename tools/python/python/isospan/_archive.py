@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         min_volume: float | None
         decimate: float | None
         decimate_error: float | None
+        level: int
         step: Which | None
         time: float | None
         threads: int
@@ -294,6 +295,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
+        level: int = 0,
         step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
@@ -311,20 +313,23 @@ class Archive:
             large.
         decimate: keep this part of the triangles; decimate_error: as far as the surface moves by no
             more.
+        level: of a pyramid, the level: 0 is the finest.
         step, time: of a series, which step, by its number or the name of its field, or which time.
         threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or
             "50%"; half of what the process may use if not given.
         """
         several = np.ndim(isovalue) > 0
         wanted = self._wanted(
-            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error
+            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error, level
         )
         cores = self._core.surfaces(wanted, _machine(threads, memory), (step, time))
         surfaces = [Surface(core) for core in cores]
         return surfaces if several else surfaces[0]
 
     @staticmethod
-    def _wanted(isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, error):
+    def _wanted(
+        isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, error, level
+    ):
         return {
             "isovalues": [float(v) for v in np.atleast_1d(isovalue)],
             "roi": _box(roi, bounds),
@@ -334,6 +339,7 @@ class Archive:
             "min_volume": min_volume,
             "decimate": decimate,
             "decimate_error": error,
+            "level": level,
         }
 
     def save_surface(
@@ -349,6 +355,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
+        level: int = 0,
         step: Which | None = None,
         time: float | None = None,
         steps: str | bool | None = None,
@@ -364,7 +371,7 @@ class Archive:
             "%04d" in the path stands for the step's number. All else is as for :meth:`surface`.
         """
         wanted = self._wanted(
-            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error
+            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error, level
         )
         machine, out = _machine(threads, memory, scratch), os.fspath(path)
         with Reporter(progress) as callback:

@@ -74,6 +74,7 @@ def reduce(
     target_max: Bound | None = None,
     size: Size | None = None,
     ratio: float | None = None,
+    lossless: bool = False,
     fraction: float | str | None = None,
     count: int | None = None,
     points: str | None = None,
@@ -136,7 +137,8 @@ def reduce(
         Without any of these six, fraction is 1/8. Where a target (one of the first four) cannot be
         met, the archive is made all the same: the warning ``isospan.TargetNotMet`` says so, and
         ``archive.target_met`` is False.
-    points: "lattice", "samples", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt,
+    lossless: keep the whole numbers of a volume as they are; for points="pyramid".
+    points: "lattice", "samples", "pyramid", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt,
         focus=(lo, hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
         chunk_points, and for files field, channel, scale, value_file, dims, type, endian, offset,
         io: as the flags of ``isospan reduce``.
