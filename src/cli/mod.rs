@@ -160,7 +160,6 @@ pub(crate) const NEXT_TRY: u8 = 7;
 
 /// Runs a command; returns the exit code of one that did its work.
 fn run(cli: &Cli) -> Result<u8> {
-    isospan::exec::expect_address_space()?;
     let done = match &cli.command {
         Command::Reduce(args) => return reduce::run(args, &cli.talk),
         Command::Nightly(args) => return nightly::run(args, &cli.talk),

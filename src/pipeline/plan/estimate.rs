@@ -83,6 +83,8 @@ const FURTHER_PASS: f64 = 0.35;
 const FURTHER_FITTED_PASS: f64 = 0.8;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;
+/// Samples of a pyramid.
+const SAMPLES_PER_SECOND: f64 = 5_000_000.0;
 /// The most chunks that are checked to find the largest.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
@@ -234,6 +236,8 @@ pub(in crate::pipeline) struct Need {
     entries: u64,
     /// Bytes of an archive of one step for a point.
     archive_per_point: u64,
+    /// Points a second of one thread.
+    points_per_second: f64,
 }
 
 /// What is in memory besides the chunks at work.
@@ -287,6 +291,7 @@ impl Need {
                 None if is_made_again(&parts.points) => MADE_AGAIN_PER_POINT,
                 None => ARCHIVE_PER_POINT,
             },
+            points_per_second: POINTS_PER_SECOND,
         }
     }
 
@@ -308,6 +313,7 @@ impl Need {
             window: 0,
             entries: points / 32_768 + parts.chunks.len(),
             archive_per_point: 1,
+            points_per_second: SAMPLES_PER_SECOND,
         }
     }
 
@@ -389,7 +395,7 @@ impl Need {
 
     /// Roughly the seconds of `workers` workers for `steps` steps.
     pub(in crate::pipeline) fn seconds(&self, workers: usize, steps: usize) -> f64 {
-        self.points as f64 * self.work(steps as u64) / (POINTS_PER_SECOND * workers.max(1) as f64)
+        self.points as f64 * self.work(steps as u64) / (self.points_per_second * workers.max(1) as f64)
     }
 
     /// Shares `memory` out to at most `threads` workers.
@@ -661,6 +667,7 @@ mod tests {
         window: 0,
         entries: 1 << 15,
         archive_per_point: ARCHIVE_PER_POINT,
+        points_per_second: POINTS_PER_SECOND,
     };
     const PRODUCT: u64 = 70_000 * 26 + (256 << 10);
 

@@ -28,8 +28,11 @@ pub(in crate::pipeline) struct PyramidStep {
     pub(super) tiles: Mutex<Recent<TileId, Arc<Tile>>>,
     pub(super) blocks: Mutex<Recent<(u64, usize), Arc<StoredBlock>>>,
     /// Nodes, by level and part, for the next question.
-    pub(super) windows: Mutex<Recent<(usize, [u64; 3]), Arc<NodeWindow>>>,
+    pub(super) windows: Mutex<Recent<WindowKey, Arc<NodeWindow>>>,
 }
+
+/// A level, and the place of a part among its parts.
+pub(super) type WindowKey = (usize, [u64; 3]);
 
 /// Nodes of a level in a box.
 pub(in crate::pipeline) struct NodeWindow {

@@ -230,8 +230,8 @@ impl StepView {
         let pyramid = &self.pyramid()?.pyramid;
         let has_cells = |level: &usize| pyramid.nodes(*level).iter().all(|n| *n > 1);
         let few = |level: &usize| pyramid.nodes(*level).iter().product::<usize>() <= MOST_NODES;
-        let levels = (0..=pyramid.coarsest()).filter(has_cells);
-        let level = levels.clone().find(few).or(levels.last()).unwrap_or(0);
+        let mut levels = (0..=pyramid.coarsest()).filter(has_cells);
+        let level = levels.clone().find(few).or(levels.next_back()).unwrap_or(0);
         let (nodes, stride) = (pyramid.nodes(level), pyramid.stride(level));
         let axes = self.step().plan.source.geometry.axes();
         let axes = std::array::from_fn(|a| axes[a].map(|x| x * stride[a] as f64));

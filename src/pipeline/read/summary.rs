@@ -3,7 +3,7 @@
 use super::pyramid::pyramid_of;
 use super::spectrum::{Suggestion, report};
 use super::step_view::StepView;
-use crate::archive::manifest::{Manifest, MeshSource, Step};
+use crate::archive::manifest::{Manifest, MeshSource, SegmentRecord, Step};
 use crate::archive::segment::FORMAT_VERSION;
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
@@ -199,9 +199,9 @@ pub struct StepSummary {
     /// Root of the mean square of the reduced field's errors at the samples of its source, and the
     /// largest, where they were measured.
     pub error: Option<[f64; 2]>,
-    /// Bytes of its values.
+    /// Bytes of its values; of a pyramid those of all levels.
     pub value_bytes: u64,
-    /// Bytes of its index and spectrum.
+    /// Bytes of its index and spectrum; of a pyramid also of its ranges and corrections.
     pub index_bytes: u64,
     /// Bytes of the file of its unpacked blocks, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -225,11 +225,17 @@ impl StepSummary {
             rounding: step.notable_rounding(),
             void_points: step.void_points,
             error: step.error.as_ref().map(|e| [e.rms, e.max]),
-            value_bytes: step.values.iter().map(|v| v.info.bytes).sum(),
-            index_bytes: step.index.map_or(0, |s| s.bytes) + step.spectrum.map_or(0, |s| s.bytes),
+            value_bytes: bytes_of(&step.values) + step.coarse.map_or(0, |s| s.bytes),
+            index_bytes: bytes_of(&step.ranges)
+                + step.index.map_or(0, |s| s.bytes)
+                + step.spectrum.map_or(0, |s| s.bytes),
             unpacked_bytes: None,
         }
     }
+}
+
+fn bytes_of(segments: &[SegmentRecord]) -> u64 {
+    segments.iter().map(|s| s.info.bytes).sum()
 }
 
 /// Summarizes an archive; range, areas and suggestions are those of the step.

@@ -300,8 +300,7 @@ impl Build<'_> {
         series: &mut SeriesPlan,
         source: &SegmentSource<'_>,
     ) -> Result<Segments> {
-        let mut made = Segments::default();
-        made.coordinates = self.coordinates(series)?;
+        let mut made = Segments { coordinates: self.coordinates(series)?, ..Segments::default() };
         let finished = FinishedSteps::of(self.layout, &series.plan);
         let mut n = 0;
         while n < series.plan.steps.len() {
