@@ -37,6 +37,9 @@ pub struct WriterLock {
     path: PathBuf,
 }
 
+/// How often a lock is looked for that others make and remove meanwhile.
+const MOST_TRIES: u32 = 10_000;
+
 impl WriterLock {
     /// Locks an archive, which need not be there.
     ///
@@ -45,7 +48,7 @@ impl WriterLock {
     /// cannot be written.
     pub fn acquire(archive: &Path) -> Result<Self> {
         let path = lock_path(archive)?;
-        loop {
+        for _ in 0..MOST_TRIES {
             let Some(file) = open(&path)? else { continue };
             match file.try_lock() {
                 Err(TryLockError::WouldBlock) => {
@@ -62,6 +65,8 @@ impl WriterLock {
                 return Ok(lock);
             }
         }
+        // Folders such as /proc have no new files, and say that there are none.
+        Err(Error::io("create", &path, std::io::Error::from(ErrorKind::NotFound)))
     }
 
     /// Says whose the lock is. This is for messages only, so a failure is ignored.

@@ -236,6 +236,18 @@ impl PlanChoices {
                 return Err(Error::usage(format!("--points samples does not go with {other}")));
             }
         }
+        if points == Some(Set::Pyramid) {
+            let others = [
+                (self.values.is_some(), "--values: the values are those of the samples"),
+                (
+                    self.count.is_some() || self.fraction.is_some(),
+                    "--count or --fraction: all samples are kept, and surface --level has fewer",
+                ),
+            ];
+            if let Some((_, other)) = others.into_iter().find(|other| other.0) {
+                return Err(Error::usage(format!("--points pyramid does not go with {other}")));
+            }
+        }
         let amount = match (self.count, self.fraction) {
             (Some(n), _) => Amount::Count(n),
             (None, fraction) => Amount::Fraction(fraction.unwrap_or(0.125)),

@@ -218,6 +218,26 @@ fn steps_of_a_series_are_made_together_or_one_after_another() {
 }
 
 #[test]
+fn steps_that_are_added_keep_the_bound() {
+    let dir = tempfile::tempdir().unwrap();
+    let inputs: Vec<_> = (0..2).map(|t| dir.path().join(format!("{t}.npy"))).collect();
+    for (t, input) in inputs.iter().enumerate() {
+        write_npy(input, [40, 33, 27], |x, y, z| (90.0 * rough(x, y, z) * (1.0 + t as f64)).round());
+    }
+    let sources: Vec<StepSource> = inputs.iter().map(|path| StepSource::from(&**path)).collect();
+    for (name, target, most) in
+        [("lossless", Target::Lossless, 0.0), ("max", Target::Max(Bound::Value(1.5)), 1.5)]
+    {
+        let [together, grown] = ["a", "b"].map(|part| dir.path().join(format!("{name}-{part}.isospan")));
+        pipeline::reduce_series(&sources, &pyramid(Some(target)), &together, &run(2), &Silent).unwrap();
+        pipeline::reduce_series(&sources[..1], &pyramid(Some(target)), &grown, &run(2), &Silent).unwrap();
+        let added = pipeline::append(&sources[1..], &AppendSettings::default(), &grown, &run(2), &Silent);
+        assert!(added.unwrap().steps.iter().all(|step| step.error.unwrap()[1] <= most), "{name}");
+        assert!(folder(&together) == folder(&grown), "{name}");
+    }
+}
+
+#[test]
 fn shards_have_the_bytes_of_one_run() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("a.npy");

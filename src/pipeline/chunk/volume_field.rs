@@ -112,15 +112,6 @@ impl GridField {
         Ok(())
     }
 
-    /// Reads samples of the source; those that are missing are NaN.
-    pub(in crate::pipeline) fn read_originals(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
-        self.reader.read_box(window, out)?;
-        if self.nan != NanPolicy::Error || self.missing.is_some() {
-            treat_missing(self.missing, f32::NAN, out);
-        }
-        Ok(())
-    }
-
     /// Appends the values at some places, whose samples are read into `voxels`.
     fn sample(&self, places: &Places<'_>, voxels: &mut Vec<f32>, out: &mut Vec<f32>) -> Result<()> {
         voxels.resize(places.voxels().len(), 0.0);

@@ -32,7 +32,10 @@ impl StepView {
         else {
             return Err(Error::usage(format!("{} is no pyramid: it has no levels", self.path().display())));
         };
-        let (scale, correction) = scale_of(&wavelet, &self.path().join(MANIFEST_NAME))?;
+        let (scale, correction) = scale_of(&wavelet).map_err(|e| {
+            let at = "range, step and correction of a step";
+            Error::bad_input(self.path().join(MANIFEST_NAME), at, "those of a pyramid", e.to_string())
+        })?;
         let file =
             Segment::open(&path, SegmentKind::Coarse, Some(self.step_hash())).map_err(|e| self.lost(e))?;
         if let Some(recorded) = &step.coarse {

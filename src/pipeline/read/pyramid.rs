@@ -9,14 +9,12 @@
 //! A tile is decoded when a box needs it, and cached with those that were used lately.
 
 use crate::archive::manifest::{CorrectionRecord, WaveletRecord};
-use crate::error::{Error, Result};
 use crate::grid::{ChunkId, IndexBox};
 use crate::points::PointSpec;
 use isospan_wavelet::{Box3, Coarse, Correction, Pyramid, Scale, Tile, TileId};
 use rustc_hash::FxHashMap;
 use std::collections::HashMap;
 use std::ops::Range;
-use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// What a step of a pyramid is, apart from its details.
@@ -124,15 +122,12 @@ pub(in crate::pipeline) fn pyramid_of(spec: PointSpec) -> Option<Pyramid> {
 /// What coefficients of a step stand for, and how samples are corrected.
 ///
 /// # Errors
-/// [`Error::BadInput`] for numbers that no plan has.
-pub(in crate::pipeline) fn scale_of(wavelet: &WaveletRecord, path: &Path) -> Result<(Scale, Correction)> {
-    let wrong = |e: isospan_wavelet::Error| {
-        Error::bad_input(path, "range, step and correction", "those of a pyramid", e.to_string())
-    };
-    let scale = Scale::new(wavelet.range, wavelet.step).map_err(wrong)?;
+/// Those of numbers that no plan has.
+pub(in crate::pipeline) fn scale_of(wavelet: &WaveletRecord) -> isospan_wavelet::Result<(Scale, Correction)> {
+    let scale = Scale::new(wavelet.range, wavelet.step)?;
     let correction = match wavelet.correction {
         CorrectionRecord::None => Correction::None,
-        CorrectionRecord::Max(bound) => Correction::within(bound, wavelet.range).map_err(wrong)?,
+        CorrectionRecord::Max(bound) => Correction::within(bound, wavelet.range)?,
         CorrectionRecord::Lossless => Correction::Whole,
     };
     Ok((scale, correction))

@@ -30,6 +30,7 @@ use crate::pipeline::read::{StepView, bricks_of, chunk_place, index_box, pyramid
 use crate::pipeline::stage::StageTimes;
 use isospan_wavelet::{Box3, Coarse, Correction, Pyramid, Scale, blocks_of, encode_corrections, encode_part};
 use std::collections::HashMap;
+use std::path::Path;
 use std::time::Instant;
 
 /// What is made of a step of a pyramid.
@@ -41,6 +42,8 @@ struct Work<'a> {
     /// Notes that the data of the step cannot be used.
     bad: &'a BadSteps,
     number: u64,
+    /// The source, as messages name it.
+    path: &'a Path,
     /// Samples along each axis of the parts of a chunk.
     edge: usize,
     shares: Shares,
@@ -128,7 +131,7 @@ struct RangeMaker<'a> {
 impl RangeMaker<'_> {
     /// The corrections of a box of decoded samples, which become what readers get.
     fn correct(&self, place: &IndexBox, decoded: &mut [f32], samples: &[f32]) -> Result<Vec<i32>> {
-        let Work { correction, field, .. } = &self.work;
+        let Work { correction, path, .. } = &self.work;
         let bound = match correction {
             Correction::Quanta(quantum) => quantum / 2.0,
             Correction::None | Correction::Whole => 0.0,
@@ -140,7 +143,7 @@ impl RangeMaker<'_> {
                 let at = [i % nx, i / nx % ny, i / nx / ny];
                 let [x, y, z] = [0, 1, 2].map(|a| place.lo[a] + at[a]);
                 return Err(Error::bad_input(
-                    &field.reader.info().path,
+                    path,
                     format!("sample ({x}, {y}, {z})"),
                     "whole numbers of at most 2^24, which alone are kept without loss",
                     sample.to_string(),
@@ -178,14 +181,14 @@ impl MakeChunks for RangeMaker<'_> {
             times.encode += start.elapsed();
             let start = Instant::now();
             let own = index_box(&part);
+            let samples = if corrects || self.measured { work.read(&nodes)? } else { vec![] };
             if corrects {
-                let samples = work.read(&nodes)?;
-                let numbers = self.correct(&nodes, &mut decoded, &samples)?;
+                let corrected = self.correct(&nodes, &mut decoded, &samples);
+                let numbers = work.bad.note(0, work.number, corrected)?;
                 put(&mut corrections, &place, &cut(&numbers, &nodes, &own), &part);
             }
             if self.measured {
-                let mut originals = vec![0.0; own.len()];
-                work.bad.note(0, work.number, work.field.read_originals(own, &mut originals))?;
+                let originals = cut(&samples, &nodes, &own);
                 let found = cut(&decoded, &nodes, &own);
                 let [nx, ny, _] = own.dims();
                 for (i, (original, value)) in originals.iter().zip(&found).enumerate() {
@@ -356,7 +359,7 @@ impl Build<'_> {
         };
         let pyramid = pyramid_of(plan.mesh.points).expect("the plan is one of a pyramid");
         let wavelet = step.wavelet.expect("a step of a pyramid has a scale");
-        let (scale, correction) = scale_of(&wavelet, layout.root())?;
+        let (scale, correction) = scale_of(&wavelet).map_err(|e| too_fine(&e))?;
         let work = |edge| Work {
             pyramid: &pyramid,
             scale: &scale,
@@ -364,6 +367,7 @@ impl Build<'_> {
             field: &field,
             bad,
             number: step.number,
+            path: &series.sources[n].source.path,
             edge,
             shares: self.shares,
             cancel: &self.run.resources.cancel,

@@ -553,6 +553,7 @@ impl TargetSearch {
         search.tries.push(made);
         let next = match self.target {
             Target::Max(_) | Target::Lossless => None,
+            _ if search.tries.len() as u32 >= MOST_TRIES => None,
             // A constant has no error, however coarse it is.
             _ if made.reached == 0.0 => None,
             _ => search.next(),

@@ -13,7 +13,7 @@ use crate::formats::{self, StepSource};
 use crate::grid::Geometry;
 use crate::pipeline::inputs::{Errors, Reading, Sampled, Shift, Spread, copy_bytes, spread};
 use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, source_of};
-use crate::pipeline::read::{OpenArchive, coordinate_hash};
+use crate::pipeline::read::{OpenArchive, coordinate_hash, scale_of};
 use crate::pipeline::settings::{Bound, DEFAULT_ERROR, ReduceSettings, Target, ValueBits};
 use crate::points::{PointSpec, SetKind, SetSettings};
 use crate::sample::Values;
@@ -76,8 +76,9 @@ struct Planner<'a> {
     looked_into: Option<PathBuf>,
     /// The bits of values by default, once the samples of the first step were examined.
     usual_bits: Option<Option<f64>>,
-    /// The steps of the coefficients of each field of a pyramid, once they are known.
-    wavelet_steps: HashMap<String, f64>,
+    /// How fine the coefficients of each field of a pyramid are, and how its samples are corrected,
+    /// once the first step has decided that.
+    wavelets: HashMap<String, (f64, CorrectionRecord)>,
     /// Whether memory and disk were checked.
     is_checked: bool,
     /// Whether the cells of a lattice have the edges that the field asks for.
@@ -105,7 +106,7 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
         offset: None,
         looked_into: None,
         usual_bits: None,
-        wavelet_steps: HashMap::new(),
+        wavelets: HashMap::new(),
         is_checked: false,
         is_shaped: false,
         only_estimates,
@@ -207,7 +208,8 @@ impl Planner<'_> {
         self.offset = Some(first.plan.source.offset);
         for step in &archive.manifest.steps {
             if let Some(wavelet) = &step.plan.wavelet {
-                self.wavelet_steps.insert(step.series.clone().unwrap_or_default(), wavelet.step);
+                let field = step.series.clone().unwrap_or_default();
+                self.wavelets.insert(field, (wavelet.step, wavelet.correction));
             }
         }
         self.is_shaped = true;
@@ -360,26 +362,31 @@ impl Planner<'_> {
         let found = Sampled::of(volume, &self.reading(), &self.job.run.resources.cancel)?;
         let range = found.range.unwrap_or_default().map(f64::from);
         let field = planned.source.part().map_or(String::new(), |part| part.name.clone());
-        let (bound, correction) = wanted(self.job.settings, range);
-        let wavelet_step = match self.wavelet_steps.get(&field) {
-            Some(step) => *step,
+        let (wavelet_step, correction) = match self.wavelets.get(&field) {
+            Some(known) => *known,
             None => {
+                let (bound, correction) = wanted(self.job.settings, range);
                 let chosen = wavelet_of(&found, range, bound, self.delay())?;
                 if let (None, Some(plan)) = (self.delay(), &mut self.plan) {
                     plan.mesh.points = PointSpec::Pyramid { dims: step.source.dims, delay: chosen.delay };
                 }
-                chosen.step * self.job.settings.step_factor
+                (chosen.step * self.job.settings.step_factor, correction)
             }
         };
-        self.wavelet_steps.insert(field, wavelet_step);
-        step.wavelet = Some(WaveletRecord { range, step: wavelet_step, correction });
+        self.wavelets.insert(field, (wavelet_step, correction));
+        let wavelet = WaveletRecord { range, step: wavelet_step, correction };
+        scale_of(&wavelet).map_err(|e| {
+            let path = planned.source.path.display();
+            Error::usage(format!("{path}: the error that is asked for is below what f32 holds: {e}"))
+        })?;
+        step.wavelet = Some(wavelet);
         Ok(())
     }
 
     /// The delay of the pyramid, once a step has decided it.
     fn delay(&self) -> Option<[u8; 3]> {
         match self.plan.as_ref()?.mesh.points {
-            PointSpec::Pyramid { delay, .. } if !self.wavelet_steps.is_empty() => Some(delay),
+            PointSpec::Pyramid { delay, .. } if !self.wavelets.is_empty() => Some(delay),
             _ => None,
         }
     }

@@ -3,7 +3,7 @@
 //! The work is cut into parts of chunks, so that a volume of one chunk has work for some threads.
 //! Of each part the least box that holds its active bricks is decoded, with a node on each side.
 
-use super::worker::{ChunkSurfaces, ChunkWork, Question};
+use super::worker::{Cells, ChunkSurfaces, ChunkWork, Question};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::{LatticeBox, PointId};
@@ -12,9 +12,6 @@ use crate::index::Entry;
 use crate::pipeline::read::{BufferPool, StepView, bricks_of, chunk_place, pyramid_of};
 use crate::surface::extract::{ChunkSurface, CubeBench, GridBlock};
 use std::collections::BTreeMap;
-
-/// Cells of a box along each axis, from the first to past the last.
-pub(super) type Cells = [[u64; 2]; 3];
 
 /// Cells along each axis of a part.
 const PART: u64 = isospan_wavelet::PART as u64;

@@ -2,14 +2,14 @@
 //! read.
 
 use super::colours::colours;
-use super::cubes::{Cells, by_part, crossed_cells, of_level};
+use super::cubes::{by_part, crossed_cells, of_level};
 use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
 use super::parts::{Parts, SurfacePart};
 use super::refine::{Means, RefineReport};
 use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
 };
-use super::worker::{ChunkWork, Question, by_chunk};
+use super::worker::{Cells, ChunkWork, Question, by_chunk};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Clock, Progress, Silent, pool};

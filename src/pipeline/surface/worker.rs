@@ -1,6 +1,5 @@
 //! One chunk: the surfaces of its active blocks, at all isovalues.
 
-use super::cubes::Cells;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::grid::ChunkId;
@@ -13,6 +12,9 @@ use crate::pipeline::read::{
 use crate::surface::WorldMap;
 use crate::surface::extract::{ChunkSurface, Precomputed, PrecomputedBlock, Workbench, cap::select_boundary};
 use std::sync::atomic::AtomicU64;
+
+/// Cells of a box along each axis, from the first to past the last.
+pub(super) type Cells = [[u64; 2]; 3];
 
 /// The blocks of a chunk that can hold an answer, in order.
 #[derive(Clone)]
