@@ -55,11 +55,18 @@ def varints(data):
 def value_blocks(archive, number):
     """The blocks of a step's values: all but the last one of the segment, which tells that they are those of one chunk."""
     path = archive / f"steps/{number:06}-values-000000.seg"
+    blocks = segment_blocks(path, VALUES)
+    expect(path, "chunk table", [0, 1, len(blocks) - 1], varints(blocks.pop()))
+    return blocks
+
+
+def segment_blocks(path, of_kind):
+    """All blocks of a segment of that kind."""
     data = path.read_bytes()
     header, footer = data[:40], data[-48:]
     expect(path, "magic", MAGIC, header[:8])
     version, oldest, kind = struct.unpack("<HHI", header[8:16])
-    expect(path, "kind", VALUES, kind)
+    expect(path, "kind", of_kind, kind)
     if oldest > 5 or version < 5:
         refuse(f"{path}: format {version}, readable by {oldest} and later; this reads 5")
     expect(path, "checksum of the header", crc32c(header[:36]), struct.unpack("<I", header[36:])[0])
@@ -79,7 +86,6 @@ def value_blocks(archive, number):
             offset += size
         at += len(page)
     expect(path, "end of the directory", len(data) - 48, at)
-    expect(path, "chunk table", [0, 1, count - 1], varints(blocks.pop()))
     return blocks
 
 
@@ -349,20 +355,20 @@ def of_nodes(archive, number, lattice, parts, bits):
 
 
 def ranges_of(data, count):
-    """The bounds, and ranges within them."""
+    """The bounds, and ranges within them, each with its number of tetrahedra."""
     (low, high), (least, most), coder = np.frombuffer(data[:8], "<f4"), struct.unpack("<II", data[8:16]), RangeCoder(data[16:])
     odds = {"constant": 6000, "again": 60000, "short": 60000, "same": 20000, "larger": 32768} | dict.fromkeys(range(1, 5), 25000)
     number = lambda bits: sum(coder.number(min(16, bits - k)) << k for k in range(0, bits, 16))
     single = lambda bits: np.frombuffer(struct.pack("<I", bits), "<f4")[0]
     found, constant, exponent = [], 0, 0
     for _ in range(count):
-        if least + number((most - least).bit_length()) == 0:
-            found.append((np.inf, -np.inf))
+        if (tetrahedra := least + number((most - least).bit_length())) == 0:
+            found.append((np.inf, -np.inf, 0))
         elif coder.bit(odds, "constant"):
             constant = constant if coder.bit(odds, "again") else number(32)
-            found.append((single(constant), single(constant)))
+            found.append((single(constant), single(constant), tetrahedra))
         elif not coder.bit(odds, "short"):
-            found.append((single(number(32)), single(number(32))))
+            found.append((single(number(32)), single(number(32)), tetrahedra))
         else:
             if not coder.bit(odds, "same"):
                 sign, apart = 1 if coder.bit(odds, "larger") else -1, 1
@@ -372,7 +378,7 @@ def ranges_of(data, count):
             first, last = (int(float(end) // 2.0**exponent) for end in (low, high))
             first += number((last - first).bit_length())
             ends = [n * 2.0**exponent for n in (first, first + number(5) + 16)]
-            found.append((max(ends[0], low), min(ends[1], high)))
+            found.append((max(ends[0], low), min(ends[1], high), tetrahedra))
     return low, high, found
 
 

@@ -263,54 +263,45 @@ class Odds:
         self.other, self.larger = pairs[1:4], pairs[4:]
 
 
-class Reader:
-    """A compressed array."""
+def records(keys, lengths, data):
+    """The bytes of each record, by its key; nothing may be left."""
+    keys, found, at = list(keys), {}, 0
+    for key, length in zip(keys, read_lengths(lengths, len(keys))):
+        found[key], at = data[at : at + length], at + length
+    fail_unless(at == len(data), "the records are not as long as the lengths say")
+    return found
 
-    def __init__(self, data):
-        fail_unless(len(data) >= HEADER.size, "the file is too short")
-        magic, *rest = HEADER.unpack_from(data)
-        sizes, delays, self.kind = rest[:3], rest[3:6], rest[6]
-        self.least, self.largest, self.exponent, step, coarsest, lengths = rest[7:]
+
+class Array:
+    """A compressed array, wherever its bytes are. What has them sets the coarsest level.
+
+    It sets the tiles, by level and place (x, y, z), and the boxes of corrections, by the first and
+    the end of their samples (z, y, x).
+    """
+
+    def __init__(self, sizes, delays, bounds, scale, corrections):
+        (self.least, self.largest), (self.exponent, step) = bounds, scale
+        self.kind, self.quantum = corrections
         most = float(np.finfo(F).max)
-        fail_unless(magic == b"isowave1" and self.kind <= 2, "not a compressed array")
         fail_unless(min(sizes) > 0, "an array without samples")
         fail_unless(-most <= self.least <= self.largest <= most, "the range is none")
         fail_unless(abs(self.exponent) <= 1000 and 2**-22 <= step <= 2**60, "the step is none")
+        fail_unless(self.kind != 1 or 0 < self.quantum < np.inf, "the quantum is none")
         self.step = F(step)
         self.levels, self.splits = levels_of(sizes, delays)
         self.odds = first_odds()
-        start = HEADER.size + 8 * (self.kind == 1)
-        fail_unless(len(data) >= start, "the file is too short")
-        self.quantum = struct.unpack_from("<d", data, start - 8)[0] if self.kind == 1 else 0
-        fail_unless(0 <= self.quantum < np.inf, "the quantum is none")
-        fail_unless(self.kind != 1 or self.quantum > 0, "the quantum is none")
-        at = start + coarsest
-        self.coarsest = read_coarsest(data[start:at], self.levels[-1])
-        records = [*self._tiles(), *self._boxes()]
-        start = at + lengths
-        self.tiles, self.boxes = {}, {}
-        for record, length in zip(records, read_lengths(data[at:start], len(records))):
-            of = self.tiles if isinstance(record[1], tuple) else self.boxes
-            of[record] = data[start : start + length]
-            start += length
-        fail_unless(start == len(data), "the tiles are not as long as the file says")
+        self.coarsest, self.tiles, self.boxes = None, {}, {}
 
-    def _tiles(self):
-        """The level and the place, (x, y, z), of each tile, in their order."""
-        for m in range(len(self.levels) - 1, 0, -1):
-            x, y, z = (range(-(-n // 32)) for n in self.levels[m - 1])
-            yield from ((m, (i, j, k)) for k, j, i in itertools.product(z, y, x))
-
-    def _boxes(self):
-        """The first sample, (z, y, x), of each box of corrections, in their order."""
-        if self.kind:
-            yield from itertools.product(*(range(0, n, 32) for n in reversed(self.levels[0])))
+    def tiles_of(self, m):
+        """The place, (x, y, z), of each tile of level m, in their order."""
+        x, y, z = (range(-(-n // 32)) for n in self.levels[m - 1])
+        return [(i, j, k) for k, j, i in itertools.product(z, y, x)]
 
     def _corrected(self, samples):
         """The samples of level 0, corrected."""
         numbers = np.zeros(samples.shape, np.int64)
-        for first, data in self.boxes.items():
-            box = tuple(slice(i, min(i + 32, n)) for i, n in zip(first, samples.shape))
+        for ends, data in self.boxes.items():
+            box = tuple(slice(*axis) for axis in ends)
             if data:
                 shape = samples[box].shape
                 decoder, band = RangeDecoder(data), BandOfTile(shape, np.zeros(shape, np.int64), [])
@@ -407,6 +398,33 @@ class Reader:
         samples = values.astype(np.float64) * 2.0**self.exponent + centre
         samples = np.where(samples < self.least, self.least, samples)
         return np.where(samples > self.largest, self.largest, samples).astype(F)
+
+
+class Reader(Array):
+    """A file of a compressed array."""
+
+    def __init__(self, data):
+        fail_unless(len(data) >= HEADER.size, "the file is too short")
+        magic, *rest = HEADER.unpack_from(data)
+        sizes, delays, kind = rest[:3], rest[3:6], rest[6]
+        *bounds, exponent, step, coarsest, lengths = rest[7:]
+        fail_unless(magic == b"isowave1" and kind <= 2, "not a compressed array")
+        start = HEADER.size + 8 * (kind == 1)
+        fail_unless(len(data) >= start, "the file is too short")
+        quantum = struct.unpack_from("<d", data, start - 8)[0] if kind == 1 else 0
+        super().__init__(sizes, delays, bounds, (exponent, step), (kind, quantum))
+        at = start + coarsest
+        self.coarsest = read_coarsest(data[start:at], self.levels[-1])
+        tiles = [(m, t) for m in range(len(self.levels) - 1, 0, -1) for t in self.tiles_of(m)]
+        boxes = boxes_of([(0, n) for n in reversed(sizes)]) if kind else []
+        found = records([*tiles, *boxes], data[at : at + lengths], data[at + lengths :])
+        self.tiles, self.boxes = ({key: found[key] for key in keys} for keys in (tiles, boxes))
+
+
+def boxes_of(region):
+    """The boxes of corrections of a region of samples, as first and end (z, y, x)."""
+    axes = [[(i, min(i + 32, end)) for i in range(first, end, 32)] for first, end in region]
+    return list(itertools.product(*axes))
 
 
 def lift(to, of, constant, before):

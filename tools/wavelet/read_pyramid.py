@@ -1,0 +1,196 @@
+"""Reads the samples of a pyramid archive. It is written from the two FORMAT.md alone.
+
+Usage: read_pyramid.py ARCHIVE [--step N] [-o OUT.npy]. Says the range and the number of bricks.
+Corrections of samples are applied; the offset of the source, where it has one, is not added.
+"""
+import argparse
+import itertools
+import json
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+from read_array import Array, boxes_of, fail_unless, read_coarsest, records
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from read_archive import expect, ranges_of, refuse, segment_blocks, varints
+
+VALUES, COARSE, RANGES = 2, 13, 14
+CHUNK, BLOCK, FINE_LEVELS = 256, 4, 3
+KINDS = {"none": 0, "max": 1, "lossless": 2}
+
+
+def exponent_of(least, largest):
+    """The least exponent of which the power of two is above half of the range."""
+    half = largest / 2 - least / 2
+    return max(-1000, int(np.frexp(half)[1])) if half else 0
+
+
+def chunk_starts(n):
+    """The first sample of each chunk along an axis, and the end."""
+    return [*range(0, CHUNK * max(1, -(-(n - 1) // CHUNK)), CHUNK), n]
+
+
+def blocks_along(tiles):
+    """The tiles of each block along an axis."""
+    starts = list(range(0, len(tiles), BLOCK))
+    if len(starts) > 1 and len(tiles) % BLOCK == 1:
+        starts.pop()
+    return [tiles[a:b] for a, b in zip(starts, [*starts[1:], len(tiles)])]
+
+
+def over_axes(axes):
+    """All triples (x, y, z) of what each axis, in the order x, y, z, has; x is the fastest."""
+    return [at[::-1] for at in itertools.product(*reversed(axes))]
+
+
+class Pyramid:
+    """A step of a pyramid archive."""
+
+    def __init__(self, archive, asked=0):
+        self.archive = Path(archive)
+        manifest = json.loads((self.archive / "manifest.json").read_text())
+        points, lattice = manifest["plan"]["points"], manifest["plan"]["lattice"]
+        if points.get("set") != "pyramid":
+            refuse(f"{archive}: its points are {points.get('set')}, not a pyramid")
+        steps = [s for s in manifest["steps"] if s.get("place", s["number"]) == asked]
+        if len(steps) != 1:
+            refuse(f"{archive}: {len(steps)} steps of number {asked}")
+        self.step, self.number = steps[0], steps[0]["number"]
+        expect(archive, "edge of bricks", 3 * [CHUNK], manifest["plan"]["brick_edge"])
+        expect(archive, "samples along the axes", lattice["dims"], points["dims"])
+        self.chunks = self._chunks(points["dims"])
+        expect(archive, "chunks", len(self.chunks), manifest["counts"].get("chunks", 1))
+        self.ranges = self._segments("ranges", RANGES)
+        self.array = self._array(points["dims"], points["delay"])
+        self._read_coarse()
+        for chunk, blocks in zip(self.chunks, self._segments("values", VALUES)):
+            self._read_tiles(chunk, blocks)
+        for chunk, (corrections, _) in zip(self.chunks, self.ranges):
+            self._read_corrections(chunk, corrections)
+
+    def _chunks(self, dims):
+        """The samples of each chunk, as ranges along x, y, z."""
+        starts = [chunk_starts(n) for n in dims]
+        return over_axes([[range(*ends) for ends in zip(s, s[1:])] for s in starts])
+
+    def _segments(self, name, kind):
+        """The blocks of each chunk."""
+        found = []
+        for number, segment in enumerate(self.step[name]):
+            first = segment.get("first_chunk", 0)
+            path = self.archive / f"steps/{self.number:06}-{name}-{number:06}.seg"
+            expect(path, "first chunk", len(found), first)
+            *blocks, table = segment_blocks(path, kind)
+            first, count, *sizes = varints(table)
+            expect(path, "chunk table", [len(found), len(sizes)], [first, count])
+            expect(path, "blocks", sum(sizes), len(blocks))
+            blocks = iter(blocks)
+            found += [list(itertools.islice(blocks, size)) for size in sizes]
+        expect(self.archive, f"chunks of {name}", len(self.chunks), len(found))
+        return found
+
+    def _array(self, dims, delay):
+        """The array, without what is stored of it."""
+        wavelet = self.step["wavelet"]
+        least, largest = wavelet["range"]
+        exponent = exponent_of(least, largest)
+        correction, quantum = wavelet.get("correction", "none"), 0
+        if isinstance(correction, dict):
+            bound = correction["max"]
+            most = max(abs(least), abs(largest))
+            fail_unless((most + bound) / 2**23 < bound < np.inf, "the bound is none")
+            correction, quantum = "max", 2 * (bound - (most + bound) / 2**24)
+        step = min(wavelet["step"] * 2.0**-exponent, 2.0**60) if least < largest else 1
+        fail_unless(step >= 2.0**-22, "the step is too small")
+        return Array(dims, delay, (least, largest), (exponent, step), (KINDS[correction], quantum))
+
+    def _fine(self):
+        """The largest level of which the chunks have the tiles."""
+        return min(FINE_LEVELS, len(self.array.levels) - 1)
+
+    def _read_coarse(self):
+        """Reads the coarsest level, and the tiles that no chunk has."""
+        path = self.archive / f"steps/{self.number:06}-coarse.seg"
+        blocks = segment_blocks(path, COARSE)
+        expect(path, "blocks", 1, len(blocks))
+        array, data = self.array, blocks[0]
+        coarsest, lengths = struct.unpack_from("<2I", data)
+        at = 8 + coarsest
+        array.coarsest = read_coarsest(data[8:at], array.levels[-1])
+        levels = range(len(array.levels) - 1, self._fine(), -1)
+        tiles = [(m, tile) for m in levels for tile in array.tiles_of(m)]
+        array.tiles |= records(tiles, data[at : at + lengths], data[at + lengths :])
+
+    def _tiles_in(self, chunk, m):
+        """The numbers of the tiles of level m that a chunk has along each axis."""
+        for axis, samples in enumerate(chunk):
+            stride = 2 ** sum(split[axis] for split in self.array.splits[1:m])
+            count = -(-self.array.levels[m - 1][axis] // 32)
+            yield [t for t in range(count) if 32 * t * stride in samples]
+
+    def _read_tiles(self, chunk, blocks):
+        """Reads the tiles of a chunk."""
+        blocks = iter(blocks)
+        for m in range(self._fine(), 0, -1):
+            for block in over_axes(list(map(blocks_along, self._tiles_in(chunk, m)))):
+                tiles = [(m, tile) for tile in over_axes(block)]
+                self.array.tiles |= block_records(tiles, next(blocks))
+        fail_unless(next(blocks, None) is None, "a chunk has too many blocks")
+
+    def _read_corrections(self, chunk, data):
+        """Reads the corrections of a chunk."""
+        boxes = boxes_of([(s.start, s.stop) for s in reversed(chunk)])
+        fail_unless(self.array.kind or not data, "there are corrections of none")
+        self.array.boxes |= block_records(boxes, data)
+
+    def samples(self):
+        """All samples, (z, y, x), less the offset of the source."""
+        return self.array.level(0)
+
+    def bricks(self):
+        """Of each chunk the ends of its range, told twice, and its bricks.
+
+        A brick is the samples of its cells, slices (z, y, x), with their least and largest value
+        and the number of cells, as the archive tells them.
+        """
+        for chunk, (_, summary) in zip(self.chunks, self.ranges):
+            axes = [
+                [slice(i, min(i + 32, end) + 1) for i in range(s.start, end, 32)]
+                for s, n in zip(chunk, self.array.levels[0])
+                for end in [min(s.stop, n - 1)]
+            ]
+            bricks = [brick[::-1] for brick in over_axes(axes)]
+            void, least, largest, count = struct.unpack_from("<I2fI", summary)
+            expect(self.archive, "void samples", 0, void)
+            expect(self.archive, "bricks", len(bricks), count)
+            low, high, ranges = ranges_of(summary[16:], count)
+            yield (least, largest, low, high), list(zip(bricks, ranges))
+
+
+def block_records(keys, data):
+    """The bytes of the tiles or boxes of a block; nothing where the block has no bytes."""
+    if not data:
+        return dict.fromkeys(keys, b"")
+    end = 4 + struct.unpack_from("<I", data)[0]
+    return records(keys, data[4:end], data[end:])
+
+
+def main():
+    """Reads an archive, says what is in it, and writes it if asked to."""
+    arguments = argparse.ArgumentParser(description="Reads the samples of a pyramid archive.")
+    arguments.add_argument("archive", type=Path)
+    arguments.add_argument("--step", type=int, default=0)
+    arguments.add_argument("-o", dest="out", type=Path, help="OUT.npy")
+    given = arguments.parse_args()
+    pyramid = Pyramid(given.archive, given.step)
+    samples, bricks = pyramid.samples(), sum(len(bricks) for _, bricks in pyramid.bricks())
+    size = "x".join(map(str, samples.shape[::-1]))
+    print(f"{size} samples, from {samples.min():g} to {samples.max():g}, in {bricks} bricks")
+    if given.out:
+        np.save(given.out, samples)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""Compares what read_pyramid.py reads of pyramid archives with what isospan finds, bit by bit.
+
+Usage: test_pyramid.py PROGRAM FOLDER. PROGRAM is isospan; FOLDER is for files.
+Ranges of bricks and hashes are compared with those that FORMAT.md describes.
+"""
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import xxhash
+from read_pyramid import Pyramid
+from test import SEED, wave
+
+HASHED = [
+    "number", "time", "source", "interpolation", "vertex_values", "nan", "missing", "quantiser",
+    "wavelet", "keyframes", "measured", "base",
+]
+RANDOM = np.random.default_rng(SEED)
+
+
+def rough(size, noise=0.05):
+    """A smooth field with some noise."""
+    return (wave(size) + noise * RANDOM.normal(size=size[::-1])).astype("f4")
+
+
+def cases():
+    """A name, samples (z, y, x) and what isospan is asked for, of each archive."""
+    # One chunk and several along an axis; 257 samples are one chunk.
+    for size in [(300, 20, 17), (257, 9, 8), (70, 40, 33), (258, 40, 33), (8, 269, 5), (2, 3, 771)]:
+        yield f"{size}", rough(size), []
+        yield f"{size}, within", rough(size), ["--target-max", "1%"]
+        yield f"{size}, whole", np.round(50 * rough(size)).astype("i2"), ["--lossless"]
+    for size in [(2, 2, 2), (2, 3, 5), (7, 7, 7), (8, 2, 2), (9, 17, 33)]:
+        yield f"{size}", rough(size), ["--target-max", "1%"]
+    # More than 16 chunks are several segments.
+    yield "several segments", rough((3, 256 * 17, 2)), ["--target-max", "2%"]
+    yield "an RMS error", rough((70, 40, 33)), ["--target-rms", "0.1%"]
+    yield "fine", rough((40, 30, 20)), ["--target-max", "0.00001"]
+    yield "smooth", wave((300, 40, 33)).astype("f4"), []
+    yield "labels", np.round(2 * wave((300, 40, 33))).astype("i1"), ["--lossless"]
+    high = np.round(50 * rough((70, 40, 33))).astype("i4") + 2**30
+    yield "an offset", high, ["--lossless"]
+    high = 5 * rough((70, 40, 33)).astype("f8") + 1e6
+    yield "an offset, within", high, ["--target-max", "0.1%"]
+    for scale in (1e30, 1e-30, 1e-40):
+        yield f"times {scale}", (scale * rough((40, 33, 21)).astype("f8")).astype("f4"), []
+    yield "constant", np.full((20, 21, 22), -3.7, "f4"), []
+    yield "constant, whole", np.full((20, 21, 22), 7, "u1"), ["--lossless"]
+    missing = rough((70, 40, 33))
+    missing[20:, :20] = np.nan
+    yield "missing samples", missing, ["--nan", "100", "--target-max", "0.01"]
+    # Axes along which neighbours differ more than along the others are split later.
+    z, _, x = np.meshgrid(*(np.arange(n) for n in (40, 35, 280)), indexing="ij")
+    for name, field in [
+        ("rough along x", np.sin(0.01 * z) + RANDOM.normal(size=(1, 1, 280))),
+        ("rough along z", np.sin(0.02 * x) + RANDOM.normal(size=(40, 1, 1))),
+        ("rough along y and z", np.sin(0.01 * x) + RANDOM.normal(size=(40, 35, 1))),
+    ]:
+        yield name, field.astype("f4"), ["--target-max", "5%"]
+
+
+class Program:
+    """isospan."""
+
+    def __init__(self, program, folder):
+        self.program, self.folder = program, Path(folder)
+        self.archive = self.folder / "pyramid.isospan"
+
+    def _run(self, *words):
+        done = subprocess.run([self.program, *map(str, words)], capture_output=True, text=True)
+        if done.returncode:
+            sys.exit(f"tools/wavelet/test: isospan {words[0]} fails: {done.stderr}")
+
+    def reduce(self, volumes, asked):
+        """Makes an archive, a step of each volume."""
+        files = [self.folder / f"{n}.npy" for n in range(len(volumes))]
+        for file, samples in zip(files, volumes):
+            np.save(file, samples)
+        made = ["--points", "pyramid", "-o", self.archive, "--force", *asked]
+        self._run("reduce", "-q", *files, *made)
+
+    def samples(self, shape, step):
+        """All samples of a step, (z, y, x)."""
+        out = self.folder / "out.npy"
+        grid = ",".join(map(str, shape[::-1]))
+        self._run("probe", "-q", self.archive, "--step", step, "--grid", grid, "-o", out, "--force")
+        return np.load(out)
+
+
+def rounded(least, largest, bounds):
+    """A range, rounded outwards."""
+    if least == largest:
+        return least, largest
+    unit = 2.0 ** (np.frexp(largest - least)[1] - 5)
+    return max(least // unit * unit, bounds[0]), min(-(-largest // unit) * unit, bounds[1])
+
+
+def bricks_that_differ(samples, pyramid):
+    """How many bricks have another range or number of cells than their samples say."""
+    differ, cells = 0, 0
+    for told, bricks in pyramid.bricks():
+        ranges = [(float(samples[of].min()), float(samples[of].max())) for of, _ in bricks]
+        bounds = min(r[0] for r in ranges), max(r[1] for r in ranges)
+        differ += told != (*bounds, *bounds)
+        for (of, stored), (least, largest) in zip(bricks, ranges):
+            count = int(np.prod([s.stop - s.start - 1 for s in of]))
+            differ += stored != (*rounded(least, largest, bounds), count)
+            cells += count
+    return differ + (cells != np.prod([n - 1 for n in samples.shape]))
+
+
+def hashes_that_differ(archive):
+    """Names of files whose hashes are not those that FORMAT.md describes."""
+    text = (archive / "manifest.json").read_text()
+    body = text[: text.rindex(',"checksum":')]
+    if text != f'{body},"checksum":"{xxhash.xxh3_128_hexdigest(body.encode())}"}}\n':
+        yield "manifest.json"
+    # Numbers keep their form.
+    manifest = json.loads(text, parse_float=lambda number: f"\t{number}\t")
+    text_of = lambda part: json.dumps(part, separators=(",", ":"), ensure_ascii=False)
+    written = lambda part: re.sub(r'"\\t(.*?)\\t"', r"\1", text_of(part))
+    plan = xxhash.xxh3_128_hexdigest(written(manifest["plan"]).encode())
+    for step in manifest["steps"]:
+        part = {name: step[name] for name in HASHED if name in step}
+        part["source"] = {k: v for k, v in part["source"].items() if k != "units"} | {"path": ""}
+        of_step = xxhash.xxh3_128_intdigest((plan + written(part)).encode())
+        lists = ("values", "ranges")
+        files = {f"{name}-{n:06}": s for name in lists for n, s in enumerate(step[name])}
+        files |= {name: step[name] for name in ("coarse", "index") if name in step}
+        for name, record in files.items():
+            data = (archive / f"steps/{step['number']:06}-{name}.seg").read_bytes()
+            content = xxhash.xxh3_64_intdigest(data[:-48])
+            of_file = int.from_bytes(data[16:32], "little"), int.from_bytes(data[-24:-16], "little")
+            told = len(data), f"{content:016x}"
+            if of_file != (of_step, content) or told != (record["bytes"], record["content_hash"]):
+                yield name
+
+
+def far_from_source(samples, source, step):
+    """Whether the samples are further from those of the source than the step promises."""
+    correction = step["wavelet"].get("correction", "none")
+    if correction == "none":
+        return False
+    bound = correction["max"] if isinstance(correction, dict) else 0
+    source = np.where(np.isnan(source), float(step["nan"]), source) if "nan" in step else source
+    return abs(samples - source.astype("f8")).max() > bound + step["source"].get("rounding", 0)
+
+
+def differences(program, source, number):
+    """What is not as it must be of a step, in words."""
+    pyramid = Pyramid(program.archive, number)
+    samples = pyramid.samples()
+    theirs = program.samples(source.shape, number)
+    offset = pyramid.step["source"].get("offset", 0)
+    # A probe gives no -0.
+    added = np.float64(offset) if offset else np.float32(0)
+    ours = (samples + added).astype(theirs.dtype)
+    if differ := np.flatnonzero(ours.view("u1") != theirs.view("u1")).size:
+        yield f"{differ} bytes of samples"
+    if differ := bricks_that_differ(samples, pyramid):
+        yield f"{differ} bricks"
+    if far_from_source(samples + added, source, pyramid.step):
+        yield "samples are too far from those of the source"
+
+
+def main():
+    """Tries all archives; says which differ."""
+    program, faults, archives, delayed = Program(*sys.argv[1:]), 0, 0, 0
+    series = [rough((40, 30, 20)) + t for t in range(3)]
+    for name, volumes, asked in [*((n, [v], a) for n, v, a in cases()), ("a series", series, [])]:
+        program.reduce(volumes, asked)
+        found = [what for n, v in enumerate(volumes) for what in differences(program, v, n)]
+        found += [f"a hash of {file}" for file in hashes_that_differ(program.archive)]
+        for what in found:
+            print(f"tools/wavelet/test: pyramid, {name}: {what}", file=sys.stderr)
+        plan = json.loads((program.archive / "manifest.json").read_text())["plan"]
+        delayed += any(plan["points"]["delay"])
+        faults, archives = faults + len(found), archives + 1
+    if faults or not delayed:
+        sys.exit(f"tools/wavelet/test: {faults} differ, {delayed} pyramids have delays")
+    print(f"{archives} pyramids, {delayed} with delays")
+
+
+if __name__ == "__main__":
+    main()
