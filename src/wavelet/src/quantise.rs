@@ -26,6 +26,9 @@ pub struct Scale {
 impl Scale {
     /// For samples of a range, with a step in their units.
     pub fn new(range: [f64; 2], step: f64) -> Result<Self> {
+        if !(range[0] <= range[1] && range.iter().all(|r| (*r as f32).is_finite())) {
+            return Err(Error::Damaged("the range is none of f32"));
+        }
         let half = (range[1] / 2.0 - range[0] / 2.0).max(0.0);
         let exponent = if half > 0.0 { exponent(half) } else { 0 };
         let scale = Self { range, exponent, step: 1.0 };
