@@ -320,7 +320,16 @@ class Archive:
         """
         several = np.ndim(isovalue) > 0
         wanted = self._wanted(
-            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error, level
+            isovalue,
+            roi,
+            bounds,
+            cap,
+            largest,
+            min_triangles,
+            min_volume,
+            decimate,
+            decimate_error,
+            level,
         )
         cores = self._core.surfaces(wanted, _machine(threads, memory), (step, time))
         surfaces = [Surface(core) for core in cores]
@@ -371,7 +380,16 @@ class Archive:
             "%04d" in the path stands for the step's number. All else is as for :meth:`surface`.
         """
         wanted = self._wanted(
-            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error, level
+            isovalue,
+            roi,
+            bounds,
+            cap,
+            largest,
+            min_triangles,
+            min_volume,
+            decimate,
+            decimate_error,
+            level,
         )
         machine, out = _machine(threads, memory, scratch), os.fspath(path)
         with Reporter(progress) as callback:
