@@ -265,6 +265,8 @@ impl SeriesPlan {
     /// the hashes of its own group alone.
     pub(super) fn connect(&mut self) {
         let (mesh, mut lasts) = (self.plan.mesh_hash(), self.order.lasts.clone());
+        // Each step of a pyramid is stored by itself.
+        let refers = !self.plan.mesh.is_pyramid();
         for (step, from) in self.plan.steps.iter_mut().zip(&self.sources) {
             step.base = None;
             if self.order.between.contains(&step.number) {
@@ -273,7 +275,7 @@ impl SeriesPlan {
             let series = series_of(&from.source);
             let last = lasts.iter().position(|(name, _)| name.as_deref() == series);
             let last = last.map(|n| lasts.swap_remove(n).1);
-            step.base = last.filter(|l| l.number / self.keyframes == step.number / self.keyframes);
+            step.base = last.filter(|l| refers && l.number / self.keyframes == step.number / self.keyframes);
             let own = BaseStep { number: step.number, hash: step.hash(mesh) };
             lasts.push((series.map(str::to_owned), own));
         }

@@ -444,7 +444,7 @@ fn make_coarse(layout: &Layout, hash: PlanHash, pyramid: &Pyramid, scale: &Scale
             put(&mut low, &all, &values, &place);
         }
     }
-    let (bytes, _) = Coarse::encode(pyramid, scale, low).map_err(|e| too_fine(&e))?;
+    let bytes = Coarse::encode(pyramid, scale, low).map_err(|e| too_fine(&e))?;
     let mut file = SegmentWriter::create(layout.coarse(), SegmentKind::Coarse, hash)?;
     file.push_block(&bytes)?;
     file.finish()?;

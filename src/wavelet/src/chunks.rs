@@ -9,13 +9,14 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::encode::{Encoded, encode_levels};
 use crate::error::{Error, Result};
 use crate::lengths::{Lengths, encode_lengths};
 use crate::levels::TileSource;
 use crate::pyramid::{Box3, GROUP, Pyramid, TILE};
 use crate::quantise::Scale;
 use crate::tile::{Tile, TileId, tiles_of};
-use crate::top::{decode_top, encode_top};
+use crate::top::decode_top;
 use crate::transform::{HALO, Scratch, Window};
 
 /// Samples along each axis of a chunk; the last one has one more where the array ends with it.
@@ -196,8 +197,6 @@ pub struct PartTiles {
     pub tiles: HashMap<TileId, Vec<u8>>,
     /// Its low coefficients, x fastest, in [`Pyramid::low_box`].
     pub low: Vec<f32>,
-    /// The sum of squared errors of its other coefficients, in squared steps.
-    pub error: f64,
 }
 
 /// Encodes a part. `samples` are those of [`Pyramid::window`], as [`Scale::enter`] makes them.
@@ -217,7 +216,6 @@ pub fn encode_part(pyramid: &Pyramid, scale: &Scale, part: &Box3, samples: Vec<f
             let coefficients = window.tile(pyramid, 0, id, |c| scale.in_steps(c));
             let (tile, bytes) =
                 Tile::encode(pyramid, id, &coefficients, above.get(&pyramid.parent(level, id.at)))?;
-            made.error += tile.error(&coefficients);
             if !bytes.is_empty() {
                 made.tiles.insert(id, bytes);
             }
@@ -246,47 +244,20 @@ pub struct Coarse {
 }
 
 impl Coarse {
-    /// Encodes the low coefficients of all chunks, x fastest. Returns the bytes, and the sum of
-    /// squared errors in squared steps.
+    /// Encodes the low coefficients of all chunks, x fastest.
     ///
     /// # Errors
     /// [`Error::Step`] for a step that is too small.
-    pub fn encode(pyramid: &Pyramid, scale: &Scale, low: Vec<f32>) -> Result<(Vec<u8>, f64)> {
-        let (from, coarsest) = (pyramid.details(), pyramid.coarsest());
+    pub fn encode(pyramid: &Pyramid, scale: &Scale, low: Vec<f32>) -> Result<Vec<u8>> {
+        let from = pyramid.details();
         let mut window = Window { place: Box3::all(pyramid.nodes(from)), samples: low };
-        let splits = &pyramid.splits()[from..];
-        window.forward(splits, &mut Scratch::default());
-        let largest = window.samples.iter().fold(0.0, |most: f32, c| most.max(c.abs()));
-        scale.expect_numbers_of(largest)?;
-        let size = pyramid.nodes(coarsest);
-        let low = window.band(splits, [false; 3], &Box3::all(size));
-        let mut error = 0.0;
-        let nearest = |c: f32| {
-            let number = scale.nearest(c)?;
-            error += f64::from(scale.in_steps(scale.restored(number) - c)).powi(2);
-            Ok(number)
-        };
-        let numbers = low.into_iter().map(nearest).collect::<Result<Vec<i32>>>()?;
-        let top = encode_top(&numbers, size)?;
-        let (mut lengths, mut tiles, mut above) = (vec![], vec![], HashMap::new());
-        for level in (from + 1..=coarsest).rev() {
-            let mut here = HashMap::new();
-            for id in tiles_of(pyramid, level) {
-                let coefficients = window.tile(pyramid, from, id, |c| scale.in_steps(c));
-                let parent = above.get(&pyramid.parent(level, id.at));
-                let (tile, bytes) = Tile::encode(pyramid, id, &coefficients, parent)?;
-                error += tile.error(&coefficients);
-                lengths.push(bytes.len() as u32);
-                tiles.extend(bytes);
-                here.insert(id.at, tile);
-            }
-            above = here;
-        }
+        window.forward(&pyramid.splits()[from..], &mut Scratch::default());
+        let Encoded { top, lengths, tiles, .. } = encode_levels(&window, pyramid, from, scale)?;
         let lengths = encode_lengths(&lengths);
         let mut out = (top.len() as u32).to_le_bytes().to_vec();
         out.extend((lengths.len() as u32).to_le_bytes());
         [&top, &lengths, &tiles].into_iter().for_each(|part| out.extend_from_slice(part));
-        Ok((out, error))
+        Ok(out)
     }
 
     /// Reads what [`Coarse::encode`] made.

@@ -107,11 +107,11 @@ const STEPS: [f64; 3] = [2.0, 3.0, 4.5];
 const HALF: f64 = 0.5;
 
 /// What an encoder made.
-struct Encoded {
-    top: Vec<u8>,
+pub(crate) struct Encoded {
+    pub(crate) top: Vec<u8>,
     /// Bytes of each tile.
-    lengths: Vec<u32>,
-    tiles: Vec<u8>,
+    pub(crate) lengths: Vec<u32>,
+    pub(crate) tiles: Vec<u8>,
     /// The sum of the squared errors of coefficients, in squared steps.
     error: f64,
     /// How samples are corrected; the corrections are in the last tiles.
@@ -313,28 +313,37 @@ impl Transformed {
     }
 
     fn encode(&self, scale: &Scale) -> Result<Encoded> {
-        let largest = self.window.samples.iter().fold(0.0, |most: f32, c| most.max(c.abs()));
-        scale.expect_numbers_of(largest)?;
-        let p = &self.pyramid;
-        let size = p.nodes(p.coarsest());
-        let low = self.window.band(p.splits(), [false; 3], &Box3::all(size));
-        let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
-        let top = encode_top(&low, size)?;
-        let (mut lengths, mut tiles, mut error) = (vec![], vec![], 0.0);
-        let mut above = HashMap::new();
-        for level in (1..=p.coarsest()).rev() {
-            let mut made = HashMap::new();
-            for id in tiles_of(p, level) {
-                let coefficients = self.window.tile(p, 0, id, |c| scale.in_steps(c));
-                let parent = above.get(&p.parent(level, id.at));
-                let (tile, bytes) = Tile::encode(p, id, &coefficients, parent)?;
-                lengths.push(bytes.len() as u32);
-                tiles.extend(bytes);
-                error += tile.error(&coefficients);
-                made.insert(id.at, tile);
-            }
-            above = made;
-        }
-        Ok(Encoded { top, lengths, tiles, error, correction: Correction::None })
+        encode_levels(&self.window, &self.pyramid, 0, scale)
     }
+}
+
+/// Encodes all levels above one, of whose nodes a window has the coefficients.
+pub(crate) fn encode_levels(
+    window: &Window,
+    pyramid: &Pyramid,
+    from: usize,
+    scale: &Scale,
+) -> Result<Encoded> {
+    let largest = window.samples.iter().fold(0.0, |most: f32, c| most.max(c.abs()));
+    scale.expect_numbers_of(largest)?;
+    let size = pyramid.nodes(pyramid.coarsest());
+    let low = window.band(&pyramid.splits()[from..], [false; 3], &Box3::all(size));
+    let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
+    let top = encode_top(&low, size)?;
+    let (mut lengths, mut tiles, mut error) = (vec![], vec![], 0.0);
+    let mut above = HashMap::new();
+    for level in (from + 1..=pyramid.coarsest()).rev() {
+        let mut made = HashMap::new();
+        for id in tiles_of(pyramid, level) {
+            let coefficients = window.tile(pyramid, from, id, |c| scale.in_steps(c));
+            let parent = above.get(&pyramid.parent(level, id.at));
+            let (tile, bytes) = Tile::encode(pyramid, id, &coefficients, parent)?;
+            lengths.push(bytes.len() as u32);
+            tiles.extend(bytes);
+            error += tile.error(&coefficients);
+            made.insert(id.at, tile);
+        }
+        above = made;
+    }
+    Ok(Encoded { top, lengths, tiles, error, correction: Correction::None })
 }

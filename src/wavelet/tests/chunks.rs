@@ -59,7 +59,7 @@ impl Stored {
             chunks.insert(at, blocks);
         }
         assert!(low.iter().all(|v| v.is_finite()));
-        let (bytes, _) = Coarse::encode(&pyramid, &scale, low).unwrap();
+        let bytes = Coarse::encode(&pyramid, &scale, low).unwrap();
         let coarse = Coarse::new(&pyramid, bytes).unwrap();
         Self { pyramid, scale, coarse, chunks }
     }
