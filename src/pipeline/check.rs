@@ -23,10 +23,11 @@ use crate::index::{Entry, EntryDigest, index_entries};
 use crate::pipeline::read::{
     Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, bricks_of, chunk_place, used_corners,
 };
-use crate::pipeline::reduce::strays;
+use crate::pipeline::reduce::{range_of_cells, strays};
 use crate::pipeline::surface::check_unpacked;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use serde::Serialize;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -199,6 +200,11 @@ fn check_pyramid(
     let coarse = Segment::open(archive.layout.coarse(), SegmentKind::Coarse, Some(archive.step_hash()))?;
     coarse.verify()?;
     check.add(&coarse);
+    // Of the nodes of cells, the last along an axis is the next brick's, but where the array ends.
+    let own_end = |cells: &[Range<usize>; 3]| {
+        let dims = pyramid.nodes(0);
+        std::array::from_fn(|a| (cells[a].end + usize::from(cells[a].end + 1 == dims[a])) as u64)
+    };
     let look = |n: usize| {
         cancel.check()?;
         let (id, at) = (ChunkId(n as u64), chunk_place(pyramid, ChunkId(n as u64)));
@@ -210,16 +216,23 @@ fn check_pyramid(
         if summary.ranges.len() != bricks.len() {
             return wrong("ranges".into(), bricks.len().to_string(), summary.ranges.len().to_string());
         }
+        let mut void = 0;
         for (n, (range, cells)) in summary.ranges.iter().zip(&bricks).enumerate() {
             let window = IndexBox {
                 lo: std::array::from_fn(|a| cells[a].start as u64),
                 hi: std::array::from_fn(|a| cells[a].end as u64 + 1),
             };
             let values = archive.nodes(0, &window)?;
-            if let Some(v) = values.iter().find(|v| !(range.min..=range.max).contains(*v)) {
-                let expected = format!("values from {} to {}", range.min, range.max);
-                return wrong(format!("brick {n}"), expected, v.to_string());
+            void += missing_below(&values, &window, own_end(cells));
+            let (found, _) = range_of_cells(&values, &window, cells);
+            let holds = range.min <= found.min && found.max <= range.max;
+            if found.tets != range.tets || found.tets > 0 && !holds {
+                let said = |r: &BlockRange| format!("{} cells from {} to {}", r.tets, r.min, r.max);
+                return wrong(format!("brick {n}"), said(range), said(&found));
             }
+        }
+        if void != summary.void as usize {
+            return wrong("missing samples".into(), summary.void.to_string(), void.to_string());
         }
         let ranges: Vec<Entry> = index_entries(id.0, &summary.ranges).collect();
         Ok((ranges, pyramid.chunk(at).len() as u64))
@@ -233,6 +246,13 @@ fn check_pyramid(
         Ok(())
     })?;
     check_index(archive, entries, check)
+}
+
+/// How many values of a box are missing, those at an end and behind it left out.
+fn missing_below(values: &[f32], place: &IndexBox, end: [u64; 3]) -> usize {
+    let rows = (place.lo[2]..end[2]).flat_map(|z| (place.lo[1]..end[1]).map(move |y| [place.lo[0], y, z]));
+    let width = (end[0] - place.lo[0]) as usize;
+    rows.map(|first| values[place.offset(first)..][..width].iter().filter(|v| v.is_nan()).count()).sum()
 }
 
 /// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many

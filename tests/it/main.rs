@@ -33,6 +33,7 @@ mod machines;
 mod measure;
 mod memory;
 mod meshes;
+mod missing;
 mod nightly;
 mod nodes;
 mod notices;

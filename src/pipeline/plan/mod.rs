@@ -23,7 +23,7 @@ use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
 use crate::grid::{BrickGrid, BrickId, ChunkGrid};
 use crate::mesh::bcc::{BccMesh, NODE_BRICK_CELLS};
-use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings, ValueBits};
+use crate::pipeline::settings::{Amount, ReduceSettings, ValueBits};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
@@ -356,8 +356,6 @@ fn check_pyramid(source: &Source, settings: &ReduceSettings) -> Result<()> {
         Some("bits of values: give an error that is not to be exceeded")
     } else if settings.interpolation != Interpolation::Linear {
         Some("an interpolation: all samples are kept")
-    } else if settings.nan == NanPolicy::Mask {
-        Some("--nan mask: give a value for missing samples, or choose a point set")
     } else {
         None
     };

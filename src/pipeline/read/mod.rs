@@ -54,7 +54,9 @@ pub(super) use frontier::Frontier;
 pub(super) use mesh_sizes::sizes_of;
 pub(super) use node_values::NodeValues;
 pub(super) use pools::{BufferPool, Buffers};
-pub(super) use pyramid::{bricks_of, cells_of, chunk_place, index_box, pyramid_of, scale_of};
+pub(super) use pyramid::{
+    bricks_of, cells_of, chunk_place, has_coarse_mask, index_box, pyramid_of, scale_of,
+};
 pub(super) use reader_memory::ReaderMemory;
 pub(super) use region::Cut;
 pub use region::{Roi, RoiSpace};

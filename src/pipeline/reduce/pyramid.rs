@@ -7,6 +7,9 @@
 //!                                                          ╲▶ errors ─▶ sums-*.seg
 //! ```
 //!
+//! Values that cost little stand for missing samples while these are transformed; which they are is
+//! told by masks, with the tiles and with the coarse levels.
+//!
 //! Each arrow is a pass over chunks that goes on where a run was killed. The source is read twice.
 //! Memory decides in which parts a chunk is made, and that changes no byte.
 
@@ -26,10 +29,16 @@ use crate::grid::{Chunk, ChunkId, IndexBox};
 use crate::measure::ErrorSums;
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::plan::{Layout, Shares, part_edge};
-use crate::pipeline::read::{StepView, bricks_of, chunk_place, index_box, pyramid_of, scale_of};
+use crate::pipeline::read::{
+    StepView, bricks_of, chunk_place, has_coarse_mask, index_box, pyramid_of, scale_of,
+};
 use crate::pipeline::stage::StageTimes;
-use isospan_wavelet::{Box3, Coarse, Correction, Pyramid, Scale, blocks_of, encode_corrections, encode_part};
+use isospan_wavelet::{
+    Box3, Coarse, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part,
+    fill,
+};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 
@@ -55,12 +64,28 @@ impl Work<'_> {
         self.pyramid.chunk(chunk.brick_lo.map(|n| n as usize))
     }
 
-    /// Reads samples as they are transformed: a value stands for those that are missing.
+    /// Reads samples; NaN where they are missing.
     fn read(&self, place: &IndexBox) -> Result<Vec<f32>> {
         let mut values = vec![0.0; place.len()];
         self.bad.note(0, self.number, self.field.read_window(*place, &mut values))?;
         Ok(values)
     }
+
+    /// Puts values in the place of the missing samples of a window.
+    fn fill(&self, window: &Box3, samples: &mut [f32]) -> Result<()> {
+        let [min, max] = self.scale.range;
+        let middle = (min / 2.0 + max / 2.0) as f32;
+        fill(self.pyramid.nodes(0), window, samples, middle, |place| self.read(&index_box(place)))
+    }
+}
+
+/// The samples of nodes that are missing, as a mask of these; no bytes if none is.
+fn mask_of_nodes(mask: &Mask, nodes: &Box3, stride: [usize; 3]) -> Result<Vec<u8>> {
+    let mut values = vec![0.0; nodes.len()];
+    mask.each_missing(nodes, stride, |i| values[i] = f32::NAN).map_err(|e| too_fine(&e))?;
+    let mut builder = MaskBuilder::new(*nodes);
+    builder.add(nodes, nodes, &values);
+    Ok(builder.finish())
 }
 
 /// Makes tiles and low coefficients.
@@ -73,10 +98,14 @@ impl MakeChunks for DetailMaker<'_> {
         let place = work.samples(chunk);
         let whole = work.pyramid.low_box(&place);
         let (mut tiles, mut low) = (HashMap::new(), vec![0.0f32; whole.len()]);
+        let mut mask = MaskBuilder::new(place);
         for part in work.pyramid.parts(at, work.edge) {
             work.cancel.check()?;
             let start = Instant::now();
-            let mut samples = work.read(&index_box(&work.pyramid.window(&part)))?;
+            let window = work.pyramid.window(&part);
+            let mut samples = work.read(&index_box(&window))?;
+            mask.add(&part, &window, &samples);
+            work.fill(&window, &mut samples)?;
             times.sample += start.elapsed();
             let start = Instant::now();
             samples.iter_mut().for_each(|v| *v = work.scale.enter(f64::from(*v)));
@@ -85,11 +114,20 @@ impl MakeChunks for DetailMaker<'_> {
             tiles.extend(made.tiles);
             times.encode += start.elapsed();
         }
+        let (mut blocks, mut low_blocks) = (blocks_of(work.pyramid, at, &tiles), vec![]);
+        let mask = mask.finish();
+        if !mask.is_empty() {
+            let stride = work.pyramid.stride(work.pyramid.details());
+            let known = Mask::new(place, mask.clone()).map_err(|e| too_fine(&e))?;
+            low_blocks.extend(Some(mask_of_nodes(&known, &whole, stride)?).filter(|m| !m.is_empty()));
+            blocks.push(mask);
+        }
+        low_blocks.push(low.iter().flat_map(|v| v.to_le_bytes()).collect());
         Ok(EncodedChunk {
             points: place.len() as u64,
             mesh_blocks: vec![],
-            value_blocks: vec![blocks_of(work.pyramid, at, &tiles)],
-            sum_blocks: vec![vec![low.iter().flat_map(|v| v.to_le_bytes()).collect()]],
+            value_blocks: vec![blocks],
+            sum_blocks: vec![low_blocks],
             times,
         })
     }
@@ -138,6 +176,9 @@ impl RangeMaker<'_> {
         };
         let mut numbers = vec![0; decoded.len()];
         for (i, (value, sample)) in decoded.iter_mut().zip(samples).enumerate() {
+            if sample.is_nan() {
+                continue;
+            }
             if *correction == Correction::Whole && (sample.fract() != 0.0 || sample.abs() > WHOLE) {
                 let ([nx, ny, _], i) = (place.dims(), i as u64);
                 let at = [i % nx, i / nx % ny, i / nx / ny];
@@ -168,6 +209,7 @@ impl MakeChunks for RangeMaker<'_> {
         let corrects = work.correction != Correction::None;
         let mut corrections = if corrects { vec![0; place.len()] } else { vec![] };
         let (mut ranges, mut sums) = (vec![BlockRange::NONE; bricks.len()], ErrorSums::default());
+        let (mut void, mut bounds) = (0, [f32::INFINITY, f32::NEG_INFINITY]);
         for part in work.pyramid.parts(at, work.edge) {
             work.cancel.check()?;
             // The nodes of all cells that begin in the part.
@@ -187,6 +229,8 @@ impl MakeChunks for RangeMaker<'_> {
                 let numbers = work.bad.note(0, work.number, corrected)?;
                 put(&mut corrections, &place, &cut(&numbers, &nodes, &own), &part);
             }
+            self.view.leave_out_missing(0, &nodes, &mut decoded)?;
+            void += cut(&decoded, &nodes, &own).iter().filter(|v| v.is_nan()).count();
             if self.measured {
                 let originals = cut(&samples, &nodes, &own);
                 let found = cut(&decoded, &nodes, &own);
@@ -205,13 +249,15 @@ impl MakeChunks for RangeMaker<'_> {
                 // A brick lies in one part, but for cells at the end of one.
                 let begins = (0..3).all(|a| (part.start[a]..end[a]).contains(&cells[a].start));
                 if begins {
-                    *range = range_of(&decoded, &nodes, cells);
+                    let known;
+                    (*range, known) = range_of_cells(&decoded, &nodes, cells);
+                    bounds = [bounds[0].min(known[0]), bounds[1].max(known[1])];
                 }
             }
         }
-        let [min, max] = BlockRange::bounds(ranges.iter().copied());
+        let [min, max] = bounds;
         BlockRange::round(&mut ranges);
-        let summary = ValueSummary { void: 0, min, max, ranges };
+        let summary = ValueSummary { void: void as u32, min, max, ranges };
         let corrections = encode_corrections(&place, &corrections)
             .map_err(|e| Error::usage(format!("the error that is asked for: {e}")))?;
         let errors = self.measured.then(|| encode_errors(&ChunkErrors { sums, levels: vec![] }));
@@ -251,21 +297,43 @@ impl MakeChunks for RangeMaker<'_> {
     }
 }
 
-/// The range of the nodes of some cells.
-fn range_of(values: &[f32], place: &IndexBox, cells: &[std::ops::Range<usize>; 3]) -> BlockRange {
+/// The range of the nodes of some cells, void ones left out, and that of all nodes that are known.
+pub(in crate::pipeline) fn range_of_cells(
+    values: &[f32],
+    place: &IndexBox,
+    cells: &[Range<usize>; 3],
+) -> (BlockRange, [f32; 2]) {
     let [xs, ys, zs] = cells;
-    let (mut min, mut max) = (f32::INFINITY, f32::NEG_INFINITY);
+    let none = [f32::INFINITY, f32::NEG_INFINITY];
+    let wider = |[min, max]: [f32; 2], v: f32| [if v < min { v } else { min }, if v > max { v } else { max }];
+    let row = |y: usize, z: usize| &values[place.offset([xs.start, y, z].map(|n| n as u64))..][..=xs.len()];
+    let (mut known, mut missing) = (none, false);
     for z in zs.start..=zs.end {
         for y in ys.start..=ys.end {
-            let at = place.offset([xs.start, y, z].map(|n| n as u64));
-            for &v in &values[at..=at + xs.len()] {
-                min = if v < min { v } else { min };
-                max = if v > max { v } else { max };
+            for &v in row(y, z) {
+                known = wider(known, v);
+                missing |= v.is_nan();
             }
         }
     }
-    let count: usize = cells.iter().map(ExactSizeIterator::len).product();
-    BlockRange { min: min + 0.0, max: max + 0.0, tets: count as u32 }
+    let known = known.map(|v| v + 0.0);
+    let (mut range, mut count) = (known, cells.iter().map(ExactSizeIterator::len).product());
+    if missing {
+        (range, count) = (none, 0);
+        for z in zs.clone() {
+            for y in ys.clone() {
+                let rows = [row(y, z), row(y + 1, z), row(y, z + 1), row(y + 1, z + 1)];
+                for x in 0..xs.len() {
+                    let nodes = || rows.iter().flat_map(|row| &row[x..x + 2]);
+                    if !nodes().any(|v| v.is_nan()) {
+                        range = nodes().fold(range, |range, v| wider(range, *v + 0.0));
+                        count += 1;
+                    }
+                }
+            }
+        }
+    }
+    (BlockRange { min: range[0], max: range[1], tets: count as u32 }, known)
 }
 
 /// What a box has of an array over a larger one.
@@ -424,17 +492,33 @@ impl Build<'_> {
 /// Puts together the low coefficients of all chunks, and makes the coarse levels of them.
 fn make_coarse(layout: &Layout, hash: PlanHash, pyramid: &Pyramid, scale: &Scale, memory: u64) -> Result<()> {
     let all = Box3::all(pyramid.nodes(pyramid.details()));
-    let needed = 12 * all.len() as u64;
+    let needed = 16 * all.len() as u64;
     if needed > memory {
         return Err(Error::memory("the coarse levels are made in memory", needed, memory));
     }
-    let mut low = vec![0.0f32; all.len()];
+    let (mut low, mut missing) = (vec![0.0f32; all.len()], Vec::<f32>::new());
     for segment in 0..layout.segment_count() {
         let file = ChunkSegment::open(layout.low(segment), SegmentKind::Low, Some(hash))?;
         let mut bytes = vec![];
         for id in layout.chunks_of(segment).map(ChunkId) {
-            file.block(id, 0, &mut bytes)?;
             let place = pyramid.low_box(&pyramid.chunk(chunk_place(pyramid, id)));
+            let last = file.block_count(id) - 1;
+            if last > 0 {
+                file.block(id, 0, &mut bytes)?;
+                let mask = Mask::new(place, std::mem::take(&mut bytes));
+                missing.resize(all.len(), 0.0);
+                mask.and_then(|mask| mask.each_missing(&all, [1; 3], |i| missing[i] = f32::NAN)).map_err(
+                    |e| {
+                        Error::bad_input(
+                            layout.low(segment),
+                            format!("chunk {}", id.0),
+                            "a mask",
+                            e.to_string(),
+                        )
+                    },
+                )?;
+            }
+            file.block(id, last, &mut bytes)?;
             let (values, _) = bytes.as_chunks::<4>();
             let values: Vec<f32> = values.iter().map(|b| f32::from_le_bytes(*b)).collect();
             if values.len() != place.len() {
@@ -447,6 +531,11 @@ fn make_coarse(layout: &Layout, hash: PlanHash, pyramid: &Pyramid, scale: &Scale
     let bytes = Coarse::encode(pyramid, scale, low).map_err(|e| too_fine(&e))?;
     let mut file = SegmentWriter::create(layout.coarse(), SegmentKind::Coarse, hash)?;
     file.push_block(&bytes)?;
+    if !missing.is_empty() && has_coarse_mask(pyramid, pyramid.details()) {
+        let mut mask = MaskBuilder::new(all);
+        mask.add(&all, &all, &missing);
+        file.push_block(&mask.finish())?;
+    }
     file.finish()?;
     Ok(())
 }

@@ -537,6 +537,8 @@ fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3
         return Ok(Chosen { step: 1.0, delay: delay.unwrap_or_default() });
     }
     let refused = |e: isospan_wavelet::Error| Error::usage(format!("the error that is asked for: {e}"));
+    // Errors count where samples are known, and those that stand for others have nearly none.
+    let bound = bound * found.known.sqrt();
     let some = found.small_boxes();
     let mut sampling = Sampling::new(&found.boxes, range, delay.unwrap_or_default()).map_err(refused)?;
     let mut step = sampling.step(bound).map_err(refused)?;
