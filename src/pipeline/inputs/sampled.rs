@@ -6,7 +6,6 @@ use super::shift::{Reading, treat_missing};
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
-use crate::pipeline::read::index_box;
 use crate::volume::chunked::ChunkedVolume;
 use crate::volume::{VolumeReader, VolumeSource};
 use isospan_wavelet::{Box3, fill};
@@ -77,7 +76,7 @@ impl Sampled {
             let (whole, given) = (Box3::all(*dims), values.clone());
             let read = |place: &Box3| {
                 let mut found = vec![0.0; place.len()];
-                take(&index_box(place), &mut found, &index_box(&whole), &given);
+                take(&indices(place), &mut found, &indices(&whole), &given);
                 Ok::<_, Infallible>(found)
             };
             let Ok(()) = fill(*dims, &whole, values, min / 2.0 + max / 2.0, read);
@@ -123,14 +122,17 @@ impl Sampled {
         };
         let whole = IndexBox::whole(dims.map(|n| n as u64));
         let cut = |part: Box3| {
-            let lo = part.start.map(|n| n as u64);
-            let place = IndexBox { lo, hi: part.end().map(|n| n as u64) };
+            let place = indices(&part);
             let mut samples = vec![0.0; place.len()];
             take(&place, &mut samples, &whole, values);
             (samples, part.size)
         };
         isospan_wavelet::boxes(*dims).into_iter().map(cut).collect()
     }
+}
+
+fn indices(b: &Box3) -> IndexBox {
+    IndexBox { lo: b.start.map(|n| n as u64), hi: b.end().map(|n| n as u64) }
 }
 
 /// Copies what a box has in common with a slab.

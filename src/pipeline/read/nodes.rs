@@ -58,8 +58,8 @@ impl StepView {
         Ok(self.pyramid.get_or_init(|| made))
     }
 
-    /// The nodes of a level in a box, x fastest, less the offset of the source; NaN where the sample
-    /// of a node is missing.
+    /// The nodes of a level in a box, x fastest, less the offset of the source; NaN where the
+    /// sample of a node is missing.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a damaged archive; [`Error::Usage`] for a level that is not there.
@@ -134,7 +134,7 @@ impl StepView {
         Ok(())
     }
 
-    /// Makes NaN of the nodes of a box whose samples are missing.
+    /// Makes NaN of the nodes of a box whose samples are missing. Returns whether there are any.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a damaged archive.
@@ -143,23 +143,25 @@ impl StepView {
         level: usize,
         wanted: &IndexBox,
         values: &mut [f32],
-    ) -> Result<()> {
+    ) -> Result<bool> {
         let of = self.pyramid()?;
+        let mut any = false;
+        let mut leave_out = |i: usize| (values[i], any) = (f32::NAN, true);
         let (pyramid, nodes, details) = (&of.pyramid, box3(wanted), of.pyramid.details());
         let stride = pyramid.stride(level);
         if has_coarse_mask(pyramid, level) {
-            let Some(mask) = &of.missing else { return Ok(()) };
+            let Some(mask) = &of.missing else { return Ok(false) };
             let fine = pyramid.stride(details);
             let steps = std::array::from_fn(|a| stride[a] / fine[a]);
-            let found = mask.each_missing(&nodes, steps, |i| values[i] = f32::NAN);
-            return found.map_err(|e| damaged(&self.layout.coarse(), 1, &e));
+            let found = mask.each_missing(&nodes, steps, leave_out);
+            return found.map(|()| any).map_err(|e| damaged(&self.layout.coarse(), 1, &e));
         }
         let last = [0, 1, 2].map(|a| (nodes.end()[a] - 1) * stride[a]);
         let first = [0, 1, 2].map(|a| nodes.start[a] * stride[a]);
         for at in chunks_with(pyramid, first, last) {
             let id = chunk_number(pyramid, at);
             let Some(mask) = self.mask_of(of, id, at)? else { continue };
-            mask.each_missing(&nodes, stride, |i| values[i] = f32::NAN).map_err(|e| {
+            mask.each_missing(&nodes, stride, &mut leave_out).map_err(|e| {
                 let number = pyramid.blocks(at).len() as u64;
                 match self.values_of(self.position(), id) {
                     Ok(file) => damaged(file.segment().path(), file.block_number(id, number), &e),
@@ -167,7 +169,7 @@ impl StepView {
                 }
             })?;
         }
-        Ok(())
+        Ok(any)
     }
 
     /// The mask of a chunk, where it has missing samples.

@@ -15,6 +15,7 @@ mod arrange;
 mod build;
 mod cached;
 mod changed;
+mod coarse;
 mod contents;
 mod copy;
 mod encode;

@@ -14,28 +14,26 @@
 //! Memory decides in which parts a chunk is made, and that changes no byte.
 
 use super::build::{Build, SegmentSource, Segments};
+use super::coarse::{make_coarse, mask_of_nodes};
 use super::encode::BadSteps;
 use super::encoded::EncodedChunk;
 use super::series::SeriesPlan;
 use super::sink::{SegmentFiles, is_whole};
 use super::sums::FinishedSteps;
 use super::workers::{MakeChunks, SegmentMaker};
-use crate::archive::chunked::{BlockRange, ChunkSegment, ValueSummary};
-use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
+use crate::archive::chunked::{BlockRange, ValueSummary};
+use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, pool};
-use crate::grid::{Chunk, ChunkId, IndexBox};
+use crate::grid::{Chunk, IndexBox};
 use crate::measure::ErrorSums;
 use crate::pipeline::chunk::{Field, GridField};
-use crate::pipeline::plan::{Layout, Shares, part_edge};
-use crate::pipeline::read::{
-    StepView, bricks_of, chunk_place, has_coarse_mask, index_box, pyramid_of, scale_of,
-};
+use crate::pipeline::plan::{Shares, part_edge};
+use crate::pipeline::read::{StepView, bricks_of, index_box, pyramid_of, scale_of};
 use crate::pipeline::stage::StageTimes;
 use isospan_wavelet::{
-    Box3, Coarse, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part,
-    fill,
+    Box3, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part, fill,
 };
 use std::collections::HashMap;
 use std::ops::Range;
@@ -77,15 +75,6 @@ impl Work<'_> {
         let middle = (min / 2.0 + max / 2.0) as f32;
         fill(self.pyramid.nodes(0), window, samples, middle, |place| self.read(&index_box(place)))
     }
-}
-
-/// The samples of nodes that are missing, as a mask of these; no bytes if none is.
-fn mask_of_nodes(mask: &Mask, nodes: &Box3, stride: [usize; 3]) -> Result<Vec<u8>> {
-    let mut values = vec![0.0; nodes.len()];
-    mask.each_missing(nodes, stride, |i| values[i] = f32::NAN).map_err(|e| too_fine(&e))?;
-    let mut builder = MaskBuilder::new(*nodes);
-    builder.add(nodes, nodes, &values);
-    Ok(builder.finish())
 }
 
 /// Makes tiles and low coefficients.
@@ -229,8 +218,9 @@ impl MakeChunks for RangeMaker<'_> {
                 let numbers = work.bad.note(0, work.number, corrected)?;
                 put(&mut corrections, &place, &cut(&numbers, &nodes, &own), &part);
             }
-            self.view.leave_out_missing(0, &nodes, &mut decoded)?;
-            void += cut(&decoded, &nodes, &own).iter().filter(|v| v.is_nan()).count();
+            if self.view.leave_out_missing(0, &nodes, &mut decoded)? {
+                void += cut(&decoded, &nodes, &own).iter().filter(|v| v.is_nan()).count();
+            }
             if self.measured {
                 let originals = cut(&samples, &nodes, &own);
                 let found = cut(&decoded, &nodes, &own);
@@ -350,7 +340,7 @@ fn cut<T: Copy>(values: &[T], from: &IndexBox, part: &IndexBox) -> Vec<T> {
 }
 
 /// Puts what a part has into an array over a larger box.
-fn put<T: Copy>(values: &mut [T], to: &Box3, found: &[T], part: &Box3) {
+pub(super) fn put<T: Copy>(values: &mut [T], to: &Box3, found: &[T], part: &Box3) {
     let (to, part) = (index_box(to), index_box(part));
     let width = part.dims()[0] as usize;
     let rows = (part.lo[2]..part.hi[2]).flat_map(|z| (part.lo[1]..part.hi[1]).map(move |y| (y, z)));
@@ -360,7 +350,7 @@ fn put<T: Copy>(values: &mut [T], to: &Box3, found: &[T], part: &Box3) {
     }
 }
 
-fn too_fine(e: &isospan_wavelet::Error) -> Error {
+pub(super) fn too_fine(e: &isospan_wavelet::Error) -> Error {
     Error::usage(format!("the error that is asked for is below what f32 holds: {e}"))
 }
 
@@ -487,55 +477,4 @@ impl Build<'_> {
         made.times.add(&times);
         Ok(())
     }
-}
-
-/// Puts together the low coefficients of all chunks, and makes the coarse levels of them.
-fn make_coarse(layout: &Layout, hash: PlanHash, pyramid: &Pyramid, scale: &Scale, memory: u64) -> Result<()> {
-    let all = Box3::all(pyramid.nodes(pyramid.details()));
-    let needed = 16 * all.len() as u64;
-    if needed > memory {
-        return Err(Error::memory("the coarse levels are made in memory", needed, memory));
-    }
-    let (mut low, mut missing) = (vec![0.0f32; all.len()], Vec::<f32>::new());
-    for segment in 0..layout.segment_count() {
-        let file = ChunkSegment::open(layout.low(segment), SegmentKind::Low, Some(hash))?;
-        let mut bytes = vec![];
-        for id in layout.chunks_of(segment).map(ChunkId) {
-            let place = pyramid.low_box(&pyramid.chunk(chunk_place(pyramid, id)));
-            let last = file.block_count(id) - 1;
-            if last > 0 {
-                file.block(id, 0, &mut bytes)?;
-                let mask = Mask::new(place, std::mem::take(&mut bytes));
-                missing.resize(all.len(), 0.0);
-                mask.and_then(|mask| mask.each_missing(&all, [1; 3], |i| missing[i] = f32::NAN)).map_err(
-                    |e| {
-                        Error::bad_input(
-                            layout.low(segment),
-                            format!("chunk {}", id.0),
-                            "a mask",
-                            e.to_string(),
-                        )
-                    },
-                )?;
-            }
-            file.block(id, last, &mut bytes)?;
-            let (values, _) = bytes.as_chunks::<4>();
-            let values: Vec<f32> = values.iter().map(|b| f32::from_le_bytes(*b)).collect();
-            if values.len() != place.len() {
-                let (expected, got) = (format!("{} numbers", place.len()), values.len().to_string());
-                return Err(Error::bad_input(layout.low(segment), format!("chunk {}", id.0), expected, got));
-            }
-            put(&mut low, &all, &values, &place);
-        }
-    }
-    let bytes = Coarse::encode(pyramid, scale, low).map_err(|e| too_fine(&e))?;
-    let mut file = SegmentWriter::create(layout.coarse(), SegmentKind::Coarse, hash)?;
-    file.push_block(&bytes)?;
-    if !missing.is_empty() && has_coarse_mask(pyramid, pyramid.details()) {
-        let mut mask = MaskBuilder::new(all);
-        mask.add(&all, &all, &missing);
-        file.push_block(&mask.finish())?;
-    }
-    file.finish()?;
-    Ok(())
 }

@@ -24,6 +24,8 @@
 //! results are the same bits for any boxes, on any machine: all arithmetic is IEEE 754 or of whole
 //! numbers, in a fixed order. `FORMAT.md` specifies every byte and every rounding.
 //!
+//! Where samples are missing, [`fill`] finds values that cost little, and a [`Mask`] tells where.
+//!
 //! Costs: a transform, its inverse, and coding take about 20 to 60 ns a sample altogether, each
 //! way. An array is held in memory three times while it is compressed as a whole.
 
