@@ -25,7 +25,7 @@ use isospan::surface::check::check;
 use isospan::volume::chunked::ChunkedVolume;
 use isospan::volume::{ScalarType, VolumeReader, VolumeSource};
 use isospan::{Error, Resources, Result};
-use isospan_wavelet::{Box3, Compressed};
+use isospan_wavelet::{Box3, Compressed, Mask};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -150,8 +150,19 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
         3 => MeshSummary::decode(block).map(drop).map_err(blame),
         4 => ValueSummary::decode(block).map(drop).map_err(blame),
         5 => decode_flags(block, &mut vec![false; block.len() % 5000]).map_err(blame),
+        7 => mask(block),
         _ => decode_ids(block, &mut vec![PointId(0); block.len() % 1024]).map_err(blame),
     }
+}
+
+/// Which samples are missing in a box that has boxes of all sizes.
+fn mask(block: &[u8]) -> Result<()> {
+    let place = Box3 { start: [256, 0, 32], size: [33, 1 + block.len() % 40, 64] };
+    let mask = Mask::new(place, block.to_vec());
+    let mut missing = 0;
+    let read = mask.and_then(|mask| mask.each_missing(&place, [1; 3], |_| missing += 1));
+    assert!(missing <= place.len(), "a sample is missing twice");
+    read.map_err(|e| Error::usage(e.to_string()))
 }
 
 fn tetrahedra(block: &[u8]) -> std::result::Result<(), isospan::archive::Malformed> {

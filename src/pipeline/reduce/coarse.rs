@@ -1,12 +1,11 @@
 //! The coarse levels of a pyramid: made of what workers leave of all chunks.
 
-use super::pyramid::{put, too_fine};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::segment::{PlanHash, SegmentKind, SegmentWriter};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::Layout;
-use crate::pipeline::read::{chunk_place, has_coarse_mask};
+use crate::pipeline::read::{chunk_place, has_coarse_mask, index_box};
 use isospan_wavelet::{Box3, Coarse, Mask, MaskBuilder, Pyramid, Scale};
 
 /// The samples of nodes that are missing, as a mask of these; no bytes if none is.
@@ -68,4 +67,19 @@ pub(super) fn make_coarse(
     }
     file.finish()?;
     Ok(())
+}
+
+/// Puts what a part has into an array over a larger box.
+pub(super) fn put<T: Copy>(values: &mut [T], to: &Box3, found: &[T], part: &Box3) {
+    let (to, part) = (index_box(to), index_box(part));
+    let width = part.dims()[0] as usize;
+    let rows = (part.lo[2]..part.hi[2]).flat_map(|z| (part.lo[1]..part.hi[1]).map(move |y| (y, z)));
+    for ((y, z), row) in rows.zip(found.chunks(width)) {
+        let at = to.offset([part.lo[0], y, z]);
+        values[at..at + width].copy_from_slice(row);
+    }
+}
+
+pub(super) fn too_fine(e: &isospan_wavelet::Error) -> Error {
+    Error::usage(format!("the error that is asked for is below what f32 holds: {e}"))
 }

@@ -14,7 +14,7 @@
 //! Memory decides in which parts a chunk is made, and that changes no byte.
 
 use super::build::{Build, SegmentSource, Segments};
-use super::coarse::{make_coarse, mask_of_nodes};
+use super::coarse::{make_coarse, mask_of_nodes, put, too_fine};
 use super::encode::BadSteps;
 use super::encoded::EncodedChunk;
 use super::series::SeriesPlan;
@@ -31,6 +31,7 @@ use crate::measure::ErrorSums;
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::plan::{Shares, part_edge};
 use crate::pipeline::read::{StepView, bricks_of, index_box, pyramid_of, scale_of};
+use crate::pipeline::settings::NanPolicy;
 use crate::pipeline::stage::StageTimes;
 use isospan_wavelet::{
     Box3, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part, fill,
@@ -93,8 +94,10 @@ impl MakeChunks for DetailMaker<'_> {
             let start = Instant::now();
             let window = work.pyramid.window(&part);
             let mut samples = work.read(&index_box(&window))?;
-            mask.add(&part, &window, &samples);
-            work.fill(&window, &mut samples)?;
+            if work.field.nan == NanPolicy::Mask {
+                mask.add(&part, &window, &samples);
+                work.fill(&window, &mut samples)?;
+            }
             times.sample += start.elapsed();
             let start = Instant::now();
             samples.iter_mut().for_each(|v| *v = work.scale.enter(f64::from(*v)));
@@ -337,21 +340,6 @@ fn cut<T: Copy>(values: &[T], from: &IndexBox, part: &IndexBox) -> Vec<T> {
         }
     }
     found
-}
-
-/// Puts what a part has into an array over a larger box.
-pub(super) fn put<T: Copy>(values: &mut [T], to: &Box3, found: &[T], part: &Box3) {
-    let (to, part) = (index_box(to), index_box(part));
-    let width = part.dims()[0] as usize;
-    let rows = (part.lo[2]..part.hi[2]).flat_map(|z| (part.lo[1]..part.hi[1]).map(move |y| (y, z)));
-    for ((y, z), row) in rows.zip(found.chunks(width)) {
-        let at = to.offset([part.lo[0], y, z]);
-        values[at..at + width].copy_from_slice(row);
-    }
-}
-
-pub(super) fn too_fine(e: &isospan_wavelet::Error) -> Error {
-    Error::usage(format!("the error that is asked for is below what f32 holds: {e}"))
 }
 
 impl Build<'_> {
