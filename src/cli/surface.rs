@@ -9,7 +9,8 @@ use super::text;
 use clap::ValueEnum;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{
-    ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings,
+    ColourBy, LevelChoice, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport,
+    SurfaceSettings,
 };
 use isospan::render::ColourMap;
 use isospan::surface::edit::{
@@ -59,8 +60,8 @@ pub(crate) struct Args {
     roi: Option<Roi>,
     /// The level of a pyramid: 0 is the finest, 1 has every second sample along each axis, and so
     /// on; isospan info lists them.
-    #[arg(long, value_name = "L", default_value_t = 0, value_parser = grammar::whole::<usize>, allow_negative_numbers = true)]
-    level: usize,
+    #[arg(long, value_name = "L", value_parser = grammar::whole::<u32>, allow_negative_numbers = true)]
+    level: Option<u32>,
     /// Close the surfaces at the faces of the domain. Of a mesh, this needs one that fills its
     /// box.
     #[arg(long, conflicts_with = "roi")]
@@ -204,7 +205,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         cap: args.cap,
         refine: refine(args, &archive)?,
         colour_by: colours(args, &archive)?,
-        level: args.level,
+        level: args.level.map(LevelChoice::Level),
     };
     if args.is_to_standard_output() {
         return to_standard_output(args, &settings, &archive, format, talk);

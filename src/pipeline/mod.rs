@@ -45,8 +45,8 @@ pub use field::{
 pub use inputs::{Scan, brick, is_bricked, scan};
 pub use plan::{Estimate, Finding, Notice, Plan, SearchEstimate, Shard, fingerprint};
 pub use read::{
-    ArchiveSummary, Knot, LevelSummary, PyramidLevel, Roi, RoiSpace, SpectrumReport, StepChoice, StepRange,
-    StepSpectrum, StepSummary, Suggestion, is_archive,
+    ArchiveSummary, Knot, LevelChoice, LevelSummary, PyramidLevel, Roi, RoiSpace, SpectrumReport, StepChoice,
+    StepRange, StepSpectrum, StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
     AppendSettings, CopiedFile, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, archive_files,

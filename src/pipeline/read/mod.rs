@@ -18,6 +18,7 @@ mod coordinates;
 mod damaged;
 mod decoded;
 mod frontier;
+mod level;
 mod mesh_sizes;
 mod neighbours;
 mod node_values;
@@ -51,6 +52,7 @@ pub(super) use coordinates::{
 };
 pub(super) use decoded::DecodedChunk;
 pub(super) use frontier::Frontier;
+pub use level::LevelChoice;
 pub(super) use mesh_sizes::sizes_of;
 pub(super) use node_values::NodeValues;
 pub(super) use pools::{BufferPool, Buffers};

@@ -4,7 +4,7 @@
 //! Of each part the least box that holds its active bricks is decoded, with a node on each side.
 
 use super::worker::{Cells, ChunkSurfaces, ChunkWork, Question};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::geom::{LatticeBox, PointId};
 use crate::grid::{ChunkId, IndexBox};
@@ -44,18 +44,8 @@ pub(super) fn by_part(archive: &StepView, work: Vec<ChunkWork>) -> Result<Vec<Ch
 }
 
 /// All parts of a coarse level, which have no ranges of their own.
-///
-/// # Errors
-/// [`Error::Usage`] for an archive without that level.
 pub(super) fn of_level(archive: &StepView, level: usize) -> Result<Vec<ChunkWork>> {
     let pyramid = &archive.pyramid()?.pyramid;
-    if level > pyramid.coarsest() {
-        return Err(Error::usage(format!(
-            "{} has no level {level}: it has levels 0 (the finest) to {}",
-            archive.path().display(),
-            pyramid.coarsest()
-        )));
-    }
     let (nodes, range) = (pyramid.nodes(level).map(|n| n as u64), archive.value_range());
     let Some([min, max]) = range else { return Ok(vec![]) };
     let counts = nodes.map(|n| (n - 1).div_ceil(PART));

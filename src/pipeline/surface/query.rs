@@ -236,6 +236,8 @@ pub(super) struct FinishedSurfaces {
 pub(super) struct Prepared<'a> {
     pub(super) view: &'a StepView,
     pub(super) work: Vec<ChunkWork>,
+    /// The level of a pyramid.
+    level: usize,
     /// The isovalues, as the archive has values.
     isovalues: Vec<f32>,
     cut: Option<Cut>,
@@ -259,6 +261,7 @@ impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Clock::start();
         expect_in_f32(archive)?;
+        let level = archive.level(settings.level)?;
         let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {
             expect_full_box(archive)?;
@@ -266,12 +269,13 @@ impl<'a> Prepared<'a> {
         // Where the range of all values gives the answer, no index is needed.
         let index = settings.can_answer(archive).then(|| archive.ranges()).transpose()?;
         let work = match &index {
-            Some(index) => work_of(archive, index, settings, cut.as_ref())?,
+            Some(index) => work_of(archive, index, settings, level, cut.as_ref())?,
             None => vec![],
         };
         Ok(Self {
             view: archive,
             work,
+            level,
             isovalues: settings.kept(archive),
             cut,
             half_spaces,
@@ -287,7 +291,7 @@ impl<'a> Prepared<'a> {
             isovalues: &self.isovalues,
             cut: self.cut.as_ref(),
             world: self.world,
-            level: settings.level,
+            level: self.level,
             caps: settings.cap.then(|| self.view.manifest.plan.lattice.max()),
             work: &self.work,
             active_bytes: AtomicU64::new(0),
@@ -389,19 +393,22 @@ fn work_of(
     archive: &StepView,
     index: &Ranges<'_>,
     settings: &SurfaceSettings,
+    level: usize,
     cut: Option<&Cut>,
 ) -> Result<Vec<ChunkWork>> {
     let isovalues = settings.kept(archive);
-    if settings.level > 0 {
-        let work = of_level(archive, settings.level)?;
-        return cut
-            .map_or_else(|| Ok(work.clone()), |cut| touching(archive, cut, settings.level, work.clone()));
-    }
-    let refs =
-        if settings.cap { with_inside(archive, index, &isovalues)? } else { index.query_any(&isovalues)? };
-    let work = by_part(archive, by_chunk(archive, &refs)?)?;
+    let work = if level > 0 {
+        of_level(archive, level)?
+    } else {
+        let refs = if settings.cap {
+            with_inside(archive, index, &isovalues)?
+        } else {
+            index.query_any(&isovalues)?
+        };
+        by_part(archive, by_chunk(archive, &refs)?)?
+    };
     match cut {
-        Some(cut) => touching(archive, cut, 0, work),
+        Some(cut) => touching(archive, cut, level, work),
         None => Ok(work),
     }
 }

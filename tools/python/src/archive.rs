@@ -13,8 +13,8 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, Step, StepChoice,
-    StepRange, SurfaceSettings,
+    self, Corners, ExportSettings, LevelChoice, MeasureSettings, ProbeSettings, Refine, RunSettings, Step,
+    StepChoice, StepRange, SurfaceSettings,
 };
 use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
 use pyo3::prelude::*;
@@ -111,7 +111,7 @@ pub(crate) struct Wanted {
     min_volume: Option<f64>,
     decimate: Option<f64>,
     decimate_error: Option<f64>,
-    level: usize,
+    level: Option<u32>,
 }
 
 fn parsed<T: FromStr>(py: Python<'_>, text: Option<&String>) -> PyResult<Option<T>>
@@ -144,7 +144,7 @@ impl Wanted {
             roi: parsed(py, self.roi.as_ref())?,
             cap: self.cap,
             refine: self.refine(),
-            level: self.level,
+            level: self.level.map(LevelChoice::Level),
             ..SurfaceSettings::default()
         })
     }

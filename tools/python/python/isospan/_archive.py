@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         min_volume: float | None
         decimate: float | None
         decimate_error: float | None
-        level: int
+        level: int | None
         step: Which | None
         time: float | None
         threads: int
@@ -295,7 +295,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        level: int = 0,
+        level: int | None = None,
         step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
@@ -364,7 +364,7 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        level: int = 0,
+        level: int | None = None,
         step: Which | None = None,
         time: float | None = None,
         steps: str | bool | None = None,
