@@ -319,11 +319,7 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             text::plural(s.blocks, "block")
         ),
     };
-    for level in &s.pyramid {
-        let [x, y, z] = level.nodes;
-        let cells = text::count(level.cells);
-        let _ = writeln!(out, "  level {:<5} {x} x {y} x {z} nodes, {cells} cells", level.level);
-    }
+    out += &levels_text(s);
     if let Some(cells) = s.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
@@ -385,6 +381,27 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     if let Some(samples) = s.sample_bytes {
         let count = s.dims.iter().product::<u64>() * s.steps.len() as u64;
         let _ = writeln!(out, "{}", text::bits_line(s.bytes, samples, count));
+    }
+    out
+}
+
+/// The levels of a pyramid, a line each.
+fn levels_text(s: &ArchiveSummary) -> String {
+    if s.pyramid.is_empty() {
+        return String::new();
+    }
+    let range = s.error.as_ref().and_then(|e| e.source_range).map(|[lo, hi]| hi - lo).filter(|r| *r > 0.0);
+    let mut out =
+        format!("  {:<11} {:>20} {:>15} {:>10} {:>12}\n", "level", "nodes", "cells", "bytes", "RMS error");
+    for level in &s.pyramid {
+        let nodes = level.nodes.map(|n| n.to_string()).join(" x ");
+        let bytes = level.bytes.map_or("-".into(), text::bytes);
+        let rms = level.rms.map_or("-".into(), |rms| {
+            let share = range.map_or(String::new(), |range| format!("  {:.3} %", 100.0 * rms / range));
+            format!("{:>12}{share}", text::value(text::figures(rms, 4)))
+        });
+        let cells = text::count(level.cells);
+        let _ = writeln!(out, "  {:>11} {nodes:>20} {cells:>15} {bytes:>10} {rms:>12}", level.level);
     }
     out
 }

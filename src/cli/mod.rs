@@ -18,6 +18,7 @@ mod heap;
 mod info;
 mod info_mesh;
 mod input;
+mod level;
 mod machine;
 mod manual;
 mod measure;

@@ -1,6 +1,7 @@
 //! `isospan probe`: the reduced field on a grid, or at points.
 
 use super::grammar;
+use super::level::LevelArgs;
 use super::machine::Machine;
 use super::output::Force;
 use super::progress::Talk;
@@ -15,11 +16,12 @@ use std::path::{Path, PathBuf};
 
 /// Sample the field of an archive on a grid or at points.
 ///
-/// The field is linear in each tetrahedron.
+/// The field is linear in each tetrahedron; that of a pyramid is trilinear between the nodes of a
+/// level, and ends at the last ones.
 #[derive(clap::Args, Debug)]
 #[command(
     group = clap::ArgGroup::new("places").required(true).args(["grid", "at"]),
-    after_help = "Examples:\n  isospan probe scan.isospan --grid 256,256,128 -o scan.vti\n  isospan probe scan.isospan --at points.csv -o values.csv"
+    after_help = "Examples:\n  isospan probe scan.isospan --grid 256,256,128 -o scan.vti\n  isospan probe scan.isospan --at points.csv -o values.csv\n  isospan probe scan.isospan --grid 64,64,32 --error 2% -o small.vti"
 )]
 pub(crate) struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -34,6 +36,8 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
+    level: LevelArgs,
+    #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
     step: StepArgs,
@@ -45,7 +49,8 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let settings = ProbeSettings { resources: args.machine.resources(None, talk) };
+    let settings =
+        ProbeSettings { resources: args.machine.resources(None, talk), level: args.level.choice() };
     args.force.check(&args.output, args.at.iter().chain([&args.archive]))?;
     let archive = Archive::open(&args.archive)?.at(args.step.choice()?)?;
     let bar = talk.progress();
@@ -67,9 +72,11 @@ fn report_text(file: &Path, report: &ProbeReport, unit: Option<&Unit>) -> String
     let (samples, size) = (text::count(report.samples), text::bytes(report.file_bytes));
     let unit = unit.map_or_else(String::new, |unit| format!(", values in {unit}"));
     let mut out = format!("{}: {samples} samples, {size}{unit}\n", file.display());
-    for (count, why) in
-        [(report.void, "where the source has no data"), (report.outside, "outside the domain")]
-    {
+    let outside = match report.level {
+        None | Some(0) => "outside the domain".to_owned(),
+        Some(level) => format!("beyond the last nodes of level {level}, or outside the domain"),
+    };
+    for (count, why) in [(report.void, "where the source has no data"), (report.outside, &outside)] {
         if count > 0 {
             let _ = writeln!(out, "  NaN: {} {why}", text::count(count));
         }

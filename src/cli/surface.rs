@@ -1,6 +1,7 @@
 //! `isospan surface`: isosurfaces from an archive.
 
 use super::grammar::{self, Length, Value};
+use super::level::LevelArgs;
 use super::machine::{Machine, OutputScratch};
 use super::output::Force;
 use super::progress::Talk;
@@ -9,8 +10,7 @@ use super::text;
 use clap::ValueEnum;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{
-    ColourBy, LevelChoice, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport,
-    SurfaceSettings,
+    ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings,
 };
 use isospan::render::ColourMap;
 use isospan::surface::edit::{
@@ -27,7 +27,7 @@ use std::time::Duration;
 /// Extract isosurfaces from an archive.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp"
+    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp\n  isospan surface scan.isospan -i 600 --triangles 100000 -o look.glb"
 )]
 pub(crate) struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -58,10 +58,6 @@ pub(crate) struct Args {
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
-    /// The level of a pyramid: 0 is the finest, 1 has every second sample along each axis, and so
-    /// on; isospan info lists them.
-    #[arg(long, value_name = "L", value_parser = grammar::whole::<u32>, allow_negative_numbers = true)]
-    level: Option<u32>,
     /// Close the surfaces at the faces of the domain. Of a mesh, this needs one that fills its
     /// box.
     #[arg(long, conflicts_with = "roi")]
@@ -97,6 +93,8 @@ pub(crate) struct Args {
     /// The values at the ends of the colour map [default: those of the whole field].
     #[arg(help_heading = "Colours", long, visible_alias = "color-range", value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true, requires = "colour_by")]
     colour_range: Option<grammar::Range>,
+    #[command(flatten)]
+    level: LevelArgs,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -205,7 +203,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         cap: args.cap,
         refine: refine(args, &archive)?,
         colour_by: colours(args, &archive)?,
-        level: args.level.map(LevelChoice::Level),
+        level: args.level.choice(),
     };
     if args.is_to_standard_output() {
         return to_standard_output(args, &settings, &archive, format, talk);
@@ -490,6 +488,9 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             text::count(report.triangles),
             text::bytes(report.file_bytes)
         );
+    }
+    if let Some(level) = report.level {
+        let _ = writeln!(out, "  level         {level}");
     }
     out += &shift_text(report);
     if let Some(without) = report.without_value.filter(|&n| n > 0) {

@@ -11,11 +11,12 @@ use crate::pipeline::field::{
     probe_table, sample_grid, values_at,
 };
 use crate::pipeline::read::{
-    ArchiveSummary, IndexToWorld, SpectrumReport, StepView, bounds, spectrum, summarize,
+    ArchiveSummary, IndexToWorld, LevelChoice, SpectrumReport, StepView, bounds, samples_of_level, spectrum,
+    summarize,
 };
 use crate::pipeline::surface::{
-    ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, stream_file, stream_surfaces,
-    surfaces_in_memory, values_on, write_surfaces,
+    ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, level_of, stream_file,
+    stream_surfaces, surfaces_in_memory, values_on, write_surfaces,
 };
 use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
@@ -126,6 +127,19 @@ impl Step {
         self.view.step().plan.source.dims
     }
 
+    /// Samples of the source along x, y, z that a level of a pyramid spans: it ends at its last
+    /// node. All of them where no level is chosen.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive without levels, for a level that is not there, and
+    /// where no level has so small an error.
+    pub fn dims_of_level(&self, level: Option<LevelChoice>) -> Result<[u64; 3]> {
+        match level {
+            None => Ok(self.dims()),
+            Some(_) => Ok(samples_of_level(&self.view.pyramid()?.pyramid, self.view.level(level)?)),
+        }
+    }
+
     /// The least box of the world that holds the domain: its lowest and its highest corner. For a
     /// curvilinear grid this reads all coordinates, once for an open archive.
     ///
@@ -149,7 +163,30 @@ impl Step {
     /// # Errors
     /// Those of [`Step::count`]; [`crate::Error::Cancelled`].
     pub fn count_until(&self, isovalue: impl Into<f64>, cancel: &CancelToken) -> Result<CountReport> {
-        count(&self.view, isovalue.into(), cancel)
+        count(&self.view, isovalue.into(), None, cancel)
+    }
+
+    /// How many cells of a level of a pyramid an isosurface crosses, exactly.
+    ///
+    /// # Errors
+    /// Those of [`Step::count_until`]; [`crate::Error::Usage`] for a level that cannot be had.
+    pub fn count_at(
+        &self,
+        isovalue: impl Into<f64>,
+        level: LevelChoice,
+        cancel: &CancelToken,
+    ) -> Result<CountReport> {
+        count(&self.view, isovalue.into(), Some(level), cancel)
+    }
+
+    /// The level of a pyramid that a question for surfaces is asked of, by its number:
+    /// [`SurfaceSettings::level`] chooses it; 0 where nothing does.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive without levels, for a level that is not there, and
+    /// where no level has so few triangles or so small an error.
+    pub fn level_of(&self, settings: &SurfaceSettings) -> Result<u32> {
+        level_of(&self.view, settings).map(|level| level as u32)
     }
 
     /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads

@@ -27,6 +27,7 @@ mod given;
 mod grids;
 mod io;
 mod lattice;
+mod levels;
 #[cfg(feature = "remote")]
 mod liars;
 mod machines;

@@ -322,7 +322,8 @@ fn bodies_that_overlap_are_both_there() {
     let mut grids = vec![];
     for threads in [1, 2, 5] {
         let out = dir.path().join(format!("{threads}.npy"));
-        let settings = pipeline::ProbeSettings { resources: Resources::default().with_threads(threads) };
+        let settings =
+            pipeline::ProbeSettings { resources: Resources::default().with_threads(threads), level: None };
         let report = open.write_samples([31, 30, 29], &settings, &out, SampleFormat::Npy, &Silent).unwrap();
         let bytes = std::fs::read(&out).unwrap();
         let values = &bytes[bytes.len() - 4 * 31 * 30 * 29..];

@@ -301,6 +301,9 @@ pub struct Step {
     pub error: Option<FieldError>,
     /// The errors of each level, where the density of points differs from place to place.
     pub level_errors: Vec<LevelError>,
+    /// Of a pyramid whose error was measured: the RMS errors of levels 1, 2, … at the samples up to
+    /// their last nodes.
+    pub level_rms: Vec<f64>,
 }
 
 impl Step {
@@ -320,6 +323,7 @@ impl Step {
             coordinates: None,
             error: None,
             level_errors: vec![],
+            level_rms: vec![],
         }
     }
 
@@ -663,6 +667,7 @@ pub(crate) mod tests {
             coordinates: None,
             error: None,
             level_errors: vec![],
+            level_rms: vec![],
             ranges: vec![],
             coarse: None,
         };

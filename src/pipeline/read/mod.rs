@@ -19,6 +19,7 @@ mod damaged;
 mod decoded;
 mod frontier;
 mod level;
+mod level_field;
 mod mesh_sizes;
 mod neighbours;
 mod node_values;
@@ -53,6 +54,7 @@ pub(super) use coordinates::{
 pub(super) use decoded::DecodedChunk;
 pub(super) use frontier::Frontier;
 pub use level::LevelChoice;
+pub(super) use level_field::{LevelNodes, samples_of_level};
 pub(super) use mesh_sizes::sizes_of;
 pub(super) use node_values::NodeValues;
 pub(super) use pools::{BufferPool, Buffers};

@@ -18,15 +18,18 @@ use super::sink::{SegmentFiles, is_whole};
 use super::sums::FinishedSteps;
 use super::workers::{MakeChunks, SegmentMaker};
 use crate::archive::chunked::{BlockRange, ChunkSegment, ValueSummary};
+use crate::archive::manifest::StepPlan;
 use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, pool};
 use crate::grid::{Chunk, ChunkId, IndexBox};
-use crate::measure::ErrorSums;
+use crate::measure::{BrickErrors, ErrorSums, Squares};
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::plan::{Layout, Shares, part_edge};
-use crate::pipeline::read::{StepView, bricks_of, chunk_place, index_box, pyramid_of, scale_of};
+use crate::pipeline::read::{
+    LevelNodes, StepView, bricks_of, chunk_place, index_box, pyramid_of, samples_of_level, scale_of,
+};
 use crate::pipeline::stage::StageTimes;
 use isospan_wavelet::{Box3, Coarse, Correction, Pyramid, Scale, blocks_of, encode_corrections, encode_part};
 use std::collections::HashMap;
@@ -126,9 +129,61 @@ struct RangeMaker<'a> {
     view: &'a StepView,
     /// Whether errors are measured.
     measured: bool,
+    /// The range of the samples.
+    range: f64,
+    /// Levels from 1 on that are small enough to be held as a whole.
+    levels: Vec<Option<LevelNodes>>,
 }
 
-impl RangeMaker<'_> {
+impl<'a> RangeMaker<'a> {
+    /// `held` bytes are for nodes of coarse levels, which chunk after chunk needs.
+    fn new(work: Work<'a>, view: &'a StepView, step: &StepPlan, held: u64) -> Result<Self> {
+        let (mut levels, mut left) = (vec![], held / 4);
+        if step.measured {
+            levels.resize_with(work.pyramid.coarsest(), || None);
+            for level in (1..=work.pyramid.coarsest()).rev() {
+                left = left.saturating_sub(work.pyramid.nodes(level).map(|n| n as u64).iter().product());
+                if left == 0 {
+                    break;
+                }
+                let all = IndexBox { lo: [0; 3], hi: samples_of_level(work.pyramid, level) };
+                levels[level - 1] = Some(view.nodes_around(level, &all)?);
+            }
+        }
+        let [lo, hi] = step.wavelet.map_or([0.0; 2], |wavelet| wavelet.range);
+        Ok(Self { work, view, measured: step.measured, range: hi - lo, levels })
+    }
+
+    /// Adds the errors of the levels from 1 on at the samples of a part.
+    fn measure_levels(
+        &self,
+        samples: &[f32],
+        place: &IndexBox,
+        part: &IndexBox,
+        sums: &mut [Squares],
+    ) -> Result<()> {
+        for (level, sums) in (1..).zip(sums) {
+            let ends = samples_of_level(self.work.pyramid, level);
+            let part = part.intersect(&IndexBox { lo: [0; 3], hi: ends });
+            if part.is_empty() {
+                continue;
+            }
+            let read;
+            let nodes = match &self.levels[level - 1] {
+                Some(nodes) => nodes,
+                None => {
+                    read = self.view.nodes_around(level, &part)?;
+                    &read
+                }
+            };
+            nodes.each_row(&part, |[y, z], row| {
+                let at = place.offset([part.lo[0], y, z]);
+                sums.add_row(&samples[at..at + row.len()], row);
+            });
+        }
+        Ok(())
+    }
+
     /// The corrections of a box of decoded samples, which become what readers get.
     fn correct(&self, place: &IndexBox, decoded: &mut [f32], samples: &[f32]) -> Result<Vec<i32>> {
         let Work { correction, path, .. } = &self.work;
@@ -168,6 +223,7 @@ impl MakeChunks for RangeMaker<'_> {
         let corrects = work.correction != Correction::None;
         let mut corrections = if corrects { vec![0; place.len()] } else { vec![] };
         let (mut ranges, mut sums) = (vec![BlockRange::NONE; bricks.len()], ErrorSums::default());
+        let mut levels = vec![Squares::of_range(self.range); self.levels.len()];
         for part in work.pyramid.parts(at, work.edge) {
             work.cancel.check()?;
             // The nodes of all cells that begin in the part.
@@ -199,6 +255,7 @@ impl MakeChunks for RangeMaker<'_> {
                         ((own.lo[2] + z) * sy + own.lo[1] + y) * sx + own.lo[0] + x
                     });
                 }
+                self.measure_levels(&samples, &nodes, &own, &mut levels)?;
             }
             times.measure += start.elapsed();
             for (range, cells) in ranges.iter_mut().zip(&bricks) {
@@ -214,7 +271,8 @@ impl MakeChunks for RangeMaker<'_> {
         let summary = ValueSummary { void: 0, min, max, ranges };
         let corrections = encode_corrections(&place, &corrections)
             .map_err(|e| Error::usage(format!("the error that is asked for: {e}")))?;
-        let errors = self.measured.then(|| encode_errors(&ChunkErrors { sums, levels: vec![] }));
+        let levels: Vec<BrickErrors> = levels.iter().map(Squares::errors).collect();
+        let errors = self.measured.then(|| encode_errors(&ChunkErrors { sums, levels }));
         Ok(EncodedChunk {
             points: place.len() as u64,
             mesh_blocks: vec![],
@@ -394,7 +452,7 @@ impl Build<'_> {
         let view = archive.step_at(archive.manifest.steps.len() - 1);
         let view = view.keeping(usize::try_from(self.shares.all_chunks() / 4).unwrap_or(usize::MAX));
         let files = SegmentFiles::of_ranges(step.number, hash, needs_sums, &layout);
-        let ranges = RangeMaker { work: work(edge), view: &view, measured };
+        let ranges = RangeMaker::new(work(edge), &view, step, self.run.resources.memory / 16)?;
         self.chunks_of_pyramid(&ranges, &files, source, series, made)
     }
 

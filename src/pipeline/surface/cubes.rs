@@ -5,7 +5,6 @@
 
 use super::worker::{Cells, ChunkSurfaces, ChunkWork, Question};
 use crate::error::Result;
-use crate::exec::CancelToken;
 use crate::geom::{LatticeBox, PointId};
 use crate::grid::{ChunkId, IndexBox};
 use crate::index::Entry;
@@ -94,7 +93,7 @@ impl Question<'_> {
 }
 
 /// Calls with the nodes of some cells.
-fn march(
+pub(super) fn march(
     archive: &StepView,
     level: usize,
     cells: &Cells,
@@ -121,15 +120,14 @@ fn march(
 /// How many cells of parts a surface crosses.
 pub(super) fn crossed_cells(
     archive: &StepView,
+    level: usize,
     work: &ChunkWork,
     isovalue: f32,
-    cancel: &CancelToken,
 ) -> Result<u64> {
-    cancel.check()?;
     let (mut surface, mut bench, world) =
         (ChunkSurface::default(), CubeBench::default(), crate::pipeline::read::world_map(archive));
     let Some(cells) = &work.cells else { return Ok(0) };
-    march(archive, 0, cells, |block| {
+    march(archive, level, cells, |block| {
         surface.start(isovalue, 0);
         surface.add_cubes(block, false, &world, &mut bench);
     })?;

@@ -11,6 +11,7 @@ mod colours;
 mod cubes;
 mod extract;
 mod extract_steps;
+mod level;
 mod parts;
 mod query;
 mod refine;
@@ -21,6 +22,7 @@ mod unpacked;
 mod worker;
 
 pub(super) use colours::values_on;
+pub(super) use level::level_of;
 pub use parts::SurfacePart;
 pub(super) use query::{count, stream_file, stream_surfaces, surfaces_in_memory, write_surfaces};
 pub use refine::{Refine, RefineReport};

@@ -4,6 +4,7 @@
 use super::colours::colours;
 use super::cubes::{by_part, crossed_cells, of_level};
 use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
+use super::level::level_of;
 use super::parts::{Parts, SurfacePart};
 use super::refine::{Means, RefineReport};
 use super::settings::{
@@ -12,15 +13,15 @@ use super::settings::{
 use super::worker::{Cells, ChunkWork, Question, by_chunk};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Clock, Progress, Silent, pool};
+use crate::exec::{CancelToken, Clock, Progress, Resources, Silent, pool};
 use crate::formats::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::geom::LatticeBox;
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox, cells_of,
-    chunk_place, expect_in_f32, in_memory, in_world, pyramid_of, world_box, world_map,
+    Block, ChunkReader, Cut, LevelChoice, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox,
+    cells_of, chunk_place, expect_in_f32, in_memory, in_world, pyramid_of, world_box, world_map,
 };
 use crate::pipeline::stage::Stage;
 use crate::surface::check::zero_area_triangles;
@@ -38,18 +39,23 @@ use std::time::Duration;
 pub(in crate::pipeline) fn count(
     archive: &StepView,
     wanted: f64,
+    level: Option<LevelChoice>,
     cancel: &CancelToken,
 ) -> Result<CountReport> {
     finite(wanted)?;
     let isovalue = archive.step().plan.source.kept(wanted);
     let read_before = archive.bytes_read();
-    let spectrum = if archive.is_between() { None } else { archive.stored_spectrum()? };
+    let resources = Resources::default().with_cancel(cancel.clone());
+    let settings = SurfaceSettings { level, resources, ..SurfaceSettings::of(wanted) };
+    let level = level_of(archive, &settings)?;
+    let has_spectrum = level == 0 && !archive.is_between();
+    let spectrum = if has_spectrum { archive.stored_spectrum()? } else { None };
     let stored = spectrum.as_ref().and_then(|file| file.active(isovalue));
     let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
     let active_tetrahedra = match stored {
         Some(n) => n,
         None => {
-            let (n, bytes) = decoded_count(archive, isovalue, cancel)?;
+            let (n, bytes) = decoded_count(archive, level, isovalue, &settings)?;
             bytes_read += bytes;
             n
         }
@@ -58,25 +64,30 @@ pub(in crate::pipeline) fn count(
         isovalue: wanted,
         active_tetrahedra,
         tetrahedra: archive.manifest.counts.tetrahedra,
+        level: archive.is_pyramid().then_some(level),
         stored: stored.is_some(),
         bytes_read,
     })
 }
 
 /// Decodes the active blocks, and counts their active tetrahedra; also returns the bytes read.
-fn decoded_count(archive: &StepView, isovalue: f32, cancel: &CancelToken) -> Result<(u64, u64)> {
-    let (index, read_before) = (archive.ranges()?, archive.bytes_read());
-    let refs = index.query_any(&[isovalue])?;
+fn decoded_count(
+    archive: &StepView,
+    level: usize,
+    isovalue: f32,
+    settings: &SurfaceSettings,
+) -> Result<(u64, u64)> {
+    let read_before = archive.bytes_read();
+    let ActiveWork { work, index_bytes } = work_of(archive, settings, level, None)?;
     let count = |work: &ChunkWork| {
-        cancel.check()?;
+        settings.resources.cancel.check()?;
         match work.cells {
-            Some(_) => crossed_cells(archive, work, isovalue, cancel),
+            Some(_) => crossed_cells(archive, level, work, isovalue),
             None => count_in_chunk(archive, work, isovalue),
         }
     };
-    let chunks = by_part(archive, by_chunk(archive, &refs)?)?;
-    let active = pool(0)?.install(|| chunks.par_iter().map(count).sum::<Result<u64>>())?;
-    Ok((active, index.bytes_read() + archive.bytes_read() - read_before))
+    let active = pool(0)?.install(|| work.par_iter().map(count).sum::<Result<u64>>())?;
+    Ok((active, index_bytes + archive.bytes_read() - read_before))
 }
 
 fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result<u64> {
@@ -148,6 +159,7 @@ fn report_of(
     let surfaces = describe(archive, &made.surfaces, &made.refined, &settings.isovalues, out);
     Ok(SurfaceReport {
         range: archive.file_range(),
+        level: archive.is_pyramid().then_some(made.level),
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),
@@ -224,6 +236,7 @@ pub(in crate::pipeline) fn stream_surfaces(
 /// Surfaces, cut and refined, and what was read for them.
 pub(super) struct FinishedSurfaces {
     pub(super) surfaces: Vec<Extracted>,
+    level: usize,
     refined: Vec<RefineReport>,
     active_blocks: u64,
     active_chunks: u64,
@@ -261,17 +274,14 @@ impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Clock::start();
         expect_in_f32(archive)?;
-        let level = archive.level(settings.level)?;
+        let level = level_of(archive, settings)?;
         let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {
             expect_full_box(archive)?;
         }
         // Where the range of all values gives the answer, no index is needed.
-        let index = settings.can_answer(archive).then(|| archive.ranges()).transpose()?;
-        let work = match &index {
-            Some(index) => work_of(archive, index, settings, level, cut.as_ref())?,
-            None => vec![],
-        };
+        let found = settings.can_answer(archive).then(|| work_of(archive, settings, level, cut.as_ref()));
+        let ActiveWork { work, index_bytes } = found.transpose()?.unwrap_or_default();
         Ok(Self {
             view: archive,
             work,
@@ -280,7 +290,7 @@ impl<'a> Prepared<'a> {
             cut,
             half_spaces,
             world: world_map(archive),
-            index_bytes: index.map_or(0, |i| i.bytes_read()),
+            index_bytes,
             opened: start.elapsed(),
         })
     }
@@ -319,6 +329,7 @@ impl<'a> Prepared<'a> {
         let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
         Ok(FinishedSurfaces {
             surfaces,
+            level: self.level,
             refined,
             active_blocks: self.work.iter().map(|w| w.blocks.len() as u64).sum(),
             active_chunks: self.work.len() as u64,
@@ -373,7 +384,10 @@ fn expect_full_box(archive: &StepView) -> Result<()> {
 }
 
 /// The cut of surfaces as they are extracted; or half-spaces of the world, for a curvilinear grid.
-fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<(Option<Cut>, Option<Vec<HalfSpace>>)> {
+pub(super) fn cut_of(
+    archive: &StepView,
+    settings: &SurfaceSettings,
+) -> Result<(Option<Cut>, Option<Vec<HalfSpace>>)> {
     let Some(mut roi) = settings.roi else { return Ok((None, None)) };
     if roi.space == RoiSpace::World {
         match world_box(archive, &roi, &settings.resources.cancel)? {
@@ -388,29 +402,37 @@ fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<(Option<Cut>
     Ok((Some(cut), None))
 }
 
-/// The blocks that are read.
-fn work_of(
+/// The blocks that are read, and what was read of the index for them.
+#[derive(Default)]
+pub(super) struct ActiveWork {
+    pub(super) work: Vec<ChunkWork>,
+    index_bytes: u64,
+}
+
+/// The blocks that are read: those that are active, or all of a coarse level.
+pub(super) fn work_of(
     archive: &StepView,
-    index: &Ranges<'_>,
     settings: &SurfaceSettings,
     level: usize,
     cut: Option<&Cut>,
-) -> Result<Vec<ChunkWork>> {
-    let isovalues = settings.kept(archive);
+) -> Result<ActiveWork> {
+    let (isovalues, mut index_bytes) = (settings.kept(archive), 0);
     let work = if level > 0 {
         of_level(archive, level)?
     } else {
-        let refs = if settings.cap {
-            with_inside(archive, index, &isovalues)?
-        } else {
-            index.query_any(&isovalues)?
+        let index = archive.ranges()?;
+        let refs = match settings.cap {
+            true => with_inside(archive, &index, &isovalues)?,
+            false => index.query_any(&isovalues)?,
         };
+        index_bytes = index.bytes_read();
         by_part(archive, by_chunk(archive, &refs)?)?
     };
-    match cut {
-        Some(cut) => touching(archive, cut, level, work),
-        None => Ok(work),
-    }
+    let work = match cut {
+        Some(cut) => touching(archive, cut, level, work)?,
+        None => work,
+    };
+    Ok(ActiveWork { work, index_bytes })
 }
 
 /// Isosurfaces in memory, in the order of the isovalues. They use the memory of `reused`, as far as

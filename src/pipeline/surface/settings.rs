@@ -130,6 +130,9 @@ pub struct SurfaceReport {
     pub surfaces: Vec<OneSurface>,
     /// Least and largest value of the archive.
     pub range: Option<[f64; 2]>,
+    /// The level of a pyramid that answers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub level: Option<usize>,
     /// The box at which the surfaces were cut.
     pub roi: Option<Roi>,
     /// Vertices written.
@@ -208,6 +211,9 @@ pub struct CountReport {
     pub active_tetrahedra: u64,
     /// Tetrahedra of the archive.
     pub tetrahedra: u64,
+    /// The level of a pyramid, of whose cells as many are crossed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub level: Option<usize>,
     /// Whether the number was stored; otherwise the blocks of the isovalue were decoded.
     pub stored: bool,
     /// Bytes read for it: the spectrum's knots and a page of its levels; also index pages and
