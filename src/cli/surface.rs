@@ -412,10 +412,12 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
         let mut names = names;
         names.dedup();
         let (triangles, size) = (text::count(s.report.triangles), text::bytes(s.report.file_bytes));
+        let level = s.report.level.filter(|level| *level > 0);
+        let level = level.map_or_else(String::new, |level| format!(", level {level}"));
         let skipped = if s.skipped { ", not read: no value reaches the isovalue" } else { "" };
         let _ = writeln!(
             out,
-            "step {} (time {}): {}: {triangles} triangles, {size}{skipped}",
+            "step {} (time {}): {}: {triangles} triangles, {size}{level}{skipped}",
             s.step,
             text::number(s.time),
             names.join(" ")
@@ -489,7 +491,7 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             text::bytes(report.file_bytes)
         );
     }
-    if let Some(level) = report.level {
+    if let Some(level) = report.level.filter(|level| *level > 0) {
         let _ = writeln!(out, "  level         {level}");
     }
     out += &shift_text(report);

@@ -7,6 +7,8 @@
 use super::BrickErrors;
 use super::sums::error_of;
 
+/// Samples of a run: the first of each is at a multiple of this.
+const RUN: usize = 64;
 /// Errors that are added side by side.
 const LANES: usize = 8;
 
@@ -21,9 +23,6 @@ pub(crate) struct Squares {
 }
 
 impl Squares {
-    /// Samples of a run: the first of each is at a multiple of this.
-    pub(crate) const RUN: usize = 64;
-
     /// None yet, of samples whose largest and least differ by so much.
     pub(crate) fn of_range(range: f64) -> Self {
         // A square of the range is 2^80: errors of a millionth of it still have 40 bits, and 2^40
@@ -34,54 +33,50 @@ impl Squares {
 
     /// Adds a row of samples, of which the first is at the beginning of a run.
     pub(crate) fn add_row(&mut self, originals: &[f32], reduced: &[f32]) {
-        for (originals, reduced) in originals.chunks(Self::RUN).zip(reduced.chunks(Self::RUN)) {
-            let mut run = Run::default();
-            let ([some, rest], [found, last]) = (lanes(originals), lanes(reduced));
-            run.add_all(some.as_chunks().0, found.as_chunks().0);
-            if !rest.is_empty() {
-                let [mut a, mut b] = [[f32::NAN; LANES]; 2];
-                a[..rest.len()].copy_from_slice(rest);
-                b[..last.len()].copy_from_slice(last);
-                run.add_all(&[a], &[b]);
-            }
-            self.samples += u64::from(run.samples.iter().sum::<u32>());
-            self.sum += (run.squares.iter().sum::<f64>() * self.scale) as u128;
-            self.max = run.max.iter().copied().fold(self.max, f32::max);
+        let ((some, rest), (found, last)) = (originals.as_chunks(), reduced.as_chunks());
+        some.iter().zip(found).for_each(|(a, b)| self.add_run(a, b, RUN));
+        if !rest.is_empty() {
+            let [mut a, mut b] = [[0.0; RUN]; 2];
+            a[..rest.len()].copy_from_slice(rest);
+            b[..last.len()].copy_from_slice(last);
+            self.add_run(&a, &b, rest.len());
         }
+    }
+
+    /// Adds a run, of which the first so many samples are there, and others have no error.
+    #[inline(always)]
+    fn add_run(&mut self, originals: &[f32; RUN], reduced: &[f32; RUN], count: usize) {
+        // Each loop is of vectors.
+        let (mut errors, mut are_there, mut missing) = ([0.0f32; RUN], true, 0);
+        for (error, (original, reduced)) in errors.iter_mut().zip(originals.iter().zip(reduced)) {
+            *error = reduced - original;
+            are_there &= error.abs() <= f32::MAX;
+        }
+        if !are_there {
+            for (error, (original, reduced)) in errors.iter_mut().zip(originals.iter().zip(reduced)) {
+                let is_there = original.is_finite() && !reduced.is_nan();
+                *error = if is_there { error_of(*original, *reduced) } else { 0.0 };
+                missing += usize::from(!is_there);
+            }
+        }
+        let (mut squares, mut max) = ([0.0f64; LANES], [0.0f32; LANES]);
+        for errors in errors.as_chunks::<LANES>().0 {
+            for (square, error) in squares.iter_mut().zip(errors) {
+                *square += f64::from(*error) * f64::from(*error);
+            }
+            for (max, error) in max.iter_mut().zip(errors) {
+                *max = if error.abs() > *max { error.abs() } else { *max };
+            }
+        }
+        self.samples += (count - missing) as u64;
+        self.sum += (squares.iter().sum::<f64>() * self.scale) as u128;
+        self.max = max.into_iter().fold(self.max, f32::max);
     }
 
     /// What is known of the samples.
     pub(crate) fn errors(&self) -> BrickErrors {
         let squares = self.sum as f64 / self.scale;
         BrickErrors { samples: self.samples, squares, max: f64::from(self.max) }
-    }
-}
-
-/// As many as fill all lanes, and the rest.
-fn lanes(values: &[f32]) -> [&[f32]; 2] {
-    let (some, rest) = values.split_at(values.len() / LANES * LANES);
-    [some, rest]
-}
-
-#[derive(Default)]
-struct Run {
-    samples: [u32; LANES],
-    squares: [f64; LANES],
-    max: [f32; LANES],
-}
-
-impl Run {
-    #[inline(always)]
-    fn add_all(&mut self, originals: &[[f32; LANES]], reduced: &[[f32; LANES]]) {
-        for (originals, reduced) in originals.iter().zip(reduced) {
-            for k in 0..LANES {
-                let is_there = originals[k].is_finite() & !reduced[k].is_nan();
-                let error = if is_there { error_of(originals[k], reduced[k]).abs() } else { 0.0 };
-                self.samples[k] += u32::from(is_there);
-                self.squares[k] += f64::from(error) * f64::from(error);
-                self.max[k] = if error > self.max[k] { error } else { self.max[k] };
-            }
-        }
     }
 }
 

@@ -6,8 +6,8 @@ use isospan::exec::{CancelToken, Resources, Silent};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::measure::FieldError;
 use isospan::pipeline::{
-    self, Bound, LevelChoice, MeasureSettings, ProbeSettings, ReduceSettings, Roi, RunSettings, StepRange,
-    SurfaceSettings, Target,
+    self, AppendSettings, Bound, LevelChoice, MeasureSettings, ProbeSettings, ReduceSettings, Roi,
+    RunSettings, StepRange, SurfaceSettings, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -115,6 +115,16 @@ fn source_value(input: &Path, n: usize) -> f64 {
 }
 
 #[test]
+fn levels_of_a_larger_volume_are_measured_in_some_rows() {
+    let dir = tempfile::tempdir().unwrap();
+    let [input, out] = made(dir.path(), [150, 110, 90], rough);
+    for level in Archive::open(&out).unwrap().info().unwrap().pyramid {
+        let (told, found) = (level.rms.unwrap(), measured(&out, &input, level.level).rms);
+        assert!((told / found - 1.0).abs() < 0.03, "{level:?}: {found}");
+    }
+}
+
+#[test]
 fn errors_of_levels_do_not_depend_on_how_they_were_measured() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("a.npy");
@@ -153,12 +163,12 @@ fn an_error_chooses_the_coarsest_level_that_has_it() {
     let error = of_error(Bound::Value(less)).unwrap_err().to_string();
     assert!(error.contains("no level has an RMS error of at most") && error.contains("level 0"), "{error}");
     // Without errors there is nothing to choose by.
-    let input = dir.path().join("a.npy");
-    let plain = dir.path().join("plain.isospan");
-    let settings = ReduceSettings { measure: false, points: Some(SetKind::Pyramid), ..pyramid(0.01) };
-    let settings = ReduceSettings { target: None, ..settings };
-    reduce(&input, &settings, &plain, 2);
-    let archive = Archive::open(&plain).unwrap();
+    let further = dir.path().join("b.npy");
+    write_npy(&further, [64, 60, 70], waves);
+    let settings = AppendSettings { measure: false, ..AppendSettings::default() };
+    pipeline::append(&[StepSource::from(&*further)], &settings, &out, &run(2), &Silent).unwrap();
+    let archive = Archive::open(&out).unwrap();
+    let archive = archive.at(pipeline::StepChoice::Number(1)).unwrap();
     assert!(archive.info().unwrap().pyramid.iter().all(|level| level.rms.is_none()));
     let error = archive.level_of(&of(&[0.1], LevelChoice::Error(Bound::Value(1.0)))).unwrap_err();
     assert!(error.to_string().contains("--no-measure"), "{error}");
@@ -200,7 +210,7 @@ fn caps_and_cuts_count_as_triangles() {
     let [_, out] = made(dir.path(), [70, 60, 66], rough);
     let archive = Archive::open(&out).unwrap();
     let roi: Roi = "9.3:50.1,:,5.7:40".parse().unwrap();
-    for most in [300, 1000, 4000, 10_000] {
+    for most in [700, 2000, 6000, 15_000] {
         let choice = LevelChoice::Triangles(most);
         let capped = SurfaceSettings { cap: true, ..of(&[0.1], choice) };
         let (level, meshes) = surfaces(&archive, &capped);
@@ -432,7 +442,8 @@ fn the_program_takes_one_of_the_three() {
 fn damaged_levels_are_an_error() {
     let dir = tempfile::tempdir().unwrap();
     let [_, out] = made(dir.path(), [64, 50, 40], rough);
-    std::fs::write(out.join("steps/000000/coarse.seg"), b"no").ok();
+    let name = folder(&out).into_keys().find(|name| name.ends_with("coarse.seg")).unwrap();
+    std::fs::write(out.join(name), b"no").unwrap();
     let archive = Archive::open(&out).unwrap();
     let found = archive.level_of(&of(&[0.1], LevelChoice::Triangles(100)));
     assert!(matches!(found, Err(Error::BadInput { .. } | Error::Incomplete { .. })), "{found:?}");

@@ -302,7 +302,7 @@ pub struct Step {
     /// The errors of each level, where the density of points differs from place to place.
     pub level_errors: Vec<LevelError>,
     /// Of a pyramid whose error was measured: the RMS errors of levels 1, 2, … at the samples up to
-    /// their last nodes.
+    /// their last nodes, or in some rows of them.
     pub level_rms: Vec<f64>,
 }
 

@@ -206,7 +206,7 @@ pub(super) fn errors_of(
             let nodes = archive.nodes_around(level, &window)?;
             let mut samples = vec![0.0; window.len()];
             originals(window, &mut samples)?;
-            nodes.each_row(&window, |[y, z], values| {
+            nodes.each_row(&window, 1, |[y, z], values| {
                 let row = &samples[window.offset([window.lo[0], y, z])..];
                 for (x, (original, value)) in (window.lo[0]..).zip(row.iter().zip(values)) {
                     sums.add(*original, *value, || (z * dims[1] + y) * dims[0] + x);

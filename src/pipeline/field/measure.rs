@@ -24,11 +24,13 @@ use crate::exec::{Progress, Resources};
 use crate::formats::{self, Input, OpenOptions, StepSource, without_frame};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally};
 use crate::pipeline::chunk::{
-    ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of,
+    ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of, field_error_within,
 };
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Attachments, Halo, MOST_STEPS_AT_ONCE, estimate, fingerprint};
-use crate::pipeline::read::{Blocks, DecodedChunk, LevelChoice, OpenArchive, StepChoice, StepView, Visit};
+use crate::pipeline::read::{
+    Blocks, DecodedChunk, LevelChoice, OpenArchive, StepChoice, StepView, Visit, samples_of_level,
+};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
@@ -470,7 +472,8 @@ impl AgainstSamples<'_> {
         };
         let sums = errors_of(self.archive, level, &settings.resources, progress, originals, brick, each)?;
         map.map(Map::finish).transpose()?;
-        field_error_of(self.archive, &sums)
+        let ends = samples_of_level(&self.archive.pyramid()?.pyramid, level);
+        field_error_within(self.archive, ends, &sums)
     }
 
     /// Measures the samples in the tetrahedra of a chunk.

@@ -41,18 +41,26 @@ impl LevelNodes {
         Self { window, stride, values }
     }
 
-    /// Calls with y, z and the values of each row of the samples of a box. A value is NaN where a
-    /// node with a weight is.
-    pub(in crate::pipeline) fn each_row(&self, place: &IndexBox, mut each: impl FnMut([u64; 2], &[f32])) {
+    /// Calls with y, z and the values of rows of the samples of a box: of one in `every`, evenly
+    /// spread. A value is NaN where a node with a weight is.
+    pub(in crate::pipeline) fn each_row(
+        &self,
+        place: &IndexBox,
+        every: u64,
+        mut each: impl FnMut([u64; 2], &[f32]),
+    ) {
         let stride = self.stride[0];
         let first = place.lo[0] / stride;
         let count = ((place.hi[0] - 1).div_ceil(stride) - first) as usize + 1;
+        let shares: Vec<f32> = (0..stride).map(|n| n as f32 / stride as f32).collect();
         let mut nodes = vec![0.0; count];
         let mut row = vec![0.0; (place.hi[0] - place.lo[0]) as usize];
         for z in place.lo[2]..place.hi[2] {
-            for y in place.lo[1]..place.hi[1] {
+            // Three has no divisor in common with a power of two: all distances from nodes are
+            // among the rows that are taken.
+            for y in (place.lo[1]..place.hi[1]).filter(|y| (y + 3 * z).is_multiple_of(every)) {
                 self.nodes_of_row(first, [y, z], &mut nodes);
-                expand(&nodes, stride, place.lo[0] % stride, &mut row);
+                expand(&nodes, &shares, (place.lo[0] % stride) as usize, &mut row);
                 each([y, z], &row);
             }
         }
@@ -82,45 +90,44 @@ fn blend(a: &mut [f32], b: &[f32], share: f32) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += (b - *a) * share);
 }
 
-/// The samples of a row, from so many after the first node on.
-fn expand(nodes: &[f32], stride: u64, skipped: u64, row: &mut [f32]) {
-    match (stride, skipped) {
-        (1, _) => row.copy_from_slice(&nodes[..row.len()]),
-        (2, 0) => expand_by::<2>(nodes, row),
-        (4, 0) => expand_by::<4>(nodes, row),
-        (8, 0) => expand_by::<8>(nodes, row),
-        _ => {
-            let (mut at, mut start) = (0, skipped as usize);
-            for (n, a) in nodes.iter().enumerate() {
-                let count = (stride as usize - start).min(row.len() - at);
-                let b = nodes.get(n + 1).unwrap_or(a);
-                cell([*a, *b], start, 1.0 / stride as f32, &mut row[at..at + count]);
-                (at, start) = (at + count, 0);
-            }
-        }
+/// The samples of a row, from so many after the first node on. `shares` are those of the second of
+/// two nodes at the samples from the first on.
+fn expand(nodes: &[f32], shares: &[f32], skipped: usize, row: &mut [f32]) {
+    let whole = match (shares.len(), skipped) {
+        (1, _) => return row.copy_from_slice(&nodes[..row.len()]),
+        (2, 0) => expand_by::<2>(nodes, shares, row),
+        (4, 0) => expand_by::<4>(nodes, shares, row),
+        (8, 0) => expand_by::<8>(nodes, shares, row),
+        _ => 0,
+    };
+    let (mut start, rest) = (skipped, &nodes[whole..]);
+    let mut row = &mut row[whole * shares.len()..];
+    for (n, a) in rest.iter().enumerate() {
+        let (samples, others) = row.split_at_mut((shares.len() - start).min(row.len()));
+        cell([*a, *rest.get(n + 1).unwrap_or(a)], &shares[start..], samples);
+        (row, start) = (others, 0);
     }
 }
 
-fn expand_by<const N: usize>(nodes: &[f32], row: &mut [f32]) {
-    let (cells, rest) = row.as_chunks_mut::<N>();
-    for (n, samples) in cells.iter_mut().enumerate() {
-        let b = nodes.get(n + 1).unwrap_or(&nodes[n]);
-        cell([nodes[n], *b], 0, 1.0 / N as f32, samples);
+/// As many whole cells as there are; returns how many.
+fn expand_by<const N: usize>(nodes: &[f32], shares: &[f32], row: &mut [f32]) -> usize {
+    let Some(shares) = shares.first_chunk::<N>() else { return 0 };
+    let (cells, _) = row.as_chunks_mut::<N>();
+    let count = cells.len().min(nodes.len() - 1);
+    for (samples, ends) in cells.iter_mut().zip(nodes.windows(2)) {
+        cell([ends[0], ends[1]], shares, samples);
     }
-    if let Some(a) = nodes.get(cells.len()).filter(|_| !rest.is_empty()) {
-        let b = nodes.get(cells.len() + 1).unwrap_or(a);
-        cell([*a, *b], 0, 1.0 / N as f32, rest);
-    }
+    count
 }
 
-/// Samples between two nodes, from so many after the first node on.
+/// Samples between two nodes.
 #[inline(always)]
-fn cell([a, b]: [f32; 2], start: usize, share: f32, samples: &mut [f32]) {
-    for (n, sample) in samples.iter_mut().enumerate() {
-        *sample = a + (b - a) * ((start + n) as f32 * share);
+fn cell([a, b]: [f32; 2], shares: &[f32], samples: &mut [f32]) {
+    for (sample, share) in samples.iter_mut().zip(shares) {
+        *sample = a + (b - a) * share;
     }
     // A node is itself, whatever is beside it.
-    if let (0, Some(first)) = (start, samples.first_mut()) {
+    if let (Some(first), Some(0.0)) = (samples.first_mut(), shares.first()) {
         *first = a;
     }
 }
@@ -146,7 +153,7 @@ mod tests {
                 let end = |a: usize| (window.hi[a] - 1) * stride[a] + 1;
                 let place = IndexBox { lo: [first, 0, 2 * stride[2]], hi: [0, 1, 2].map(end) };
                 let mut rows = 0;
-                nodes.each_row(&place, |[y, z], row| {
+                nodes.each_row(&place, 1, |[y, z], row| {
                     rows += 1;
                     for (x, found) in (first..).zip(row) {
                         let expected = value([x, y, z].map(|n| n as f64));
@@ -164,7 +171,7 @@ mod tests {
         let values = vec![1.0, f32::NAN, 3.0, 4.0, 1.0, 2.0, 3.0, 4.0];
         let nodes = LevelNodes::new(window, [4; 3], values);
         let mut found = vec![];
-        nodes.each_row(&IndexBox { lo: [0; 3], hi: [13, 5, 1] }, |_, row| found.push(row.to_vec()));
+        nodes.each_row(&IndexBox { lo: [0; 3], hi: [13, 5, 1] }, 1, |_, row| found.push(row.to_vec()));
         let missing: Vec<bool> = found[0].iter().map(|v| v.is_nan()).collect();
         let expected: Vec<bool> = (0..13).map(|x| (1..8).contains(&x)).collect();
         assert_eq!(missing, expected);

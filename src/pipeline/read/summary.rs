@@ -162,7 +162,8 @@ pub struct PyramidLevel {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
     /// The RMS error at the samples up to its last node, trilinear between nodes, where it was
-    /// measured: in few digits from level 1 on, at most a thousandth too large.
+    /// measured. From level 1 on it has few digits, and is at most a thousandth too large; of large
+    /// volumes it is that of some rows of samples.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms: Option<f64>,
 }
