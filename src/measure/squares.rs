@@ -2,7 +2,7 @@
 //! error.
 //!
 //! Samples come in runs that do not depend on how work is cut. The squares of a run are added up in
-//! `f64` in a fixed order, and the sum becomes a whole number. Whole numbers are added in any order.
+//! `f64` in a fixed order, and the sum becomes a whole number. These are added in any order.
 
 use super::BrickErrors;
 use super::sums::error_of;

@@ -4,8 +4,8 @@
 //! four times the triangles of the one before, and that one ends where it exceeds the number. So
 //! the work is that of the level that is chosen, about, however large the finest one is.
 
+use super::active::{cut_of, work_of};
 use super::cubes::{march, part_bytes};
-use super::query::{cut_of, work_of};
 use super::settings::SurfaceSettings;
 use super::worker::ChunkWork;
 use crate::error::{Error, Result};

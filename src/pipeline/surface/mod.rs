@@ -7,6 +7,7 @@
 //! [`extract_steps`] answers for many steps at once, [`unpack`] stores blocks as extraction uses
 //! them.
 
+mod active;
 mod colours;
 mod cubes;
 mod extract;
