@@ -134,10 +134,11 @@ impl Step {
     /// [`crate::Error::Usage`] for an archive without levels, for a level that is not there, and
     /// where no level has so small an error.
     pub fn dims_of_level(&self, level: Option<LevelChoice>) -> Result<[u64; 3]> {
-        match level {
-            None => Ok(self.dims()),
-            Some(_) => Ok(samples_of_level(&self.view.pyramid()?.pyramid, self.view.level(level)?)),
+        if level.is_none() {
+            return Ok(self.dims());
         }
+        let level = self.view.level(level)?;
+        Ok(samples_of_level(&self.view.pyramid()?.pyramid, level))
     }
 
     /// The least box of the world that holds the domain: its lowest and its highest corner. For a
