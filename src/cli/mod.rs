@@ -11,6 +11,7 @@ mod compare;
 mod count;
 mod dry_run;
 mod export;
+mod export_grid;
 mod figure;
 mod gc;
 pub(crate) mod grammar;

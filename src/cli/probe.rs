@@ -30,7 +30,8 @@ pub(crate) struct Args {
     /// A table of points in world coordinates: the columns titled x, y and z, or the first three.
     #[arg(long, value_name = "CSV")]
     at: Option<PathBuf>,
-    /// The file to write: .vti or .npy for a grid, .csv or .npy for points.
+    /// The file to write: for a grid .vti .nrrd .nii .nii.gz .mha .mhd (with .raw) or .npy, for
+    /// points .csv or .npy.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -46,7 +47,12 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ProbeSettings { resources: args.machine.resources(None, talk) };
-    args.force.check(&args.output, args.at.iter().chain([&args.archive]))?;
+    let inputs: Vec<&PathBuf> = args.at.iter().chain([&args.archive]).collect();
+    let files = match (args.grid, SampleFormat::from_path(&args.output)) {
+        (Some(_), Ok(format)) => format.files(&args.output),
+        _ => vec![args.output.clone()],
+    };
+    args.force.check_all(&files, &inputs)?;
     let archive = Archive::open(&args.archive)?.at(args.step.choice()?)?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {
@@ -57,6 +63,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     };
     bar.end();
     let report = report?;
+    report.notices.iter().for_each(|line| talk.note(line));
     if args.json {
         return super::print_json("probe", &report);
     }

@@ -5,6 +5,7 @@ use crate::error::Result;
 use crate::exec::{CancelToken, Clock, Progress};
 use crate::formats::surface::SurfaceFormat;
 use crate::pipeline::check::{ArchiveCheck, check_archive};
+use crate::pipeline::field::{GridReport, GridSettings, Moments, export_zarr};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
 use crate::pipeline::step::Step;
 use crate::pipeline::surface::{
@@ -203,6 +204,23 @@ impl Archive {
         progress: &dyn Progress,
     ) -> Result<SeriesReport> {
         write_series(&self.open, self.positions(steps)?, settings, out, format, progress)
+    }
+
+    /// Writes the levels of many steps of a pyramid as one OME-Zarr image with an axis of time: see
+    /// [`Step::write_ome_zarr`].
+    ///
+    /// # Errors
+    /// Those of [`Step::write_ome_zarr`]; [`crate::Error::Usage`] when no step is in the range.
+    pub fn write_ome_zarr_of_steps(
+        &self,
+        steps: StepRange,
+        settings: &GridSettings,
+        out: &Path,
+        replace: bool,
+        progress: &dyn Progress,
+    ) -> Result<GridReport> {
+        let moments = Moments::Steps(&self.open, self.positions(steps)?);
+        export_zarr(&moments, settings, out, replace, progress)
     }
 
     /// The files that [`Archive::write_series`] writes: those of the steps, then the lists.

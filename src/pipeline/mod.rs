@@ -39,8 +39,8 @@ pub use crate::domain::store::MeshCensus;
 pub use archive::{Archive, Opening};
 pub use check::ArchiveCheck;
 pub use field::{
-    Corners, ExportReport, ExportSettings, MeasureReport, MeasureSettings, ProbeReport, ProbeSettings,
-    measure, measure_source,
+    Corners, ExportReport, ExportSettings, GridReport, GridSettings, MeasureReport, MeasureSettings,
+    ProbeReport, ProbeSettings, measure, measure_source,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
 pub use plan::{Estimate, Finding, Notice, Plan, SearchEstimate, Shard, fingerprint};

@@ -7,8 +7,8 @@ use crate::formats::surface::SurfaceFormat;
 use crate::grid::{ChunkId, Geometry};
 use crate::index::Entry;
 use crate::pipeline::field::{
-    ExportReport, ExportSettings, ProbeReport, ProbeSettings, edges_at_missing, export, probe_grid,
-    probe_table, sample_grid, values_at,
+    ExportReport, ExportSettings, GridReport, GridSettings, Moments, ProbeReport, ProbeSettings,
+    edges_at_missing, export, export_grid, export_zarr, probe_grid, probe_table, sample_grid, values_at,
 };
 use crate::pipeline::read::{
     ArchiveSummary, IndexToWorld, SpectrumReport, StepView, bounds, spectrum, summarize,
@@ -549,5 +549,49 @@ impl Step {
         progress: &dyn Progress,
     ) -> Result<ExportReport> {
         export(&self.view, settings, out, progress)
+    }
+
+    /// Whether the archive is a pyramid of samples, which has levels and no tetrahedra.
+    pub fn is_pyramid(&self) -> bool {
+        self.view.is_pyramid()
+    }
+
+    /// Writes the nodes of a level of a pyramid as a file of samples, in bounded memory, with what
+    /// the format has places for: origin, spacing, directions, coordinates, units.
+    ///
+    /// Samples are `f32`, or `f64` where the values are counted from an offset. At level 0 of an
+    /// archive that keeps whole numbers without loss they are those of the source, in its type. The
+    /// bytes depend on neither threads nor memory.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive of tetrahedra, a level or a region that is not there,
+    /// and a format without a place for the grid; [`crate::Error::BadInput`] for a damaged archive;
+    /// those of writing the file, of which nothing is left then.
+    pub fn write_grid(
+        &self,
+        settings: &GridSettings,
+        out: &Path,
+        format: SampleFormat,
+        progress: &dyn Progress,
+    ) -> Result<GridReport> {
+        export_grid(&self.view, settings, out, format, progress)
+    }
+
+    /// Writes a level of a pyramid and all coarser ones as an OME-Zarr image, in bounded memory:
+    /// OME-NGFF 0.4 in Zarr 2, with scales, translations and units. Several fields are channels.
+    /// Axes that count down in the world are turned round. An image that is there is replaced if
+    /// `replace` says so.
+    ///
+    /// # Errors
+    /// Those of [`Step::write_grid`]; [`crate::Error::Usage`] for axes that are turned, and a grid
+    /// with coordinates of its own.
+    pub fn write_ome_zarr(
+        &self,
+        settings: &GridSettings,
+        out: &Path,
+        replace: bool,
+        progress: &dyn Progress,
+    ) -> Result<GridReport> {
+        export_zarr(&Moments::One(&self.view), settings, out, replace, progress)
     }
 }

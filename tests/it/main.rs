@@ -19,6 +19,7 @@ mod determinism;
 mod documents;
 mod edges;
 mod exits;
+mod export_grids;
 mod far;
 mod fields;
 mod fitted_meshes;

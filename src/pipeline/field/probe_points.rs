@@ -161,7 +161,7 @@ impl<'a> Out<'a> {
     fn publish(self) -> Result<u64> {
         match self {
             Self::Table(table, _) => table.publish(),
-            Self::List(list) => list.publish(),
+            Self::List(list) => list.publish(None, &CancelToken::new()),
         }
     }
 }

@@ -1,0 +1,201 @@
+"""Files that isospan exports, read by other programs: written.py PROGRAM FOLDER.
+
+The samples are those of the source where it is kept without loss, else those of `isospan probe`, and lie at their places.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import nibabel
+import nrrd
+import numpy as np
+import SimpleITK as sitk
+import zarr
+from ome_zarr.io import parse_url
+from ome_zarr.reader import Reader
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkIOXML import vtkXMLImageDataReader, vtkXMLRectilinearGridReader, vtkXMLStructuredGridReader
+from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLRectilinearGridWriter, vtkXMLStructuredGridWriter
+from vtkmodules.vtkCommonDataModel import vtkRectilinearGrid, vtkStructuredGrid
+from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkPoints
+from vtkmodules.util.numpy_support import numpy_to_vtk
+
+from placing import rotation
+
+SHAPE = 70, 41, 36
+AXES = rotation(20, -35, 50) @ np.diag([0.7, 1.25, 2.5])
+ORIGIN = np.array([-40.5, 12.25, 300])
+LPS = np.diag([-1, -1, 1])
+
+
+def source(kind):
+    x, y, z = np.meshgrid(*(np.linspace(0, 1, n) for n in SHAPE), indexing="ij")
+    values = 100 + 60 * np.sin(9 * x + 4 * y) * np.cos(7 * z) + 30 * (x * x + y > 0.8)
+    return np.round(values).astype(kind) if np.dtype(kind).kind in "ui" else values.astype(kind)
+
+
+class Written:
+    def __init__(self, program, folder):
+        self.program, self.folder, self.failures, self.count = program, folder, [], 0
+
+    def run(self, *words):
+        done = subprocess.run([self.program, *map(str, words)], cwd=self.folder, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"isospan {' '.join(map(str, words))}: {done.stderr.strip()}")
+        return done.stdout
+
+    def reduce(self, name, *words):
+        archive = self.folder / f"{Path(name).name.split('.')[0]}.isospan"
+        self.run("reduce", name, "--points", "pyramid", "-o", archive, *words)
+        return archive
+
+    def equal(self, what, found, wanted):
+        self.count += 1
+        found, wanted = np.asarray(found), np.asarray(wanted)
+        if found.shape != wanted.shape or not np.array_equal(found, wanted):
+            worst = np.abs(found - wanted).max() if found.shape == wanted.shape else f"{found.shape} {wanted.shape}"
+            self.failures.append(f"{what}: other samples ({worst})")
+
+    def near(self, what, found, wanted, much=1e-5):
+        self.count += 1
+        if not np.allclose(found, wanted, rtol=much, atol=much):
+            self.failures.append(f"{what}: {np.asarray(found).tolist()}, expected {np.asarray(wanted).tolist()}")
+
+    def is_so(self, what, found, wanted):
+        self.count += 1
+        if found != wanted:
+            self.failures.append(f"{what}: {found!r}, expected {wanted!r}")
+
+
+def image(test, path, values, axes, origin, anatomy):
+    """A file by each program that reads it; `axes` and `origin` are of the world of the source."""
+    name, kind = path.name, values.dtype
+    ras = LPS if anatomy == "lps" else np.eye(3)
+    lps = LPS if anatomy == "ras" else np.eye(3)
+    if ".nii" in name:
+        read = nibabel.load(path)
+        test.is_so(f"{name} dtype", read.get_data_dtype(), kind)
+        test.equal(name, np.asanyarray(read.dataobj), values)
+        test.near(f"{name} affine", read.affine[:3, :3], ras @ axes)
+        test.near(f"{name} origin", read.affine[:3, 3], ras @ origin)
+        test.near(f"{name} qform", read.get_qform(), read.get_sform())
+        test.is_so(f"{name} units", read.header.get_xyzt_units()[0], "mm")
+    if name.endswith(".nrrd"):
+        read, head = nrrd.read(str(path))
+        test.is_so(f"{name} dtype", read.dtype, kind)
+        test.equal(name, read, values)
+        test.near(f"{name} directions", head["space directions"], axes.T, 1e-12)
+        test.near(f"{name} origin", head["space origin"], origin, 1e-12)
+        test.is_so(f"{name} units", list(head["space units"]), ["mm"] * 3)
+    if ".nii" in name or name.endswith((".nrrd", ".mha", ".mhd")):
+        read = sitk.ReadImage(str(path))
+        test.equal(f"{name} by ITK", sitk.GetArrayFromImage(read).T, values)
+        matrix = np.array(read.GetDirection()).reshape(3, 3) * np.array(read.GetSpacing())
+        # ITK turns NIfTI's world; a NRRD and a MetaImage of an unknown world it takes as its own.
+        turn = LPS @ ras if ".nii" in name else lps
+        test.near(f"{name} directions by ITK", matrix, turn @ axes)
+        test.near(f"{name} origin by ITK", read.GetOrigin(), turn @ origin, 1e-4)
+    if name.endswith(".npy"):
+        read = np.load(path)
+        test.is_so(f"{name} dtype", read.dtype, kind)
+        test.equal(name, read.T, values)
+    if name.endswith(".vti"):
+        reader = vtkXMLImageDataReader()
+        reader.SetFileName(str(path))
+        reader.Update()
+        grid = reader.GetOutput()
+        read = vtk_to_numpy(grid.GetPointData().GetScalars())
+        test.is_so(f"{name} dtype", read.dtype, kind)
+        test.equal(name, read.reshape(values.shape[::-1]).T, values)
+        matrix = np.array([[grid.GetDirectionMatrix().GetElement(r, c) for c in range(3)] for r in range(3)])
+        test.near(f"{name} directions", matrix * np.array(grid.GetSpacing()), axes, 1e-12)
+        test.near(f"{name} origin", grid.GetOrigin(), origin, 1e-12)
+
+
+def images(test):
+    for n, kind in enumerate(("u1", "i2", "i4", "f4")):
+        values, affine = source(kind), np.eye(4)
+        affine[:3, :3], affine[:3, 3] = AXES, ORIGIN
+        made = nibabel.Nifti1Image(values, affine)
+        made.header.set_xyzt_units("mm")
+        made.set_sform(affine, 1)
+        made.to_filename(test.folder / f"n{kind}.nii")
+        head = {"space directions": AXES.T, "space origin": ORIGIN, "space dimension": 3, "space units": ["mm"] * 3}
+        nrrd.write(str(test.folder / f"r{kind}.nrrd"), values, head, compression_level=1)
+        for letter, suffix, anatomy in ("n", "nii", "ras"), ("r", "nrrd", "unknown"):
+            is_whole = kind != "f4"
+            flags = ("--lossless",) if is_whole else ("--target-rms", "1%")
+            archive = test.reduce(f"{letter}{kind}.{suffix}", *flags)
+            test.run("probe", archive, "--grid", ",".join(map(str, SHAPE)), "-o", f"{archive.stem}-probe.npy")
+            wanted = values if is_whole else np.load(test.folder / f"{archive.stem}-probe.npy").T
+            for ending in "nii", "nii.gz", "nrrd", "mha", "mhd", "vti", "npy":
+                for words in (), ("--compress",):
+                    if words and ending in ("nii", "npy"):
+                        continue
+                    path = test.folder / f"{archive.stem}{len(words)}.{ending}"
+                    test.run("export", archive, "-o", path, *words)
+                    # Numbers of a NIfTI header are f32: so is the world of its archive.
+                    image(test, path, wanted, AXES, ORIGIN, anatomy if ending != "nrrd" else "any")
+            # A level, and a part of it.
+            path = test.folder / f"{archive.stem}-part.nrrd"
+            test.run("export", archive, "-o", path, "--level", 1, "--roi", "20:60,:,9:30")
+            read, head = nrrd.read(str(path))
+            test.is_so(f"{path.name} shape", read.shape, (21, 21, 11))
+            test.near(f"{path.name} origin", head["space origin"], ORIGIN + AXES @ [20, 0, 10], 1e-5)
+            test.near(f"{path.name} directions", head["space directions"], 2 * AXES.T, 1e-5)
+
+
+def numbers_of(name, values):
+    array = numpy_to_vtk(values.T.ravel(), deep=True)
+    array.SetName(name)
+    return array
+
+
+def grids(test):
+    values = source("f4")
+    lines = [np.linspace(0, 2, n) ** 2 for n in SHAPE]
+    axes = vtkRectilinearGrid()
+    axes.SetDimensions(SHAPE)
+    for line, put in zip(lines, (axes.SetXCoordinates, axes.SetYCoordinates, axes.SetZCoordinates)):
+        put(numpy_to_vtk(line, deep=True))
+    x, y, z = np.meshgrid(*(np.arange(n, dtype=float) for n in SHAPE), indexing="ij")
+    places = np.stack([x + 0.01 * y * y, y + 0.1 * z, z - 0.05 * x], -1)
+    points, bent = vtkPoints(), vtkStructuredGrid()
+    points.SetDataTypeToDouble()
+    points.SetData(numpy_to_vtk(places.transpose(2, 1, 0, 3).reshape(-1, 3), deep=True))
+    bent.SetDimensions(SHAPE)
+    bent.SetPoints(points)
+    for grid, suffix, writer, reader in (
+        (axes, "vtr", vtkXMLRectilinearGridWriter(), vtkXMLRectilinearGridReader()),
+        (bent, "vts", vtkXMLStructuredGridWriter(), vtkXMLStructuredGridReader()),
+    ):
+        grid.GetPointData().SetScalars(numbers_of("f", values))
+        writer.SetFileName(str(test.folder / f"{suffix}.{suffix}"))
+        writer.SetInputData(grid)
+        writer.Write()
+        archive = test.reduce(f"{suffix}.{suffix}", "--target-max", "0.001%")
+        for words in (), ("--compress",):
+            path = test.folder / f"{suffix}-out{len(words)}.{suffix}"
+            test.run("export", archive, "-o", path, *words)
+            reader.SetFileName(str(path))
+            reader.Update()
+            found = reader.GetOutput()
+            read = vtk_to_numpy(found.GetPointData().GetArray("f")).reshape(SHAPE[::-1]).T
+            test.near(f"{path.name} values", read, values, 2e-5)
+            where = np.array([found.GetPoint(n) for n in range(0, found.GetNumberOfPoints(), 997)])
+            right = np.array([grid.GetPoint(n) for n in range(0, grid.GetNumberOfPoints(), 997)])
+            test.near(f"{path.name} places", where, right, 1e-12)
+
+
+def main(program, folder):
+    test = Written(program, folder)
+    for cases in images, grids:
+        cases(test)
+    for failure in test.failures:
+        print(f"tools/oracles/test: {failure}", file=sys.stderr)
+    print(f"written files: {test.count - len(test.failures)} passed, {len(test.failures)} failed")
+    sys.exit(bool(test.failures))
+
+
+main(sys.argv[1], Path(sys.argv[2]))
