@@ -3,9 +3,10 @@
 use crate::bytes::remote::{Traffic, traffic, traffic_since};
 use crate::error::Result;
 use crate::exec::{CancelToken, Clock, Progress};
+use crate::formats::StepSource;
 use crate::formats::surface::SurfaceFormat;
 use crate::pipeline::check::{ArchiveCheck, check_archive};
-use crate::pipeline::field::{GridReport, GridSettings, Moments, export_zarr};
+use crate::pipeline::field::{GridReport, GridSettings, Moments, archive_sources, export_zarr};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
 use crate::pipeline::step::Step;
 use crate::pipeline::surface::{
@@ -204,6 +205,17 @@ impl Archive {
         progress: &dyn Progress,
     ) -> Result<SeriesReport> {
         write_series(&self.open, self.positions(steps)?, settings, out, format, progress)
+    }
+
+    /// The steps of a pyramid as sources, which are reduced as other volumes are: their samples as
+    /// the archive has them, with places, units and times. Those of the field that
+    /// [`Archive::in_field`] names, where each step has several.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive of tetrahedra, for a grid with coordinates of its
+    /// own, and where a field must be chosen; [`crate::Error::BadInput`] for a damaged archive.
+    pub fn sources(&self) -> Result<Vec<StepSource>> {
+        archive_sources(&self.open, self.positions(StepRange::default())?)
     }
 
     /// Writes the levels of many steps of a pyramid as one OME-Zarr image with an axis of time: see

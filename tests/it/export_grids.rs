@@ -9,6 +9,7 @@ use isospan::pipeline::{
     self, Bound, GridReport, GridSettings, ProbeSettings, ReduceSettings, StepChoice, StepRange, Target,
 };
 use isospan::points::SetKind;
+use isospan::surface::check::check;
 use isospan::volume::units::{Unit, Units};
 use isospan::volume::{ScalarType, VolumeInfo};
 use isospan::{Archive, Result};
@@ -396,6 +397,135 @@ fn ome_zarr_has_steps_and_a_region() {
         for (i, value) in values.iter().enumerate() {
             let at = [i % 71 + 10, i / 71 % 40, i / 71 / 40 + 4];
             assert_eq!(*value, all[(at[2] * 40 + at[1]) * 90 + at[0]]);
+        }
+    }
+}
+
+#[test]
+fn an_archive_is_a_source() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let dims = [70u64, 40, 30];
+    volume(&d.join("a.nrrd"), dims, (ScalarType::U16, 0.0), |i| (i * i % 251) as f64);
+    reduce(&d.join("a.nrrd"), &settings(Target::Lossless), &d.join("a.isospan"), 2);
+    // The samples are those of the file, so what is made of them is, too.
+    for (n, words) in
+        [&["--points", "hammersley"][..], &["--points", "pyramid", "--lossless"]].into_iter().enumerate()
+    {
+        for input in ["a.nrrd", "a.isospan"] {
+            let out = format!("{n}-{input}.isospan");
+            let done = isospan(d, &[&["reduce", input, "-o", &out][..], words].concat());
+            assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        }
+        let [a, b] = ["a.nrrd", "a.isospan"]
+            .map(|input| Archive::open(d.join(format!("{n}-{input}.isospan"))).unwrap());
+        assert_eq!((a.geometry(), a.units(), a.field()), (b.geometry(), b.units(), b.field()));
+        assert!(a.surface(100.5).unwrap() == b.surface(100.5).unwrap(), "{words:?}");
+        check_archive(&d.join(format!("{n}-a.isospan.isospan"))).unwrap();
+    }
+    // So is a bricked copy of it, which other processes read.
+    let done = isospan(d, &["brick", "a.isospan", "-o", "a.bricks"]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(read(&d.join("a.bricks")).1 == read(&d.join("a.nrrd")).1);
+    // Steps have their times.
+    let steps: Vec<StepSource> = (0..2)
+        .map(|t| {
+            let path = d.join(format!("{t}.npy"));
+            write_npy(&path, [40, 33, 27], |x, y, z| waves(x, y, z) * (1.0 + f64::from(t)));
+            StepSource::from(&*path).at(Some(0.5 * f64::from(t)))
+        })
+        .collect();
+    let rms = settings(Target::Rms(Bound::OfRange(0.01)));
+    pipeline::reduce_series(&steps, &rms, &d.join("s.isospan"), &run(2), &Silent).unwrap();
+    let again = Archive::open(d.join("s.isospan")).unwrap().sources().unwrap();
+    assert_eq!(again.iter().map(|step| step.time).collect::<Vec<_>>(), [Some(0.0), Some(0.5)]);
+    let halton = ReduceSettings::exact(SetKind::Halton);
+    let report = pipeline::reduce_series(&again, &halton, &d.join("h.isospan"), &run(2), &Silent).unwrap();
+    assert!(!report.made_before);
+    let report = pipeline::reduce_series(&again, &halton, &d.join("h.isospan"), &run(2), &Silent).unwrap();
+    assert!(report.made_before);
+    for (args, text) in [
+        (&["reduce", "a.isospan", "-o", "a.isospan"][..], "a.isospan"),
+        (&["reduce", "h.isospan", "-o", "x.isospan"], "only pyramids are read as volumes"),
+        (&["reduce", "a.isospan", "a.nrrd", "-o", "x.isospan"], "give one kind"),
+        (
+            &["reduce", "a.isospan", "-o", "x.isospan", "--spacing", "1,1,1"],
+            "tells all of its samples itself",
+        ),
+        (&["brick", "s.isospan", "-o", "s.bricks"], "has 2 steps"),
+        (&["plan", "a.isospan", "-o", "x.isospan", "--shards", "2"], "isospan brick"),
+    ] {
+        let out = isospan(d, args);
+        let told = String::from_utf8_lossy(&out.stderr);
+        assert!(
+            !out.status.success() && told.contains(text) && told.lines().count() == 1,
+            "{args:?}: {told}"
+        );
+        assert!(!d.join("x.isospan").exists() && !d.join("s.bricks").exists(), "{args:?}");
+    }
+}
+
+#[test]
+fn spectra_of_grids_with_coordinates_are_those_of_their_surfaces() {
+    let dir = tempfile::tempdir().unwrap();
+    let [nx, ny, nz] = [48usize, 40, 36];
+    let place = |i: usize| [i % nx, i / nx % ny, i / nx / ny].map(|v| v as f64);
+    let extent = format!("0 {} 0 {} 0 {}", nx - 1, ny - 1, nz - 1);
+    let numbers = |all: &mut dyn Iterator<Item = f64>| all.map(|v| format!("{v} ")).collect::<String>();
+    let bent = |i: usize| {
+        let [x, y, z] = place(i);
+        [0.1 * x + 0.01 * y, 0.1 * y + 0.002 * z * z, 0.12 * z + 0.001 * x * x]
+    };
+    let stretched = |i: usize| {
+        let [x, y, z] = place(i);
+        [0.002 * x * x + 0.02 * x, 0.1 * y, 0.003 * z * z + 0.01 * z]
+    };
+    let ball = |[x, y, z]: [f64; 3]| {
+        let middle = [2.6, 2.6, 2.4];
+        let d = [x - middle[0], y - middle[1], z - middle[2]];
+        3.0 - (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt()
+    };
+    for kind in ["StructuredGrid", "RectilinearGrid"] {
+        let at = |i: usize| if kind == "StructuredGrid" { bent(i) } else { stretched(i) };
+        let values = numbers(&mut (0..nx * ny * nz).map(|i| ball(at(i))));
+        let array = |text: String, n: u32| {
+            format!(
+                "<DataArray type=\"Float64\" NumberOfComponents=\"{n}\" format=\"ascii\">{text}</DataArray>"
+            )
+        };
+        let coordinates = if kind == "StructuredGrid" {
+            format!("<Points>{}</Points>", array(numbers(&mut (0..nx * ny * nz).flat_map(at)), 3))
+        } else {
+            let lines = [
+                numbers(&mut (0..nx).map(|i| at(i)[0])),
+                numbers(&mut (0..ny).map(|i| at(i * nx)[1])),
+                numbers(&mut (0..nz).map(|i| at(i * nx * ny)[2])),
+            ];
+            format!("<Coordinates>{}</Coordinates>", lines.map(|line| array(line, 1)).concat())
+        };
+        let text = format!(
+            "<VTKFile type=\"{kind}\"><{kind} WholeExtent=\"{extent}\"><Piece Extent=\"{extent}\"><PointData>\
+             <DataArray type=\"Float32\" Name=\"f\" format=\"ascii\">{values}</DataArray></PointData>{coordinates}\
+             </Piece></{kind}></VTKFile>"
+        );
+        let input = dir.path().join(if kind == "StructuredGrid" { "a.vts" } else { "a.vtr" });
+        std::fs::write(&input, text).unwrap();
+        let out = dir.path().join(format!("{kind}.isospan"));
+        reduce(&input, &settings(Target::Max(Bound::OfRange(0.0001))), &out, 2);
+        let archive = Archive::open(&out).unwrap();
+        let report = archive.spectrum().unwrap();
+        assert!(!report.knots.is_empty(), "{kind}");
+        let wanted = report.knots.iter().filter(|knot| (1.0..2.0).contains(&knot.isovalue));
+        for knot in wanted.step_by(20) {
+            let checked = check(&archive.surface(knot.isovalue).unwrap());
+            assert!((0.98..1.02).contains(&(knot.area / checked.area)), "{kind} {knot:?} {}", checked.area);
+            let radius = 3.0 - knot.isovalue;
+            let volume = 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3);
+            if checked.is_closed() {
+                assert!((0.97..1.03).contains(&(knot.volume / volume)), "{kind} {knot:?} {volume}");
+            }
+            assert!((0.95..1.05).contains(&knot.gradient), "{kind} {knot:?}");
+            assert_eq!(knot.active_tetrahedra, archive.count(knot.isovalue).unwrap().active_tetrahedra);
         }
     }
 }

@@ -156,6 +156,8 @@ fn every_report_is_as_its_schema_says() {
         &["spectrum", "s.isospan", "--all-steps"],
         &["probe", "a.isospan", "--grid", "4,4,4", "-o", "a.vti"],
         &["export", "a.isospan", "-o", "a.vtu", "--range", "20%:80%"],
+        &["reduce", "v0.npy", "-o", "y.isospan", "--points", "pyramid"],
+        &["export", "y.isospan", "-o", "y.nrrd", "--level", "1"],
         &["measure", "a.isospan", "--against", "v0.npy", "--map", "map.vti"],
         &["measure", "m.isospan", "--against", "m.vtk"],
         &["compare", "a.ply", "a_-0.5.stl", "--samples", "500"],

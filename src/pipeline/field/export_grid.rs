@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::exec::{Clock, Progress, Resources, Threads, in_order};
 use crate::formats::samples::{Anatomy, GridMeta, GridPlace, SampleField, SampleFile, SampleFormat, limits};
 use crate::grid::{Geometry, IndexBox};
-use crate::pipeline::read::{IndexToWorld, Roi, RoiSpace, StepView, WorldBox, world_box};
+use crate::pipeline::read::{Roi, RoiSpace, StepView, WorldBox, world_box};
 use crate::volume::ScalarType;
 use crate::volume::units::common;
 use serde::Serialize;
@@ -266,14 +266,14 @@ impl LevelGrid {
 
     /// Writes where the nodes of a curvilinear grid lie.
     fn write_points(&self, archive: &StepView, file: &SampleFile, resources: &Resources) -> Result<()> {
-        let (place, [nx, ny, nz]) = (IndexToWorld::of(archive)?, self.dims());
+        let (Some(map), [nx, ny, nz]) = (archive.coordinates()?, self.dims()) else { return Ok(()) };
         let mut row = Vec::with_capacity(nx as usize);
         for (z, y) in (0..nz).flat_map(|z| (0..ny).map(move |y| (z, y))) {
             resources.cancel.check()?;
             row.clear();
             for x in 0..nx {
-                let node = std::array::from_fn(|a| self.nodes.lo[a] + [x, y, z][a]);
-                row.push(place.world(self.sample(node))?);
+                let node = |a: usize| self.nodes.lo[a] + [x, y, z][a];
+                row.push(map.sample(std::array::from_fn(|a| node(a) * self.stride[a]))?);
             }
             file.write_points((z * ny + y) * nx, &row)?;
         }

@@ -1,6 +1,7 @@
 //! Questions about the field itself: its values on a grid or at points, its mesh, its error against
 //! the source.
 
+mod archive_volume;
 mod at_vertices;
 mod error_map;
 mod export;
@@ -14,6 +15,7 @@ mod probe_grid;
 mod probe_points;
 mod vertex_errors;
 
+pub(super) use archive_volume::archive_sources;
 pub(super) use at_vertices::AtVertices;
 pub(super) use export::export;
 pub use export::{Corners, ExportReport, ExportSettings};

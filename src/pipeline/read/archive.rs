@@ -193,7 +193,7 @@ impl OpenArchive {
             return Ok(());
         }
         Err(Error::usage(format!(
-            "{} is a pyramid of samples, which has no tetrahedra: isospan probe writes its samples, \
+            "{} is a pyramid of samples, which has no tetrahedra: isospan export writes its samples, \
              isospan surface its isosurfaces",
             self.path().display()
         )))

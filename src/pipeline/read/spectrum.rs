@@ -16,7 +16,9 @@ use crate::grid::{ChunkId, Geometry, IndexBox};
 use crate::mesh::bcc::NODE_BRICK_CELLS;
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
-use crate::spectrum::{ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices};
+use crate::spectrum::{
+    CellShapes, ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices,
+};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -221,12 +223,8 @@ const MOST_NODES: usize = 1 << 22;
 const BOX_CELLS: usize = 64;
 
 impl StepView {
-    /// The contour spectrum of the finest level of a pyramid that costs little; none where a grid
-    /// has coordinates of its own, as cells are of one shape here.
+    /// The contour spectrum of the finest level of a pyramid that costs little.
     fn spectrum_of_level(&self) -> Result<Option<(Spectrum, u64)>> {
-        if self.coordinate_record().is_some() {
-            return Ok(None);
-        }
         let pyramid = &self.pyramid()?.pyramid;
         let has_cells = |level: &usize| pyramid.nodes(*level).iter().all(|n| *n > 1);
         let few = |level: &usize| pyramid.nodes(*level).iter().product::<usize>() <= MOST_NODES;
@@ -235,6 +233,15 @@ impl StepView {
         let (nodes, stride) = (pyramid.nodes(level), pyramid.stride(level));
         let axes = self.step().plan.source.geometry.axes();
         let axes = std::array::from_fn(|a| axes[a].map(|x| x * stride[a] as f64));
+        let map = self.coordinates()?;
+        let place = |map: &CoordinateMap, window: &IndexBox| -> Result<Vec<[f64; 3]>> {
+            let [nx, ny, _] = window.dims();
+            let at = |i: u64| {
+                let node = [i % nx, i / nx % ny, i / nx / ny];
+                map.sample(std::array::from_fn(|a| (window.lo[a] + node[a]) * stride[a] as u64))
+            };
+            (0..window.len() as u64).map(at).collect()
+        };
         let limits = Limits::of_mesh(nodes.iter().product::<usize>() as u64);
         let counts = nodes.map(|n| (n - 1).div_ceil(BOX_CELLS));
         let part = |i: usize| {
@@ -243,7 +250,9 @@ impl StepView {
             let hi = std::array::from_fn(|a| (lo[a] + BOX_CELLS as u64 + 1).min(nodes[a] as u64));
             let window = IndexBox { lo, hi };
             let values = self.nodes(level, &window)?;
-            Ok(ChunkPart::of_cells(&values, window.dims().map(|n| n as usize), axes, limits))
+            let places = map.as_ref().map(|map| place(map, &window)).transpose()?;
+            let shapes = places.as_deref().map_or(CellShapes::Even(axes), CellShapes::Placed);
+            Ok(ChunkPart::of_cells(&values, window.dims().map(|n| n as usize), shapes, limits))
         };
         let (bytes, mut parts) = (vec![0; counts.iter().product()], vec![]);
         let threads = self.pools.lend(0)?;

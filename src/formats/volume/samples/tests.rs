@@ -32,7 +32,7 @@ fn write(path: &Path, meta: &GridMeta, compress: bool, pool: Option<&rayon::Thre
 #[test]
 fn runs_in_any_order_come_back_from_our_own_readers() {
     let dir = tempfile::tempdir().unwrap();
-    let pool = crate::exec::pool(3).unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     for (scalar, offset) in
         [(ScalarType::F32, 0.0), (ScalarType::F64, 1e9), (ScalarType::U8, 0.0), (ScalarType::I16, -300.0)]
     {
