@@ -145,7 +145,7 @@ fn blosclz(stored: &[u8], out: &mut [u8]) -> std::result::Result<usize, String> 
     }
 }
 
-/// Bytes of a block that is written.
+/// Bytes of a block that is written, at most.
 const BLOCK: usize = 1 << 18;
 /// The level of zstd for what is written.
 const LEVEL: i32 = 3;
@@ -153,16 +153,18 @@ const LEVEL: i32 = 3;
 /// Encodes bytes of elements of `typesize` bytes, less than 2^31 of them: blocks with their bytes
 /// shuffled, each one stream of zstd.
 pub(in crate::formats) fn encode(bytes: &[u8], typesize: usize) -> std::io::Result<Vec<u8>> {
-    let blocks = bytes.len().div_ceil(BLOCK);
+    // Other decoders refuse blocks that are larger than all.
+    let block = BLOCK.min(bytes.len()).max(1);
+    let blocks = bytes.len().div_ceil(block);
     // Shuffled if elements have several bytes, not split, zstd.
     let flags = u8::from(typesize > 1) | 16 | 4 << 5;
     let mut out = vec![2, 1, flags, typesize as u8];
     out.extend((bytes.len() as u32).to_le_bytes());
-    out.extend((BLOCK as u32).to_le_bytes());
+    out.extend((block as u32).to_le_bytes());
     // The length of all, and the places of the blocks, are known when they are there.
     out.resize(16 + 4 * blocks, 0);
     let (mut compressor, mut shuffled) = (zstd::bulk::Compressor::new(LEVEL)?, vec![]);
-    for (number, block) in bytes.chunks(BLOCK).enumerate() {
+    for (number, block) in bytes.chunks(block).enumerate() {
         let at = out.len() as u32;
         out[16 + 4 * number..][..4].copy_from_slice(&at.to_le_bytes());
         shuffle(block, typesize, &mut shuffled);
