@@ -17,7 +17,8 @@ use std::path::PathBuf;
 ///
 /// Tetrahedra are an unstructured grid, VTU or VTKHDF, with the values of each field at the points.
 /// A level of a pyramid is a grid of samples: VTI, NRRD, NIfTI, MetaImage or NPY; VTR and VTS of a
-/// grid with coordinates. OME-Zarr has it and all coarser levels, and several steps. Where the archive keeps whole numbers without loss, samples have the
+/// grid with coordinates. OME-Zarr has it and all coarser levels, and several steps. Where the
+/// archive keeps whole numbers without loss, samples have the
 /// source's type; else they are float32, or float64 where values are counted from an offset.
 #[derive(clap::Args, Debug)]
 #[command(

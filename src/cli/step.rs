@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepInputs {
     /// The volume or mesh, in any format that isospan reads; a volume also by address (s3://... or
-    /// https://...); or an archive that is a pyramid, whose samples are taken. Several inputs are the steps of a series. So are a quoted pattern
+    /// https://...); or an archive that is a pyramid, whose samples are taken. Several inputs are
+    /// the steps of a series. So are a quoted pattern
     /// ("step_*.vti"), a .pvd or .series file, a file with frames, and the fields that match
     /// --field PATTERN.
     #[arg(required = true, value_name = "INPUT")]

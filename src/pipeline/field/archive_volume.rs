@@ -2,6 +2,7 @@
 //! from an archive when its source is gone.
 
 use super::export_grid::field_of;
+use crate::archive::manifest::MANIFEST_NAME;
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
 use crate::formats::samples::push_samples;
@@ -92,6 +93,7 @@ fn source_of(view: StepView) -> Result<StepSource> {
         geometry: of.geometry,
         units: of.units.clone(),
         fields: vec![field.clone()],
+        data_files: vec![view.path().join(MANIFEST_NAME)],
         field,
         ..info_of(&name, of.dims, ScalarType::F32)
     };

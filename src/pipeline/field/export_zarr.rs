@@ -50,7 +50,8 @@ impl Moments<'_> {
     }
 }
 
-/// Writes a pyramid as OME-Zarr: see [`Step::write_ome_zarr`](crate::pipeline::Step::write_ome_zarr).
+/// Writes a pyramid as OME-Zarr: see
+/// [`Step::write_ome_zarr`](crate::pipeline::Step::write_ome_zarr).
 pub(in crate::pipeline) fn export_zarr(
     moments: &Moments<'_>,
     settings: &GridSettings,

@@ -1,7 +1,7 @@
 //! A file of samples while it is written.
 
 use super::pack::{Packed, Stream, pack};
-use super::{GridMeta, GridPlace, SampleField, SampleFormat, heads, nifti, vtk};
+use super::{GridMeta, GridPlace, Layout, SampleField, SampleFormat, heads, nifti, vtk};
 use crate::bytes::publish::{Unpublished, folder_of};
 use crate::bytes::store::{read_at, write_at};
 use crate::error::{Error, Result};
@@ -11,19 +11,6 @@ use crate::volume::ScalarType;
 use half::f16;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-
-/// What lies around the arrays of a file.
-#[derive(Debug, Default)]
-pub(super) struct Layout {
-    /// Before all of them.
-    pub(super) head: Vec<u8>,
-    /// Directly before each of them; none where nothing does.
-    pub(super) before: Vec<Vec<u8>>,
-    /// Behind all of them.
-    pub(super) tail: Vec<u8>,
-    /// A header in a file of its own.
-    pub(super) header: Option<Vec<u8>>,
-}
 
 /// Samples that are being written.
 pub struct SampleFile {

@@ -1,8 +1,7 @@
 //! The headers of NPY, NRRD and MetaImage.
 
-use super::file::Layout;
 use super::pack::Packed;
-use super::{Anatomy, GridMeta, SampleFormat};
+use super::{Anatomy, GridMeta, Layout, SampleFormat};
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use crate::volume::units::Unit;

@@ -36,6 +36,19 @@ use crate::volume::ScalarType;
 use crate::volume::units::{Unit, Units};
 use std::path::{Path, PathBuf};
 
+/// What lies around the arrays of a file.
+#[derive(Debug, Default)]
+struct Layout {
+    /// Before all of them.
+    head: Vec<u8>,
+    /// Directly before each of them; none where nothing does.
+    before: Vec<Vec<u8>>,
+    /// Behind all of them.
+    tail: Vec<u8>,
+    /// A header in a file of its own.
+    header: Option<Vec<u8>>,
+}
+
 /// A format that samples are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleFormat {

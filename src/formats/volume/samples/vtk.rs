@@ -1,9 +1,8 @@
 //! VTK's XML files of grids: ImageData, RectilinearGrid, StructuredGrid; one piece, appended raw.
 
-use super::file::Layout;
 use super::heads::{no_type, numbers};
 use super::pack::{BLOCK, Packed};
-use super::{GridMeta, GridPlace, SampleField};
+use super::{GridMeta, GridPlace, Layout, SampleField};
 use crate::error::Result;
 use crate::formats::shared::text::xml_attribute;
 use crate::volume::ScalarType;
