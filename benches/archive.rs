@@ -51,8 +51,7 @@ fn mesh(kind: SetKind) -> (Vec<LatticePos>, Vec<Tet>) {
 fn tetrahedra(c: &mut Criterion) {
     let mut group = c.benchmark_group("archive");
     group.sample_size(10).measurement_time(Duration::from_secs(2)).warm_up_time(Duration::from_millis(500));
-    let sets =
-        [SetKind::Hammersley, SetKind::Halton, SetKind::HyperbolicCross, SetKind::Regular, SetKind::Bcc];
+    let sets = [SetKind::Hammersley, SetKind::Halton, SetKind::HyperbolicCross, SetKind::Regular];
     for kind in sets {
         let (name, (positions, tets)) = (kind.name(), mesh(kind));
         let (n, halo, mut encoder) = (positions.len(), vec![], ChunkEncoder::default());
@@ -94,7 +93,7 @@ fn values(c: &mut Criterion) {
         .collect();
     let mut group = c.benchmark_group("values");
     group.sample_size(10).throughput(Throughput::Elements(POINTS));
-    let of = ValueBlocks::even(values.len());
+    let of = ValueBlocks::new(values.len());
     group.bench_function("encode", |b| b.iter(|| encode_values(black_box(&values), &of, None, None).len()));
     let blocks = encode_values(&values, &of, None, None);
     let mut out = vec![];

@@ -33,7 +33,6 @@ fn bench(c: &mut Criterion) {
         (SetKind::Halton, 1_000_000_000_000, 1000.0),
         (SetKind::HyperbolicCross, 1_000_000, 1000.0),
         (SetKind::Regular, 1_000_000, 1000.0),
-        (SetKind::Bcc, 1_000_000, 1000.0),
     ];
     for (kind, n, points) in cases {
         let lattice = if n > 1 << 30 { Lattice::new([10_000; 3]).expect("as above") } else { lattice };

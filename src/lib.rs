@@ -4,14 +4,20 @@
 //!
 //! # How does it work?
 //!
-//! The field is sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic
-//! cross, and two lattices). The points are joined by their Delaunay tetrahedralization, tetrahedra
-//! are packed into blocks, and the blocks are indexed by the range of their values in span space. A
-//! query reads the blocks that an isovalue crosses and runs marching tetrahedra on them
-//! ([`surface`]). How large the surface would be is known before, at any isovalue
-//! ([`Step::spectrum`]).
+//! There are two kinds of archives. A volume is a **pyramid**: all its samples, as coefficients of
+//! a wavelet transform, with coarser levels. It meets an error that is asked for, 1 % of the range
+//! in the root mean square if none is; marching cubes make its surfaces. Unstructured meshes, and
+//! volumes for which a point set is named, are **points with their tetrahedra**: the field is
+//! sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic cross, and a
+//! regular grid), and the points are joined by their Delaunay tetrahedralization.
 //!
-//! All of it streams. A volume is read box by box ([`volume`], [`formats`]); a brick of the domain
+//! Cells or tetrahedra are packed into blocks, and these are indexed by the range of their values
+//! in span space. A query reads the blocks that an isovalue crosses and runs marching cubes or
+//! marching tetrahedra on them ([`surface`]). How large the surface would be is known before, at
+//! any isovalue ([`Step::spectrum`]).
+//!
+//! All of it streams. A volume is read box by box ([`volume`], [`formats`]). A chunk of a pyramid
+//! is transformed with a halo, and its coefficients are those of the whole. A brick of the domain
 //! lists its own points from the formula of the point set; a chunk of bricks is meshed by itself,
 //! with a halo, and keeps the tetrahedra that are certain to be those of the whole.
 //!
@@ -45,17 +51,19 @@
 //! ```
 //! use isospan::exec::Silent;
 //! use isospan::formats::surface::SurfaceFormat;
+//! use isospan::pipeline::{Bound, Target};
 //! use isospan::{Archive, Reduction, Resources, SurfaceSettings};
 //!
 //! # fn main() -> isospan::Result<()> {
 //! # let folder = tempfile::tempdir().unwrap();
 //! # let dir = folder.path();
-//! // 68³ samples of an electron density become 40 000 points …
+//! // 68³ samples of an electron density, kept to an RMS error of 2 % of their range …
 //! let path = dir.join("protein.isospan");
 //! let little = Resources::default().with_memory(256 << 20);
-//! let protein = Reduction::of("datasets/ironprot.vtk").count(40_000).resources(little.clone());
+//! let error = Target::Rms(Bound::OfRange(0.02));
+//! let protein = Reduction::of("datasets/ironprot.vtk").target(error).resources(little.clone());
 //! let made = protein.write(&path)?;
-//! assert!((36_000..44_000).contains(&made.points), "a lattice has whole cells");
+//! assert!(made.archive_bytes < 8_000, "a fortieth of the file");
 //!
 //! // … and any isosurface comes out of them.
 //! let archive = Archive::open(&path)?;
@@ -77,12 +85,12 @@
 //! # Guarantees
 //!
 //! * The same input and parameters give the same bytes: for any number of threads, and after any
-//!   interruption. Chunk size changes the layout of an archive, never its tetrahedra, and never the
-//!   triangles of a surface.
+//!   interruption. The size of chunks of points changes the layout of an archive, never its
+//!   tetrahedra, and never the triangles of a surface.
 //! * A surface is an oriented manifold, open only at the boundary of the domain and around missing
 //!   samples.
-//! * The tetrahedra of an archive fill the domain exactly; it is checked, in integers, before the
-//!   archive is published.
+//! * A pyramid is decoded, and compared with its source, before the archive is published.
+//!   Tetrahedra fill the domain exactly; that is checked before, too, in integers.
 //! * Bytes from a file never cause a panic or an unchecked allocation; errors name the file, the
 //!   place, what was expected and what was found ([`Error`]).
 //!

@@ -11,8 +11,8 @@ range of values. Each coder is asked for more and more error until the target li
 answers; bits a sample are interpolated between these (both in logarithms). CPU seconds to write and
 to read are those of the answer that meets the target.
 
-* *isospan*: `reduce --points lattice --target-rms`, or what --ours says: `--ours "fine=--points
-  lattice --value-bits 10"` makes a coder "fine", and --ours may be given several times. All files
+* *isospan*: `reduce --target-rms`, or what --ours says: `--ours "halton=--points halton"` makes a
+  coder "halton", and --ours may be given several times. All files
   of the archive count. The samples are what `probe` finds at all places.
 * *wavelet*: the crate isospan-wavelet, which an archive of volumes will use; its own bytes, whole.
 * *SZ3*, *SPERR*: HDF5 filters of hdf5plugin, with an absolute bound, all samples at once. *Chunks*:
@@ -81,7 +81,7 @@ def numbers(text):
 def name_and_options(text):
     name, equals, options = text.partition("=")
     if not (name and equals and options.strip()):
-        raise argparse.ArgumentTypeError(f'{text}: expected NAME=OPTIONS, as "a=--points lattice"')
+        raise argparse.ArgumentTypeError(f'{text}: expected NAME=OPTIONS, as "a=--points halton"')
     return name, options.split()
 
 
@@ -94,7 +94,7 @@ def arguments():
     add("--generated", action="store_true", help="three made volumes of 96^3 samples too")
     add("--targets", type=numbers, default=[0.5, 1.0, 2.0, 4.0])
     add("--ours", type=name_and_options, action="append", metavar="NAME=OPTIONS",
-        help="options of `reduce`, to which --target-rms is added [isospan=--points lattice]")
+        help="options of `reduce`, to which --target-rms is added [isospan=]")
     add("--coders", type=lambda text: text.split(";"), metavar="NAMES",
         help='some of the others: "SZ3;SPERR, chunks" [all]')
     add("--halvings", type=int, default=9,
@@ -108,7 +108,7 @@ def arguments():
     add("--wavelet", type=pathlib.Path, help="the example `array` of isospan-wavelet, built already")
     add("--scratch", type=pathlib.Path)
     settings = parser.parse_args()
-    settings.ours = settings.ours or [("isospan", ["--points", "lattice"])]
+    settings.ours = settings.ours or [("isospan", [])]
     missing = [t for t in settings.surfaces if t not in settings.targets]
     settings.targets = sorted([*settings.targets, *missing])
     return settings

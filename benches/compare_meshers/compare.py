@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Meshes the same points with HXT, CGAL, Geogram and isospan, one after the other and round by round, and prints a table of ratios.
 
-    compare.py [--sets hammersley,halton,cross,bcc,regular] [--counts 62500,250000,1000000] [--threads 1,2] [--rounds 5] [--cpu]
+    compare.py [--sets hammersley,halton,cross,regular] [--counts 62500,250000,1000000] [--threads 1,2] [--rounds 5] [--cpu]
                [--peers HXT,CGAL,Geogram|none] [--memory GIB]
 
 Builds what it needs: isospan with cargo; CGAL with g++ (Debian: apt-get install g++ libcgal-dev libtbb-dev); HXT (in the PyPI
@@ -34,7 +34,7 @@ CGAL_FLAGS += ["-DCGAL_LINKED_WITH_TBB", "-DCGAL_CONCURRENT_TRIANGULATION_3"]
 def settings():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     numbers = lambda text: [int(n) for n in text.split(",")]
-    parser.add_argument("--sets", type=lambda t: t.split(","), default="hammersley,halton,cross,bcc,regular".split(","))
+    parser.add_argument("--sets", type=lambda t: t.split(","), default="hammersley,halton,cross,regular".split(","))
     parser.add_argument("--counts", type=numbers, default=[62_500, 250_000, 1_000_000])
     parser.add_argument("--threads", type=numbers, default=[1, 2])
     parser.add_argument("--rounds", type=int, default=5)

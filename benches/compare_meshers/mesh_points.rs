@@ -48,7 +48,6 @@ fn point_set(set: &str, count: u64) -> Result<Option<PointSet>, Box<dyn Error>> 
         "halton" => SetKind::Halton,
         "cross" => SetKind::HyperbolicCross,
         "regular" => SetKind::Regular,
-        "bcc" => SetKind::Bcc,
         _ => return Err(format!("no set {set}").into()),
     };
     let lattice = Lattice::new([1025; 3])?;

@@ -104,11 +104,6 @@ impl Encoder {
         self.low &= 0xffff_ffff;
     }
 
-    /// Bits that have been written, rounded down.
-    pub(crate) fn bits(&self) -> u64 {
-        8 * self.bytes.len() as u64 + u64::from(self.range.leading_zeros())
-    }
-
     /// Forgets everything.
     pub(crate) fn clear(&mut self) {
         (self.low, self.range) = (0, u32::MAX);

@@ -5,8 +5,10 @@ use super::input::InputArgs;
 use super::output::{Force, exists, expect_a_file, expect_no_input};
 use super::progress::Talk;
 use super::text;
+use isospan::pipeline::is_archive;
+use isospan::volume::VolumeSource;
 use isospan::volume::bricked::BrickedVolume;
-use isospan::{Error, Result, formats};
+use isospan::{Archive, Error, Result, formats};
 use std::path::PathBuf;
 
 /// Copy a volume into bricks that are mapped instead of read.
@@ -18,7 +20,8 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan brick scan.nii.gz -o scan.bricks\n  isospan brick slices.tif -o slices.bricks --memory 1GiB"
 )]
 pub(crate) struct Args {
-    /// The volume: a file or folder, or its address, s3://... or https://...
+    /// The volume: a file or folder, or its address, s3://... or https://...; or an archive that is
+    /// a pyramid.
     input: PathBuf,
     /// The file to write, NAME.bricks.
     #[arg(short, long, value_name = "FILE")]
@@ -35,14 +38,36 @@ pub(crate) struct Args {
     read: InputArgs,
 }
 
+/// The samples of an archive.
+fn archive_volume(args: &Args) -> Result<VolumeSource> {
+    let field = args.read.options()?.field;
+    let steps = Archive::open(&args.input)?.in_field(field).sources()?;
+    let [step] = &steps[..] else {
+        return Err(Error::usage(format!(
+            "{}: has {} steps, and a bricked copy is of one: isospan export writes each as a file",
+            args.input.display(),
+            steps.len()
+        )));
+    };
+    match step.open()? {
+        formats::Input::Volume(volume) => Ok(volume),
+        formats::Input::Mesh(_) => Err(Error::usage(format!("{} is no volume", args.input.display()))),
+    }
+}
+
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    if formats::open_coordinates(&args.input, &args.read.options()?)?.is_some() {
+    let of_archive = is_archive(&args.input);
+    if !of_archive && formats::open_coordinates(&args.input, &args.read.options()?)?.is_some() {
         return Err(isospan::Error::usage(format!(
             "{}: a bricked copy would lose the grid's coordinates; reduce the file itself",
             args.input.display()
         )));
     }
-    let source = formats::open_volume(&args.input, &args.read.options()?)?;
+    let source = if of_archive {
+        archive_volume(args)?
+    } else {
+        formats::open_volume(&args.input, &args.read.options()?)?
+    };
     expect_no_input(&args.output, source.info().files().iter().chain([&args.input]))?;
     expect_a_file(&args.output)?;
     talk.detail(&args.read.io_text(&args.input));

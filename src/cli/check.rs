@@ -1,6 +1,7 @@
 //! `isospan check`: is an archive whole, is a surface sound?
 
 use super::grammar;
+use super::level::LevelArgs;
 use super::progress::Talk;
 use super::text;
 use isospan::formats::surface::load_surface;
@@ -32,6 +33,8 @@ pub(crate) struct Args {
     /// edges may lie on its faces, too.
     #[arg(long, value_name = "BOX", requires = "within", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
+    #[command(flatten)]
+    level: LevelArgs,
     /// For a surface: limit of memory, 4GiB, 500MB or 50% [default: half of what the process may
     /// use].
     #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, allow_hyphen_values = true)]
@@ -53,7 +56,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             ("--memory", args.memory.is_some()),
             ("--scratch", args.scratch.is_some()),
         ];
-        if let Some((flag, _)) = only.iter().find(|(_, given)| *given) {
+        let levels = args.level.given().map(|(given, flag)| (flag, given));
+        if let Some((flag, _)) = only.into_iter().chain(levels).find(|(_, given)| *given) {
             return Err(Error::usage(format!("{flag} is for surfaces")));
         }
         let report = Archive::open(&args.input)?.check_until(&super::signals::cancel_token())?;
@@ -69,18 +73,24 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     };
     talk.detail(&format!("memory {}", text::bytes(settings.memory)));
     let within = args.within.as_ref().map(Archive::open).transpose()?;
+    if let (None, Some((_, flag))) = (&within, args.level.given().into_iter().find(|(given, _)| *given)) {
+        return Err(Error::usage(format!(
+            "{flag} is for --within: which level the surface was extracted from"
+        )));
+    }
     let summary = within.as_ref().map(|archive| archive.info()).transpose()?;
     if summary.as_ref().is_some_and(|s| s.grid_cells.is_some() || s.mesh.is_some()) {
         return Err(isospan::Error::usage(
             "--within an archive of a mesh, or of a rectilinear or curvilinear grid, is not possible: its domain is no box",
         ));
     }
+    let dims = within.as_ref().map(|archive| archive.dims_of_level(args.level.choice())).transpose()?;
     let surface = load_surface(&args.input, &settings)?;
     let origin = surface.origin();
     let cuts = summary.as_ref().zip(args.roi).map_or(vec![], |(s, roi)| cuts(&roi, s, origin));
     let domain = summary.as_ref().map(|s| Domain {
         geometry: &s.geometry,
-        dims: s.dims,
+        dims: dims.unwrap_or(s.dims),
         cuts: &cuts,
         tolerance: BOUNDARY_TOLERANCE,
     });

@@ -5,7 +5,7 @@ use super::grammar::{self, Range, Size};
 use clap::ValueEnum;
 use isospan::cells::scan::scan_field;
 use isospan::formats::{Input, StepSource, is_mesh};
-use isospan::pipeline::{self, Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target, ValueBits};
+use isospan::pipeline::{self, Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target};
 use isospan::points::{SetKind, SetSettings};
 use isospan::sample::{Interpolation, Values};
 use isospan::{Error, Result};
@@ -22,10 +22,9 @@ pub(crate) struct Choices {
 /// An error or a size that is wanted.
 #[derive(clap::Args, Debug)]
 struct Targets {
-    /// Use the fewest points with which the RMS error at all samples is at most E, in units of the
-    /// field or as N% of its range. This takes several tries. The points are a lattice, or the
-    /// samples where that takes fewer bytes, and the number of bits per value is chosen too, unless
-    /// --points, --adapt or --value-bits is given. Meshes and --focus imply --adapt.
+    /// Keep the RMS error at all samples at or below E, in units of the field or as N% of its
+    /// range. A volume takes one or two tries. Of points the fewest are used, in several tries;
+    /// meshes and --focus imply --adapt [default for volumes: 1%].
     #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure"], allow_hyphen_values = true)]
     target_rms: Option<Bound>,
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
@@ -33,14 +32,13 @@ struct Targets {
     target_max: Option<Bound>,
     /// Find the least error in an archive of at most this size: 50MiB, or 5% or 1/20 of the bytes
     /// of the source, which are those of its files or of its samples, whichever are fewer. This
-    /// takes several tries. Points and bits are chosen as for --target-rms.
+    /// takes a few tries.
     #[arg(help_heading = "Error and size", long, value_name = "SIZE", value_parser = grammar::size, conflicts_with_all = ["fraction", "count", "cross_m", "target_rms", "target_max"], allow_hyphen_values = true)]
     size: Option<Size>,
     /// Find the least error in 1/N of the bytes of the source, as --size 1/N does: 20 for 5%.
     #[arg(help_heading = "Error and size", long, value_name = "N", value_parser = grammar::positive_number, conflicts_with_all = ["fraction", "count", "cross_m", "target_rms", "target_max", "size"], allow_negative_numbers = true)]
     ratio: Option<f64>,
-    /// Store all samples of a volume without loss, where they are whole numbers. For --points
-    /// pyramid.
+    /// Store all samples of a volume without loss, where they are whole numbers.
     #[arg(help_heading = "Error and size", long, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms", "target_max", "size", "ratio"])]
     lossless: bool,
 }
@@ -48,13 +46,13 @@ struct Targets {
 /// Point set, interpolation, missing values, numbers of points.
 #[derive(clap::Args, Debug)]
 struct PlanChoices {
-    /// The point set [default: lattice; hammersley for meshes; halton with --adapt].
+    /// What is kept [default: pyramid; hammersley for meshes; halton with --adapt].
     #[arg(help_heading = "Points", long, value_enum)]
     points: Option<Set>,
     /// Number of points as a fraction of the number of samples: 1/8, 0.125 or 12.5% [default: 1/8].
-    /// For a mesh, a fraction of its vertices, boundary included. With 1, a mesh is stored
-    /// unchanged, with its own vertices and tetrahedra and no error; --points, --interp and --adapt
-    /// must not be given then.
+    /// A volume needs --points with it. For a mesh, a fraction of its vertices, boundary included.
+    /// With 1, a mesh is stored unchanged, with its own vertices and tetrahedra and no error;
+    /// --points, --interp and --adapt must not be given then.
     #[arg(help_heading = "Points", long, value_name = "FRACTION", value_parser = grammar::share, conflicts_with = "count", allow_hyphen_values = true)]
     fraction: Option<f64>,
     /// Number of points. For a volume, samples of its boundary come on top. With as many as a mesh
@@ -106,12 +104,11 @@ struct PlanChoices {
     /// Number of points that are meshed together. Changes the layout of the archive, not its mesh.
     #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS, value_parser = grammar::natural, allow_negative_numbers = true)]
     chunk_points: u64,
-    /// Round values to N bits (4 to 24, or 1 to 20 with --points samples; 6.5 is allowed) of the
-    /// range of the source, or "exact". Rounding reads the source once more; its largest error is
-    /// reported and stored. [default: 8 bits of the range of
-    /// 99.8 % of the samples for the lattice of a volume, unless --interp is nearest; else exact]
-    #[arg(help_heading = "Values", long, value_name = "N|exact", value_parser = grammar::bits, allow_hyphen_values = true)]
-    value_bits: Option<ValueBits>,
+    /// Round the values of points to N bits (4 to 24; 6.5 is allowed) of the range of the source.
+    /// Rounding reads the source once more; its largest error is reported and stored [default:
+    /// values are exact].
+    #[arg(help_heading = "Values", long, value_name = "N", value_parser = grammar::bits, allow_hyphen_values = true)]
+    value_bits: Option<f64>,
     /// Skip the measurement of the error at the samples of the source.
     #[arg(help_heading = "Error and size", long)]
     no_measure: bool,
@@ -119,17 +116,13 @@ struct PlanChoices {
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Set {
+    /// All samples of a volume, as a wavelet pyramid: the fewest bytes to an error, and coarser
+    /// levels. Without a target its RMS error is 1 % of the range.
+    Pyramid,
     Hammersley,
     Halton,
     HyperbolicCross,
     Regular,
-    Lattice,
-    /// A lattice with a node at each sample of a volume. The samples are stored, rounded; all other
-    /// points have means of them.
-    Samples,
-    /// All samples of a volume, as a wavelet pyramid: the fewest bytes to an error, and coarser
-    /// levels. Without a target its RMS error is 1 % of the range.
-    Pyramid,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -168,8 +161,10 @@ impl Choices {
     ///
     /// # Errors
     /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
-    /// is of.
-    pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
+    /// is of. A first one that cannot be read may be left out: the next one counts.
+    pub(crate) fn settings(&self, steps: &[StepSource]) -> Result<ReduceSettings> {
+        let is_known = |step: &&StepSource| step.is_given() || is_mesh(&step.path, &step.options).is_ok();
+        let first = steps.iter().find(is_known).unwrap_or(&steps[0]);
         self.plan.settings(first, self.targets.target())
     }
 
@@ -195,6 +190,7 @@ impl PlanChoices {
     /// The settings that the flags say; what a target implies besides, the library adds.
     fn settings(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
         let is_of_error = matches!(target, Some(Target::Rms(_) | Target::Max(_)));
+        let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
         let is_open = matches!(self.points, None | Some(Set::Halton));
         // A focus says that points adapt, where nothing else must decide that.
         let adapt = self.adapt || self.focus.is_some() && is_of_error && is_open;
@@ -203,6 +199,7 @@ impl PlanChoices {
         }
         let points = match self.points {
             None if self.shift.is_some() && !adapt && target.is_none() => Some(Set::Hammersley),
+            None if !of_mesh && !adapt => Some(Set::Pyramid),
             points => points,
         };
         let kind = points.map(|points| match points {
@@ -210,7 +207,6 @@ impl PlanChoices {
             Set::Halton => SetKind::Halton,
             Set::HyperbolicCross => SetKind::HyperbolicCross,
             Set::Regular => SetKind::Regular,
-            Set::Lattice | Set::Samples => SetKind::Bcc,
             Set::Pyramid => SetKind::Pyramid,
         });
         let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
@@ -221,41 +217,16 @@ impl PlanChoices {
             return Err(Error::usage("--shift is for --points hammersley"));
         }
         let interpolation = self.interp.interpolation();
-        if points == Some(Set::Samples) {
-            let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
-            let others = [
-                (of_mesh, "a mesh: its own vertices are stored with --fraction 1"),
-                (target.is_some(), "a target: --points lattice finds out whether it is met best so"),
-                (self.values.is_some(), "--values: the values are those of the samples"),
-                (
-                    self.count.is_some() || self.fraction.is_some(),
-                    "--count or --fraction: all samples are points",
-                ),
-            ];
-            if let Some((_, other)) = others.into_iter().find(|other| other.0) {
-                return Err(Error::usage(format!("--points samples does not go with {other}")));
-            }
-        }
         if points == Some(Set::Pyramid) {
-            let others = [
-                (self.values.is_some(), "--values: the values are those of the samples"),
-                (
-                    self.count.is_some() || self.fraction.is_some(),
-                    "--count or --fraction: all samples are kept, and surface --level has fewer",
-                ),
-            ];
-            if let Some((_, other)) = others.into_iter().find(|other| other.0) {
-                return Err(Error::usage(format!("--points pyramid does not go with {other}")));
-            }
+            self.check_pyramid()?;
         }
         let amount = match (self.count, self.fraction) {
             (Some(n), _) => Amount::Count(n),
-            (None, fraction) => Amount::Fraction(fraction.unwrap_or(0.125)),
+            (None, fraction) => fraction.map_or(Amount::Usual, Amount::Fraction),
         };
         Ok(ReduceSettings {
             points: kind,
             set: SetSettings {
-                spacing: None,
                 shift: self.shift.unwrap_or(0.5),
                 m: self.cross_m,
                 k: self.cross_k,
@@ -266,19 +237,37 @@ impl PlanChoices {
             target,
             interpolation,
             values: match self.values {
-                _ if points == Some(Set::Samples) => Values::Nodes,
                 Some(Vertex::Sample) => Values::Sample,
                 Some(Vertex::Fit) => Values::Fit,
                 None => Values::usual(interpolation),
             },
             nan: self.nan,
             missing: self.missing,
-            value_bits: self.value_bits.unwrap_or_default(),
+            value_bits: self.value_bits,
             chunk_points: self.chunk_points,
             measure: !self.no_measure,
             keyframes: self.keyframes,
             ..ReduceSettings::default()
         })
+    }
+
+    /// Refuses what asks for points: a pyramid has all samples.
+    fn check_pyramid(&self) -> Result<()> {
+        let asked = [
+            (self.count.is_some(), "--count"),
+            (self.fraction.is_some(), "--fraction"),
+            (self.values.is_some(), "--values"),
+            (self.value_bits.is_some(), "--value-bits"),
+            (!matches!(self.interp, Interp::Linear), "--interp"),
+            (self.chunk_points != ReduceSettings::CHUNK_POINTS, "--chunk-points"),
+        ];
+        match asked.into_iter().find(|asked| asked.0) {
+            None => Ok(()),
+            Some((_, flag)) => Err(Error::usage(format!(
+                "{flag} is for point sets, and a pyramid keeps all samples of a volume: add --points \
+                 hammersley, halton or regular, or leave {flag} out and ask surface for a --level"
+            ))),
+        }
     }
 
     /// The range that matters; percentages refer to the values of a step.

@@ -17,9 +17,10 @@
 //! which flag.
 
 use super::step::Times;
+use isospan::archive::values::Quantiser;
 use isospan::exec::MOST_THREADS;
 use isospan::formats::raw::SampleType;
-use isospan::pipeline::{Bound, NanPolicy, Roi, Shard, StepRange, ValueBits};
+use isospan::pipeline::{Bound, NanPolicy, Roi, Shard, StepRange};
 use isospan::render::{ColourMap, Paint, Up, parse_colour};
 use isospan::volume::ScalarType;
 use isospan::volume::units::Unit;
@@ -418,13 +419,10 @@ pub(crate) fn shard(text: &str) -> Parsed<Shard> {
     expected(text.parse().ok(), "a shard I/N with I below N, as in 3/16")
 }
 
-/// `exact`, or a number of bits.
-pub(crate) fn bits(text: &str) -> Parsed<ValueBits> {
-    let found = match text {
-        "exact" => Some(ValueBits::Exact),
-        _ => number(text).ok().filter(|n| (1.0..=24.0).contains(n)).map(ValueBits::Bits),
-    };
-    expected(found, "a number of bits from 4 to 24, 1 to 20 with --points samples, or exact")
+/// A number of bits.
+pub(crate) fn bits(text: &str) -> Parsed<f64> {
+    let found = number(text).ok().filter(|n| Quantiser::BITS.contains(n));
+    expected(found, "a number of bits from 4 to 24")
 }
 
 /// `error`, `mask`, or a value.
@@ -561,8 +559,8 @@ mod tests {
 
     #[test]
     fn words() {
-        assert_eq!((bits("exact"), bits("8")), (Ok(ValueBits::Exact), Ok(ValueBits::Bits(8.0))));
-        refused(bits, &["0.5", "25", "x", ""]);
+        assert_eq!(bits("6.5"), Ok(6.5));
+        refused(bits, &["3", "25", "exact", "x", ""]);
         refused(nan, &["", "hole", "inf"]);
         refused(up, &["", "w", "+x"]);
         refused(paint, &["", "red", "#12"]);

@@ -319,11 +319,7 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             text::plural(s.blocks, "block")
         ),
     };
-    for level in &s.pyramid {
-        let [x, y, z] = level.nodes;
-        let cells = text::count(level.cells);
-        let _ = writeln!(out, "  level {:<5} {x} x {y} x {z} nodes, {cells} cells", level.level);
-    }
+    out += &levels_text(s);
     if let Some(cells) = s.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
@@ -339,7 +335,6 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     let fitted = match s.values {
         Values::Sample => "",
         Values::Fit => ", fitted to the samples",
-        Values::Nodes => ", of the samples at nodes",
     };
     if s.pyramid.is_empty() {
         let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
@@ -389,6 +384,27 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     out
 }
 
+/// The levels of a pyramid, a line each.
+fn levels_text(s: &ArchiveSummary) -> String {
+    if s.pyramid.is_empty() {
+        return String::new();
+    }
+    let range = s.error.as_ref().and_then(|e| e.source_range).map(|[lo, hi]| hi - lo).filter(|r| *r > 0.0);
+    let mut out =
+        format!("  {:<11} {:>20} {:>15} {:>10} {:>12}\n", "level", "nodes", "cells", "bytes", "RMS error");
+    for level in &s.pyramid {
+        let nodes = level.nodes.map(|n| n.to_string()).join(" x ");
+        let bytes = level.bytes.map_or("-".into(), text::bytes);
+        let rms = level.rms.map_or("-".into(), |rms| {
+            let share = range.map_or(String::new(), |range| format!("  {:.3} %", 100.0 * rms / range));
+            format!("{:>12}{share}", text::value(text::figures(rms, 4)))
+        });
+        let cells = text::count(level.cells);
+        let _ = writeln!(out, "  {:>11} {nodes:>20} {cells:>15} {bytes:>10} {rms:>12}", level.level);
+    }
+    out
+}
+
 /// The units that are known, of what.
 fn units_line(s: &ArchiveSummary) -> Option<String> {
     let mut values: Vec<String> = vec![];
@@ -418,7 +434,6 @@ fn point_set(set: &PointSpec) -> String {
             format!("hyperbolic-cross, m {m}, k {k}, r {x},{y},{z}")
         }
         PointSpec::Regular { counts } => format!("regular, {}", by(counts)),
-        PointSpec::Bcc { cells } => format!("lattice, {} cells", by(cells.map(u64::from))),
         PointSpec::Pyramid { dims, .. } => format!("pyramid, {} samples", by(dims)),
         PointSpec::Own { .. } => "the mesh's own vertices".into(),
     }

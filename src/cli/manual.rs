@@ -69,7 +69,7 @@ const ENVIRONMENT: [(&str, &str); 4] = [
 ];
 
 const FILES: [(&str, &str); 3] = [
-    ("NAME.isospan", "An archive, a folder: manifest.json, mesh/ and steps/."),
+    ("NAME.isospan", "An archive, a folder: manifest.zst, mesh/ and steps/."),
     (
         "NAME.isospan.work",
         "A planned reduction beside its archive: plan.json, and slurm/ with job scripts and logs.",

@@ -2,6 +2,7 @@
 
 use super::grammar;
 use super::input::InputArgs;
+use super::level::LevelArgs;
 use super::machine::{InputScratch, Machine};
 use super::output::{Force, files_of};
 use super::progress::Talk;
@@ -36,6 +37,8 @@ pub(crate) struct Args {
     #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>, allow_negative_numbers = true)]
     step: Option<u64>,
     #[command(flatten)]
+    level: LevelArgs,
+    #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
     scratch: InputScratch,
@@ -52,6 +55,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = MeasureSettings {
         resources: args.machine.resources(args.scratch.scratch.clone(), talk),
         step: args.step,
+        level: args.level.choice(),
         map: args.map.clone(),
     };
     if let Some(map) = &args.map {
@@ -107,11 +111,12 @@ fn report_text(archive: &Path, report: &MeasureReport) -> String {
         text::count(e.measured),
         text::count(e.samples)
     );
-    for (count, why) in [
-        (e.missing, "without a value in the source"),
-        (e.void, "in void tetrahedra"),
-        (e.outside, "outside of all tetrahedra"),
-    ] {
+    let (void, outside) = match report.level {
+        None => ("in void tetrahedra", "outside of all tetrahedra".to_owned()),
+        Some(level) => ("between nodes without a value", format!("beyond the last nodes of level {level}")),
+    };
+    for (count, why) in [(e.missing, "without a value in the source"), (e.void, void), (e.outside, &outside)]
+    {
         if count > 0 {
             let _ = writeln!(out, "  not         {} {why}", text::count(count));
         }

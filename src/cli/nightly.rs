@@ -14,7 +14,7 @@ use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::{grammar, signals, text};
-use isospan::formats::{StepSource, is_mesh, sort_by_names, steps_of, steps_of_fields};
+use isospan::formats::{StepSource, sort_by_names, steps_of, steps_of_fields};
 use isospan::pipeline::{
     AppendSettings, ReduceReport, RunSettings, StepSummary, append, changed_sources, work_folder,
 };
@@ -179,7 +179,7 @@ fn left_out_text(summary: &Summary) -> String {
 /// # Errors
 /// Those of `reduce` and `append`; where only some files could not be used, one of exit code 1.
 fn add(args: &Args, talk: &Talk, summary: &mut Summary) -> Result<()> {
-    let there = match args.archive.join("manifest.json").exists() {
+    let there = match args.archive.join("manifest.zst").exists() {
         true => Archive::open(&args.archive)?.info()?.steps,
         false => vec![],
     };
@@ -242,9 +242,7 @@ fn write(args: &Args, talk: &Talk, steps: Vec<StepSource>, first: bool) -> Resul
     let run = RunSettings { keep_going: true, ..run };
     let bar = talk.progress();
     let report = if first {
-        // A first one that is damaged is left out.
-        let first = steps.iter().find(|step| is_mesh(&step.path, &step.options).is_ok());
-        let settings = args.choices.settings(first.unwrap_or(&steps[0]))?;
+        let settings = args.choices.settings(&steps)?;
         let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
         reduction.keep_going(true).progress(&*bar).write(&args.archive)
     } else {

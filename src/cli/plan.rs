@@ -55,7 +55,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
     let steps = args.steps.all(&args.read, talk)?;
-    let settings = args.choices.settings(&steps[0])?;
+    let settings = args.choices.settings(&steps)?;
     expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     let bar = talk.progress();
     let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);

@@ -1,6 +1,7 @@
 //! `isospan probe`: the reduced field on a grid, or at points.
 
 use super::grammar;
+use super::level::LevelArgs;
 use super::machine::Machine;
 use super::output::Force;
 use super::progress::Talk;
@@ -15,11 +16,12 @@ use std::path::{Path, PathBuf};
 
 /// Sample the field of an archive on a grid or at points.
 ///
-/// The field is linear in each tetrahedron.
+/// The field is linear in each tetrahedron; that of a pyramid is trilinear between the nodes of a
+/// level, and ends at the last ones.
 #[derive(clap::Args, Debug)]
 #[command(
     group = clap::ArgGroup::new("places").required(true).args(["grid", "at"]),
-    after_help = "Examples:\n  isospan probe scan.isospan --grid 256,256,128 -o scan.vti\n  isospan probe scan.isospan --at points.csv -o values.csv"
+    after_help = "Examples:\n  isospan probe scan.isospan --grid 256,256,128 -o scan.vti\n  isospan probe scan.isospan --at points.csv -o values.csv\n  isospan probe scan.isospan --grid 64,64,32 --error 2% -o small.vti"
 )]
 pub(crate) struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -30,9 +32,12 @@ pub(crate) struct Args {
     /// A table of points in world coordinates: the columns titled x, y and z, or the first three.
     #[arg(long, value_name = "CSV")]
     at: Option<PathBuf>,
-    /// The file to write: .vti or .npy for a grid, .csv or .npy for points.
+    /// The file to write: for a grid .vti .nrrd .nii .nii.gz .mha .mhd (with .raw) or .npy, for
+    /// points .csv or .npy.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    #[command(flatten)]
+    level: LevelArgs,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -45,8 +50,14 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let settings = ProbeSettings { resources: args.machine.resources(None, talk) };
-    args.force.check(&args.output, args.at.iter().chain([&args.archive]))?;
+    let settings =
+        ProbeSettings { resources: args.machine.resources(None, talk), level: args.level.choice() };
+    let inputs: Vec<&PathBuf> = args.at.iter().chain([&args.archive]).collect();
+    let files = match (args.grid, SampleFormat::from_path(&args.output)) {
+        (Some(_), Ok(format)) => format.files(&args.output),
+        _ => vec![args.output.clone()],
+    };
+    args.force.check_all(&files, &inputs)?;
     let archive = Archive::open(&args.archive)?.at(args.step.choice()?)?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {
@@ -57,6 +68,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     };
     bar.end();
     let report = report?;
+    report.notices.iter().for_each(|line| talk.note(line));
     if args.json {
         return super::print_json("probe", &report);
     }
@@ -67,9 +79,11 @@ fn report_text(file: &Path, report: &ProbeReport, unit: Option<&Unit>) -> String
     let (samples, size) = (text::count(report.samples), text::bytes(report.file_bytes));
     let unit = unit.map_or_else(String::new, |unit| format!(", values in {unit}"));
     let mut out = format!("{}: {samples} samples, {size}{unit}\n", file.display());
-    for (count, why) in
-        [(report.void, "where the source has no data"), (report.outside, "outside the domain")]
-    {
+    let outside = match report.level {
+        None | Some(0) => "outside the domain".to_owned(),
+        Some(level) => format!("beyond the last nodes of level {level}, or outside the domain"),
+    };
+    for (count, why) in [(report.void, "where the source has no data"), (report.outside, &outside)] {
         if count > 0 {
             let _ = writeln!(out, "  NaN: {} {why}", text::count(count));
         }

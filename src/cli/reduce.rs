@@ -60,7 +60,7 @@ impl Args {
     /// The files that are reduced, and what is made of them.
     pub(crate) fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
         let steps = self.steps.all(&self.read, talk)?;
-        let settings = self.choices.settings(&steps[0])?;
+        let settings = self.choices.settings(&steps)?;
         expect_apart(&self.output, steps.iter().map(|step| &step.path))?;
         Ok((steps, settings))
     }
@@ -145,7 +145,11 @@ pub(super) fn reached_text(t: &TargetReport) -> String {
 
 fn target_line(t: &TargetReport) -> String {
     let (met, what) = (if t.met { "met" } else { "NOT MET" }, reached_text(t));
-    let [meshed, chunks] = t.meshed_chunks.map(text::count);
+    let [meshed, chunks] = t.meshed_chunks;
+    let reused = match meshed < chunks {
+        true => format!(" ({} of their {} chunks meshed)", text::count(meshed), text::count(chunks)),
+        false => String::new(),
+    };
     let full = t.full_cells.map_or(String::new(), |cells| {
         let [full, all] = cells.map(text::count);
         format!("; {full} of {all} cells have a point a sample")
@@ -153,10 +157,7 @@ fn target_line(t: &TargetReport) -> String {
     let tries = match t.tries {
         // The archive was made before.
         0 => String::new(),
-        n => format!(
-            ", after {} ({meshed} of their {chunks} chunks meshed)",
-            if n == 1 { "1 try".to_owned() } else { format!("{n} tries") }
-        ),
+        n => format!(", after {}{reused}", if n == 1 { "1 try".to_owned() } else { format!("{n} tries") }),
     };
     format!("  target      {met}: {what}{tries}{full}")
 }

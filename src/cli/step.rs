@@ -4,7 +4,7 @@ use super::grammar;
 use super::input::InputArgs;
 use super::progress::Talk;
 use super::text;
-use isospan::formats::{StepSource, order_in_doubt, steps_of, steps_of_fields};
+use isospan::formats::{OpenOptions, StepSource, order_in_doubt, steps_of, steps_of_fields};
 use isospan::pipeline::{Step, StepChoice, StepRange, StepSummary, is_archive};
 use isospan::volume::units::{Unit, Units};
 use isospan::{Archive, Error, Result};
@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepInputs {
     /// The volume or mesh, in any format that isospan reads; a volume also by address (s3://... or
-    /// https://...). Several inputs are the steps of a series. So are a quoted pattern
+    /// https://...); or an archive that is a pyramid, whose samples are taken. Several inputs are
+    /// the steps of a series. So are a quoted pattern
     /// ("step_*.vti"), a .pvd or .series file, a file with frames, and the fields that match
     /// --field PATTERN.
     #[arg(required = true, value_name = "INPUT")]
@@ -68,8 +69,41 @@ impl StepInputs {
         Ok(steps)
     }
 
+    /// The steps of archives, field after field where several are named.
+    fn of_archives(&self, options: &OpenOptions) -> Result<Vec<StepSource>> {
+        if let Some(other) = self.inputs.iter().find(|input| !is_archive(input)) {
+            let other = other.display();
+            return Err(Error::usage(format!(
+                "{other} is no archive, as others of the inputs are: give one kind"
+            )));
+        }
+        let OpenOptions { field, io, .. } = options.clone();
+        if *options != (OpenOptions { field: field.clone(), io, ..OpenOptions::default() }) {
+            return Err(Error::usage(
+                "an archive tells all of its samples itself: only --field and --fields choose",
+            ));
+        }
+        let of = |field: Option<String>| -> Result<Vec<StepSource>> {
+            let sources =
+                self.inputs.iter().map(|path| Archive::open(path)?.in_field(field.clone()).sources());
+            Ok(sources.collect::<Result<Vec<_>>>()?.concat())
+        };
+        if self.fields.is_empty() {
+            return of(field);
+        }
+        let mut all = vec![];
+        for name in &self.fields {
+            let steps = of(Some(name.clone()))?;
+            all.extend((0..).zip(steps).map(|(moment, step)| step.as_field(name, Some(moment))));
+        }
+        Ok(all)
+    }
+
     fn found(&self, read: &InputArgs, talk: &Talk) -> Result<Vec<StepSource>> {
         let options = read.options()?;
+        if self.inputs.iter().any(|input| is_archive(input)) {
+            return self.of_archives(&options);
+        }
         let steps = match &self.fields[..] {
             [] => steps_of(&self.inputs, &options)?,
             fields => steps_of_fields(&self.inputs, fields, &options)?,

@@ -1,6 +1,7 @@
 //! `isospan surface`: isosurfaces from an archive.
 
 use super::grammar::{self, Length, Value};
+use super::level::LevelArgs;
 use super::machine::{Machine, OutputScratch};
 use super::output::Force;
 use super::progress::Talk;
@@ -16,7 +17,7 @@ use isospan::surface::edit::{
     components::{ComponentFilter, ComponentReport},
     decimate::Decimation,
 };
-use isospan::{Archive, Error, Result};
+use isospan::{Archive, Error, Result, Step};
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{IsTerminal, Write as _};
@@ -26,7 +27,7 @@ use std::time::Duration;
 /// Extract isosurfaces from an archive.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp"
+    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp\n  isospan surface scan.isospan -i 600 --triangles 100000 -o look.glb"
 )]
 pub(crate) struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -57,10 +58,6 @@ pub(crate) struct Args {
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
-    /// The level of a pyramid: 0 is the finest, 1 has every second sample along each axis, and so
-    /// on; isospan info lists them.
-    #[arg(long, value_name = "L", default_value_t = 0, value_parser = grammar::whole::<usize>, allow_negative_numbers = true)]
-    level: usize,
     /// Close the surfaces at the faces of the domain. Of a mesh, this needs one that fills its
     /// box.
     #[arg(long, conflicts_with = "roi")]
@@ -96,6 +93,8 @@ pub(crate) struct Args {
     /// The values at the ends of the colour map [default: those of the whole field].
     #[arg(help_heading = "Colours", long, visible_alias = "color-range", value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true, requires = "colour_by")]
     colour_range: Option<grammar::Range>,
+    #[command(flatten)]
+    level: LevelArgs,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -204,7 +203,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         cap: args.cap,
         refine: refine(args, &archive)?,
         colour_by: colours(args, &archive)?,
-        level: args.level,
+        level: args.level.choice(),
     };
     if args.is_to_standard_output() {
         return to_standard_output(args, &settings, &archive, format, talk);
@@ -240,6 +239,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     } else {
         super::print(&in_words(&report, args.stats))?;
     }
+    note_plateaus(&step, &settings, talk)?;
     expect_area(&args.output, [&report])
 }
 
@@ -284,6 +284,23 @@ fn expect_more_than_nothing(
                 isovalues[0]
             )));
         }
+    }
+    Ok(())
+}
+
+/// Says which isovalues lie where many samples are equal: what the archive lost makes their
+/// surfaces.
+fn note_plateaus(step: &Step, settings: &SurfaceSettings, talk: &Talk) -> Result<()> {
+    for &isovalue in &settings.isovalues {
+        let Some(found) = step.plateau(isovalue)? else { continue };
+        let (percent, error) = (100.0 * found.share, text::number(2.0 * found.error));
+        let beside = found
+            .between
+            .map_or_else(|| "ask for a value beside it".to_owned(), |between| format!("ask for {between}"));
+        talk.note(&format!(
+            "warning: {percent:.0} % of the samples around the surface of {isovalue} are within {error} of it, \
+             which is what the archive keeps apart: {beside}, or reduce with a smaller error or --lossless"
+        ));
     }
     Ok(())
 }
@@ -367,6 +384,7 @@ fn to_standard_output(
         .map_err(|e| Error::io("write the whole surface to", "standard output", not_wanted(e)))?;
     report.surfaces.iter_mut().for_each(|s| s.file = "standard output".into());
     in_words(&report, args.stats).lines().for_each(|line| talk.note(line));
+    note_plateaus(&archive.at(args.step.choice()?)?, settings, talk)?;
     expect_area("standard output".as_ref(), [&report])
 }
 
@@ -413,10 +431,12 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
         let mut names = names;
         names.dedup();
         let (triangles, size) = (text::count(s.report.triangles), text::bytes(s.report.file_bytes));
+        let level = s.report.level.filter(|level| *level > 0);
+        let level = level.map_or_else(String::new, |level| format!(", level {level}"));
         let skipped = if s.skipped { ", not read: no value reaches the isovalue" } else { "" };
         let _ = writeln!(
             out,
-            "step {} (time {}): {}: {triangles} triangles, {size}{skipped}",
+            "step {} (time {}): {}: {triangles} triangles, {size}{level}{skipped}",
             s.step,
             text::number(s.time),
             names.join(" ")
@@ -490,6 +510,9 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             text::bytes(report.file_bytes)
         );
     }
+    if let Some(level) = report.level.filter(|level| *level > 0) {
+        let _ = writeln!(out, "  level         {level}");
+    }
     out += &shift_text(report);
     if let Some(without) = report.without_value.filter(|&n| n > 0) {
         let (without, all) = (text::count(without), text::count(report.vertices));
@@ -552,12 +575,20 @@ fn components_text(report: &ComponentReport) -> String {
 
 fn stats_text(report: &SurfaceReport) -> String {
     let mut out = String::new();
-    let _ = writeln!(out, "  points        {}", text::count(report.points));
-    let _ = writeln!(out, "  tetrahedra    {}", text::count(report.tetrahedra));
-    let _ = writeln!(out, "  active        {} tetrahedra", text::count(report.active_tetrahedra));
+    let active = text::count(report.active_tetrahedra);
+    let blocks = if report.tetrahedra == 0 {
+        let _ = writeln!(out, "  samples       {}", text::count(report.points));
+        let _ = writeln!(out, "  active        {active} cells");
+        "bricks"
+    } else {
+        let _ = writeln!(out, "  points        {}", text::count(report.points));
+        let _ = writeln!(out, "  tetrahedra    {}", text::count(report.tetrahedra));
+        let _ = writeln!(out, "  active        {active} tetrahedra");
+        "blocks"
+    };
     let _ = writeln!(
         out,
-        "  blocks        {} active of {}, in {} of {} chunks",
+        "  {blocks:<13} {} active of {}, in {} of {} chunks",
         text::count(report.active_blocks),
         text::count(report.blocks),
         text::count(report.active_chunks),
@@ -570,12 +601,14 @@ fn stats_text(report: &SurfaceReport) -> String {
         text::bytes(report.archive_bytes),
         100.0 * report.bytes_read as f64 / report.archive_bytes.max(1) as f64
     );
-    let _ = writeln!(
-        out,
-        "                {:.2} times the {} of the blocks and values that hold an active tetrahedron",
-        report.bytes_read as f64 / report.active_bytes.max(1) as f64,
-        text::bytes(report.active_bytes)
-    );
+    if report.active_bytes > 0 {
+        let _ = writeln!(
+            out,
+            "                {:.2} times the {} of the blocks and values that hold an active tetrahedron",
+            report.bytes_read as f64 / report.active_bytes as f64,
+            text::bytes(report.active_bytes)
+        );
+    }
     if let Some(remote) = &report.remote {
         let (requests, size) = (text::count(remote.requests), text::bytes(remote.bytes));
         let _ = writeln!(out, "  fetched       {size} in {requests} requests");

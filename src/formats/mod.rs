@@ -35,6 +35,7 @@ pub use shared::packed::UnpackedFrames;
 pub use shared::{OpenOptions, RawLayout, pick_field};
 pub(crate) use volume::brick_map;
 pub(crate) use volume::folder::passed_over;
+pub(crate) use volume::ome_zarr;
 pub use volume::{raw, samples};
 
 #[cfg(test)]

@@ -23,11 +23,10 @@ use crate::formats::shared::packed::{PackedFrames, UnpackedFrames};
 use crate::formats::shared::{Frames, OpenOptions, field_matches, has_suffix, is_pattern};
 use crate::formats::volume::stack::{by_numbers, rise};
 use crate::formats::volume::tiff;
-use crate::volume::chunked::DecodeCount;
+use crate::volume::chunked::{ChunkSource, DecodeCount};
 use crate::volume::dates::conversion;
-use crate::volume::slabs::ReaderSlabs;
 use crate::volume::units::{Unit, Units};
-use crate::volume::{SharedVolume, SlabStream, VolumeInfo, VolumeReader, VolumeSource};
+use crate::volume::{SharedVolume, VolumeInfo, VolumeReader, VolumeSource};
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use serde::{Deserialize, Serialize};
@@ -91,8 +90,24 @@ impl StepSource {
     /// ([`volume_of`](crate::volume::memory::volume_of)), or anything that answers for boxes of
     /// them. `name` stands for it in messages and in the archive.
     pub fn given(name: &str, volume: Arc<dyn VolumeReader>) -> Self {
-        let given = Given { volume, hash: Arc::default() };
+        let given = Given { volume: GivenVolume::Reader(volume), hash: Arc::default() };
         Self { given: Some(given), ..Self::new(name.as_ref(), &OpenOptions::default()) }
+    }
+
+    /// A volume in chunks that a program gives, which `identity` stands for: the same text only
+    /// where all samples are the same.
+    pub(crate) fn given_in_chunks(
+        name: &str,
+        chunks: Arc<dyn ChunkSource>,
+        identity: &str,
+        time: Option<f64>,
+    ) -> Self {
+        let mut hash = Xxh3::new();
+        hash.update(identity.as_bytes());
+        let hash = Arc::new(OnceLock::from(format!("{:032x}", hash.digest128())));
+        let given = Given { volume: GivenVolume::Chunks(chunks), hash };
+        let step = Self { given: Some(given), ..Self::new(name.as_ref(), &OpenOptions::default()) };
+        step.at_stated(time, None)
     }
 
     /// The same step at a time, where that is known.
@@ -132,7 +147,7 @@ impl StepSource {
     /// Those of [`open_input`](super::open_input).
     pub fn open(&self) -> Result<Input> {
         match &self.given {
-            Some(given) => Ok(Input::Volume(VolumeSource::Random(given.reader()))),
+            Some(given) => Ok(Input::Volume(given.source(&self.decodes))),
             None => Ok(match open_input(&self.path, &self.options)? {
                 Input::Volume(VolumeSource::Chunked(chunks)) => {
                     Input::Volume(VolumeSource::Chunked(self.decodes.counting(chunks)))
@@ -210,13 +225,30 @@ impl<V: VolumeReader + 'static> From<V> for StepSource {
 /// A volume that a program gives, and the hash of its samples once that is known.
 #[derive(Clone)]
 struct Given {
-    volume: Arc<dyn VolumeReader>,
+    volume: GivenVolume,
     hash: Arc<OnceLock<String>>,
 }
 
+#[derive(Clone)]
+enum GivenVolume {
+    Reader(Arc<dyn VolumeReader>),
+    /// The hash of these is known.
+    Chunks(Arc<dyn ChunkSource>),
+}
+
 impl Given {
-    fn reader(&self) -> Box<dyn VolumeReader> {
-        Box::new(SharedVolume(Arc::clone(&self.volume)))
+    fn source(&self, decodes: &DecodeCount) -> VolumeSource {
+        match &self.volume {
+            GivenVolume::Reader(volume) => VolumeSource::Random(Box::new(SharedVolume(Arc::clone(volume)))),
+            GivenVolume::Chunks(chunks) => VolumeSource::Chunked(decodes.counting(Arc::clone(chunks))),
+        }
+    }
+
+    fn info(&self) -> &VolumeInfo {
+        match &self.volume {
+            GivenVolume::Reader(volume) => volume.info(),
+            GivenVolume::Chunks(chunks) => chunks.info(),
+        }
     }
 
     /// XXH3 (128 bits), in hexadecimal, of the identity of the volume where it has one; else of its
@@ -226,13 +258,18 @@ impl Given {
             return Ok(known.clone());
         }
         let mut hash = Xxh3::new();
-        match self.volume.identity() {
+        let identity = match &self.volume {
+            GivenVolume::Reader(volume) => volume.identity(),
+            GivenVolume::Chunks(_) => None,
+        };
+        match identity {
             Some(identity) => hash.update(identity.as_bytes()),
             None => {
-                let info = self.volume.stored_info();
+                let mut slabs = self.source(&DecodeCount::default()).into_stream();
+                let info = slabs.info();
                 info.dims.iter().for_each(|n| hash.update(&n.to_le_bytes()));
                 hash.update(info.field.scalar.name().as_bytes());
-                let (mut slabs, mut slab) = (ReaderSlabs::new(self.reader()), vec![]);
+                let mut slab = vec![];
                 while slabs.next_slab(&mut slab)?.is_some() {
                     cancel.check()?;
                     hash.update(&slab);
@@ -245,13 +282,17 @@ impl Given {
 
 impl PartialEq for Given {
     fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.volume, &other.volume)
+        match (&self.volume, &other.volume) {
+            (GivenVolume::Reader(a), GivenVolume::Reader(b)) => Arc::ptr_eq(a, b),
+            (GivenVolume::Chunks(a), GivenVolume::Chunks(b)) => Arc::ptr_eq(a, b),
+            _ => false,
+        }
     }
 }
 
 impl fmt::Debug for Given {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:?}", self.volume.info())
+        write!(f, "{:?}", self.info())
     }
 }
 

@@ -52,12 +52,6 @@ fn read_steps<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<[u32; 
     })
 }
 
-/// The position of plane `j` of an axis of `max` steps that is cut into cells, rounded, halves up:
-/// even planes are faces of cells, odd ones halfway between.
-pub(crate) fn half_plane(j: u64, cells: u32, max: u32) -> u32 {
-    ((j * u64::from(max) + u64::from(cells)) / (2 * u64::from(cells))) as u32
-}
-
 impl Lattice {
     /// The largest lattice coordinate: 2^24.
     pub const LARGEST: u32 = 1 << 24;

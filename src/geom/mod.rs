@@ -5,7 +5,6 @@ pub mod lattice;
 pub mod predicates;
 pub(crate) mod vec3;
 
-pub(crate) use lattice::half_plane;
 pub use lattice::{Lattice, LatticeBox, LatticePos};
 
 /// The kind of a sample site; the four highest bits of its [`PointId`].

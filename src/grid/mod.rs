@@ -4,7 +4,7 @@
 //! (`pipeline/plan/estimate.rs`).
 //!
 //! * A **brick** is a box of a fixed number of cells that enumerates its own points (about a
-//!   thousand). Cells are voxel cells, or those of a body-centred cubic lattice.
+//!   thousand).
 //! * A **chunk** is a box of bricks whose points are meshed together (about 250 000). Chunks tile
 //!   the domain in layers along z, each layer in rows along y, each row in chunks along x; the cuts
 //!   balance the number of points, so a set that crowds the middle (a hyperbolic cross) still gets
@@ -15,7 +15,7 @@ mod cuts;
 
 pub use self::cuts::ChunkCuts;
 use crate::error::{Error, Result};
-use crate::geom::{Lattice, LatticeBox, LatticePos, half_plane};
+use crate::geom::{Lattice, LatticeBox, LatticePos};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -192,43 +192,22 @@ pub struct BrickGrid {
     pub lattice: Lattice,
     /// Cells along each edge of a brick.
     pub edge: [u64; 3],
-    /// Cells along each axis of the domain.
-    cells: [u64; 3],
 }
 
 impl BrickGrid {
-    /// Bricks of voxel cells.
+    /// Bricks of cells between voxels.
     pub fn new(lattice: Lattice, edge: [u64; 3]) -> Self {
-        Self { lattice, edge, cells: lattice.dims.map(|d| d - 1) }
+        Self { lattice, edge }
     }
 
-    /// Bricks of cells of equal size that are no voxels; at least one along each axis, and at most
-    /// one a lattice step.
-    pub fn of_cells(lattice: Lattice, edge: [u64; 3], cells: [u32; 3]) -> Self {
-        Self { lattice, edge, cells: cells.map(u64::from) }
-    }
-
-    /// Whether cells are voxels.
-    fn of_voxels(&self, axis: usize) -> bool {
-        self.cells[axis] == self.lattice.dims[axis] - 1
-    }
-
-    /// The cells of a chunk: the first along each axis, and the one past the last.
-    pub(crate) fn cells_of(&self, chunk: &Chunk) -> [[u32; 3]; 2] {
-        [chunk.brick_lo, chunk.brick_hi]
-            .map(|bricks| std::array::from_fn(|a| (bricks[a] * self.edge[a]).min(self.cells[a]) as u32))
-    }
-
-    /// Voxel cells along each edge of a brick.
+    /// Voxels along each edge of a brick.
     pub fn voxels(&self) -> [f64; 3] {
-        std::array::from_fn(|a| {
-            self.edge[a] as f64 * ((self.lattice.dims[a] - 1) as f64 / self.cells[a] as f64)
-        })
+        self.edge.map(|n| n as f64)
     }
 
     /// Bricks along each axis.
     pub fn dims(&self) -> [u64; 3] {
-        std::array::from_fn(|a| self.cells[a].div_ceil(self.edge[a]))
+        std::array::from_fn(|a| (self.lattice.dims[a] - 1).div_ceil(self.edge[a]))
     }
 
     /// Number of bricks.
@@ -256,11 +235,9 @@ impl BrickGrid {
     /// Where the bricks of an axis begin that have this coordinate; behind the last one, past the
     /// domain.
     fn start(&self, axis: usize, brick: u64) -> u32 {
-        let max = self.lattice.max()[axis];
-        match self.cells[axis] {
-            cells if brick * self.edge[axis] >= cells => max + 1,
-            _ if self.of_voxels(axis) => ((brick * self.edge[axis]) << self.lattice.log2_steps[axis]) as u32,
-            cells => half_plane(2 * brick * self.edge[axis], cells as u32, max),
+        match brick * self.edge[axis] {
+            voxel if voxel >= self.lattice.dims[axis] - 1 => self.lattice.max()[axis] + 1,
+            voxel => (voxel << self.lattice.log2_steps[axis]) as u32,
         }
     }
 
@@ -276,17 +253,7 @@ impl BrickGrid {
     /// Brick coordinates of the brick that holds a lattice position.
     pub fn brick_at(&self, pos: LatticePos) -> [u64; 3] {
         let (d, s) = (self.dims(), self.lattice.log2_steps);
-        std::array::from_fn(|a| {
-            let cell = match self.cells[a] {
-                _ if self.of_voxels(a) => u64::from(pos[a] >> s[a]),
-                // The last cell that begins at or before the position.
-                cells => {
-                    let max = u64::from(self.lattice.max()[a]);
-                    ((2 * u64::from(pos[a]) + 1) * cells).div_ceil(2 * max) - 1
-                }
-            };
-            (cell / self.edge[a]).min(d[a] - 1)
-        })
+        std::array::from_fn(|a| (u64::from(pos[a] >> s[a]) / self.edge[a]).min(d[a] - 1))
     }
 
     /// The lattice box of one brick.
@@ -456,15 +423,6 @@ impl ChunkGrid {
         Chunk { id, brick_lo: lo, brick_hi: hi, core: self.bricks.lattice_box(lo, hi) }
     }
 
-    /// The chunk that has a brick.
-    pub(crate) fn of_brick(&self, brick: [u64; 3]) -> ChunkId {
-        let layer = self.z_cuts.partition_point(|&z| z <= brick[2]) - 1;
-        let row = self.y_cuts[layer].partition_point(|&y| y <= brick[1]) - 1;
-        let at = self.rows.partition_point(|&(_, l, r)| (l, r) < (layer, row));
-        let x = self.row_cuts(at).partition_point(|&x| x <= brick[0]) - 1;
-        ChunkId(self.rows[at].0 + x as u64)
-    }
-
     /// All chunks in order.
     pub fn iter(&self) -> impl Iterator<Item = Chunk> + '_ {
         (0..self.len).map(|i| self.chunk(ChunkId(i)))
@@ -540,7 +498,6 @@ mod tests {
         for c in grid.iter() {
             assert!(!c.core.is_empty());
             for b in c.bricks(grid.bricks()) {
-                assert_eq!(grid.of_brick(grid.bricks().coords(b)), c.id);
                 seen[b.0 as usize] += 1;
             }
         }

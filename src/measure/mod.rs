@@ -32,12 +32,14 @@
 //! ```
 
 mod bricks;
+mod squares;
 mod sums;
 mod tally;
 
 pub(crate) use bricks::{BrickErrors, BrickRecord, merged};
+pub(crate) use squares::Squares;
 pub use sums::ErrorSums;
-pub(crate) use sums::{BINS, EXPONENTS, LAST_DIGIT, Largest, Mantissas};
+pub(crate) use sums::{BINS, EXPONENTS, LAST_DIGIT, Largest, Mantissas, shortest_between};
 pub(crate) use tally::{Compared, ComparedAt, TOGETHER, Tally};
 
 use serde::{Deserialize, Serialize};

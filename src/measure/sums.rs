@@ -301,7 +301,7 @@ impl ErrorSums {
 }
 
 /// The number of fewest digits from a positive one to another.
-fn shortest_between(low: f64, high: f64) -> f64 {
+pub(crate) fn shortest_between(low: f64, high: f64) -> f64 {
     let of_digits = |digits: usize| {
         let text = format!("{low:.*e}", digits - 1);
         let (mantissa, exponent) = text.split_once('e')?;

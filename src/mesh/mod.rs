@@ -1,6 +1,5 @@
 //! Exact Delaunay tetrahedralization of lattice points, chunk by chunk.
 
-pub(crate) mod bcc;
 mod certify;
 pub mod check;
 pub mod chunk;

@@ -3,8 +3,10 @@
 use crate::bytes::remote::{Traffic, traffic, traffic_since};
 use crate::error::Result;
 use crate::exec::{CancelToken, Clock, Progress};
+use crate::formats::StepSource;
 use crate::formats::surface::SurfaceFormat;
 use crate::pipeline::check::{ArchiveCheck, check_archive};
+use crate::pipeline::field::{GridReport, GridSettings, Moments, archive_sources, export_zarr};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
 use crate::pipeline::step::Step;
 use crate::pipeline::surface::{
@@ -203,6 +205,34 @@ impl Archive {
         progress: &dyn Progress,
     ) -> Result<SeriesReport> {
         write_series(&self.open, self.positions(steps)?, settings, out, format, progress)
+    }
+
+    /// The steps of a pyramid as sources, which are reduced as other volumes are: their samples as
+    /// the archive has them, with places, units and times. Those of the field that
+    /// [`Archive::in_field`] names, where each step has several.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive of tetrahedra, for a grid with coordinates of its
+    /// own, and where a field must be chosen; [`crate::Error::BadInput`] for a damaged archive.
+    pub fn sources(&self) -> Result<Vec<StepSource>> {
+        archive_sources(&self.open, self.positions(StepRange::default())?)
+    }
+
+    /// Writes the levels of many steps of a pyramid as one OME-Zarr image with an axis of time: see
+    /// [`Step::write_ome_zarr`].
+    ///
+    /// # Errors
+    /// Those of [`Step::write_ome_zarr`]; [`crate::Error::Usage`] when no step is in the range.
+    pub fn write_ome_zarr_of_steps(
+        &self,
+        steps: StepRange,
+        settings: &GridSettings,
+        out: &Path,
+        replace: bool,
+        progress: &dyn Progress,
+    ) -> Result<GridReport> {
+        let moments = Moments::Steps(&self.open, self.positions(steps)?);
+        export_zarr(&moments, settings, out, replace, progress)
     }
 
     /// The files that [`Archive::write_series`] writes: those of the steps, then the lists.

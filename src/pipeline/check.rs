@@ -14,6 +14,7 @@ use crate::archive::chunked::{BlockRange, MeshSizes, MeshSummary, value_ranges};
 use crate::archive::mesh::ChunkHeader;
 use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::RepeatedReader;
+use crate::archive::values::ValueBlocks;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Threads, in_order};
@@ -23,10 +24,11 @@ use crate::index::{Entry, EntryDigest, index_entries};
 use crate::pipeline::read::{
     Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, bricks_of, chunk_place, used_corners,
 };
-use crate::pipeline::reduce::strays;
+use crate::pipeline::reduce::{range_of_cells, strays};
 use crate::pipeline::surface::check_unpacked;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use serde::Serialize;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -199,6 +201,11 @@ fn check_pyramid(
     let coarse = Segment::open(archive.layout.coarse(), SegmentKind::Coarse, Some(archive.step_hash()))?;
     coarse.verify()?;
     check.add(&coarse);
+    // Of the nodes of cells, the last along an axis is the next brick's, but where the array ends.
+    let own_end = |cells: &[Range<usize>; 3]| {
+        let dims = pyramid.nodes(0);
+        std::array::from_fn(|a| (cells[a].end + usize::from(cells[a].end + 1 == dims[a])) as u64)
+    };
     let look = |n: usize| {
         cancel.check()?;
         let (id, at) = (ChunkId(n as u64), chunk_place(pyramid, ChunkId(n as u64)));
@@ -210,16 +217,23 @@ fn check_pyramid(
         if summary.ranges.len() != bricks.len() {
             return wrong("ranges".into(), bricks.len().to_string(), summary.ranges.len().to_string());
         }
+        let mut void = 0;
         for (n, (range, cells)) in summary.ranges.iter().zip(&bricks).enumerate() {
             let window = IndexBox {
                 lo: std::array::from_fn(|a| cells[a].start as u64),
                 hi: std::array::from_fn(|a| cells[a].end as u64 + 1),
             };
             let values = archive.nodes(0, &window)?;
-            if let Some(v) = values.iter().find(|v| !(range.min..=range.max).contains(*v)) {
-                let expected = format!("values from {} to {}", range.min, range.max);
-                return wrong(format!("brick {n}"), expected, v.to_string());
+            void += missing_below(&values, &window, own_end(cells));
+            let (found, _) = range_of_cells(&values, &window, cells);
+            let holds = range.min <= found.min && found.max <= range.max;
+            if found.tets != range.tets || found.tets > 0 && !holds {
+                let said = |r: &BlockRange| format!("{} cells from {} to {}", r.tets, r.min, r.max);
+                return wrong(format!("brick {n}"), said(range), said(&found));
             }
+        }
+        if void != summary.void as usize {
+            return wrong("missing samples".into(), summary.void.to_string(), void.to_string());
         }
         let ranges: Vec<Entry> = index_entries(id.0, &summary.ranges).collect();
         Ok((ranges, pyramid.chunk(at).len() as u64))
@@ -233,6 +247,13 @@ fn check_pyramid(
         Ok(())
     })?;
     check_index(archive, entries, check)
+}
+
+/// How many values of a box are missing, those at an end and behind it left out.
+fn missing_below(values: &[f32], place: &IndexBox, end: [u64; 3]) -> usize {
+    let rows = (place.lo[2]..end[2]).flat_map(|z| (place.lo[1]..end[1]).map(move |y| [place.lo[0], y, z]));
+    let width = (end[0] - place.lo[0]) as usize;
+    rows.map(|first| values[place.offset(first)..][..width].iter().filter(|v| v.is_nan()).count()).sum()
 }
 
 /// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many
@@ -275,30 +296,24 @@ fn check_chunk(
     meter: Option<&Meter>,
 ) -> Result<CheckedChunk> {
     let (sizes, values) = (archive.mesh_sizes(id)?, segment.values.value_summary(id)?);
-    let file = segment.of_mesh().segment().path();
+    let file = segment.mesh.segment().path();
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
     };
-    let by_formula = archive.has_mesh_by_formula();
-    if !by_formula {
-        // A chunk has the blocks of its vertices and a summary besides.
-        let (mesh, mut bytes) = (segment.mesh(), vec![]);
-        let blocks = mesh.block_count(id);
-        mesh.block(id, 0, &mut bytes)?;
-        let read = ChunkHeader::decode(&bytes).map_err(|m| mesh.blame(id, 0, m))?;
-        let header = ChunkHeader { core_counts: vec![sizes.core], halo: sizes.halo, ..read };
-        let stored = if header.from_points { 0 } else { u64::from(sizes.tet_blocks) };
-        if stored + header.blocks() as u64 + 1 != blocks {
-            return wrong("summary", format!("that of {blocks} blocks"), format!("{sizes:?}"));
-        }
+    // A chunk has the blocks of its vertices and a summary besides.
+    let (mesh, mut bytes) = (&segment.mesh, vec![]);
+    let blocks = mesh.block_count(id);
+    mesh.block(id, 0, &mut bytes)?;
+    let read = ChunkHeader::decode(&bytes).map_err(|m| mesh.blame(id, 0, m))?;
+    let header = ChunkHeader { core_counts: vec![sizes.core], halo: sizes.halo, ..read };
+    let stored = if header.from_points { 0 } else { u64::from(sizes.tet_blocks) };
+    if stored + header.blocks() as u64 + 1 != blocks {
+        return wrong("summary", format!("that of {blocks} blocks"), format!("{sizes:?}"));
     }
-    let of_entries = archive.blocks_of(id);
-    let blocks: Vec<u32> = of_entries.all(sizes.tet_blocks).collect();
+    let blocks: Vec<u32> = (0..sizes.tet_blocks).collect();
     let decoded = archive.decode(id, &blocks)?;
     let (mut ranges, mut start) = (vec![], 0);
-    for entry in 0..sizes.tet_blocks {
-        let last = of_entries.of(entry).end as usize;
-        let end = last.checked_sub(1).map_or(0, |last| decoded.block_ends[last]);
+    for &end in &decoded.block_ends {
         ranges.push(BlockRange::of(&decoded.tets[start..end], &decoded.values));
         start = end;
     }
@@ -307,7 +322,7 @@ fn check_chunk(
     if rounded != values.ranges {
         return wrong("ranges", "those of the values".into(), "others".into());
     }
-    let blocks = archive.value_blocks(id, decoded.values.len());
+    let blocks = ValueBlocks::new(decoded.values.len());
     let stored = archive.value_ranges(id, &blocks)?.expect("a step is looked at");
     let mut found = value_ranges(&decoded.values, &blocks);
     BlockRange::round_within(&mut found, BlockRange::bounds(stored.iter().copied()));
@@ -335,7 +350,7 @@ fn check_mesh(
     sizes: MeshSizes,
     id: ChunkId,
 ) -> Result<i128> {
-    let (file, by_formula) = (segment.of_mesh().segment().path(), archive.has_mesh_by_formula());
+    let file = segment.mesh.segment().path();
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
     };
@@ -345,15 +360,12 @@ fn check_mesh(
         tets: decoded.tets.len() as u64,
         ..sizes
     };
-    let volume6 = check_tets(decoded, &archive.chunks.chunk(id), (file, by_formula))?;
-    let mut outside6 = 0;
-    if !by_formula {
-        let summary = segment.mesh().mesh_summary(id)?;
-        outside6 = summary.outside6;
-        let found = MeshSummary { sizes, volume6, outside6 };
-        if found != summary {
-            return wrong("summary", format!("{found:?}"), format!("{summary:?}"));
-        }
+    let volume6 = check_tets(decoded, &archive.chunks.chunk(id), file)?;
+    let summary = segment.mesh.mesh_summary(id)?;
+    let outside6 = summary.outside6;
+    let found = MeshSummary { sizes, volume6, outside6 };
+    if found != summary {
+        return wrong("summary", format!("{found:?}"), format!("{summary:?}"));
     }
     let used = used_corners(&decoded.tets, decoded.positions.len());
     let core = &archive.chunks.chunk(id).core;
@@ -370,14 +382,13 @@ fn check_mesh(
 }
 
 /// Every tetrahedron is positively oriented and the chunk's own; returns their volume.
-fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, (file, by_formula): (&Path, bool)) -> Result<i128> {
+fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, file: &Path) -> Result<i128> {
     let mut volume6 = 0;
     for tet in &decoded.tets {
         let corners = tet.map(|v| decoded.positions[v as usize]);
         let [a, b, c, d] = corners;
         let volume = signed_volume6(a, b, c, d);
-        // On a lattice, the tetrahedra of a chunk are those of its cells.
-        let is_own = by_formula || chunk.core.contains(a.min(b).min(c).min(d));
+        let is_own = chunk.core.contains(a.min(b).min(c).min(d));
         if volume <= 0 || !is_own {
             let at = format!("chunk {}, a tetrahedron", chunk.id.0);
             return Err(Error::bad_input(file, at, "positive, and the chunk's own", format!("{corners:?}")));

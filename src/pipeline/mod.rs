@@ -39,14 +39,14 @@ pub use crate::domain::store::MeshCensus;
 pub use archive::{Archive, Opening};
 pub use check::ArchiveCheck;
 pub use field::{
-    Corners, ExportReport, ExportSettings, MeasureReport, MeasureSettings, ProbeReport, ProbeSettings,
-    measure, measure_source,
+    Corners, ExportReport, ExportSettings, GridReport, GridSettings, MeasureReport, MeasureSettings,
+    ProbeReport, ProbeSettings, measure, measure_source,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
 pub use plan::{Estimate, Finding, Notice, Plan, SearchEstimate, Shard, fingerprint};
 pub use read::{
-    ArchiveSummary, Knot, LevelSummary, PyramidLevel, Roi, RoiSpace, SpectrumReport, StepChoice, StepRange,
-    StepSpectrum, StepSummary, Suggestion, is_archive,
+    ArchiveSummary, Knot, LevelChoice, LevelSummary, PyramidLevel, Roi, RoiSpace, SpectrumReport, StepChoice,
+    StepRange, StepSpectrum, StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
     AppendSettings, CopiedFile, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, archive_files,
@@ -55,7 +55,7 @@ pub use reduce::{
 #[doc(hidden)]
 pub use reduce::{changed_sources, estimate_series, reduce_series};
 pub use reduction::Reduction;
-pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target, ValueBits};
+pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target};
 pub use shards::{
     Committed, GcReport, NextTry, PlanReport, Planned, StatusReport, WorkReport, collect_garbage,
     commit_shards, plan_shards, planned, shard_status, work_shard,
@@ -63,7 +63,7 @@ pub use shards::{
 pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};
 pub use surface::{
-    ColourBy, CountReport, OneSurface, Refine, RefineReport, SeriesReport, StepSurfaces, SurfacePart,
-    SurfaceReport, SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked,
-    unpack, unpack_need,
+    ColourBy, CountReport, OneSurface, Plateau, Refine, RefineReport, SeriesReport, StepSurfaces,
+    SurfacePart, SurfaceReport, SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile,
+    remove_unpacked, unpack, unpack_need,
 };

@@ -13,8 +13,8 @@ use std::path::Path;
 ///
 /// A source is a file of any format that is read, or a volume of the program: samples in memory
 /// ([`volume_of`](crate::volume_of)), or anything that gives boxes of samples
-/// ([`VolumeReader`](crate::VolumeReader)). Without further words a volume becomes a lattice with
-/// 1/8 as many points as it has samples.
+/// ([`VolumeReader`](crate::VolumeReader)). Without further words a volume becomes a
+/// wavelet pyramid of all its samples, with an RMS error of 1 % of their range.
 ///
 /// ```
 /// use isospan::{Archive, Reduction, volume_of};
@@ -59,13 +59,14 @@ impl Reduction<'static> {
 }
 
 impl Reduction<'_> {
-    /// As many points as this fraction of the samples. 1 keeps a mesh as it is.
+    /// As many points as this fraction of the samples: of a volume, name their set. 1 keeps a mesh
+    /// as it is.
     pub fn fraction(mut self, fraction: f64) -> Self {
         self.settings.amount = Amount::Fraction(fraction);
         self
     }
 
-    /// So many points.
+    /// So many points: of a volume, name their set.
     pub fn count(mut self, points: u64) -> Self {
         self.settings.amount = Amount::Count(points);
         self

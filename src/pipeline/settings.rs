@@ -13,49 +13,41 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// How many points.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Amount {
+    /// All samples of a pyramid; of points an eighth of the samples.
+    #[default]
+    Usual,
     /// This fraction of the samples.
     Fraction(f64),
     /// This number.
     Count(u64),
 }
 
-/// Bits to which values are rounded, of the range of the source.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ValueBits {
-    /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others
-    /// are exact.
-    ///
-    /// The bits are those of the range of 99.8 % of the samples of the first step. A few outliers
-    /// that stretch the whole range add bits, and above
-    /// [`Quantiser::BITS`](crate::archive::values::Quantiser::BITS) values are exact.
-    #[default]
-    Usual,
-    /// Values are not rounded.
-    Exact,
-    /// So many bits, of the whole range.
-    Bits(f64),
-}
-
-impl ValueBits {
-    /// Bits of a lattice's values by default.
-    pub const USUAL: f64 = 8.0;
+impl Amount {
+    /// This fraction of a number, or this number.
+    pub(super) fn of(self, all: f64) -> f64 {
+        match self {
+            Self::Usual => all / 8.0,
+            Self::Fraction(part) => all * part,
+            Self::Count(n) => n as f64,
+        }
+    }
 }
 
 /// What the user chooses of a reduction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReduceSettings {
-    /// The point set. By default the lattice for a volume and for a target, Hammersley's for a
+    /// The point set. By default a pyramid of all samples for a volume, Hammersley's points for a
     /// mesh, and Halton's where points adapt.
     pub points: Option<SetKind>,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
-    /// The number of interior points for a volume; for a mesh, the number of points with a value,
-    /// boundary included. A mesh is kept as it is by a fraction of 1, or a count of its vertices or
-    /// more: with default points, linear interpolation, and neither `adapt` nor `target`.
+    /// The number of interior points for a volume that is no pyramid: a pyramid refuses it. For a
+    /// mesh, the number of points with a value, boundary included. A mesh is kept as it is by a
+    /// fraction of 1, or a count of its vertices or more: with default points, linear
+    /// interpolation, and neither `adapt` nor `target`.
     pub amount: Amount,
     /// Whether points are dense where the field needs them; a Halton set can be. An error as the
     /// target of a mesh, or of a Halton set, implies it.
@@ -69,16 +61,15 @@ pub struct ReduceSettings {
     /// How values are interpolated between samples.
     pub interpolation: Interpolation,
     /// Whether values are fitted to the samples, as they are by default; not those of
-    /// [`Interpolation::Nearest`]. With [`Values::Nodes`] the lattice of a volume has a node at
-    /// each sample, whatever the amount.
+    /// [`Interpolation::Nearest`].
     pub values: Values,
     /// What happens to samples that are no numbers.
     pub nan: NanPolicy,
     /// A value that means "no data", besides what the file declares.
     pub missing: Option<f64>,
-    /// How values are rounded.
+    /// Bits to which values are rounded, of the range of the source; values are exact without.
     #[serde(default)]
-    pub value_bits: ValueBits,
+    pub value_bits: Option<f64>,
     /// Points meshed together.
     pub chunk_points: u64,
     /// In a series: steps from one keyframe, which refers to no other step, to the next; 1 makes
@@ -113,18 +104,20 @@ impl ReduceSettings {
 
     /// Exact values at points of a set, with defaults for all else.
     pub fn exact(points: SetKind) -> Self {
-        Self { points: Some(points), value_bits: ValueBits::Exact, ..Self::default() }
+        Self { points: Some(points), ..Self::default() }
     }
 
     /// The settings with what a target implies. Every door completes them, so that a request has
     /// the same bytes from the command line, from Rust and from Python.
     ///
-    /// Where no set is named, a target is met by a lattice, which takes the fewest bytes. An error
-    /// of a mesh, or with a Halton set, is met by points that adapt.
+    /// Without a target, a pyramid has an RMS error of [`DEFAULT_ERROR`]. An error of a mesh, or
+    /// with a Halton set, is met by points that adapt.
     pub(super) fn complete(&self, of_mesh: bool) -> Self {
         if self.set_of(of_mesh) == SetKind::Pyramid {
             let usual = Target::Rms(Bound::OfRange(DEFAULT_ERROR));
-            return Self { target: self.target.or(Some(usual)), values: Values::Sample, ..self.clone() };
+            // An error that is not measured is no target.
+            let target = self.target.or(self.measure.then_some(usual));
+            return Self { points: Some(SetKind::Pyramid), target, values: Values::Sample, ..self.clone() };
         }
         let Some(target) = self.target else { return self.clone() };
         let can_adapt = match self.points {
@@ -132,9 +125,8 @@ impl ReduceSettings {
             Some(points) => points == SetKind::Halton,
         };
         let implied = (target.bound().is_some() && can_adapt).then(Adapt::default);
-        let adapt = self.adapt.or(implied);
-        let lattice = adapt.is_none().then_some(SetKind::Bcc);
-        Self { adapt, points: self.points.or(lattice), ..self.clone() }
+        let settings = Self { adapt: self.adapt.or(implied), ..self.clone() };
+        Self { points: Some(settings.set_of(of_mesh)), ..settings }
     }
 
     /// The point set, for a mesh or for a volume.
@@ -142,25 +134,8 @@ impl ReduceSettings {
         self.points.unwrap_or(match (self.adapt, of_mesh) {
             (Some(_), _) => SetKind::Halton,
             (None, true) => SetKind::Hammersley,
-            (None, false) => SetKind::Bcc,
+            (None, false) => SetKind::Pyramid,
         })
-    }
-
-    /// Whether the usual bits round values.
-    pub(super) fn rounds_usually(&self, of_mesh: bool) -> bool {
-        self.value_bits == ValueBits::Usual
-            && !of_mesh
-            && self.set_of(of_mesh) == SetKind::Bcc
-            && self.interpolation != Interpolation::Nearest
-    }
-
-    /// The bits to which values are rounded, before outliers add some; `None` if values are exact.
-    pub(super) fn bits(&self, of_mesh: bool) -> Option<f64> {
-        match self.value_bits {
-            ValueBits::Bits(bits) => Some(bits),
-            ValueBits::Usual if self.rounds_usually(of_mesh) => Some(ValueBits::USUAL),
-            ValueBits::Usual | ValueBits::Exact => None,
-        }
     }
 
     /// Default of `chunk_points`.
@@ -179,14 +154,14 @@ impl Default for ReduceSettings {
         Self {
             points: None,
             set: SetSettings::default(),
-            amount: Amount::Fraction(0.125),
+            amount: Amount::Usual,
             adapt: None,
             target: None,
             interpolation: Interpolation::Linear,
             values: Values::Fit,
             nan: NanPolicy::Error,
             missing: None,
-            value_bits: ValueBits::Usual,
+            value_bits: None,
             chunk_points: Self::CHUNK_POINTS,
             keyframes: Self::KEYFRAMES,
             measure: true,
@@ -323,10 +298,6 @@ impl Target {
         };
         if !(bound > 0.0 && bound.is_finite()) {
             return Err(Error::usage(format!("{what} of {bound} cannot be met: give a number above 0")));
-        }
-        if settings.values == Values::Nodes {
-            let text = "a target finds out itself whether a node at each sample is best: choose other values";
-            return Err(Error::usage(text));
         }
         if self.bound().is_some() && !settings.measure {
             return Err(Error::usage("a target needs an error that is measured"));

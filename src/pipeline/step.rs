@@ -7,15 +7,16 @@ use crate::formats::surface::SurfaceFormat;
 use crate::grid::{ChunkId, Geometry};
 use crate::index::Entry;
 use crate::pipeline::field::{
-    ExportReport, ExportSettings, ProbeReport, ProbeSettings, edges_at_missing, export, probe_grid,
-    probe_table, sample_grid, values_at,
+    ExportReport, ExportSettings, GridReport, GridSettings, Moments, ProbeReport, ProbeSettings,
+    edges_at_missing, export, export_grid, export_zarr, probe_grid, probe_table, sample_grid, values_at,
 };
 use crate::pipeline::read::{
-    ArchiveSummary, IndexToWorld, SpectrumReport, StepView, bounds, spectrum, summarize,
+    ArchiveSummary, IndexToWorld, LevelChoice, SpectrumReport, StepView, bounds, samples_of_level, spectrum,
+    summarize,
 };
 use crate::pipeline::surface::{
-    ColourBy, CountReport, SurfacePart, SurfaceReport, SurfaceSettings, count, stream_file, stream_surfaces,
-    surfaces_in_memory, values_on, write_surfaces,
+    ColourBy, CountReport, Plateau, SurfacePart, SurfaceReport, SurfaceSettings, count, level_of, plateau_at,
+    stream_file, stream_surfaces, surfaces_in_memory, values_on, write_surfaces,
 };
 use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
@@ -126,6 +127,20 @@ impl Step {
         self.view.step().plan.source.dims
     }
 
+    /// Samples of the source along x, y, z that a level of a pyramid spans: it ends at its last
+    /// node. All of them where no level is chosen.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive without levels, for a level that is not there, and
+    /// where no level has so small an error.
+    pub fn dims_of_level(&self, level: Option<LevelChoice>) -> Result<[u64; 3]> {
+        if level.is_none() {
+            return Ok(self.dims());
+        }
+        let level = self.view.level(level)?;
+        Ok(samples_of_level(&self.view.pyramid()?.pyramid, level))
+    }
+
     /// The least box of the world that holds the domain: its lowest and its highest corner. For a
     /// curvilinear grid this reads all coordinates, once for an open archive.
     ///
@@ -149,7 +164,39 @@ impl Step {
     /// # Errors
     /// Those of [`Step::count`]; [`crate::Error::Cancelled`].
     pub fn count_until(&self, isovalue: impl Into<f64>, cancel: &CancelToken) -> Result<CountReport> {
-        count(&self.view, isovalue.into(), cancel)
+        count(&self.view, isovalue.into(), None, cancel)
+    }
+
+    /// How many cells of a level of a pyramid an isosurface crosses, exactly.
+    ///
+    /// # Errors
+    /// Those of [`Step::count_until`]; [`crate::Error::Usage`] for a level that cannot be had.
+    pub fn count_at(
+        &self,
+        isovalue: impl Into<f64>,
+        level: LevelChoice,
+        cancel: &CancelToken,
+    ) -> Result<CountReport> {
+        count(&self.view, isovalue.into(), Some(level), cancel)
+    }
+
+    /// The plateau of the samples on which an isovalue lies, of a pyramid that was not stored
+    /// without loss: its surface there is noise. Some bricks are looked at.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive.
+    pub fn plateau(&self, isovalue: impl Into<f64>) -> Result<Option<Plateau>> {
+        plateau_at(&self.view, isovalue.into())
+    }
+
+    /// The level of a pyramid that a question for surfaces is asked of, by its number:
+    /// [`SurfaceSettings::level`] chooses it; 0 where nothing does.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive without levels, for a level that is not there, and
+    /// where no level has so few triangles or so small an error.
+    pub fn level_of(&self, settings: &SurfaceSettings) -> Result<u32> {
+        level_of(&self.view, settings).map(|level| level as u32)
     }
 
     /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads
@@ -549,5 +596,49 @@ impl Step {
         progress: &dyn Progress,
     ) -> Result<ExportReport> {
         export(&self.view, settings, out, progress)
+    }
+
+    /// Whether the archive is a pyramid of samples, which has levels and no tetrahedra.
+    pub fn is_pyramid(&self) -> bool {
+        self.view.is_pyramid()
+    }
+
+    /// Writes the nodes of a level of a pyramid as a file of samples, in bounded memory, with what
+    /// the format has places for: origin, spacing, directions, coordinates, units.
+    ///
+    /// Samples are `f32`, or `f64` where the values are counted from an offset. At level 0 of an
+    /// archive that keeps whole numbers without loss they are those of the source, in its type. The
+    /// bytes depend on neither threads nor memory.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an archive of tetrahedra, a level or a region that is not there,
+    /// and a format without a place for the grid; [`crate::Error::BadInput`] for a damaged archive;
+    /// those of writing the file, of which nothing is left then.
+    pub fn write_grid(
+        &self,
+        settings: &GridSettings,
+        out: &Path,
+        format: SampleFormat,
+        progress: &dyn Progress,
+    ) -> Result<GridReport> {
+        export_grid(&self.view, settings, out, format, progress)
+    }
+
+    /// Writes a level of a pyramid and all coarser ones as an OME-Zarr image, in bounded memory:
+    /// OME-NGFF 0.4 in Zarr 2, with scales, translations and units. Several fields are channels.
+    /// Axes that count down in the world are turned round. An image that is there is replaced if
+    /// `replace` says so.
+    ///
+    /// # Errors
+    /// Those of [`Step::write_grid`]; [`crate::Error::Usage`] for axes that are turned, and a grid
+    /// with coordinates of its own.
+    pub fn write_ome_zarr(
+        &self,
+        settings: &GridSettings,
+        out: &Path,
+        replace: bool,
+        progress: &dyn Progress,
+    ) -> Result<GridReport> {
+        export_zarr(&Moments::One(&self.view), settings, out, replace, progress)
     }
 }

@@ -1,5 +1,4 @@
-//! Unions of rectilinear grids: the regular set, the body-centred cubic lattice, the hyperbolic
-//! cross.
+//! Unions of rectilinear grids: the regular set and the hyperbolic cross.
 //!
 //! Each is a list of grids, a grid being three increasing lists of positions ([`Ticks`]) given by a
 //! formula. A box takes a range of each list, also by formula, and the product of the ranges is the
@@ -7,11 +6,6 @@
 //!
 //! **Regular** is one grid of voxels: tick i of c is the voxel nearest to i·(dim-1)/(c-1), halves
 //! up.
-//!
-//! **Body-centred cubic**: the box is cut into cells, and planes at their faces and halfway between
-//! are numbered from 0 on each axis. The set has the points whose three plane numbers are all even
-//! (corners of cells), those where all are odd (centres), and in each face of the box the centres
-//! of the cells' faces. So the box is filled exactly.
 //!
 //! **Hyperbolic cross** (Temlyakov 1987; here eq. 2.1 of the thesis with its flexible k): the union
 //! over s ∈ N³, Σ (r_j+1)·s_j <= m·(r_min+1), of the grids l_j/2^(s_j+k), l_j = 1 … 2^(s_j+k)-1.
@@ -30,7 +24,7 @@
 //! duplicates. Only rounding to the lattice can make two points one, and only where the levels are
 //! finer than the lattice.
 
-use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site, half_plane};
+use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site};
 use std::ops::Range;
 
 /// An increasing list of positions on an axis, not stored.
@@ -38,11 +32,6 @@ use std::ops::Range;
 enum Ticks {
     /// `count` voxels spread over `cells + 1`, each of 2^`log2_steps` lattice steps.
     Voxels { count: u64, cells: u64, log2_steps: u32 },
-    /// One position.
-    Plane(u32),
-    /// The faces of `cells` cells from 0 to `max`, or the planes halfway between (`centres`),
-    /// rounded, halves up.
-    Halves { cells: u32, max: u32, centres: bool },
     /// A level of the hyperbolic cross: multiples of 2^-k, or odd multiples of 2^-(k+level), of
     /// `max`.
     Level { k: u32, level: u32, max: u32 },
@@ -52,8 +41,6 @@ impl Ticks {
     fn count(self) -> u64 {
         match self {
             Self::Voxels { count, .. } => count,
-            Self::Plane(_) => 1,
-            Self::Halves { cells, centres, .. } => u64::from(cells) + u64::from(!centres),
             Self::Level { k, level: 0, .. } => (1 << k) - 1,
             Self::Level { k, level, .. } => 1 << (k + level - 1),
         }
@@ -66,8 +53,6 @@ impl Ticks {
                 let gaps = count - 1;
                 (((2 * i * cells + gaps) / (2 * gaps)) << log2_steps) as u32
             }
-            Self::Plane(at) => at,
-            Self::Halves { cells, max, centres } => half_plane(2 * i + u64::from(centres), cells, max),
             Self::Level { k, level, max } => {
                 let (l, t) = (if level == 0 { i + 1 } else { 2 * i + 1 }, k + level);
                 ((u128::from(l) * 2 * u128::from(max) + (1 << t)) >> (t + 1)) as u32
@@ -85,13 +70,6 @@ impl Ticks {
             Self::Voxels { count, cells, log2_steps } => {
                 let voxel = u64::from(p).div_ceil(1 << log2_steps);
                 ((2 * voxel - 1) * (count - 1)).div_ceil(2 * cells)
-            }
-            Self::Plane(at) => u64::from(p > at),
-            // (j·max + cells) / (2·cells) >= p
-            Self::Halves { cells, max, centres } => {
-                let (p, cells) = (u64::from(p), u64::from(cells));
-                let j = ((2 * p - 1) * cells).div_ceil(u64::from(max));
-                if centres { j / 2 } else { j.div_ceil(2) }
             }
             // l·max/2^t + 1/2 >= p; the numerators are i + 1, or 2i + 1.
             Self::Level { k, level, max } => {
@@ -147,21 +125,6 @@ impl Grids {
             }]
         });
         Self::new(ticks, [[0; 3]])
-    }
-
-    /// The body-centred cubic lattice with these numbers of cells along each axis.
-    pub(super) fn bcc(cells: [u32; 3], lattice: &Lattice) -> Option<Self> {
-        let max = lattice.max();
-        let ticks = std::array::from_fn(|a| {
-            let halves = |centres| Ticks::Halves { cells: cells[a], max: max[a], centres };
-            vec![halves(false), halves(true), Ticks::Plane(0), Ticks::Plane(max[a])]
-        });
-        let faces = (0..6).map(|face| {
-            let mut choice = [1; 3];
-            choice[face / 2] = 2 + face % 2;
-            choice
-        });
-        Self::new(ticks, [[0; 3], [1; 3]].into_iter().chain(faces))
     }
 
     /// The hyperbolic cross.
@@ -241,12 +204,6 @@ impl Grids {
     }
 }
 
-/// Number of points of a body-centred cubic lattice.
-pub(super) fn bcc_len(cells: [u32; 3]) -> u128 {
-    let [x, y, z] = cells.map(u128::from);
-    (x + 1) * (y + 1) * (z + 1) + x * y * z + 2 * (x * y + y * z + z * x)
-}
-
 /// Number of points of a hyperbolic cross.
 pub(super) fn hyperbolic_cross_len(m: u32, k: u32, r: [u32; 3]) -> u128 {
     let count = |level| u128::from(Ticks::Level { k, level, max: 1 }.count());
@@ -287,11 +244,6 @@ mod tests {
             Ticks::Voxels { count: 7, cells: 30, log2_steps: 3 },
             Ticks::Voxels { count: 30, cells: 30, log2_steps: 0 },
             Ticks::Voxels { count: 2, cells: 1, log2_steps: 4 },
-            Ticks::Plane(17),
-            Ticks::Halves { cells: 9, max: 250, centres: false },
-            Ticks::Halves { cells: 9, max: 250, centres: true },
-            Ticks::Halves { cells: 1, max: 250, centres: true },
-            Ticks::Halves { cells: 125, max: 250, centres: false },
         ];
         for level in 0..6 {
             lists.extend([100, 128, 7].map(|max| Ticks::Level { k: 2, level, max }));
@@ -346,26 +298,6 @@ mod tests {
     #[test]
     fn the_published_example_has_495_points() {
         assert_eq!(hyperbolic_cross_len(2, 2, [1; 3]), 495);
-    }
-
-    #[test]
-    fn a_body_centred_lattice_fills_the_box() {
-        let lattice = Lattice { dims: [11, 8, 6], log2_steps: [2; 3] };
-        let cells = [6, 5, 3];
-        let grids = Grids::bcc(cells, &lattice).unwrap();
-        let mut sites = vec![];
-        grids.sites_in(&lattice.domain(), &mut sites);
-        assert_eq!((sites.len() as u64, bcc_len(cells)), (grids.len(), u128::from(grids.len())));
-        let all: BTreeSet<LatticePos> = sites.iter().map(|s| s.pos).collect();
-        assert_eq!(all.len(), sites.len(), "each position once");
-        let plane = |a: usize, j: u32| half_plane(j.into(), cells[a], lattice.max()[a]);
-        for (x, y, z) in (0..=12).flat_map(|x| (0..=10).flat_map(move |y| (0..=6).map(move |z| (x, y, z)))) {
-            let (j, last) = ([x, y, z], cells.map(|n| 2 * n));
-            let odd = j.iter().filter(|j| *j % 2 == 1).count();
-            let on_face = (0..3).any(|a| j[a] == 0 || j[a] == last[a]);
-            let expected = odd == 0 || odd == 3 || odd == 2 && on_face;
-            assert_eq!(all.contains(&std::array::from_fn(|a| plane(a, j[a]))), expected, "{j:?}");
-        }
     }
 
     #[test]

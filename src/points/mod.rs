@@ -6,10 +6,9 @@
 //! | Halton | (Φ₂(k), Φ₃(k), Φ₅(k)), k = 1 … n | `net` |
 //! | hyperbolic cross | union of dyadic grids whose levels satisfy an inequality | `grids` |
 //! | regular | a sub-grid of the voxels, faces included | `grids` |
-//! | lattice | body-centred cubic, faces included | `grids` |
 //!
 //! scaled to the domain box and rounded to its [`Lattice`], halves up, in integers throughout. All
-//! but the regular set and the lattice get samples of the domain's boundary besides (`boundary`),
+//! but the regular set get samples of the domain's boundary besides (`boundary`),
 //! and a set may have a list of points that follow no formula ([`ExplicitPoints`]). The own
 //! vertices of a mesh are such a list and nothing else ([`PointSpec::Own`]). A Halton set may be
 //! denser in some places than in others ([`Levels`], `graded`).
@@ -101,10 +100,7 @@ impl PointSet {
         let points = if let PointSpec::Own { n } = spec { n } else { interior.len() };
         let spacing_q16 = mean_spacing_q16(&lattice, points);
         let boundary = match spec {
-            PointSpec::Regular { .. }
-            | PointSpec::Bcc { .. }
-            | PointSpec::Pyramid { .. }
-            | PointSpec::Own { .. } => None,
+            PointSpec::Regular { .. } | PointSpec::Pyramid { .. } | PointSpec::Own { .. } => None,
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
             PointSpec::Hammersley { .. } | PointSpec::HyperbolicCross { .. } => {
                 Some(Boundary::new(lattice.max(), spacing_q16, false))
@@ -280,15 +276,14 @@ impl PointSet {
     }
 
     /// The mean distance of interior points along each axis, in lattice steps, rounded up:
-    /// (V/n)^(1/3), or the pitch of a regular set, or the edge of a lattice's cells; where the
-    /// density differs, that of its highest level.
+    /// (V/n)^(1/3), or the pitch of a regular set; where the density differs, that of its highest
+    /// level.
     pub fn mean_spacing(&self) -> [u32; 3] {
         match self.spec {
             PointSpec::Regular { counts } | PointSpec::Pyramid { dims: counts, .. } => {
                 let max = self.lattice.max();
                 std::array::from_fn(|a| u64::from(max[a]).div_ceil(counts[a] - 1) as u32)
             }
-            PointSpec::Bcc { cells } => std::array::from_fn(|a| self.lattice.max()[a].div_ceil(cells[a])),
             PointSpec::Hammersley { .. }
             | PointSpec::Halton { .. }
             | PointSpec::HyperbolicCross { .. }
@@ -347,7 +342,6 @@ impl Interior {
             PointSpec::Regular { counts } | PointSpec::Pyramid { dims: counts, .. } => {
                 Self::Grids(Grids::regular(counts, lattice)?)
             }
-            PointSpec::Bcc { cells } => Self::Grids(Grids::bcc(cells, lattice)?),
             PointSpec::Own { .. } => Self::Nothing,
         })
     }

@@ -3,7 +3,7 @@
 
 use super::MOST_POINTS;
 use super::explicit::ExplicitPoints;
-use super::grids::{bcc_len, hyperbolic_cross_len};
+use super::grids::hyperbolic_cross_len;
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
 use serde::{Deserialize, Serialize};
@@ -22,9 +22,6 @@ pub enum SetKind {
     HyperbolicCross,
     /// A sub-grid of the voxels.
     Regular,
-    /// The body-centred cubic lattice.
-    #[serde(rename = "lattice")]
-    Bcc,
     /// All samples, stored as a wavelet pyramid.
     Pyramid,
     /// The own vertices of a mesh. It is not chosen by name: a mesh that is asked for whole has it.
@@ -34,8 +31,7 @@ pub enum SetKind {
 impl SetKind {
     /// The kinds of points that are joined to tetrahedra and are chosen by name, in the order in
     /// which they are presented.
-    pub const ALL: [Self; 5] =
-        [Self::Hammersley, Self::Halton, Self::HyperbolicCross, Self::Regular, Self::Bcc];
+    pub const ALL: [Self; 4] = [Self::Hammersley, Self::Halton, Self::HyperbolicCross, Self::Regular];
 
     /// The name on the command line and in an archive.
     pub fn name(self) -> &'static str {
@@ -44,7 +40,6 @@ impl SetKind {
             Self::Halton => "halton",
             Self::HyperbolicCross => "hyperbolic-cross",
             Self::Regular => "regular",
-            Self::Bcc => "lattice",
             Self::Pyramid => "pyramid",
             Self::Own => "own",
         }
@@ -99,12 +94,6 @@ pub enum PointSpec {
         /// Voxels along each axis: at least 2, at most the volume's.
         counts: [u64; 3],
     },
-    /// A body-centred cubic lattice, which includes the faces of the box.
-    #[serde(rename = "lattice")]
-    Bcc {
-        /// Cells along each axis: at least 1, at most half the axis's lattice steps.
-        cells: [u32; 3],
-    },
     /// All samples, stored as a wavelet pyramid.
     Pyramid {
         /// Samples along each axis: those of the volume.
@@ -130,14 +119,11 @@ pub struct SetSettings {
     pub k: Option<u32>,
     /// Regularities of a hyperbolic cross; default 1.
     pub r: [u32; 3],
-    /// How far apart the points of a lattice are along x, y and z, in voxels and relative to each
-    /// other. By default as the field asks for, and equal where that is not known.
-    pub spacing: Option<[f64; 3]>,
 }
 
 impl Default for SetSettings {
     fn default() -> Self {
-        Self { shift: 0.5, m: None, k: None, r: [1; 3], spacing: None }
+        Self { shift: 0.5, m: None, k: None, r: [1; 3] }
     }
 }
 
@@ -164,13 +150,6 @@ impl PointSpec {
             SetKind::Halton => Self::Halton { n: count },
             SetKind::HyperbolicCross => nearest_cross(count, settings),
             SetKind::Regular => Self::Regular { counts: nearest_counts(count, lattice.dims) },
-            SetKind::Bcc => {
-                let spacing = settings.spacing.unwrap_or([1.0; 3]);
-                if spacing.iter().any(|s| !(1e-3..=1e3).contains(s)) {
-                    return Err(Error::usage(format!("a spacing of {spacing:?}: give 0.001 to 1000")));
-                }
-                Self::Bcc { cells: nearest_cells(count, lattice, spacing) }
-            }
             SetKind::Pyramid => Self::Pyramid { dims: lattice.dims, delay: [0; 3] },
             SetKind::Own => Self::Own { n: count },
         };
@@ -196,7 +175,6 @@ impl PointSpec {
             Self::Halton { .. } => SetKind::Halton,
             Self::HyperbolicCross { .. } => SetKind::HyperbolicCross,
             Self::Regular { .. } => SetKind::Regular,
-            Self::Bcc { .. } => SetKind::Bcc,
             Self::Pyramid { .. } => SetKind::Pyramid,
             Self::Own { .. } => SetKind::Own,
         }
@@ -208,7 +186,6 @@ impl PointSpec {
             Self::Hammersley { n, .. } | Self::Halton { n } | Self::Own { n } => u128::from(n),
             Self::HyperbolicCross { m, k, r } => hyperbolic_cross_len(m, k, r),
             Self::Regular { counts } => counts.iter().map(|&c| u128::from(c)).product(),
-            Self::Bcc { cells } => bcc_len(cells),
             Self::Pyramid { dims, .. } => dims.iter().map(|&d| u128::from(d)).product(),
         }
     }
@@ -243,13 +220,6 @@ impl PointSpec {
                             c,
                             &format!("2 to the volume's {d} samples"),
                         );
-                    }
-                }
-            }
-            Self::Bcc { cells } => {
-                for (c, max) in cells.into_iter().zip(lattice.max()) {
-                    if !(1..=max / 2).contains(&c) {
-                        return refuse("an axis of a lattice", c, &format!("1 to {} cells", max / 2));
                     }
                 }
             }
@@ -338,28 +308,6 @@ fn nearest_counts(count: u64, dims: [u64; 3]) -> [u64; 3] {
     nearest(count, grids, len).unwrap_or(base)
 }
 
-/// The cells of a lattice with nearly `count` points, whose edges are in proportion to `spacing`,
-/// in voxels. No edge is shorter than a voxel: then nodes are at the samples along that axis, and
-/// more would add nothing.
-fn nearest_cells(count: u64, lattice: &Lattice, spacing: [f64; 3]) -> [u32; 3] {
-    let voxels: [f64; 3] = std::array::from_fn(|a| (lattice.dims[a] - 1) as f64 / spacing[a]);
-    let most: [u32; 3] = std::array::from_fn(|a| {
-        let of_voxels = u32::try_from(lattice.dims[a] - 1).unwrap_or(u32::MAX);
-        of_voxels.min(lattice.max()[a] / 2).max(1)
-    });
-    let at = |edge: f64| -> [u32; 3] {
-        std::array::from_fn(|a| ((voxels[a] / edge).round() as u32).clamp(1, most[a]))
-    };
-    let (mut fine, mut coarse) = (0.0, voxels.into_iter().fold(1.0, f64::max));
-    for _ in 0..60 {
-        let middle = (fine + coarse) / 2.0;
-        if bcc_len(at(middle)) > u128::from(count) { fine = middle } else { coarse = middle }
-    }
-    let base = at(coarse);
-    let lattices = (0..8u32).map(|more| std::array::from_fn(|a| (base[a] + (more >> a & 1)).min(most[a])));
-    nearest(count, lattices, bcc_len).unwrap_or(base)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -378,7 +326,6 @@ mod tests {
                 let allowed = match kind {
                     SetKind::Hammersley | SetKind::Halton => 1.0,
                     SetKind::Regular if count >= 500 => 1.1,
-                    SetKind::Bcc if count >= 500 => 1.2,
                     _ => 2.0,
                 };
                 assert!((1.0 / allowed..=allowed).contains(&off), "{kind} {count}: {spec:?} {off}");
@@ -387,12 +334,6 @@ mod tests {
         let all =
             PointSpec::with_count(SetKind::Regular, &l, u64::MAX >> 6, &SetSettings::default()).unwrap();
         assert_eq!(all, PointSpec::Regular { counts: l.dims });
-        // Nodes at all samples, whatever the spacing.
-        for spacing in [None, Some([1.0, 0.5, 2.0])] {
-            let settings = SetSettings { spacing, ..SetSettings::default() };
-            let all = PointSpec::with_count(SetKind::Bcc, &l, 4_000_000, &settings).unwrap();
-            assert_eq!(all, PointSpec::Bcc { cells: [102, 93, 160] });
-        }
     }
 
     #[test]
@@ -423,7 +364,6 @@ mod tests {
         refused(PointSpec::HyperbolicCross { m: 2, k: 3, r: [1, u32::MAX, 1] }, "regularity");
         refused(PointSpec::Regular { counts: [4, 95, 4] }, "94");
         refused(PointSpec::Regular { counts: [4, 1, 4] }, "regular");
-        refused(PointSpec::Bcc { cells: [7, 0, 7] }, "cells");
         let settings = SetSettings { k: Some(9), ..SetSettings::default() };
         assert!(PointSpec::with_count(SetKind::HyperbolicCross, &lattice(), 100, &settings).is_err());
         assert!(PointSpec::with_count(SetKind::Halton, &lattice(), 0, &SetSettings::default()).is_err());
@@ -439,7 +379,7 @@ mod tests {
             assert!(json.contains(&format!("\"set\":\"{kind}\"")), "{json}");
             assert_eq!(serde_json::from_str::<PointSpec>(&json).unwrap(), spec);
         }
-        assert!("bcc".parse::<SetKind>().unwrap_err().to_string().contains("lattice"));
+        assert!("bcc".parse::<SetKind>().unwrap_err().to_string().contains("pyramid"));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::grid::BrickGrid;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
-const SPECS: [PointSpec; 9] = [
+const SPECS: [PointSpec; 8] = [
     PointSpec::Hammersley { n: 3000, shift: 0.5 },
     PointSpec::Hammersley { n: 1024, shift: 0.0 },
     PointSpec::Hammersley { n: 1, shift: 0.3 },
@@ -14,7 +14,6 @@ const SPECS: [PointSpec; 9] = [
     PointSpec::HyperbolicCross { m: 3, k: 2, r: [1; 3] },
     PointSpec::HyperbolicCross { m: 2, k: 3, r: [1, 2, 4] },
     PointSpec::Regular { counts: [9, 5, 7] },
-    PointSpec::Bcc { cells: [4, 5, 6] },
 ];
 
 fn lattices() -> [Lattice; 4] {
@@ -32,9 +31,6 @@ fn fitted(spec: PointSpec, lattice: &Lattice) -> PointSpec {
     match spec {
         PointSpec::Regular { counts } => {
             PointSpec::Regular { counts: std::array::from_fn(|a| counts[a].min(lattice.dims[a])) }
-        }
-        PointSpec::Bcc { .. } => {
-            PointSpec::with_count(SetKind::Bcc, lattice, 2500, &SetSettings::default()).unwrap()
         }
         other => other,
     }

@@ -135,9 +135,6 @@ pub enum Values {
     /// From there it is moved towards the least squared error over the samples around it, not past
     /// them ([`crate::fit`]).
     Fit,
-    /// The nodes of a lattice are at the samples and have their values, rounded. The other points
-    /// have the mean of the nodes around them, and no value of their own is stored.
-    Nodes,
 }
 
 impl Values {
@@ -168,7 +165,6 @@ impl Values {
         match self {
             Self::Sample => "sample",
             Self::Fit => "fit",
-            Self::Nodes => "nodes",
         }
     }
 }

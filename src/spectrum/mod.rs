@@ -58,6 +58,7 @@ mod sums;
 mod tetra;
 
 pub use builder::SpectrumBuilder;
+pub use cubes::CellShapes;
 pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};
 pub use lanes::LaneBuffers;

@@ -68,7 +68,7 @@ fn shards_and_restarts_make_the_same_bytes() {
     assert_eq!(folder(&parts), expected, "shards");
     // Killed before the manifest, and with a segment missing: the same command continues.
     let segments =
-        expected.keys().filter(|p| p.starts_with("mesh/000000.seg") || p.ends_with("manifest.json"));
+        expected.keys().filter(|p| p.starts_with("mesh/000000.seg") || p.ends_with("manifest.zst"));
     segments.for_each(|p| fs::remove_file(whole.join(p)).unwrap());
     reduce(&input, &settings, &whole, 1);
     assert_eq!(folder(&whole), expected, "restart");
@@ -222,7 +222,7 @@ fn what_cannot_be_is_a_usage_error() {
         .unwrap_err();
         assert!(error.exit_code() == 2 && error.to_string().contains(word), "{error}");
     };
-    refused(ReduceSettings { points: Some(SetKind::Bcc), ..adapted(0.1, 1_000) }, "halton");
+    refused(ReduceSettings { points: Some(SetKind::Regular), ..adapted(0.1, 1_000) }, "halton");
     let focus = Some(Adapt { focus: Some([3.0, 3.0]) });
     refused(ReduceSettings { adapt: focus, ..adapted(0.1, 1_000) }, "focus");
     let target = Some(Target::Rms(Bound::Value(0.0)));

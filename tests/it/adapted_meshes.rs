@@ -94,7 +94,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     )
     .unwrap();
     assert_eq!(folder(&again), expected, "threads and memory");
-    fs::remove_file(again.join("manifest.json")).unwrap();
+    fs::remove_file(again.join("manifest.zst")).unwrap();
     fs::remove_file(again.join("mesh/000000.seg")).unwrap();
     reduce(&input, &settings, &again, 2);
     assert_eq!(folder(&again), expected, "restart");

@@ -48,9 +48,12 @@ fn the_main_job() {
     assert!(ok(d, &["info", "ball.npy"]).contains("40 x 30 x 20"));
     let info = json(&ok(d, &["info", "ball.npy", "--json"]));
     assert_eq!(info["info"]["dims"], serde_json::json!([40, 30, 20]));
-    assert!(ok(d, &["reduce", "ball.npy", "-o", "ball.isospan", "--fraction", "1/2"]).contains("tetrahedra"));
+    assert!(
+        ok(d, &["reduce", "ball.npy", "-o", "ball.isospan", "--points", "regular", "--fraction", "1/2"])
+            .contains("tetrahedra")
+    );
     assert_eq!(json(&ok(d, &["info", "ball.isospan", "--json"]))["dims"], serde_json::json!([40, 30, 20]));
-    assert!(ok(d, &["info", "ball.isospan"]).contains("lattice"));
+    assert!(ok(d, &["info", "ball.isospan"]).contains("regular"));
     let stats = ok(d, &["surface", "ball.isospan", "--isovalue", "-0.05", "-o", "ball.ply", "--stats"]);
     for word in ["points", "tetrahedra", "blocks", "bytes read", "extract"] {
         assert!(stats.contains(word), "{word}: {stats}");
@@ -155,18 +158,29 @@ fn usage_errors() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("b.npy"), [12, 12, 12], ball);
-    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1"]);
+    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--points", "regular", "--fraction", "1"]);
     let usage: [&[&str]; 13] = [
         &["reduce", "b.npy", "-o", "b.isospan"],
         &["reduce", "b.npy", "-o", "b.zip"],
-        &["reduce", "b.npy", "-o", "c.isospan", "--count", "0"],
+        &["reduce", "b.npy", "-o", "c.isospan", "--points", "regular", "--count", "0"],
         &["reduce", "b.npy", "-o", "c.isospan", "--cross-m", "3", "--cross-k", "2"],
         &["reduce", "b.npy", "-o", "c.isospan", "--shift", "1.5"],
         // What would change nothing is refused.
         &["reduce", "b.npy", "-o", "c.isospan", "--points", "halton", "--shift", "0.5"],
         &["reduce", "b.npy", "-o", "c.isospan", "--cross-r", "2,1,1"],
         &["reduce", "b.npy", "-o", "c.isospan", "--value-file", "b.npy"],
-        &["reduce", "b.npy", "-o", "c.isospan", "--interp", "nearest", "--values", "fit"],
+        &[
+            "reduce",
+            "b.npy",
+            "-o",
+            "c.isospan",
+            "--interp",
+            "nearest",
+            "--points",
+            "regular",
+            "--values",
+            "fit",
+        ],
         &["surface", "b.isospan", "--isovalue", "0", "-o", "b.xyz"],
         &["surface", "b.isospan", "--isovalue", "nan", "-o", "b.ply"],
         &["count", "b.isospan", "--isovalue", "inf"],
@@ -177,7 +191,7 @@ fn usage_errors() {
     }
     // What the argument parser refuses is one line, too.
     let parser: [&[&str]; 6] = [
-        &["reduce", "b.npy", "-o", "c.isospan", "--fraction", "1/0"],
+        &["reduce", "b.npy", "-o", "c.isospan", "--points", "regular", "--fraction", "1/0"],
         &["reduce", "b.npy", "-o", "c.isospan", "--nan", "perhaps"],
         &["reduce", "b.npy", "-o", "c.isospan", "--memory", "much"],
         &["info", "b.npy", "--dims", "1,2"],
@@ -212,7 +226,18 @@ fn values_are_fitted_unless_the_very_values_of_samples_are_wanted() {
     let d = dir.path();
     write_npy(&d.join("b.npy"), [20, 20, 20], |x, y, z| (20.0 * ball(x, y, z)).round());
     let rms = |more: &[&str]| {
-        let args = ["reduce", "b.npy", "-o", "b.isospan", "--force", "--fraction", "1/4", "--json"];
+        let args = [
+            "reduce",
+            "b.npy",
+            "-o",
+            "b.isospan",
+            "--force",
+            "--points",
+            "regular",
+            "--fraction",
+            "1/4",
+            "--json",
+        ];
         json(&ok(d, &[&args[..], more].concat()))["error"]["rms"].as_f64().unwrap()
     };
     let is_fitted = |archive: &str| ok(d, &["info", archive]).contains("fitted to the samples");
@@ -222,10 +247,24 @@ fn values_are_fitted_unless_the_very_values_of_samples_are_wanted() {
     assert!(is_fitted("b.isospan"));
     // Labels stay labels.
     for interp in ["nearest", "cubic-thesis"] {
-        ok(d, &["reduce", "b.npy", "-o", "s.isospan", "--force", "--interp", interp]);
+        ok(d, &["reduce", "b.npy", "-o", "s.isospan", "--force", "--points", "regular", "--interp", interp]);
         assert!(!is_fitted("s.isospan"), "{interp}");
     }
-    ok(d, &["reduce", "b.npy", "-o", "c.isospan", "--interp", "cubic", "--value-bits", "12"]);
+    ok(
+        d,
+        &[
+            "reduce",
+            "b.npy",
+            "-o",
+            "c.isospan",
+            "--interp",
+            "cubic",
+            "--points",
+            "regular",
+            "--value-bits",
+            "12",
+        ],
+    );
     assert!(is_fitted("c.isospan"));
 }
 
@@ -235,7 +274,21 @@ fn percentages_of_errors_are_of_the_source_as_those_of_targets() {
     let d = dir.path();
     // The reduced field keeps little of the peak: its own range is another one.
     write_npy(&d.join("p.npy"), [21, 21, 21], |x, y, z| if x * x + y * y + z * z < 1e-9 { 100.0 } else { x });
-    ok(d, &["reduce", "p.npy", "-o", "p.isospan", "--fraction", "1/16", "--values", "sample"]);
+    ok(
+        d,
+        &[
+            "reduce",
+            "p.npy",
+            "-o",
+            "p.isospan",
+            "--points",
+            "regular",
+            "--fraction",
+            "1/16",
+            "--values",
+            "sample",
+        ],
+    );
     let args = ["measure", "p.isospan", "--against", "p.npy"];
     let found = json(&ok(d, &[&args[..], &["--json"]].concat()));
     assert_eq!(found["source_range"], serde_json::json!([-1.0, 100.0]));
@@ -250,7 +303,7 @@ fn spectra_are_printed_and_drawn_and_counts_looked_up() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("b.npy"), [24, 24, 24], ball);
-    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1"]);
+    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--points", "regular", "--fraction", "1"]);
     let table = ok(d, &["spectrum", "b.isospan", "--plot", "b.svg"]);
     assert!(table.contains("mean gradient") && table.lines().count() > 20, "{table}");
     assert!(fs::read_to_string(d.join("b.svg")).unwrap().contains("Contour spectrum of b"));
@@ -282,7 +335,7 @@ fn a_damaged_archive_or_surface_is_told() {
         "steps/000000-values-000000.seg",
         "steps/000000-index.seg",
         "steps/000000-spectrum.seg",
-        "manifest.json",
+        "manifest.zst",
     ] {
         let path = d.join("b.isospan").join(file);
         let good = fs::read(&path).unwrap();
@@ -315,7 +368,7 @@ fn the_report_of_a_series_tells_its_largest_errors() {
     for (step, height) in [(0, 0.0), (1, 1.0), (2, 3.0), (3, 2.0)] {
         write_npy(&d.join(format!("s{step}.npy")), [14, 12, 10], |x, y, z| height * ball(x, y, z));
     }
-    let text = ok(d, &["reduce", "s*.npy", "-o", "s.isospan", "--fraction", "1/4"]);
+    let text = ok(d, &["reduce", "s*.npy", "-o", "s.isospan", "--points", "regular", "--fraction", "1/4"]);
     let line = text.lines().find(|l| l.starts_with("  error ")).unwrap();
     assert_eq!(line.matches("in step 2").count(), 2, "{line}");
     let steps = json(&ok(d, &["info", "s.isospan", "--json"]))["steps"].clone();
@@ -324,7 +377,7 @@ fn the_report_of_a_series_tells_its_largest_errors() {
     let told: f64 = line.split("RMS at most ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
     assert!((told / rms - 1.0).abs() < 1e-3, "{line}: {rms}");
     // Of one step it is that one's.
-    let text = ok(d, &["reduce", "s1.npy", "-o", "one.isospan", "--fraction", "1/4"]);
+    let text = ok(d, &["reduce", "s1.npy", "-o", "one.isospan", "--points", "regular", "--fraction", "1/4"]);
     assert!(
         text.lines().any(|l| l.starts_with("  error       RMS ") && l.contains(" samples; % of")),
         "{text}"
@@ -558,7 +611,7 @@ fn what_is_no_regular_file_is_refused_at_once() {
     let reduce = ["reduce", "v.npy", "-o", "a.isospan", "-q", "--points", "halton"];
     for (file, questions) in [
         (
-            "a.isospan/manifest.json",
+            "a.isospan/manifest.zst",
             vec![&surface[..], &["check", "a.isospan"], &["info", "a.isospan"], &reduce],
         ),
         ("a.isospan/mesh/000000.seg", vec![&surface[..], &["check", "a.isospan"]]),
@@ -579,7 +632,7 @@ fn what_is_no_regular_file_is_refused_at_once() {
             make(file);
             let name = Path::new(file).components().next_back().unwrap().as_os_str().to_string_lossy();
             let name = if name == "plan.json" { "p.isospan" } else { &*name };
-            let name = if name == "manifest.json" { "a.isospan" } else { name };
+            let name = if name == "manifest.zst" { "a.isospan" } else { name };
             questions.iter().for_each(|args| refused(args, name));
             fs::remove_file(&path).unwrap();
         }
@@ -616,7 +669,7 @@ fn what_exists_is_replaced_with_force_alone() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("v.npy"), [20, 18, 16], waves);
-    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "-q"]);
+    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "--points", "regular", "-q"]);
     ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "s.ply", "-q"]);
     fs::write(d.join("points.csv"), "x,y,z\n1,2,3\n").unwrap();
     let questions: [(&[&str], &str); 9] = [
@@ -667,14 +720,13 @@ fn what_is_something_else_is_told_as_that() {
     ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "s.ply", "-q"]);
     fs::create_dir_all(d.join("u.isospan/mesh")).unwrap();
     fs::create_dir_all(d.join("u.isospan/steps")).unwrap();
-    let cases: [(&[&str], i32, &str); 9] = [
+    let cases: [(&[&str], i32, &str); 8] = [
         (&["info", "s.ply"], 5, "a surface; of surfaces, isospan check"),
         (&["info", "u.isospan"], 5, "a finished one"),
         (&["status", "u.isospan"], 5, "an unfinished archive of isospan reduce"),
         (&["status", "a.isospan"], 5, "a finished archive that isospan reduce made"),
         (&["slurm", "a.isospan"], 5, "a finished archive that isospan reduce made"),
         (&["work", "none.isospan"], 5, "one that isospan plan made, got none"),
-        (&["reduce", "a.isospan", "-o", "b.isospan", "-q"], 5, "got an isospan archive"),
         (&["measure", "a.isospan", "--against", "v*.npy", "-q"], 5, "slices (*.tif)"),
         (&["probe", "a.isospan", "-o", "p.vti"], 2, "<--grid <NX,NY,NZ>|--at <CSV>>"),
     ];
@@ -742,7 +794,7 @@ fn percentages_stand_for_values() {
     for (n, most) in [(0, 10.0), (1, 30.0)] {
         write_npy(&d.join(format!("v{n}.npy")), [20, 18, 16], |x, _, _| (x + 1.0) * most / 2.0);
     }
-    ok(d, &["reduce", "v?.npy", "-o", "a.isospan", "--value-bits", "exact", "--values", "sample", "-q"]);
+    ok(d, &["reduce", "v?.npy", "-o", "a.isospan", "--points", "regular", "--values", "sample", "-q"]);
     let count = |isovalue: &str, step: &str| {
         json(&ok(d, &["count", "a.isospan", "-i", isovalue, "--step", step, "--json"]))["isovalue"].clone()
     };
@@ -871,14 +923,31 @@ fn a_target_that_is_not_met_has_an_exit_code() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("v.npy"), [20, 18, 16], waves);
-    let out = isospan(d, &["reduce", "v.npy", "-o", "a.isospan", "--target-rms", "1e-9%", "-q"]);
+    let out = isospan(
+        d,
+        &["reduce", "v.npy", "-o", "a.isospan", "--points", "hammersley", "--target-rms", "1e-9%", "-q"],
+    );
     let told = String::from_utf8(out.stderr).unwrap();
     assert_eq!(out.status.code(), Some(6), "{told}");
     assert!(told.contains("a.isospan: written, but the target is not met: RMS "), "{told}");
     let report = String::from_utf8(out.stdout).unwrap();
     assert!(report.contains("NOT MET") && report.matches("fit ").count() <= 1, "{report}");
     // The times of all tries together, a number for each stage.
-    let out = isospan(d, &["reduce", "v.npy", "-o", "c.isospan", "--target-rms", "1e-9%", "--json", "-q"]);
+    let out = isospan(
+        d,
+        &[
+            "reduce",
+            "v.npy",
+            "-o",
+            "c.isospan",
+            "--points",
+            "hammersley",
+            "--target-rms",
+            "1e-9%",
+            "--json",
+            "-q",
+        ],
+    );
     let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!((out.status.code(), &report["target"]["met"]), (Some(6), &false.into()), "{report}");
     assert!(report["seconds"]["fit"].as_f64().unwrap() > 0.0, "{report}");
@@ -893,7 +962,14 @@ fn a_cut_surface_is_checked_with_its_box() {
     let d = dir.path();
     write_npy(&d.join("v.npy"), [26, 22, 20], ball);
     let place = ["--spacing", "0.5,2,1", "--origin", "7,-3,100"];
-    ok(d, &[&["reduce", "v.npy", "-o", "a.isospan", "--fraction", "1/2", "-q"], &place[..]].concat());
+    ok(
+        d,
+        &[
+            &["reduce", "v.npy", "-o", "a.isospan", "--points", "regular", "--fraction", "1/2", "-q"],
+            &place[..],
+        ]
+        .concat(),
+    );
     for roi in ["5:14.5,:,8:", "world:10:14,:,-1e3:111"] {
         ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "s.ply", "--roi", roi, "--force", "-q"]);
         let check = ["check", "s.ply", "--within", "a.isospan"];
@@ -960,7 +1036,7 @@ fn a_surface_never_becomes_nothing_unnoticed() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("v.npy"), [14, 13, 12], ball);
-    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "--fraction", "1/2", "-q"]);
+    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "--points", "regular", "--fraction", "1/2", "-q"]);
     let surface = |more: &[&'static str]| [&["surface", "a.isospan", "-q", "--force"], more].concat();
     let text = ok(d, &surface(&["-i", "0.1", "-o", "s.ply", "--components"]));
     assert!(text.contains("volume  boundary") && text.contains("closed"), "{text}");

@@ -2,7 +2,7 @@
 
 use crate::common::*;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{ReduceSettings, StepChoice, SurfaceSettings, ValueBits};
+use isospan::pipeline::{ReduceSettings, StepChoice, SurfaceSettings};
 use isospan::render::ColourMap;
 use isospan::sample::Values;
 use isospan::{Archive, Resources};
@@ -67,7 +67,7 @@ fn two_fields_of_one_file() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_two_fields(&d.join("two.vtk"));
-    let exact = ["--values", "sample", "--value-bits", "exact", "--fraction", "1/2"];
+    let exact = ["--values", "sample", "--points", "regular", "--fraction", "1/2"];
     isospan(d, &[&["reduce", "two.vtk", "-o", "two.isospan", "--fields", "ball,heat"], &exact[..]].concat());
     let info = isospan(d, &["info", "two.isospan"]);
     assert!(info.contains("ball") && info.contains("heat"), "{info}");
@@ -126,7 +126,21 @@ fn pictures_show_another_field() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_two_fields(&d.join("two.vtk"));
-    isospan(d, &["reduce", "two.vtk", "-o", "two.isospan", "--fields", "ball,heat", "--fraction", "1/2"]);
+    isospan(
+        d,
+        &[
+            "reduce",
+            "two.vtk",
+            "-o",
+            "two.isospan",
+            "--fields",
+            "ball,heat",
+            "--points",
+            "regular",
+            "--fraction",
+            "1/2",
+        ],
+    );
     let view = ["--size", "120,120", "--lights", "0", "--azimuth", "0", "--elevation", "0", "--orthographic"];
     let render = |out: &str, more: &[&str]| {
         let what = ["render", "two.isospan", "--step", "ball", "-i", "1", "-o", out];
@@ -173,7 +187,10 @@ fn a_field_elsewhere_is_refused_and_missing_values_are_counted() {
     }
     for (input, field) in [("two", "ball"), ("far", "heat"), ("near", "heat")] {
         let (file, out) = (format!("{input}.vtk"), format!("{input}.isospan"));
-        isospan(d, &["reduce", &file, "-o", &out, "--field", field, "--fraction", "1/2"]);
+        isospan(
+            d,
+            &["reduce", &file, "-o", &out, "--field", field, "--points", "regular", "--fraction", "1/2"],
+        );
     }
     for command in [
         &["surface", "two.isospan", "-i", "1", "--colour-by", "far.isospan", "-o", "far.ply"][..],
@@ -237,7 +254,7 @@ fn another_archive_in_little_memory() {
     write_npy(&slope_file, [40, 36, 32], |x, y, z| x + 2.0 * y - z);
     let exact = ReduceSettings {
         values: Values::Sample,
-        value_bits: ValueBits::Exact,
+        value_bits: None,
         ..settings(isospan::points::SetKind::Halton, isospan::pipeline::Amount::Fraction(0.5), 4_000)
     };
     let [ball_out, slope_out] = [&ball_file, &slope_file].map(|f| f.with_extension("isospan"));
@@ -268,7 +285,18 @@ fn a_field_that_is_void_at_a_surface_is_grey_there() {
     // The second field has values where x is large, far from the plane.
     let far = |p: [f64; 3]| if p[0] > 12.0 { p[0] } else { -1.0 };
     write_fields(&d.join("two.vtk"), &[("plane", &|p| p[0]), ("far", &far)]);
-    let reduce = ["reduce", "two.vtk", "-o", "two.isospan", "--fields", "plane,far", "--fraction", "1/2"];
+    let reduce = [
+        "reduce",
+        "two.vtk",
+        "-o",
+        "two.isospan",
+        "--fields",
+        "plane,far",
+        "--points",
+        "regular",
+        "--fraction",
+        "1/2",
+    ];
     isospan(d, &[&reduce[..], &["--nan", "mask", "--missing=-1"]].concat());
     let said = isospan(
         d,

@@ -114,7 +114,7 @@ fn twenty_kills_at_random_moments_cost_nothing() {
             kills += u64::from(status.signal() == Some(9));
             let folder = case.path().join(&out);
             kept += u64::from(folder.exists() && !temporaries(&folder).is_empty());
-            if folder.join("manifest.json").exists() {
+            if folder.join("manifest.zst").exists() {
                 // Killed when all was done.
                 case.same(&out);
                 out.clear();
@@ -144,7 +144,7 @@ fn a_killed_run_is_continued_chunk_by_chunk() {
         child.wait().unwrap();
         let left = folder(&case.path().join("c.isospan"));
         let noted = left.iter().filter(|(f, bytes)| journal(f) && !bytes.is_empty()).count();
-        if noted == 0 || left.contains_key(Path::new("manifest.json")) {
+        if noted == 0 || left.contains_key(Path::new("manifest.zst")) {
             let _ = fs::remove_dir_all(case.path().join("c.isospan"));
             continue;
         }
@@ -193,7 +193,7 @@ fn signals_stop_a_run_in_a_state_that_continues() {
         let (status, text) = stopped.expect("no run was stopped");
         assert_eq!(status.code(), Some(75), "{name}: {status}: {text}");
         assert!(text.trim_end().lines().count() == 1 && text.contains("same command continues"), "{text}");
-        assert!(!case.path().join(&out).join("manifest.json").exists());
+        assert!(!case.path().join(&out).join("manifest.zst").exists());
         ok(case.path(), &reduce_to(&out));
         case.same(&out);
     }
@@ -256,7 +256,22 @@ fn a_stopped_or_killed_surface_is_never_half_written() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("v.npy"), [70, 60, 50], waves);
-    ok(d, &["reduce", "-q", "v.npy", "-o", "a.isospan", "--fraction", "1", "--chunk-points", "4000"]);
+    ok(
+        d,
+        &[
+            "reduce",
+            "-q",
+            "v.npy",
+            "-o",
+            "a.isospan",
+            "--points",
+            "regular",
+            "--fraction",
+            "1",
+            "--chunk-points",
+            "4000",
+        ],
+    );
     for format in ["ply", "stl"] {
         let out = format!("s.{format}");
         let args = ["surface", "-q", "a.isospan", "-i", "0.1", "-o", &out, "--memory", "32MiB", "--force"];
@@ -311,7 +326,7 @@ fn no_room_is_one_line_and_resumable() {
         let (status, text) = end(child);
         assert_eq!(status.code(), Some(4), "{kib} KiB: {status}: {text}");
         assert!(text.trim_end().lines().count() == 1 && text.contains("make room"), "{text}");
-        assert!(!case.path().join(&out).join("manifest.json").exists());
+        assert!(!case.path().join(&out).join("manifest.zst").exists());
         ok(case.path(), &reduce_to(&out));
         case.same(&out);
     }
@@ -354,7 +369,7 @@ fn a_full_file_system_is_one_line_and_resumable() {
             [ $code = 0 ] || break
             rm -r x.isospan fill
         done
-        echo $code > ../full.code; ls x.isospan/manifest.json 2>/dev/null > ../full.ls; rm fill
+        echo $code > ../full.code; ls x.isospan/manifest.zst 2>/dev/null > ../full.ls; rm fill
         \"$@\" 2>>../full.err; echo $? >> ../full.code; cp -r x.isospan ../full.isospan";
     let out = Command::new("unshare")
         .args(["--mount", "bash", "-c", script, "bash"])
@@ -469,7 +484,7 @@ fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
         let (name, t) = (format!("s{t}.npy"), f64::from(t));
         write_npy(&d.join(name), [40, 36, 32], |x, y, z| waves(x + 0.03 * t, y, z));
     }
-    let base = ["--fraction", "1/2", "--chunk-points", "1000", "--no-measure"];
+    let base = ["--points", "regular", "--fraction", "1/2", "--chunk-points", "1000", "--no-measure"];
     let first = [&["reduce", "-q", "s0.npy", "s1.npy", "-o", "a.isospan"], &base[..]].concat();
     let all: Vec<&str> = ["s0.npy", "s1.npy", "s2.npy", "s3.npy", "s4.npy", "s5.npy"].to_vec();
     ok(d, &[&["reduce", "-q", "-o", "whole.isospan"], &all[..], &base[..]].concat());
@@ -497,7 +512,7 @@ fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
         std::thread::sleep(Duration::from_micros(dice.roll(took.as_micros() as u64)));
         signal(&child, Signal::KILL);
         let (status, text) = end(child);
-        let manifest = Path::new("manifest.json");
+        let manifest = Path::new("manifest.zst");
         if fs::read(archive.join(manifest)).unwrap() != old[manifest] {
             assert!(status.success() || status.signal() == Some(9), "{text}");
             again();
@@ -527,7 +542,7 @@ fn kills_while_steps_are_inserted_or_replaced_lose_nothing() {
         let (name, t) = (format!("s{t}.npy"), f64::from(t));
         write_npy(&d.join(name), [40, 36, 32], |x, y, z| waves(x + 0.03 * t, y, z));
     }
-    let base = ["--fraction", "1/2", "--chunk-points", "1000", "--no-measure"];
+    let base = ["--points", "regular", "--fraction", "1/2", "--chunk-points", "1000", "--no-measure"];
     let files = ["s0.npy", "s1.npy", "s2.npy", "s3.npy", "-o", "old.isospan", "--times", "0,1,2,3"];
     ok(d, &[&["reduce", "-q"], &files[..], &base[..]].concat());
     let (old, archive) = (folder(&d.join("old.isospan")), d.join("a.isospan"));
@@ -538,7 +553,7 @@ fn kills_while_steps_are_inserted_or_replaced_lose_nothing() {
             fs::write(archive.join(file), bytes).unwrap();
         }
     };
-    let manifest = Path::new("manifest.json");
+    let manifest = Path::new("manifest.zst");
     for how in [&["--times", "1.5"][..], &["--times", "1", "--replace"]] {
         let append = [&["append", "-q", "--no-measure", "a.isospan", "s4.npy"], how].concat();
         begin();
@@ -584,7 +599,7 @@ fn a_kill_while_a_step_is_added_to_a_mesh_leaves_the_archive_as_it_was() {
         write_hexahedra(&d.join(name), |x, y, z| waves(x + 0.05 * t as f64, y, z));
     }
     let files: Vec<&str> = names.iter().map(String::as_str).collect();
-    let choices = ["--fraction", "1", "--chunk-points", "200"];
+    let choices = ["--points", "regular", "--fraction", "1", "--chunk-points", "200"];
     ok(d, &[&["reduce", "-q", "-o", "whole.isospan"], &files[..], &choices].concat());
     let archive = d.join("a.isospan");
     let append = ["append", "-q", "--threads", "1", "a.isospan", files[1], files[2]];
@@ -595,7 +610,7 @@ fn a_kill_while_a_step_is_added_to_a_mesh_leaves_the_archive_as_it_was() {
         if !archive.exists() {
             ok(d, &[&["reduce", "-q", files[0], "-o", "a.isospan"], &choices[..]].concat());
         }
-        let old = fs::read(archive.join("manifest.json")).unwrap();
+        let old = fs::read(archive.join("manifest.zst")).unwrap();
         let mut child = spawn(d, &append);
         let started = Instant::now();
         while !archive.join(states[kills]).exists() && child.try_wait().unwrap().is_none() {
@@ -604,7 +619,7 @@ fn a_kill_while_a_step_is_added_to_a_mesh_leaves_the_archive_as_it_was() {
         }
         let _ = child.kill();
         end(child);
-        if fs::read(archive.join("manifest.json")).unwrap() != old {
+        if fs::read(archive.join("manifest.zst")).unwrap() != old {
             // Killed when all was done: begin again.
             fs::remove_dir_all(&archive).unwrap();
             continue;
@@ -630,9 +645,22 @@ fn a_changed_byte_in_a_large_input_is_noticed() {
     assert!(bytes.len() > 19 << 20);
     let path = d.join("v.raw");
     let layout = ["--dims", "272,272,272", "--type", "uint8"];
-    let reduce =
-        [&["reduce", "-q", "v.raw", "-o", "a.isospan", "--count", "3000", "--no-measure"], &layout[..]]
-            .concat();
+    let reduce = [
+        &[
+            "reduce",
+            "-q",
+            "v.raw",
+            "-o",
+            "a.isospan",
+            "--points",
+            "regular",
+            "--count",
+            "3000",
+            "--no-measure",
+        ],
+        &layout[..],
+    ]
+    .concat();
     let reduce = [&reduce[..], &["--values", "sample"]].concat();
     let plan = [&["plan", "-q"], &reduce[2..3], &["-o", "p.isospan"], &reduce[5..]].concat();
     let append = ["append", "-q", "a.isospan", "v.raw", "--dims", "272,272,272", "--type", "uint8"];
@@ -709,7 +737,7 @@ fn an_input_that_changes_during_a_run_is_refused() {
             if status.code() == Some(5) {
                 assert!(text.trim_end().lines().count() == 1 && text.contains(file), "{text}");
                 assert!(text.contains("run the same command again"), "{text}");
-                assert!(!d.join("x.isospan/manifest.json").exists());
+                assert!(!d.join("x.isospan/manifest.zst").exists());
                 break;
             }
             assert!(status.success(), "{status}: {text}");

@@ -5,7 +5,7 @@ use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::measure::FieldError;
-use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, ValueBits};
+use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use std::fs;
@@ -57,7 +57,7 @@ fn neither_threads_nor_chunks_show_in_fitted_values() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("waves.npy");
     write_npy(&input, [44, 52, 36], waves);
-    for kind in [SetKind::Hammersley, SetKind::Bcc, SetKind::HyperbolicCross] {
+    for kind in [SetKind::Hammersley, SetKind::Regular, SetKind::HyperbolicCross] {
         let sampled = settings(kind, Amount::Fraction(0.2), 1_000);
         let mut sets = vec![];
         for chunk_points in [1_000, 4_000, u64::MAX >> 20] {
@@ -94,7 +94,7 @@ fn an_interrupted_reduction_continues_to_the_same_bytes() {
         // file.
         let out = dir.path().join(format!("lost{lost}.isospan"));
         reduce(&input, &settings, &out, 1);
-        fs::remove_file(out.join("manifest.json")).unwrap();
+        fs::remove_file(out.join("manifest.zst")).unwrap();
         let files: Vec<_> =
             folder(&out).into_keys().filter(|f| f.extension().is_some_and(|e| e == "seg")).collect();
         fs::remove_file(out.join(&files[lost])).unwrap();
@@ -112,7 +112,7 @@ fn segments_of_another_plan_are_not_taken() {
     write_npy(&input, [30, 30, 30], waves);
     let out = dir.path().join("a.isospan");
     reduce(&input, &settings(SetKind::Halton, AMOUNT, 5_000), &out, 2);
-    fs::remove_file(out.join("manifest.json")).unwrap();
+    fs::remove_file(out.join("manifest.zst")).unwrap();
     let other = settings(SetKind::Halton, Amount::Fraction(0.4), 5_000);
     let anew = |replace| {
         let run = RunSettings { replace, ..run(2) };
@@ -140,7 +140,7 @@ fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
     let mut sets = vec![];
     for chunk_points in [1_000, 7_000] {
         let lossless = settings(SetKind::Halton, AMOUNT, chunk_points);
-        let rounded = ReduceSettings { value_bits: ValueBits::Bits(10.0), ..lossless.clone() };
+        let rounded = ReduceSettings { value_bits: Some(10.0), ..lossless.clone() };
         let out = dir.path().join(format!("{chunk_points}.isospan"));
         let report = reduce(&input, &rounded, &out, 2);
         let quantiser = report.quantiser.unwrap();

@@ -147,8 +147,14 @@ fn axes_of_one_sample_are_read_and_cannot_be_meshed() {
             assert!(info.status.success(), "{format} {dims:?}: {told}");
             let json: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
             assert_eq!(json["info"]["dims"], serde_json::json!(dims), "{format}");
-            let reduced =
-                isospan(d, &with(&["-q", "reduce"], &volume, &["-o", "a.isospan", "--fraction", "1"]));
+            let reduced = isospan(
+                d,
+                &with(
+                    &["-q", "reduce"],
+                    &volume,
+                    &["-o", "a.isospan", "--points", "regular", "--fraction", "1"],
+                ),
+            );
             let line = String::from_utf8(reduced.stderr).unwrap();
             if dims.contains(&1) {
                 // Nothing lies between samples along such an axis: there is nothing to mesh.

@@ -24,7 +24,7 @@ fn fails(dir: &Path, args: &[&str]) -> (i32, String) {
 /// An archive of a ball, `v.isospan`.
 fn archive(d: &Path) {
     write_npy(&d.join("v.npy"), [24, 22, 20], ball);
-    ok(d, &["reduce", "v.npy", "-o", "v.isospan", "--fraction", "1/2", "-q"]);
+    ok(d, &["reduce", "v.npy", "-o", "v.isospan", "--points", "regular", "--fraction", "1/2", "-q"]);
 }
 
 /// A surface for standard output that nobody takes is not delivered.
@@ -84,7 +84,7 @@ fn what_is_unpacked_already_is_nothing_to_do() {
 fn gc_takes_a_manifest_for_what_it_says() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
-    for name in ["manifest.json", "x.isospan.work/plan.json"] {
+    for name in ["manifest.zst", "x.isospan.work/plan.json"] {
         let folder = d.join("x.isospan");
         let file = if name.contains('/') { d.join(name) } else { folder.join(name) };
         fs::create_dir_all(&folder).unwrap();
@@ -107,12 +107,12 @@ fn nothing_is_added_to_an_archive_that_has_lost_a_file() {
     let values = fs::read_dir(d.join("v.isospan/steps")).unwrap().map(|entry| entry.unwrap().path());
     let lost = values.into_iter().find(|path| path.extension().is_some_and(|e| e == "seg")).unwrap();
     let bytes = fs::read(&lost).unwrap();
-    let manifest = fs::read(d.join("v.isospan/manifest.json")).unwrap();
+    let manifest = fs::read(d.join("v.isospan/manifest.zst")).unwrap();
     fs::remove_file(&lost).unwrap();
     let (code, error) = fails(d, &["append", "v.isospan", "w.npy"]);
     let name = lost.file_name().unwrap().to_string_lossy().into_owned();
     assert!(code != 0 && error.contains(&name), "{code}: {error}");
-    assert!(fs::read(d.join("v.isospan/manifest.json")).unwrap() == manifest);
+    assert!(fs::read(d.join("v.isospan/manifest.zst")).unwrap() == manifest);
     fs::write(&lost, bytes).unwrap();
     ok(d, &["append", "v.isospan", "w.npy"]);
 }

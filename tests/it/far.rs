@@ -140,12 +140,29 @@ fn a_volume_on_a_map_is_cut_where_the_box_says() {
             "0.01,0.01,0.01",
             "--origin",
             origin,
+            "--points",
+            "regular",
             "--fraction",
             "1",
             "-q",
         ],
     );
-    ok(d, &["reduce", "v.npy", "-o", "n.isospan", "--spacing", "0.01,0.01,0.01", "--fraction", "1", "-q"]);
+    ok(
+        d,
+        &[
+            "reduce",
+            "v.npy",
+            "-o",
+            "n.isospan",
+            "--spacing",
+            "0.01,0.01,0.01",
+            "--points",
+            "regular",
+            "--fraction",
+            "1",
+            "-q",
+        ],
+    );
     let cut = |archive: &str, out: &str, roi: &str| {
         ok(d, &["surface", archive, "-i", "0.3", "-o", out, "--roi", roi]);
         json(d, &["check", out, "--within", archive, "--roi", roi])
@@ -181,6 +198,8 @@ fn coordinates_beyond_f32_are_refused_by_name() {
                 "v.isospan",
                 "--spacing",
                 spacing,
+                "--points",
+                "regular",
                 "--fraction",
                 "1/2",
                 "-q",

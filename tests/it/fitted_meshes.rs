@@ -142,7 +142,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     .unwrap();
     assert_eq!(folder(&again), expected, "threads and memory");
     // Killed when the mesh was whole and values were not: what is around each chunk is made again.
-    fs::remove_file(again.join("manifest.json")).unwrap();
+    fs::remove_file(again.join("manifest.zst")).unwrap();
     let values = expected.keys().filter(|p| p.to_string_lossy().contains("values-"));
     values.for_each(|p| fs::remove_file(again.join(p)).unwrap());
     reduce(&input, &settings, &again, 2);

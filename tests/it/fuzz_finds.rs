@@ -8,7 +8,7 @@ use isospan::archive::segment::SegmentKind;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::index::{Entry, IndexBuilder, SpanIndex};
-use isospan::pipeline::{self, Amount, Finding, Notice};
+use isospan::pipeline::{self, Amount};
 use isospan::points::SetKind;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -124,18 +124,6 @@ fn more_points_than_bricks_can_hold_are_refused_at_once() {
             assert!(!out.exists(), "nothing is left");
         }
     }
-}
-
-/// Nodes at all samples are the most that a lattice has, and it says so.
-#[test]
-fn a_lattice_has_no_more_points_than_nodes_at_all_samples_take() {
-    let dir = tempfile::tempdir().unwrap();
-    let (input, out) = (dir.path().join("waves.npy"), dir.path().join("a.isospan"));
-    write_npy(&input, [20, 20, 20], waves);
-    let report = reduce(&input, &settings(SetKind::Bcc, Amount::Count(1 << 59), 250_000), &out, 1);
-    assert_eq!(report.points, 8000 + 19 * 19 * 19 + 6 * 19 * 19);
-    let is_said = |n: &Notice| matches!(n.finding, Finding::MorePoints { points: 0x0800_0000_0000_0000, .. });
-    assert!(report.notices.iter().any(is_said), "{:?}", report.notices);
 }
 
 /// A long thin volume was cut into a chunk for each of its bricks, all halo: a minute for a

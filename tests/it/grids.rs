@@ -9,6 +9,7 @@ use isospan::pipeline::{
     Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice, StepRange,
     SurfaceSettings, reduce_series,
 };
+use isospan::points::SetKind;
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
 use isospan::{Archive, Result};
@@ -66,7 +67,8 @@ fn curvilinear(path: &Path, place: Place, field: Field) {
 }
 
 fn small_chunks() -> ReduceSettings {
-    ReduceSettings { amount: Amount::Fraction(1.0), chunk_points: 1500, ..Default::default() }
+    let points = Some(SetKind::Regular);
+    ReduceSettings { points, amount: Amount::Fraction(1.0), chunk_points: 1500, ..Default::default() }
 }
 
 fn make(input: &Path) -> Result<(PathBuf, ReduceReport)> {

@@ -47,6 +47,8 @@ fn copies_in_the_scratch_folder_are_private() {
                 "128,128,100",
                 "--type",
                 "float32",
+                "--points",
+                "regular",
                 "--fraction",
                 "1/64",
                 "--no-measure",
@@ -68,7 +70,7 @@ fn copies_in_the_scratch_folder_are_private() {
     assert!(!seen.is_empty() && seen.iter().all(|&mode| mode == 0o600), "{seen:?}");
     let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
     fs::write(d.join("usual"), "").unwrap();
-    assert_eq!(mode(&d.join("w.isospan/manifest.json")), mode(&d.join("usual")));
+    assert_eq!(mode(&d.join("w.isospan/manifest.zst")), mode(&d.join("usual")));
 }
 
 #[test]
@@ -88,7 +90,20 @@ fn mapped_and_read_files_give_the_same() {
             let (archive, bricks) = (format!("{input}.{io}.isospan"), format!("{input}.{io}.bricks"));
             ok(
                 d,
-                &["reduce", input, "-o", &archive, "--io", io, "--fraction", "1/2", "--chunk-points", "5000"],
+                &[
+                    "reduce",
+                    input,
+                    "-o",
+                    &archive,
+                    "--io",
+                    io,
+                    "--points",
+                    "regular",
+                    "--fraction",
+                    "1/2",
+                    "--chunk-points",
+                    "5000",
+                ],
             );
             ok(d, &["brick", input, "-o", &bricks, "--io", io]);
             results.push((info, folder(&d.join(&archive)), fs::read(d.join(&bricks)).unwrap()));
@@ -115,8 +130,21 @@ fn an_input_that_shrinks_is_an_error_that_names_it() {
         }
         fs::copy(d.join("good.npy"), d.join("v.npy")).unwrap();
         let (out, n) = (format!("{n}.isospan"), n % 10);
-        let args =
-            ["reduce", "v.npy", "-o", &out, "--io", io, "--chunk-points", "20000", "--threads", "2", "-q"];
+        let args = [
+            "reduce",
+            "v.npy",
+            "-o",
+            &out,
+            "--io",
+            io,
+            "--points",
+            "regular",
+            "--chunk-points",
+            "20000",
+            "--threads",
+            "2",
+            "-q",
+        ];
         let child = Command::new(env!("CARGO_BIN_EXE_isospan"))
             .current_dir(d)
             .args(args)
@@ -147,7 +175,24 @@ fn progress_comes_in_the_form_asked_for() {
     let d = dir.path();
     write_npy(&d.join("w.npy"), [40, 30, 20], waves);
     let reduce = |extra: &[&str]| {
-        ok(d, &[&["reduce", "w.npy", "-o", "w.isospan", "--force", "--spacing", "1,1,1"], extra].concat())
+        ok(
+            d,
+            &[
+                &[
+                    "reduce",
+                    "w.npy",
+                    "-o",
+                    "w.isospan",
+                    "--points",
+                    "regular",
+                    "--force",
+                    "--spacing",
+                    "1,1,1",
+                ],
+                extra,
+            ]
+            .concat(),
+        )
     };
     // JSON alone on standard error, the counts of each stage complete.
     let (_, err) = reduce(&["--progress", "json", "-v"]);

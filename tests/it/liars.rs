@@ -450,7 +450,9 @@ fn command(what: &str, url: &str, way: &str) -> Vec<String> {
     let words = match what {
         "info" => format!("info {url}/{way}/waves.isospan --json"),
         "count" => format!("count {url}/{way}/waves.isospan -i 0.1"),
-        _ => format!("reduce {url}/{way}/waves.npy -o {way}.isospan --fraction 1/8 --memory 256MiB -q"),
+        _ => format!(
+            "reduce {url}/{way}/waves.npy -o {way}.isospan --points regular --fraction 1/8 --memory 256MiB -q"
+        ),
     };
     words.split(' ').map(str::to_owned).collect()
 }
@@ -484,7 +486,7 @@ fn against(lies: &[(&'static str, Must, Lie)], commands: &[&str]) {
                     let Some((what, (way, must, _))) = next.lock().unwrap().pop() else { return };
                     let found = outcome(d, &command(what, &url, way), MOST);
                     let Outcome { code, seconds, memory, .. } = found;
-                    let left = d.join(format!("{way}.isospan/manifest.json")).exists() && code != Some(0);
+                    let left = d.join(format!("{way}.isospan/manifest.zst")).exists() && code != Some(0);
                     let half = left.then_some("half an archive");
                     let is_right = code == Some(0) && answer(d, what, way, &found) == *honest(what);
                     if let Some(why) = wrong(*must, &found, is_right).or(half) {

@@ -6,9 +6,7 @@ use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, open_volume};
 use isospan::grid::IndexBox;
 use isospan::measure::FieldError;
-use isospan::pipeline::{
-    Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, ValueBits, measure,
-};
+use isospan::pipeline::{Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, measure};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::volume::VolumeSource;
@@ -44,7 +42,7 @@ fn the_error_is_that_of_the_probed_field() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("waves.npy"), dir.path().join("waves.isospan"));
     write_npy(&input, [31, 28, 25], waves);
-    for (kind, bits) in [(SetKind::Hammersley, ValueBits::Exact), (SetKind::Bcc, ValueBits::Bits(6.0))] {
+    for (kind, bits) in [(SetKind::Hammersley, None), (SetKind::Regular, Some(6.0))] {
         let settings = ReduceSettings { value_bits: bits, ..settings(kind, Amount::Fraction(0.2), 1_000) };
         let _ = std::fs::remove_dir_all(&out);
         reduce(&input, &settings, &out, 2);
@@ -169,7 +167,7 @@ fn another_input_is_refused_in_one_line() {
     write_npy(&input, [12, 12, 12], waves);
     write_npy(&other, [12, 12, 13], waves);
     let out = dir.path().join("a.isospan");
-    reduce(&input, &ReduceSettings::default(), &out, 1);
+    reduce(&input, &ReduceSettings::exact(SetKind::Regular), &out, 1);
     let refused = |input: &Path, memory: u64| {
         let settings = MeasureSettings {
             resources: Resources::default().with_memory(memory),

@@ -14,8 +14,8 @@ fn reduce_with(dir: &Path, out: &str, memory: &str, more: &[&str]) -> Output {
     isospan(dir, &[&["-q", "reduce", "w.npy", "-o", out, "--memory", memory][..], more].concat())
 }
 
-/// A set that is meshed, and the lattice, whose mesh follows by formula.
-const SETS: [&str; 2] = ["hammersley", "lattice"];
+/// A set whose mesh is made again by readers, and one whose mesh is stored.
+const SETS: [&str; 2] = ["hammersley", "regular"];
 
 /// A volume, and settings by which it becomes many chunks of points of each set.
 fn waves_in(dir: &Path) -> [[&'static str; 6]; 2] {
@@ -49,7 +49,9 @@ fn a_small_address_space_is_refused_in_a_line() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("w.npy"), [20, 20, 20], waves);
-    assert!(isospan(d, &["reduce", "-q", "w.npy", "-o", "w.isospan"]).status.success());
+    assert!(
+        isospan(d, &["reduce", "-q", "w.npy", "-o", "w.isospan", "--points", "regular"]).status.success()
+    );
     let (mut refused, mut done) = (0, 0);
     for kib in (20_000u64..160_000).step_by(4_000) {
         for args in [
@@ -220,7 +222,9 @@ fn a_surface_is_checked_the_same_whatever_its_memory() {
     let d = dir.path();
     // Short waves: much surface in few points, so that the least memory does not hold it.
     write_npy(&d.join("w.npy"), [54, 50, 46], |x, y, z| waves(4.0 * x, 4.0 * y, 4.0 * z));
-    assert!(reduce_with(d, "w.isospan", "1GiB", &["--fraction", "1/2"]).status.success());
+    assert!(
+        reduce_with(d, "w.isospan", "1GiB", &["--points", "regular", "--fraction", "1/2"]).status.success()
+    );
     let mut reports = vec![];
     for format in ["ply", "stl", "obj", "vtp", "vtkhdf", "glb"] {
         let file = format!("s.{format}");
@@ -257,8 +261,19 @@ fn what_a_decoder_needs_is_known_beforehand() {
         \"compressor\": null, \"fill_value\": 0, \"order\": \"C\", \"filters\": null}";
     fs::write(d.join("v.zarr/.zarray"), array).unwrap();
     let dry = |memory: &str| {
-        let args =
-            ["reduce", "v.zarr", "-o", "v.isospan", "--count", "1000", "--dry-run", "--memory", memory];
+        let args = [
+            "reduce",
+            "v.zarr",
+            "-o",
+            "v.isospan",
+            "--points",
+            "regular",
+            "--count",
+            "1000",
+            "--dry-run",
+            "--memory",
+            memory,
+        ];
         isospan(d, &args)
     };
     let refused = dry("64MiB");

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-const CHOICES: [&str; 2] = ["--fraction", "1/2"];
+const CHOICES: [&str; 4] = ["--points", "regular", "--fraction", "1/2"];
 
 /// A night in a folder: its exit code, its summary, and what it said on standard error.
 fn night(dir: &Path, more: &[&str]) -> (i32, Value, String) {
@@ -174,7 +174,7 @@ fn wrong_use_is_told_at_once() {
     for (more, expected) in [
         (["--again", "--no-measure"], "add --submit"),
         (["--option", "x"], "expected an option of sbatch"),
-        (["--points", "nothing"], "nothing"),
+        (["--values", "nothing"], "nothing"),
     ] {
         let (code, _, errors) = night(dir, &more);
         assert!(code == 2 && errors.contains(expected), "{code} {errors}");

@@ -62,7 +62,7 @@ fn fill_values_are_named_by_every_door() {
     assert_eq!(notices(d, &[&reduce[..], &["--force", "-q"]].concat()), [""; 0]);
     let masked = ["--missing", "-1e34", "--nan", "mask"];
     assert_eq!(
-        notices(d, &["reduce", "a.npy", "-o", "m.isospan", masked[0], masked[1], masked[2], masked[3]]),
+        notices(d, &[&["reduce", "a.npy", "-o", "m.isospan", "--points", "regular"], &masked[..]].concat()),
         [""; 0]
     );
     // Further steps, and a report for programs.
@@ -177,10 +177,13 @@ fn labels_are_pointed_to_nearest() {
     let d = dir.path();
     bytes(&d.join("l.nrrd"), [30, 30, 30], |x, y, z| [0, 7, 3, 200][(x / 15 + 2 * (y / 12) + z / 20).min(3)]);
     let line = "isospan: l.nrrd: the samples have 4 different values (0 .. 200), as labels do: \
-                --interp nearest keeps them, where others lie between";
+                --lossless keeps them; so does --interp nearest at points";
     assert_eq!(notices(d, &["info", "l.nrrd"]), [line]);
     assert_eq!(notices(d, &["reduce", "l.nrrd", "-o", "l.isospan", "--dry-run"]), [line]);
-    assert_eq!(notices(d, &["reduce", "l.nrrd", "-o", "l.isospan", "--interp", "nearest"]), [""; 0]);
+    assert_eq!(
+        notices(d, &["reduce", "l.nrrd", "-o", "l.isospan", "--points", "regular", "--interp", "nearest"]),
+        [""; 0]
+    );
 }
 
 #[test]
@@ -191,11 +194,15 @@ fn more_points_than_samples_and_a_large_archive_are_named_before_work() {
         (100.0 + 90.0 * (x as f64 * 0.11).sin() * (0.07 * (y + z) as f64).cos()) as u8
     };
     bytes(&d.join("u.nrrd"), [64, 64, 64], wave);
-    let dry =
-        |more: &[&str]| notices(d, &[&["reduce", "u.nrrd", "-o", "u.isospan", "--dry-run"], more].concat());
+    let dry = |more: &[&str]| {
+        notices(
+            d,
+            &[&["reduce", "u.nrrd", "-o", "u.isospan", "--points", "regular", "--dry-run"], more].concat(),
+        )
+    };
     let larger = "isospan: u.nrrd: the archive takes about 1.5 MiB (48.0 bits a sample), more than its source, \
                   256.0 KiB (8.0 bits a sample): --fraction 1/8 or --value-bits makes it smaller";
-    assert_eq!(dry(&["--points", "regular", "--fraction", "100%"]), [larger]);
+    assert_eq!(dry(&["--fraction", "100%"]), [larger]);
     assert_eq!(dry(&["--fraction", "12.5%"]), [""; 0]);
     let said = dry(&["--fraction", "200%"]);
     let more = "isospan: u.nrrd: --fraction 2 asks for 524 288 points, more than its 262 144 samples: \

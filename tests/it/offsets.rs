@@ -8,7 +8,7 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::{Input, OpenOptions, StepSource, open_input, open_mesh};
 use isospan::pipeline::{
     self, Adapt, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ProbeSettings,
-    ReduceSettings, SurfaceSettings, ValueBits,
+    ReduceSettings, SurfaceSettings,
 };
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
@@ -178,7 +178,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
     let hole = |n: usize, p| if n.is_multiple_of(7) { fill } else { PASCAL + wave(p) };
     write_wide(&out("c.npy"), "f8", f64::to_le_bytes, |n, p| if n == 5 { f64::NAN } else { hole(n, p) });
     let step = |name: &str| StepSource::new(&out(name), &OpenOptions::default());
-    let with = ReduceSettings { value_bits: ValueBits::Bits(16.0), ..quarter() };
+    let with = ReduceSettings { value_bits: Some(16.0), ..quarter() };
     for (n, settings) in [quarter(), with].iter().enumerate() {
         let name = |what: &str| out(&format!("{what}{n}.isospan"));
         reduce(&out("a.npy"), settings, &name("one"), 2);

@@ -4,7 +4,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{self, Amount, AppendSettings, ReduceReport, ReduceSettings, StepChoice, ValueBits};
+use isospan::pipeline::{self, Amount, AppendSettings, ReduceReport, ReduceSettings, StepChoice};
 use isospan::points::SetKind;
 use isospan::{Archive, Result};
 use std::fs;
@@ -23,12 +23,12 @@ fn steps(dir: &Path, times: &[f64]) -> Vec<StepSource> {
     times.iter().map(|time| step(dir, &format!("v{time}.npy"), *time)).collect()
 }
 
-fn few_points(bits: ValueBits) -> ReduceSettings {
+fn few_points(bits: Option<f64>) -> ReduceSettings {
     let settings = settings(SetKind::Halton, Amount::Fraction(0.3), 500);
     ReduceSettings { keyframes: 8, value_bits: bits, ..settings }
 }
 
-fn reduce(steps: &[StepSource], bits: ValueBits, out: &Path) {
+fn reduce(steps: &[StepSource], bits: Option<f64>, out: &Path) {
     let _ = fs::remove_dir_all(out);
     pipeline::reduce_series(steps, &few_points(bits), out, &run(2), &Silent).unwrap();
 }
@@ -50,7 +50,7 @@ fn samples(archive: &Path, choice: StepChoice) -> Vec<u64> {
 }
 
 /// Each step is what it is alone.
-fn are_alone(dir: &Path, archive: &Path, sources: &[&StepSource], bits: ValueBits) {
+fn are_alone(dir: &Path, archive: &Path, sources: &[&StepSource], bits: Option<f64>) {
     check_archive(archive).unwrap();
     for (number, source) in (0..).zip(sources) {
         let one = dir.join("one.isospan");
@@ -66,7 +66,7 @@ fn a_step_between_others_goes_between_them() {
     let dir = tempfile::tempdir().unwrap();
     let (dir, out) = (dir.path(), dir.path().join("a.isospan"));
     let all = steps(dir, &[-1.0, 0.0, 0.5, 1.0, 1.5, 2.0, 3.0]);
-    for bits in [ValueBits::Exact, ValueBits::Bits(12.0)] {
+    for bits in [None, Some(12.0)] {
         reduce(&[all[1].clone(), all[3].clone(), all[5].clone()], bits, &out);
         let before = folder(&out);
         // In any order, behind the archive and between its steps.
@@ -76,7 +76,7 @@ fn a_step_between_others_goes_between_them() {
         assert_eq!(order(&out), [(0, 0.0), (1, 0.5), (2, 1.0), (3, 1.5), (4, 2.0), (5, 3.0)]);
         let after = folder(&out);
         let kept =
-            |(file, bytes): (&PathBuf, &Vec<u8>)| file.ends_with("manifest.json") || after[file] == *bytes;
+            |(file, bytes): (&PathBuf, &Vec<u8>)| file.ends_with("manifest.zst") || after[file] == *bytes;
         assert!(before.iter().all(kept), "no file of the archive was touched");
         append(&all[..1], false, &out).unwrap();
         let sources: Vec<&StepSource> = all.iter().collect();
@@ -100,7 +100,7 @@ fn a_time_that_is_there_is_refused_or_replaced() {
     let dir = tempfile::tempdir().unwrap();
     let (dir, out) = (dir.path(), dir.path().join("a.isospan"));
     let mut all = steps(dir, &[0.0, 0.5, 1.0, 1.5]);
-    for bits in [ValueBits::Exact, ValueBits::Bits(12.0)] {
+    for bits in [None, Some(12.0)] {
         reduce(&all, bits, &out);
         let whole = folder(&out);
         // The first, one to which others refer, and the last.
@@ -142,14 +142,14 @@ fn a_file_without_a_time_replaces_that_of_its_name() {
     let (dir, out) = (dir.path(), dir.path().join("a.isospan"));
     let mut all = steps(dir, &[0.0, 1.0, 2.0]);
     all.iter_mut().for_each(|step| step.time = None);
-    reduce(&all, ValueBits::Exact, &out);
+    reduce(&all, None, &out);
     write_npy(&all[1].path, DIMS, |x, y, z| waves(x + 0.3, y, z));
     let report = append(&all[1..2], true, &out).unwrap();
     assert_eq!((report.replaced, report.steps[0].number), (vec![1], 1));
     let values = samples(&out, StepChoice::Number(1));
     assert!(samples(&out, StepChoice::Time(1.0)) == values);
     let one = dir.join("one.isospan");
-    reduce(&all[1..2], ValueBits::Exact, &one);
+    reduce(&all[1..2], None, &one);
     assert!(values == samples(&one, StepChoice::First));
     check_archive(&out).unwrap();
     // A program may give every step the same name.
@@ -183,7 +183,7 @@ fn coordinates_stay_with_the_files_that_have_them() {
         fs::write(dir.join(name), text).unwrap();
         StepSource::new(&dir.join(name), &OpenOptions::default()).at(Some(time))
     };
-    reduce(&[grid("a.vtk", 1.0, 0.0)], ValueBits::Exact, &out);
+    reduce(&[grid("a.vtk", 1.0, 0.0)], None, &out);
     let place = |archive: &Path| {
         let surface =
             Archive::open(archive).unwrap().at(StepChoice::Time(1.0)).unwrap().surface(20.0).unwrap();

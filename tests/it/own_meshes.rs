@@ -9,7 +9,7 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, measure, reduce_series,
+    RunSettings, SurfaceSettings, UnpackSettings, append, measure, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Interpolation;
@@ -322,7 +322,8 @@ fn bodies_that_overlap_are_both_there() {
     let mut grids = vec![];
     for threads in [1, 2, 5] {
         let out = dir.path().join(format!("{threads}.npy"));
-        let settings = pipeline::ProbeSettings { resources: Resources::default().with_threads(threads) };
+        let settings =
+            pipeline::ProbeSettings { resources: Resources::default().with_threads(threads), level: None };
         let report = open.write_samples([31, 30, 29], &settings, &out, SampleFormat::Npy, &Silent).unwrap();
         let bytes = std::fs::read(&out).unwrap();
         let values = &bytes[bytes.len() - 4 * 31 * 30 * 29..];
@@ -500,7 +501,7 @@ fn errors_are_those_of_rounded_values_alone() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("ell.vtk");
     write_mesh(&input, 9, |[x, y, _]| x < 0.5 || y < 0.5, |p| p, |[x, y, z]| (4.0 * x).sin() + y * y + z);
-    let settings = ReduceSettings { value_bits: ValueBits::Bits(8.0), ..whole(100) };
+    let settings = ReduceSettings { value_bits: Some(8.0), ..whole(100) };
     let (out, report) = kept(&input, &settings, "ell.isospan", &run(2));
     let (e, bound) = (report.error.unwrap(), report.quantiser.unwrap().bound);
     assert!(e.rms > 0.0 && e.max <= bound * 1.000_001 && e.max > bound / 4.0, "{e:?} {bound}");
@@ -618,8 +619,7 @@ fn damaged_plans_of_kept_meshes_are_refused() {
     let input = dir.path().join("box.vtk");
     write_mesh(&input, 5, |_| true, |p| p, |p| p[0]);
     let (archive, _) = kept(&input, &whole(1000), "box.isospan", &run(1));
-    let manifest = archive.join("manifest.json");
-    let good = std::fs::read_to_string(&manifest).unwrap();
+    let good = common::manifest_json(&archive);
     for (from, to) in [
         ("\"set\":\"own\"", "\"set\":\"halton\""),
         ("\"own\":{", "\"owm\":{"),
@@ -627,7 +627,7 @@ fn damaged_plans_of_kept_meshes_are_refused() {
     ] {
         let bad = good.replacen(from, to, 1);
         assert!(bad != good, "{from}: {good}");
-        std::fs::write(&manifest, bad).unwrap();
+        common::put_manifest(&archive, &bad);
         assert!(check_archive(&archive).is_err(), "{from}");
     }
 }

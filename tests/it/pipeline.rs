@@ -116,8 +116,7 @@ fn holes_are_not_bridged() {
     assert_eq!(error.exit_code(), 5);
     assert!(error.to_string().contains("--nan mask"), "{error}");
     assert!(!pipeline::is_archive(&out));
-    let masked =
-        ReduceSettings { nan: NanPolicy::Mask, amount: Amount::Fraction(0.5), ..ReduceSettings::default() };
+    let masked = ReduceSettings { nan: NanPolicy::Mask, ..ReduceSettings::default() };
     let report = reduce(&input, &masked, &out, 2);
     assert!(report.void_points > report.points / 3 && report.void_points < report.points * 2 / 3);
     let file = dir.path().join("s.ply");
@@ -274,7 +273,7 @@ fn fitted_values_make_no_surface_far_from_that_of_all_samples() {
     };
     let all = settings(SetKind::Regular, Amount::Fraction(1.0), 250_000);
     let (full, range) = archive("full.isospan", &all);
-    let few = ReduceSettings { amount: Amount::Fraction(0.125), values: Values::Fit, ..Default::default() };
+    let few = ReduceSettings { values: Values::Fit, ..ReduceSettings::exact(SetKind::Hammersley) };
     let (fitted, of_fitted) = archive("fitted.isospan", &few);
     assert!(range[0] <= of_fitted[0] && of_fitted[1] <= range[1], "{range:?} {of_fitted:?}");
     // At 1200 there is the bright block alone; nothing is below the air.

@@ -1,6 +1,6 @@
 //! Meshes of polyhedra: they are split without holes, and agree with other cells.
 
-use crate::common::{check_archive, folder, run};
+use crate::common::{check_archive, folder, manifest_json, run};
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
@@ -237,8 +237,7 @@ fn kept(input: &Path, run: &RunSettings) -> (PathBuf, ReduceReport) {
 /// Six times the volume of the tetrahedra that an archive keeps, as a part of the cube of 2^24
 /// steps.
 fn volume(archive: &Path) -> f64 {
-    let text = std::fs::read_to_string(archive.join("manifest.json")).unwrap();
-    let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let manifest: serde_json::Value = serde_json::from_str(&manifest_json(archive)).unwrap();
     let words = &manifest["plan"]["own"]["volume6"];
     let word = |i: usize| words[i].as_u64().unwrap();
     ((u128::from(word(1)) << 64 | u128::from(word(0))) as f64) / (6u128 << 72) as f64

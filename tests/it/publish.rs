@@ -265,7 +265,7 @@ mod others {
         }
         swap(&|at| fs::write(at, &whole).unwrap());
         // Folders and the manifest are no links either.
-        for name in ["mesh", "manifest.json"] {
+        for name in ["mesh", "manifest.zst"] {
             let away = d.join(format!("away-{name}"));
             fs::rename(archive.join(name), &away).unwrap();
             symlink(&away, archive.join(name)).unwrap();
@@ -368,7 +368,7 @@ fn a_program_gets_files_by_ranges_itself() {
     }
     assert_eq!(local.count(0.1).unwrap().active_tetrahedra, there.count(0.1).unwrap().active_tetrahedra);
     let error = Archive::open("host://folder/none.isospan").err().unwrap().to_string();
-    assert!(error.contains("host://folder/none.isospan/manifest.json"), "{error}");
+    assert!(error.contains("host://folder/none.isospan/manifest.zst"), "{error}");
     let error = Archive::open("host://nobody/waves.isospan").err().unwrap().to_string();
     assert!(error.contains("'nobody'"), "{error}");
 }

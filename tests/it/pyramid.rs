@@ -4,8 +4,8 @@ use crate::common::*;
 use isospan::exec::{CancelToken, Resources, Silent};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, AppendSettings, Bound, MeasureSettings, ReduceSettings, RunSettings, StepChoice, SurfaceSettings,
-    Target,
+    self, AppendSettings, Bound, LevelChoice, MeasureSettings, ReduceSettings, RunSettings, StepChoice,
+    SurfaceSettings, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -154,7 +154,10 @@ fn levels_are_coarser_and_a_missing_one_is_named() {
     let archive = Archive::open(&out).unwrap();
     let levels = archive.info().unwrap().pyramid;
     assert_eq!((levels[0].nodes, levels[1].nodes), ([64, 60, 70], [32, 30, 35]));
-    let surface = |level| archive.surfaces(&SurfaceSettings { level, ..SurfaceSettings::of(0.1) });
+    let surface = |level| {
+        archive
+            .surfaces(&SurfaceSettings { level: Some(LevelChoice::Level(level)), ..SurfaceSettings::of(0.1) })
+    };
     let area = |mesh: &TriMesh| check(mesh).area;
     let fine = surface(0).unwrap().remove(0);
     for level in 1..4 {
@@ -305,7 +308,7 @@ fn what_asks_for_tetrahedra_or_points_is_refused_by_name() {
     let points = dir.path().join("points.isospan");
     let halton = ReduceSettings::exact(SetKind::Halton);
     reduce(&input, &halton, &points, 2);
-    let settings = SurfaceSettings { level: 1, ..SurfaceSettings::of(0.1) };
+    let settings = SurfaceSettings { level: Some(LevelChoice::Level(1)), ..SurfaceSettings::of(0.1) };
     let error = Archive::open(&points).unwrap().surfaces(&settings).unwrap_err().to_string();
     assert!(error.contains("is no pyramid: it has no levels"), "{error}");
     let refused = |settings: &ReduceSettings| {

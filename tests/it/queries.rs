@@ -60,7 +60,7 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
 
 #[test]
 fn parts_of_surfaces_put_together_are_the_surfaces() {
-    for kind in [SetKind::Bcc, SetKind::Halton] {
+    for kind in [SetKind::Regular, SetKind::Halton] {
         let dir = tempfile::tempdir().unwrap();
         let archive = Archive::open(archive(dir.path(), kind)).unwrap();
         for threads in [1, 2] {

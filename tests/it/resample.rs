@@ -388,8 +388,10 @@ fn chunks_threads_and_memory_do_not_show_in_samples() {
             reduce(&input, &settings(SetKind::Hammersley, Amount::Fraction(0.25), chunk_points), &archive, 2);
         }
         let out = dir.path().join("w.npy.out.npy");
-        let settings =
-            ProbeSettings { resources: Resources::default().with_threads(threads).with_memory(memory) };
+        let settings = ProbeSettings {
+            resources: Resources::default().with_threads(threads).with_memory(memory),
+            level: None,
+        };
         let (report, values) = probe(&archive, [61, 31, 47], &settings, &out);
         assert_eq!(report.samples, 61 * 31 * 47);
         assert!(values.iter().all(|v| v.is_finite()));
@@ -453,7 +455,7 @@ fn points_get_the_values_of_samples_and_a_table_keeps_its_columns() {
     // With the least memory, points come in many batches.
     for memory in [1 << 30, 24 << 20] {
         let out = dir.path().join("q.csv");
-        let settings = ProbeSettings { resources: Resources::default().with_memory(memory) };
+        let settings = ProbeSettings { resources: Resources::default().with_memory(memory), level: None };
         let report = archive.write_probed(&dir.path().join("p.csv"), &settings, &out, &Silent).unwrap();
         assert_eq!((report.samples, report.outside, report.void), (points.len() as u64, 1, 0));
         outputs.push(fs::read_to_string(&out).unwrap());

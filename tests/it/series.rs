@@ -8,7 +8,7 @@ use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Adapt, Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, Step, StepChoice, SurfaceSettings, ValueBits,
+    RunSettings, Step, StepChoice, SurfaceSettings,
 };
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
@@ -106,7 +106,7 @@ fn steps_of_an_open_archive_are_asked_in_turns() {
 fn each_step_is_what_it_is_alone() {
     let dir = tempfile::tempdir().unwrap();
     let steps = write_steps(dir.path(), 5);
-    for bits in [ValueBits::Exact, ValueBits::Bits(14.0)] {
+    for bits in [None, Some(14.0)] {
         let settings = ReduceSettings { value_bits: bits, ..few_points() };
         let all = dir.path().join(format!("all{bits:?}.isospan"));
         let report = reduce_all(&steps, &settings, &all, &run(2));
@@ -227,7 +227,7 @@ fn appending_is_reducing_all_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let steps = write_steps(dir.path(), 7);
     let out = |name: &str| dir.path().join(name);
-    for bits in [ValueBits::Exact, ValueBits::Bits(12.0)] {
+    for bits in [None, Some(12.0)] {
         let settings = ReduceSettings { value_bits: bits, ..few_points() };
         let (all, grown) = (out("all.isospan"), out("grown.isospan"));
         for archive in [&all, &grown] {
@@ -283,7 +283,7 @@ fn appending_to_a_mesh_is_reducing_all_at_once() {
     let path = shared_series("monodomain3d_tet_51steps.vtu");
     let steps = isospan::formats::steps_of(&[path], &field("V_*")).unwrap();
     grow(&steps, &[20, 21, 51], &settings);
-    let rounded = ReduceSettings { value_bits: ValueBits::Bits(12.0), ..settings.clone() };
+    let rounded = ReduceSettings { value_bits: Some(12.0), ..settings.clone() };
     grow(&steps[..8], &[3, 8], &rounded);
     let folder = shared_series("heart_activation");
     let steps = isospan::formats::steps_of(&[folder.join("*.vtu")], &field("activation")).unwrap();
@@ -446,7 +446,7 @@ fn the_same_reduction_makes_what_is_missing() {
         assert!(e.to_string().contains("exists; choose another name"), "{e}");
         assert!(folder(&out) == whole);
         let lost: Vec<PathBuf> =
-            whole.keys().filter(|f| !f.ends_with("manifest.json")).map(|f| out.join(f)).collect();
+            whole.keys().filter(|f| !f.ends_with("manifest.zst")).map(|f| out.join(f)).collect();
         assert!(lost.len() > 8, "{lost:?}");
         for path in &lost {
             fs::remove_file(path).unwrap();
@@ -600,7 +600,7 @@ fn surfaces_of_steps_are_those_of_each_alone() {
         ..SurfaceSettings::default()
     };
     let questions = [asked(false, None), asked(true, None), asked(false, Some("3:18,:,4:15"))];
-    for (bits, keyframes) in [(ValueBits::Exact, 3), (ValueBits::Bits(12.0), 16)] {
+    for (bits, keyframes) in [(None, 3), (Some(12.0), 16)] {
         let archive = dir.path().join(format!("a{keyframes}.isospan"));
         let settings = ReduceSettings { value_bits: bits, keyframes, nan: NanPolicy::Mask, ..few_points() };
         reduce_all(&steps, &settings, &archive, &run(2));

@@ -143,7 +143,7 @@ fn fails(dir: &Path, args: &[&str]) -> (i32, String) {
     (out.status.code().unwrap(), line)
 }
 
-const REDUCE: [&str; 4] = ["--fraction", "1/8", "--chunk-points", "2000"];
+const REDUCE: [&str; 6] = ["--points", "regular", "--fraction", "1/8", "--chunk-points", "2000"];
 
 fn reduce(dir: &Path, input: &str, out: &str, more: &[&str]) {
     ok(dir, &[&["reduce", "-q", input, "-o", out], &REDUCE[..], more].concat());
@@ -155,7 +155,7 @@ fn assert_same(one: &Path, other: &Path) {
     let (one, other) = (folder(one), folder(other));
     let names = |f: &BTreeMap<PathBuf, Vec<u8>>| f.keys().cloned().collect::<Vec<_>>();
     assert_eq!(names(&one), names(&other));
-    for (name, bytes) in one.iter().filter(|(name, _)| !name.ends_with("manifest.json")) {
+    for (name, bytes) in one.iter().filter(|(name, _)| !name.ends_with("manifest.zst")) {
         let others = &other[name];
         let differ = bytes.iter().zip(others).filter(|(a, b)| a != b).count();
         assert!(bytes.len() == others.len() && differ <= 64, "{}: {differ} bytes", name.display());
@@ -350,15 +350,15 @@ fn plan_and_work_take_addresses_and_see_another_input() {
     ok(d, &["commit", "-q", "parts.isospan"]);
     assert!(folder(&d.join("whole.isospan")) == folder(&d.join("parts.isospan")));
     // The same command leaves a finished archive alone; another input makes another one.
-    let before = fs::read(d.join("whole.isospan/manifest.json")).unwrap();
+    let before = fs::read(d.join("whole.isospan/manifest.zst")).unwrap();
     reduce(d, &input, "whole.isospan", &[]);
-    assert_eq!(before, fs::read(d.join("whole.isospan/manifest.json")).unwrap());
+    assert_eq!(before, fs::read(d.join("whole.isospan/manifest.zst")).unwrap());
     plan("late.isospan", "1");
     fs::write(d.join("v.zarr/1.1.1"), vec![7; 2 * CHUNK.pow(3)]).unwrap();
     let (code, line) = fails(d, &["work", "-q", "late.isospan", "--shard", "0/1"]);
     assert!(code == 5 && line.contains("fingerprint"), "{line}");
     reduce(d, &input, "whole.isospan", &["--force"]);
-    assert_ne!(before, fs::read(d.join("whole.isospan/manifest.json")).unwrap());
+    assert_ne!(before, fs::read(d.join("whole.isospan/manifest.zst")).unwrap());
 }
 
 #[test]
@@ -385,7 +385,7 @@ fn a_missing_chunk_is_the_fill_value_and_a_failure_is_none() {
         let (code, line) = fails(d, &[&["reduce", "-q", &input, "-o", "none.isospan"], &REDUCE[..]].concat());
         assert!(code == 1 && line.contains("v.zarr/2.0.1"), "{status}: {line}");
         assert!(status == 410 || line.contains("denies it"), "{line}");
-        assert!(!d.join("none.isospan/manifest.json").exists());
+        assert!(!d.join("none.isospan/manifest.zst").exists());
     }
 }
 
@@ -401,7 +401,7 @@ fn a_server_that_goes_away_is_one_line() {
     let input = server.url("v.zarr");
     let (code, line) = fails(d, &[&["reduce", "-q", &input, "-o", "none.isospan"], &REDUCE[..]].concat());
     assert!(code == 1 && line.contains("v.zarr/"), "{line}");
-    assert!(!d.join("none.isospan/manifest.json").exists());
+    assert!(!d.join("none.isospan/manifest.zst").exists());
     // When it is back, the same command makes the same archive.
     server.set(|c| c.most = None);
     reduce(d, &input, "none.isospan", &[]);

@@ -37,7 +37,7 @@ fn fails(dir: &Path, args: &[&str]) -> (i32, String) {
 /// As many segments as such a small volume can have: a chunk is a brick, of about a thousand
 /// points.
 const SEGMENTS: usize = 4;
-const CHOICES: [&str; 4] = ["--fraction", "1/2", "--chunk-points", "120"];
+const CHOICES: [&str; 6] = ["--points", "hammersley", "--fraction", "1/2", "--chunk-points", "120"];
 
 fn plan(dir: &Path, input: &str, out: &str, shards: &str, more: &[&str]) -> String {
     ok(dir, &[&["plan", input, "-o", out, "--shards", shards, "--json"], &CHOICES[..], more].concat())
@@ -60,7 +60,7 @@ impl Case {
             let args = [&["reduce", "v.npy", "-o", "whole.isospan"], &CHOICES[..]].concat();
             ok(dir.path(), &args);
             let files = folder(&dir.path().join("whole.isospan"));
-            assert_eq!(files.len(), SEGMENTS + 3, "{:?}", files.keys());
+            assert_eq!(files.len(), 2 * SEGMENTS + 3, "{:?}", files.keys());
             files
         });
         Self { dir: Self::volume(), expected: &EXPECTED }
@@ -126,8 +126,8 @@ fn every_kind_of_input_is_done_in_shards() {
     fs::rename(d.join("v.npy.gz"), d.join("v.raw.gz")).unwrap();
     let cases: [(&str, &str, &[&str]); 6] = [
         ("v.npy", "bits", &["--value-bits", "9"]),
-        ("v.npy", "exact", &["--value-bits", "exact"]),
-        ("v.npy", "meshed", &["--points", "hammersley"]),
+        ("v.npy", "exact", &[]),
+        ("v.npy", "sampled", &["--values", "sample"]),
         ("v.raw.gz", "packed", &raw),
         ("g.vts", "grid", &[]),
         ("m.vtk", "mesh", &["--interp", "quadratic"]),
@@ -157,7 +157,7 @@ fn a_series_is_done_in_shards() {
     }
     let cases: [(&str, &[&str]); 4] = [
         ("v*.npy", &["--keyframes", "3", "--times", "0,0.5,..."]),
-        ("v*.npy", &["--keyframes", "3", "--points", "hammersley"]),
+        ("v*.npy", &["--keyframes", "3"]),
         ("v?.npy", &["--keyframes", "2", "--value-bits", "10"]),
         ("m*.vtk", &["--keyframes", "3"]),
     ];
@@ -213,12 +213,12 @@ fn a_target_is_met_by_shards_as_by_one_process() {
     write_npy(&d.join("v1.npy"), [30, 24, 20], ball);
     write_hexahedra(&d.join("m.vtk"), waves);
     let cases: [(&str, &[&str], &[&str], i32); 7] = [
-        ("rms", &["v0.npy"], &["--target-rms", "2%"], 0),
-        ("max", &["v0.npy"], &["--target-max", "20%"], 0),
-        ("size", &["v0.npy"], &["--size", "8KiB"], 0),
+        ("rms", &["v0.npy"], &["--target-rms", "2%", "--points", "regular"], 0),
+        ("max", &["v0.npy"], &["--target-max", "20%", "--points", "regular"], 0),
+        ("size", &["v0.npy"], &["--size", "80KiB", "--points", "regular"], 0),
         ("adapted", &["v0.npy"], &["--target-rms", "3%", "--adapt"], 0),
         ("mesh", &["m.vtk"], &["--target-rms", "8%"], 0),
-        ("series", &["v0.npy", "v1.npy"], &["--target-rms", "4%"], 0),
+        ("series", &["v0.npy", "v1.npy"], &["--target-rms", "4%", "--points", "hammersley"], 0),
         ("unmet", &["v0.npy"], &["--target-rms", "0.0001%", "--points", "hammersley"], 6),
     ];
     let mut most = 0;
@@ -254,7 +254,7 @@ fn a_planned_search_goes_on_where_it_was() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("v.npy"), [30, 24, 20], waves);
-    let target = ["--target-rms", "2%", "--chunk-points", "120"];
+    let target = ["--target-rms", "2%", "--points", "regular", "--chunk-points", "120"];
     ok(d, &[&["reduce", "v.npy", "-o", "whole.isospan"], &target[..]].concat());
     let planned = [&["plan", "v.npy", "-o", "a.isospan", "--shards", "2"], &target[..]].concat();
     ok(d, &planned);
@@ -283,11 +283,11 @@ fn a_planned_search_goes_on_where_it_was() {
     assert_eq!(code, 0);
     assert!(folder(&d.join("a.isospan")) == folder(&d.join("whole.isospan")));
     // As if it had been killed before the best try was moved.
-    fs::remove_file(d.join("a.isospan/manifest.json")).unwrap();
+    fs::remove_file(d.join("a.isospan/manifest.zst")).unwrap();
     let number: serde_json::Value = serde_json::from_str(&ok(d, &["status", "a.isospan", "--json"])).unwrap();
     let best = d.join(format!("a.isospan.work/planned-{}.isospan", number["try"]));
     fs::rename(d.join("a.isospan"), &best).unwrap();
-    fs::copy(d.join("whole.isospan/manifest.json"), best.join("manifest.json")).unwrap();
+    fs::copy(d.join("whole.isospan/manifest.zst"), best.join("manifest.zst")).unwrap();
     assert!(ok(d, &["status", "a.isospan"]).contains("commit it"));
     ok(d, &["commit", "a.isospan"]);
     assert!(folder(&d.join("a.isospan")) == folder(&d.join("whole.isospan")));
@@ -303,12 +303,12 @@ fn a_damaged_manifest_is_told_by_status() {
     assert!(ok(d, &["status", "a.isospan"]).contains("commit it"));
     ok(d, &["commit", "a.isospan"]);
     assert!(ok(d, &["status", "a.isospan"]).contains("committed"));
-    let manifest = d.join("a.isospan/manifest.json");
+    let manifest = d.join("a.isospan/manifest.zst");
     for damaged in ["{}", "", r#"{"format": "other"}"#] {
         fs::write(&manifest, damaged).unwrap();
         for more in [&[][..], &["--quick"], &["--json"], &["--missing"]] {
             let (code, error) = fails(d, &[&["status", "a.isospan"][..], more].concat());
-            assert!(code == 5 && error.contains("manifest.json"), "{damaged} {more:?}: {code} {error}");
+            assert!(code == 5 && error.contains("manifest.zst"), "{damaged} {more:?}: {code} {error}");
             assert!(error.contains("the manifest is damaged"), "{error}");
         }
     }
@@ -403,7 +403,21 @@ fn commit_refuses_what_is_missing_damaged_or_foreign_and_deletes_nothing() {
     plan(d, "v.npy", "t.isospan", "4", &[]);
     assert_eq!(fails(d, &["commit", "t.isospan"]).0, 3);
     ok(d, &["work", "t.isospan"]);
-    ok(d, &["plan", "v.npy", "-o", "u.isospan", "--fraction", "1/2", "--chunk-points", "121"]);
+    ok(
+        d,
+        &[
+            "plan",
+            "v.npy",
+            "-o",
+            "u.isospan",
+            "--points",
+            "regular",
+            "--fraction",
+            "1/2",
+            "--chunk-points",
+            "121",
+        ],
+    );
     ok(d, &["work", "u.isospan", "--shard", "0/2"]);
     let archive = d.join("t.isospan");
     fs::remove_file(archive.join("steps/000000-sums-000003.seg")).unwrap();
@@ -453,7 +467,8 @@ fn a_plan_is_immutable_and_binds_the_input() {
     let first = fs::read(&file).unwrap();
     plan(d, "v.npy", "t.isospan", "2", &[]);
     assert!(fs::read(&file).unwrap() == first, "the same plan again");
-    let other = ["plan", "v.npy", "-o", "t.isospan", "--shards", "2", "--fraction", "1/4"];
+    let other =
+        ["plan", "v.npy", "-o", "t.isospan", "--shards", "2", "--points", "regular", "--fraction", "1/4"];
     let (code, text) = fails(d, &other);
     assert!(code == 2 && text.contains("another plan"), "{text}");
     ok(d, &[&other[..], &["--force"]].concat());
@@ -480,7 +495,7 @@ fn a_plan_is_immutable_and_binds_the_input() {
     ok(d, &["work", "t.isospan"]);
     ok(d, &["commit", "t.isospan"]);
     // A plan for a finished archive of another kind replaces it only when asked to.
-    let (code, _) = fails(d, &[&other[..], &["--interp", "cubic"]].concat());
+    let (code, _) = fails(d, &[&other[..], &["--points", "regular", "--interp", "cubic"]].concat());
     assert_eq!(code, 2);
     assert_eq!(run(d, &["work", "t.isospan", "--shard", "2/2"]).0, 2);
     assert_eq!(fails(d, &["work", "none.isospan"]).0, 5);

@@ -14,7 +14,7 @@ use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 /// 22 segments: a chunk is a brick.
-const CHOICES: [&str; 4] = ["--fraction", "1/2", "--chunk-points", "120"];
+const CHOICES: [&str; 6] = ["--points", "hammersley", "--fraction", "1/2", "--chunk-points", "120"];
 const DIMS: [usize; 3] = [80, 80, 80];
 
 struct Cluster {
@@ -252,7 +252,7 @@ fn a_node_loses_power(c: &Cluster) {
     c.control(&["kill-node", "n1"]);
     c.signal(Signal::CONT, "power.isospan");
     c.finish("what the other node does");
-    let manifest = c.path().join("power.isospan/manifest.json");
+    let manifest = c.path().join("power.isospan/manifest.zst");
     assert!(manifest.exists(), "{}", c.logs("power.isospan"));
     assert!(left.exists(), "what the dead node left is not touched by others");
     c.control(&["start-node", "n1"]);
@@ -301,7 +301,18 @@ fn commit_mends(c: &Cluster) {
     c.plan(out, 16);
     c.ok(&["slurm", out, "--threads", "1", "--max-array", "5", "--tries", "2"]);
     c.ok(&["work", out]);
-    c.ok(&["plan", "v.npy", "-o", "other.isospan", "--fraction", "1/2", "--chunk-points", "121"]);
+    c.ok(&[
+        "plan",
+        "v.npy",
+        "-o",
+        "other.isospan",
+        "--points",
+        "hammersley",
+        "--fraction",
+        "1/2",
+        "--chunk-points",
+        "121",
+    ]);
     c.ok(&["work", "other.isospan", "--shard", "0/16"]);
     let values =
         |archive: &str, n: u32| c.path().join(archive).join(format!("steps/000000-values-{n:06}.seg"));
@@ -322,7 +333,7 @@ fn commit_mends(c: &Cluster) {
     ] {
         assert!(logs.contains(part), "{part}: {logs}");
     }
-    assert!(!c.path().join(out).join("manifest.json").exists());
+    assert!(!c.path().join(out).join("manifest.zst").exists());
     c.run("sbatch", &["--parsable", &script("commit.sh")]);
     c.finish("what is missing");
     c.same(out);

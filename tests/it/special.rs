@@ -259,7 +259,7 @@ fn an_archive_with_a_file_of_another_program_is_not_replaced() {
             let words = String::from_utf8_lossy(&out.stderr).into_owned();
             assert!(out.status.code() == Some(2) && words.lines().count() == 1, "{name}, {command}: {words}");
             assert!(place.at("a.isospan").join(name).exists(), "{name}, {command}");
-            assert!(place.at("a.isospan/manifest.json").exists(), "{name}, {command}");
+            assert!(place.at("a.isospan/manifest.zst").exists(), "{name}, {command}");
         }
         place.free(&format!("a.isospan/{name}"));
     }

@@ -28,6 +28,11 @@ fn library(input: &Path, out: &Path, target: Target) -> ReduceReport {
     Reduction::of(input).target(target).write(out).unwrap()
 }
 
+fn points(input: &Path, out: &Path, target: Target) -> ReduceReport {
+    let set = isospan::points::SetKind::Hammersley;
+    Reduction::of(input).points(set).target(target).write(out).unwrap()
+}
+
 #[test]
 fn rust_and_the_program_make_the_same_bytes_for_each_target() {
     let dir = tempfile::tempdir().unwrap();
@@ -70,7 +75,7 @@ fn a_target_that_is_not_met_is_said_each_time() {
     ];
     for (name, target, flags) in cases {
         let out = format!("{name}.isospan");
-        let reduce = [&["reduce", "-q", "v.npy", "-o", &out], flags].concat();
+        let reduce = [&["reduce", "-q", "v.npy", "-o", &out, "--points", "hammersley"], flags].concat();
         let said: Vec<_> = (0..2).map(|_| program(d, &reduce)).collect();
         for (code, text, error) in &said {
             assert!(*code == 6 && text.contains("NOT MET"), "{name}: {code} {text}{error}");
@@ -79,7 +84,7 @@ fn a_target_that_is_not_met_is_said_each_time() {
         assert!(said[1].1.contains("nothing left to make"), "{}", said[1].1);
         assert_eq!(said[0].2, said[1].2, "{name}: the same was reached");
         let reports = [&format!("{name}-new.isospan"), &out]
-            .map(|archive| library(&d.join("v.npy"), &d.join(archive), target));
+            .map(|archive| points(&d.join("v.npy"), &d.join(archive), target));
         let reached = reports.each_ref().map(|report| report.unmet().map(|t| (t.reached, t.bound)));
         assert!(reached[0].is_some() && reached[0] == reached[1], "{name}: {reached:?}");
         assert!(reports[1].made_before);
@@ -143,7 +148,7 @@ fn killed_search(dir: &Path, flags: &[&str], dice: &mut Dice, enough: u32) {
             assert!(begun.windows(2).all(|pair| pair[1] == pair[0] + 1), "{begun:?}");
             last = *begun.last().unwrap();
         }
-        if dir.join("k.isospan/manifest.json").exists() {
+        if dir.join("k.isospan/manifest.zst").exists() {
             if !is_killed {
                 assert!(out.status.success());
                 assert!(!dir.join("k.isospan.work").exists(), "{flags:?}: tries are left");
@@ -178,8 +183,20 @@ fn a_search_for_something_else_begins_anew() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("v.npy"), [24, 22, 20], waves);
-    let request =
-        |target| ["reduce", "v.npy", "-o", "a.isospan", "--progress", "json", "--target-rms", target];
+    let request = |target| {
+        [
+            "reduce",
+            "v.npy",
+            "-o",
+            "a.isospan",
+            "--points",
+            "regular",
+            "--progress",
+            "json",
+            "--target-rms",
+            target,
+        ]
+    };
     let stopped_in_try = |target, number| {
         for wait in 1.. {
             let mut child = spawn(d, &request(target));
@@ -216,8 +233,10 @@ fn a_dry_run_says_what_is_known_of_a_search() {
     let d = dir.path();
     write_npy(&d.join("v.npy"), [24, 22, 20], waves);
     let dry = |more: &[&str]| {
-        let (code, text, error) =
-            program(d, &[&["reduce", "v.npy", "-o", "a.isospan", "--dry-run"], more].concat());
+        let (code, text, error) = program(
+            d,
+            &[&["reduce", "v.npy", "-o", "a.isospan", "--points", "halton", "--dry-run"], more].concat(),
+        );
         assert_eq!(code, 0, "{more:?}: {error}");
         text
     };
@@ -225,7 +244,7 @@ fn a_dry_run_says_what_is_known_of_a_search() {
     assert!(text.contains("about 5 tries") && text.contains("for all tries"), "{text}");
     // Sizes are guesses, unless one is wanted.
     assert!(text.contains(" to about ") && !text.contains("at most 1/"), "{text}");
-    assert!(dry(&["--size", "20KiB"]).contains("KiB to 20.0 KiB"));
+    assert!(dry(&["--size", "20KiB"]).contains(" to 20.0 KiB"));
     assert!(dry(&[]).lines().any(|line| line.starts_with("  archive    about ")));
     for (flags, most) in [(["--size", "20KiB"], Some(20 << 10)), (["--target-max", "5%"], None)] {
         let report: Value = serde_json::from_str(&dry(&[&flags[..], &["--json"]].concat())).unwrap();

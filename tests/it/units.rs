@@ -57,7 +57,7 @@ fn named_units_are_in_the_manifest_alone() {
     assert_eq!(info(d, "b.isospan")["steps"][0]["unit"], "K");
     let but_for_manifest = |files: &std::collections::BTreeMap<PathBuf, Vec<u8>>| {
         let mut files = files.clone();
-        files.retain(|name, _| !name.ends_with("manifest.json"));
+        files.retain(|name, _| !name.ends_with("manifest.zst"));
         files
     };
     assert!(plain.len() > 1 && plain != named && but_for_manifest(&plain) == but_for_manifest(&named));
@@ -91,8 +91,22 @@ fn further_steps_take_over_units_and_have_no_others() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     volumes(d, 3);
-    ok(d, &[&["reduce", "v?.npy", "-o", "all.isospan", "--times", "0,0.5,..."], &THREE[..]].concat());
-    ok(d, &[&["reduce", "v[01].npy", "-o", "a.isospan", "--times", "0,0.5,..."], &THREE[..]].concat());
+    ok(
+        d,
+        &[
+            &["reduce", "v?.npy", "-o", "all.isospan", "--points", "regular", "--times", "0,0.5,..."],
+            &THREE[..],
+        ]
+        .concat(),
+    );
+    ok(
+        d,
+        &[
+            &["reduce", "v[01].npy", "-o", "a.isospan", "--points", "regular", "--times", "0,0.5,..."],
+            &THREE[..],
+        ]
+        .concat(),
+    );
     for (flag, unit) in [("--unit", "degC"), ("--length-unit", "mm"), ("--time-unit", "ms")] {
         let before = folder(&d.join("a.isospan"));
         let wrong = ["append", "a.isospan", "v2.npy", "--times", "1", flag, unit];

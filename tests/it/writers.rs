@@ -7,7 +7,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const CHOICES: [&str; 6] = ["--fraction", "1/3", "--chunk-points", "400", "--threads", "1"];
+const CHOICES: [&str; 8] =
+    ["--points", "regular", "--fraction", "1/3", "--chunk-points", "400", "--threads", "1"];
 
 fn spawn(dir: &Path, args: &[&str]) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_isospan"));
@@ -58,7 +59,7 @@ fn unfinished_work_on_another_volume_is_not_overwritten() {
     let d = dir.path();
     let (a, b) = (folder(&d.join("a.isospan")), folder(&d.join("b.isospan")));
     let begin = || {
-        fs::remove_file(d.join("a.isospan/manifest.json")).unwrap();
+        fs::remove_file(d.join("a.isospan/manifest.zst")).unwrap();
         folder(&d.join("a.isospan"))
     };
     let before = begin();

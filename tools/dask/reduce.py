@@ -2,7 +2,7 @@
 """Do the shards of a planned reduction with Dask distributed, then commit.
 
     python3 -m venv dask && dask/bin/pip install distributed
-    isospan plan scan.nrrd -o scan.isospan --shards 64 --fraction 1/8
+    isospan plan scan.nrrd -o scan.isospan --shards 64
     dask/bin/python tools/dask/reduce.py scan.isospan                             # workers on this machine
     dask/bin/python tools/dask/reduce.py scan.isospan --scheduler tcp://head:8786 # a cluster that runs already
     sbatch tools/dask/in_slurm.sh scan.isospan                                    # a cluster within a Slurm allocation

@@ -6,11 +6,11 @@ use crate::seeds::{get, partners, put};
 use crate::unpacked_words::seal_words;
 use isospan::archive::chunked::{MeshSummary, ValueSummary};
 use isospan::archive::manifest::{
-    MANIFEST_NAME, Manifest, index_path, mesh_segment_path, unpacked_path, values_segment_path,
+    MANIFEST_NAME, Manifest, index_path, mesh_segment_path, pack_manifest, unpacked_path, values_segment_path,
 };
 use isospan::archive::mesh::{ChunkHeader, TetBlock, TetScratch, decode_flags, decode_ids};
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use isospan::archive::values::{KnownOfBlock, Quantiser, decode_values};
+use isospan::archive::values::{KnownOfBlock, decode_values};
 use isospan::bytes::IoMode;
 use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;
@@ -25,7 +25,7 @@ use isospan::surface::check::check;
 use isospan::volume::chunked::ChunkedVolume;
 use isospan::volume::{ScalarType, VolumeReader, VolumeSource};
 use isospan::{Error, Resources, Result};
-use isospan_wavelet::{Box3, Compressed};
+use isospan_wavelet::{Box3, Compressed, Mask};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -139,19 +139,27 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
         0 => ChunkHeader::decode(block).map(drop).map_err(blame),
         1 => tetrahedra(block).map_err(blame),
         2 => {
-            let (n, quantiser) = (block.len() % 5000, Quantiser::new(8.0, [0.0, 1.0]));
-            let cells = [8, 8, 1 + block.len() as u32 % 8];
-            let n =
-                if block.len().is_multiple_of(2) { n } else { 2 * cells.iter().product::<u32>() as usize };
+            let n = block.len() % 5000;
             let before = vec![1.5; n];
-            let known = KnownOfBlock { n, cells: Some(cells), quantiser: Some(&quantiser), before: &before };
+            let known = KnownOfBlock { n, before: &before };
             decode_values(block, &known, &mut vec![]).map_err(blame)
         }
         3 => MeshSummary::decode(block).map(drop).map_err(blame),
         4 => ValueSummary::decode(block).map(drop).map_err(blame),
         5 => decode_flags(block, &mut vec![false; block.len() % 5000]).map_err(blame),
+        7 => mask(block),
         _ => decode_ids(block, &mut vec![PointId(0); block.len() % 1024]).map_err(blame),
     }
+}
+
+/// Which samples are missing in a box that has boxes of all sizes.
+fn mask(block: &[u8]) -> Result<()> {
+    let place = Box3 { start: [256, 0, 32], size: [33, 1 + block.len() % 40, 64] };
+    let mask = Mask::new(place, block.to_vec());
+    let mut missing = 0;
+    let read = mask.and_then(|mask| mask.each_missing(&place, [1; 3], |_| missing += 1));
+    assert!(missing <= place.len(), "a sample is missing twice");
+    read.map_err(|e| Error::usage(e.to_string()))
 }
 
 fn tetrahedra(block: &[u8]) -> std::result::Result<(), isospan::archive::Malformed> {
@@ -261,9 +269,11 @@ impl Archive {
     /// Changes numbers of the manifest; where the result can be read, all hashes are made to fit
     /// it.
     fn damage_manifest(&self, random: &mut Random, what: &mut String) -> Result<()> {
-        let text = mutate(&self.files[0].1, &self.files[0].1, random);
+        let good = Manifest::read(&self.good)?.to_json();
+        let text = mutate(good.as_bytes(), good.as_bytes(), random);
         let Ok(mut manifest) = serde_json::from_slice::<Manifest>(&text) else {
-            return put(&self.copy.join(MANIFEST_NAME), &text);
+            let text = String::from_utf8_lossy(&text);
+            return put(&self.copy.join(MANIFEST_NAME), &pack_manifest(&text));
         };
         what.push_str(&format!(": {}", serde_json::json!(manifest)));
         manifest.plan_hash = manifest.plan.hash();

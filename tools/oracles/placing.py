@@ -24,7 +24,7 @@ MESH_INWARDS, MESH_OF_RANGE = 1e-6, 2e-5
 METRES = {"m": 1, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "Å": 1e-10, "pm": 1e-12}
 METRES |= {"\u00b5m": 1e-6, "\u03bcm": 1e-6}
 # A point at each sample, with its value.
-EXACT = "--points regular --fraction 1 --values sample --value-bits exact --no-measure".split()
+EXACT = "--points regular --fraction 1 --values sample --no-measure".split()
 
 PROGRAMS = []
 

@@ -89,7 +89,6 @@ fn of_values(values: Values) -> &'static str {
     match values {
         Values::Sample => "",
         Values::Fit => ", fitted",
-        Values::Nodes => ", of samples",
     }
 }
 

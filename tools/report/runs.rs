@@ -36,13 +36,12 @@ pub(crate) enum Points {
     Halton,
     Hyperbolic,
     Regular,
-    Lattice,
     Uniform,
 }
 
 impl Points {
-    pub(crate) const ALL: [Self; 6] =
-        [Self::Hammersley, Self::Halton, Self::Hyperbolic, Self::Regular, Self::Lattice, Self::Uniform];
+    pub(crate) const ALL: [Self; 5] =
+        [Self::Hammersley, Self::Halton, Self::Hyperbolic, Self::Regular, Self::Uniform];
 
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -50,7 +49,6 @@ impl Points {
             Self::Halton => "Halton",
             Self::Hyperbolic => "Hyperbolic",
             Self::Regular => "Regular",
-            Self::Lattice => "Lattice",
             Self::Uniform => "Uniform random",
         }
     }
@@ -62,7 +60,6 @@ impl Points {
             Self::Halton => Some(SetKind::Halton),
             Self::Hyperbolic => Some(SetKind::HyperbolicCross),
             Self::Regular => Some(SetKind::Regular),
-            Self::Lattice => Some(SetKind::Bcc),
             Self::Uniform => None,
         }
     }

@@ -665,11 +665,11 @@ def without_a_server(browser, server):
         Page(browser, published).close()
     # An archive that is not there.
     with Published() as published:
-        ball = pathlib.Path("site/of somebody/viewer") / BALL / "manifest.json"
+        ball = pathlib.Path("site/of somebody/viewer") / BALL / "manifest.zst"
         ball.rename(ball.with_name("gone"))
         page = Page(browser, published, is_ready=False)
         page.page.wait_for_selector("#message:not([hidden])")
-        assert "manifest.json" in page.page.inner_text("#message"), page.page.inner_text("#message")
+        assert "manifest.zst" in page.page.inner_text("#message"), page.page.inner_text("#message")
         page.wrong = [line for line in page.wrong if "404" not in line]
         page.close()
 

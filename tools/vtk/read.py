@@ -80,24 +80,6 @@ def near(found, expected, tolerance, what):
     assert abs(found - expected) <= tolerance * abs(expected), f"{what}: {found}, expected {expected}"
 
 
-def compare(archive, step, all_points):
-    """That tools/read_archive.py has found the values that are exported; vertex values and parts of a step of the archive."""
-    name, manifest = f"{archive}{step}", load(f"{archive}.isospan/manifest.json")
-    grid = read(vtkXMLUnstructuredGridReader(), f"{name}.vtu")
-    points, values = vtk_to_numpy(grid.GetPoints().GetData()), vtk_to_numpy(grid.GetPointData().GetArray(0))
-    exported = {tuple(p): v for p, v in zip(points.astype(np.float32).tolist(), values)}
-    decoded = np.load(f"{name}.npz")
-    steps = 2.0 ** manifest["plan"]["lattice"]["log2_steps"]
-    places = [tuple(p) for p in (decoded["positions"] / steps).astype(np.float32).tolist()]
-    if all_points:
-        assert set(places) == set(exported) and len(places) == len(exported) > 3000, (name, len(places), len(exported))
-    pairs = [(exported[p], v) for p, v in zip(places, decoded["values"]) if p in exported]
-    assert len(pairs) > 0.8 * len(places) > 3000, (name, len(pairs), len(places))
-    assert all(a == b for a, b in pairs), f"{name}: decoded values differ from exported ones"
-    told = manifest["steps"][step]
-    return told.get("vertex_values"), told["quantiser"].get("parts", 1)
-
-
 info = load("info.json")
 plain, packed = (read(vtkXMLUnstructuredGridReader(), name) for name in ("plain.vtu", "packed.vtu"))
 assert plain.GetNumberOfPoints() == info["points"] and plain.GetNumberOfCells() == info["tetrahedra"]
@@ -189,9 +171,3 @@ assert samples.sum() == expected["samples"]
 near(largest.max(), expected["max"], 1e-6, "largest error of the map")
 near(np.sqrt((rms**2 * samples).sum() / samples.sum()), expected["rms"], 1e-6, "RMS error of the map")
 print("tools/vtk/test: VTK reads tetrahedra, surfaces and grids, and finds in them what isospan tells")
-
-for step in range(2):
-    compare("lattice", step, all_points=False)
-    assert compare("samples", step, all_points=True) == ("nodes", 16)
-assert compare("whole", 0, all_points=True) == ("nodes", 1)
-print("tools/read_archive.py: the values that are exported")

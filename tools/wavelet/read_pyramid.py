@@ -1,24 +1,26 @@
 """Reads the samples of a pyramid archive. It is written from the two FORMAT.md alone.
 
 Usage: read_pyramid.py ARCHIVE [--step N] [-o OUT.npy]. Says the range and the number of bricks.
-Corrections of samples are applied; the offset of the source, where it has one, is not added.
+Corrections of samples are applied, and missing ones are NaN; the offset of the source, where it has
+one, is not added.
 """
 import argparse
 import itertools
 import json
 import struct
-import sys
 from pathlib import Path
 
 import numpy as np
-from read_array import Array, boxes_of, fail_unless, read_coarsest, records
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from read_archive import expect, ranges_of, refuse, segment_blocks, varints
+from files import expect, manifest_text, ranges_of, refuse, segment_blocks, varints
+from read_array import (
+    Array, RangeDecoder, boxes_of, even_odds, fail_unless, read_coarsest, records,
+)
 
 VALUES, COARSE, RANGES = 2, 13, 14
 CHUNK, BLOCK, FINE_LEVELS = 256, 4, 3
 KINDS = {"none": 0, "max": 1, "lossless": 2}
+NEIGHBOURS = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (-1, 1, 0), (-1, 0, 1), (0, -1, 1)]
+FIRST_ODDS = [400, 6000, 16000, 26000, 39000, 49000, 59000, 65000]
 
 
 def exponent_of(least, largest):
@@ -45,12 +47,46 @@ def over_axes(axes):
     return [at[::-1] for at in itertools.product(*reversed(axes))]
 
 
+def read_bits(data, shape):
+    """Which samples of a box (z, y, x) are missing, where some are."""
+    decoder = RangeDecoder(data)
+    odds = [2 * [FIRST_ODDS[n.bit_count()]] for n in range(128)]
+    bits = np.zeros([n + 2 for n in shape], bool)
+    for z, y, x in np.ndindex(*shape):
+        known = (bits[z + 1 - k, y + 1 - j, x + 1 - i] for i, j, k in NEIGHBOURS)
+        number = sum(int(b) << n for n, b in enumerate(known))
+        bits[z + 1, y + 1, x + 1] = decoder.bit(odds[number])
+    decoder.end()
+    return bits[1:-1, 1:-1, 1:-1]
+
+
+def read_mask(region, data):
+    """Which samples are missing in a region, of which the ends (z, y, x) are given."""
+    at = 4 + struct.unpack_from("<I", data)[0]
+    directory, kinds, lengths = RangeDecoder(data[4:at]), even_odds(3, 2), even_odds(2, 33)
+    missing = np.zeros([end - first for first, end in region], bool)
+    kind = length = 0
+    for box in boxes_of(region):
+        odds = kinds[kind]
+        kind = directory.bit(odds[0]) and (2 if directory.bit(odds[1]) else 1)
+        here = tuple(slice(a - first, b - first) for (a, b), (first, _) in zip(box, region))
+        if kind == 1:
+            length = directory.below_highest(directory.count(lengths[length != 0]))
+            missing[here] = read_bits(data[at : at + length], missing[here].shape)
+            at += length
+        elif kind:
+            missing[here] = True
+    directory.end()
+    fail_unless(at == len(data), "a mask is not as long as its directory says")
+    return missing
+
+
 class Pyramid:
     """A step of a pyramid archive."""
 
     def __init__(self, archive, asked=0):
         self.archive = Path(archive)
-        manifest = json.loads((self.archive / "manifest.json").read_text())
+        manifest = json.loads(manifest_text(self.archive))
         points, lattice = manifest["plan"]["points"], manifest["plan"]["lattice"]
         if points.get("set") != "pyramid":
             refuse(f"{archive}: its points are {points.get('set')}, not a pyramid")
@@ -64,6 +100,7 @@ class Pyramid:
         expect(archive, "chunks", len(self.chunks), manifest["counts"].get("chunks", 1))
         self.ranges = self._segments("ranges", RANGES)
         self.array = self._array(points["dims"], points["delay"])
+        self.missing = np.zeros(points["dims"][::-1], bool)
         self._read_coarse()
         for chunk, blocks in zip(self.chunks, self._segments("values", VALUES)):
             self._read_tiles(chunk, blocks)
@@ -114,7 +151,9 @@ class Pyramid:
         """Reads the coarsest level, and the tiles that no chunk has."""
         path = self.archive / f"steps/{self.number:06}-coarse.seg"
         blocks = segment_blocks(path, COARSE)
-        expect(path, "blocks", 1, len(blocks))
+        expect(path, "blocks", 1, min(len(blocks), 1))
+        expect(path, "masks", 0, max(len(blocks) - 2, 0))
+        self.coarse_mask = blocks[1:]
         array, data = self.array, blocks[0]
         coarsest, lengths = struct.unpack_from("<2I", data)
         at = 8 + coarsest
@@ -137,7 +176,24 @@ class Pyramid:
             for block in over_axes(list(map(blocks_along, self._tiles_in(chunk, m)))):
                 tiles = [(m, tile) for tile in over_axes(block)]
                 self.array.tiles |= block_records(tiles, next(blocks))
+        if (mask := next(blocks, None)) is not None:
+            region = [(s.start, s.stop) for s in reversed(chunk)]
+            self.missing[tuple(slice(*ends) for ends in region)] = read_mask(region, mask)
         fail_unless(next(blocks, None) is None, "a chunk has too many blocks")
+
+    def missing_nodes(self):
+        """Which nodes of the level above those of chunks are missing, as is told with it."""
+        nodes = self.array.levels[self._fine()][::-1]
+        if not self._fine():
+            return self.missing
+        if not self.coarse_mask:
+            return np.zeros(nodes, bool)
+        return read_mask([(0, n) for n in nodes], self.coarse_mask[0])
+
+    def strides(self):
+        """The samples from one of these nodes to the next, (z, y, x)."""
+        splits = self.array.splits[1 : self._fine() + 1]
+        return [2 ** sum(split[axis] for split in splits) for axis in (2, 1, 0)]
 
     def _read_corrections(self, chunk, data):
         """Reads the corrections of a chunk."""
@@ -146,8 +202,8 @@ class Pyramid:
         self.array.boxes |= block_records(boxes, data)
 
     def samples(self):
-        """All samples, (z, y, x), less the offset of the source."""
-        return self.array.level(0)
+        """All samples, (z, y, x), less the offset of the source; NaN where one is missing."""
+        return np.where(self.missing, np.float32(np.nan), self.array.level(0))
 
     def bricks(self):
         """Of each chunk the ends of its range, told twice, and its bricks.
@@ -163,7 +219,8 @@ class Pyramid:
             ]
             bricks = [brick[::-1] for brick in over_axes(axes)]
             void, least, largest, count = struct.unpack_from("<I2fI", summary)
-            expect(self.archive, "void samples", 0, void)
+            here = self.missing[tuple(slice(s.start, s.stop) for s in reversed(chunk))]
+            expect(self.archive, "void samples", int(here.sum()), void)
             expect(self.archive, "bricks", len(bricks), count)
             low, high, ranges = ranges_of(summary[16:], count)
             yield (least, largest, low, high), list(zip(bricks, ranges))
@@ -187,7 +244,7 @@ def main():
     pyramid = Pyramid(given.archive, given.step)
     samples, bricks = pyramid.samples(), sum(len(bricks) for _, bricks in pyramid.bricks())
     size = "x".join(map(str, samples.shape[::-1]))
-    print(f"{size} samples, from {samples.min():g} to {samples.max():g}, in {bricks} bricks")
+    print(f"{size} samples, from {np.nanmin(samples):g} to {np.nanmax(samples):g}, in {bricks} bricks")
     if given.out:
         np.save(given.out, samples)
 

@@ -5,12 +5,14 @@ Ranges of bricks and hashes are compared with those that FORMAT.md describes.
 """
 import json
 import re
+import struct
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import xxhash
+from files import manifest_text
 from read_pyramid import Pyramid
 from test import SEED, wave
 
@@ -51,7 +53,18 @@ def cases():
     yield "constant, whole", np.full((20, 21, 22), 7, "u1"), ["--lossless"]
     missing = rough((70, 40, 33))
     missing[20:, :20] = np.nan
-    yield "missing samples", missing, ["--nan", "100", "--target-max", "0.01"]
+    yield "a value for missing samples", missing, ["--nan", "100", "--target-max", "0.01"]
+    for size in [(70, 40, 33), (300, 20, 17), (9, 8, 40), (5, 4, 3)]:
+        missing = rough(size)
+        missing[size[2] // 2 :, : size[1] // 2] = np.nan
+        missing[RANDOM.random(missing.shape) < 0.01] = np.nan
+        missing[:, :, 256:] = np.nan
+        missing[0, 0, :2] = 0, 1
+        for asked in (["--target-max", "1%"], ["--target-rms", "1%"]):
+            yield f"missing samples, {size}", missing, ["--nan", "mask", *asked]
+    high = np.round(50 * missing.astype("f8")) + 2**30
+    declared = np.where(np.isnan(missing), -1e9, high).astype("i4")
+    yield "declared samples", declared, ["--nan", "mask", "--missing=-1e9", "--lossless"]
     # Axes along which neighbours differ more than along the others are split later.
     z, _, x = np.meshgrid(*(np.arange(n) for n in (40, 35, 280)), indexing="ij")
     for name, field in [
@@ -94,30 +107,56 @@ def rounded(least, largest, bounds):
     """A range, rounded outwards."""
     if least == largest:
         return least, largest
+    if least > largest:
+        return least, largest
     unit = 2.0 ** (np.frexp(largest - least)[1] - 5)
     return max(least // unit * unit, bounds[0]), min(-(-largest // unit) * unit, bounds[1])
 
 
+def live_cells(samples):
+    """Which cells have no missing sample."""
+    known = ~np.isnan(samples)
+    for axis in range(3):
+        n = known.shape[axis]
+        known = known.take(range(n - 1), axis) & known.take(range(1, n), axis)
+    return known
+
+
+def live_nodes(samples):
+    """The samples of such cells; NaN elsewhere."""
+    live = np.pad(live_cells(samples), 1)
+    for axis in range(3):
+        n = live.shape[axis]
+        live = live.take(range(n - 1), axis) | live.take(range(1, n), axis)
+    return np.where(live, samples, np.nan)
+
+
+def range_of(samples):
+    """The least and the largest of samples, as far as they are known."""
+    known = samples[~np.isnan(samples)]
+    return (float(known.min()), float(known.max())) if known.size else (np.inf, -np.inf)
+
+
 def bricks_that_differ(samples, pyramid):
     """How many bricks have another range or number of cells than their samples say."""
-    differ, cells = 0, 0
+    differ = 0
     for told, bricks in pyramid.bricks():
-        ranges = [(float(samples[of].min()), float(samples[of].max())) for of, _ in bricks]
+        ranges = [range_of(live_nodes(samples[of])) for of, _ in bricks]
         bounds = min(r[0] for r in ranges), max(r[1] for r in ranges)
-        differ += told != (*bounds, *bounds)
+        known = [range_of(samples[of]) for of, _ in bricks]
+        known = min(r[0] for r in known), max(r[1] for r in known)
+        differ += told != (*known, *bounds)
         for (of, stored), (least, largest) in zip(bricks, ranges):
-            count = int(np.prod([s.stop - s.start - 1 for s in of]))
+            count = int(live_cells(samples[of]).sum())
             differ += stored != (*rounded(least, largest, bounds), count)
-            cells += count
-    return differ + (cells != np.prod([n - 1 for n in samples.shape]))
+    return differ
 
 
 def hashes_that_differ(archive):
     """Names of files whose hashes are not those that FORMAT.md describes."""
-    text = (archive / "manifest.json").read_text()
-    body = text[: text.rindex(',"checksum":')]
-    if text != f'{body},"checksum":"{xxhash.xxh3_128_hexdigest(body.encode())}"}}\n':
-        yield "manifest.json"
+    packed, text = (archive / "manifest.zst").read_bytes(), manifest_text(archive)
+    if packed[-16:] != struct.pack("<IIQ", 0x184D2A50, 8, xxhash.xxh3_64_intdigest(packed[:-16])):
+        yield "manifest.zst"
     # Numbers keep their form.
     manifest = json.loads(text, parse_float=lambda number: f"\t{number}\t")
     text_of = lambda part: json.dumps(part, separators=(",", ":"), ensure_ascii=False)
@@ -145,8 +184,13 @@ def far_from_source(samples, source, step):
     if correction == "none":
         return False
     bound = correction["max"] if isinstance(correction, dict) else 0
-    source = np.where(np.isnan(source), float(step["nan"]), source) if "nan" in step else source
-    return abs(samples - source.astype("f8")).max() > bound + step["source"].get("rounding", 0)
+    source = source.astype("f8")
+    source[source == step.get("missing")] = np.nan
+    if step.get("nan", "mask") != "mask":
+        source = np.where(np.isnan(source), float(step["nan"]), source)
+    if (np.isnan(source) != np.isnan(samples)).any():
+        return True
+    return np.nanmax(abs(samples - source)) > bound + step["source"].get("rounding", 0)
 
 
 def differences(program, source, number):
@@ -158,8 +202,13 @@ def differences(program, source, number):
     # A probe gives no -0.
     added = np.float64(offset) if offset else np.float32(0)
     ours = (samples + added).astype(theirs.dtype)
+    # A NaN has any bits.
+    ours, theirs = (np.where(np.isnan(s), 7e30, s).astype(s.dtype) for s in (ours, theirs))
     if differ := np.flatnonzero(ours.view("u1") != theirs.view("u1")).size:
         yield f"{differ} bytes of samples"
+    z, y, x = pyramid.strides()
+    if (pyramid.missing_nodes() != pyramid.missing[::z, ::y, ::x]).any():
+        yield "missing nodes"
     if differ := bricks_that_differ(samples, pyramid):
         yield f"{differ} bricks"
     if far_from_source(samples + added, source, pyramid.step):
@@ -176,7 +225,7 @@ def main():
         found += [f"a hash of {file}" for file in hashes_that_differ(program.archive)]
         for what in found:
             print(f"tools/wavelet/test: pyramid, {name}: {what}", file=sys.stderr)
-        plan = json.loads((program.archive / "manifest.json").read_text())["plan"]
+        plan = json.loads(manifest_text(program.archive))["plan"]
         delayed += any(plan["points"]["delay"])
         faults, archives = faults + len(found), archives + 1
     if faults or not delayed:

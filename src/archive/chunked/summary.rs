@@ -131,13 +131,13 @@ impl ValueSummary {
 /// above the largest.
 pub type ValueRange = [f32; 2];
 
-/// The ranges of the value blocks that are stored of a chunk with these values. They have the form
+/// The ranges of the value blocks of a chunk with these values. They have the form
 /// of those of tetrahedra: one of voids alone has none.
 pub fn value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<BlockRange> {
     let range = |[min, max]: ValueRange| BlockRange { min, max, tets: u32::from(min <= max) };
     with_vectors(
         #[inline(always)]
-        || (0..blocks.stored_count()).map(|n| range(value_range(&values[blocks.range(n)]))).collect(),
+        || (0..blocks.count()).map(|n| range(value_range(&values[blocks.range(n)]))).collect(),
     )
 }
 
@@ -209,7 +209,7 @@ mod tests {
         values[0] = f32::NAN;
         let last = (BLOCK_VALUES + 2) as f32;
         let ends = [[1.0, BLOCK_VALUES as f32 - 1.0], [BLOCK_VALUES as f32, last]];
-        let blocks = ValueBlocks::even(values.len());
+        let blocks = ValueBlocks::new(values.len());
         let ranges = value_ranges(&values, &blocks);
         assert_eq!(ranges, ends.map(|[min, max]| BlockRange { min, max, tets: 1 }));
         let bytes = encode_value_ranges(&values, &blocks);
@@ -219,7 +219,7 @@ mod tests {
             assert!((0.0..=most).contains(&(lo - range.min)) && (0.0..=most).contains(&(range.max - hi)));
         }
         assert!(decode_value_ranges(&bytes[..15], 2).is_err());
-        let void = encode_value_ranges(&[f32::NAN; 3], &ValueBlocks::even(3));
+        let void = encode_value_ranges(&[f32::NAN; 3], &ValueBlocks::new(3));
         let none = BlockRange { min: f32::INFINITY, max: f32::NEG_INFINITY, tets: 0 };
         assert_eq!(decode_value_ranges(&void, 1).unwrap(), [none]);
     }
@@ -242,7 +242,7 @@ mod tests {
                 let one_by_one = values.chunks(BLOCK_VALUES).map(|block| block.iter().fold(none, wider));
                 let bits = |range: ValueRange| range.map(f32::to_bits);
                 let expected: Vec<_> = one_by_one.map(bits).collect();
-                let blocks = ValueBlocks::even(values.len());
+                let blocks = ValueBlocks::new(values.len());
                 assert_eq!(
                     value_ranges(&values, &blocks).iter().map(|r| bits([r.min, r.max])).collect::<Vec<_>>(),
                     expected

@@ -1,8 +1,7 @@
 //! The manifest: what an archive is of, how it was made, and which segments it has. Written last.
 //!
-//! It is JSON, for people and scripts to read, and guarded like everything else: its last member is
-//! a checksum of all bytes before it, so that a flipped digit is an error and not another archive.
-//! A folder without a manifest is an unfinished archive.
+//! It is compressed JSON with a checksum ([`pack_manifest`]): a flipped bit is an error and not
+//! another archive. A folder without a manifest is an unfinished archive.
 //!
 //! Members with their usual value are left out, and so are those of an error that follow from
 //! others: `FORMAT.md` lists them. Of a small archive they would be half of all bytes.
@@ -14,6 +13,7 @@
 
 mod files;
 mod order;
+mod packed;
 mod plan;
 mod record;
 
@@ -22,6 +22,7 @@ pub use self::files::{
     mesh_segment_path, ranges_segment_path, spectrum_path, step_prefix, steps_folder, sums_segment_path,
     unpacked_path, unpacked_step, values_segment_path,
 };
+pub use self::packed::{MANIFEST_DICTIONARY, pack_manifest};
 pub use self::plan::{
     BLOCK_TETS, CHUNK_POINTS, Counts, FrameRecord, MOST_UNINDEXED, MOST_UNINDEXED_BRICKS,
     MOST_UNINDEXED_CHUNKS, OwnRecord, Plan,
@@ -50,7 +51,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// Name of the manifest in the archive's folder.
-pub const MANIFEST_NAME: &str = "manifest.json";
+pub const MANIFEST_NAME: &str = "manifest.zst";
 /// Value of the manifest's first member.
 pub const MANIFEST_FORMAT: &str = "isospan archive";
 /// The most bytes of a manifest.
@@ -301,6 +302,9 @@ pub struct Step {
     pub error: Option<FieldError>,
     /// The errors of each level, where the density of points differs from place to place.
     pub level_errors: Vec<LevelError>,
+    /// Of a pyramid whose error was measured: the RMS errors of levels 1, 2, … at the samples up to
+    /// their last nodes, or in some rows of them.
+    pub level_rms: Vec<f64>,
 }
 
 impl Step {
@@ -320,6 +324,7 @@ impl Step {
             coordinates: None,
             error: None,
             level_errors: vec![],
+            level_rms: vec![],
         }
     }
 
@@ -414,17 +419,21 @@ impl Manifest {
     /// When the file cannot be written.
     pub fn write(&self, archive: &Path) -> Result<()> {
         let mut out = Unpublished::create(&archive.join(MANIFEST_NAME))?;
-        out.write(self.to_text().as_bytes())?;
+        out.write(&self.to_bytes())?;
         out.publish()
     }
 
-    /// Bytes of the manifest's file.
-    pub(crate) fn text_bytes(&self) -> u64 {
-        self.to_text().len() as u64
+    /// The manifest's file.
+    pub(crate) fn to_bytes(&self) -> Vec<u8> {
+        pack_manifest(&self.to_json())
     }
 
-    fn to_text(&self) -> String {
-        sealed_text(self)
+    /// As JSON without spaces.
+    ///
+    /// # Panics
+    /// Never: a manifest is plain data.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string(self).expect("a manifest is plain data")
     }
 
     /// Reads the manifest of an archive.
@@ -459,11 +468,15 @@ impl Manifest {
     }
 
     fn parse(bytes: &[u8], path: &Path) -> Result<Self> {
+        Self::of_json(&packed::unpack(bytes, path)?, path)
+    }
+
+    fn of_json(text: &[u8], path: &Path) -> Result<Self> {
         let json = |e: serde_json::Error| {
             let at = format!("line {} column {}", e.line(), e.column());
             Error::bad_input(path, at, "the manifest of an isospan archive", e.to_string())
         };
-        let version: Version = serde_json::from_slice(bytes).map_err(json)?;
+        let version: Version = serde_json::from_slice(text).map_err(json)?;
         if version.format != MANIFEST_FORMAT {
             return Err(Error::bad_input(path, "format", MANIFEST_FORMAT, version.format));
         }
@@ -489,10 +502,7 @@ impl Manifest {
             )
             .with_help("use a newer isospan"));
         }
-        let help =
-            "the manifest was damaged or edited: restore it, or delete it and run the same reduction again";
-        check_sum(bytes, path, help)?;
-        let manifest: Self = serde_json::from_slice(bytes).map_err(json)?;
+        let manifest: Self = serde_json::from_slice(text).map_err(json)?;
         Ok(Self { plan_hash: manifest.plan.hash(), ..manifest })
     }
 
@@ -663,6 +673,7 @@ pub(crate) mod tests {
             coordinates: None,
             error: None,
             level_errors: vec![],
+            level_rms: vec![],
             ranges: vec![],
             coarse: None,
         };
@@ -681,9 +692,10 @@ pub(crate) mod tests {
         fewer.write(dir.path()).unwrap();
         assert_eq!(Manifest::read(dir.path()).unwrap(), fewer);
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "no leftover");
-        let json: serde_json::Value =
-            serde_json::from_slice(&std::fs::read(dir.path().join(MANIFEST_NAME)).unwrap()).unwrap();
-        assert_eq!(json["mesh"][1]["first_chunk"], 2);
+        let file = std::fs::read(dir.path().join(MANIFEST_NAME)).unwrap();
+        let json = packed::unpack(&file, dir.path()).unwrap();
+        assert_eq!(String::from_utf8(json).unwrap(), fewer.to_json());
+        assert!(4 * file.len() < fewer.to_json().len(), "{} bytes", file.len());
     }
 
     /// A step whose members are the usual ones, and an error whose counts and places follow.
@@ -728,7 +740,7 @@ pub(crate) mod tests {
     #[test]
     fn what_is_usual_or_follows_is_left_out() {
         let m = usual();
-        let text = m.to_text();
+        let text = m.to_json();
         let plan = concat!(
             r#"{"lattice":{"dims":[103,94,161],"log2_steps":16},"#,
             r#""points":{"set":"hammersley","n":1000,"shift":0.5},"order_bits":9,"#,
@@ -750,13 +762,9 @@ pub(crate) mod tests {
         let mesh = r#""mesh":[{"bytes":1000,"blocks":7,"content_hash":"fffffffffffffffa"}],"#;
         assert_eq!(
             text,
-            format!(
-                r#"{head}"{}","plan":{plan},{counts}{mesh}"steps":[{step}{rest}{}"#,
-                m.isospan_version,
-                &text[text.rfind(TAIL_START).unwrap()..],
-            )
+            format!(r#"{head}"{}","plan":{plan},{counts}{mesh}"steps":[{step}{rest}}}"#, m.isospan_version,)
         );
-        assert_eq!(Manifest::parse(text.as_bytes(), Path::new("m")).unwrap(), m);
+        assert_eq!(Manifest::of_json(text.as_bytes(), Path::new("m")).unwrap(), m);
         assert_eq!(m.plan_hash, PlanHash::of(plan.as_bytes()));
         let hashed = format!("{}{step}}}", m.plan_hash).replace("tooth.nrrd", "");
         assert_eq!(m.steps[0].plan.hash(m.plan_hash), PlanHash::of(hashed.as_bytes()));
@@ -819,17 +827,17 @@ pub(crate) mod tests {
                 worst_of(m).index = None;
             }),
         ];
-        let usual_text = usual().to_text();
+        let usual_text = usual().to_json();
         for (words, edit) in edits {
             let mut m = usual();
             edit(&mut m);
             m.plan_hash = m.plan.hash();
-            let text = m.to_text();
+            let text = m.to_json();
             assert!(text.contains(words) && !usual_text.contains(words), "{words}: {text}");
-            let back = Manifest::parse(text.as_bytes(), Path::new("m")).unwrap();
+            let back = Manifest::of_json(text.as_bytes(), Path::new("m")).unwrap();
             assert_eq!(back, m, "{words}");
             // Equal numbers may have different signs of zero.
-            assert_eq!(back.to_text(), text);
+            assert_eq!(back.to_json(), text);
             assert_eq!(back.steps[0].plan.hash(m.plan_hash), m.steps[0].plan.hash(m.plan_hash));
         }
     }
@@ -842,10 +850,9 @@ pub(crate) mod tests {
         error_of(m).worst.as_mut().unwrap()
     }
 
-    /// Sealed again: the checksum is right.
     #[test]
     fn members_of_other_types_and_those_that_do_not_follow_are_refused() {
-        let good = usual().to_text();
+        let good = usual().to_json();
         for (from, to, words) in [
             ("\"number\":0,", "\"number\":0,\"void_points\":-1,", "invalid value"),
             ("\"number\":0,", "\"number\":0,\"time\":\"noon\",", "invalid type"),
@@ -864,10 +871,9 @@ pub(crate) mod tests {
             ("[103,94,161],\"scalar", "[103,94,18446744073709551615],\"scalar", "without `samples`"),
             (",\"worst\":{\"sample\":9891,\"original\":0.1,\"reduced\":0.3}", "", "without `max`"),
         ] {
-            let body = good[..good.rfind(TAIL_START).unwrap()].replacen(from, to, 1);
-            let text = format!("{body}{}", tail(&body));
+            let text = good.replacen(from, to, 1);
             assert_ne!(text, good, "{from}");
-            let e = Manifest::parse(text.as_bytes(), Path::new("m")).expect_err(to);
+            let e = Manifest::of_json(text.as_bytes(), Path::new("m")).expect_err(to);
             assert!(e.to_string().contains(words), "{to}: {e}");
             assert!(!e.to_string().contains('\n') && e.exit_code() == 5, "{e}");
         }
@@ -875,19 +881,23 @@ pub(crate) mod tests {
 
     #[test]
     fn every_flipped_byte_and_every_cut_is_found() {
-        let path = Path::new("manifest.json");
-        let good = example().to_text().into_bytes();
+        let path = Path::new(MANIFEST_NAME);
+        let good = example().to_bytes();
         Manifest::parse(&good, path).unwrap();
         for i in 0..good.len() {
-            for bit in [0, 5, 7] {
+            for bit in 0..8 {
                 let mut bad = good.clone();
                 bad[i] ^= 1 << bit;
-                let e = Manifest::parse(&bad, path).expect_err("a flipped byte");
-                assert_eq!(e.exit_code(), 5, "{e}");
-                assert!(!e.to_string().contains('\n'), "{e}");
+                let e = Manifest::parse(&bad, path).expect_err("a flipped bit");
+                assert!(e.exit_code() == 5 && !e.to_string().contains('\n'), "{e}");
             }
             assert!(Manifest::parse(&good[..i], path).is_err());
         }
+        assert!(Manifest::parse(&[&good[..], b"0"].concat(), path).is_err(), "bytes behind it");
+        // A kilobyte that would be a gigabyte.
+        let large = pack_manifest(&" ".repeat(1 << 27));
+        let e = Manifest::parse(&large, path).unwrap_err().to_string();
+        assert!(e.contains("more than"), "{e}");
     }
 
     #[test]
@@ -903,21 +913,17 @@ pub(crate) mod tests {
         std::fs::create_dir(mesh_folder(dir.path())).unwrap();
         refused("not finished");
         let path = dir.path().join(MANIFEST_NAME);
-        std::fs::write(
-            &path,
-            r#"{"format":"isospan archive","format_version":9,"oldest_reader":8,"new":[]}"#,
-        )
-        .unwrap();
+        let write = |json: &str| std::fs::write(&path, pack_manifest(json)).unwrap();
+        write(r#"{"format":"isospan archive","format_version":9,"oldest_reader":8,"new":[]}"#);
         let e = Manifest::read(dir.path()).unwrap_err().to_string();
         assert!(e.contains("got 9, for programs of format 8 on; use a newer isospan"), "{e}");
-        let old = r#"{"format":"isospan archive","format_version":4,"oldest_reader":4}"#;
-        std::fs::write(&path, old).unwrap();
+        write(r#"{"format":"isospan archive","format_version":4,"oldest_reader":4}"#);
         let e = Manifest::read(dir.path()).unwrap_err().to_string();
         assert!(e.contains("expected format 5 or later, got 4; an earlier isospan has made it"), "{e}");
+        write("{}");
+        refused("manifest of an isospan archive");
         std::fs::write(&path, "{}").unwrap();
-        assert!(
-            Manifest::read(dir.path()).unwrap_err().to_string().contains("manifest of an isospan archive")
-        );
+        refused("manifest of an isospan archive");
     }
 
     #[test]

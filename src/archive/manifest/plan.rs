@@ -114,9 +114,6 @@ pub struct FrameRecord {
     pub cuts: ChunkCuts,
 }
 
-/// Voxels along an edge of a lattice's cell, at most, for its tetrahedra to follow by formula.
-const LARGEST_CELL: u64 = 64;
-
 impl Plan {
     /// The hash that mesh segments carry: of the plan as JSON without spaces, members in the order
     /// of this struct.
@@ -132,17 +129,7 @@ impl Plan {
 
     /// The bricks.
     pub fn bricks(&self) -> BrickGrid {
-        match self.lattice_cells() {
-            Some(cells) => BrickGrid::of_cells(self.lattice, self.brick_edge, cells),
-            None => BrickGrid::new(self.lattice, self.brick_edge),
-        }
-    }
-
-    /// Whether steps of an archive of so many chunks may have a spectrum: not those of a small
-    /// lattice. How many blocks another mesh has is known when it is made.
-    pub fn may_have_spectrum(&self, chunks: u64) -> bool {
-        let counts = Counts { chunks, blocks: self.bricks().len(), ..Counts::default() };
-        !self.is_pyramid() && (self.lattice_cells().is_none() || counts.is_indexed(self))
+        BrickGrid::new(self.lattice, self.brick_edge)
     }
 
     /// Whether all samples are stored, as a wavelet pyramid.
@@ -152,20 +139,7 @@ impl Plan {
 
     /// Whether tetrahedra, or what they are made again from, are in files of their own.
     pub fn stores_mesh(&self) -> bool {
-        !self.is_pyramid() && self.lattice_cells().is_none()
-    }
-
-    /// The cells along each axis of a body-centred cubic lattice that is all of the points: its
-    /// tetrahedra follow by formula. Not of one whose cells are longer than 64 voxels, which bricks
-    /// of a cell would have to be too.
-    pub fn lattice_cells(&self) -> Option<[u32; 3]> {
-        match self.points {
-            PointSpec::Bcc { cells } if self.explicit.is_none() => {
-                let fits = |a: usize| self.lattice.dims[a] - 1 <= LARGEST_CELL * u64::from(cells[a]);
-                (0..3).all(fits).then_some(cells)
-            }
-            _ => None,
-        }
+        !self.is_pyramid()
     }
 }
 
@@ -187,10 +161,9 @@ impl Counts {
     /// Whether the steps of the mesh of a plan have an index and a spectrum each: see
     /// [`MOST_UNINDEXED`].
     pub fn is_indexed(&self, plan: &Plan) -> bool {
-        let [chunks, blocks] = match plan.lattice_cells() {
-            Some(_) => [MOST_UNINDEXED_CHUNKS, MOST_UNINDEXED_BRICKS],
-            None if plan.is_pyramid() => [MOST_UNINDEXED_CHUNKS, MOST_UNINDEXED_BRICKS],
-            None => [1, MOST_UNINDEXED],
+        let [chunks, blocks] = match plan.is_pyramid() {
+            true => [MOST_UNINDEXED_CHUNKS, MOST_UNINDEXED_BRICKS],
+            false => [1, MOST_UNINDEXED],
         };
         self.chunks > chunks || self.blocks > blocks
     }

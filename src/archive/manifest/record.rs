@@ -87,6 +87,8 @@ pub(super) struct StepRecord {
     error: Option<ErrorRecord>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     level_errors: Vec<LevelError>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    level_rms: Vec<f64>,
 }
 
 impl From<Step> for StepRecord {
@@ -106,6 +108,7 @@ impl From<Step> for StepRecord {
             coordinates: step.coordinates,
             error,
             level_errors: step.level_errors,
+            level_rms: step.level_rms,
         }
     }
 }
@@ -129,6 +132,7 @@ impl TryFrom<StepRecord> for Step {
             coordinates: record.coordinates,
             error,
             level_errors: record.level_errors,
+            level_rms: record.level_rms,
         })
     }
 }

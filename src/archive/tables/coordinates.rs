@@ -249,6 +249,20 @@ impl CoordinateMap {
         Ok(trilinear(&self.corners(cell)?, t))
     }
 
+    /// The position of a sample of the grid.
+    ///
+    /// # Errors
+    /// When the segment cannot be read, or is damaged.
+    pub fn sample(&self, at: [u64; 3]) -> Result<[f64; 3]> {
+        match &self.grid {
+            Grid::Axes(axes) => Ok(std::array::from_fn(|a| axes[a][at[a] as usize])),
+            Grid::Points(runs) => {
+                let number = (at[2] * self.dims[1] + at[1]) * self.dims[0] + at[0];
+                Ok(self.point(runs, number)?.to_array())
+            }
+        }
+    }
+
     /// The positions of the eight corners of a cell, x fastest.
     fn corners(&self, cell: [u64; 3]) -> Result<[DVec3; 8]> {
         let mut out = [DVec3::ZERO; 8];

@@ -26,7 +26,6 @@
 //! floating-point data", where the prediction is one of space). Some blocks of a chunk are coded
 //! both ways, and the shorter way is taken for all of the chunk.
 
-use self::brick::Template;
 use crate::archive::wire::{Cursor, Malformed};
 use crate::sample::Values;
 use byteorder::{ByteOrder, LE};
@@ -35,17 +34,6 @@ use pco::{ChunkConfig, DeltaSpec, ModeSpec};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-pub(crate) mod brick;
-mod groups;
-mod nodes;
-
-#[cfg(test)]
-pub(crate) use groups::MOST_BRICKS;
-pub use groups::{BrickGroups, group_bricks};
-pub use nodes::NodeCoder;
-
-/// Values in a block that is not stored: few, as a reader needs those next to a surface alone.
-const UNSTORED_VALUES: usize = 16;
 /// Values in a block, the last one of a chunk excepted.
 pub const BLOCK_VALUES: usize = 1024;
 /// Codec: values as they are.
@@ -59,17 +47,6 @@ pub const VALUES_QUANTISED: u8 = 17;
 pub const VALUES_AFTER: u8 = 32;
 /// Codec: pcodec of differences of multiples of a step to those of the step before.
 pub const VALUES_AFTER_QUANTISED: u8 = 33;
-
-/// Codec: a brick of a lattice, multiples of the plan's step.
-pub const VALUES_BRICK: u8 = 48;
-/// Codec: a brick of a lattice, differences of multiples of the plan's step to those of the step
-/// before.
-pub const VALUES_BRICK_AFTER: u8 = 49;
-
-/// Codec: a brick of nodes of a lattice, in parts of the plan's step.
-pub const VALUES_NODES: u8 = 50;
-/// Codec: a brick of nodes of which some are void, pcodec of multiples of the plan's step.
-pub const VALUES_NODES_VOID: u8 = 51;
 
 /// The bits of every void value.
 const VOID: u32 = 0x7fc0_0000;
@@ -89,18 +66,6 @@ pub struct Quantiser {
     pub step: f64,
     /// How far a value can be from what it was before.
     pub bound: f64,
-    /// Values are multiples of the step, or of so many parts of it.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
-    pub parts: i32,
-}
-
-fn one() -> i32 {
-    1
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_one(n: &i32) -> bool {
-    *n == 1
 }
 
 impl Quantiser {
@@ -115,24 +80,7 @@ impl Quantiser {
         let step = if high > low { (high - low) / steps } else { 1.0 };
         // Half a step, and half the distance of two f32 where the values are largest.
         let coarse = low.abs().max(high.abs()) * f64::from(f32::EPSILON);
-        Self { bits, origin: low, step, bound: step / 2.0 + coarse, parts: 1 }
-    }
-
-    /// The same, for nodes at samples: these are whole numbers of steps, or values are in parts of
-    /// one, which takes half a part more.
-    pub fn of_nodes(self, has_whole_steps: bool) -> Self {
-        match has_whole_steps {
-            true => self,
-            false => {
-                let more = self.step / f64::from(2 * brick::PARTS);
-                Self { parts: brick::PARTS, bound: self.bound + more, ..self }
-            }
-        }
-    }
-
-    /// Steps from one end of the range to the other.
-    fn steps_of_range(&self) -> f64 {
-        steps_of(self.bits)
+        Self { bits, origin: low, step, bound: step / 2.0 + coarse }
     }
 
     /// The same for values as `values` says: fitted ones are rounded by
@@ -193,50 +141,21 @@ fn steps_of(bits: f64) -> f64 {
     libm::exp2(bits) - 1.0
 }
 
-/// How the values of a chunk are cut into blocks: bricks of a lattice, where there are some, then
-/// [`BLOCK_VALUES`] each. Those of a lattice that follow from others are in blocks of their own,
-/// which are not stored.
-#[derive(Clone, Debug)]
+/// How the values of a chunk are cut into blocks: [`BLOCK_VALUES`] each, the last one has the rest.
+#[derive(Clone, Copy, Debug)]
 pub struct ValueBlocks {
-    /// The cells of each brick, and the number of its first value.
-    bricks: Vec<([u32; 3], usize)>,
-    /// Values of all bricks, values that are stored, and all values.
-    in_bricks: usize,
-    stored: usize,
     len: usize,
 }
 
 impl ValueBlocks {
-    /// Blocks of [`BLOCK_VALUES`], all of them stored.
-    pub fn even(len: usize) -> Self {
-        Self::new([], len, len)
-    }
-
-    /// Bricks of so many cells, 1 to 8 along each axis, with two values a cell, then blocks of
-    /// [`BLOCK_VALUES`] of the others that are `stored`, then small ones of the rest.
-    ///
-    /// # Panics
-    /// When more values are stored than there are, or fewer than those of bricks.
-    pub fn new(cells: impl IntoIterator<Item = [u32; 3]>, stored: usize, len: usize) -> Self {
-        let mut in_bricks = 0;
-        let brick = |cells: [u32; 3]| {
-            let first = in_bricks;
-            in_bricks += 2 * cells.iter().product::<u32>() as usize;
-            (cells, first)
-        };
-        let bricks = cells.into_iter().map(brick).collect();
-        assert!(in_bricks <= stored && stored <= len, "{in_bricks} <= {stored} <= {len}");
-        Self { bricks, in_bricks, stored, len }
+    /// Blocks of so many values.
+    pub fn new(len: usize) -> Self {
+        Self { len }
     }
 
     /// Number of blocks.
     pub fn count(&self) -> usize {
-        self.stored_count() + (self.len - self.stored).div_ceil(UNSTORED_VALUES)
-    }
-
-    /// Number of those that are stored: they come first.
-    pub fn stored_count(&self) -> usize {
-        self.bricks.len() + (self.stored - self.in_bricks).div_ceil(BLOCK_VALUES)
+        self.len.div_ceil(BLOCK_VALUES)
     }
 
     /// Number of values.
@@ -252,37 +171,17 @@ impl ValueBlocks {
     /// The block that has a value.
     #[inline]
     pub fn of(&self, value: usize) -> usize {
-        if value >= self.stored {
-            return self.stored_count() + (value - self.stored) / UNSTORED_VALUES;
-        }
-        match value.checked_sub(self.in_bricks) {
-            Some(behind) => self.bricks.len() + behind / BLOCK_VALUES,
-            None => self.bricks.partition_point(|b| b.1 <= value) - 1,
-        }
+        value / BLOCK_VALUES
     }
 
     /// The values of a block.
     pub fn range(&self, block: usize) -> Range<usize> {
-        if let Some(behind) = block.checked_sub(self.stored_count()) {
-            let first = self.stored + behind * UNSTORED_VALUES;
-            return first..self.len.min(first + UNSTORED_VALUES);
-        }
-        match block.checked_sub(self.bricks.len()) {
-            Some(behind) => {
-                let first = self.in_bricks + behind * BLOCK_VALUES;
-                first..self.stored.min(first + BLOCK_VALUES)
-            }
-            None => self.bricks[block].1..self.bricks.get(block + 1).map_or(self.in_bricks, |b| b.1),
-        }
-    }
-
-    /// The cells of a block that is a brick.
-    pub fn cells(&self, block: usize) -> Option<[u32; 3]> {
-        self.bricks.get(block).map(|b| b.0)
+        let first = block * BLOCK_VALUES;
+        first..self.len.min(first + BLOCK_VALUES)
     }
 }
 
-/// Encodes the values of the local vertices of a chunk, core then halo: each block that is stored.
+/// Encodes the values of the local vertices of a chunk, core then halo: block by block.
 /// Values that [`Quantiser::round`] has made of others are stored as steps. `before` are the values
 /// of the same vertices at the step that blocks may refer to.
 ///
@@ -302,7 +201,7 @@ pub fn encode_values(
     let how = encoder.choose(values, before);
     let before = before.filter(|_| how.after);
     let encode = |n| encoder.encode(n, values, before, how.coder).to_vec();
-    (0..blocks.stored_count()).map(encode).collect()
+    (0..blocks.count()).map(encode).collect()
 }
 
 /// How pcodec is to treat the numbers of a block.
@@ -337,7 +236,7 @@ struct Encoder<'a> {
 impl Encoder<'_> {
     /// Finds out which way takes the fewest bytes, with the first block, a middle and the last one.
     fn choose(&mut self, values: &[f32], before: Option<&[f32]>) -> How {
-        let blocks = self.blocks.stored_count();
+        let blocks = self.blocks.count();
         let mut tried = vec![0, blocks / 2, blocks.saturating_sub(1)];
         tried.dedup();
         let mut bytes_of = |after: Option<&[f32]>, coder| -> usize {
@@ -366,7 +265,7 @@ impl Encoder<'_> {
     /// The bytes of a block; of one that refers to the values `before`, of the differences to them.
     fn encode(&mut self, n: usize, values: &[f32], before: Option<&[f32]>, coder: Coder) -> &[u8] {
         let Self { quantiser, blocks, block, numbers, steps } = self;
-        let (range, cells) = (blocks.range(n), blocks.cells(n));
+        let range = blocks.range(n);
         let (values, before) = (&values[range.clone()], before.map(|before| &before[range]));
         block.clear();
         numbers.clear();
@@ -379,11 +278,6 @@ impl Encoder<'_> {
                 let differ =
                     |(step, &before): (&mut i32, &f32)| *step = step.wrapping_sub(q.steps_or_void(before));
                 steps.iter_mut().zip(before).for_each(differ);
-            }
-            if let Some(cells) = cells.filter(|_| level == LEVEL) {
-                block.push(if before.is_some() { VALUES_BRICK_AFTER } else { VALUES_BRICK });
-                brick::encode(Template::of(cells), steps, block);
-                return block;
             }
             block.push(if before.is_some() { VALUES_AFTER_QUANTISED } else { VALUES_QUANTISED });
             block.extend(q.origin.to_le_bytes());
@@ -455,7 +349,7 @@ fn pack<T: pco::data_types::Number>(numbers: &[T], coder: Coder, level: usize, o
 
 /// Whether a block of values is coded against that of the step before.
 pub fn needs_before(bytes: &[u8]) -> bool {
-    matches!(bytes.first(), Some(&(VALUES_AFTER | VALUES_AFTER_QUANTISED | VALUES_BRICK_AFTER)))
+    matches!(bytes.first(), Some(&(VALUES_AFTER | VALUES_AFTER_QUANTISED)))
 }
 
 /// What is known of a block of values before it is read.
@@ -463,10 +357,6 @@ pub fn needs_before(bytes: &[u8]) -> bool {
 pub struct KnownOfBlock<'a> {
     /// How many values it has.
     pub n: usize,
-    /// The cells of a brick.
-    pub cells: Option<[u32; 3]>,
-    /// The plan's.
-    pub quantiser: Option<&'a Quantiser>,
     /// The values of the step before, for a block that [`needs_before`]; for others they are not
     /// used.
     pub before: &'a [f32],
@@ -519,20 +409,6 @@ pub fn decode_values(bytes: &[u8], known: &KnownOfBlock<'_>, out: &mut Vec<f32>)
             let value = |(d, b): (&i32, &f32)| q.value_or_void(q.steps_or_void(*b).wrapping_add(*d));
             out.extend(steps.iter().zip(before).map(value));
         }
-        codec @ (VALUES_BRICK | VALUES_BRICK_AFTER) => {
-            let (q, mut steps) = (known.quantiser, [0i32; BLOCK_VALUES]);
-            let template = known.cells.map(Template::of).filter(|template| template.len() == n);
-            let (Some(q), Some(template)) = (q, template) else {
-                let expected = "one for values without a lattice, or that are not rounded";
-                return Err(Malformed::new("codec", expected, codec.to_string()));
-            };
-            if !brick::decode(template, c.rest(), &mut steps[..n]) {
-                return Err(Malformed::new("values", format!("{n} values of a brick"), "other bytes"));
-            }
-            let before = |i: usize| if codec == VALUES_BRICK { 0 } else { q.steps_or_void(before[i]) };
-            let value = |(i, &s): (usize, &i32)| q.value_or_void(before(i).wrapping_add(s));
-            out.extend(steps[..n].iter().enumerate().map(value));
-        }
         other => return Err(Malformed::new("codec", "a known value codec", other.to_string())),
     }
     Ok(())
@@ -541,7 +417,7 @@ pub fn decode_values(bytes: &[u8], known: &KnownOfBlock<'_>, out: &mut Vec<f32>)
 /// The quantiser at the start of a block.
 fn quantiser(c: &mut Cursor<'_>) -> Result<Quantiser, Malformed> {
     let mut number = || Ok(f64::from_bits(c.u64("quantiser")?));
-    Ok(Quantiser { bits: 0.0, origin: number()?, step: number()?, bound: 0.0, parts: 1 })
+    Ok(Quantiser { bits: 0.0, origin: number()?, step: number()?, bound: 0.0 })
 }
 
 /// Exactly as many numbers as there is room for.
@@ -560,59 +436,11 @@ mod tests {
     use super::*;
 
     fn encode_even(values: &[f32], before: Option<&[f32]>, quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
-        encode_values(values, &ValueBlocks::even(values.len()), before, quantiser)
+        encode_values(values, &ValueBlocks::new(values.len()), before, quantiser)
     }
 
     fn decode_even(bytes: &[u8], n: usize, before: &[f32], out: &mut Vec<f32>) -> Result<(), Malformed> {
-        decode_values(bytes, &KnownOfBlock { n, before, ..KnownOfBlock::default() }, out)
-    }
-
-    #[test]
-    fn bricks_of_a_lattice_come_back_and_damage_does_no_harm() {
-        let q = Quantiser::new(8.0, [0.0, 100.0]);
-        let cells = [[8, 8, 8], [8, 8, 2], [3, 1, 5]];
-        let len = 1024 + 256 + 30 + 2000;
-        let blocks = ValueBlocks::new(cells, len, len);
-        assert_eq!((blocks.count(), blocks.range(4)), (5, 1310 + 1024..len));
-        for block in 0..blocks.count() {
-            assert!(blocks.range(block).all(|v| blocks.of(v) == block));
-        }
-        let at = |i: usize, t: f32| q.round(50.0 + 30.0 * (i as f32 / 90.0 + t).sin());
-        let [before, values]: [Vec<f32>; 2] = [0.0, 0.01].map(|t| (0..len).map(|i| at(i, t)).collect());
-        let mut holey = values.clone();
-        holey[1100] = f32::NAN;
-        for (values, before) in [(&values, None), (&values, Some(&*before)), (&holey, Some(&*before))] {
-            let encoded = encode_values(values, &blocks, before, Some(&q));
-            let mut back = vec![];
-            for (n, block) in encoded.iter().enumerate() {
-                let range = blocks.range(n);
-                let before = before.map_or(&[][..], |before| &before[range.clone()]);
-                let known =
-                    KnownOfBlock { n: range.len(), cells: blocks.cells(n), quantiser: Some(&q), before };
-                decode_values(block, &known, &mut back).unwrap();
-                let is_brick = [VALUES_BRICK, VALUES_BRICK_AFTER].contains(&block[0]);
-                assert_eq!(is_brick, n < 3 && !values[range].iter().any(|v| v.is_nan()));
-                let mut out = vec![];
-                for wrong in [
-                    KnownOfBlock { cells: None, ..known },
-                    KnownOfBlock { quantiser: None, ..known },
-                    KnownOfBlock { cells: Some([8, 8, 1]), ..known },
-                ] {
-                    assert!(!is_brick || decode_values(block, &wrong, &mut out).is_err());
-                }
-                for i in 0..block.len() {
-                    for bad in [0, block[i] ^ 1, block[i] ^ 128] {
-                        let mut damaged = block.clone();
-                        damaged[i] = bad;
-                        out.clear();
-                        let _ = decode_values(&damaged, &known, &mut out);
-                        assert!(out.is_empty() || out.len() == known.n);
-                    }
-                }
-            }
-            let bits = |v: &[f32]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-            assert_eq!(bits(&back), bits(values));
-        }
+        decode_values(bytes, &KnownOfBlock { n, before }, out)
     }
 
     fn round_trip(values: &[f32], quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {

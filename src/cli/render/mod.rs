@@ -11,6 +11,7 @@ mod scene;
 use super::figure::canvas::{Canvas, drawable};
 use super::figure::publish;
 use super::grammar::{self, AXES, Plane, Range, Slab, Value};
+use super::level::LevelArgs;
 use super::machine::Machine;
 use super::output::Force;
 use super::progress::Talk;
@@ -39,7 +40,7 @@ use std::path::{Path, PathBuf};
 /// --distance-to, colours show how far each surface is from another one.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render scan.isospan -i 600,1000 --together --opacity 0.3,1 -o both.png\n  isospan render scan.isospan -i 600 --clip y=50%: --slice y=50% -o cut.png\n  isospan render flow.isospan -i 0.1 --colour-by pressure -o flow.png\n  isospan render scan.isospan -i 600 --turntable 36 -o turn.gif\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
+    after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render scan.isospan -i 600,1000 --together --opacity 0.3,1 -o both.png\n  isospan render scan.isospan -i 600 --clip y=50%: --slice y=50% -o cut.png\n  isospan render flow.isospan -i 0.1 --colour-by pressure -o flow.png\n  isospan render scan.isospan -i 600 --turntable 36 -o turn.gif\n  isospan render scan.isospan -i 600 --level 2 -o look.png\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
 )]
 pub(crate) struct Args {
     /// Surfaces (.ply .stl .obj .vtp .vtkhdf .glb) or archives, these also by address: s3://... or
@@ -164,6 +165,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", allow_hyphen_values = true, default_value = "32", value_parser = grammar::whole::<u32>)]
     lights: u32,
     #[command(flatten)]
+    level: LevelArgs,
+    #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
     step: StepArgs,
@@ -218,6 +221,8 @@ impl Colours {
 struct PanelReport {
     input: String,
     step: Option<u64>,
+    /// The level of a pyramid.
+    level: Option<u32>,
     /// The unit of its isovalues.
     #[serde(skip)]
     unit: Option<Unit>,
@@ -284,6 +289,7 @@ fn in_words(file: &Path, drawn: &Drawn) -> String {
     let mut out = format!("{}: {w} x {h} pixels{frames}\n", file.display());
     for p in &drawn.panels {
         let step = p.step.map_or(String::new(), |n| format!(", step {n}"));
+        let step = p.level.map_or(step.clone(), |n| format!("{step}, level {n}"));
         for s in &p.surfaces {
             let unit = text::unit(p.unit.as_ref());
             let isovalue = s.isovalue.map_or(String::new(), |v| format!(", isovalue {v}{unit}"));
@@ -624,18 +630,19 @@ impl Stage<'_> {
         let mut taken =
             self.layout.bytes() + self.panels.iter().flat_map(|p| &p.shapes).map(distances).sum::<u64>();
         let beside = |e: Error, taken: u64| job.whole(e.plus_held(taken), share);
-        let field = panel.moment.as_ref().map(|m| &m.field).zip(self.legend.as_ref().map(|l| l.1));
-        if let (true, Some((step, colours)), [slice]) = (panel.flat, field, &panel.slices[..]) {
+        let shown = panel.moment.as_ref().zip(self.legend.as_ref());
+        let shown = shown.map(|(moment, (_, colours))| moment.shown(colours));
+        if let (true, Some(shown), [slice]) = (panel.flat, &shown, &panel.slices[..]) {
             let size = job.args.size.map(|s| s as usize);
             let unit = panel.length_unit();
-            let drawn = slice.picture(step, colours, size, job.args.background, unit, &job.resources(taken));
+            let drawn = slice.picture(shown, size, job.args.background, unit, &job.resources(taken));
             let canvas = drawn.map_err(|e| beside(e, taken))?;
             return Ok(Image { size: job.args.size, pixels: canvas.pixels });
         }
         let mut planes: Vec<(TriMesh, Vec<f32>)> = vec![];
-        if let Some((step, colours)) = field {
+        if let Some(shown) = &shown {
             for slice in &panel.slices {
-                let made = slice.surface(step, colours, &job.resources(taken));
+                let made = slice.surface(shown, &job.resources(taken));
                 let (mesh, shares) = made.map_err(|e| beside(e, taken))?;
                 taken += 28 * mesh.vertices.len() as u64 + 12 * mesh.triangles.len() as u64;
                 planes.push((mesh, shares));
@@ -691,6 +698,7 @@ impl Stage<'_> {
         let panel = |p: &Panel| PanelReport {
             input: p.name.clone(),
             step: p.moment.as_ref().and_then(|moment| moment.name.as_ref()).map(|(number, _)| *number),
+            level: p.moment.as_ref().and_then(|moment| moment.level),
             unit: p.value_unit().cloned(),
             surfaces: p.shapes.iter().map(shape).collect(),
             slices: p.slices.iter().map(|s| SliceReport { axis: AXES[s.axis], at: s.at }).collect(),

@@ -4,7 +4,7 @@ use super::super::figure::canvas::{Canvas, drawable, ticks};
 use super::super::grammar::AXES;
 use super::super::text;
 use super::Colours;
-use isospan::pipeline::{ProbeSettings, Step};
+use isospan::pipeline::{LevelChoice, ProbeSettings, Step};
 use isospan::surface::{TriMesh, Vertex, nearby_origin};
 use isospan::volume::units::Unit;
 use isospan::{Error, Resources, Result};
@@ -20,6 +20,14 @@ pub(super) struct Slice {
     pub(super) at: f64,
     /// The box that it lies in.
     pub(super) hull: Hull,
+}
+
+/// The field that planes show.
+pub(super) struct Shown<'a> {
+    pub(super) step: &'a Step,
+    /// The level of a pyramid; the finest if not given.
+    pub(super) level: Option<LevelChoice>,
+    pub(super) colours: &'a Colours,
 }
 
 /// Samples along the longer side of a slice in space.
@@ -74,29 +82,24 @@ impl Slice {
     /// The values at shares of its sides.
     fn values(
         &self,
-        step: &Step,
+        shown: &Shown<'_>,
         count: usize,
         share: impl Fn(usize) -> [f64; 2],
         resources: &Resources,
     ) -> Result<Vec<f64>> {
-        let settings = ProbeSettings { resources: resources.clone() };
+        let settings = ProbeSettings { resources: resources.clone(), level: shown.level };
         let mut values = Vec::with_capacity(count);
         while values.len() < count {
             let batch = values.len()..count.min(values.len() + BATCH);
             let points: Vec<[f64; 3]> = batch.map(|n| self.place(share(n))).collect();
-            values.extend(step.probe_with(&points, &settings)?);
+            values.extend(shown.step.probe_with(&points, &settings)?);
         }
         Ok(values)
     }
 
     /// The field on it, as a surface with a value for each vertex, 0 to 1 where colours have them;
     /// it has holes where there is no value.
-    pub(super) fn surface(
-        &self,
-        step: &Step,
-        colours: &Colours,
-        resources: &Resources,
-    ) -> Result<(TriMesh, Vec<f32>)> {
+    pub(super) fn surface(&self, shown: &Shown<'_>, resources: &Resources) -> Result<(TriMesh, Vec<f32>)> {
         let sides = self.sides();
         let longest = sides[0].max(sides[1]).max(f64::MIN_POSITIVE);
         let [w, h] = sides.map(|s| ((s / longest * SIDE as f64).ceil() as usize).clamp(1, SIDE));
@@ -105,9 +108,9 @@ impl Slice {
             [i as f64 / w as f64, j as f64 / h as f64]
         };
         let count = (w + 1) * (h + 1);
-        let values = self.values(step, count, share, resources)?;
+        let values = self.values(shown, count, share, resources)?;
         let vertices = (0..count).map(|n| self.vertex(share(n))).collect();
-        let shares: Vec<f32> = values.iter().map(|&v| colours.share(v) as f32).collect();
+        let shares: Vec<f32> = values.iter().map(|&v| shown.colours.share(v) as f32).collect();
         let cell = |n: usize| {
             let a = (n / w * (w + 1) + n % w) as u32;
             let (b, c) = (a + 1, a + w as u32 + 1);
@@ -122,8 +125,7 @@ impl Slice {
     /// high at most.
     pub(super) fn picture(
         &self,
-        step: &Step,
-        colours: &Colours,
+        shown: &Shown<'_>,
         size: [usize; 2],
         background: [u8; 4],
         unit: Option<&Unit>,
@@ -134,9 +136,9 @@ impl Slice {
         let [left, top, width, height] = frame.place;
         let middle = |n: usize, side: usize| (n as f64 + 0.5) / side as f64;
         let share = |n: usize| [middle(n % width, width), 1.0 - middle(n / width, height)];
-        let values = self.values(step, width * height, share, resources)?;
+        let values = self.values(shown, width * height, share, resources)?;
         for (n, &v) in values.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
-            let [r, g, b] = colours.of(v);
+            let [r, g, b] = shown.colours.of(v);
             canvas.pixels[(top + n / width) * size[0] + left + n % width] = [r, g, b, 255];
         }
         frame.axes(&mut canvas, super::layout::ink(background));

@@ -2,11 +2,11 @@
 
 use super::super::grammar::{AXES, Slab};
 use super::super::step::colour_fields;
-use super::plane::{Hull, Slice};
-use super::{Args, Job};
+use super::plane::{Hull, Shown, Slice};
+use super::{Args, Colours, Job};
 use isospan::exec::Progress;
 use isospan::formats::surface::{SurfaceFormat, load_surface};
-use isospan::pipeline::{Step, StepChoice, StepSummary, SurfaceSettings, is_archive};
+use isospan::pipeline::{LevelChoice, Step, StepChoice, StepSummary, SurfaceSettings, is_archive};
 use isospan::render::Paint;
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
@@ -71,8 +71,18 @@ impl Panel {
 pub(super) struct Moment {
     pub(super) step: Rc<Step>,
     pub(super) field: Rc<Step>,
+    /// The level of a pyramid that is drawn, where one is chosen.
+    pub(super) level: Option<u32>,
     /// Which it is, where there are several: its number, and words.
     pub(super) name: Option<(u64, String)>,
+}
+
+impl Moment {
+    /// What planes show: the field at its level, or another field at its finest one.
+    pub(super) fn shown<'a>(&'a self, colours: &'a Colours) -> Shown<'a> {
+        let level = self.level.filter(|_| Rc::ptr_eq(&self.step, &self.field));
+        Shown { step: &self.field, level: level.map(LevelChoice::Level), colours }
+    }
 }
 
 /// An input, opened.
@@ -93,7 +103,7 @@ pub(super) struct Opened {
 }
 
 impl Input {
-    pub(super) fn open(path: &Path, args: &Args) -> Result<Self> {
+    pub(super) fn open(path: &Path, args: &Args, resources: &Resources) -> Result<Self> {
         if !is_archive(path) {
             return Ok(Self::Surface(path.to_path_buf()));
         }
@@ -168,7 +178,14 @@ impl Input {
         let moment = |(choice, name)| {
             let step = Rc::new(archive.at(choice)?);
             let field = fields.next().unwrap_or_else(|| step.clone());
-            Ok(Moment { step, field, name })
+            let wanted = SurfaceSettings {
+                isovalues: isovalues.clone(),
+                level: args.level.choice(),
+                resources: resources.clone(),
+                ..SurfaceSettings::default()
+            };
+            let level = wanted.level.map(|_| step.level_of(&wanted)).transpose()?;
+            Ok(Moment { step, field, level, name })
         };
         let moments = choices.into_iter().map(moment).collect::<Result<_>>()?;
         let name = path.to_path_buf();
@@ -289,7 +306,10 @@ impl Job<'_> {
             (!args.slice.is_empty(), "--slice"),
             (args.together, "--together"),
             (series, "a step or a time"),
-        ] {
+        ]
+        .into_iter()
+        .chain(args.level.given())
+        {
             if archives == 0 && given {
                 return Err(Error::usage(format!("{flag} is for archives")));
             }
@@ -300,7 +320,9 @@ impl Job<'_> {
                 args.slice.len()
             )));
         }
-        let inputs = args.inputs.iter().map(|path| Input::open(path, args)).collect::<Result<Vec<_>>>()?;
+        let resources = self.resources(0);
+        let inputs =
+            args.inputs.iter().map(|path| Input::open(path, args, &resources)).collect::<Result<Vec<_>>>()?;
         let surfaces = |i: &Input| match i {
             Input::Surface(_) => 1,
             Input::Archive(opened) => opened.moments.len() * opened.isovalues.len(),
@@ -352,7 +374,7 @@ impl Job<'_> {
                     for (n, moment) in opened.moments.iter().enumerate() {
                         // Every step looks as the first does.
                         looks.next = first;
-                        let shapes = self.extract(opened, &moment.step, &check, &mut looks, progress)?;
+                        let shapes = self.extract(opened, moment, &check, &mut looks, progress)?;
                         let panel = |shapes, slices, flat| Panel {
                             name: opened.name.display().to_string(),
                             moment: Some(moment.clone()),
@@ -384,7 +406,7 @@ impl Job<'_> {
     fn extract(
         &self,
         opened: &Opened,
-        step: &Step,
+        moment: &Moment,
         check: &CheckSettings,
         looks: &mut Looks<'_>,
         progress: &dyn Progress,
@@ -400,9 +422,11 @@ impl Job<'_> {
                 .with_memory(self.memory / 8 * 7)
                 .with_cancel(self.cancel.clone()),
             isovalues: opened.isovalues.clone(),
+            level: moment.level.map(LevelChoice::Level),
             ..SurfaceSettings::default()
         };
-        let report = step
+        let report = moment
+            .step
             .write_surface(&settings, &folder.path().join("surface_{}.ply"), SurfaceFormat::Ply, progress)
             .map_err(|e| self.whole(e, settings.resources.memory))?;
         let several = opened.moments.len() > 1;

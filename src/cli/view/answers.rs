@@ -251,7 +251,7 @@ pub(super) fn slice(
 ) -> Result<()> {
     let ([width, height], points) = query.points()?;
     let archive = archives.at(archive, query.choice())?;
-    let settings = ProbeSettings { resources: resources.clone() };
+    let settings = ProbeSettings { resources: resources.clone(), level: None };
     let values = archive.probe_with(&points, &settings)?;
     json_part(&serde_json::json!({ "size": [width, height] }), sink)?;
     values.iter().try_for_each(|v| sink.write(&v.to_le_bytes()))

@@ -47,7 +47,7 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
     if !slices.is_empty() {
         return tiff::open_stack(path, slices, options);
     }
-    if path.join("manifest.json").is_file() {
+    if path.join("manifest.zst").is_file() {
         return Err(Error::bad_input(path, "folder", "a volume or a mesh", "an isospan archive"));
     }
     if path.join("mesh").is_dir() && path.join("steps").is_dir() {

@@ -17,6 +17,7 @@ pub(in crate::formats) mod nifti;
 pub(in crate::formats) mod npy;
 pub(in crate::formats) mod npz;
 pub(in crate::formats) mod nrrd;
+pub(crate) mod ome_zarr;
 pub mod raw;
 pub mod samples;
 pub(in crate::formats) mod stack;

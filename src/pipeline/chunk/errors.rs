@@ -229,11 +229,20 @@ pub(in crate::pipeline) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3
 
 /// The reported error of all samples of a volume, each counted once.
 pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) -> Result<FieldError> {
+    field_error_within(archive, archive.step().plan.source.dims, sums)
+}
+
+/// As [`field_error_of`], of the first so many samples along each axis: others are outside.
+pub(in crate::pipeline) fn field_error_within(
+    archive: &StepView,
+    within: [u64; 3],
+    sums: &ErrorSums,
+) -> Result<FieldError> {
     let source = &archive.step().plan.source;
     let dims = source.dims;
-    let samples = dims.iter().product::<u64>();
-    if sums.samples() != samples {
-        let expected = format!("tetrahedra that hold {samples} samples, each once");
+    let [samples, inside] = [dims, within].map(|dims| dims.iter().product::<u64>());
+    if sums.samples() != inside {
+        let expected = format!("tetrahedra that hold {inside} samples, each once");
         return Err(Error::bad_input(archive.path(), "tetrahedra", expected, sums.samples().to_string())
             .with_help("isospan check tells more"));
     }

@@ -12,7 +12,7 @@ use super::volume_field;
 use super::volume_field::GridField;
 use crate::error::Result;
 use crate::exec::CancelToken;
-use crate::grid::{Chunk, IndexBox};
+use crate::grid::Chunk;
 use crate::pipeline::read::MeshedChunk;
 
 /// The data of a step: a source of values at any place.
@@ -45,20 +45,6 @@ impl Field<'_> {
             Self::Grid(grid) => grid.originals(),
             Self::Cells(cells) => Originals::Mesh(cells.store, &cells.values),
             Self::Own(own) => Originals::Mesh(own.mesh.store, &own.values),
-        }
-    }
-
-    /// Reads the samples of a volume in a window; NaN means no sample.
-    ///
-    /// # Errors
-    /// When the data cannot be read, or have no sample where they must.
-    ///
-    /// # Panics
-    /// For a mesh.
-    pub(in crate::pipeline) fn read_samples(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
-        match self {
-            Self::Grid(grid) => grid.read_window(window, out),
-            Self::Cells(_) | Self::Own(_) => unreachable!("only a volume has nodes at samples"),
         }
     }
 

@@ -178,7 +178,6 @@ mod tests {
             shared: vec![],
             tets: TetList::default(),
             retries: 0,
-            bricks: None,
         };
         let found: Vec<(Range<usize>, Vec<u32>)> =
             Groups::of(&bricks, &mesh).iter().map(|(core, others)| (core, others.to_vec())).collect();

@@ -50,13 +50,6 @@ impl ChunkMesher {
         cancel: &CancelToken,
     ) -> Result<Meshing> {
         cancel.check()?;
-        if let Some(chunk) = recipe.bcc_chunk(chunk) {
-            let bytes = estimate::chunk_bytes(chunk.points() as u64, recipe.halo);
-            return Ok(match bytes > limit {
-                true => Meshing::NeedsRoom { bytes },
-                false => Meshing::Done(MeshedChunk::of_bcc(&chunk, recipe.halo)),
-            });
-        }
         if let Some(own) = recipe.own {
             return self.keep_own(own, recipe, chunk, limit);
         }
@@ -133,11 +126,6 @@ impl ChunkMesher {
         cancel: &CancelToken,
     ) -> Result<bool> {
         cancel.check()?;
-        if let Some(chunk) = recipe.bcc_chunk(chunk) {
-            let (around, positions) = chunk.around();
-            mesh.put_around(&around, positions);
-            return Ok(true);
-        }
         if !recipe.points.is_even() {
             return Ok(false);
         }
@@ -264,7 +252,7 @@ fn renumber(
     shared.resize(vertices, true);
     let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
     let around = positions.len() - vertices;
-    MeshedChunk { core_counts, halo, all_positions: positions, around, shared, tets, retries, bricks: None }
+    MeshedChunk { core_counts, halo, all_positions: positions, around, shared, tets, retries }
 }
 
 /// Numbers the sites outside the core that tetrahedra around have: those that are vertices have

@@ -23,7 +23,7 @@ mod step_samples;
 mod volume_field;
 
 pub(super) use cell_locator::CellLocator;
-pub(super) use errors::{ChunkTets, Originals, SampleErrors, Samples, field_error_of};
+pub(super) use errors::{ChunkTets, Originals, SampleErrors, Samples, field_error_of, field_error_within};
 pub(super) use field::{Field, interpolated};
 pub(super) use fit::fitted;
 pub(super) use mesh_field::CellField;

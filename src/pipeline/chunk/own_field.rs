@@ -60,7 +60,6 @@ impl OwnMesh<'_> {
         shared.resize(all_positions.len(), true);
         Ok(MeshedChunk {
             core_counts,
-            bricks: None,
             retries: retries_for(recipe, chunk, &all_positions[core.len()..]),
             halo: halo.iter().map(id).collect(),
             all_positions,

@@ -4,7 +4,6 @@ use crate::domain::own::OwnCells;
 use crate::domain::store::CellStore;
 use crate::geom::curve::Order;
 use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::bcc::{BccChunk, BccMesh};
 use crate::mesh::chunk::ChunkRegion;
 use crate::pipeline::plan::{Halo, estimate};
 use crate::points::PointSet;
@@ -16,19 +15,11 @@ pub(in crate::pipeline) struct Recipe<'a> {
     pub(in crate::pipeline) order: Order,
     /// The surroundings of a chunk that are needed.
     pub(in crate::pipeline) halo: Halo,
-    /// The mesh, where it follows by formula.
-    pub(in crate::pipeline) bcc: Option<BccMesh>,
     /// The mesh whose own tetrahedra are kept, where they are.
     pub(in crate::pipeline) own: Option<OwnMesh<'a>>,
 }
 
 impl Recipe<'_> {
-    /// A chunk whose mesh follows by formula.
-    pub(in crate::pipeline) fn bcc_chunk(&self, chunk: &Chunk) -> Option<BccChunk> {
-        let [lo, hi] = self.bricks.cells_of(chunk);
-        self.bcc.map(|mesh| mesh.chunk(lo, hi))
-    }
-
     /// The boxes of a chunk, at first.
     pub(super) fn boxes(&self, chunk: &Chunk) -> ChunkRegion {
         let (points, core, domain) = (self.points, chunk.core, self.bricks.lattice.domain());

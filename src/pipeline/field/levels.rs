@@ -1,4 +1,5 @@
-//! The field of a pyramid between its samples, which is trilinear; and its errors at them.
+//! The field of a level of a pyramid between its nodes, which is trilinear; and its errors at the
+//! samples. A level ends at its last node; beyond it there is no value.
 //!
 //! Samples are decoded box after box, some at a time. Points are sorted by box. A box whose points
 //! need no node is not decoded.
@@ -7,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, in_order, pool};
 use crate::grid::IndexBox;
 use crate::measure::{BrickErrors, ErrorSums};
-use crate::pipeline::read::{StepView, index_box};
+use crate::pipeline::read::{StepView, index_box, samples_of_level};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -46,18 +47,28 @@ fn trilinear(values: &[f32], window: &IndexBox, at: [f64; 3]) -> f32 {
     sum as f32 + 0.0
 }
 
-/// The value of the field at places in index space, each with its number, which lie in the domain.
+/// Nodes of a level, and samples from one to the next, along each axis.
+fn nodes_and_stride(archive: &StepView, level: usize) -> Result<[[u64; 3]; 2]> {
+    let pyramid = &archive.pyramid()?.pyramid;
+    Ok([pyramid.nodes(level), pyramid.stride(level)].map(|n| n.map(|n| n as u64)))
+}
+
+/// The value of the field of a level at places in index space, each with its number, which lie
+/// between its nodes.
 pub(super) fn values_at_places(
     archive: &StepView,
+    level: usize,
     places: &[([f64; 3], u32)],
     resources: &Resources,
     progress: &dyn Progress,
     mut each: impl FnMut(u32, f32) + Send,
 ) -> Result<u64> {
-    let dims = archive.step().plan.source.dims;
-    let cell = |x: f64, a: usize| (x as u64).min(dims[a].saturating_sub(2)) / EDGE;
+    let [nodes, stride] = nodes_and_stride(archive, level)?;
+    let at = |n: usize| std::array::from_fn(|a| places[n].0[a] / stride[a] as f64);
+    let cell = |x: f64, a: usize| (x as u64).min(nodes[a].saturating_sub(2)) / EDGE;
     let mut by_box: BTreeMap<[u64; 3], Vec<usize>> = BTreeMap::new();
-    for (n, (place, _)) in places.iter().enumerate() {
+    for n in 0..places.len() {
+        let place: [f64; 3] = at(n);
         by_box.entry([2, 1, 0].map(|a| cell(place[a], a))).or_default().push(n);
     }
     let boxes: Vec<_> = by_box.into_iter().collect();
@@ -66,9 +77,9 @@ pub(super) fn values_at_places(
         resources.cancel.check()?;
         let ([z, y, x], points) = &boxes[n];
         let lo = [*x, *y, *z].map(|n| n * EDGE);
-        let window = IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + EDGE + 1).min(dims[a])) };
-        let values = archive.nodes(0, &window)?;
-        let found = points.iter().map(|&n| (places[n].1, trilinear(&values, &window, places[n].0)));
+        let window = IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + EDGE + 1).min(nodes[a])) };
+        let values = archive.nodes(level, &window)?;
+        let found = points.iter().map(|&n| (places[n].1, trilinear(&values, &window, at(n))));
         Ok(found.collect::<Vec<(u32, f32)>>())
     };
     let threads = archive.pools.lend(threads(resources))?;
@@ -80,25 +91,48 @@ pub(super) fn values_at_places(
     Ok(boxes.len() as u64)
 }
 
-/// The field at the samples of a grid that spans the domain, in runs, in any order. Returns how
-/// many have no value.
+/// Samples of a grid without a value.
+#[derive(Default)]
+pub(super) struct Without {
+    /// Where a node has none.
+    pub(super) void: u64,
+    /// Beyond the last node of the level.
+    pub(super) outside: u64,
+}
+
+/// The field of a level at the samples of a grid that spans the domain, in runs, in any order.
 pub(super) fn values_on_grid(
     archive: &StepView,
+    level: usize,
     grid: [u64; 3],
     resources: &Resources,
     progress: &dyn Progress,
     write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
-) -> Result<u64> {
-    let dims = archive.step().plan.source.dims;
+) -> Result<Without> {
+    let (dims, [nodes, stride]) = (archive.step().plan.source.dims, nodes_and_stride(archive, level)?);
     if grid.contains(&0) {
         return Err(Error::usage("a grid has at least one sample along each axis"));
     }
     // From samples of the grid to those of the source; one sample alone lies at the first.
     let ratio: [f64; 3] = std::array::from_fn(|a| (dims[a] - 1) as f64 / (grid[a] - 1).max(1) as f64);
     let at = |i: u64, a: usize| {
-        if i + 1 == grid[a] && i > 0 { (dims[a] - 1) as f64 } else { i as f64 * ratio[a] }
+        let sample = if i + 1 == grid[a] && i > 0 { (dims[a] - 1) as f64 } else { i as f64 * ratio[a] };
+        sample / stride[a] as f64
     };
-    let edge = ratio.map(|r| ((EDGE as f64 / r) as u64).max(1));
+    // Samples of the grid up to the last node.
+    let ends: [u64; 3] = std::array::from_fn(|a| {
+        let (mut lo, mut hi) = (0, grid[a]);
+        while lo < hi {
+            let middle = lo + (hi - lo) / 2;
+            match at(middle, a) <= (nodes[a] - 1) as f64 * (1.0 + f64::EPSILON) {
+                true => lo = middle + 1,
+                false => hi = middle,
+            }
+        }
+        lo
+    });
+    let edge: [u64; 3] =
+        std::array::from_fn(|a| ((EDGE * stride[a]) as f64 / ratio[a]) as u64).map(|n| n.max(1));
     let counts: [u64; 3] = std::array::from_fn(|a| grid[a].div_ceil(edge[a]));
     let total = grid.iter().product();
     progress.begin("probe", total, "samples");
@@ -108,38 +142,45 @@ pub(super) fn values_on_grid(
         let place = [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]];
         let lo: [u64; 3] = std::array::from_fn(|a| place[a] * edge[a]);
         let hi: [u64; 3] = std::array::from_fn(|a| (lo[a] + edge[a]).min(grid[a]));
+        let end: [u64; 3] = std::array::from_fn(|a| hi[a].min(ends[a]));
+        let within = IndexBox { lo, hi: end };
         let window = IndexBox {
-            lo: std::array::from_fn(|a| at(lo[a], a) as u64),
-            hi: std::array::from_fn(|a| (at(hi[a] - 1, a).ceil() as u64 + 1).min(dims[a])),
+            lo: std::array::from_fn(|a| (at(lo[a], a) as u64).min(nodes[a] - 1)),
+            hi: std::array::from_fn(|a| (at(end[a].max(1) - 1, a).ceil() as u64 + 1).min(nodes[a])),
         };
-        let values = archive.nodes(0, &window)?;
-        let mut void = 0;
+        let values = if within.is_empty() { vec![] } else { archive.nodes(level, &window)? };
+        let mut found = Without { void: 0, outside: IndexBox { lo, hi }.len() as u64 };
         let mut row = Vec::with_capacity((hi[0] - lo[0]) as usize);
         for z in lo[2]..hi[2] {
             for y in lo[1]..hi[1] {
                 row.clear();
-                row.extend(
-                    (lo[0]..hi[0]).map(|x| trilinear(&values, &window, [at(x, 0), at(y, 1), at(z, 2)])),
-                );
-                void += row.iter().filter(|v| v.is_nan()).count() as u64;
+                if !within.is_empty() && y < end[1] && z < end[2] {
+                    let value = |x| trilinear(&values, &window, [at(x, 0), at(y, 1), at(z, 2)]);
+                    row.extend((lo[0]..end[0]).map(value));
+                    found.outside -= row.len() as u64;
+                    found.void += row.iter().filter(|v| v.is_nan()).count() as u64;
+                }
+                row.resize((hi[0] - lo[0]) as usize, f32::NAN);
                 write((z * grid[1] + y) * grid[0] + lo[0], &row)?;
             }
         }
         progress.advance((0..3).map(|a| hi[a] - lo[a]).product());
-        Ok(void)
+        Ok(found)
     };
-    let (threads, mut all) = (archive.pools.lend(threads(resources))?, 0);
-    in_order(&vec![0; counts.iter().product::<u64>() as usize], 0, &threads, sample, |_, void| {
-        all += void;
+    let (threads, mut all) = (archive.pools.lend(threads(resources))?, Without::default());
+    in_order(&vec![0; counts.iter().product::<u64>() as usize], 0, &threads, sample, |_, found| {
+        all.void += found.void;
+        all.outside += found.outside;
         Ok(())
     })?;
     Ok(all)
 }
 
-/// The errors at all samples, in parts in order. `originals` reads samples, with NaN for those that
-/// are missing. `brick` says in which brick of a map a sample is.
+/// The errors of a level at all samples up to its last node, in parts in order. `originals` reads
+/// samples, with NaN for those that are missing. `brick` says in which brick of a map a sample is.
 pub(super) fn errors_of(
     archive: &StepView,
+    level: usize,
     resources: &Resources,
     progress: &dyn Progress,
     originals: impl Fn(IndexBox, &mut [f32]) -> Result<()> + Sync,
@@ -147,6 +188,7 @@ pub(super) fn errors_of(
     mut each: impl FnMut(u64, BTreeMap<u64, BrickErrors>) -> Result<()>,
 ) -> Result<ErrorSums> {
     let (pyramid, dims) = (&archive.pyramid()?.pyramid, archive.step().plan.source.dims);
+    let whole = IndexBox { lo: [0; 3], hi: samples_of_level(pyramid, level) };
     let chunks = pyramid.chunks();
     let places = |i: usize| [i % chunks[0], i / chunks[0] % chunks[1], i / chunks[0] / chunks[1]];
     let pool = pool(threads(resources))?;
@@ -156,21 +198,23 @@ pub(super) fn errors_of(
         let parts = pyramid.parts(places(chunk), PART);
         let part = |part: &isospan_wavelet::Box3| {
             resources.cancel.check()?;
-            let window = index_box(part);
-            let values = archive.nodes(0, &window)?;
-            let mut samples = vec![0.0; values.len()];
-            originals(window, &mut samples)?;
+            let window = index_box(part).intersect(&whole);
             let (mut sums, mut bricks) = (ErrorSums::default(), BTreeMap::<u64, BrickErrors>::new());
-            let [nx, ny, _] = window.dims();
-            for (i, (original, value)) in samples.iter().zip(&values).enumerate() {
-                let i = i as u64;
-                let [x, y, z] = [i % nx, i / nx % ny, i / nx / ny];
-                let [x, y, z] = [window.lo[0] + x, window.lo[1] + y, window.lo[2] + z];
-                sums.add(*original, *value, || (z * dims[1] + y) * dims[0] + x);
-                if let Some(brick) = brick {
-                    bricks.entry(brick([x, y, z])).or_default().add(*original, *value);
-                }
+            if window.is_empty() {
+                return Ok((sums, bricks));
             }
+            let nodes = archive.nodes_around(level, &window)?;
+            let mut samples = vec![0.0; window.len()];
+            originals(window, &mut samples)?;
+            nodes.each_row(&window, 1, |[y, z], values| {
+                let row = &samples[window.offset([window.lo[0], y, z])..];
+                for (x, (original, value)) in (window.lo[0]..).zip(row.iter().zip(values)) {
+                    sums.add(*original, *value, || (z * dims[1] + y) * dims[0] + x);
+                    if let Some(brick) = brick {
+                        bricks.entry(brick([x, y, z])).or_default().add(*original, *value);
+                    }
+                }
+            });
             Ok((sums, bricks))
         };
         let found: Vec<_> = pool.install(|| parts.par_iter().map(part).collect::<Result<_>>())?;

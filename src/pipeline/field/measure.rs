@@ -24,11 +24,13 @@ use crate::exec::{Progress, Resources};
 use crate::formats::{self, Input, OpenOptions, StepSource, without_frame};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally};
 use crate::pipeline::chunk::{
-    ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of,
+    ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of, field_error_within,
 };
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Attachments, Halo, MOST_STEPS_AT_ONCE, estimate, fingerprint};
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, StepView, Visit};
+use crate::pipeline::read::{
+    Blocks, DecodedChunk, LevelChoice, OpenArchive, StepChoice, StepView, Visit, samples_of_level,
+};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
@@ -40,6 +42,8 @@ use std::time::Instant;
 /// How a field is measured.
 #[derive(Clone, Debug, Default)]
 pub struct MeasureSettings {
+    /// The level of a pyramid; the finest if not given. Samples beyond its last node are outside.
+    pub level: Option<LevelChoice>,
     /// The number of the step in a series; the first one if not given.
     pub step: Option<u64>,
     /// A VTI file for the errors of each brick.
@@ -52,7 +56,8 @@ impl MeasureSettings {
     /// The settings of a reduction's run, with as many threads as chunks were at work, because the
     /// memory suffices for these.
     pub(in crate::pipeline) fn of_run(run: &RunSettings, workers: usize) -> Self {
-        Self { resources: run.resources.clone().with_threads(workers), step: None, map: None }
+        let resources = run.resources.clone().with_threads(workers);
+        Self { resources, ..Self::default() }
     }
 
     fn scratch(&self) -> PathBuf {
@@ -71,6 +76,9 @@ pub struct MeasureReport {
     pub range: Option<[f64; 2]>,
     /// Whether the input has the fingerprint of the one that the archive was made from.
     pub same_source: bool,
+    /// The level of a pyramid that was measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub level: Option<usize>,
     /// Bricks of the map along each axis, if one was written.
     pub map_bricks: Option<[u64; 3]>,
     /// Seconds of wall time.
@@ -110,11 +118,13 @@ pub fn measure_source(
     let archive = OpenArchive::open(archive)?;
     let choice = choice_of(&archive, settings.step, source);
     let archive = archive.at(choice)?;
+    let level = archive.level(settings.level)?;
     let (error, same_source) = against(&archive, source, settings, progress)?;
     Ok(MeasureReport {
         error,
         range: archive.step().file_range(),
         same_source,
+        level: archive.is_pyramid().then_some(level),
         map_bricks: settings.map.as_ref().map(|_| archive.chunks.bricks().dims()),
         seconds: start.elapsed().as_secs_f64(),
     })
@@ -456,12 +466,14 @@ impl AgainstSamples<'_> {
         let brick_of = |sample: [u64; 3]| bricks.id(bricks.brick_at(lattice.of_voxel(sample))).0;
         let brick: Option<&(dyn Fn([u64; 3]) -> u64 + Sync)> = map.as_ref().map(|_| &brick_of as _);
         let originals = |window, out: &mut [f32]| self.samples.read(window, out);
-        let sums =
-            errors_of(self.archive, &settings.resources, progress, originals, brick, |chunk, bricks| {
-                map.as_mut().map_or(Ok(()), |map| map.add(chunk, &bricks))
-            })?;
+        let level = self.archive.level(settings.level)?;
+        let each = |chunk, bricks: BTreeMap<u64, BrickErrors>| {
+            map.as_mut().map_or(Ok(()), |map| map.add(chunk, &bricks))
+        };
+        let sums = errors_of(self.archive, level, &settings.resources, progress, originals, brick, each)?;
         map.map(Map::finish).transpose()?;
-        field_error_of(self.archive, &sums)
+        let ends = samples_of_level(&self.archive.pyramid()?.pyramid, level);
+        field_error_within(self.archive, ends, &sums)
     }
 
     /// Measures the samples in the tetrahedra of a chunk.

@@ -1,9 +1,12 @@
 //! Questions about the field itself: its values on a grid or at points, its mesh, its error against
 //! the source.
 
+mod archive_volume;
 mod at_vertices;
 mod error_map;
 mod export;
+mod export_grid;
+mod export_zarr;
 mod levels;
 mod measure;
 mod nearest;
@@ -12,9 +15,13 @@ mod probe_grid;
 mod probe_points;
 mod vertex_errors;
 
+pub(super) use archive_volume::archive_sources;
 pub(super) use at_vertices::AtVertices;
 pub(super) use export::export;
 pub use export::{Corners, ExportReport, ExportSettings};
+pub(super) use export_grid::export_grid;
+pub use export_grid::{GridReport, GridSettings};
+pub(super) use export_zarr::{Moments, export_zarr};
 pub use measure::{MeasureReport, MeasureSettings, measure, measure_source};
 pub(super) use measure::{field_errors, reopened_errors, reopened_values, store_settings};
 pub use probe_grid::{ProbeReport, ProbeSettings};

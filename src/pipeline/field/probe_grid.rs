@@ -13,13 +13,14 @@
 //! each sample says whether it is taken. Where two chunks have the same sample, all is done again
 //! on one thread, chunk by chunk.
 
+use super::export_grid::pool_of;
 use super::levels::values_on_grid;
 use crate::error::{Error, Result};
-use crate::exec::{Clock, Progress, Resources, Silent};
-use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
+use crate::exec::{Clock, Progress, Resources, Silent, Threads};
+use crate::formats::samples::{Anatomy, GridMeta, SampleField, SampleFile, SampleFormat};
 use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit};
+use crate::pipeline::read::{Blocks, DecodedChunk, LevelChoice, StepView, Visit};
 use crate::raster::{Axis, SampleGrid, Scanner, interpolate};
 use serde::Serialize;
 use std::path::Path;
@@ -29,6 +30,9 @@ use std::sync::{Mutex, PoisonError};
 /// How a field is probed.
 #[derive(Clone, Debug, Default)]
 pub struct ProbeSettings {
+    /// The level of a pyramid; the finest if not given. Beyond the last node of a level there is no
+    /// value.
+    pub level: Option<LevelChoice>,
     /// Threads, memory, and what stops it. Nothing waits in a scratch folder.
     pub resources: Resources,
 }
@@ -41,14 +45,19 @@ pub struct ProbeReport {
     pub samples: u64,
     /// Those without a value, because a corner of their tetrahedron has none: NaN.
     pub void: u64,
-    /// Those outside the domain: NaN.
+    /// Those outside the domain, or beyond the last node of the level: NaN.
     pub outside: u64,
+    /// The level of a pyramid that answers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub level: Option<usize>,
     /// Chunks read, each as often as it was.
     pub chunks_read: u64,
     /// Bytes read of segments.
     pub bytes_read: u64,
     /// Bytes of the file written.
     pub file_bytes: u64,
+    /// What of a grid has no place in the file, or is converted, a line each.
+    pub notices: Vec<String>,
     /// Seconds of wall time.
     pub seconds: f64,
 }
@@ -72,27 +81,40 @@ pub(in crate::pipeline) fn probe_grid(
     progress: &dyn Progress,
 ) -> Result<ProbeReport> {
     archive.refuse_coordinates("a probe on a grid")?;
+    let level = archive.level(settings.level)?;
     let (start, read_before) = (Clock::start(), archive.bytes_read());
     let source = &archive.step().plan.source;
     let geometry = grid_geometry(&source.geometry, source.dims, dims)?;
-    let meta = GridMeta { dims, geometry, field: source.field.clone(), offset: source.offset };
+    let meta = GridMeta {
+        units: source.units.clone(),
+        anatomy: Anatomy::of_format(&source.format),
+        ..GridMeta::even(dims, geometry, SampleField::floats(&source.field, source.offset))
+    };
     let samples = meta.samples()?;
+    let publish = |file: SampleFile| {
+        let threads = Threads::new(settings.resources.threads)?;
+        file.publish(pool_of(&threads), &settings.resources.cancel)
+    };
+    let scratch = settings.resources.scratch.as_deref();
     if archive.is_pyramid() {
-        let file = SampleFile::create(out, format, &meta)?;
+        let file = SampleFile::create(out, format, &meta, false, scratch)?;
         let write = |first, run: &[f32]| file.write(first, run);
-        let void = values_on_grid(archive, dims, &settings.resources, progress, write)?;
+        let without = values_on_grid(archive, level, dims, &settings.resources, progress, write)?;
         return Ok(ProbeReport {
             samples,
-            void,
+            void: without.void,
+            outside: without.outside,
+            level: Some(level),
             chunks_read: archive.chunks.len(),
             bytes_read: archive.bytes_read() - read_before,
-            file_bytes: file.publish()?,
+            file_bytes: publish(file)?,
+            notices: format.notices(&meta),
             seconds: start.elapsed().as_secs_f64(),
             ..ProbeReport::default()
         });
     }
     let mut scan = GridScan::new(archive, dims, settings)?;
-    let file = SampleFile::create(out, format, &meta)?;
+    let file = SampleFile::create(out, format, &meta, false, scratch)?;
     if scan.has_gaps {
         let blank = vec![f32::NAN; BLANK.min(samples) as usize];
         for first in (0..samples).step_by(BLANK as usize) {
@@ -104,9 +126,11 @@ pub(in crate::pipeline) fn probe_grid(
         samples,
         void,
         outside: 0,
+        level: None,
         chunks_read: scan.visit.chunks.len() as u64,
         bytes_read: archive.bytes_read() - read_before,
-        file_bytes: file.publish()?,
+        file_bytes: publish(file)?,
+        notices: format.notices(&meta),
         seconds: start.elapsed().as_secs_f64(),
     })
 }
@@ -117,7 +141,8 @@ pub(in crate::pipeline) fn sample_grid(
     dims: [u64; 3],
     settings: &ProbeSettings,
 ) -> Result<Vec<f64>> {
-    let meta = GridMeta { dims, geometry: Geometry::default(), field: String::new(), offset: 0.0 };
+    let meta = GridMeta::even(dims, Geometry::default(), SampleField::floats("", 0.0));
+    let level = archive.level(settings.level)?;
     let (samples, offset) = (meta.samples()?, archive.step().plan.source.offset);
     let bytes = 8 * samples;
     if bytes > settings.resources.memory {
@@ -130,7 +155,7 @@ pub(in crate::pipeline) fn sample_grid(
         Ok(())
     };
     if archive.is_pyramid() {
-        values_on_grid(archive, dims, &settings.resources, &Silent, write)?;
+        values_on_grid(archive, level, dims, &settings.resources, &Silent, write)?;
     } else {
         GridScan::new(archive, dims, settings)?.run(samples, &Silent, write)?;
     }

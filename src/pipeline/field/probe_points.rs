@@ -25,7 +25,7 @@ use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Blocks, DecodedChunk, StepView, Visit, full_region, index_places, origin_of_volume,
+    Blocks, DecodedChunk, StepView, Visit, full_region, index_places, origin_of_volume, samples_of_level,
 };
 use crate::raster::{PointLocator, interpolate};
 use glam::DVec3;
@@ -124,7 +124,7 @@ pub(in crate::pipeline) fn edges_at_missing(
 /// Where values go.
 enum Out<'a> {
     Table(Box<PointWriter>, &'a Source),
-    List(SampleFile),
+    List(Box<SampleFile>),
 }
 
 impl<'a> Out<'a> {
@@ -139,7 +139,7 @@ impl<'a> Out<'a> {
                 while reader.next_point()?.is_some() {
                     count += 1;
                 }
-                Ok(Self::List(SampleFile::create_list(out, count, source.offset)?))
+                Ok(Self::List(Box::new(SampleFile::create_list(out, count, source.offset)?)))
             }
             _ => Err(Error::usage(format!(
                 "cannot tell the format of values at points from {}: end its name in .csv or .npy",
@@ -161,7 +161,7 @@ impl<'a> Out<'a> {
     fn publish(self) -> Result<u64> {
         match self {
             Self::Table(table, _) => table.publish(),
-            Self::List(list) => list.publish(),
+            Self::List(list) => list.publish(None, &CancelToken::new()),
         }
     }
 }
@@ -180,7 +180,8 @@ pub(in crate::pipeline) fn probe_table(
     let rest = settings.resources.memory.saturating_sub(estimate::BASE);
     // Half for points, half for chunks.
     let most = (rest / 2 / POINT).clamp(1, MOST);
-    let mut report = ProbeReport::default();
+    let level = archive.level(settings.level)?;
+    let mut report = ProbeReport { level: archive.is_pyramid().then_some(level), ..ProbeReport::default() };
     let mut batch = vec![];
     loop {
         batch.clear();
@@ -258,11 +259,13 @@ pub(in crate::pipeline) fn values_at(
         )));
     }
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
+    let level = archive.level(settings.level)?;
     if archive.is_pyramid() {
-        let places = places(archive, points, &settings.resources.cancel)?;
-        let chunks_read = values_at_places(archive, &places, &settings.resources, progress, |n, value| {
-            values[n as usize] = value;
-        })?;
+        let places = places(archive, level, points, &settings.resources.cancel)?;
+        let chunks_read =
+            values_at_places(archive, level, &places, &settings.resources, progress, |n, value| {
+                values[n as usize] = value;
+            })?;
         return Ok(Probed { values, outside: (points.len() - places.len()) as u64, chunks_read });
     }
     let (placed, outside) = placed(archive, points, &settings.resources.cancel)?;
@@ -274,12 +277,22 @@ pub(in crate::pipeline) fn values_at(
     Ok(Probed { values, outside: points.len() as u64 - found, chunks_read })
 }
 
-/// Points in the world among the samples of a pyramid, with their numbers; none of those outside.
-/// Those that rounding may have moved outside lie at its faces.
-fn places(archive: &StepView, points: &[[f64; 3]], cancel: &CancelToken) -> Result<Vec<([f64; 3], u32)>> {
+/// How far beyond the last node of a coarse level, in samples of a grid with coordinates, a point
+/// may lie: a vertex of a surface that ends there is not found exactly.
+const BEYOND_NODE: f64 = 1e-3;
+
+/// Points in the world among the samples of a pyramid that a level has, with their numbers; none of
+/// those outside. Those that rounding may have moved outside lie at its faces.
+fn places(
+    archive: &StepView,
+    level: usize,
+    points: &[[f64; 3]],
+    cancel: &CancelToken,
+) -> Result<Vec<([f64; 3], u32)>> {
     let (lattice, source) = (archive.manifest.plan.lattice, &archive.step().plan.source);
+    let ends = samples_of_level(&archive.pyramid()?.pyramid, level);
     let (found, tolerance) = match index_places(archive, points, cancel)? {
-        Some(places) => (places, 0.0),
+        Some(places) => (places, if level > 0 { BEYOND_NODE } else { 0.0 }),
         None => {
             let tolerance = tolerance(&source.geometry, &lattice, origin_of_volume(archive));
             let steps = f64::from(1u32 << lattice.log2_steps.into_iter().min().unwrap_or(0));
@@ -288,7 +301,7 @@ fn places(archive: &StepView, points: &[[f64; 3]], cancel: &CancelToken) -> Resu
         }
     };
     let within = |place: [f64; 3]| {
-        let far = source.dims.map(|n| (n - 1) as f64);
+        let far = ends.map(|n| (n - 1) as f64);
         let inside = (0..3).all(|a| (-tolerance..=far[a] + tolerance).contains(&place[a]));
         inside.then(|| std::array::from_fn(|a| place[a].clamp(0.0, far[a])))
     };

@@ -1,10 +1,9 @@
-//! Examines inputs before a plan is made: their range, their offset, where they bend.
+//! Examines inputs before a plan is made: their range, their offset, where points are needed.
 //!
 //! Each pass reads a source from front to back, or a bounded part of it. Where samples are needed
 //! in any order, [`access`] says how they are read.
 
 mod access;
-mod bend;
 mod bricked_copy;
 mod density;
 mod mesh_density;
@@ -19,7 +18,7 @@ pub use bricked_copy::{brick, is_bricked};
 pub(super) use density::Errors;
 pub(super) use mesh_density::{MeshChoice, MeshCurves};
 pub(super) use sampled::Sampled;
+pub(super) use scan::range_of;
 pub use scan::{Scan, scan};
-pub(super) use scan::{Spread, spread};
 pub(super) use shift::{Reading, Shift, treat_missing};
 pub(super) use survey::{Fill, Seen, Stretch, Survey, survey_mesh, survey_volume, watched};

@@ -8,7 +8,8 @@ use crate::exec::CancelToken;
 use crate::grid::IndexBox;
 use crate::volume::chunked::ChunkedVolume;
 use crate::volume::{VolumeReader, VolumeSource};
-use isospan_wavelet::Box3;
+use isospan_wavelet::{Box3, fill};
+use std::convert::Infallible;
 
 /// A volume of at most this many samples is a box by itself.
 const WHOLE: u64 = 1 << 23;
@@ -24,8 +25,10 @@ const TRIED: usize = 8;
 pub(in crate::pipeline) struct Sampled {
     /// Least and largest sample.
     pub(in crate::pipeline) range: Option<[f32; 2]>,
-    /// Samples of boxes, x fastest, and their sizes.
+    /// Samples of boxes, x fastest, and their sizes. Missing ones have values that cost little.
     pub(in crate::pipeline) boxes: Vec<(Vec<f32>, [usize; 3])>,
+    /// The part of these samples that is known.
+    pub(in crate::pipeline) known: f64,
 }
 
 impl Sampled {
@@ -54,11 +57,32 @@ impl Sampled {
             range = [range[0].min(value), range[1].max(value)];
         }
         let range = (range[0] <= range[1]).then_some(range);
-        // Missing samples are refused later, where no value stands for them.
-        let fill = stand_in.or(range.map(|r| r[0])).unwrap_or(0.0);
-        found.iter_mut().for_each(|values| treat_missing(reading.missing(), fill, values));
         let sizes = boxes.iter().map(|b| b.dims().map(|n| n as usize));
-        Ok(Self { range, boxes: found.into_iter().zip(sizes).collect() })
+        Ok(Self::new(reading, range, found.into_iter().zip(sizes).collect()))
+    }
+
+    /// Missing samples are refused later, where that is asked for.
+    fn new(reading: &Reading, range: Option<[f32; 2]>, mut boxes: Vec<(Vec<f32>, [usize; 3])>) -> Self {
+        let (mut all, mut missing) = (0, 0);
+        let [min, max] = range.unwrap_or_default();
+        for (values, dims) in &mut boxes {
+            treat_missing(reading.missing(), reading.stand_in().unwrap_or(f32::NAN), values);
+            all += values.len();
+            let here = values.iter().filter(|v| v.is_nan()).count();
+            missing += here;
+            if here == 0 {
+                continue;
+            }
+            let (whole, given) = (Box3::all(*dims), values.clone());
+            let read = |place: &Box3| {
+                let mut found = vec![0.0; place.len()];
+                take(&indices(place), &mut found, &indices(&whole), &given);
+                Ok::<_, Infallible>(found)
+            };
+            let Ok(()) = fill(*dims, &whole, values, min / 2.0 + max / 2.0, read);
+        }
+        let known = if missing < all { (all - missing) as f64 / all as f64 } else { 1.0 };
+        Self { range, boxes, known }
     }
 }
 
@@ -79,17 +103,16 @@ impl Sampled {
             stream @ VolumeSource::Stream(_) => return Self::of(stream, reading, cancel),
         };
         let (places, reader) = (boxes(reader.info().dims), reading.reader(reader));
-        let fill = reading.stand_in().unwrap_or(0.0);
         let (mut range, mut found) = ([f32::INFINITY, f32::NEG_INFINITY], vec![]);
         for place in places {
             cancel.check()?;
             let mut values = vec![0.0; place.len()];
             reader.read_box(place, &mut values)?;
-            treat_missing(reading.missing(), fill, &mut values);
+            treat_missing(reading.missing(), reading.stand_in().unwrap_or(f32::NAN), &mut values);
             range = values.iter().fold(range, |[lo, hi], v| [lo.min(*v), hi.max(*v)]);
             found.push((values, place.dims().map(|n| n as usize)));
         }
-        Ok(Self { range: (range[0] <= range[1]).then_some(range), boxes: found })
+        Ok(Self::new(reading, (range[0] <= range[1]).then_some(range), found))
     }
 
     /// Fewer and smaller boxes, to try out more.
@@ -99,14 +122,17 @@ impl Sampled {
         };
         let whole = IndexBox::whole(dims.map(|n| n as u64));
         let cut = |part: Box3| {
-            let lo = part.start.map(|n| n as u64);
-            let place = IndexBox { lo, hi: part.end().map(|n| n as u64) };
+            let place = indices(&part);
             let mut samples = vec![0.0; place.len()];
             take(&place, &mut samples, &whole, values);
             (samples, part.size)
         };
         isospan_wavelet::boxes(*dims).into_iter().map(cut).collect()
     }
+}
+
+fn indices(b: &Box3) -> IndexBox {
+    IndexBox { lo: b.start.map(|n| n as u64), hi: b.end().map(|n| n as u64) }
 }
 
 /// Copies what a box has in common with a slab.

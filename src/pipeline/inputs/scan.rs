@@ -1,8 +1,6 @@
 //! One pass over a volume: range, mean, missing samples, histogram. Memory: one slab.
 
-use super::bend::BendBlocks;
 use super::shift::Reading;
-use crate::density::Bend;
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
@@ -143,18 +141,26 @@ fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
     })
 }
 
-/// Looks at all finite samples besides the one that means "no data". Reads the volume once.
-pub(in crate::pipeline) fn spread(
+/// The range of all finite samples besides the one that means "no data", and of the value that
+/// stands for those; 0 where there is none. Reads the volume once.
+pub(in crate::pipeline) fn range_of(
     source: VolumeSource,
     reading: &Reading,
     cancel: &CancelToken,
-) -> Result<Spread> {
-    let mut spread = Spread::new(source.info().dims, reading.missing());
-    each_slab(source, reading, |slab, values| {
-        spread.add(slab, values);
+) -> Result<[f32; 2]> {
+    let missing = reading.missing().map(|m| m as f32);
+    let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+    each_slab(source, reading, |_, values| {
+        for value in values.iter().filter(|v| v.is_finite() && Some(**v) != missing) {
+            // A zero has no sign here.
+            range = [range[0].min(value + 0.0), range[1].max(value + 0.0)];
+        }
         cancel.check()
     })?;
-    Ok(spread)
+    if let Some(value) = reading.stand_in() {
+        range = [range[0].min(value), range[1].max(value)];
+    }
+    Ok(if range[0] <= range[1] { range } else { [0.0; 2] })
 }
 
 /// Hands all samples of a volume to `each`, in boxes, less the offset. Reads the volume once.
@@ -177,76 +183,6 @@ pub(super) fn each_slab(
         each(&slab, &values)?;
     }
     Ok(())
-}
-
-/// How samples are spread over the numbers, their range and the range of nearly all; and how they
-/// bend along the axes.
-pub(in crate::pipeline) struct Spread {
-    missing: Option<f32>,
-    range: [f32; 2],
-    /// Samples by the upper half of their bits, in ascending order of values: at most 0.8 % of a
-    /// value wide.
-    counts: Vec<u64>,
-    bends: BendBlocks,
-}
-
-/// One of this many samples may lie below the range of nearly all, and one above.
-const OUTLIERS: u64 = 1000;
-
-impl Spread {
-    fn new(dims: [u64; 3], missing: Option<f64>) -> Self {
-        let missing = missing.map(|m| m as f32);
-        let range = [f32::INFINITY, f32::NEG_INFINITY];
-        Self { missing, range, counts: vec![0; 1 << 16], bends: BendBlocks::new(dims, missing) }
-    }
-
-    fn add(&mut self, slab: &IndexBox, values: &[f32]) {
-        self.bends.add(slab, values);
-        let missing = self.missing;
-        values.iter().filter(|v| Some(**v) != missing).for_each(|&v| self.add_one(v));
-    }
-
-    fn add_one(&mut self, value: f32) {
-        if !value.is_finite() {
-            return;
-        }
-        // A zero has no sign here: which of two zeros is the lesser one differs from machine to
-        // machine.
-        let value = value + 0.0;
-        let [low, high] = self.range;
-        self.range = [low.min(value), high.max(value)];
-        self.counts[(ordered_key(value) >> 16) as usize] += 1;
-    }
-
-    /// Least and largest sample; `None` if there is none.
-    pub(in crate::pipeline) fn range(&self) -> Option<[f32; 2]> {
-        (self.range[0] <= self.range[1]).then_some(self.range)
-    }
-
-    /// How the field bends along the axes.
-    pub(in crate::pipeline) fn bend(&self) -> Bend {
-        self.bends.bend()
-    }
-
-    /// The range of 99.8 % of the samples, with up to 0.8 % of its ends besides.
-    pub(in crate::pipeline) fn of_nearly_all(&self) -> Option<[f32; 2]> {
-        let [low, high] = self.range()?;
-        let outside = self.counts.iter().sum::<u64>() / OUTLIERS;
-        let keys = || (0..1u32 << 16).zip(&self.counts);
-        let below = first_within(keys(), outside)?;
-        let above = first_within(keys().rev(), outside)?;
-        Some([value_of_key(below << 16).max(low), value_of_key(above << 16 | 0xffff).min(high)])
-    }
-}
-
-/// The first key with more than `outside` samples up to it.
-fn first_within<'a>(mut counts: impl Iterator<Item = (u32, &'a u64)>, outside: u64) -> Option<u32> {
-    let mut passed = 0;
-    let found = counts.find(|(_, n)| {
-        passed += **n;
-        passed > outside
-    });
-    found.map(|(key, _)| key)
 }
 
 fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&IndexBox, &[f32]) -> Result<()>) -> Result<()> {
@@ -309,27 +245,5 @@ mod tests {
         assert_eq!((s.min, s.max, s.mean, s.nan, s.infinite), (Some(0.0), Some(64.0), Some(32.0), 1, 1));
         assert_eq!((s.histogram[0], s.histogram[32], s.histogram[63]), (1, 2, 1));
         assert_eq!(Counter::new().finish().min, None);
-    }
-
-    #[test]
-    fn a_few_outliers_are_not_in_the_range_of_nearly_all() {
-        let nearly_all = |values: &[f32]| {
-            let dims = [values.len() as u64, 1, 1];
-            let mut spread = Spread::new(dims, Some(-9.0));
-            spread.add(&IndexBox::whole(dims), values);
-            (spread.range(), spread.of_nearly_all())
-        };
-        assert_eq!(nearly_all(&[f32::NAN, -9.0, f32::INFINITY]), (None, None));
-        assert_eq!(nearly_all(&[-0.0]).1.map(|r| r.map(f32::to_bits)), Some([0, 0]));
-        // Among fewer than a thousand samples each one counts.
-        let mut values = vec![1.0; 998];
-        values.push(1e30);
-        assert_eq!(nearly_all(&values), (Some([1.0, 1e30]), Some([1.0, 1e30])));
-        values = (0..10_000).map(|i| i as f32 / 5000.0 - 1.0).collect();
-        values.extend([-1e30, -1e20, 1e20, 1e30]);
-        let (all, [low, high]) = (nearly_all(&values).0, nearly_all(&values).1.unwrap());
-        assert_eq!(all, Some([-1e30, 1e30]));
-        // Ten at either end are left out, and what is left is known to a part of 128.
-        assert!((-1.008..=-0.998).contains(&low) && (0.998..=1.008).contains(&high), "{low} {high}");
     }
 }

@@ -69,8 +69,6 @@ const INDEX_ENTRY: u64 = 25;
 const INDEX_ENTRY_ON_DISK: u64 = 48;
 /// Bytes of an archive for a point: 6.7 tetrahedra at 5 bits, a value, its share of tables.
 const ARCHIVE_PER_POINT: u64 = 10;
-/// Where the mesh follows by formula: a value, its share of tables.
-const LATTICE_PER_POINT: u64 = 5;
 /// Where it is made again: the same, and ids of points of other chunks.
 const MADE_AGAIN_PER_POINT: u64 = 6;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
@@ -286,10 +284,9 @@ impl Need {
                 Halo::Stars => window_edge(parts.chunks.bricks().voxels()).iter().product(),
             },
             entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
-            archive_per_point: match &parts.bcc {
-                Some(_) => LATTICE_PER_POINT,
-                None if is_made_again(&parts.points) => MADE_AGAIN_PER_POINT,
-                None => ARCHIVE_PER_POINT,
+            archive_per_point: match is_made_again(&parts.points) {
+                true => MADE_AGAIN_PER_POINT,
+                false => ARCHIVE_PER_POINT,
             },
             points_per_second: POINTS_PER_SECOND,
         }

@@ -17,13 +17,12 @@ use crate::archive::manifest::{
 };
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};
-use crate::archive::values::{NodeCoder, Quantiser};
+use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
 use crate::grid::{BrickGrid, BrickId, ChunkGrid};
-use crate::mesh::bcc::{BccMesh, NODE_BRICK_CELLS};
-use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings, ValueBits};
+use crate::pipeline::settings::{Amount, ReduceSettings};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
@@ -108,7 +107,6 @@ impl Plan {
             )));
         }
         let kind = settings.set_of(false);
-        check_nodes(settings)?;
         Self::on_lattice(lattice, (kind, count), source_of(info, fingerprint), settings)
     }
 
@@ -119,14 +117,8 @@ impl Plan {
         source: Source,
         settings: &ReduceSettings,
     ) -> Result<Self> {
-        let bits_of_values = match settings.values {
-            Values::Nodes => NodeCoder::LEAST_BITS..=NodeCoder::MOST_BITS,
-            Values::Sample | Values::Fit => Quantiser::BITS,
-        };
-        if let ValueBits::Bits(bits) = settings.value_bits
-            && !bits_of_values.contains(&bits)
-        {
-            let (least, most) = bits_of_values.into_inner();
+        if let Some(bits) = settings.value_bits.filter(|bits| !Quantiser::BITS.contains(bits)) {
+            let (least, most) = Quantiser::BITS.into_inner();
             return Err(Error::usage(format!("values have {least} to {most} bits, not {bits}")));
         }
         if settings.values == Values::Fit && settings.interpolation == Interpolation::Nearest {
@@ -140,13 +132,7 @@ impl Plan {
             ));
         }
         let samples = lattice.dims.iter().map(|&d| d as f64).product::<f64>();
-        let points = match settings.values {
-            Values::Nodes if source.mesh.is_some() => {
-                return Err(Error::usage("only a volume has a node at each sample: choose other values"));
-            }
-            Values::Nodes => nodes_at_samples(&lattice)?,
-            Values::Sample | Values::Fit => PointSpec::with_count(kind, &lattice, count, &settings.set)?,
-        };
+        let points = PointSpec::with_count(kind, &lattice, count, &settings.set)?;
         let total = PointSet::new(points, lattice)?.len();
         let edge = libm::cbrt(samples / total as f64 * BRICK_POINTS).round() as u64;
         if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {
@@ -173,14 +159,6 @@ impl Plan {
         if mesh.points.kind() == SetKind::Pyramid {
             check_pyramid(&source, settings)?;
             (mesh.brick_edge, mesh.stars) = ([isospan_wavelet::CHUNK as u64; 3], false);
-        }
-        if let (Some(cells), None) = (mesh.lattice_cells(), source.mesh) {
-            let edge = if settings.values == Values::Nodes {
-                NODE_BRICK_CELLS.into()
-            } else {
-                bcc_brick(cells, &lattice)
-            };
-            mesh.brick_edge = [edge; 3];
         }
         Ok(Self {
             mesh,
@@ -308,14 +286,6 @@ impl Plan {
     }
 }
 
-/// Cells of a lattice along an edge of a brick: 8, or fewer where those are too many voxels.
-fn bcc_brick(cells: [u32; 3], lattice: &Lattice) -> u64 {
-    let fits = |brick: &u64| {
-        (0..3).all(|a| brick * (lattice.dims[a] - 1) <= LARGEST_BRICK_EDGE * u64::from(cells[a]))
-    };
-    [8, 4, 2].into_iter().find(fits).unwrap_or(1)
-}
-
 /// Points of a brick, as the mean point sees them.
 fn crowd(bricks: &BrickGrid, listed: &ExplicitPoints) -> f64 {
     let mut counts: HashMap<BrickId, u64> = HashMap::new();
@@ -326,57 +296,29 @@ fn crowd(bricks: &BrickGrid, listed: &ExplicitPoints) -> f64 {
     squares as f64 / listed.len() as f64
 }
 
-/// Whether settings go with nodes at all samples, if those are asked for.
-fn check_nodes(settings: &ReduceSettings) -> Result<()> {
-    let others = if settings.values != Values::Nodes {
-        None
-    } else if settings.set_of(false) != SetKind::Bcc || settings.adapt.is_some() {
-        Some("another point set")
-    } else if settings.value_bits == ValueBits::Exact {
-        Some("exact values: --points regular --fraction 1 stores the samples as they are")
-    } else if settings.interpolation != Interpolation::Linear {
-        Some("another interpolation than linear")
-    } else if settings.set.spacing.is_some() {
-        Some("a spacing")
-    } else {
-        None
-    };
-    others.map_or(Ok(()), |others| {
-        Err(Error::usage(format!("a node at each sample does not go with {others}")))
-    })
-}
-
 /// Refuses settings that are for points, where all samples are kept.
 fn check_pyramid(source: &Source, settings: &ReduceSettings) -> Result<()> {
     let others = if source.mesh.is_some() {
         Some("a mesh: choose a point set")
     } else if settings.adapt.is_some() {
         Some("points that adapt")
-    } else if settings.value_bits != ValueBits::Usual {
+    } else if settings.amount != Amount::Usual {
+        Some("a number of points: name a set of them, or ask for a level")
+    } else if settings.value_bits.is_some() {
         Some("bits of values: give an error that is not to be exceeded")
     } else if settings.interpolation != Interpolation::Linear {
         Some("an interpolation: all samples are kept")
-    } else if settings.nan == NanPolicy::Mask {
-        Some("--nan mask: give a value for missing samples, or choose a point set")
     } else {
         None
     };
     others.map_or(Ok(()), |others| Err(Error::usage(format!("a pyramid does not go with {others}"))))
 }
 
-/// The lattice whose nodes are the samples.
-fn nodes_at_samples(lattice: &Lattice) -> Result<PointSpec> {
-    let spec = PointSpec::Bcc { cells: lattice.dims.map(|d| (d - 1) as u32) };
-    spec.check(lattice)?;
-    Ok(spec)
-}
-
 /// The number of interior points that is wanted of a volume.
 pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
     match settings.amount {
-        _ if settings.values == Values::Nodes => dims.iter().product(),
         Amount::Count(n) => n,
-        Amount::Fraction(f) => (dims.iter().map(|&d| d as f64).product::<f64>() * f).round().max(1.0) as u64,
+        part => part.of(dims.iter().map(|&d| d as f64).product::<f64>()).round().max(1.0) as u64,
     }
 }
 
@@ -443,8 +385,6 @@ pub(crate) struct MeshParts {
     pub(crate) chunks: ChunkGrid,
     pub(crate) order: Order,
     pub(crate) halo: Halo,
-    /// The mesh, where it follows by formula.
-    pub(crate) bcc: Option<BccMesh>,
     /// How many times more each point needs than in a Delaunay mesh: there are that many times more
     /// tetrahedra.
     pub(crate) times: u64,
@@ -474,12 +414,6 @@ pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshPar
         return Err(Error::usage("order bits, tetrahedra of a block or points of a chunk out of range"));
     }
     plan.points.check(&plan.lattice)?;
-    let wrong =
-        || Error::usage(format!("bricks of {:?} cells; an edge is 1, 2, 4, 8 or 16", plan.brick_edge));
-    let bcc = plan
-        .lattice_cells()
-        .map(|cells| BccMesh::new(cells, &plan.lattice, plan.brick_edge).ok_or_else(wrong));
-    let bcc = bcc.transpose()?;
     let mut points = match attachments.levels {
         Some(levels) => PointSet::graded(plan.points, plan.lattice, levels)?,
         None => PointSet::new(plan.points, plan.lattice)?,
@@ -514,5 +448,5 @@ pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshPar
     let times =
         plan.own.map_or(1, |own| (own.tetrahedra / points.len().max(1)).div_ceil(TETS_A_POINT).max(1));
     let order = Order { bits: plan.order_bits };
-    Ok(MeshParts { points, chunks, order, halo: Halo::of(plan), bcc, times })
+    Ok(MeshParts { points, chunks, order, halo: Halo::of(plan), times })
 }

@@ -3,7 +3,6 @@
 //!
 //! All of this is common to the steps. What depends on the step is in `step_view`.
 
-use super::mesh_sizes::sizes_of;
 use super::pools::Pools;
 use crate::archive::chunked::{ChunkSegment, MeshSizes};
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, SegmentRecord};
@@ -13,7 +12,6 @@ use crate::bytes::remote::is_remote;
 use crate::bytes::{IoMode, place};
 use crate::error::{Error, Result};
 use crate::grid::{ChunkGrid, ChunkId};
-use crate::mesh::bcc::{BccChunk, BccMesh};
 use crate::pipeline::plan::{Attachments, Layout, MeshParts, folder_bytes, parts};
 use crate::points::PointSet;
 use std::collections::BTreeMap;
@@ -39,8 +37,6 @@ pub(in crate::pipeline) struct OpenArchive {
     pub(in crate::pipeline) manifest: Manifest,
     pub(in crate::pipeline) points: PointSet,
     pub(in crate::pipeline) chunks: ChunkGrid,
-    /// The mesh, where it follows by formula.
-    pub(super) bcc: Option<BccMesh>,
     /// The files of the mesh and of the first step.
     layout: Layout,
     meshes: Mutex<BTreeMap<u64, Arc<ChunkSegment>>>,
@@ -70,7 +66,7 @@ impl OpenArchive {
         };
         let attachments =
             Attachments::read_of(root, manifest.plan_hash, &manifest.plan).map_err(|e| lost(root, e))?;
-        let MeshParts { points, chunks, bcc, .. } = match parts(&manifest.plan, attachments) {
+        let MeshParts { points, chunks, .. } = match parts(&manifest.plan, attachments) {
             Ok(parts) => parts,
             Err(e) => return bad("plan", "a plan that can be carried out".into(), e.to_string()),
         };
@@ -106,7 +102,6 @@ impl OpenArchive {
             manifest,
             points,
             chunks,
-            bcc,
             layout,
             meshes: Mutex::default(),
             read_before: AtomicU64::new(0),
@@ -172,16 +167,17 @@ impl OpenArchive {
     fn listed_bytes(&self) -> u64 {
         let m = &self.manifest;
         let of_steps = m.all_steps().flat_map(|s| {
-            let others = [s.index, s.spectrum, s.coordinates.map(|c| c.info)];
-            s.values.iter().map(|v| v.info).chain(others.into_iter().flatten())
+            let others = [s.index, s.spectrum, s.coarse, s.coordinates.map(|c| c.info)];
+            s.values.iter().chain(&s.ranges).map(|v| v.info).chain(others.into_iter().flatten())
         });
-        m.mesh.iter().map(|r| r.info).chain(of_steps).map(|f| f.bytes).sum::<u64>() + m.text_bytes()
+        m.mesh.iter().map(|r| r.info).chain(of_steps).map(|f| f.bytes).sum::<u64>()
+            + m.to_bytes().len() as u64
     }
 
     /// Bytes of the manifest.
     pub(in crate::pipeline) fn manifest_bytes(&self) -> Result<u64> {
         if is_remote(self.path()) {
-            return Ok(self.manifest.text_bytes());
+            return Ok(self.manifest.to_bytes().len() as u64);
         }
         let file = self.layout.root().join(MANIFEST_NAME);
         Ok(std::fs::metadata(&file).map_err(|e| Error::io("look at", &file, e))?.len())
@@ -193,7 +189,7 @@ impl OpenArchive {
             return Ok(());
         }
         Err(Error::usage(format!(
-            "{} is a pyramid of samples, which has no tetrahedra: isospan probe writes its samples, \
+            "{} is a pyramid of samples, which has no tetrahedra: isospan export writes its samples, \
              isospan surface its isosurfaces",
             self.path().display()
         )))
@@ -237,12 +233,9 @@ impl OpenArchive {
         self.mesh_segment(self.layout.segment_of(chunk))
     }
 
-    /// The sizes of a chunk's mesh: stored, or by formula.
+    /// The sizes of a chunk's mesh.
     pub(in crate::pipeline) fn mesh_sizes(&self, chunk: ChunkId) -> Result<MeshSizes> {
-        match self.bcc_chunk(chunk) {
-            Some(bcc) => Ok(sizes_of(&bcc)),
-            None => Ok(self.mesh_of(chunk)?.mesh_summary(chunk)?.sizes),
-        }
+        Ok(self.mesh_of(chunk)?.mesh_summary(chunk)?.sizes)
     }
 
     /// A file that is not there makes the archive incomplete, which the same reduction repairs.
@@ -285,18 +278,6 @@ impl OpenArchive {
     /// Whether the archive is a pyramid.
     pub(in crate::pipeline) fn is_pyramid(&self) -> bool {
         self.manifest.plan.is_pyramid()
-    }
-
-    /// Whether the mesh follows by formula, or there is none: then it is not stored.
-    pub(in crate::pipeline) fn has_mesh_by_formula(&self) -> bool {
-        !self.manifest.plan.stores_mesh()
-    }
-
-    /// A chunk whose mesh follows by formula.
-    pub(in crate::pipeline) fn bcc_chunk(&self, id: ChunkId) -> Option<BccChunk> {
-        let mesh = self.bcc?;
-        let [lo, hi] = self.chunks.bricks().cells_of(&self.chunks.chunk(id));
-        Some(mesh.chunk(lo, hi))
     }
 }
 

@@ -1,11 +1,9 @@
-//! The mesh of a chunk: made from points, made by formula, or read from an archive.
+//! The mesh of a chunk: made from points, or read from an archive.
 
 use crate::archive::values::ValueBlocks;
 use crate::geom::{LatticePos, PointId};
-use crate::mesh::bcc::BccChunk;
 use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
-use crate::pipeline::plan::Halo;
 
 /// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra
 /// need (halo), and the tetrahedra it owns.
@@ -26,39 +24,12 @@ pub(in crate::pipeline) struct MeshedChunk {
     pub(in crate::pipeline) tets: TetList,
     /// How often the halo had to be widened.
     pub(in crate::pipeline) retries: u32,
-    /// How values are cut into blocks, of a chunk of a lattice.
-    pub(in crate::pipeline) bricks: Option<ValueBlocks>,
 }
 
 impl MeshedChunk {
-    /// The mesh of a chunk of a lattice; with the tetrahedra around it, where they are asked for.
-    pub(in crate::pipeline) fn of_bcc(chunk: &BccChunk, halo: Halo) -> Self {
-        let (mut all_positions, mut ids, mut shared) = (vec![], vec![], vec![]);
-        for (position, id, is_shared) in chunk.listed() {
-            all_positions.push(position);
-            ids.push(id);
-            shared.push(is_shared);
-        }
-        let mut mesh = Self {
-            core_counts: chunk.bricks().map(|cells| 2 * cells.iter().product::<u32>()).collect(),
-            halo: ids.split_off(chunk.core()),
-            all_positions,
-            around: 0,
-            shared,
-            tets: chunk.tets().into(),
-            retries: 0,
-            bricks: Some(value_blocks(chunk)),
-        };
-        if halo == Halo::Stars {
-            let (around, positions) = chunk.around();
-            mesh.put_around(&around, positions);
-        }
-        mesh
-    }
-
     /// How the values of its vertices are cut into blocks.
     pub(in crate::pipeline) fn value_blocks(&self) -> ValueBlocks {
-        self.bricks.clone().unwrap_or_else(|| ValueBlocks::even(self.vertices()))
+        ValueBlocks::new(self.vertices())
     }
 
     pub(in crate::pipeline) fn core_len(&self) -> usize {
@@ -126,18 +97,6 @@ impl MeshedChunk {
         keep(&mut self.shared, &kept);
         self.all_positions = before.iter().map(|&v| self.all_positions[v as usize]).collect();
         before
-    }
-}
-
-/// How the values of a lattice's chunk are cut into blocks: bricks, where those have as many values
-/// as a block. The values of points that other chunks own are not stored; where all follow from
-/// nodes, those that no brick has are not either.
-pub(super) fn value_blocks(chunk: &BccChunk) -> ValueBlocks {
-    let points = chunk.points();
-    match (chunk.has_node_bricks(), chunk.has_whole_bricks()) {
-        (true, _) => ValueBlocks::new(chunk.bricks(), chunk.in_bricks(), points),
-        (false, true) => ValueBlocks::new(chunk.bricks(), chunk.core(), points),
-        (false, false) => ValueBlocks::new([], chunk.core(), points),
     }
 }
 

@@ -9,18 +9,17 @@
 //! ([`ValueBlocks`]), ids of halo points and flags in pages, and positions brick by brick (a brick
 //! lists its points again by formula). Each is read when a corner first needs it. A question about
 //! isovalues skips value blocks that lie on one side of all of them, unless a tetrahedron connects
-//! them to the other side. So a chunk whose surface is small costs a few bricks. For a lattice
-//! everything but the values follows by formula ([`BccChunk`]). Tetrahedra that follow from the
-//! points are made again ([`StarBlocks`]).
+//! them to the other side. So a chunk whose surface is small costs a few bricks. Tetrahedra
+//! that follow from the points are made again ([`StarBlocks`]).
 
 use super::block::{Block, BlockCorners};
-use super::chunk_mesh::{MeshedChunk, used_corners, value_blocks};
+use super::chunk_mesh::{MeshedChunk, used_corners};
 use super::damaged::damaged;
-use super::neighbours::Neighbours;
 use super::reader_memory::{ReaderMemory, UNPLACED};
 use super::region::Cut;
 use super::star_blocks::{ChunkBricks, StarBlocks};
 use super::step_view::{OpenSegment, StepView};
+use super::stored_values::{BlockAt, expect_values};
 use crate::archive::Malformed;
 use crate::archive::chunked::ValueRange;
 use crate::archive::mesh::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, StarRuns, TetBlock, decode_flags, decode_ids};
@@ -28,18 +27,14 @@ use crate::archive::values::ValueBlocks;
 use crate::error::Result;
 use crate::geom::{LatticeBox, LatticePos, PointId};
 use crate::grid::{BrickId, Chunk, ChunkId};
-use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::plan::is_made_again;
-use crate::sample::Values;
 
 /// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
 pub(in crate::pipeline) struct ChunkReader<'a> {
     archive: &'a StepView,
     segment: OpenSegment,
     chunk: Chunk,
-    /// The mesh, where it follows by formula: there is neither header nor page nor brick then.
-    bcc: Option<BccChunk>,
     /// The blocks, where their tetrahedra are made again from the points.
     from_points: Option<StarBlocks>,
     bricks: Vec<BrickId>,
@@ -52,12 +47,11 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     value_bytes: Vec<u32>,
     value_blocks: ValueBlocks,
     /// What is known about the values that have not been read, once it was needed.
-    value_ranges: Vec<Option<ValueRange>>,
+    value_ranges: Vec<ValueRange>,
     /// For each block of values, whether a corner of an active tetrahedron is in it.
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
     active_bytes: u64,
-    around: Neighbours,
     memory: ReaderMemory,
 }
 
@@ -71,13 +65,9 @@ struct Pages {
 
 /// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are
 /// allocated once. Where tetrahedra are made again, it holds the points around too, by cells, and
-/// the faces that wait; where values follow from nodes, these too.
+/// the faces that wait.
 pub(in crate::pipeline) fn bytes_per_vertex(archive: &StepView) -> u64 {
-    match archive.step().plan.values {
-        Values::Nodes => 56,
-        _ if is_made_again(&archive.points) => 160,
-        Values::Sample | Values::Fit => 44,
-    }
+    if is_made_again(&archive.points) { 160 } else { 44 }
 }
 
 impl<'a> ChunkReader<'a> {
@@ -90,37 +80,34 @@ impl<'a> ChunkReader<'a> {
         archive.expect_chunk(id)?;
         let segment = archive.segment_of(id)?;
         let chunk = archive.chunks.chunk(id);
-        if let Some(bcc) = archive.bcc_chunk(id) {
-            return Self::open_bcc(archive, segment, chunk, bcc, memory);
-        }
-        let blocks = segment.mesh().block_count(id);
+        let blocks = segment.mesh.block_count(id);
         if blocks < 2 {
-            return Err(damaged(segment.mesh(), id, "block count", &blocks));
+            return Err(damaged(&segment.mesh, id, "block count", &blocks));
         }
-        segment.mesh().block(id, 0, &mut memory.bytes)?;
-        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh().blame(id, 0, m))?;
+        segment.mesh.block(id, 0, &mut memory.bytes)?;
+        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
         if header.core_counts.len() as u64 != chunk.brick_count() {
-            return Err(damaged(segment.mesh(), id, "header", "it has another number of bricks"));
+            return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
         }
         let (vertices, pages) = (header.len(), header.flag_pages() + header.id_pages());
         let least = header.blocks() as u64 + 1;
         if blocks < least || header.from_points && blocks != least {
-            return Err(damaged(segment.mesh(), id, "block count", &blocks));
+            return Err(damaged(&segment.mesh, id, "block count", &blocks));
         }
         let from_points = match header.from_points {
             true if !is_made_again(&archive.points) => {
-                return Err(damaged(segment.mesh(), id, "header", "it has no tetrahedra"));
+                return Err(damaged(&segment.mesh, id, "header", "it has no tetrahedra"));
             }
             true => {
                 let at = header.blocks() as u64 - 1;
-                segment.mesh().block(id, at, &mut memory.bytes)?;
+                segment.mesh.block(id, at, &mut memory.bytes)?;
                 let runs = StarRuns::decode(&memory.bytes, header.core_len() as u32);
-                Some(StarBlocks::new(runs.map_err(|m| segment.mesh().blame(id, at, m))?))
+                Some(StarBlocks::new(runs.map_err(|m| segment.mesh.blame(id, at, m))?))
             }
             false => None,
         };
-        let value_blocks = ValueBlocks::even(vertices);
-        expect_values(archive, &segment, id, &value_blocks)?;
+        let value_blocks = ValueBlocks::new(vertices);
+        expect_values(&segment.values, id, &value_blocks)?;
         let mut starts = vec![0];
         starts.extend(header.core_counts.iter().scan(0, |sum, n| {
             *sum += n;
@@ -132,7 +119,6 @@ impl<'a> ChunkReader<'a> {
         Ok(Self {
             archive,
             segment,
-            bcc: None,
             from_points,
             bricks: chunk.bricks(archive.chunks.bricks()).collect(),
             chunk,
@@ -144,127 +130,8 @@ impl<'a> ChunkReader<'a> {
             active_values: vec![false; value_blocks.count()],
             value_blocks,
             active_bytes: 0,
-            around: Neighbours::default(),
             memory,
         })
-    }
-
-    /// As [`ChunkReader::open`], of a chunk whose mesh follows by formula.
-    fn open_bcc(
-        archive: &'a StepView,
-        segment: OpenSegment,
-        chunk: Chunk,
-        bcc: BccChunk,
-        mut memory: ReaderMemory,
-    ) -> Result<Self> {
-        let vertices = bcc.points();
-        let value_blocks = value_blocks(&bcc);
-        expect_values(archive, &segment, chunk.id, &value_blocks)?;
-        memory.start(vertices);
-        Ok(Self {
-            archive,
-            segment,
-            chunk,
-            bricks: vec![],
-            starts: vec![0, bcc.core() as u32],
-            bcc: Some(bcc),
-            from_points: None,
-            shared: vec![true; vertices],
-            pages: Pages { of_flags: 0, read: vec![] },
-            value_bytes: vec![0; value_blocks.count()],
-            value_ranges: vec![],
-            active_values: vec![false; value_blocks.count()],
-            value_blocks,
-            active_bytes: 0,
-            around: Neighbours::default(),
-            memory,
-        })
-    }
-
-    /// Whether some isovalue lies between the values of some corners, or their least and largest
-    /// ones may be on both sides.
-    fn is_active(&mut self, isovalues: &[f32], numbers: &[u32]) -> Result<bool> {
-        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-        for &v in numbers {
-            let block = self.value_blocks.of(v as usize);
-            if self.value_bytes[block] == 0 {
-                let [least, most] = self.find_range(block)?;
-                if isovalues.iter().any(|&v| is_active(least, most, v)) {
-                    self.read_values(block)?;
-                } else {
-                    (lo, hi) = (lo.min(least), hi.max(most));
-                    continue;
-                }
-            }
-            // A void is neither.
-            let value = self.memory.values[v as usize];
-            (lo, hi) = (lo.min(value), hi.max(value));
-        }
-        Ok(isovalues.iter().any(|&v| is_active(lo, hi, v)))
-    }
-
-    /// Whether a chunk whose mesh follows by formula has a block of this number.
-    fn expect_block(&self, number: u32) -> Result<()> {
-        let blocks = self.bcc.as_ref().map_or(0, BccChunk::block_count);
-        if (number as usize) < blocks {
-            return Ok(());
-        }
-        let got = format!("block {number} of {blocks}");
-        Err(damaged(self.segment.of_mesh(), self.chunk.id, "index", &got))
-    }
-
-    /// Makes a block of a chunk whose mesh follows by formula, in `memory.by_formula`, and finds
-    /// the numbers of its corners. False if its hull says that it is not wanted.
-    fn number_bcc(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
-        out.tets.clear();
-        out.bytes = 0;
-        self.expect_block(number)?;
-        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
-        let [lo, hi] = bcc.hull(number as usize);
-        if !wanted.may_be(|| Ok(LatticeBox { lo, hi: hi.map(|x| x + 1) }))? {
-            return Ok(false);
-        }
-        bcc.block(number as usize, &mut self.memory.by_formula);
-        out.corners.numbers.clear();
-        out.corners.numbers.extend(bcc.numbers(&self.memory.by_formula));
-        Ok(true)
-    }
-
-    /// Fills in the rest of a block that was numbered; false if it is not wanted.
-    fn place_bcc(&self, wanted: &Wanted<'_>, out: &mut Block) -> bool {
-        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
-        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
-        positions.clear();
-        ids.clear();
-        shared.clear();
-        for (position, id, is_shared) in bcc.points_of(&self.memory.by_formula) {
-            positions.push(position);
-            ids.push(id);
-            shared.push(is_shared);
-        }
-        if !wanted.is(positions) {
-            return false;
-        }
-        values.resize(numbers.len(), f32::NAN);
-        out.tets.extend_from_slice(&self.memory.by_formula.tets);
-        *of_chunk = bcc.points();
-        true
-    }
-
-    /// As [`ChunkReader::tets`], of a chunk whose mesh follows by formula.
-    fn tets_bcc(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
-        self.expect_block(number)?;
-        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
-        bcc.block(number as usize, &mut self.memory.by_formula);
-        let ReaderMemory { positions, ids, by_formula, .. } = &mut self.memory;
-        let mut numbers = Vec::with_capacity(positions.len().min(1 << 9));
-        for (number, position, id, is_shared) in bcc.corners(by_formula) {
-            let v = number as usize;
-            (positions[v], ids[v], self.shared[v]) = (position, id, is_shared);
-            numbers.push(number);
-        }
-        out.extend(by_formula.tets.iter().map(|t| t.map(|v| numbers[v as usize])));
-        Ok(())
     }
 
     /// Says which blocks will be read, and what is wanted of them: to make tetrahedra again takes
@@ -289,7 +156,7 @@ impl<'a> ChunkReader<'a> {
     fn bricks(&self) -> ChunkBricks<'_> {
         ChunkBricks {
             archive: self.archive,
-            mesh: self.segment.mesh(),
+            mesh: &self.segment.mesh,
             chunk: &self.chunk,
             bricks: &self.bricks,
             starts: &self.starts,
@@ -299,7 +166,7 @@ impl<'a> ChunkReader<'a> {
     /// The same, and the memory in which they are read.
     fn bricks_and_memory(&mut self) -> (ChunkBricks<'_>, &mut ReaderMemory) {
         let Self { archive, segment, chunk, bricks, starts, memory, .. } = self;
-        (ChunkBricks { archive, mesh: segment.mesh(), chunk, bricks, starts }, memory)
+        (ChunkBricks { archive, mesh: &segment.mesh, chunk, bricks, starts }, memory)
     }
 
     /// As [`ChunkReader::expect`], of whole blocks.
@@ -319,7 +186,7 @@ impl<'a> ChunkReader<'a> {
     fn make_with(&mut self, made: &mut StarBlocks, number: u32, wanted: &Wanted<'_>) -> Result<bool> {
         if number as usize >= made.len() {
             let got = format!("block {number} of {}", made.len());
-            return Err(damaged(self.segment.of_mesh(), self.chunk.id, "index", &got));
+            return Err(damaged(&self.segment.mesh, self.chunk.id, "index", &got));
         }
         if !wanted.may_be(|| Ok(made.hull(&self.bricks(), number)))? {
             return Ok(false);
@@ -401,15 +268,7 @@ impl<'a> ChunkReader<'a> {
         needed: &Needed<'_>,
         out: &mut Block,
     ) -> Result<bool> {
-        let is_wanted = match needed {
-            Needed::ForActive(isovalues) if self.bcc.is_some() => {
-                self.number_bcc(number, wanted, out)?
-                    && self.is_active(isovalues, &out.corners.numbers)?
-                    && self.place_bcc(wanted, out)
-            }
-            _ => self.shape(number, wanted, out)?,
-        };
-        if !is_wanted {
+        if !self.shape(number, wanted, out)? {
             return Ok(false);
         }
         let BlockCorners { numbers, values, .. } = &mut out.corners;
@@ -430,9 +289,6 @@ impl<'a> ChunkReader<'a> {
         wanted: &Wanted<'_>,
         out: &mut Block,
     ) -> Result<bool> {
-        if self.bcc.is_some() {
-            return Ok(self.number_bcc(number, wanted, out)? && self.place_bcc(wanted, out));
-        }
         if self.from_points.is_some() {
             return self.shape_again(number, wanted, out);
         }
@@ -456,9 +312,6 @@ impl<'a> ChunkReader<'a> {
     /// Appends the tetrahedra of a block, corners numbered as in the chunk. Finds positions and ids
     /// of the block's corners.
     pub(super) fn tets(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
-        if self.bcc.is_some() {
-            return self.tets_bcc(number, out);
-        }
         if self.from_points.is_some() {
             self.make_again(number, &Wanted::All)?;
             out.extend_from_slice(&self.memory.tets);
@@ -470,7 +323,7 @@ impl<'a> ChunkReader<'a> {
 
     /// Reads the bytes of a block, and returns their number.
     fn read(&mut self, number: u32) -> Result<u64> {
-        let (mesh, id) = (self.segment.mesh(), self.chunk.id);
+        let (mesh, id) = (&self.segment.mesh, self.chunk.id);
         let blocks = mesh.block_count(id);
         // The last block is the summary.
         let at = self.block_at(number);
@@ -501,7 +354,7 @@ impl<'a> ChunkReader<'a> {
         let bytes = std::mem::take(&mut self.memory.bytes);
         let decoded = decode(self, &bytes);
         self.memory.bytes = bytes;
-        decoded?.map_err(|m| self.segment.mesh().blame(self.chunk.id, self.block_at(number), m))
+        decoded?.map_err(|m| self.segment.mesh.blame(self.chunk.id, self.block_at(number), m))
     }
 
     fn decode_alone(
@@ -593,23 +446,17 @@ impl<'a> ChunkReader<'a> {
         Ok(())
     }
 
-    /// A range that holds the values of a block. Those of blocks that are stored are read together.
+    /// A range that holds the values of a block. Those of all blocks are read together.
     fn find_range(&mut self, block: usize) -> Result<ValueRange> {
         if self.value_ranges.is_empty() {
             let stored = self.archive.value_ranges(self.chunk.id, &self.value_blocks)?;
             self.value_ranges = match stored {
-                Some(stored) => stored.iter().map(|range| Some([range.min, range.max])).collect(),
+                Some(stored) => stored.iter().map(|range| [range.min, range.max]).collect(),
                 // Between two steps.
-                None => vec![Some([f32::NEG_INFINITY, f32::INFINITY]); self.value_blocks.count()],
+                None => vec![[f32::NEG_INFINITY, f32::INFINITY]; self.value_blocks.count()],
             };
-            self.value_ranges.resize(self.value_blocks.count(), None);
         }
-        if let Some(range) = self.value_ranges[block] {
-            return Ok(range);
-        }
-        let range = self.around.range(self.archive, self.chunk.id, self.value_blocks.range(block))?;
-        self.value_ranges[block] = Some(range);
-        Ok(range)
+        Ok(self.value_ranges[block])
     }
 
     /// The values of corners, of those that have not been read the least that they may have; NaN
@@ -621,7 +468,7 @@ impl<'a> ChunkReader<'a> {
             if self.value_bytes[block] != 0 {
                 return self.memory.values[v as usize];
             }
-            let [lo, hi] = self.value_ranges[block].expect("its range was found before");
+            let [lo, hi] = self.value_ranges[block];
             if lo <= hi { lo } else { f32::NAN }
         }));
     }
@@ -631,11 +478,11 @@ impl<'a> ChunkReader<'a> {
         let ReaderMemory { values, decoded, .. } = &mut self.memory;
         let place = &mut values[self.value_blocks.range(block)];
         decoded.clear();
-        let (id, blocks, around) = (self.chunk.id, &self.value_blocks, &mut self.around);
-        let bytes = self.archive.values_block(id, block, blocks, around, decoded)?;
+        let at = BlockAt { block, blocks: &self.value_blocks };
+        let bytes = self.archive.values_block(self.chunk.id, at, decoded)?;
         place.copy_from_slice(decoded);
-        // A block has at least the byte of its codec, unless all its nodes have been read.
-        self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX).max(1);
+        // A block has at least the byte of its codec.
+        self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX);
         Ok(())
     }
 
@@ -676,8 +523,7 @@ impl<'a> ChunkReader<'a> {
     fn halo_position(&mut self, v: usize) -> Result<LatticePos> {
         self.load_page(self.pages.of_flags + v / PAGE_IDS - self.core() / PAGE_IDS)?;
         let id = self.memory.ids[v];
-        let wrong =
-            || damaged(self.segment.of_mesh(), self.chunk.id, "halo", &format!("no point {:#x}", id.0));
+        let wrong = || damaged(&self.segment.mesh, self.chunk.id, "halo", &format!("no point {:#x}", id.0));
         self.archive.points.position(id).ok_or_else(wrong)
     }
 
@@ -706,7 +552,7 @@ impl<'a> ChunkReader<'a> {
     #[cold]
     fn read_page(&mut self, page: usize) -> Result<()> {
         let (core, vertices) = (self.core(), self.vertices());
-        let (mesh, id, at) = (self.segment.mesh(), self.chunk.id, 1 + page as u64);
+        let (mesh, id, at) = (&self.segment.mesh, self.chunk.id, 1 + page as u64);
         let mut bytes = vec![];
         mesh.block(id, at, &mut bytes)?;
         let decoded = match page.checked_sub(self.pages.of_flags) {
@@ -778,7 +624,6 @@ impl<'a> ChunkReader<'a> {
             shared: self.shared,
             tets: tets.into(),
             retries: 0,
-            bricks: None,
         }
     }
 
@@ -835,16 +680,6 @@ impl Wanted<'_> {
             }
         }
     }
-}
-
-/// Whether a chunk has so many blocks of values.
-fn expect_values(
-    archive: &StepView,
-    segment: &OpenSegment,
-    id: ChunkId,
-    expected: &ValueBlocks,
-) -> Result<()> {
-    archive.brick_groups(&segment.values, id, expected).map(drop)
 }
 
 /// The values of an array at certain places, which begin with a run.

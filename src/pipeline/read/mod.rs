@@ -18,14 +18,12 @@ mod coordinates;
 mod damaged;
 mod decoded;
 mod frontier;
-mod mesh_sizes;
-mod neighbours;
-mod node_values;
+mod level;
+mod level_field;
 mod nodes;
 mod pools;
 mod pyramid;
 mod reader_memory;
-mod recent;
 mod region;
 mod segments;
 pub(super) mod spectrum;
@@ -51,10 +49,12 @@ pub(super) use coordinates::{
 };
 pub(super) use decoded::DecodedChunk;
 pub(super) use frontier::Frontier;
-pub(super) use mesh_sizes::sizes_of;
-pub(super) use node_values::NodeValues;
+pub use level::LevelChoice;
+pub(super) use level_field::{LevelNodes, samples_of_level};
 pub(super) use pools::{BufferPool, Buffers};
-pub(super) use pyramid::{bricks_of, cells_of, chunk_place, index_box, pyramid_of, scale_of};
+pub(super) use pyramid::{
+    bricks_of, cells_of, chunk_place, has_coarse_mask, index_box, pyramid_of, scale_of,
+};
 pub(super) use reader_memory::ReaderMemory;
 pub(super) use region::Cut;
 pub use region::{Roi, RoiSpace};

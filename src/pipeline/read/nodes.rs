@@ -2,8 +2,8 @@
 
 use super::archive::expect_recorded;
 use super::pyramid::{
-    NodeWindow, PyramidStep, StoredBlock, block_bytes, box3, chunk_number, lock, pyramid_of, scale_of,
-    tile_bytes,
+    NodeWindow, PyramidStep, StoredBlock, block_bytes, box3, chunk_number, has_coarse_mask, lock, mask_bytes,
+    pyramid_of, scale_of, tile_bytes,
 };
 use super::step_view::StepView;
 use super::steps::mean;
@@ -12,7 +12,8 @@ use crate::archive::segment::{Segment, SegmentKind};
 use crate::error::{Error, Result};
 use crate::grid::{ChunkId, IndexBox};
 use isospan_wavelet::{
-    Box3, Coarse, Correction, Levels, Tile, TileBlock, TileId, TileSource, decode_corrections, decode_tile,
+    Box3, Coarse, Correction, Levels, Mask, Pyramid, Tile, TileBlock, TileId, TileSource, decode_corrections,
+    decode_tile,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -44,12 +45,21 @@ impl StepView {
         let mut bytes = vec![];
         file.block(0, &mut bytes)?;
         let coarse = Coarse::new(&pyramid, bytes).map_err(|e| damaged(&path, 0, &e))?;
+        let mut missing = None;
+        if file.block_count() > 1 {
+            let mut bytes = vec![];
+            file.block(1, &mut bytes)?;
+            let place = Box3::all(pyramid.nodes(pyramid.details()));
+            missing = Some(Mask::new(place, bytes).map_err(|e| damaged(&path, 1, &e))?);
+        }
         let most = self.cache.most().max(LEAST_CACHE);
-        let made = PyramidStep::new(pyramid, (scale, correction), coarse, [most, self.cache.most()]);
+        let made =
+            PyramidStep::new(pyramid, (scale, correction), (coarse, missing), [most, self.cache.most()]);
         Ok(self.pyramid.get_or_init(|| made))
     }
 
-    /// The nodes of a level in a box, x fastest, less the offset of the source.
+    /// The nodes of a level in a box, x fastest, less the offset of the source; NaN where the
+    /// sample of a node is missing.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a damaged archive; [`Error::Usage`] for a level that is not there.
@@ -68,6 +78,7 @@ impl StepView {
         if level == 0 {
             self.correct(&mut values, &box3(wanted))?;
         }
+        self.leave_out_missing(level, wanted, &mut values)?;
         Ok(values)
     }
 
@@ -94,7 +105,7 @@ impl StepView {
         Ok(found)
     }
 
-    /// As [`StepView::nodes`], without corrections.
+    /// As [`StepView::nodes`], without corrections, and with values that stand for missing samples.
     pub(in crate::pipeline) fn uncorrected(&self, level: usize, wanted: &IndexBox) -> Result<Vec<f32>> {
         let of = self.pyramid()?;
         let levels = Levels { pyramid: &of.pyramid, scale: &of.scale, top: of.coarse.top() };
@@ -108,28 +119,80 @@ impl StepView {
             return Ok(());
         }
         let (first, last) = (wanted.start, wanted.end().map(|e| e - 1));
-        let chunk_at = |sample: [usize; 3]| {
-            let chunks = of.pyramid.chunks();
-            std::array::from_fn::<usize, 3, _>(|a| (sample[a] / isospan_wavelet::CHUNK).min(chunks[a] - 1))
-        };
-        let (lo, hi) = (chunk_at(first), chunk_at(last));
         let (mut numbers, mut bytes) = (vec![0; values.len()], vec![]);
-        for z in lo[2]..=hi[2] {
-            for y in lo[1]..=hi[1] {
-                for x in lo[0]..=hi[0] {
-                    let id = chunk_number(&of.pyramid, [x, y, z]);
-                    let file = self.ranges_of(id)?;
-                    file.block(id, 0, &mut bytes)?;
-                    let place = of.pyramid.chunk([x, y, z]);
-                    decode_corrections(&place, &bytes, wanted, &mut numbers)
-                        .map_err(|e| damaged(file.segment().path(), file.block_number(id, 0), &e))?;
-                }
-            }
+        for at in chunks_with(&of.pyramid, first, last) {
+            let id = chunk_number(&of.pyramid, at);
+            let file = self.ranges_of(id)?;
+            file.block(id, 0, &mut bytes)?;
+            let place = of.pyramid.chunk(at);
+            decode_corrections(&place, &bytes, wanted, &mut numbers)
+                .map_err(|e| damaged(file.segment().path(), file.block_number(id, 0), &e))?;
         }
         for (value, number) in values.iter_mut().zip(numbers) {
             *value = of.correction.correct(*value, number);
         }
         Ok(())
+    }
+
+    /// Makes NaN of the nodes of a box whose samples are missing. Returns whether there are any.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a damaged archive.
+    pub(in crate::pipeline) fn leave_out_missing(
+        &self,
+        level: usize,
+        wanted: &IndexBox,
+        values: &mut [f32],
+    ) -> Result<bool> {
+        let of = self.pyramid()?;
+        let mut any = false;
+        let mut leave_out = |i: usize| (values[i], any) = (f32::NAN, true);
+        let (pyramid, nodes, details) = (&of.pyramid, box3(wanted), of.pyramid.details());
+        let stride = pyramid.stride(level);
+        if has_coarse_mask(pyramid, level) {
+            let Some(mask) = &of.missing else { return Ok(false) };
+            let fine = pyramid.stride(details);
+            let steps = std::array::from_fn(|a| stride[a] / fine[a]);
+            let found = mask.each_missing(&nodes, steps, leave_out);
+            return found.map(|()| any).map_err(|e| damaged(&self.layout.coarse(), 1, &e));
+        }
+        let last = [0, 1, 2].map(|a| (nodes.end()[a] - 1) * stride[a]);
+        let first = [0, 1, 2].map(|a| nodes.start[a] * stride[a]);
+        for at in chunks_with(pyramid, first, last) {
+            let id = chunk_number(pyramid, at);
+            let Some(mask) = self.mask_of(of, id, at)? else { continue };
+            mask.each_missing(&nodes, stride, &mut leave_out).map_err(|e| {
+                let number = pyramid.blocks(at).len() as u64;
+                match self.values_of(self.position(), id) {
+                    Ok(file) => damaged(file.segment().path(), file.block_number(id, number), &e),
+                    Err(e) => e,
+                }
+            })?;
+        }
+        Ok(any)
+    }
+
+    /// The mask of a chunk, where it has missing samples.
+    fn mask_of(&self, of: &PyramidStep, chunk: ChunkId, at: [usize; 3]) -> Result<Option<Arc<Mask>>> {
+        let file = self.values_of(self.position(), chunk)?;
+        let (blocks, found) = (of.pyramid.blocks(at).len() as u64, file.block_count(chunk));
+        if found <= blocks {
+            return Ok(None);
+        }
+        if found > blocks + 1 {
+            let (at, expected) = (format!("chunk {}, blocks", chunk.0), format!("at most {}", blocks + 1));
+            return Err(Error::bad_input(file.segment().path(), at, expected, found.to_string()));
+        }
+        if let Some(known) = lock(&of.masks).get(&chunk.0, mask_bytes) {
+            return Ok(Some(known));
+        }
+        let mut bytes = vec![];
+        file.block(chunk, blocks, &mut bytes)?;
+        let mask = Mask::new(of.pyramid.chunk(at), bytes)
+            .map_err(|e| damaged(file.segment().path(), file.block_number(chunk, blocks), &e))?;
+        let mask = Arc::new(mask);
+        lock(&of.masks).put(chunk.0, Arc::clone(&mask), mask_bytes(&mask));
+        Ok(Some(mask))
     }
 
     /// A block of tiles, read and taken apart.
@@ -163,6 +226,20 @@ impl StepView {
         lock(&of.blocks).put((chunk.0, number), Arc::clone(&found), size);
         Ok(found)
     }
+}
+
+/// The places of the chunks that have the samples of a box, from its first to its last.
+fn chunks_with(
+    pyramid: &Pyramid,
+    first: [usize; 3],
+    last: [usize; 3],
+) -> impl Iterator<Item = [usize; 3]> + use<> {
+    let chunks = pyramid.chunks();
+    let [lo, hi] = [first, last].map(|sample| {
+        std::array::from_fn::<usize, 3, _>(|a| (sample[a] / isospan_wavelet::CHUNK).min(chunks[a] - 1))
+    });
+    (lo[2]..=hi[2])
+        .flat_map(move |z| (lo[1]..=hi[1]).flat_map(move |y| (lo[0]..=hi[0]).map(move |x| [x, y, z])))
 }
 
 /// Decoded tiles that are cached at least: those around a box.

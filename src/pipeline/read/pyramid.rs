@@ -11,7 +11,7 @@
 use crate::archive::manifest::{CorrectionRecord, WaveletRecord};
 use crate::grid::{ChunkId, IndexBox};
 use crate::points::PointSpec;
-use isospan_wavelet::{Box3, Coarse, Correction, Pyramid, Scale, Tile, TileId};
+use isospan_wavelet::{Box3, Coarse, Correction, Mask, Pyramid, Scale, Tile, TileId};
 use rustc_hash::FxHashMap;
 use std::collections::HashMap;
 use std::ops::Range;
@@ -23,8 +23,12 @@ pub(in crate::pipeline) struct PyramidStep {
     pub(in crate::pipeline) scale: Scale,
     pub(in crate::pipeline) correction: Correction,
     pub(super) coarse: Coarse,
+    /// The nodes of the last level of chunks that are missing, where some are.
+    pub(super) missing: Option<Mask>,
     pub(super) tiles: Mutex<Recent<TileId, Arc<Tile>>>,
     pub(super) blocks: Mutex<Recent<(u64, usize), Arc<StoredBlock>>>,
+    /// The samples of chunks that are missing.
+    pub(super) masks: Mutex<Recent<u64, Arc<Mask>>>,
     /// Nodes, by level and part, for the next question.
     pub(super) windows: Mutex<Recent<WindowKey, Arc<NodeWindow>>>,
 }
@@ -43,7 +47,7 @@ impl PyramidStep {
     pub(super) fn new(
         pyramid: Pyramid,
         (scale, correction): (Scale, Correction),
-        coarse: Coarse,
+        (coarse, missing): (Coarse, Option<Mask>),
         [of_tiles, of_nodes]: [usize; 2],
     ) -> Self {
         Self {
@@ -51,8 +55,10 @@ impl PyramidStep {
             scale,
             correction,
             coarse,
+            missing,
             tiles: Mutex::new(Recent::new(of_tiles)),
             blocks: Mutex::new(Recent::new(of_tiles / 8)),
+            masks: Mutex::new(Recent::new(of_tiles / 8)),
             windows: Mutex::new(Recent::new(of_nodes)),
         }
     }
@@ -103,6 +109,10 @@ pub(super) fn tile_bytes(tile: &Arc<Tile>) -> usize {
     128 + tile.parts.iter().map(|part| 4 * part.numbers.len()).sum::<usize>()
 }
 
+pub(super) fn mask_bytes(mask: &Arc<Mask>) -> usize {
+    64 + mask.size()
+}
+
 pub(super) fn block_bytes(block: &Arc<StoredBlock>) -> usize {
     64 + block.bytes.len() + 64 * block.places.len()
 }
@@ -131,6 +141,11 @@ pub(in crate::pipeline) fn scale_of(wavelet: &WaveletRecord) -> isospan_wavelet:
         CorrectionRecord::Lossless => Correction::Whole,
     };
     Ok((scale, correction))
+}
+
+/// Whether missing nodes of a level are told with the coarse levels, and not by chunks.
+pub(in crate::pipeline) fn has_coarse_mask(pyramid: &Pyramid, level: usize) -> bool {
+    level >= pyramid.details().max(1)
 }
 
 /// A box of nodes as the crate of wavelets has it.

@@ -3,7 +3,6 @@
 use super::star_memory::StarMemory;
 use crate::archive::mesh::TetScratch;
 use crate::geom::{LatticePos, PointId, Site};
-use crate::mesh::bcc::BccBlock;
 use crate::mesh::tet::Tet;
 use std::collections::HashMap;
 
@@ -23,8 +22,6 @@ pub(in crate::pipeline) struct ReaderMemory {
     /// Positions of the corners of a block, and what decoding it needs.
     pub(super) here: Vec<LatticePos>,
     pub(super) scratch: TetScratch,
-    /// A block whose mesh follows by formula.
-    pub(super) by_formula: BccBlock,
     /// Blocks whose tetrahedra are made again: what makes them, the tetrahedra of one, the numbers
     /// of a chunk's halo points.
     pub(super) stars: StarMemory,

@@ -6,10 +6,13 @@
 
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos};
-use crate::grid::Geometry;
+use crate::grid::{Geometry, IndexBox};
 use crate::surface::edit::clip::HalfSpace;
 use serde::Serialize;
 use std::str::FromStr;
+
+/// Parts of a voxel that a place in the world may be off by when it is one of a sample.
+const ROUNDING: f64 = 1e-6;
 
 /// A box, in coordinates of its choice. An infinite end is open: the box reaches to the end of the
 /// domain.
@@ -110,6 +113,45 @@ impl Roi {
             RoiSpace::World => geometry.to_index(p),
             RoiSpace::Index => p,
         }))
+    }
+
+    /// The nodes in the box, ends included, of `nodes` along each axis, the n-th of which is sample
+    /// `stride · n`.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a box outside the domain, or without a node.
+    pub(in crate::pipeline) fn nodes(
+        &self,
+        geometry: &Geometry,
+        dims: [u64; 3],
+        nodes: [u64; 3],
+        stride: [u64; 3],
+    ) -> Result<IndexBox> {
+        // A single slice is a region here.
+        if (0..3).any(|a| self.lo[a] != self.hi[a]) {
+            let wide = |a: usize| if self.lo[a] == self.hi[a] { self.hi[a] + 1.0 } else { self.hi[a] };
+            Self { hi: std::array::from_fn(wide), ..*self }.check_volume()?;
+        }
+        let ([lo, hi], last) = (self.index_hull(geometry, dims), dims.map(|d| (d - 1) as f64));
+        if (0..3).any(|a| hi[a] < -ROUNDING || lo[a] > last[a] + ROUNDING) {
+            return Err(self.outside(match self.space {
+                RoiSpace::World => domain_hull(geometry, dims),
+                RoiSpace::Index => [[0.0; 3], last],
+            }));
+        }
+        let place = |x: f64, a: usize| x / stride[a] as f64;
+        let first = |a: usize| place(lo[a] - ROUNDING, a).ceil().max(0.0) as u64;
+        let end = |a: usize| (place(hi[a] + ROUNDING, a).floor() as u64 + 1).min(nodes[a]);
+        let found = IndexBox { lo: std::array::from_fn(first), hi: std::array::from_fn(end) };
+        if found.is_empty() {
+            let [x, y, z] = stride;
+            return Err(Error::usage(format!(
+                "no sample lies in the region of interest {}: give a larger one, or a finer level (here is one at \
+                 each {x}, {y}, {z} samples of the source)",
+                in_words(self.lo, self.hi)
+            )));
+        }
+        Ok(found)
     }
 
     fn check_volume(&self) -> Result<()> {

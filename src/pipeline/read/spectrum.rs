@@ -13,10 +13,11 @@ use crate::error::{Error, Result};
 use crate::exec::in_order;
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry, IndexBox};
-use crate::mesh::bcc::NODE_BRICK_CELLS;
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
-use crate::spectrum::{ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices};
+use crate::spectrum::{
+    CellShapes, ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices,
+};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -111,10 +112,7 @@ fn four([x, y, z]: [f64; 3]) -> [f64; 4] {
 /// How finely a mesh of `points` points is measured.
 pub(in crate::pipeline) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
     // Of many points a spectrum is fine enough.
-    let points = points.min(mesh.chunk_target);
-    // Most points of such a lattice follow from others.
-    let is_of_nodes = mesh.lattice_cells().is_some() && mesh.brick_edge[0] == u64::from(NODE_BRICK_CELLS);
-    Limits::of_mesh(if is_of_nodes { points / 8 } else { points })
+    Limits::of_mesh(points.min(mesh.chunk_target))
 }
 
 /// The isosurface of one isovalue, as [`crate::spectrum`] measures it. Lengths are world units.
@@ -195,10 +193,10 @@ impl StepView {
 
     /// The contour spectrum, and the bytes of its own file; none where every tetrahedron is void.
     /// That of a small archive is summed from all its tetrahedra. One chunk at a time takes less
-    /// memory than making it did.
-    fn spectrum(&self) -> Result<Option<(Spectrum, u64)>> {
+    /// memory than making it did. That of a pyramid is of a level with at most these nodes.
+    fn spectrum(&self, nodes: usize) -> Result<Option<(Spectrum, u64)>> {
         if self.is_pyramid() {
-            return self.spectrum_of_level();
+            return self.spectrum_of_level(nodes);
         }
         if self.manifest.counts.is_indexed(&self.manifest.plan) {
             return Ok(self.stored_spectrum()?.map(|file| (file.spectrum().clone(), file.bytes_read())));
@@ -206,7 +204,7 @@ impl StepView {
         let meter = Meter::of_archive(self);
         let (mut bench, mut all) = (Bench::default(), vec![]);
         for id in (0..self.layout.chunk_count()).map(ChunkId) {
-            let blocks: Vec<u32> = self.blocks_of(id).all(self.mesh_sizes(id)?.tet_blocks).collect();
+            let blocks: Vec<u32> = (0..self.mesh_sizes(id)?.tet_blocks).collect();
             let DecodedChunk { positions, values, tets, .. } = self.decode(id, &blocks)?;
             let range = [BlockRange::of(&tets, &values)];
             all.extend(meter.parts(&positions, &tets, &[(&values, &range)], &mut bench)?);
@@ -217,24 +215,31 @@ impl StepView {
 
 /// Nodes of the level of a pyramid whose spectrum is measured, at most.
 const MOST_NODES: usize = 1 << 22;
+/// And where isovalues worth a look are all that is asked for.
+pub(super) const FEW_NODES: usize = 1 << 18;
 /// Cells along each axis of a box that is measured at a time.
 const BOX_CELLS: usize = 64;
 
 impl StepView {
-    /// The contour spectrum of the finest level of a pyramid that costs little; none where a grid
-    /// has coordinates of its own, as cells are of one shape here.
-    fn spectrum_of_level(&self) -> Result<Option<(Spectrum, u64)>> {
-        if self.coordinate_record().is_some() {
-            return Ok(None);
-        }
+    /// The contour spectrum of the finest level of a pyramid that has at most these nodes.
+    fn spectrum_of_level(&self, most: usize) -> Result<Option<(Spectrum, u64)>> {
         let pyramid = &self.pyramid()?.pyramid;
         let has_cells = |level: &usize| pyramid.nodes(*level).iter().all(|n| *n > 1);
-        let few = |level: &usize| pyramid.nodes(*level).iter().product::<usize>() <= MOST_NODES;
+        let few = |level: &usize| pyramid.nodes(*level).iter().product::<usize>() <= most;
         let mut levels = (0..=pyramid.coarsest()).filter(has_cells);
         let level = levels.clone().find(few).or(levels.next_back()).unwrap_or(0);
         let (nodes, stride) = (pyramid.nodes(level), pyramid.stride(level));
         let axes = self.step().plan.source.geometry.axes();
         let axes = std::array::from_fn(|a| axes[a].map(|x| x * stride[a] as f64));
+        let map = self.coordinates()?;
+        let place = |map: &CoordinateMap, window: &IndexBox| -> Result<Vec<[f64; 3]>> {
+            let [nx, ny, _] = window.dims();
+            let at = |i: u64| {
+                let node = [i % nx, i / nx % ny, i / nx / ny];
+                map.sample(std::array::from_fn(|a| (window.lo[a] + node[a]) * stride[a] as u64))
+            };
+            (0..window.len() as u64).map(at).collect()
+        };
         let limits = Limits::of_mesh(nodes.iter().product::<usize>() as u64);
         let counts = nodes.map(|n| (n - 1).div_ceil(BOX_CELLS));
         let part = |i: usize| {
@@ -243,7 +248,9 @@ impl StepView {
             let hi = std::array::from_fn(|a| (lo[a] + BOX_CELLS as u64 + 1).min(nodes[a] as u64));
             let window = IndexBox { lo, hi };
             let values = self.nodes(level, &window)?;
-            Ok(ChunkPart::of_cells(&values, window.dims().map(|n| n as usize), axes, limits))
+            let places = map.as_ref().map(|map| place(map, &window)).transpose()?;
+            let shapes = places.as_deref().map_or(CellShapes::Even(axes), CellShapes::Placed);
+            Ok(ChunkPart::of_cells(&values, window.dims().map(|n| n as usize), shapes, limits))
         };
         let (bytes, mut parts) = (vec![0; counts.iter().product()], vec![]);
         let threads = self.pools.lend(0)?;
@@ -260,6 +267,11 @@ impl StepView {
 /// # Errors
 /// [`Error::Usage`] between two steps.
 pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> {
+    report_of(archive, MOST_NODES)
+}
+
+/// As [`report`], of a level with at most these nodes, where the archive is a pyramid.
+pub(super) fn report_of(archive: &StepView, nodes: usize) -> Result<SpectrumReport> {
     if archive.is_between() {
         return Err(Error::usage(format!(
             "{}: the spectrum is known at steps, and not between them: choose one with --step",
@@ -267,7 +279,7 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
         )));
     }
     let (bytes_read, read_before) = (archive.manifest_bytes()?, archive.bytes_read());
-    let Some((spectrum, of_file)) = archive.spectrum()? else {
+    let Some((spectrum, of_file)) = archive.spectrum(nodes)? else {
         let none = SpectrumReport {
             range: None,
             tetrahedra: 0,

@@ -12,7 +12,6 @@ use super::block_cache::BlockCache;
 use super::choice::{Moment, StepChoice};
 use super::pools::BufferPool;
 use super::pyramid::PyramidStep;
-use super::recent::RecentBlocks;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::Step;
 use crate::archive::mesh::Unpacked;
@@ -28,29 +27,15 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// The files that hold a range of chunks at a step.
 pub(in crate::pipeline) struct OpenSegment {
-    /// None of a mesh that follows by formula.
-    mesh: Option<Arc<ChunkSegment>>,
+    pub(in crate::pipeline) mesh: Arc<ChunkSegment>,
     pub(in crate::pipeline) values: Arc<ChunkSegment>,
 }
 
 impl OpenSegment {
     /// The files, that of the mesh only if it is asked for.
     pub(in crate::pipeline) fn files(&self, with_mesh: bool) -> impl Iterator<Item = &Segment> {
-        let mesh = self.mesh.as_ref().filter(|_| with_mesh);
+        let mesh = with_mesh.then_some(&self.mesh);
         mesh.into_iter().chain([&self.values]).map(|file| file.segment())
-    }
-
-    /// The mesh, which is stored.
-    ///
-    /// # Panics
-    /// When it follows by formula.
-    pub(in crate::pipeline) fn mesh(&self) -> &ChunkSegment {
-        self.mesh.as_ref().expect("the mesh is stored")
-    }
-
-    /// The file that is named where the mesh of a chunk is wrong.
-    pub(in crate::pipeline) fn of_mesh(&self) -> &ChunkSegment {
-        self.mesh.as_ref().unwrap_or(&self.values)
     }
 }
 
@@ -66,8 +51,6 @@ pub(in crate::pipeline) struct StepView {
     values: Mutex<BTreeMap<(u64, usize), Arc<ChunkSegment>>>,
     /// Bytes read from value segments that are closed again.
     read_before: AtomicU64,
-    /// Blocks of values that several chunks need.
-    pub(super) recent: RecentBlocks,
     /// Decoded blocks for the next question.
     pub(in crate::pipeline) cache: BlockCache,
     /// Buffers for it, while blocks are cached.
@@ -111,7 +94,6 @@ impl StepView {
             moment,
             values: Mutex::default(),
             read_before: AtomicU64::new(0),
-            recent: RecentBlocks::default(),
             cache: BlockCache::default(),
             spare: BufferPool::default(),
             ranges: Mutex::default(),
@@ -216,8 +198,10 @@ impl StepView {
     /// The segments of a number.
     pub(in crate::pipeline) fn segment(&self, number: u64) -> Result<OpenSegment> {
         self.expect_tetrahedra()?;
-        let mesh = if self.has_mesh_by_formula() { None } else { Some(self.mesh_segment(number)?) };
-        Ok(OpenSegment { mesh, values: self.values_segment(self.position(), number)? })
+        Ok(OpenSegment {
+            mesh: self.mesh_segment(number)?,
+            values: self.values_segment(self.position(), number)?,
+        })
     }
 
     /// The segments that have a chunk.

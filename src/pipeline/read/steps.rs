@@ -13,12 +13,10 @@
 //! neither. So the ranges of all blocks of both are read. The range of a mean is the mean of the
 //! ranges, or within it. This is true in rounded arithmetic too, because rounding keeps the order.
 
-use super::archive::OpenArchive;
 use super::choice::Moment;
-use super::chunk_mesh::{MeshedChunk, value_blocks};
+use super::chunk_mesh::MeshedChunk;
 use super::chunk_reader::ChunkReader;
 use super::damaged::damaged;
-use super::neighbours::Neighbours;
 use super::reader_memory::ReaderMemory;
 use super::step_view::StepView;
 use super::stored_values::{BlockAt, KnownValues};
@@ -27,11 +25,7 @@ use crate::archive::values::ValueBlocks;
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::index::{Entry, SpanIndex, index_entries};
-use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::is_active;
-use crate::pipeline::plan::Halo;
-use crate::sample::Values;
-use std::ops::Range;
 
 /// A value between two, `share` of the way from the first; void where one of them is. Monotonic in
 /// both; a zero has no sign.
@@ -39,88 +33,18 @@ pub(super) fn mean(a: f32, b: f32, share: f64) -> f32 {
     (f64::from(a) * (1.0 - share) + f64::from(b) * share) as f32 + 0.0
 }
 
-impl OpenArchive {
-    /// How the values of a chunk with `vertices` vertices are cut into blocks.
-    pub(in crate::pipeline) fn value_blocks(&self, id: ChunkId, vertices: usize) -> ValueBlocks {
-        self.bcc_chunk(id).map_or_else(|| ValueBlocks::even(vertices), |chunk| value_blocks(&chunk))
-    }
-
-    /// All blocks of the archive.
-    pub(in crate::pipeline) fn block_total(&self) -> u64 {
-        self.bcc.map_or(self.manifest.counts.blocks, |mesh| mesh.block_total())
-    }
-
-    /// The blocks that an entry of the index stands for; on a lattice, those of a brick.
-    pub(in crate::pipeline) fn blocks_of(&self, id: ChunkId) -> EntryBlocks {
-        EntryBlocks(self.bcc_chunk(id))
-    }
-
-    /// For each entry one for each of its blocks.
-    fn expanded(&self, entries: Vec<Entry>) -> Vec<Entry> {
-        // A chunk that is not there is named when it is read.
-        let is_there = |e: &Entry| e.chunk < self.chunks.len();
-        if !entries.first().is_some_and(|e| is_there(e) && self.bcc_chunk(ChunkId(e.chunk)).is_some()) {
-            return entries;
-        }
-        let mut found = vec![];
-        for of_chunk in entries.chunk_by(|a, b| a.chunk == b.chunk) {
-            let blocks_of = is_there(&of_chunk[0]).then(|| self.blocks_of(ChunkId(of_chunk[0].chunk)));
-            for entry in of_chunk {
-                let blocks =
-                    blocks_of.as_ref().map_or(entry.block..entry.block + 1, |all| all.of(entry.block));
-                let tets =
-                    |block| blocks_of.as_ref().map_or(entry.tets, |all| all.tets_of(block).min(entry.tets));
-                found.extend(blocks.map(|block| Entry { block, tets: tets(block), ..*entry }));
-            }
-        }
-        found
-    }
-}
-
 impl StepView {
     /// Appends the values of a block of a chunk at this moment, and returns the bytes read.
-    pub(super) fn values_block(
-        &self,
-        id: ChunkId,
-        block: usize,
-        blocks: &ValueBlocks,
-        around: &mut Neighbours,
-        out: &mut Vec<f32>,
-    ) -> Result<u64> {
+    pub(super) fn values_block(&self, id: ChunkId, at: BlockAt<'_>, out: &mut Vec<f32>) -> Result<u64> {
         let Moment { step, beyond } = self.moment;
-        let (first, block) = (out.len(), BlockAt { block, blocks });
-        let mut bytes = self.block_of_step(step, id, block, None, around, out)?;
+        let first = out.len();
+        let mut bytes = self.stored_block(step, id, at, None, out)?;
         if let Some(share) = beyond {
             let mut next = vec![];
-            bytes += self.block_of_step(step + 1, id, block, None, around, &mut next)?;
+            bytes += self.stored_block(step + 1, id, at, None, &mut next)?;
             out[first..].iter_mut().zip(next).for_each(|(a, b)| *a = mean(*a, b, share));
         }
         Ok(bytes)
-    }
-
-    /// As [`StepView::values_block`], of the step at a position in the manifest. `known`: the same
-    /// values at a step before.
-    fn block_of_step(
-        &self,
-        step: usize,
-        id: ChunkId,
-        at: BlockAt<'_>,
-        known: Option<KnownValues<'_>>,
-        around: &mut Neighbours,
-        out: &mut Vec<f32>,
-    ) -> Result<u64> {
-        let points = at.blocks.range(at.block);
-        if self.manifest.step_at(step).plan.values == Values::Nodes {
-            return around.nodes.values(self, step, id, points, out);
-        }
-        if at.block >= at.blocks.stored_count() {
-            return around.values(self, step, id, points, out);
-        }
-        if let Some(found) = self.recent.values.find(&(step, id, at.block as u64)) {
-            out.extend_from_slice(&found.values);
-            return Ok(found.bytes);
-        }
-        self.stored_block(step, id, at, known, out)
     }
 
     /// The values of all `vertices` of a chunk, at the step at a position in the manifest.
@@ -157,11 +81,11 @@ impl StepView {
         before: Option<(usize, &[f32])>,
     ) -> Result<Vec<f32>> {
         let mut out = Vec::with_capacity(vertices);
-        let (blocks, mut around) = (&self.value_blocks(id, vertices), Neighbours::default());
+        let blocks = &ValueBlocks::new(vertices);
         for block in 0..blocks.count() {
             let known =
                 before.map(|(step, values)| KnownValues { step, values: &values[blocks.range(block)] });
-            self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut around, &mut out)?;
+            self.stored_block(step, id, BlockAt { block, blocks }, known, &mut out)?;
         }
         Ok(out)
     }
@@ -169,9 +93,6 @@ impl StepView {
     /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and
     /// the end of each block.
     pub(in crate::pipeline) fn stored_mesh(&self, id: ChunkId) -> Result<(MeshedChunk, Vec<usize>)> {
-        if let Some(chunk) = self.bcc_chunk(id) {
-            return Ok((MeshedChunk::of_bcc(&chunk, Halo::Owned), chunk.brick_ends()));
-        }
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut ends) = (vec![], vec![]);
         let blocks = self.mesh_sizes(id)?.tet_blocks;
@@ -205,7 +126,7 @@ impl StepView {
     /// The ranges by which blocks that can hold an answer are found.
     pub(in crate::pipeline) fn ranges(&self) -> Result<Ranges<'_>> {
         Ok(match self.moment.beyond {
-            None => Ranges::Index(self, self.index()?),
+            None => Ranges::Index(self.index()?),
             Some(share) => Ranges::Between(self, share),
         })
     }
@@ -232,35 +153,7 @@ impl StepView {
             let ranges: Vec<BlockRange> = a.iter().zip(&b).map(between).collect();
             found.extend(index_entries(id.0, &ranges).filter(&wanted));
         }
-        Ok(self.expanded(found))
-    }
-}
-
-/// The blocks of a chunk that each entry of the index stands for.
-pub(in crate::pipeline) struct EntryBlocks(Option<BccChunk>);
-
-impl EntryBlocks {
-    /// The blocks of an entry; for a missing entry, a block that does not exist.
-    pub(in crate::pipeline) fn of(&self, entry: u32) -> Range<u32> {
-        match &self.0 {
-            Some(chunk) if (entry as usize) < chunk.brick_count() => chunk.blocks_of(entry as usize),
-            Some(_) => u32::MAX - 1..u32::MAX,
-            None => entry..entry.saturating_add(1),
-        }
-    }
-
-    /// Tetrahedra of a block, void ones included; more than there can be of a block that is not
-    /// there.
-    fn tets_of(&self, block: u32) -> u32 {
-        match &self.0 {
-            Some(chunk) if (block as usize) < chunk.block_count() => chunk.tets_of(block as usize),
-            _ => u32::MAX,
-        }
-    }
-
-    /// All blocks of a chunk with `entries` entries.
-    pub(in crate::pipeline) fn all(&self, entries: u32) -> Range<u32> {
-        self.0.as_ref().map_or(0..entries, |chunk| 0..chunk.block_count() as u32)
+        Ok(found)
     }
 }
 
@@ -279,23 +172,13 @@ pub(in crate::pipeline) struct ValuesOverTime<'a> {
     /// Bytes that were read of each for that step, and not yet taken.
     bytes: Vec<u64>,
     decoded: Vec<f32>,
-    around: Neighbours,
 }
 
 impl<'a> ValuesOverTime<'a> {
     pub(in crate::pipeline) fn new(archive: &'a StepView, chunk: ChunkId, vertices: usize) -> Self {
-        let blocks = archive.value_blocks(chunk, vertices);
+        let blocks = ValueBlocks::new(vertices);
         let (at, bytes) = (vec![None; blocks.count()], vec![0; blocks.count()]);
-        Self {
-            archive,
-            chunk,
-            blocks,
-            values: vec![f32::NAN; vertices],
-            at,
-            bytes,
-            decoded: vec![],
-            around: Neighbours::default(),
-        }
+        Self { archive, chunk, blocks, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
     }
 
     /// Reads a block of values at the step at a position in the manifest, unless it is there.
@@ -309,12 +192,11 @@ impl<'a> ValuesOverTime<'a> {
         let values = &mut self.values[self.blocks.range(block)];
         self.decoded.clear();
         let known = self.at[block].map(|step| KnownValues { step, values });
-        self.bytes[block] = self.archive.block_of_step(
+        self.bytes[block] = self.archive.stored_block(
             step,
             self.chunk,
             BlockAt { block, blocks: &self.blocks },
             known,
-            &mut self.around,
             &mut self.decoded,
         )?;
         values.copy_from_slice(&self.decoded);
@@ -335,7 +217,7 @@ impl<'a> ValuesOverTime<'a> {
 
 /// Answers the questions of a [`SpanIndex`] at a step, or between two.
 pub(in crate::pipeline) enum Ranges<'a> {
-    Index(&'a StepView, SpanIndex),
+    Index(SpanIndex),
     /// How far the next step is.
     Between(&'a StepView, f64),
 }
@@ -344,7 +226,7 @@ impl Ranges<'_> {
     /// [`SpanIndex::query_any`].
     pub(in crate::pipeline) fn query_any(&self, isovalues: &[f32]) -> Result<Vec<Entry>> {
         match self {
-            Self::Index(archive, index) => index.query_any(isovalues).map(|found| archive.expanded(found)),
+            Self::Index(index) => index.query_any(isovalues),
             Self::Between(archive, share) => {
                 let active = |e: &Entry| isovalues.iter().any(|&v| is_active(e.min, e.max, v));
                 archive.blocks_between(*share, active)
@@ -359,9 +241,7 @@ impl Ranges<'_> {
         wanted: impl Fn(u64) -> bool,
     ) -> Result<Vec<Entry>> {
         match self {
-            Self::Index(archive, index) => {
-                index.query_inside(isovalue, wanted).map(|found| archive.expanded(found))
-            }
+            Self::Index(index) => index.query_inside(isovalue, wanted),
             Self::Between(archive, share) => {
                 archive.blocks_between(*share, |e| isovalue <= e.max && wanted(e.chunk))
             }
@@ -371,7 +251,7 @@ impl Ranges<'_> {
     /// [`SpanIndex::query_values`].
     pub(in crate::pipeline) fn query_values(&self, low: f32, high: f32) -> Result<Vec<Entry>> {
         match self {
-            Self::Index(archive, index) => index.query_values(low, high).map(|found| archive.expanded(found)),
+            Self::Index(index) => index.query_values(low, high),
             Self::Between(..) if low.is_nan() || high.is_nan() || low > high => {
                 Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")))
             }
@@ -384,7 +264,7 @@ impl Ranges<'_> {
     /// Bytes read for the answers; those of value segments are counted by the archive.
     pub(in crate::pipeline) fn bytes_read(&self) -> u64 {
         match self {
-            Self::Index(_, index) => index.bytes_read(),
+            Self::Index(index) => index.bytes_read(),
             Self::Between(..) => 0,
         }
     }
@@ -392,12 +272,14 @@ impl Ranges<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::archive::OpenArchive;
     use super::super::choice::StepChoice;
     use super::*;
     use crate::exec::{Resources, Silent};
     use crate::formats::RawLayout;
     use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
+    use crate::points::SetKind;
     use crate::volume::ScalarType;
     use std::path::Path;
 
@@ -415,8 +297,11 @@ mod tests {
             std::fs::write(&path, bytes).unwrap();
             StepSource::new(&path, &options)
         };
-        let settings =
-            ReduceSettings { amount: Amount::Count(900), chunk_points: 300, ..ReduceSettings::default() };
+        let settings = ReduceSettings {
+            amount: Amount::Count(900),
+            chunk_points: 300,
+            ..ReduceSettings::exact(SetKind::Regular)
+        };
         let out = dir.join("a.isospan");
         let run =
             RunSettings { resources: Resources::default().with_memory(1 << 30), ..RunSettings::default() };
@@ -435,11 +320,9 @@ mod tests {
             for id in (0..archive.chunks.len()).map(ChunkId) {
                 let (mesh, ends) = archive.stored_mesh(id).unwrap();
                 let mut values = vec![];
-                let blocks = archive.value_blocks(id, mesh.vertices());
+                let blocks = &mesh.value_blocks();
                 for block in 0..blocks.count() {
-                    archive
-                        .values_block(id, block, &blocks, &mut Neighbours::default(), &mut values)
-                        .unwrap();
+                    archive.values_block(id, BlockAt { block, blocks }, &mut values).unwrap();
                 }
                 for (block, &end) in ends.iter().enumerate() {
                     let start = if block == 0 { 0 } else { ends[block - 1] };

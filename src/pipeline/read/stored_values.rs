@@ -1,10 +1,9 @@
-//! Blocks of values that are stored: their bytes, which several bricks may share, and their ranges.
+//! Blocks of values that are stored: their bytes, and their ranges.
 
 use super::damaged::damaged;
-use super::recent::RecentBlock;
 use super::step_view::StepView;
 use crate::archive::chunked::{BlockRange, ChunkSegment, decode_value_ranges};
-use crate::archive::values::{BrickGroups, KnownOfBlock, ValueBlocks, decode_values, needs_before};
+use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
 use crate::error::Result;
 use crate::grid::ChunkId;
 
@@ -39,7 +38,8 @@ impl StepView {
     ) -> Result<u64> {
         let segment = self.values_of(step, id)?;
         let (mut bytes, mut found, mut read) = (vec![], vec![], 0);
-        let number = self.stored_bytes(step, id, at, &mut bytes)?;
+        expect_values(&segment, id, at.blocks)?;
+        segment.block(id, at.block as u64, &mut bytes)?;
         let base = self.manifest.base_of(step).filter(|_| needs_before(&bytes));
         let before = match (base, known) {
             (Some(base), Some(known)) if known.step == base => known.values,
@@ -49,50 +49,9 @@ impl StepView {
             }
             (None, _) => &[],
         };
-        let (n, cells) = (at.blocks.range(at.block).len(), at.blocks.cells(at.block));
-        let quantiser = self.manifest.step_at(step).plan.quantiser.as_ref();
-        let known = KnownOfBlock { n, cells, quantiser, before };
-        decode_values(&bytes, &known, out).map_err(|m| segment.blame(id, number, m))?;
+        let known = KnownOfBlock { n: at.blocks.range(at.block).len(), before };
+        decode_values(&bytes, &known, out).map_err(|m| segment.blame(id, at.block as u64, m))?;
         Ok(read + bytes.len() as u64)
-    }
-
-    /// Finds the bytes of a block of values, and returns the number in its chunk of the file's
-    /// block that has them.
-    pub(super) fn stored_bytes(
-        &self,
-        step: usize,
-        id: ChunkId,
-        at: BlockAt<'_>,
-        out: &mut Vec<u8>,
-    ) -> Result<u64> {
-        let segment = self.values_of(step, id)?;
-        let groups = self.brick_groups(&segment, id, at.blocks)?;
-        let number = groups.stored_block(at.block);
-        if !groups.is_shared(at.block) {
-            return segment.block(id, number, out).map(|()| number);
-        }
-        let shared = self.recent.shared.get((step, id, number), || {
-            let mut bytes = vec![];
-            segment.block(id, number, &mut bytes)?;
-            Ok(RecentBlock { bytes: bytes.len() as u64, values: bytes.into() })
-        })?;
-        let own = groups.part(at.block, &shared.values).map_err(|m| segment.blame(id, number, m))?;
-        out.clear();
-        out.extend_from_slice(&shared.values[own]);
-        Ok(number)
-    }
-
-    /// How the bricks of a chunk share blocks of its file.
-    pub(super) fn brick_groups(
-        &self,
-        segment: &ChunkSegment,
-        id: ChunkId,
-        blocks: &ValueBlocks,
-    ) -> Result<BrickGroups> {
-        let count = segment.block_count(id);
-        let stored = count.checked_sub(BLOCKS_BEHIND_VALUES);
-        let groups = stored.and_then(|stored| BrickGroups::of(blocks, stored));
-        groups.ok_or_else(|| damaged(segment, id, "chunk table", &format!("{count} blocks")))
     }
 
     /// The ranges of the value blocks of a chunk that are stored, rounded outwards, with a number
@@ -106,7 +65,16 @@ impl StepView {
             return Ok(None);
         }
         let segment = self.values_of(self.position(), id)?;
-        let decode = |bytes: &[u8]| decode_value_ranges(bytes, blocks.stored_count());
+        let decode = |bytes: &[u8]| decode_value_ranges(bytes, blocks.count());
         segment.block_from_end(id, BLOCKS_BEHIND_VALUES - 1, decode).map(Some)
     }
+}
+
+/// Whether a chunk has as many blocks of values as its vertices ask for.
+pub(super) fn expect_values(segment: &ChunkSegment, id: ChunkId, expected: &ValueBlocks) -> Result<()> {
+    let count = segment.block_count(id);
+    if count == expected.count() as u64 + BLOCKS_BEHIND_VALUES {
+        return Ok(());
+    }
+    Err(damaged(segment, id, "chunk table", &format!("{count} blocks")))
 }

@@ -1,7 +1,7 @@
 //! What an archive holds, from its manifest: for `info`, and for reports.
 
 use super::pyramid::pyramid_of;
-use super::spectrum::{Suggestion, report};
+use super::spectrum::{FEW_NODES, Suggestion, report_of};
 use super::step_view::StepView;
 use crate::archive::manifest::{Manifest, MeshSource, SegmentRecord, Step};
 use crate::archive::segment::FORMAT_VERSION;
@@ -147,7 +147,7 @@ pub struct ArchiveSummary {
 }
 
 /// A level of a pyramid.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct PyramidLevel {
     /// Its number: 0 is the finest.
@@ -158,14 +158,26 @@ pub struct PyramidLevel {
     pub stride: [u64; 3],
     /// Cells between nodes.
     pub cells: u64,
+    /// Bytes of the step that are read for all of its nodes; not told of very large archives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bytes: Option<u64>,
+    /// The RMS error at the samples up to its last node, trilinear between nodes, where it was
+    /// measured. From level 1 on it has few digits, and is at most a thousandth too large; of large
+    /// volumes it is that of some rows of samples.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms: Option<f64>,
 }
 
 impl PyramidLevel {
     /// All levels that have cells.
-    fn all(pyramid: &Pyramid) -> Vec<Self> {
+    fn all(archive: &StepView, pyramid: &Pyramid) -> Vec<Self> {
+        // What cannot be read is told by those who need it.
+        let bytes = archive.level_bytes(pyramid).ok().flatten();
         let level = |level: usize| {
             let [nodes, stride] = [pyramid.nodes(level), pyramid.stride(level)].map(|n| n.map(|n| n as u64));
-            Self { level, nodes, stride, cells: nodes.iter().map(|n| n - 1).product() }
+            let cells = nodes.iter().map(|n| n - 1).product();
+            let bytes = bytes.as_ref().map(|bytes| bytes[level]);
+            Self { level, nodes, stride, cells, bytes, rms: archive.level_rms(level) }
         };
         (0..=pyramid.coarsest()).map(level).filter(|level| level.cells > 0).collect()
     }
@@ -242,7 +254,7 @@ fn bytes_of(segments: &[SegmentRecord]) -> u64 {
 pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummary> {
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;
-    let spectrum = report(archive)?;
+    let spectrum = report_of(archive, FEW_NODES)?;
     let steps = archive.summarized_steps()?;
     Ok(ArchiveSummary {
         format: FORMAT_VERSION,
@@ -258,7 +270,8 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
         own: archive.manifest.plan.own.is_some(),
         point_set: plan.points,
         levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(archive, levels)),
-        pyramid: pyramid_of(plan.points).map_or_else(Vec::new, |pyramid| PyramidLevel::all(&pyramid)),
+        pyramid: pyramid_of(plan.points)
+            .map_or_else(Vec::new, |pyramid| PyramidLevel::all(archive, &pyramid)),
         interpolation: step.plan.interpolation,
         values: step.plan.values,
         quantiser: step.plan.file_quantiser(),

@@ -95,7 +95,7 @@ impl<'a> Visit<'a> {
         match &self.blocks {
             Blocks::All => {
                 let blocks = self.archive.mesh_sizes(id)?.tet_blocks;
-                Ok(self.archive.blocks_of(id).all(blocks).collect())
+                Ok((0..blocks).collect())
             }
             Blocks::Some(entries) => {
                 let first = entries.partition_point(|e| e.chunk < id.0);
@@ -106,10 +106,6 @@ impl<'a> Visit<'a> {
 
     /// Whether the tetrahedra of the chunks have the volume of the box.
     pub(in crate::pipeline) fn have_volume_of_box(&self) -> Result<bool> {
-        // Those of a lattice fill it.
-        if self.archive.has_mesh_by_formula() {
-            return Ok(self.chunks.len() as u64 == self.archive.chunks.len());
-        }
         let mut sum = 0i128;
         for &id in &self.chunks {
             self.archive.close_before(id);

@@ -31,9 +31,6 @@ const SAMPLES: u64 = 1 << 20;
 /// them saves; and of a further step.
 const POINT_BYTES: f64 = 6.0;
 const ROUNDED_POINT_BYTES: f64 = 3.0;
-/// The same of a lattice, whose mesh is not stored: as it is, and the least of a rounded value.
-const LATTICE_POINT_BYTES: f64 = 3.5;
-const LEAST_POINT_BYTES: f64 = 0.15;
 const STEP_BYTES: f64 = 2.0;
 /// Bytes of a point with a value of a mesh: 6 to 10 as measured. Of an own vertex with its
 /// tetrahedra, 7 to 15; and of a further step of those. Of any archive.
@@ -217,7 +214,7 @@ fn own_is_better(path: &Path, report: &ReduceReport, said: &[Notice], job: &Job<
     }
     let why = format!("the RMS error is {:.0} % of the range", 100.0 * share);
     let own = own_bytes(vertices, job.sources.len());
-    let rounded = job.settings.bits(true).is_some();
+    let rounded = job.settings.value_bits.is_some();
     Some(Notice::of_own(path, report.inner_points, vertices, own, &why, rounded))
 }
 
@@ -326,7 +323,7 @@ fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) 
     out.extend(found.stretch.map(|stretch| Notice::of_stretch(path, &stretch, nan)));
     if let Some((values, range)) = found.labels {
         let text = format!(
-            "the samples have {values} different values ({} .. {}), as labels do: --interp nearest keeps them, where others lie between",
+            "the samples have {values} different values ({} .. {}), as labels do: --lossless keeps them; so does --interp nearest at points",
             number(range[0]),
             number(range[1])
         );
@@ -360,7 +357,7 @@ fn of_numbers(
             let n = mesh.info().points;
             let asked = match settings.amount {
                 Amount::Count(n) => n,
-                Amount::Fraction(f) => (n as f64 * f).round() as u64,
+                part => part.of(n as f64).round() as u64,
             };
             (n, asked, asked)
         }
@@ -369,6 +366,7 @@ fn of_numbers(
         let flag = match settings.amount {
             Amount::Count(n) => format!("--count {n}"),
             Amount::Fraction(f) => format!("--fraction {f}"),
+            Amount::Usual => String::from("the default"),
         };
         let [what, help] = match input {
             Input::Volume(_) => ["samples", "--points regular --fraction 1 has a point at each sample"],
@@ -384,11 +382,12 @@ fn of_numbers(
         out.push(Notice::new(path, Finding::MorePoints { points: asked, samples }, &text));
     }
     let of_mesh = matches!(input, Input::Mesh(_));
-    let is_lattice = !of_mesh && settings.set_of(of_mesh) == SetKind::Bcc;
-    let bits = settings.bits(of_mesh);
+    if settings.set_of(of_mesh) == SetKind::Pyramid {
+        // Its bytes follow from the samples, and are fewer than those.
+        return out;
+    }
+    let bits = settings.value_bits;
     let point = match bits {
-        Some(bits) if is_lattice => ((bits - 3.0) / 8.0).max(LEAST_POINT_BYTES),
-        None if is_lattice => LATTICE_POINT_BYTES,
         Some(bits) => ROUNDED_POINT_BYTES + bits / 8.0,
         None => POINT_BYTES,
     };
@@ -427,8 +426,8 @@ fn smaller(archive: u64, source: u64, settings: &ReduceSettings, rounded: bool) 
     let bits = if rounded { "" } else { " or --value-bits" };
     let times = archive as f64 / source.max(1) as f64;
     match settings.amount {
-        Amount::Fraction(f) => {
-            let least = times / f;
+        Amount::Usual | Amount::Fraction(_) => {
+            let least = times / settings.amount.of(1.0);
             let of = (0..10).map(|k| 1u32 << k).find(|&n| f64::from(n) >= least);
             match of {
                 Some(n) if n > 1 => format!("--fraction 1/{n}{bits}"),

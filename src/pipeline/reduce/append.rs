@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::{self, OpenOptions, StepSource, without_frame};
 use crate::pipeline::read::OpenArchive;
-use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings, ValueBits};
+use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings};
 use std::path::Path;
 use std::time::Instant;
 
@@ -146,7 +146,7 @@ fn settings_like(step: &Step, settings: &AppendSettings) -> Result<ReduceSetting
             Error::bad_input(MANIFEST_NAME, format!("nan of step {}", plan.number), expected, &plan.nan)
         })?,
         missing: settings.missing.or(plan.missing),
-        value_bits: plan.quantiser.map_or(ValueBits::Exact, |q| ValueBits::Bits(q.bits)),
+        value_bits: plan.quantiser.map(|q| q.bits),
         keyframes: settings.keyframes.unwrap_or(plan.keyframes),
         measure: settings.measure,
         ..ReduceSettings::default()

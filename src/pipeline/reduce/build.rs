@@ -130,8 +130,7 @@ impl<'a> Build<'a> {
         made.coordinates = self.coordinates(series)?;
         let (hash, segments) = (series.plan.mesh_hash(), &source.segments);
         let finished = FinishedSteps::of(self.layout, &series.plan);
-        let is_stored = self.parts.bcc.is_none();
-        let mut has_mesh = self.old.is_some() || !is_stored || has_mesh(hash, self.layout, segments);
+        let mut has_mesh = self.old.is_some() || has_mesh(hash, self.layout, segments);
         while next < series.plan.steps.len() {
             let is_there = |series: &SeriesPlan, n: usize| {
                 let (step, hash) = (&series.plan.steps[n], series.plan.step_hash(n));
@@ -221,16 +220,9 @@ impl<'a> Build<'a> {
             bricks: plan.mesh.bricks(),
             order: parts.order,
             halo: parts.halo,
-            bcc: parts.bcc,
             own: source.fields.own(),
         };
-        let files = SegmentFiles::new(
-            plan,
-            &steps,
-            stored.is_none() && self.parts.bcc.is_none(),
-            self.layout,
-            finished,
-        );
+        let files = SegmentFiles::new(plan, &steps, stored.is_none(), self.layout, finished);
         let meter = self.meter(plan, made.coordinates);
         let maker = ChunkMaker {
             recipe: &recipe,
@@ -269,9 +261,6 @@ impl<'a> Build<'a> {
 
     /// The meter for the spectrum of a step, where there may be one.
     fn meter(&self, plan: &Plan, coordinates: Option<CoordinateRecord>) -> Option<Meter> {
-        if !plan.mesh.may_have_spectrum(self.parts.chunks.len()) {
-            return None;
-        }
         let first =
             self.old.map_or(plan.first(), |old| old.coordinates().map_or(&old.steps[0].plan, |c| c.0));
         let file = (self.layout.at(first.number).coordinates(), first.hash(plan.mesh_hash()));
@@ -318,8 +307,6 @@ impl<'a> Build<'a> {
         let (mesh, mut steps) = match self.old {
             Some(old) => (old.mesh.clone(), old.steps.clone()),
             None if wanted.end == 0 => return Ok(None),
-            // A mesh that follows by formula is not stored.
-            None if self.parts.bcc.is_some() => (vec![], vec![]),
             None => {
                 (self.records(source, plan.mesh_hash(), SegmentKind::Mesh, |n| self.layout.mesh(n))?, vec![])
             }

@@ -7,7 +7,7 @@ use crate::archive::segment::SegmentKind;
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::{Layout, MeshParts, Plan};
-use crate::pipeline::read::{bricks_of, chunk_place, pyramid_of, sizes_of};
+use crate::pipeline::read::{bricks_of, chunk_place, pyramid_of};
 use std::path::Path;
 
 /// The mesh of an archive, and the steps that are finished.
@@ -34,17 +34,10 @@ impl ArchiveContents {
             .with_bases(self.bases.clone())
     }
 
-    /// Reads the summaries of the mesh of all chunks; those of a lattice follow by formula.
+    /// Reads the summaries of the mesh of all chunks.
     pub(super) fn of_segments(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<Self> {
         let counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
         let mut contents = Self { counts, ..Self::default() };
-        if let Some(bcc) = parts.bcc {
-            for chunk in parts.chunks.iter() {
-                let [lo, hi] = parts.chunks.bricks().cells_of(&chunk);
-                contents.add_sizes(sizes_of(&bcc.chunk(lo, hi)));
-            }
-            return Ok(contents);
-        }
         if let Some(pyramid) = pyramid_of(plan.mesh.points) {
             contents.counts.points = parts.points.len();
             let bricks = |id: u64| bricks_of(&pyramid, chunk_place(&pyramid, ChunkId(id))).len() as u64;

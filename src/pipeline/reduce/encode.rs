@@ -15,23 +15,20 @@ use crate::archive::chunked::{BlockRange, MeshSizes, MeshSummary, ValueSummary, 
 use crate::archive::manifest::StepPlan;
 use crate::archive::mesh::{ChunkEncoder, ChunkVertices};
 use crate::archive::tables::{ChunkErrors, encode_errors};
-use crate::archive::values::{NodeCoder, encode_values, group_bricks};
+use crate::archive::values::encode_values;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
-use crate::grid::{Chunk, IndexBox};
-use crate::measure::ErrorSums;
+use crate::grid::Chunk;
 use crate::mesh::tet::Tet;
 use crate::pipeline::chunk::{
     ChunkMesher, ChunkTets, Field, Meshing, Placement, Recipe, SampleErrors, Samples, StepLanes, fitted,
     interpolated, step_lanes,
 };
 use crate::pipeline::plan::{Halo, Shares, is_made_again, reach_unit};
-use crate::pipeline::read::{MeshedChunk, Meter, NodeValues, StepView, spectrum};
-use crate::pipeline::settings::NanPolicy;
+use crate::pipeline::read::{MeshedChunk, Meter, StepView, spectrum};
 use crate::pipeline::stage::StageTimes;
-use crate::sample::Values;
 use crate::spectrum::Digits;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -140,15 +137,6 @@ impl Workspaces {
     }
 }
 
-/// The values of the vertices of a chunk at each step. Where they follow from nodes, the blocks of
-/// the chunk's own bricks, and the errors at its nodes if all steps have them.
-#[derive(Default)]
-struct StepValues {
-    values: Vec<Vec<f32>>,
-    nodes: Vec<Vec<Vec<u8>>>,
-    errors: Vec<ChunkErrors>,
-}
-
 /// Some blocks of each step.
 type StepBlocks = Vec<Vec<Vec<u8>>>;
 
@@ -247,10 +235,10 @@ impl ChunkMaker<'_> {
         let mut placement = self.note(0, self.steps[0].field.place(&mesh))?;
         let outside6 = drop_outside(&mut mesh, &mut placement);
         lap.add_to(&mut times.sample);
-        let (mesh_blocks, ends) = self.encode_mesh(chunk, &mut workspace.encoder, &mut mesh, outside6);
+        let (mesh_blocks, ends) = self.encode_mesh(&mut workspace.encoder, &mut mesh, outside6);
         lap.add_to(&mut times.encode);
         let bench = &mut workspace.bench;
-        let values = self.values(chunk, &mut mesh, &placement, bench, &mut times)?;
+        let values = self.values_of(&mut mesh, &placement, &mut bench.fit, &mut times)?;
         let (value_blocks, sum_blocks) = self.encode_steps(&mesh, values, None, &ends, bench, &mut times)?;
         let core = mesh.core_len();
         workspace.mesher.reuse(mesh.all_positions, mesh.tets);
@@ -296,7 +284,7 @@ impl ChunkMaker<'_> {
             stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
         lap.add_to(&mut times.mesh);
         let (before, bench) = (before.as_deref(), &mut workspace.bench);
-        let values = self.values(chunk, &mut mesh, &placement, bench, &mut times)?;
+        let values = self.values_of(&mut mesh, &placement, &mut bench.fit, &mut times)?;
         let (value_blocks, sum_blocks) =
             self.encode_steps(&mesh, values, before, &ends, bench, &mut times)?;
         let points = mesh.core_len() as u64;
@@ -333,72 +321,9 @@ impl ChunkMaker<'_> {
         Ok(values)
     }
 
-    /// The values of all steps at the vertices of a chunk of which only those of nodes are stored;
-    /// the bytes of its own bricks; and the errors at its nodes, where these are measured and no
-    /// node can be void.
-    fn values_of_nodes(&self, chunk: &Chunk, vertices: usize, times: &mut StageTimes) -> Result<StepValues> {
-        let bcc = self.recipe.bcc_chunk(chunk).expect("nodes are those of a lattice");
-        let (places, mut lap) = (bcc.point_places(0..vertices), Lap(Instant::now()));
-        // Where nodes are void, tetrahedra decide which samples have an error. All chunks do the
-        // same: else one would count samples that its neighbours count.
-        let has_no_holes =
-            |step: &StepInput<'_>| NanPolicy::parse(&step.plan.nan).is_some_and(|nan| nan != NanPolicy::Mask);
-        let is_whole = self.steps.iter().all(has_no_holes);
-        let (mut out, mut samples) = (StepValues::default(), vec![]);
-        for (n, step) in self.steps.iter().enumerate() {
-            let coder = step.plan.quantiser.and_then(NodeCoder::new).expect("values of nodes are rounded");
-            let (mut nodes, mut blocks) = (NodeValues::new(&bcc, coder), vec![]);
-            let mut errors = self.sample_errors.as_ref().filter(|_| is_whole).map(|_| ErrorSums::default());
-            for number in 0..nodes.bricks().len() {
-                self.cancel.check()?;
-                let brick = nodes.bricks()[number];
-                let lo = brick.lo.map(u64::from);
-                let hi = std::array::from_fn(|a| lo[a] + u64::from(brick.nodes[a]));
-                let window = IndexBox { lo, hi };
-                samples.resize(window.len(), 0.0);
-                self.note(n, step.field.read_samples(window, &mut samples))?;
-                lap.add_to(&mut times.sample);
-                let mut bytes = vec![];
-                let values = coder.encode(brick.nodes, &samples, &mut bytes);
-                lap.add_to(&mut times.encode);
-                if bcc.owns(&brick) {
-                    blocks.push(bytes);
-                    if let Some(sums) = &mut errors {
-                        let values = values.iter().map(|&v| coder.mean([v].into_iter()));
-                        add_errors(sums, &samples, values, &window, self.recipe.bricks.lattice.dims);
-                    }
-                }
-                nodes.put(number, values);
-                lap.add_to(&mut times.measure);
-            }
-            out.errors.extend(errors.map(|sums| ChunkErrors { sums, levels: vec![] }));
-            out.values.push(places.iter().map(|&at| nodes.value(at)).collect());
-            out.nodes.push(blocks);
-        }
-        Ok(out)
-    }
-
     /// Notes whether a step could be used.
     fn note<T>(&self, n: usize, found: Result<T>) -> Result<T> {
         self.bad_steps.note(n, self.steps[n].plan.number, found)
-    }
-
-    /// The values of all steps, and what is known about them already.
-    fn values(
-        &self,
-        chunk: &Chunk,
-        mesh: &mut MeshedChunk,
-        placement: &Placement,
-        bench: &mut Bench,
-        times: &mut StageTimes,
-    ) -> Result<StepValues> {
-        match self.steps[0].plan.values {
-            Values::Nodes => self.values_of_nodes(chunk, mesh.vertices(), times),
-            Values::Sample | Values::Fit => {
-                let values = self.values_of(mesh, placement, &mut bench.fit, times)?;
-                Ok(StepValues { values, ..StepValues::default() })
-            }
-        }
     }
 
     /// Measures and encodes all steps. The blocks of each are values, their ranges and a summary;
@@ -409,7 +334,7 @@ impl ChunkMaker<'_> {
     fn encode_steps(
         &self,
         mesh: &MeshedChunk,
-        StepValues { values, mut nodes, errors: at_nodes }: StepValues,
+        values: Vec<Vec<f32>>,
         before: Option<&[f32]>,
         block_ends: &[usize],
         bench: &mut Bench,
@@ -419,10 +344,7 @@ impl ChunkMaker<'_> {
         let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
         let lanes = StepLanes::new(&of_steps, &mut bench.lanes);
         let (positions, tets) = (mesh.positions(), &*mesh.tets);
-        let errors = match at_nodes.is_empty() {
-            false => at_nodes,
-            true => self.errors(&ChunkTets { positions, tets, block_ends }, &lanes)?,
-        };
+        let errors = self.errors(&ChunkTets { positions, tets, block_ends }, &lanes)?;
         lap.add_to(&mut times.measure);
         let ranges = lanes.ranges(tets, block_ends);
         lanes.give_back(&mut bench.lanes);
@@ -437,11 +359,7 @@ impl ChunkMaker<'_> {
             self.cancel.check()?;
             let values = &*values[n];
             let base = step.plan.base.map(|_| before.expect("a base is the step before"));
-            let encoded = match nodes.get_mut(n) {
-                Some(nodes) => std::mem::take(nodes),
-                None => encode_values(values, blocks, base, step.plan.quantiser.as_ref()),
-            };
-            let mut encoded = group_bricks(encoded, blocks);
+            let mut encoded = encode_values(values, blocks, base, step.plan.quantiser.as_ref());
             encoded.push(encode_value_ranges(values, blocks));
             let mut added: Vec<_> = errors.get(n).map(encode_errors).into_iter().collect();
             added.extend(parts.get(n).map(|part| part.encode(Digits::All)));
@@ -466,15 +384,10 @@ impl ChunkMaker<'_> {
     /// Leaves the mesh with the tetrahedra as they decode.
     fn encode_mesh(
         &self,
-        chunk: &Chunk,
         encoder: &mut ChunkEncoder,
         mesh: &mut MeshedChunk,
         outside6: i128,
     ) -> (Vec<Vec<u8>>, Vec<usize>) {
-        // What follows by formula is not stored.
-        if let Some(chunk) = self.recipe.bcc_chunk(chunk) {
-            return (vec![], chunk.brick_ends());
-        }
         let sizes = MeshSizes {
             core: mesh.core_len() as u32,
             halo: mesh.halo.len() as u32,
@@ -504,23 +417,6 @@ impl ChunkMaker<'_> {
         let mut blocks = encoded.blocks;
         blocks.push(MeshSummary { sizes, volume6, outside6 }.encode());
         (blocks, ends)
-    }
-}
-
-/// Adds the errors at the samples of a window, x fastest.
-fn add_errors(
-    sums: &mut ErrorSums,
-    samples: &[f32],
-    values: impl Iterator<Item = f32>,
-    window: &IndexBox,
-    dims: [u64; 3],
-) {
-    let [x, y, _] = window.dims();
-    for ((n, &sample), value) in (0..).zip(samples).zip(values) {
-        sums.add(sample, value, || {
-            let at = [window.lo[0] + n % x, window.lo[1] + n / x % y, window.lo[2] + n / x / y];
-            (at[2] * dims[1] + at[1]) * dims[0] + at[0]
-        });
     }
 }
 

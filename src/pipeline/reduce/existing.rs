@@ -27,7 +27,7 @@ use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
 use crate::pipeline::plan::{Attachments, Layout, Plan};
-use crate::pipeline::settings::{RunSettings, ValueBits};
+use crate::pipeline::settings::RunSettings;
 use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -393,11 +393,7 @@ fn may_be_of(job: &Job<'_>, manifest: &Manifest) -> bool {
     let name = |step: &StepSource| step.path.file_name().map(|name| name.to_string_lossy().into_owned());
     let is_alike = manifest.steps.len() <= steps.len()
         && manifest.plan.levels.is_some() == settings.adapt.is_some()
-        && match (settings.value_bits, first.and_then(|plan| plan.quantiser)) {
-            (ValueBits::Usual, _) => true,
-            (ValueBits::Exact, quantiser) => quantiser.is_none(),
-            (ValueBits::Bits(bits), quantiser) => quantiser.is_some_and(|q| q.bits == bits),
-        }
+        && settings.value_bits == first.and_then(|plan| plan.quantiser).map(|q| q.bits)
         && steps.iter().any(|(_, step)| name(step).as_ref() == first.map(|plan| &plan.source.path));
     // An archive that meets a target names it; the settings do not give its number of points.
     match settings.target.filter(|target| !target.is_met_by_corrections(settings)) {

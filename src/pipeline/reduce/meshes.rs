@@ -214,6 +214,7 @@ fn is_own(job: &Job<'_>, vertices: u64) -> bool {
 /// values.
 pub(super) fn keeps_own(settings: &ReduceSettings, vertices: u64) -> bool {
     let all = match settings.amount {
+        Amount::Usual => false,
         Amount::Fraction(f) => f == 1.0,
         Amount::Count(n) => n >= vertices,
     };
@@ -380,10 +381,7 @@ impl Search<'_> {
 
 /// Points that the settings ask for, in a mesh of `vertices` vertices.
 fn wanted_of(settings: &ReduceSettings, vertices: u64) -> f64 {
-    match settings.amount {
-        Amount::Count(n) => n as f64,
-        Amount::Fraction(f) => vertices as f64 * f,
-    }
+    settings.amount.of(vertices as f64)
 }
 
 /// The plan of reducing a mesh, its steps and the samples of its boundary still missing.
@@ -569,7 +567,7 @@ impl StepPlanner<'_> {
         let settings = self.job.settings;
         let quantiser = match self.job.basis.plan() {
             Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
-            None => match settings.bits(true) {
+            None => match settings.value_bits {
                 Some(bits) => {
                     let values = self.store.values_of(&mesh, self.how)?;
                     Some(quantiser(&values, bits)?.of(self.template.values))

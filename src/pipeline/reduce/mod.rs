@@ -15,6 +15,7 @@ mod arrange;
 mod build;
 mod cached;
 mod changed;
+mod coarse;
 mod contents;
 mod copy;
 mod encode;
@@ -66,6 +67,7 @@ pub(super) use plan_file::{Cut, PLANNED_TRY, PlanFile, PlannedSearch, planned_tr
 pub use plan_file::{plan_path, work_folder};
 pub(super) use planned::{Built, Planned, plan, publish, run};
 use planned::{is_mesh, make};
+pub(super) use pyramid::range_of_cells;
 pub use report::{ReduceReport, SourceChunks, TargetReport};
 pub(super) use search::TargetSearch;
 pub use series::SkippedStep;
@@ -146,12 +148,9 @@ fn corrected(job: &Job<'_>, existing: &Existing, target: Target) -> Result<Reduc
 /// The settings of a job with what they imply.
 ///
 /// # Errors
-/// Those of opening the first source, where a target depends on its kind.
+/// Those of opening the first source, whose kind decides the point set.
 pub(super) fn complete_settings(job: &Job<'_>) -> Result<ReduceSettings> {
-    match job.settings.target.is_some() || job.settings.points == Some(SetKind::Pyramid) {
-        true => Ok(job.settings.complete(is_mesh(job)?)),
-        false => Ok(job.settings.clone()),
-    }
+    Ok(job.settings.complete(is_mesh(job)?))
 }
 
 /// Makes an archive next to the finished one of its name, which is whole until then, and puts it

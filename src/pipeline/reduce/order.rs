@@ -135,8 +135,16 @@ pub(super) fn needed(steps: &[Step], mut bases: Vec<Step>) -> Vec<Step> {
     for step in bases {
         if wanted.contains(&step.plan.number) || step.coordinates.is_some() {
             wanted.extend(step.plan.base.map(|base| base.number));
-            let (level_errors, place, series) = (vec![], None, None);
-            kept.push(Step { index: None, spectrum: None, error: None, level_errors, place, series, ..step });
+            kept.push(Step {
+                index: None,
+                spectrum: None,
+                error: None,
+                level_errors: vec![],
+                level_rms: vec![],
+                place: None,
+                series: None,
+                ..step
+            });
         }
     }
     kept.reverse();

@@ -337,7 +337,8 @@ fn with_absolute_paths(source: &StepSource) -> Result<StepSource> {
     if source.is_given() {
         let name = source.path.display();
         return Err(Error::usage(format!(
-            "{name} is in memory: other processes cannot read it; write it to a file"
+            "{name} is in memory, or in an archive: other processes cannot read it; write it to a file, of an archive \
+             with isospan brick"
         )));
     }
     let values = source.options.values.as_deref().map(absolute).transpose()?;

@@ -13,7 +13,8 @@ use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::index::{BuildSettings, IndexBuilder, index_entries};
-use crate::pipeline::field::{MeasureSettings, reopened_errors};
+use crate::measure::shortest_between;
+use crate::pipeline::field::{MeasureSettings, StepErrors, reopened_errors};
 use crate::pipeline::plan::{Layout, Plan, estimate};
 use crate::pipeline::read::{OpenArchive, limits};
 use crate::pipeline::stage::Stage;
@@ -152,23 +153,36 @@ impl Build<'_> {
             let step = &mut contents.steps[position];
             let before = finished.get(step.plan.number).filter(|before| before.error.is_some());
             match (segments.errors.remove(&step.plan.number), before) {
-                (Some((error, levels)), _) => (step.error, step.level_errors) = (Some(error), levels),
+                (Some(errors), _) => note_errors(step, errors),
                 (None, Some(before)) => {
-                    (step.error, step.level_errors) = (before.error.clone(), before.level_errors.clone());
+                    step.error.clone_from(&before.error);
+                    step.level_errors.clone_from(&before.level_errors);
+                    step.level_rms.clone_from(&before.level_rms);
                 }
                 (None, None) if step.plan.measured => {
-                    let (error, levels) = summed_error(&archive.step_at(position))?;
-                    (step.error, step.level_errors) = (Some(error), levels);
+                    note_errors(step, summed_error(&archive.step_at(position))?);
                 }
                 (None, None) => missing.push((position, &source.source)),
             }
         }
         let errors = reopened_errors(&archive, &missing, &settings, self.progress)?;
-        for ((position, _), (error, levels)) in missing.into_iter().zip(errors) {
-            let step = &mut contents.steps[position];
-            (step.error, step.level_errors) = (Some(error), levels);
+        for ((position, _), errors) in missing.into_iter().zip(errors) {
+            note_errors(&mut contents.steps[position], errors);
         }
         Ok(())
+    }
+}
+
+/// Notes the error of a step, and those of its levels. Of a level of a pyramid the RMS alone is
+/// kept, in few digits: no less than it is, and at most a thousandth more.
+fn note_errors(step: &mut Step, (error, levels): StepErrors) {
+    step.error = Some(error);
+    match step.plan.wavelet {
+        None => step.level_errors = levels,
+        Some(_) => {
+            let rms = levels.iter().map(|level| shortest_between(level.rms, level.rms * 1.001));
+            step.level_rms = rms.collect();
+        }
     }
 }
 

@@ -7,29 +7,40 @@
 //!                                                          ╲▶ errors ─▶ sums-*.seg
 //! ```
 //!
+//! Values that cost little stand for missing samples while these are transformed; which they are is
+//! told by masks, with the tiles and with the coarse levels.
+//!
 //! Each arrow is a pass over chunks that goes on where a run was killed. The source is read twice.
 //! Memory decides in which parts a chunk is made, and that changes no byte.
 
 use super::build::{Build, SegmentSource, Segments};
+use super::coarse::{make_coarse, mask_of_nodes, put, too_fine};
 use super::encode::BadSteps;
 use super::encoded::EncodedChunk;
 use super::series::SeriesPlan;
 use super::sink::{SegmentFiles, is_whole};
 use super::sums::FinishedSteps;
 use super::workers::{MakeChunks, SegmentMaker};
-use crate::archive::chunked::{BlockRange, ChunkSegment, ValueSummary};
-use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
+use crate::archive::chunked::{BlockRange, ValueSummary};
+use crate::archive::manifest::StepPlan;
+use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, pool};
-use crate::grid::{Chunk, ChunkId, IndexBox};
-use crate::measure::ErrorSums;
+use crate::grid::{Chunk, IndexBox};
+use crate::measure::{BrickErrors, ErrorSums, Squares};
 use crate::pipeline::chunk::{Field, GridField};
-use crate::pipeline::plan::{Layout, Shares, part_edge};
-use crate::pipeline::read::{StepView, bricks_of, chunk_place, index_box, pyramid_of, scale_of};
+use crate::pipeline::plan::{Shares, part_edge};
+use crate::pipeline::read::{
+    LevelNodes, StepView, bricks_of, index_box, pyramid_of, samples_of_level, scale_of,
+};
+use crate::pipeline::settings::NanPolicy;
 use crate::pipeline::stage::StageTimes;
-use isospan_wavelet::{Box3, Coarse, Correction, Pyramid, Scale, blocks_of, encode_corrections, encode_part};
+use isospan_wavelet::{
+    Box3, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part, fill,
+};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 
@@ -55,11 +66,18 @@ impl Work<'_> {
         self.pyramid.chunk(chunk.brick_lo.map(|n| n as usize))
     }
 
-    /// Reads samples as they are transformed: a value stands for those that are missing.
+    /// Reads samples; NaN where they are missing.
     fn read(&self, place: &IndexBox) -> Result<Vec<f32>> {
         let mut values = vec![0.0; place.len()];
         self.bad.note(0, self.number, self.field.read_window(*place, &mut values))?;
         Ok(values)
+    }
+
+    /// Puts values in the place of the missing samples of a window.
+    fn fill(&self, window: &Box3, samples: &mut [f32]) -> Result<()> {
+        let [min, max] = self.scale.range;
+        let middle = (min / 2.0 + max / 2.0) as f32;
+        fill(self.pyramid.nodes(0), window, samples, middle, |place| self.read(&index_box(place)))
     }
 }
 
@@ -73,10 +91,16 @@ impl MakeChunks for DetailMaker<'_> {
         let place = work.samples(chunk);
         let whole = work.pyramid.low_box(&place);
         let (mut tiles, mut low) = (HashMap::new(), vec![0.0f32; whole.len()]);
+        let mut mask = MaskBuilder::new(place);
         for part in work.pyramid.parts(at, work.edge) {
             work.cancel.check()?;
             let start = Instant::now();
-            let mut samples = work.read(&index_box(&work.pyramid.window(&part)))?;
+            let window = work.pyramid.window(&part);
+            let mut samples = work.read(&index_box(&window))?;
+            if work.field.nan == NanPolicy::Mask {
+                mask.add(&part, &window, &samples);
+                work.fill(&window, &mut samples)?;
+            }
             times.sample += start.elapsed();
             let start = Instant::now();
             samples.iter_mut().for_each(|v| *v = work.scale.enter(f64::from(*v)));
@@ -85,11 +109,20 @@ impl MakeChunks for DetailMaker<'_> {
             tiles.extend(made.tiles);
             times.encode += start.elapsed();
         }
+        let (mut blocks, mut low_blocks) = (blocks_of(work.pyramid, at, &tiles), vec![]);
+        let mask = mask.finish();
+        if !mask.is_empty() {
+            let stride = work.pyramid.stride(work.pyramid.details());
+            let known = Mask::new(place, mask.clone()).map_err(|e| too_fine(&e))?;
+            low_blocks.extend(Some(mask_of_nodes(&known, &whole, stride)?).filter(|m| !m.is_empty()));
+            blocks.push(mask);
+        }
+        low_blocks.push(low.iter().flat_map(|v| v.to_le_bytes()).collect());
         Ok(EncodedChunk {
             points: place.len() as u64,
             mesh_blocks: vec![],
-            value_blocks: vec![blocks_of(work.pyramid, at, &tiles)],
-            sum_blocks: vec![vec![low.iter().flat_map(|v| v.to_le_bytes()).collect()]],
+            value_blocks: vec![blocks],
+            sum_blocks: vec![low_blocks],
             times,
         })
     }
@@ -126,9 +159,62 @@ struct RangeMaker<'a> {
     view: &'a StepView,
     /// Whether errors are measured.
     measured: bool,
+    /// The range of the samples.
+    range: f64,
+    /// Levels from 1 on that are small enough to be held as a whole.
+    levels: Vec<Option<LevelNodes>>,
 }
 
-impl RangeMaker<'_> {
+impl<'a> RangeMaker<'a> {
+    /// `held` bytes are for nodes of coarse levels, which chunk after chunk needs.
+    fn new(work: Work<'a>, view: &'a StepView, step: &StepPlan, held: u64) -> Result<Self> {
+        let (mut levels, mut left) = (vec![], held / 4);
+        if step.measured {
+            levels.resize_with(work.pyramid.coarsest(), || None);
+            for level in (1..=work.pyramid.coarsest()).rev() {
+                left = left.saturating_sub(work.pyramid.nodes(level).map(|n| n as u64).iter().product());
+                if left == 0 {
+                    break;
+                }
+                let all = IndexBox { lo: [0; 3], hi: samples_of_level(work.pyramid, level) };
+                levels[level - 1] = Some(view.nodes_around(level, &all)?);
+            }
+        }
+        let [lo, hi] = step.wavelet.map_or([0.0; 2], |wavelet| wavelet.range);
+        Ok(Self { work, view, measured: step.measured, range: hi - lo, levels })
+    }
+
+    /// Adds the errors of the levels from 1 on at the samples of a part.
+    fn measure_levels(
+        &self,
+        samples: &[f32],
+        place: &IndexBox,
+        part: &IndexBox,
+        sums: &mut [Squares],
+    ) -> Result<()> {
+        let samples_of_volume = self.work.pyramid.nodes(0).iter().map(|n| *n as u64).product();
+        for (level, sums) in (1..).zip(sums) {
+            let ends = samples_of_level(self.work.pyramid, level);
+            let part = part.intersect(&IndexBox { lo: [0; 3], hi: ends });
+            if part.is_empty() {
+                continue;
+            }
+            let read;
+            let nodes = match &self.levels[level - 1] {
+                Some(nodes) => nodes,
+                None => {
+                    read = self.view.nodes_around(level, &part)?;
+                    &read
+                }
+            };
+            nodes.each_row(&part, rows_of(level, samples_of_volume), |[y, z], row| {
+                let at = place.offset([part.lo[0], y, z]);
+                sums.add_row(&samples[at..at + row.len()], row);
+            });
+        }
+        Ok(())
+    }
+
     /// The corrections of a box of decoded samples, which become what readers get.
     fn correct(&self, place: &IndexBox, decoded: &mut [f32], samples: &[f32]) -> Result<Vec<i32>> {
         let Work { correction, path, .. } = &self.work;
@@ -138,6 +224,9 @@ impl RangeMaker<'_> {
         };
         let mut numbers = vec![0; decoded.len()];
         for (i, (value, sample)) in decoded.iter_mut().zip(samples).enumerate() {
+            if sample.is_nan() {
+                continue;
+            }
             if *correction == Correction::Whole && (sample.fract() != 0.0 || sample.abs() > WHOLE) {
                 let ([nx, ny, _], i) = (place.dims(), i as u64);
                 let at = [i % nx, i / nx % ny, i / nx / ny];
@@ -157,6 +246,15 @@ impl RangeMaker<'_> {
     }
 }
 
+/// Samples of a volume that is measured in every row at all levels.
+const MEASURED_WHOLE: u64 = 1 << 20;
+
+/// One row in how many a level is measured in. A coarse field is smooth, so few rows tell its
+/// error; all levels together then take twice the time of one.
+fn rows_of(level: usize, samples: u64) -> u64 {
+    if samples > MEASURED_WHOLE { 1 << (level - 1).min(3) } else { 1 }
+}
+
 /// Magnitudes of whole numbers of which `f32` has each.
 const WHOLE: f32 = 16_777_216.0;
 
@@ -168,6 +266,8 @@ impl MakeChunks for RangeMaker<'_> {
         let corrects = work.correction != Correction::None;
         let mut corrections = if corrects { vec![0; place.len()] } else { vec![] };
         let (mut ranges, mut sums) = (vec![BlockRange::NONE; bricks.len()], ErrorSums::default());
+        let (mut void, mut bounds) = (0, [f32::INFINITY, f32::NEG_INFINITY]);
+        let mut levels = vec![Squares::of_range(self.range); self.levels.len()];
         for part in work.pyramid.parts(at, work.edge) {
             work.cancel.check()?;
             // The nodes of all cells that begin in the part.
@@ -187,6 +287,9 @@ impl MakeChunks for RangeMaker<'_> {
                 let numbers = work.bad.note(0, work.number, corrected)?;
                 put(&mut corrections, &place, &cut(&numbers, &nodes, &own), &part);
             }
+            if self.view.leave_out_missing(0, &nodes, &mut decoded)? {
+                void += cut(&decoded, &nodes, &own).iter().filter(|v| v.is_nan()).count();
+            }
             if self.measured {
                 let originals = cut(&samples, &nodes, &own);
                 let found = cut(&decoded, &nodes, &own);
@@ -199,22 +302,26 @@ impl MakeChunks for RangeMaker<'_> {
                         ((own.lo[2] + z) * sy + own.lo[1] + y) * sx + own.lo[0] + x
                     });
                 }
+                self.measure_levels(&samples, &nodes, &own, &mut levels)?;
             }
             times.measure += start.elapsed();
             for (range, cells) in ranges.iter_mut().zip(&bricks) {
                 // A brick lies in one part, but for cells at the end of one.
                 let begins = (0..3).all(|a| (part.start[a]..end[a]).contains(&cells[a].start));
                 if begins {
-                    *range = range_of(&decoded, &nodes, cells);
+                    let known;
+                    (*range, known) = range_of_cells(&decoded, &nodes, cells);
+                    bounds = [bounds[0].min(known[0]), bounds[1].max(known[1])];
                 }
             }
         }
-        let [min, max] = BlockRange::bounds(ranges.iter().copied());
+        let [min, max] = bounds;
         BlockRange::round(&mut ranges);
-        let summary = ValueSummary { void: 0, min, max, ranges };
+        let summary = ValueSummary { void: void as u32, min, max, ranges };
         let corrections = encode_corrections(&place, &corrections)
             .map_err(|e| Error::usage(format!("the error that is asked for: {e}")))?;
-        let errors = self.measured.then(|| encode_errors(&ChunkErrors { sums, levels: vec![] }));
+        let levels: Vec<BrickErrors> = levels.iter().map(Squares::errors).collect();
+        let errors = self.measured.then(|| encode_errors(&ChunkErrors { sums, levels }));
         Ok(EncodedChunk {
             points: place.len() as u64,
             mesh_blocks: vec![],
@@ -251,21 +358,43 @@ impl MakeChunks for RangeMaker<'_> {
     }
 }
 
-/// The range of the nodes of some cells.
-fn range_of(values: &[f32], place: &IndexBox, cells: &[std::ops::Range<usize>; 3]) -> BlockRange {
+/// The range of the nodes of some cells, void ones left out, and that of all nodes that are known.
+pub(in crate::pipeline) fn range_of_cells(
+    values: &[f32],
+    place: &IndexBox,
+    cells: &[Range<usize>; 3],
+) -> (BlockRange, [f32; 2]) {
     let [xs, ys, zs] = cells;
-    let (mut min, mut max) = (f32::INFINITY, f32::NEG_INFINITY);
+    let none = [f32::INFINITY, f32::NEG_INFINITY];
+    let wider = |[min, max]: [f32; 2], v: f32| [if v < min { v } else { min }, if v > max { v } else { max }];
+    let row = |y: usize, z: usize| &values[place.offset([xs.start, y, z].map(|n| n as u64))..][..=xs.len()];
+    let (mut known, mut missing) = (none, false);
     for z in zs.start..=zs.end {
         for y in ys.start..=ys.end {
-            let at = place.offset([xs.start, y, z].map(|n| n as u64));
-            for &v in &values[at..=at + xs.len()] {
-                min = if v < min { v } else { min };
-                max = if v > max { v } else { max };
+            for &v in row(y, z) {
+                known = wider(known, v);
+                missing |= v.is_nan();
             }
         }
     }
-    let count: usize = cells.iter().map(ExactSizeIterator::len).product();
-    BlockRange { min: min + 0.0, max: max + 0.0, tets: count as u32 }
+    let known = known.map(|v| v + 0.0);
+    let (mut range, mut count) = (known, cells.iter().map(ExactSizeIterator::len).product());
+    if missing {
+        (range, count) = (none, 0);
+        for z in zs.clone() {
+            for y in ys.clone() {
+                let rows = [row(y, z), row(y + 1, z), row(y, z + 1), row(y + 1, z + 1)];
+                for x in 0..xs.len() {
+                    let nodes = || rows.iter().flat_map(|row| &row[x..x + 2]);
+                    if !nodes().any(|v| v.is_nan()) {
+                        range = nodes().fold(range, |range, v| wider(range, *v + 0.0));
+                        count += 1;
+                    }
+                }
+            }
+        }
+    }
+    (BlockRange { min: range[0], max: range[1], tets: count as u32 }, known)
 }
 
 /// What a box has of an array over a larger one.
@@ -279,21 +408,6 @@ fn cut<T: Copy>(values: &[T], from: &IndexBox, part: &IndexBox) -> Vec<T> {
         }
     }
     found
-}
-
-/// Puts what a part has into an array over a larger box.
-fn put<T: Copy>(values: &mut [T], to: &Box3, found: &[T], part: &Box3) {
-    let (to, part) = (index_box(to), index_box(part));
-    let width = part.dims()[0] as usize;
-    let rows = (part.lo[2]..part.hi[2]).flat_map(|z| (part.lo[1]..part.hi[1]).map(move |y| (y, z)));
-    for ((y, z), row) in rows.zip(found.chunks(width)) {
-        let at = to.offset([part.lo[0], y, z]);
-        values[at..at + width].copy_from_slice(row);
-    }
-}
-
-fn too_fine(e: &isospan_wavelet::Error) -> Error {
-    Error::usage(format!("the error that is asked for is below what f32 holds: {e}"))
 }
 
 impl Build<'_> {
@@ -394,7 +508,7 @@ impl Build<'_> {
         let view = archive.step_at(archive.manifest.steps.len() - 1);
         let view = view.keeping(usize::try_from(self.shares.all_chunks() / 4).unwrap_or(usize::MAX));
         let files = SegmentFiles::of_ranges(step.number, hash, needs_sums, &layout);
-        let ranges = RangeMaker { work: work(edge), view: &view, measured };
+        let ranges = RangeMaker::new(work(edge), &view, step, self.run.resources.memory / 16)?;
         self.chunks_of_pyramid(&ranges, &files, source, series, made)
     }
 
@@ -419,34 +533,4 @@ impl Build<'_> {
         made.times.add(&times);
         Ok(())
     }
-}
-
-/// Puts together the low coefficients of all chunks, and makes the coarse levels of them.
-fn make_coarse(layout: &Layout, hash: PlanHash, pyramid: &Pyramid, scale: &Scale, memory: u64) -> Result<()> {
-    let all = Box3::all(pyramid.nodes(pyramid.details()));
-    let needed = 12 * all.len() as u64;
-    if needed > memory {
-        return Err(Error::memory("the coarse levels are made in memory", needed, memory));
-    }
-    let mut low = vec![0.0f32; all.len()];
-    for segment in 0..layout.segment_count() {
-        let file = ChunkSegment::open(layout.low(segment), SegmentKind::Low, Some(hash))?;
-        let mut bytes = vec![];
-        for id in layout.chunks_of(segment).map(ChunkId) {
-            file.block(id, 0, &mut bytes)?;
-            let place = pyramid.low_box(&pyramid.chunk(chunk_place(pyramid, id)));
-            let (values, _) = bytes.as_chunks::<4>();
-            let values: Vec<f32> = values.iter().map(|b| f32::from_le_bytes(*b)).collect();
-            if values.len() != place.len() {
-                let (expected, got) = (format!("{} numbers", place.len()), values.len().to_string());
-                return Err(Error::bad_input(layout.low(segment), format!("chunk {}", id.0), expected, got));
-            }
-            put(&mut low, &all, &values, &place);
-        }
-    }
-    let bytes = Coarse::encode(pyramid, scale, low).map_err(|e| too_fine(&e))?;
-    let mut file = SegmentWriter::create(layout.coarse(), SegmentKind::Coarse, hash)?;
-    file.push_block(&bytes)?;
-    file.finish()?;
-    Ok(())
 }

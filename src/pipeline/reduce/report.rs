@@ -55,9 +55,6 @@ pub struct ReduceReport {
     /// Chunks that were copied from an earlier try.
     #[serde(skip)]
     pub(in crate::pipeline) reused_chunks: u64,
-    /// Whether the source is a mesh.
-    #[serde(skip)]
-    pub(in crate::pipeline) is_of_mesh: bool,
     /// Points without a value.
     pub void_points: u64,
     /// Tetrahedra.
@@ -200,7 +197,6 @@ impl ReduceReport {
         let ranges = steps.iter().filter_map(|step| step.file_range());
         Ok(Self {
             own: manifest.plan.own.is_some(),
-            is_of_mesh: manifest.steps[0].plan.source.mesh.is_some(),
             points: counts.points,
             void_points: steps.iter().map(|s| s.void_points).sum(),
             tetrahedra: counts.tetrahedra,

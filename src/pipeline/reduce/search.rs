@@ -8,12 +8,10 @@
 //! with a plan for each ([`super::plan_file`]), which stores the search between two tries.
 
 use super::report::{ReduceReport, TargetReport};
-use crate::archive::values::NodeCoder;
 use crate::error::{Error, Result};
 use crate::pipeline::plan::{Estimate, SearchEstimate};
-use crate::pipeline::settings::{Amount, Bound, ReduceSettings, Target, ValueBits};
+use crate::pipeline::settings::{Amount, ReduceSettings, Target};
 use crate::points::SetKind;
-use crate::sample::Values;
 use serde::{Deserialize, Serialize};
 
 impl Target {
@@ -83,8 +81,8 @@ impl ReduceReport {
     }
 }
 
-/// An archive has hardly ever fewer bytes: its manifest takes these.
-const LEAST_BYTES: u64 = 4 << 10;
+/// An archive has hardly ever fewer bytes.
+const LEAST_BYTES: u64 = 512;
 /// Bytes of the manifest that state the target, at most.
 const RECORD: u64 = 64;
 
@@ -185,124 +183,12 @@ const LIMITS_OF_FACTORS: [f64; 2] = [1e-5, 1e5];
 /// A pyramid is made again only for more than this.
 const NEAR_OF_PYRAMIDS: f64 = 0.93;
 
-/// A lattice's values are rounded to a step of this many times the RMS error. Twice that is tried
-/// where a value takes fewer than `FEW_BITS`: then most of them are as predicted, and less off than
-/// a step has it.
-const STEP: f64 = 1.4;
-const FEW_BITS: f64 = 1.8;
-/// They have this many bits while nothing is known about the error, and bits in this range
-/// otherwise.
-const USUAL_BITS: f64 = 6.0;
-const BITS: [f64; 2] = [4.0, 16.0];
 /// Points a sample where a size is wanted, at most.
 const MOST_A_SAMPLE: f64 = 4.0;
-
-/// The bits of values of the tries.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Rounding {
-    /// Whether they are chosen here.
-    is_chosen: bool,
-    bits: ValueBits,
-    /// Tries whose results have been used to choose the bits.
-    learned: u32,
-    /// Whether a bit less is tried, since a value took few.
-    few: bool,
-}
-
-/// A lattice with a node at each sample is tried where fewer points do not meet an error, or take
-/// more bits a sample than this: noise, which has no shape that fewer points could follow.
-const MANY_BITS: f64 = 0.15;
-/// The search for its step ends where it takes this many times more bytes than another archive.
-const MANY_TIMES: f64 = 1.3;
-/// Its error is this part of that of rounding alone, since predictions are nearer than that.
-const OF_ROUNDING: f64 = 0.75;
-/// The power between the error and the steps of the range.
-const POWER_OF_STEPS: f64 = 0.9;
-
-/// Whether a search is one for a lattice. Complete settings name another set, or adapt.
-fn is_lattice(settings: &ReduceSettings) -> bool {
-    settings.set_of(false) == SetKind::Bcc
-}
 
 /// Whether a search is one for a pyramid.
 fn is_pyramid(settings: &ReduceSettings) -> bool {
     settings.set_of(false) == SetKind::Pyramid
-}
-
-impl Rounding {
-    fn new(settings: &ReduceSettings, target: Target) -> Self {
-        let is_chosen = is_lattice(settings) && settings.value_bits == ValueBits::Usual;
-        let mut rounding = Self { is_chosen, bits: settings.value_bits, learned: 0, few: false };
-        if is_chosen {
-            rounding.bits = ValueBits::Bits(USUAL_BITS);
-            if let Some(Bound::OfRange(part)) = target.bound() {
-                rounding.choose(target, part);
-            }
-        }
-        rounding
-    }
-
-    /// For an error of this part of the range.
-    fn choose(&mut self, target: Target, part: f64) {
-        // The largest error is several times the RMS error.
-        let part = if let Target::Max(_) = target { part / 8.0 } else { part };
-        if part > 0.0 && part.is_finite() {
-            let fewer = if self.few { 1.0 } else { 0.0 };
-            let bits = ((-libm::log2(STEP * part)).round() - fewer).clamp(BITS[0], BITS[1]);
-            self.bits = ValueBits::Bits(bits);
-        }
-    }
-
-    /// The steps of the range for a lattice with a node at each sample: the first to be tried, and
-    /// the fewest and the most; none where values are to be exact.
-    fn steps_for_nodes(&self, target: Target, bound: f64, report: &ReduceReport) -> Option<(f64, [f64; 2])> {
-        let steps = |bits: f64| libm::exp2(bits) - 1.0;
-        match self.bits {
-            _ if self.is_chosen => {
-                let [lo, hi] = source_range(report)?;
-                // Rounding to a step is off by half of it at most, by 1/√12 of it as the RMS.
-                let of_bound = if let Target::Max(_) = target { 2.0 } else { 12f64.sqrt() / OF_ROUNDING };
-                let limits = [steps(NodeCoder::LEAST_BITS), steps(NodeCoder::MOST_BITS)];
-                let first = (hi - lo) / (of_bound * bound);
-                first.is_finite().then(|| (first.clamp(limits[0], limits[1]), limits))
-            }
-            ValueBits::Bits(bits) if bits <= NodeCoder::MOST_BITS => Some((steps(bits), [steps(bits); 2])),
-            ValueBits::Bits(_) | ValueBits::Usual | ValueBits::Exact => None,
-        }
-    }
-
-    /// Chooses the bits by the results of the first and the second try; where a size is wanted also
-    /// of the first one with few bits a value. Returns whether they have changed: then earlier
-    /// tries cannot be compared with later ones.
-    fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
-        let before = self.bits;
-        let few = !self.few && target.bound().is_none() && bits_a_value(report) < FEW_BITS;
-        let range = source_range(report).filter(|_| self.is_chosen && (few || self.learned < 2));
-        if let Some([lo, hi]) = range {
-            self.learned += 1;
-            self.few |= few;
-            let error = match target.bound() {
-                Some(_) => bound,
-                None => error_of(Target::Rms(Bound::Value(bound)), report),
-            };
-            self.choose(target, error / (hi - lo));
-        }
-        self.bits != before
-    }
-
-    /// Takes a bit less for an error of this part of the range; returns whether there is one less.
-    fn take_fewer(&mut self, target: Target, part: f64) -> bool {
-        let before = self.bits;
-        self.few = true;
-        self.choose(target, part);
-        self.bits != before
-    }
-}
-
-/// The bits that the files of values take for a value.
-fn bits_a_value(report: &ReduceReport) -> f64 {
-    let bytes = report.steps.iter().map(|s| s.value_bytes).sum::<u64>() as f64;
-    8.0 * bytes / (report.points as f64 * report.steps.len() as f64)
 }
 
 /// The best try so far.
@@ -311,7 +197,6 @@ struct BestTry {
     number: u32,
     made: Try,
     bytes: u64,
-    bits_a_value: f64,
     settings: ReduceSettings,
 }
 
@@ -324,7 +209,6 @@ pub(in crate::pipeline) struct TargetSearch {
     source: Option<u64>,
     /// The settings that ask for the target.
     settings: ReduceSettings,
-    rounding: Rounding,
     search: Option<Search>,
     /// Points of the next try; of the first they follow from the settings.
     count: Option<u64>,
@@ -333,9 +217,6 @@ pub(in crate::pipeline) struct TargetSearch {
     /// Chunks of all these together.
     chunks: u64,
     best: Option<BestTry>,
-    /// The search for the steps of the range of a lattice with a node at each sample, once fewer
-    /// points have been tried.
-    nodes: Option<Search>,
     /// Of a pyramid: how many times coarser its coefficients are in the next try.
     #[serde(default)]
     factor: Option<f64>,
@@ -359,13 +240,11 @@ impl TargetSearch {
             target,
             source,
             settings: settings.clone(),
-            rounding: Rounding::new(settings, target),
             search: None,
             count: None,
             tries: 0,
             chunks: 0,
             best: None,
-            nodes: None,
             factor: is_pyramid(settings).then_some(1.0),
             of_fields: false,
         })
@@ -388,9 +267,7 @@ impl TargetSearch {
         let archive_bytes = match target {
             Target::Size(_) | Target::Ratio(_) => [LEAST_BYTES, target.bytes(self.source)? as u64],
             Target::Rms(_) | Target::Max(_) | Target::Lossless => {
-                let exact = is_lattice(&self.settings) && self.rounding.bits == ValueBits::Exact;
-                let most = if exact { MOST_OF_LATTICE } else { 1.0 } * samples as f64;
-                let points = most / first.points.max(1) as f64;
+                let points = samples as f64 / first.points.max(1) as f64;
                 [LEAST_BYTES, (first.archive_bytes as f64 * points.max(1.0)) as u64]
             }
         };
@@ -431,8 +308,7 @@ impl TargetSearch {
         // For adapted points, the number of points that an error asks for is predicted.
         let adapts = self.settings.adapt.is_some();
         let predicted = self.settings.target.filter(|t| adapts && t.bound().is_some());
-        let values = if self.nodes.is_some() { Values::Nodes } else { self.settings.values };
-        let settings = ReduceSettings { value_bits: self.rounding.bits, values, ..self.settings.clone() };
+        let settings = self.settings.clone();
         match self.count {
             None => ReduceSettings { target: predicted, ..settings },
             Some(count) => ReduceSettings { target: None, amount: Amount::Count(count), ..settings },
@@ -452,10 +328,9 @@ impl TargetSearch {
         let (settings, number) = (self.next_settings(), self.tries + 1);
         self.tries = number;
         self.chunks += report.chunks;
-        let made = match self.nodes.take() {
-            _ if is_pyramid(&self.settings) => self.note_factor(bound, report, settings),
-            Some(nodes) => self.note_nodes(nodes, report, settings),
-            None => self.note_points(bound, report, settings),
+        let made = match is_pyramid(&self.settings) {
+            true => self.note_factor(bound, report, settings),
+            false => self.note_points(bound, report, settings),
         };
         Ok(self.report(made, bound, None))
     }
@@ -464,9 +339,7 @@ impl TargetSearch {
     fn note_points(&mut self, bound: f64, report: &ReduceReport, settings: ReduceSettings) -> Try {
         let (target, samples) = (self.target, report.samples as f64);
         let is_size = target.bound().is_none();
-        let is_lattice = is_lattice(&self.settings) && !is_size;
-        let most = if is_lattice && self.rounding.bits == ValueBits::Exact { MOST_OF_LATTICE } else { 1.0 };
-        let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, most * samples] };
+        let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, samples] };
         let usual = USUAL_POWERS[usize::from(is_size)];
         let search =
             self.search.get_or_insert_with(|| Search { bound, limits, near: NEAR, usual, tries: vec![] });
@@ -476,69 +349,21 @@ impl TargetSearch {
         let amount = if is_size { samples / points } else { points };
         let made = Try { amount, reached: target.reached(report) };
         search.tries.push(made);
-        let mut next = search.next();
-        let changes = self.rounding.learn(target, bound, report);
-        if changes {
-            next = next.or(Some(amount));
-            search.tries.clear();
-            self.best = None;
-        }
+        let next = search.next();
         let (meets, bytes) = (made.reached <= bound, report.archive_bytes);
-        if let Some(best) = self.best.as_ref().filter(|_| self.rounding.few && !is_size)
-            && bytes as f64 > if meets { MANY_TIMES } else { 1.0 } * best.bytes as f64
-        {
-            next = None;
-        }
         // The try at the cap is all that is possible.
         let is_best = match &self.best {
             Some(best) if is_size => meets && made.amount < best.made.amount,
             Some(best) => meets && bytes < best.bytes,
             None => meets || next.is_none(),
         };
-        if !changes && is_best {
-            let bits_a_value = bits_a_value(report);
-            self.best = Some(BestTry { number: self.tries, made, bytes, bits_a_value, settings });
-        }
-        if next.is_none() && !is_size {
-            next = self.with_fewer_bits(bound, report);
+        if is_best {
+            self.best = Some(BestTry { number: self.tries, made, bytes, settings });
         }
         self.count = next
             .map(|amount| if is_size { samples / amount } else { amount })
             .map(|count| count.round().max(1.0) as u64);
-        let of_steps = samples * report.steps.len() as f64;
-        let is_enough =
-            |best: &BestTry| best.made.reached <= bound && 8.0 * best.bytes as f64 <= MANY_BITS * of_steps;
-        if next.is_none()
-            && is_lattice
-            && !report.is_of_mesh
-            && !self.best.as_ref().is_some_and(is_enough)
-            && let Some((first, limits)) = self.rounding.steps_for_nodes(target, bound, report)
-        {
-            let nodes = Search { bound, limits, near: NEAR, usual: POWER_OF_STEPS, tries: vec![] };
-            self.try_nodes(nodes, first, report.samples);
-        }
         made
-    }
-
-    /// The number of points of the next try where the best one meets an error, and one with a bit
-    /// less for each value may take fewer bytes.
-    fn with_fewer_bits(&mut self, bound: f64, report: &ReduceReport) -> Option<f64> {
-        let best = self.best.as_ref().filter(|best| best.made.reached <= bound)?;
-        let rounding = &mut self.rounding;
-        if !rounding.is_chosen || rounding.few || best.bits_a_value >= FEW_BITS {
-            return None;
-        }
-        let [lo, hi] = source_range(report)?;
-        let amount = best.made.amount;
-        let search = self.search.as_mut().filter(|_| rounding.take_fewer(self.target, bound / (hi - lo)))?;
-        search.tries.clear();
-        Some(search.aimed(Try { amount, reached: bound }).min(search.limits[1]))
-    }
-
-    /// Makes a lattice with a node at each sample the next try, with so many steps of the range.
-    fn try_nodes(&mut self, nodes: Search, steps: f64, samples: u64) {
-        self.rounding.bits = ValueBits::Bits(libm::log2(steps + 1.0));
-        (self.nodes, self.count) = (Some(nodes), Some(samples));
     }
 
     /// Notes a try of a pyramid. Corrections meet a bound of each sample in the first one.
@@ -565,41 +390,9 @@ impl TargetSearch {
         };
         if is_best {
             let (bytes, number) = (report.archive_bytes, self.tries);
-            self.best = Some(BestTry { number, made, bytes, bits_a_value: bits_a_value(report), settings });
+            self.best = Some(BestTry { number, made, bytes, settings });
         }
         self.factor = next.map(|amount| if is_size { amount } else { 1.0 / amount });
-        made
-    }
-
-    /// Notes a try with a node at each sample.
-    fn note_nodes(&mut self, mut nodes: Search, report: &ReduceReport, settings: ReduceSettings) -> Try {
-        let steps = match self.rounding.bits {
-            ValueBits::Bits(bits) => libm::exp2(bits) - 1.0,
-            ValueBits::Usual | ValueBits::Exact => unreachable!("values of nodes have bits"),
-        };
-        let made = Try { amount: steps, reached: self.target.reached(report) };
-        nodes.tries.push(made);
-        let (bytes, meets) = (report.archive_bytes, made.reached <= nodes.bound);
-        let mut is_hopeless = false;
-        let is_best = match &self.best {
-            Some(best) if best.made.reached <= nodes.bound => {
-                let times = if meets { MANY_TIMES } else { 1.0 };
-                is_hopeless = bytes as f64 > times * best.bytes as f64;
-                meets && bytes < best.bytes
-            }
-            Some(best) => made.reached < best.made.reached,
-            None => true,
-        };
-        if is_best {
-            let bits_a_value = bits_a_value(report);
-            self.best = Some(BestTry { number: self.tries, made, bytes, bits_a_value, settings });
-        }
-        // Bits that the user gives leave one try.
-        let has_others = nodes.limits[0] < nodes.limits[1];
-        match nodes.next().filter(|_| has_others && !is_hopeless) {
-            Some(steps) => self.try_nodes(nodes, steps, report.samples),
-            None => self.count = None,
-        }
         made
     }
 
@@ -635,9 +428,6 @@ impl TargetSearch {
         &self.settings
     }
 }
-
-/// Points a sample, at most, of a lattice with exact values: more than one with a node at each has.
-const MOST_OF_LATTICE: f64 = 2.5;
 
 /// The error of the worst step; of several fields as a part of the range of each.
 pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {

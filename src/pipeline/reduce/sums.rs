@@ -17,7 +17,7 @@ use crate::grid::ChunkId;
 use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError};
 use crate::pipeline::chunk::field_error_of;
 use crate::pipeline::plan::{Layout, Plan};
-use crate::pipeline::read::StepView;
+use crate::pipeline::read::{StepView, pyramid_of};
 use crate::spectrum::{ChunkPart, Digits, Limits};
 
 /// The sums of some chunks of a step.
@@ -57,17 +57,26 @@ impl StoredSums {
     }
 }
 
-/// The error of the archive's step, and those in the cells of each level, added up from what its
-/// chunks have stored.
+/// The error of the archive's step, and those in the cells of each level, or of each level of a
+/// pyramid from 1 on, added up from what its chunks have stored.
 pub(super) fn summed_error(archive: &StepView) -> Result<(FieldError, Vec<LevelError>)> {
-    let levels = archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1);
+    let pyramid = pyramid_of(archive.manifest.plan.points);
+    let levels = match &pyramid {
+        Some(pyramid) => pyramid.coarsest(),
+        None => archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1),
+    };
     let (mut sums, mut by_level) = (ErrorSums::default(), vec![BrickErrors::default(); levels]);
     let (layout, plan) = (&archive.layout, &archive.step().plan);
     for number in 0..layout.segment_count() {
         let stored = StoredSums::open(layout, number, plan, archive.step_hash())?;
         for chunk in layout.chunks_of(number).map(ChunkId) {
             let found = stored.errors(chunk)?;
-            let is_sorted = found.levels.is_empty() == (levels == 0 || found.sums.measured == 0);
+            let in_levels = found.levels.iter().map(|level| u128::from(level.samples)).sum::<u128>();
+            // Cells have one level each; a level of a pyramid has all samples up to its last node.
+            let is_sorted = match (&pyramid, levels) {
+                (None, 1..) => in_levels == u128::from(found.sums.measured),
+                _ => true,
+            };
             if found.levels.len() > levels || !is_sorted {
                 let (path, got) = (layout.sums(number), found.levels.len().to_string());
                 let at = format!("chunk {}, levels of its errors", chunk.0);
@@ -111,7 +120,7 @@ impl FinishedSteps {
         };
         let has_error = |step: &Step| step.error.is_some() || !step.plan.measured;
         let finished = |step: &Step| is_of_plan(step) && has_error(step) && has_spectrum(step);
-        let has_parts = plan.mesh.may_have_spectrum(layout.chunk_count());
+        let has_parts = !plan.mesh.is_pyramid();
         Self { steps: steps.into_iter().filter(finished).collect(), has_parts }
     }
 

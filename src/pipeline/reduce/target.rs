@@ -19,9 +19,7 @@
 //! Other points begin with 1/8 of the samples. A size is searched for in the same way: bytes are a
 //! power of the number of points per sample.
 //!
-//! A lattice's values are rounded to a step of 1.4 times the RMS error, unless the settings
-//! give the number of bits. So rounding costs a tenth of the error or less, and saves three bits
-//! per value and more.
+//! Of a pyramid a try has another step of its coefficients, and the first one mostly does.
 //!
 //! Tries lie in the folder `NAME.isospan.work` next to the archive, with a note of how far the
 //! search is ([`super::kept_search`]): so a run that was stopped goes on at its try.
@@ -32,8 +30,7 @@
 //! percent is not a matter of a few cells. Equal gain for every point means that cells near the
 //! next level lie all over the volume, in every chunk. The published archive is a try that met the
 //! target, with its measured error in the manifest. The limit is a point per sample. If that is not
-//! enough, a lattice takes nodes at all samples, which leave the error of rounding alone. Of other
-//! points the try at the limit is published and the report says so. The largest error is a matter
+//! enough, the try at the limit is published and the report says so. The largest error is a matter
 //! of a few places: [`target_max`](super::target_max) makes those denser.
 //!
 //! The numbers of points follow from measured errors, which depend on nothing but the input. So the
@@ -86,8 +83,9 @@ pub(super) fn reduce_to_target(
     let search = TargetSearch::new(job.settings, target, source)?;
     if let Existing::Finished(manifest) = existing
         && !job.run.replace
+        && let Some(report) = made_before(job, manifest, target, source)?
     {
-        return made_before(job, manifest, target, source);
+        return Ok(report);
     }
     if let (Target::Max(_), true) = (target, job.settings.adapt.is_some()) {
         return reduce_to_max(job, target, source);

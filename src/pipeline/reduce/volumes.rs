@@ -6,17 +6,16 @@ use super::order::Order;
 use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, is_of_data};
 use super::volume_fields::{shape, volume_of};
 use crate::archive::manifest::{CorrectionRecord, Source, StepPlan, WaveletRecord};
-use crate::archive::values::{NodeCoder, Quantiser};
+use crate::archive::values::Quantiser;
 use crate::density::Choice;
 use crate::error::{Error, Result};
 use crate::formats::{self, StepSource};
 use crate::grid::Geometry;
-use crate::pipeline::inputs::{Errors, Reading, Sampled, Shift, Spread, copy_bytes, spread};
+use crate::pipeline::inputs::{Errors, Reading, Sampled, Shift, copy_bytes, range_of};
 use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, source_of};
 use crate::pipeline::read::{OpenArchive, coordinate_hash, scale_of};
-use crate::pipeline::settings::{Bound, DEFAULT_ERROR, ReduceSettings, Target, ValueBits};
-use crate::points::{PointSpec, SetKind, SetSettings};
-use crate::sample::Values;
+use crate::pipeline::settings::{Bound, DEFAULT_ERROR, ReduceSettings, Target};
+use crate::points::{PointSpec, SetKind};
 use crate::volume::chunked::ChunkShape;
 use crate::volume::{VolumeInfo, VolumeSource};
 use isospan_wavelet::{Accuracy, Sampling, Scale, Settings, choose_delay, compress};
@@ -74,15 +73,11 @@ struct Planner<'a> {
     offset: Option<f64>,
     /// The packed file that was read last to find the rounding.
     looked_into: Option<PathBuf>,
-    /// The bits of values by default, once the samples of the first step were examined.
-    usual_bits: Option<Option<f64>>,
     /// How fine the coefficients of each field of a pyramid are, and how its samples are corrected,
     /// once the first step has decided that.
     wavelets: HashMap<String, (f64, CorrectionRecord)>,
     /// Whether memory and disk were checked.
     is_checked: bool,
-    /// Whether the cells of a lattice have the edges that the field asks for.
-    is_shaped: bool,
     only_estimates: bool,
 }
 
@@ -91,8 +86,8 @@ const MOST_LOOKED_AT: usize = 8;
 
 /// Plans all steps of a series. Reads headers, and fingerprints.
 ///
-/// Where values are rounded, and for the cells of a lattice, all samples are read, unless that was
-/// done before. With [`ReduceSettings::adapt`] those of some steps are.
+/// Where values are rounded, and for a pyramid, all samples are read, unless that was done before.
+/// With [`ReduceSettings::adapt`] those of some steps are.
 pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<SeriesPlan> {
     let Job { sources, settings, run, .. } = *job;
     let archive = job.basis.archive();
@@ -105,10 +100,8 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
         inputs: job.basis.inputs(),
         offset: None,
         looked_into: None,
-        usual_bits: None,
         wavelets: HashMap::new(),
         is_checked: false,
-        is_shaped: false,
         only_estimates,
     };
     if let Some(archive) = archive {
@@ -212,7 +205,6 @@ impl Planner<'_> {
                 self.wavelets.insert(field, (wavelet.step, wavelet.correction));
             }
         }
-        self.is_shaped = true;
         self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
         self.attachments = Attachments::read(archive.path(), &archive.manifest.plan)?;
         Ok(())
@@ -313,27 +305,14 @@ impl Planner<'_> {
             self.set_wavelet(&mut step, &planned, volume)?;
             return Ok((step, planned));
         }
-        step.quantiser = match self.job.basis.plan() {
-            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
-            None if self.only_estimates => None,
-            None => {
-                let shapes = self.shapes_cells();
-                let rounds = self.job.settings.bits(false).is_some() && self.usual_bits != Some(None);
-                if shapes || rounds {
-                    self.check_budget(&step, &planned)?;
-                    let found = self.spread(volume)?;
-                    if shapes {
-                        self.shape_cells(&info, &found)?;
-                    }
-                    let whole = (!step.source.scalar.is_float()).then_some(step.source.slope.abs());
-                    self.quantiser(&found).map(|q| match step.values {
-                        Values::Nodes => q.of_nodes(whole == Some(q.step)),
-                        Values::Sample | Values::Fit => q.of(step.values),
-                    })
-                } else {
-                    None
-                }
+        step.quantiser = match (self.job.basis.plan(), self.job.settings.value_bits) {
+            (Some(plan), _) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+            (None, Some(bits)) if !self.only_estimates => {
+                self.check_budget(&step, &planned)?;
+                let range = range_of(volume, &self.reading(), &self.job.run.resources.cancel)?;
+                Some(Quantiser::new(bits, range).of(step.values))
             }
+            (None, _) => None,
         };
         Ok((step, planned))
     }
@@ -424,55 +403,6 @@ impl Planner<'_> {
         let open = || volume_of(source, "the volume it was");
         Shift::of_volume(open, self.offset, self.job.settings.missing, &self.job.run.resources.cancel)
     }
-
-    /// Looks at all samples of a step.
-    fn spread(&self, source: VolumeSource) -> Result<Spread> {
-        spread(source, &self.reading(), &self.job.run.resources.cancel)
-    }
-
-    /// Whether the field of the first step decides how long the cells of a lattice are along each
-    /// axis.
-    fn shapes_cells(&self) -> bool {
-        let is_lattice = self.plan.as_ref().is_some_and(|plan| plan.mesh.lattice_cells().is_some());
-        let is_open = self.job.settings.values != Values::Nodes && self.job.settings.set.spacing.is_none();
-        is_lattice && !self.is_shaped && is_open
-    }
-
-    /// Makes the cells of a lattice longer along axes on which the field bends less.
-    fn shape_cells(&mut self, info: &VolumeInfo, found: &Spread) -> Result<()> {
-        self.is_shaped = true;
-        let Some(plan) = &mut self.plan else { return Ok(()) };
-        let Some(cells) = plan.mesh.lattice_cells() else { return Ok(()) };
-        let voxels = (0..3).map(|a| (info.dims[a] - 1) as f64 / f64::from(cells[a])).product();
-        let mean = libm::cbrt(voxels);
-        let spacing = found.bend().spacing(mean).map(|s| s / mean);
-        if spacing != [1.0; 3] {
-            let set = SetSettings { spacing: Some(spacing), ..self.job.settings.set };
-            let settings = ReduceSettings { set, ..self.job.settings.clone() };
-            plan.mesh = Plan::with_fingerprint(info, &settings, String::new())?.mesh;
-        }
-        Ok(())
-    }
-
-    /// Steps of the source's range: the same everywhere, so that what chunks share stays equal.
-    fn quantiser(&mut self, found: &Spread) -> Option<Quantiser> {
-        let reading = self.reading();
-        let stand_in = reading.stand_in().map(|v| [v, v]);
-        let ranges = [found.range(), stand_in].into_iter().flatten();
-        let range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
-        let bits = match self.job.settings.value_bits {
-            _ if self.job.settings.bits(false).is_none() => None,
-            ValueBits::Bits(bits) => Some(bits),
-            _ => *self.usual_bits.get_or_insert_with(|| {
-                let (usual, most) = (usual_bits(found, range), NodeCoder::MOST_BITS);
-                match self.job.settings.values {
-                    Values::Nodes => Some(usual.map_or(most, |bits| bits.min(most))),
-                    Values::Sample | Values::Fit => usual,
-                }
-            }),
-        };
-        bits.map(|bits| Quantiser::new(bits, range))
-    }
 }
 
 /// The RMS error that a pyramid is made for at first, and how samples are corrected.
@@ -537,6 +467,8 @@ fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3
         return Ok(Chosen { step: 1.0, delay: delay.unwrap_or_default() });
     }
     let refused = |e: isospan_wavelet::Error| Error::usage(format!("the error that is asked for: {e}"));
+    // Errors count where samples are known, and those that stand for others have nearly none.
+    let bound = bound * found.known.sqrt();
     let some = found.small_boxes();
     let mut sampling = Sampling::new(&found.boxes, range, delay.unwrap_or_default()).map_err(refused)?;
     let mut step = sampling.step(bound).map_err(refused)?;
@@ -553,20 +485,4 @@ fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3
     };
     let excess = sampling.excess(&some, step).map_err(refused)?;
     Ok(Chosen { step: sampling.step(AIM * bound / excess).map_err(refused)?, delay })
-}
-
-/// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits
-/// do; `None` if a quantiser does not have as many.
-fn usual_bits(found: &Spread, [low, high]: [f32; 2]) -> Option<f64> {
-    let width = |[lo, hi]: [f32; 2]| f64::from(hi) - f64::from(lo);
-    let (all, nearly_all) = (width([low, high]), found.of_nearly_all().map_or(0.0, width));
-    let mut bits = ValueBits::USUAL;
-    // Nearly all samples may be equal: then what is left is the whole field.
-    while nearly_all > 0.0 && all >= 2.0 * nearly_all * libm::exp2(bits - ValueBits::USUAL) {
-        bits += 1.0;
-        if !Quantiser::BITS.contains(&bits) {
-            return None;
-        }
-    }
-    Some(bits)
 }

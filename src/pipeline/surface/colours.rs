@@ -72,7 +72,7 @@ fn each_value(
     // Half for vertices, the rest for chunks.
     let rest = |memory: u64| memory.saturating_sub(estimate::BASE + memory / 16);
     let most = (rest(memory) / 2 / VERTEX).clamp(1, MOST) as usize;
-    let probe = ProbeSettings { resources: resources.clone() };
+    let probe = ProbeSettings { resources: resources.clone(), level: None };
     let is_one = Arc::ptr_eq(field.archive(), archive.archive());
     let may_overlap =
         archive.manifest.plan.own.is_some() && is_one && !field.is_between() && !archive.is_between();

@@ -4,8 +4,7 @@
 //! Of each part the least box that holds its active bricks is decoded, with a node on each side.
 
 use super::worker::{Cells, ChunkSurfaces, ChunkWork, Question};
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
+use crate::error::Result;
 use crate::geom::{LatticeBox, PointId};
 use crate::grid::{ChunkId, IndexBox};
 use crate::index::Entry;
@@ -44,18 +43,8 @@ pub(super) fn by_part(archive: &StepView, work: Vec<ChunkWork>) -> Result<Vec<Ch
 }
 
 /// All parts of a coarse level, which have no ranges of their own.
-///
-/// # Errors
-/// [`Error::Usage`] for an archive without that level.
 pub(super) fn of_level(archive: &StepView, level: usize) -> Result<Vec<ChunkWork>> {
     let pyramid = &archive.pyramid()?.pyramid;
-    if level > pyramid.coarsest() {
-        return Err(Error::usage(format!(
-            "{} has no level {level}: it has levels 0 (the finest) to {}",
-            archive.path().display(),
-            pyramid.coarsest()
-        )));
-    }
     let (nodes, range) = (pyramid.nodes(level).map(|n| n as u64), archive.value_range());
     let Some([min, max]) = range else { return Ok(vec![]) };
     let counts = nodes.map(|n| (n - 1).div_ceil(PART));
@@ -104,7 +93,7 @@ impl Question<'_> {
 }
 
 /// Calls with the nodes of some cells.
-fn march(
+pub(super) fn march(
     archive: &StepView,
     level: usize,
     cells: &Cells,
@@ -131,15 +120,14 @@ fn march(
 /// How many cells of parts a surface crosses.
 pub(super) fn crossed_cells(
     archive: &StepView,
+    level: usize,
     work: &ChunkWork,
     isovalue: f32,
-    cancel: &CancelToken,
 ) -> Result<u64> {
-    cancel.check()?;
     let (mut surface, mut bench, world) =
         (ChunkSurface::default(), CubeBench::default(), crate::pipeline::read::world_map(archive));
     let Some(cells) = &work.cells else { return Ok(0) };
-    march(archive, 0, cells, |block| {
+    march(archive, level, cells, |block| {
         surface.start(isovalue, 0);
         surface.add_cubes(block, false, &world, &mut bench);
     })?;

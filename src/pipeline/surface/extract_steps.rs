@@ -65,7 +65,7 @@ impl<'a> Pass<'a> {
                 break;
             }
             steps.push(Prepared::new(view, settings)?);
-            if is_alone || view.is_pyramid() {
+            if is_alone {
                 break;
             }
         }

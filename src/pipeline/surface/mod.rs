@@ -7,11 +7,14 @@
 //! [`extract_steps`] answers for many steps at once, [`unpack`] stores blocks as extraction uses
 //! them.
 
+mod active;
 mod colours;
 mod cubes;
 mod extract;
 mod extract_steps;
+mod level;
 mod parts;
+mod plateau;
 mod query;
 mod refine;
 mod series;
@@ -21,7 +24,10 @@ mod unpacked;
 mod worker;
 
 pub(super) use colours::values_on;
+pub(super) use level::level_of;
 pub use parts::SurfacePart;
+pub use plateau::Plateau;
+pub(super) use plateau::plateau_at;
 pub(super) use query::{count, stream_file, stream_surfaces, surfaces_in_memory, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};

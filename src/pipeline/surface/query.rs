@@ -1,26 +1,24 @@
 //! Questions to an archive: the index names the blocks that can hold an answer, and only those are
 //! read.
 
+use super::active::{ActiveWork, cut_of, work_of};
 use super::colours::colours;
-use super::cubes::{by_part, crossed_cells, of_level};
+use super::cubes::crossed_cells;
 use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
+use super::level::level_of;
 use super::parts::{Parts, SurfacePart};
 use super::refine::{Means, RefineReport};
 use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
 };
-use super::worker::{Cells, ChunkWork, Question, by_chunk};
+use super::worker::{ChunkWork, Question};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Clock, Progress, Silent, pool};
+use crate::exec::{CancelToken, Clock, Progress, Resources, Silent, pool};
 use crate::formats::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
-use crate::geom::LatticeBox;
-use crate::grid::ChunkId;
-use crate::index::Entry;
-use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, WorldBox, cells_of,
-    chunk_place, expect_in_f32, in_memory, in_world, pyramid_of, world_box, world_map,
+    Block, ChunkReader, Cut, LevelChoice, Needed, ReaderMemory, StepView, Wanted, expect_in_f32, in_memory,
+    in_world, world_map,
 };
 use crate::pipeline::stage::Stage;
 use crate::surface::check::zero_area_triangles;
@@ -38,18 +36,23 @@ use std::time::Duration;
 pub(in crate::pipeline) fn count(
     archive: &StepView,
     wanted: f64,
+    level: Option<LevelChoice>,
     cancel: &CancelToken,
 ) -> Result<CountReport> {
     finite(wanted)?;
     let isovalue = archive.step().plan.source.kept(wanted);
     let read_before = archive.bytes_read();
-    let spectrum = if archive.is_between() { None } else { archive.stored_spectrum()? };
+    let resources = Resources::default().with_cancel(cancel.clone());
+    let settings = SurfaceSettings { level, resources, ..SurfaceSettings::of(wanted) };
+    let level = level_of(archive, &settings)?;
+    let has_spectrum = level == 0 && !archive.is_between();
+    let spectrum = if has_spectrum { archive.stored_spectrum()? } else { None };
     let stored = spectrum.as_ref().and_then(|file| file.active(isovalue));
     let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
     let active_tetrahedra = match stored {
         Some(n) => n,
         None => {
-            let (n, bytes) = decoded_count(archive, isovalue, cancel)?;
+            let (n, bytes) = decoded_count(archive, level, isovalue, &settings)?;
             bytes_read += bytes;
             n
         }
@@ -58,25 +61,30 @@ pub(in crate::pipeline) fn count(
         isovalue: wanted,
         active_tetrahedra,
         tetrahedra: archive.manifest.counts.tetrahedra,
+        level: archive.is_pyramid().then_some(level),
         stored: stored.is_some(),
         bytes_read,
     })
 }
 
 /// Decodes the active blocks, and counts their active tetrahedra; also returns the bytes read.
-fn decoded_count(archive: &StepView, isovalue: f32, cancel: &CancelToken) -> Result<(u64, u64)> {
-    let (index, read_before) = (archive.ranges()?, archive.bytes_read());
-    let refs = index.query_any(&[isovalue])?;
+fn decoded_count(
+    archive: &StepView,
+    level: usize,
+    isovalue: f32,
+    settings: &SurfaceSettings,
+) -> Result<(u64, u64)> {
+    let read_before = archive.bytes_read();
+    let ActiveWork { work, index_bytes } = work_of(archive, settings, level, None)?;
     let count = |work: &ChunkWork| {
-        cancel.check()?;
+        settings.resources.cancel.check()?;
         match work.cells {
-            Some(_) => crossed_cells(archive, work, isovalue, cancel),
+            Some(_) => crossed_cells(archive, level, work, isovalue),
             None => count_in_chunk(archive, work, isovalue),
         }
     };
-    let chunks = by_part(archive, by_chunk(archive, &refs)?)?;
-    let active = pool(0)?.install(|| chunks.par_iter().map(count).sum::<Result<u64>>())?;
-    Ok((active, index.bytes_read() + archive.bytes_read() - read_before))
+    let active = pool(0)?.install(|| work.par_iter().map(count).sum::<Result<u64>>())?;
+    Ok((active, index_bytes + archive.bytes_read() - read_before))
 }
 
 fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result<u64> {
@@ -148,6 +156,7 @@ fn report_of(
     let surfaces = describe(archive, &made.surfaces, &made.refined, &settings.isovalues, out);
     Ok(SurfaceReport {
         range: archive.file_range(),
+        level: archive.is_pyramid().then_some(made.level),
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),
@@ -159,7 +168,7 @@ fn report_of(
         tetrahedra: totals.tetrahedra,
         active_tetrahedra: surfaces.iter().map(|s| s.active_tetrahedra).sum(),
         surfaces,
-        blocks: archive.block_total(),
+        blocks: archive.manifest.counts.blocks,
         active_blocks: made.active_blocks,
         chunks: totals.chunks,
         active_chunks: made.active_chunks,
@@ -224,6 +233,7 @@ pub(in crate::pipeline) fn stream_surfaces(
 /// Surfaces, cut and refined, and what was read for them.
 pub(super) struct FinishedSurfaces {
     pub(super) surfaces: Vec<Extracted>,
+    level: usize,
     refined: Vec<RefineReport>,
     active_blocks: u64,
     active_chunks: u64,
@@ -236,6 +246,8 @@ pub(super) struct FinishedSurfaces {
 pub(super) struct Prepared<'a> {
     pub(super) view: &'a StepView,
     pub(super) work: Vec<ChunkWork>,
+    /// The level of a pyramid.
+    level: usize,
     /// The isovalues, as the archive has values.
     isovalues: Vec<f32>,
     cut: Option<Cut>,
@@ -259,24 +271,23 @@ impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Clock::start();
         expect_in_f32(archive)?;
+        let level = level_of(archive, settings)?;
         let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {
             expect_full_box(archive)?;
         }
         // Where the range of all values gives the answer, no index is needed.
-        let index = settings.can_answer(archive).then(|| archive.ranges()).transpose()?;
-        let work = match &index {
-            Some(index) => work_of(archive, index, settings, cut.as_ref())?,
-            None => vec![],
-        };
+        let found = settings.can_answer(archive).then(|| work_of(archive, settings, level, cut.as_ref()));
+        let ActiveWork { work, index_bytes } = found.transpose()?.unwrap_or_default();
         Ok(Self {
             view: archive,
             work,
+            level,
             isovalues: settings.kept(archive),
             cut,
             half_spaces,
             world: world_map(archive),
-            index_bytes: index.map_or(0, |i| i.bytes_read()),
+            index_bytes,
             opened: start.elapsed(),
         })
     }
@@ -287,7 +298,7 @@ impl<'a> Prepared<'a> {
             isovalues: &self.isovalues,
             cut: self.cut.as_ref(),
             world: self.world,
-            level: settings.level,
+            level: self.level,
             caps: settings.cap.then(|| self.view.manifest.plan.lattice.max()),
             work: &self.work,
             active_bytes: AtomicU64::new(0),
@@ -315,9 +326,11 @@ impl<'a> Prepared<'a> {
         let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
         Ok(FinishedSurfaces {
             surfaces,
+            level: self.level,
             refined,
             active_blocks: self.work.iter().map(|w| w.blocks.len() as u64).sum(),
-            active_chunks: self.work.len() as u64,
+            // A chunk may be several parts, one after another.
+            active_chunks: self.work.chunk_by(|a, b| a.chunk == b.chunk).count() as u64,
             bytes_read: self.index_bytes + effort.bytes_read,
             active_bytes: effort.active_bytes,
             seconds: vec![
@@ -368,44 +381,6 @@ fn expect_full_box(archive: &StepView) -> Result<()> {
     )))
 }
 
-/// The cut of surfaces as they are extracted; or half-spaces of the world, for a curvilinear grid.
-fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<(Option<Cut>, Option<Vec<HalfSpace>>)> {
-    let Some(mut roi) = settings.roi else { return Ok((None, None)) };
-    if roi.space == RoiSpace::World {
-        match world_box(archive, &roi, &settings.resources.cancel)? {
-            Some(WorldBox::HalfSpaces(half_spaces)) => return Ok((None, Some(half_spaces))),
-            Some(WorldBox::Index(same)) => roi = same,
-            None => {}
-        }
-    }
-    let source = &archive.step().plan.source;
-    let log2_steps = archive.manifest.plan.lattice.log2_steps;
-    let cut = roi.cut(&source.geometry, source.dims, log2_steps, world_map(archive).origin())?;
-    Ok((Some(cut), None))
-}
-
-/// The blocks that are read.
-fn work_of(
-    archive: &StepView,
-    index: &Ranges<'_>,
-    settings: &SurfaceSettings,
-    cut: Option<&Cut>,
-) -> Result<Vec<ChunkWork>> {
-    let isovalues = settings.kept(archive);
-    if settings.level > 0 {
-        let work = of_level(archive, settings.level)?;
-        return cut
-            .map_or_else(|| Ok(work.clone()), |cut| touching(archive, cut, settings.level, work.clone()));
-    }
-    let refs =
-        if settings.cap { with_inside(archive, index, &isovalues)? } else { index.query_any(&isovalues)? };
-    let work = by_part(archive, by_chunk(archive, &refs)?)?;
-    match cut {
-        Some(cut) => touching(archive, cut, 0, work),
-        None => Ok(work),
-    }
-}
-
 /// Isosurfaces in memory, in the order of the isovalues. They use the memory of `reused`, as far as
 /// it goes.
 pub(in crate::pipeline) fn surfaces_in_memory(
@@ -420,43 +395,6 @@ pub(in crate::pipeline) fn surfaces_in_memory(
         false => in_memory(archive, found.surface),
     };
     made.surfaces.into_iter().map(in_memory).collect()
-}
-
-/// The blocks that are active, and those inside of chunks at the ends of the domain.
-fn with_inside(archive: &StepView, index: &Ranges<'_>, isovalues: &[f32]) -> Result<Vec<Entry>> {
-    let ends = chunks_at_ends(archive)?;
-    let lowest = isovalues.iter().copied().fold(f32::INFINITY, f32::min);
-    let mut refs = index.query_any(isovalues)?;
-    // A chunk that is not there is named later.
-    refs.extend(index.query_inside(lowest, |id| ends.get(id as usize).copied().unwrap_or(true))?);
-    refs.sort_unstable_by_key(Entry::place);
-    refs.dedup_by_key(|e| e.place());
-    Ok(refs)
-}
-
-/// Whether a tetrahedron of a chunk may reach the ends of the domain, for each chunk.
-fn chunks_at_ends(archive: &StepView) -> Result<Vec<bool>> {
-    let domain = archive.chunks.bricks().lattice.domain();
-    let halo = estimate::Halo::of(&archive.manifest.plan);
-    if let Some(pyramid) = pyramid_of(archive.manifest.plan.points) {
-        let reaches_ends = |id: u64| {
-            let (cells, dims) = (cells_of(&pyramid, chunk_place(&pyramid, ChunkId(id))), pyramid.nodes(0));
-            (0..3).any(|a| cells[a].start == 0 || cells[a].end == dims[a] - 1)
-        };
-        return Ok((0..archive.chunks.len()).map(reaches_ends).collect());
-    }
-    let reaches_ends = |id: ChunkId| {
-        let core = archive.chunks.chunk(id).core;
-        let reaches = |retries| {
-            let region = estimate::region(&archive.points, &core, &domain, halo, retries);
-            (0..3).any(|a| region.lo[a] == domain.lo[a] || region.hi[a] == domain.hi[a])
-        };
-        archive.close_before(id);
-        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was
-        // widened.
-        Ok(reaches(0) || reaches(archive.mesh_sizes(id)?.retries))
-    };
-    (0..archive.chunks.len()).map(|id| reaches_ends(ChunkId(id))).collect()
 }
 
 /// Refines the surfaces, one after another.
@@ -477,33 +415,6 @@ fn refine_all(
         Ok((Extracted { surface, ..e }, report))
     };
     surfaces.into_iter().map(refine).collect()
-}
-
-/// The chunks with a tetrahedron that may touch the cut.
-fn touching(archive: &StepView, cut: &Cut, level: usize, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
-    let domain = archive.chunks.bricks().lattice.domain();
-    let halo = estimate::Halo::of(&archive.manifest.plan);
-    let touches = |id: ChunkId| {
-        let core = archive.chunks.chunk(id).core;
-        let reaches =
-            |retries| cut.may_touch_box(&estimate::region(&archive.points, &core, &domain, halo, retries));
-        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was
-        // widened.
-        Ok(reaches(0) || reaches(archive.mesh_sizes(id)?.retries))
-    };
-    let steps = archive.manifest.plan.lattice.log2_steps;
-    let stride = pyramid_of(archive.manifest.plan.points).map_or([1; 3], |pyramid| pyramid.stride(level));
-    let part_touches = |cells: &Cells| {
-        let at = |node: u64, a: usize| ((node as u32) * stride[a] as u32) << steps[a];
-        let lo = std::array::from_fn(|a| at(cells[a][0], a));
-        let hi = std::array::from_fn(|a| at(cells[a][1], a) + 1);
-        Ok(cut.may_touch_box(&LatticeBox { lo, hi }))
-    };
-    let keep = |w: ChunkWork| match w.cells.as_ref().map_or_else(|| touches(w.chunk), part_touches) {
-        Ok(touches) => touches.then_some(Ok(w)),
-        Err(e) => Some(Err(e)),
-    };
-    work.into_iter().filter_map(keep).collect()
 }
 
 /// Where surfaces are stored that are made from others. An eighth of the memory holds finished

@@ -6,8 +6,9 @@
 //! Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one
 //! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
 
+use super::extract::SurfaceStorage;
 use super::extract_steps::{MOST_STEPS, Pass};
-use super::query::{FinishedSurfaces, write_made};
+use super::query::{FinishedSurfaces, make, write_made};
 use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
 use crate::archive::manifest::Step;
 use crate::bytes::publish::{Unpublished, folder_of};
@@ -154,8 +155,18 @@ fn for_each_step(
     use_them: &mut Use<'_>,
 ) -> Result<()> {
     let mut positions = steps;
-    let mut reused = vec![];
+    let mut reused: Vec<Vec<TriMesh>> = vec![];
     while !positions.is_empty() {
+        let view = archive.step_at(positions.start);
+        if view.is_pyramid() {
+            // Its steps share nothing.
+            settings.resources.cancel.check()?;
+            let storage =
+                SurfaceStorage { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
+            reused.push(use_them(&view, make(&view, settings, storage, None, progress)?)?);
+            positions.start += 1;
+            continue;
+        }
         let views: Vec<StepView> = positions.clone().take(MOST_STEPS).map(|n| archive.step_at(n)).collect();
         let made = Pass::next(&views, settings, scratch)?.extract(settings, &mut reused, progress)?;
         for (view, made) in views.iter().zip(made) {

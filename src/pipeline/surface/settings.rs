@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::exec::Resources;
 use crate::formats::surface::SurfaceFormat;
 use crate::mesh::tet::is_active;
-use crate::pipeline::read::{Roi, StepView};
+use crate::pipeline::read::{LevelChoice, Roi, StepView};
 use crate::pipeline::stage::StageSeconds;
 use crate::render::ColourMap;
 use serde::Serialize;
@@ -28,9 +28,8 @@ pub struct SurfaceSettings {
     pub refine: Refine,
     /// A field whose values a surface file has at the vertices, with their colours.
     pub colour_by: Option<ColourBy>,
-    /// The level of a pyramid: 0 is the finest, each further one has half as many nodes along each
-    /// axis that is split.
-    pub level: usize,
+    /// The level of a pyramid; the finest if not given. Other archives have no levels.
+    pub level: Option<LevelChoice>,
     /// Threads, memory, scratch folder, and what stops it.
     pub resources: Resources,
 }
@@ -60,7 +59,7 @@ impl Default for SurfaceSettings {
             cap: false,
             refine: Refine::default(),
             colour_by: None,
-            level: 0,
+            level: None,
             resources: Resources::default(),
         }
     }
@@ -131,6 +130,9 @@ pub struct SurfaceReport {
     pub surfaces: Vec<OneSurface>,
     /// Least and largest value of the archive.
     pub range: Option<[f64; 2]>,
+    /// The level of a pyramid that answers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub level: Option<usize>,
     /// The box at which the surfaces were cut.
     pub roi: Option<Roi>,
     /// Vertices written.
@@ -209,6 +211,9 @@ pub struct CountReport {
     pub active_tetrahedra: u64,
     /// Tetrahedra of the archive.
     pub tetrahedra: u64,
+    /// The level of a pyramid, of whose cells as many are crossed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub level: Option<usize>,
     /// Whether the number was stored; otherwise the blocks of the isovalue were decoded.
     pub stored: bool,
     /// Bytes read for it: the spectrum's knots and a page of its levels; also index pages and

@@ -383,8 +383,7 @@ impl MadeChunk {
         let mut reader = ChunkReader::open(archive, id, std::mem::take(&mut buffers.reader))?;
         let Buffers { block, bench, .. } = buffers;
         let (mut known, mut joiner) = (vec![], Joiner::default());
-        let of_entries = archive.blocks_of(id);
-        let blocks = (0..).zip(&ranges).flat_map(|(n, range)| of_entries.of(n).map(move |n| (n, range)));
+        let blocks = (0..).zip(&ranges);
         reader.expect_all(blocks.clone().filter(|(_, range)| range.tets > 0).map(|(n, _)| n))?;
         for (n, of_block) in blocks {
             let mut found = None;

@@ -13,7 +13,8 @@ use std::sync::LazyLock;
 /// A place, or a direction, in the unit cube.
 type Place = [f64; 3];
 
-/// The shape of the cells in the world.
+/// The shape of a cell in the world.
+#[derive(Clone, Copy)]
 pub(super) struct World {
     /// Cross products of two edges each: what takes an area in the unit cube to one in the world,
     /// and a gradient to one in the world times the volume.

@@ -19,7 +19,9 @@ fn field(size: [usize; 3], axes: [[f64; 3]; 3], f: impl Fn([f64; 3]) -> f64) -> 
 }
 
 fn spectrum(values: &[f32], size: [usize; 3], axes: [[f64; 3]; 3]) -> Spectrum {
-    SpectrumBuilder::of_part(&ChunkPart::of_cells(values, size, axes, limits())).unwrap().spectrum()
+    SpectrumBuilder::of_part(&ChunkPart::of_cells(values, size, CellShapes::Even(axes), limits()))
+        .unwrap()
+        .spectrum()
 }
 
 fn near(got: f64, expected: f64, share: f64) -> bool {
@@ -116,7 +118,7 @@ proptest! {
 
     #[test]
     fn a_spectrum_is_a_sum_over_all_cells((values, size) in box_of_noise()) {
-        let part = ChunkPart::of_cells(&values, size, SHEARED, limits());
+        let part = ChunkPart::of_cells(&values, size, CellShapes::Even(SHEARED), limits());
         let bytes = part.encode(Digits::All);
         prop_assert_eq!(&ChunkPart::decode(&bytes, limits(), Digits::All).unwrap(), &part);
         let (cells, world) = (cells(&values, size), World::new(SHEARED));
@@ -151,7 +153,7 @@ proptest! {
         let (cut, plane) = (cut.min(nz - 1), nx * ny);
         let part = |z: std::ops::Range<usize>| {
             let size = [nx, ny, z.len()];
-            ChunkPart::of_cells(&values[z.start * plane..z.end * plane], size, SHEARED, limits())
+            ChunkPart::of_cells(&values[z.start * plane..z.end * plane], size, CellShapes::Even(SHEARED), limits())
         };
         let whole = SpectrumBuilder::of_parts(&[part(0..nz)], limits());
         let parts = SpectrumBuilder::of_parts(&[part(0..cut + 1), part(cut..nz)], limits());
@@ -171,7 +173,7 @@ proptest! {
     fn odd_values_give_numbers((values, size) in odd_box(prop::sample::select(
         vec![0.0, -0.0, 1.0, 1f32.next_up(), 1f32.next_down(), 1e-45, -1e-45, 1e-30, f32::MAX, f32::MIN, f32::NAN, f32::INFINITY],
     ))) {
-        let part = ChunkPart::of_cells(&values, size, UNIT, limits());
+        let part = ChunkPart::of_cells(&values, size, CellShapes::Even(UNIT), limits());
         let bytes = part.encode(Digits::All);
         prop_assert_eq!(ChunkPart::decode(&bytes, limits(), Digits::All).unwrap(), part.clone());
         for sum in part.measured.iter().flat_map(|m| m.sums.as_flattened()) {
@@ -182,9 +184,9 @@ proptest! {
 
 #[test]
 fn where_there_is_nothing_nothing_is_measured() {
-    let void = ChunkPart::of_cells(&[f32::NAN; 8], [2, 2, 2], UNIT, limits());
+    let void = ChunkPart::of_cells(&[f32::NAN; 8], [2, 2, 2], CellShapes::Even(UNIT), limits());
     assert_eq!((void.tetrahedra, void.measured.is_none()), (0, true));
-    let flat = ChunkPart::of_cells(&[3.0; 9], [3, 3, 1], UNIT, limits());
+    let flat = ChunkPart::of_cells(&[3.0; 9], [3, 3, 1], CellShapes::Even(UNIT), limits());
     assert_eq!(flat, void);
     let s = spectrum(&[7.0; 27], [3, 3, 3], SHEARED);
     assert_eq!((s.knots.len(), s.levels.count, s.tetrahedra), (0, 0, 8));

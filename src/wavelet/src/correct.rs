@@ -70,7 +70,8 @@ pub(crate) fn boxes(dims: [usize; 3]) -> impl Iterator<Item = Box3> {
     boxes_in(Box3::all(dims))
 }
 
-fn boxes_in(place: Box3) -> impl Iterator<Item = Box3> {
+/// Boxes of so many samples along each axis as a tile has, from the first of a box on, z slowest.
+pub(crate) fn boxes_in(place: Box3) -> impl Iterator<Item = Box3> {
     let [nx, ny, nz] = place.size.map(|n| n.div_ceil(TILE));
     (0..nx * ny * nz).map(move |i| {
         let at = [i % nx, i / nx % ny, i / nx / ny];

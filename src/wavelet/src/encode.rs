@@ -171,7 +171,8 @@ impl Sampling {
     pub fn new(boxes: &[(Vec<f32>, [usize; 3])], range: [f64; 2], delay: [u8; 3]) -> Result<Self> {
         let unit = Scale::new(range, range[1] - range[0])?;
         let all: usize = boxes.iter().map(|b| b.0.len()).sum();
-        let every = (all >> 20) + 1;
+        // An odd number: an even one would leave out whole bands.
+        let every = (all >> 18) | 1;
         let mut coefficients = vec![];
         for (samples, dims) in boxes {
             let transformed = Transformed::new(samples, *dims, &unit, delay);
@@ -276,7 +277,7 @@ impl Transformed {
 
     /// The step with which some of the coefficients have an error.
     fn guess(&self, range: [f64; 2], target: f64) -> Result<f64> {
-        let every = (self.window.samples.len() >> 18) + 1;
+        let every = (self.window.samples.len() >> 18) | 1;
         let some: Vec<f32> = self.window.samples.iter().copied().step_by(every).collect();
         guess(&some, &Scale::new(range, target)?)
     }

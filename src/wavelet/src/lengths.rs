@@ -4,9 +4,19 @@ use crate::error::{Error, Result};
 use crate::range_coder::{Coder, Decoder, Encoder, Odds};
 
 /// Odds of the number of bits of a length: after no bytes, and after some.
-type LengthOdds = [[Odds; 33]; 2];
+pub(crate) type LengthOdds = [[Odds; 33]; 2];
 
-fn length<C: Coder>(wanted: u32, before: usize, odds: &mut LengthOdds, coder: &mut C) -> Result<u32> {
+/// Those to begin with.
+pub(crate) fn new_odds() -> LengthOdds {
+    [[Odds::new(1 << 15); 33]; 2]
+}
+
+pub(crate) fn length<C: Coder>(
+    wanted: u32,
+    before: usize,
+    odds: &mut LengthOdds,
+    coder: &mut C,
+) -> Result<u32> {
     let bits = 32 - wanted.leading_zeros() as usize;
     let mut read = 0;
     while coder.bit(&mut odds[before.min(1)][read], bits > read) {
@@ -24,7 +34,7 @@ fn length<C: Coder>(wanted: u32, before: usize, odds: &mut LengthOdds, coder: &m
 
 /// The lengths as bytes.
 pub(crate) fn encode_lengths(lengths: &[u32]) -> Vec<u8> {
-    let (mut coder, mut odds, mut before) = (Encoder::default(), [[Odds::new(1 << 15); 33]; 2], 0);
+    let (mut coder, mut odds, mut before) = (Encoder::default(), new_odds(), 0);
     for wanted in lengths {
         length(*wanted, before, &mut odds, &mut coder).unwrap_or_else(|_| unreachable!());
         before = *wanted as usize;
@@ -41,7 +51,7 @@ pub(crate) struct Lengths<'a> {
 
 impl<'a> Lengths<'a> {
     pub(crate) fn new(bytes: &'a [u8]) -> Self {
-        Self { decoder: Decoder::new(bytes), odds: [[Odds::new(1 << 15); 33]; 2], before: 0 }
+        Self { decoder: Decoder::new(bytes), odds: new_odds(), before: 0 }
     }
 
     pub(crate) fn next(&mut self) -> Result<u32> {

@@ -1,6 +1,6 @@
 //! What tests of several files need: volumes to reduce, folders to compare, triangles as a set.
 
-use isospan::archive::manifest::Manifest;
+use isospan::archive::manifest::{MANIFEST_NAME, Manifest, pack_manifest};
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan::exec::{Progress, Silent};
 use isospan::formats::surface::{SurfaceFormat, read_surface};
@@ -295,6 +295,16 @@ pub(crate) fn shared_data() -> PathBuf {
 pub(crate) fn send_signal(process: u32, signal: rustix::process::Signal) -> bool {
     let process = i32::try_from(process).ok().and_then(rustix::process::Pid::from_raw);
     rustix::process::kill_process(process.expect("a number of a process"), signal).is_ok()
+}
+
+/// The manifest of an archive as JSON.
+pub(crate) fn manifest_json(archive: &Path) -> String {
+    Manifest::read(archive).unwrap().to_json()
+}
+
+/// Replaces the manifest of an archive by this JSON, with a good checksum.
+pub(crate) fn put_manifest(archive: &Path, json: &str) {
+    fs::write(archive.join(MANIFEST_NAME), pack_manifest(json)).unwrap();
 }
 
 /// Rewrites a segment, with good checksums, under another plan hash and with blocks changed by

@@ -13,8 +13,8 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, Step, StepChoice,
-    StepRange, SurfaceSettings,
+    self, Corners, ExportSettings, LevelChoice, MeasureSettings, ProbeSettings, Refine, RunSettings, Step,
+    StepChoice, StepRange, SurfaceSettings,
 };
 use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
 use pyo3::prelude::*;
@@ -94,8 +94,24 @@ impl Machine {
         Ok(RunSettings { resources: self.resources(py)?, ..RunSettings::default() })
     }
 
-    fn probe(&self, py: Python<'_>) -> PyResult<ProbeSettings> {
-        Ok(ProbeSettings { resources: self.resources(py)? })
+    fn probe(&self, py: Python<'_>, level: &LevelOf) -> PyResult<ProbeSettings> {
+        Ok(ProbeSettings { resources: self.resources(py)?, level: level_choice(py, level)? })
+    }
+}
+
+/// Which level of a pyramid is wanted: at most one of its number, a number of triangles, an error.
+type LevelOf = (Option<u32>, Option<u64>, Option<String>);
+
+fn level_choice(py: Python<'_>, level: &LevelOf) -> PyResult<Option<LevelChoice>> {
+    match level {
+        (None, None, None) => Ok(None),
+        (Some(level), None, None) => Ok(Some(LevelChoice::Level(*level))),
+        (None, Some(most), None) => Ok(Some(LevelChoice::Triangles(*most))),
+        (None, None, Some(text)) => {
+            let bound = grammar::error(text).map_err(|e| usage(py, format!("error: {e}")))?;
+            Ok(Some(LevelChoice::Error(bound)))
+        }
+        _ => Err(usage(py, "give one of level, triangles and error")),
     }
 }
 
@@ -111,7 +127,7 @@ pub(crate) struct Wanted {
     min_volume: Option<f64>,
     decimate: Option<f64>,
     decimate_error: Option<f64>,
-    level: usize,
+    level: LevelOf,
 }
 
 fn parsed<T: FromStr>(py: Python<'_>, text: Option<&String>) -> PyResult<Option<T>>
@@ -144,7 +160,7 @@ impl Wanted {
             roi: parsed(py, self.roi.as_ref())?,
             cap: self.cap,
             refine: self.refine(),
-            level: self.level,
+            level: level_choice(py, &self.level)?,
             ..SurfaceSettings::default()
         })
     }
@@ -250,9 +266,14 @@ impl Archive {
         to_python(py, &report)
     }
 
-    fn count(&self, py: Python<'_>, isovalue: f64, when: When) -> PyResult<u64> {
+    fn count(&self, py: Python<'_>, isovalue: f64, level: LevelOf, when: When) -> PyResult<u64> {
         let archive = self.at(py, when)?;
-        Ok(run(py, None, |cancel, _| archive.count_until(isovalue, cancel))?.active_tetrahedra)
+        let level = level_choice(py, &level)?;
+        let report = run(py, None, |cancel, _| match level {
+            None => archive.count_until(isovalue, cancel),
+            Some(level) => archive.count_at(isovalue, level, cancel),
+        })?;
+        Ok(report.active_tetrahedra)
     }
 
     /// Surfaces in memory, one for each isovalue.
@@ -324,30 +345,44 @@ impl Archive {
     }
 
     /// Values at points: three doubles each.
-    fn probe(&self, py: Python<'_>, points: &[u8], machine: Machine, when: When) -> PyResult<Numbers> {
+    fn probe(
+        &self,
+        py: Python<'_>,
+        points: &[u8],
+        level: LevelOf,
+        machine: Machine,
+        when: When,
+    ) -> PyResult<Numbers> {
         let archive = self.at(py, when)?;
         if !points.len().is_multiple_of(24) {
             return Err(usage(py, "a point is three numbers of 8 bytes"));
         }
-        let settings = machine.probe(py)?;
+        let settings = machine.probe(py, &level)?;
         let points: Vec<[f64; 3]> = bytemuck::pod_collect_to_vec(points);
         let values = run(py, None, |cancel, _| {
             archive.probe_with(
                 &points,
-                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) },
+                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()), ..settings },
             )
         })?;
         Ok(Numbers::new(values))
     }
 
     /// The field on a grid, x fastest.
-    fn sample(&self, py: Python<'_>, dims: [u64; 3], machine: Machine, when: When) -> PyResult<Numbers> {
+    fn sample(
+        &self,
+        py: Python<'_>,
+        dims: [u64; 3],
+        level: LevelOf,
+        machine: Machine,
+        when: When,
+    ) -> PyResult<Numbers> {
         let archive = self.at(py, when)?;
-        let settings = machine.probe(py)?;
+        let settings = machine.probe(py, &level)?;
         let values = run(py, None, |cancel, _| {
             archive.sample_with(
                 dims,
-                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) },
+                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()), ..settings },
             )
         })?;
         Ok(Numbers::new(values))
@@ -360,14 +395,16 @@ impl Archive {
         py: Python<'py>,
         out: PathBuf,
         dims: [u64; 3],
+        level: LevelOf,
         machine: Machine,
         when: When,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let archive = self.at(py, when)?;
-        let settings = machine.probe(py)?;
+        let settings = machine.probe(py, &level)?;
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) };
+            let resources = settings.resources.with_cancel(cancel.clone());
+            let settings = ProbeSettings { resources, ..settings };
             archive.write_samples(dims, &settings, &out, SampleFormat::from_path(&out)?, progress)
         })?;
         to_python(py, &report)
@@ -416,10 +453,12 @@ impl Archive {
         field: Option<String>,
         step: Option<u64>,
         map: Option<PathBuf>,
+        level: LevelOf,
         machine: Machine,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let settings = MeasureSettings { resources: machine.resources(py)?, step, map };
+        let (resources, level) = (machine.resources(py)?, level_choice(py, &level)?);
+        let settings = MeasureSettings { resources, level, step, map };
         let options = OpenOptions { field, ..OpenOptions::default() };
         let done = run(py, progress.as_ref(), |cancel, progress| {
             let settings = MeasureSettings {

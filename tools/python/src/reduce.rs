@@ -53,7 +53,7 @@ pub(crate) fn reduce<'py>(
             Some(volumes) => {
                 let mut steps = steps(volumes, &run, progress)?;
                 args.steps.tell(&mut steps)?;
-                let settings = args.choices.settings(&steps[0])?;
+                let settings = args.choices.settings(&steps)?;
                 (steps, settings)
             }
         };

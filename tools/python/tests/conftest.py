@@ -74,7 +74,7 @@ def field(shape=(18, 24, 20), time=0.0):
     return (np.sin(3 * x + time) + y * y - 0.5 * z + 0.1 * np.cos(9 * y * z)).astype(np.float32)
 
 
-def same_files(a, b, but=("manifest.json",)):
+def same_files(a, b, but=("manifest.zst",)):
     """Whether two archives have the same files with the same bytes, but for those that tell the
     source."""
     names = [sorted(p.relative_to(f) for p in Path(f).rglob("*") if p.is_file()) for f in (a, b)]
@@ -93,7 +93,7 @@ def folder(tmp_path_factory):
 def tooth(folder, program):
     """An archive of the tooth, made by the program."""
     path = folder / "tooth.isospan"
-    program("reduce", TOOTH, "-o", path, "--fraction", "1/64")
+    program("reduce", TOOTH, "-o", path, "--points", "regular", "--fraction", "1/64")
     return isospan.open(path)
 
 
@@ -104,5 +104,5 @@ def series(folder, program):
         np.save(folder / f"step_{n}.npy", field(time=n / 4))
     path = folder / "series.isospan"
     steps = [folder / f"step_{n}.npy" for n in range(3)]
-    program("reduce", *steps, "-o", path, "--fraction", "1/2", "--times", "0,0.5,2")
+    program("reduce", *steps, "-o", path, "--points", "regular", "--fraction", "1/2", "--times", "0,0.5,2")
     return isospan.open(path)

@@ -165,6 +165,45 @@ def test_samples_and_points(tooth, program, tmp_path):
     assert tooth.sample().shape == tooth.dims[::-1]
 
 
+def test_levels_of_a_pyramid(program, tmp_path):
+    np.save(tmp_path / "field.npy", field((50, 60, 64)))
+    pyramid = isospan.reduce(tmp_path / "field.npy", tmp_path / "a.isospan", points="pyramid")
+    levels = pyramid.info["pyramid"]
+    rms = levels[2]["rms"]
+    expected = pyramid.surface(0.2, level=2)
+    most = len(expected.faces)
+    for choice in ({"triangles": most}, {"error": rms}, {"error": str(rms)}):
+        np.testing.assert_array_equal(pyramid.surface(0.2, **choice).faces, expected.faces)
+        cells = program("count", pyramid.path, "-i", 0.2, "--level", 2, "--json")
+        assert pyramid.count(0.2, **choice) == cells["active_tetrahedra"]
+    assert pyramid.surface(0.2, triangles=most - 1).faces.shape[0] < most
+    report = pyramid.save_surface(tmp_path / "a.ply", 0.2, error=rms)
+    assert report["level"] == 2 and report["triangles"] == most
+    program("probe", pyramid.path, "--grid", "9,8,7", "--level", 2, "-o", tmp_path / "grid.npy")
+    grid = pyramid.sample((9, 8, 7), level=2)
+    np.testing.assert_array_equal(grid.astype(np.float32), np.load(tmp_path / "grid.npy"))
+    assert np.isnan(grid[-1]).all() and np.isfinite(grid[0, 0, 0])
+    place = pyramid.origin
+    assert pyramid.probe(place, error=rms)[0] == grid[0, 0, 0]
+    report = pyramid.save_samples(tmp_path / "saved.npy", (9, 8, 7), level=2)
+    assert (tmp_path / "saved.npy").read_bytes() == (tmp_path / "grid.npy").read_bytes()
+    assert report["outside"] == np.isnan(grid).sum()
+    measured = pyramid.measure(tmp_path / "field.npy", level=2)
+    assert measured["level"] == 2 and measured["rms"] <= rms <= 1.002 * measured["rms"]
+    with pytest.raises(isospan.UsageError, match="one of level, triangles and error"):
+        pyramid.surface(0.2, level=1, triangles=100)
+    with pytest.raises(isospan.UsageError, match="no level 99"):
+        pyramid.probe(place, level=99)
+    with pytest.raises(isospan.UsageError, match="error"):
+        pyramid.surface(0.2, error="much")
+
+
+def test_a_level_is_for_pyramids(tooth):
+    for choice in ({"level": 0}, {"triangles": 10}, {"error": 1.0}):
+        with pytest.raises(isospan.UsageError, match="is no pyramid"):
+            tooth.surface(ISOVALUE, **choice)
+
+
 def test_tetrahedra(tooth, program, tmp_path):
     program(
         "export",
@@ -189,7 +228,8 @@ def test_tetrahedra_of_several_fields(program, tmp_path):
         fields = {"T": (x * y + n).astype("f4"), "p": (z * x - n).astype("f4")}
         np.savez(tmp_path / f"s{n}.npz", **fields)
     inputs = [tmp_path / f"s{n}.npz" for n in range(2)]
-    program("reduce", *inputs, "-o", tmp_path / "f.isospan", "--fields", "T,p", "--times", "0,1")
+    program("reduce", *inputs, "-o", tmp_path / "f.isospan", "--fields", "T,p", "--times", "0,1",
+            "--points", "regular")
     archive = isospan.open(tmp_path / "f.isospan")
     for keywords, flags in [({"step": 1}, ["--step", 1]), ({"time": 0.25}, ["--time", 0.25])]:
         program("export", archive.path, "-o", tmp_path / "p.vtu", "--force", *flags)
@@ -262,7 +302,7 @@ def test_many_threads_ask_at_one_time(series):
 def test_a_check_is_stopped_by_ctrl_c(tmp_path):
     n = 96
     z, y, x = np.meshgrid(*[np.linspace(-9, 9, n, dtype="f4")] * 3, indexing="ij")
-    choices = {"fraction": "1/4", "chunk_points": 2000, "measure": False}
+    choices = {"points": "regular", "fraction": "1/4", "chunk_points": 2000, "measure": False}
     archive = isospan.reduce(np.sin(x) * np.cos(y) + z, tmp_path / "a.isospan", **choices)
     started = time.monotonic()
     archive.check()
@@ -276,7 +316,7 @@ def test_a_check_is_stopped_by_ctrl_c(tmp_path):
 
 
 def test_measure_against_arrays(tmp_path):
-    archive = isospan.reduce(field(), tmp_path / "a.isospan", fraction="1/4")
+    archive = isospan.reduce(field(), tmp_path / "a.isospan", points="regular", fraction="1/4")
     expected = archive.measure(field())
     assert expected["same_source"]
     assert {k: expected[k] for k in archive.info["error"]} == archive.info["error"]

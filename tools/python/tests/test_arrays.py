@@ -21,7 +21,7 @@ TYPES = ["u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8"]
 
 
 def made(array, folder, called, **choices):
-    choices = {"fraction": "1/4", "force": True, **choices}
+    choices = {"points": "regular", "fraction": "1/4", "force": True, **choices}
     return isospan.reduce(array, folder / f"{called}.isospan", **choices)
 
 
@@ -187,7 +187,7 @@ def test_places(tmp_path):
     assert archive.spacing == (0.5, 2, 1) and archive.origin == (10, 0, -5)
     z, y, x = (9, 12, 10)
     exact = made(
-        field(), tmp_path, "b", spacing=(0.5, 2, 1), origin=(10, 0, -5), fraction=1, values="sample"
+        field(), tmp_path, "b", spacing=(0.5, 2, 1), origin=(10, 0, -5), points="regular", fraction=1, values="sample"
     )
     found = exact.probe([10 + 0.5 * x, 2 * y, -5 + z])[0]
     assert abs(found - field()[z, y, x]) < 0.05
@@ -197,7 +197,7 @@ def test_a_surface_far_from_zero_has_doubles(tmp_path):
     places = {"near": (0, 0, 0), "far": (448_262.25, 5_411_932.5, 310)}
     surfaces = {}
     for name, origin in places.items():
-        archive = made(field(), tmp_path, name, spacing=(0.01,) * 3, origin=origin, fraction=1)
+        archive = made(field(), tmp_path, name, spacing=(0.01,) * 3, origin=origin, points="regular", fraction=1)
         surfaces[name] = archive.surface(sum(archive.range) / 2)
     near, far = surfaces["near"], surfaces["far"]
     assert (near.vertices.dtype, far.vertices.dtype) == (np.float32, np.float64)
@@ -223,8 +223,8 @@ def test_xarray(expected, tmp_path):
     lazy = made(data.chunk({"z": 5}), tmp_path, "lazy")
     np.testing.assert_array_equal(lazy.surface(0.25).vertices, archive.surface(0.25).vertices)
     # A coordinate that goes down: the same places have the same values.
-    down = made(data[::-1], tmp_path, "down", fraction=1, values="sample")
-    up = made(data, tmp_path, "up", fraction=1, values="sample")
+    down = made(data[::-1], tmp_path, "down", points="regular", fraction=1, values="sample")
+    up = made(data, tmp_path, "up", points="regular", fraction=1, values="sample")
     place = [(-1 + 2 * 6 / (nx - 1), 7, 5 + 2 * 4)]
     np.testing.assert_allclose(down.probe(place), up.probe(place), atol=0.05)
     # One of a file is read through xarray, box by box.
@@ -273,7 +273,7 @@ def test_units(tmp_path):
 
 def test_series_of_arrays(series, tmp_path):
     steps = [field(time=n / 4) for n in range(3)]
-    archive = made(steps, tmp_path, "a", fraction="1/2", times=(0, 0.5, 2))
+    archive = made(steps, tmp_path, "a", points="regular", fraction="1/2", times=(0, 0.5, 2))
     assert [s["time"] for s in archive.steps] == [0, 0.5, 2]
     for n in range(3):
         np.testing.assert_array_equal(
@@ -282,7 +282,7 @@ def test_series_of_arrays(series, tmp_path):
     data = xarray.DataArray(
         np.stack(steps), dims=("time", "z", "y", "x"), coords={"time": [0, 0.5, 2]}
     )
-    timed = made(data, tmp_path, "b", fraction="1/2")
+    timed = made(data, tmp_path, "b", points="regular", fraction="1/2")
     assert [s["time"] for s in timed.steps] == [0, 0.5, 2]
     longer = isospan.append(timed, field(time=1.0), times=[3])
     assert len(longer.steps) == 4
@@ -303,5 +303,5 @@ def test_exceptions_of_a_source_are_raised_as_they_are(tmp_path):
     with pytest.raises(Broken, match="no such block"):
         made(lazy, tmp_path, "a")
     assert (
-        not (tmp_path / "a.isospan").exists() or not (tmp_path / "a.isospan/manifest.json").exists()
+        not (tmp_path / "a.isospan").exists() or not (tmp_path / "a.isospan/manifest.zst").exists()
     )

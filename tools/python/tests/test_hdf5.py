@@ -13,7 +13,7 @@ from conftest import ROOT
 from test_arrays import made
 
 # Every sample a point, with its own value.
-EXACT = {"fraction": 1, "points": "regular", "values": "sample", "value_bits": "exact"}
+EXACT = {"fraction": 1, "points": "regular", "values": "sample"}
 CORPUS = ["types_earliest", "types_latest", "layouts_earliest", "layouts_latest", "chunks"]
 
 

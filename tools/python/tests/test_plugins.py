@@ -52,16 +52,16 @@ def test_pyvista_writes_archives(tmp_path):
     pyvista.register_writer(".isospan", writer.write, override=True)
     for suffix, grid in grids().items():
         names = grid.array_names
-        grid.save(tmp_path / f"{suffix}.isospan", fraction="1/4", scratch=tmp_path)
-        given = isospan.reduce(grid, tmp_path / "given.isospan", fraction="1/4", force=True)
+        grid.save(tmp_path / f"{suffix}.isospan", points="regular", fraction="1/4", scratch=tmp_path)
+        given = isospan.reduce(grid, tmp_path / "given.isospan", points="regular", fraction="1/4", force=True)
         assert same_files(tmp_path / f"{suffix}.isospan", given.path)
-        again = isospan.reduce(grid, given.path, fraction="1/4")
+        again = isospan.reduce(grid, given.path, points="regular", fraction="1/4")
         assert again.report["made_before"]
         # The file that PyVista itself writes gives the same field.
         grid.save(tmp_path / f"grid.{suffix}")
         source = tmp_path / f"grid.{suffix}"
         stored = isospan.reduce(
-            source, tmp_path / "stored.isospan", fraction="1/4", field="density", force=True
+            source, tmp_path / "stored.isospan", points="regular", fraction="1/4", field="density", force=True
         )
         assert (given.dims, given.spacing, given.origin) == (
             stored.dims,
@@ -81,21 +81,21 @@ def test_pyvista_writes_archives(tmp_path):
 def test_images_of_pyvista_keep_their_place_and_their_fields(tmp_path):
     image = grids()["vti"]
     image.direction_matrix = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    archive = isospan.reduce(image, tmp_path / "turned.isospan", fraction="1/4")
+    archive = isospan.reduce(image, tmp_path / "turned.isospan", points="regular", fraction="1/4")
     np.testing.assert_array_equal(archive.direction, image.direction_matrix)
     assert archive.info["source"] == "density"
     for corner in (0, image.n_points - 1):
         assert np.isfinite(archive.probe(image.GetPoint(corner))).all()
     # An extent that begins elsewhere.
     part = grids()["vti"].extract_subset([2, 12, 1, 9, 0, 7], rebase_coordinates=False)
-    archive = isospan.reduce(part, tmp_path / "part.isospan", fraction="1/4")
+    archive = isospan.reduce(part, tmp_path / "part.isospan", points="regular", fraction="1/4")
     assert archive.origin == tuple(part.points[0]) == (11, 2, -5)
-    other = isospan.reduce(image, tmp_path / "other.isospan", fraction="1/4", field="other")
+    other = isospan.reduce(image, tmp_path / "other.isospan", points="regular", fraction="1/4", field="other")
     low, high = isospan.open(tmp_path / "turned.isospan").range
     assert other.range == (-high, -low)
     steps = [image, image.copy()]
     steps[1].point_data["density"] = image.point_data["density"] + np.float32(1)
-    series = isospan.reduce(steps, tmp_path / "series.isospan", fraction="1/4", times=[0, 1])
+    series = isospan.reduce(steps, tmp_path / "series.isospan", points="regular", fraction="1/4", times=[0, 1])
     assert series.at(step=1).range[0] > series.range[0]
     assert len(isospan.append(series, image, times=[2]).steps) == 3
 
@@ -105,8 +105,8 @@ def test_values_of_cells_are_those_of_the_file(tmp_path):
     image = pyvista.ImageData(dimensions=(nx + 1, ny + 1, nz + 1))
     image.cell_data["density"] = field().ravel()
     image.save(tmp_path / "cells.vti")
-    stored = isospan.reduce(tmp_path / "cells.vti", tmp_path / "stored.isospan", fraction="1/4")
-    given = isospan.reduce(image, tmp_path / "given.isospan", fraction="1/4")
+    stored = isospan.reduce(tmp_path / "cells.vti", tmp_path / "stored.isospan", points="regular", fraction="1/4")
+    given = isospan.reduce(image, tmp_path / "given.isospan", points="regular", fraction="1/4")
     assert given.dims == stored.dims == (nx, ny, nz)
     assert given.info["error"] == stored.info["error"] and given.origin == (0.5, 0.5, 0.5)
 
@@ -146,7 +146,7 @@ def test_paraview_with_vtk_alone(series, tooth):
     from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline as Pipeline
 
     reader = paraview_plugin.IsospanReader()
-    reader.SetFileName(f"{series.path}/manifest.json")
+    reader.SetFileName(f"{series.path}/manifest.zst")
     reader.AddIsovalue(0.25)
     reader.AddIsovalue(0.5)
     reader.UpdateInformation()
@@ -222,7 +222,7 @@ def test_dask_makes_the_bytes_of_reduce(tmp_path):
 
     import isospan.dask
 
-    here = isospan.reduce(TOOTH, tmp_path / "here.isospan", fraction="1/64", chunk_points=1000)
+    here = isospan.reduce(TOOTH, tmp_path / "here.isospan", points="regular", fraction="1/64", chunk_points=1000)
     heard = []
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
@@ -233,7 +233,7 @@ def test_dask_makes_the_bytes_of_reduce(tmp_path):
                 tmp_path / "there.isospan",
                 shards=5,
                 memory="256MiB",
-                fraction="1/64",
+                points="regular", fraction="1/64",
                 chunk_points=1000,
                 progress=lambda *told: heard.append(told),
             )

@@ -22,7 +22,10 @@ CHOICES = [
         {"fraction": "1/8", "points": "halton", "adapt": True},
         ["--fraction=1/8", "--points=halton", "--adapt"],
     ),
-    ({"fraction": 0.3, "values": "sample"}, ["--fraction=0.3", "--values=sample"]),
+    (
+        {"fraction": 0.3, "points": "regular", "values": "sample"},
+        ["--fraction=0.3", "--points=regular", "--values=sample"],
+    ),
     (
         {"count": 400, "points": "hammersley", "shift": 0.25},
         ["--count=400", "--points=hammersley", "--shift=0.25"],
@@ -32,10 +35,13 @@ CHOICES = [
     ({"size": "8KiB", "count": None}, ["--size=8KiB"]),
     ({"points": "pyramid"}, ["--points=pyramid"]),
     ({"points": "pyramid", "target_max": "2%"}, ["--points=pyramid", "--target-max=2%"]),
-    ({"value_bits": 10, "chunk_points": 500}, ["--value-bits=10", "--chunk-points=500"]),
     (
-        {"value_bits": "exact", "interp": "cubic", "measure": False},
-        ["--value-bits=exact", "--interp=cubic", "--no-measure"],
+        {"points": "regular", "value_bits": 10, "chunk_points": 500},
+        ["--points=regular", "--value-bits=10", "--chunk-points=500"],
+    ),
+    (
+        {"points": "halton", "value_bits": 12, "interp": "cubic", "measure": False},
+        ["--points=halton", "--value-bits=12", "--interp=cubic", "--no-measure"],
     ),
     (
         {"points": "hyperbolic-cross", "cross_r": (1, 1, 2), "threads": 1, "memory": "256MiB"},
@@ -100,7 +106,9 @@ def test_targets_have_the_bytes_of_the_program(
 def test_a_target_that_is_not_met_is_a_warning(volume, tmp_path):
     for _ in range(2):
         with pytest.warns(isospan.TargetNotMet, match="a.isospan: written, but .* not met"):
-            archive = isospan.reduce(volume, tmp_path / "a.isospan", target_rms="1e-9%")
+            archive = isospan.reduce(
+                volume, tmp_path / "a.isospan", points="hammersley", target_rms="1e-9%"
+            )
         assert archive.target_met is False and not archive.report["target"]["met"]
     with warnings.catch_warnings():
         warnings.simplefilter("error", isospan.TargetNotMet)
@@ -108,7 +116,7 @@ def test_a_target_that_is_not_met_is_a_warning(volume, tmp_path):
             isospan.reduce(volume, tmp_path / "b.isospan", size="100B")
         assert isospan.reduce(volume, tmp_path / "c.isospan", target_rms="5%").target_met is True
     assert isospan.open(tmp_path / "b.isospan").target_met is None
-    assert isospan.reduce(volume, tmp_path / "d.isospan").target_met is None
+    assert isospan.reduce(volume, tmp_path / "d.isospan", points="regular").target_met is None
 
 
 def test_progress_names_the_try(volume, tmp_path):
@@ -116,6 +124,7 @@ def test_progress_names_the_try(volume, tmp_path):
     isospan.reduce(
         volume,
         tmp_path / "a.isospan",
+        points="hammersley",
         target_rms="2%",
         progress=lambda stage, *_: heard.append(stage),
     )
@@ -148,7 +157,7 @@ def test_files_with_keywords_of_reading(program, tmp_path):
 
 def test_series_and_append(series, program, folder, tmp_path):
     steps = [folder / f"step_{n}.npy" for n in range(3)]
-    isospan.reduce(steps[:2], tmp_path / "a.isospan", fraction="1/2", times=(0, 0.5))
+    isospan.reduce(steps[:2], tmp_path / "a.isospan", points="regular", fraction="1/2", times=(0, 0.5))
     archive = isospan.append(tmp_path / "a.isospan", [steps[2]], times="2")
     assert [s["time"] for s in archive.steps] == [0, 0.5, 2]
     np.testing.assert_array_equal(
@@ -159,12 +168,12 @@ def test_series_and_append(series, program, folder, tmp_path):
 
 
 def test_force_and_made_before(volume, tmp_path):
-    first = isospan.reduce(volume, tmp_path / "a.isospan", fraction="1/4")
+    first = isospan.reduce(volume, tmp_path / "a.isospan", points="regular", fraction="1/4")
     assert not first.report["made_before"]
-    assert isospan.reduce(volume, tmp_path / "a.isospan", fraction="1/4").report["made_before"]
+    assert isospan.reduce(volume, tmp_path / "a.isospan", points="regular", fraction="1/4").report["made_before"]
     with pytest.raises(isospan.UsageError):
-        isospan.reduce(volume, tmp_path / "a.isospan", fraction="1/2")
-    isospan.reduce(volume, tmp_path / "a.isospan", fraction="1/2", force=True)
+        isospan.reduce(volume, tmp_path / "a.isospan", points="regular", fraction="1/2")
+    isospan.reduce(volume, tmp_path / "a.isospan", points="regular", fraction="1/2", force=True)
 
 
 def test_progress(volume, tmp_path):
@@ -181,8 +190,8 @@ def test_progress(volume, tmp_path):
         raise Stop
 
     with pytest.raises(Stop):
-        isospan.reduce(TOOTH, tmp_path / "c.isospan", fraction=1, progress=stop)
-    assert not (tmp_path / "c.isospan/manifest.json").exists()
+        isospan.reduce(TOOTH, tmp_path / "c.isospan", points="regular", fraction=1, progress=stop)
+    assert not (tmp_path / "c.isospan/manifest.zst").exists()
 
 
 @pytest.mark.usefixtures("ctrl_c")
@@ -193,7 +202,7 @@ def test_ctrl_c(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         isospan.reduce(TOOTH, tmp_path / "a.isospan", target_rms="0.1%")
     assert time.monotonic() - started < 20
-    assert not (tmp_path / "a.isospan/manifest.json").exists()
+    assert not (tmp_path / "a.isospan/manifest.zst").exists()
 
 
 def test_other_threads_go_on_meanwhile(tmp_path):
@@ -205,7 +214,7 @@ def test_other_threads_go_on_meanwhile(tmp_path):
 
     thread = threading.Thread(target=tick)
     thread.start()
-    isospan.reduce(TOOTH, tmp_path / "a.isospan", fraction="1/64")
+    isospan.reduce(TOOTH, tmp_path / "a.isospan", points="regular", fraction="1/64")
     end.set()
     thread.join()
     assert len(ticks) > 10

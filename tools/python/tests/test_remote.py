@@ -100,7 +100,7 @@ def test_a_forked_child_asks_the_server_too(serve):
 def test_a_question_reads_a_part_of_the_archive(tooth, serve):
     server, address = serve(Ranges)
     path = Path(tooth.path).with_name("fine.isospan")
-    fine = isospan.reduce(TOOTH, path, fraction="1/4", chunk_points=20_000, measure=False)
+    fine = isospan.reduce(TOOTH, path, points="regular", fraction="1/4", chunk_points=20_000, measure=False)
     roi = "40:44,40:44,80:84"
     there = isospan.open(address.replace("tooth.isospan", path.name)).surface(ISOVALUE, roi=roi)
     here = fine.surface(ISOVALUE, roi=roi)

@@ -16,7 +16,8 @@ pub(crate) mod tets;
 mod wave;
 
 use anatomy::Body;
-use isospan::formats::samples::{GridMeta, SampleFile, SampleFormat};
+use isospan::exec::CancelToken;
+use isospan::formats::samples::{GridMeta, SampleField, SampleFile, SampleFormat};
 use isospan::grid::Geometry;
 use isospan::{Error, Result};
 use std::fmt::Write as _;
@@ -180,10 +181,10 @@ fn seis_in(folder: &Path) -> Result<Made> {
 }
 
 fn write_grid(path: &Path, geometry: &Geometry, field: &str, samples: &[f32]) -> Result<()> {
-    let meta = GridMeta { dims: [GRID as u64; 3], geometry: *geometry, field: field.into(), offset: 0.0 };
-    let file = SampleFile::create(path, SampleFormat::Vti, &meta)?;
+    let meta = GridMeta::even([GRID as u64; 3], *geometry, SampleField::floats(field, 0.0));
+    let file = SampleFile::create(path, SampleFormat::Vti, &meta, false, None)?;
     file.write(0, samples)?;
-    file.publish()?;
+    file.publish(None, &CancelToken::default())?;
     Ok(())
 }
 

@@ -314,7 +314,6 @@ fn the_first_odds_are_those_of_the_point_sets() {
         (SetKind::Halton, 0.3),
         (SetKind::HyperbolicCross, 0.05),
         (SetKind::Regular, 0.05),
-        (SetKind::Bcc, 0.1),
     ];
     let mut sums = [[0.0; 2]; DECISIONS];
     for (kind, weight) in sets {

@@ -144,3 +144,63 @@ fn blosclz(stored: &[u8], out: &mut [u8]) -> std::result::Result<usize, String> 
         }
     }
 }
+
+/// Bytes of a block that is written, at most.
+const BLOCK: usize = 1 << 18;
+/// The level of zstd for what is written.
+const LEVEL: i32 = 3;
+
+/// Encodes bytes of elements of `typesize` bytes, less than 2^31 of them: blocks with their bytes
+/// shuffled, each one stream of zstd.
+pub(in crate::formats) fn encode(bytes: &[u8], typesize: usize) -> std::io::Result<Vec<u8>> {
+    // Other decoders refuse blocks that are larger than all.
+    let block = BLOCK.min(bytes.len()).max(1);
+    let blocks = bytes.len().div_ceil(block);
+    // Shuffled if elements have several bytes, not split, zstd.
+    let flags = u8::from(typesize > 1) | 16 | 4 << 5;
+    let mut out = vec![2, 1, flags, typesize as u8];
+    out.extend((bytes.len() as u32).to_le_bytes());
+    out.extend((block as u32).to_le_bytes());
+    // The length of all, and the places of the blocks, are known when they are there.
+    out.resize(16 + 4 * blocks, 0);
+    let (mut compressor, mut shuffled) = (zstd::bulk::Compressor::new(LEVEL)?, vec![]);
+    for (number, block) in bytes.chunks(block).enumerate() {
+        let at = out.len() as u32;
+        out[16 + 4 * number..][..4].copy_from_slice(&at.to_le_bytes());
+        shuffle(block, typesize, &mut shuffled);
+        let packed = compressor.compress(&shuffled)?;
+        // Of full length, a stream is stored as it is.
+        let stream = if packed.len() < block.len() { &packed } else { &shuffled };
+        out.extend((stream.len() as u32).to_le_bytes());
+        out.extend_from_slice(stream);
+    }
+    let all = out.len() as u32;
+    out[12..16].copy_from_slice(&all.to_le_bytes());
+    Ok(out)
+}
+
+/// The first bytes of all elements, then the second ones, and so on; what is left over at the end.
+fn shuffle(bytes: &[u8], typesize: usize, out: &mut Vec<u8>) {
+    out.clear();
+    let whole = bytes.len() / typesize * typesize;
+    for n in 0..typesize {
+        out.extend(bytes[..whole].iter().skip(n).step_by(typesize));
+    }
+    out.extend_from_slice(&bytes[whole..]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_encoded_is_decoded() {
+        for (typesize, count) in [(1, 5), (2, 300_000), (4, 100_000), (8, 65_537), (4, 0)] {
+            let bytes: Vec<u8> =
+                (0..count * typesize).map(|i: usize| ((i * i % 251) >> (i % 4)) as u8).collect();
+            let mut decoded = vec![];
+            decode(&encode(&bytes, typesize).unwrap(), bytes.len(), &mut decoded).unwrap();
+            assert!(decoded == bytes, "{typesize} {count}");
+        }
+    }
+}

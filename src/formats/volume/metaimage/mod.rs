@@ -6,6 +6,7 @@
 //! DimSize = 115 157 129              x fastest
 //! ElementType = MET_SHORT
 //! ElementSpacing = 1.366 1.366 2.5
+//! DistanceUnits = mm                 um, mm or cm
 //! Offset = -153.8 -150.4 -1434.5     or Position, or Origin: the first sample, in the world
 //! TransformMatrix = 1 0 0 0 1 0 0 0 1    the direction of each index axis, one after the other
 //! BinaryDataByteOrderMSB = False     or ElementByteOrderMSB
@@ -36,6 +37,7 @@ use crate::formats::shared::stream::{Codec, Tail, TextSlabs, sample_bytes};
 use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
+use crate::volume::units::{Unit, Units};
 use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
 use std::collections::HashMap;
 use std::path::Path;
@@ -103,6 +105,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let format = format!("MetaImage ({place}, {})", encoding.name());
     let mut info = plain_info(path, format, dims, scalar, header.geometry()?);
     info.assumed = Assumed::in_header([header.any(&SPACING).is_none(); 3]);
+    let unit = header.get("DistanceUnits").filter(|unit| ["um", "mm", "cm"].contains(unit));
+    info.units = Units::of_length(unit.and_then(Unit::length));
     frames::check_last(frames, options, |options| open(path, options))?;
     let (frame, fields) = frames::choose(path, frames, scalar, options)?;
     (info.field, info.fields) = (fields[frame as usize].clone(), fields);

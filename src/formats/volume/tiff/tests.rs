@@ -399,7 +399,7 @@ fn what_is_no_volume_is_named() {
     assert!(refusal(&write(&dir, "a.tif", &w.bytes)).contains("page 1"));
     let empty = tempfile::tempdir().unwrap();
     assert!(refusal(empty.path()).contains("none of these"));
-    std::fs::write(empty.path().join("manifest.json"), "{}").unwrap();
+    std::fs::write(empty.path().join("manifest.zst"), "{}").unwrap();
     assert!(refusal(empty.path()).contains("an isospan archive"));
 }
 

@@ -179,7 +179,7 @@ impl Inputs {
         let mut blocks = vec![];
         for chunk in (0..archive.chunks.len()).map(ChunkId) {
             let segment = archive.segment_of(chunk).unwrap();
-            blocks.extend(of_chunk(segment.of_mesh(), chunk));
+            blocks.extend(of_chunk(&segment.mesh, chunk));
             for step in 0..archive.manifest.steps.len() {
                 blocks.extend(of_chunk(&archive.values_of(step, chunk).unwrap(), chunk));
             }
@@ -196,7 +196,7 @@ impl Inputs {
 
 fn settings(fraction: f64, values: Values) -> ReduceSettings {
     let amount = Amount::Fraction(fraction);
-    ReduceSettings { amount, chunk_points: 1000, values, ..ReduceSettings::default() }
+    ReduceSettings { amount, chunk_points: 1000, values, ..ReduceSettings::exact(SetKind::Hammersley) }
 }
 
 /// How often a chunk was decoded, on average.
@@ -221,8 +221,8 @@ fn every_source_of_chunks_gives_the_archive_of_the_plain_file() {
         for name in ["a.zarr", "a.h5", "a.tif", "slices", "a.vti"] {
             let out = format!("{name}-{values:?}.isospan");
             let found = inputs.reduce(&[name], &settings, &out);
-            // For advice, for the range of values, and to make the archive.
-            assert_eq!(decodes(found.source_chunks), 3.0, "{name}");
+            // For advice, and to make the archive.
+            assert_eq!(decodes(found.source_chunks), 2.0, "{name}");
             assert_eq!(figures(found), of_plain, "{name}");
             inputs.assert_same(&plain, &out);
         }
@@ -242,7 +242,7 @@ fn workers_decode_their_part_alone_and_make_the_same_archive() {
         let times: Vec<f64> = (0..3).map(|n| decodes(work(n).source_chunks)).collect();
         assert!(times.iter().all(|t| *t > 0.0) && times.iter().sum::<f64>() < 2.5, "{name}: {times:?}");
         commit_shards(&out, &run, &Silent).unwrap();
-        let manifest = |archive: &str| fs::read(inputs.path(archive).join("manifest.json")).unwrap();
+        let manifest = |archive: &str| fs::read(inputs.path(archive).join("manifest.zst")).unwrap();
         assert!(manifest("shards.isospan") == manifest("whole.isospan"), "{name}");
         ["shards.isospan", "whole.isospan"].iter().for_each(|a| fs::remove_dir_all(inputs.path(a)).unwrap());
         let _ = fs::remove_dir_all(work_folder(&out));
@@ -258,7 +258,7 @@ fn steps_are_read_through_caches_and_so_are_those_that_are_added() {
     inputs.reduce(&["a.nrrd", "b.nrrd", "a.nrrd"], &settings, "plain.isospan");
     let found = inputs.reduce(&["a.h5", "b.zarr", "a.zarr"], &settings, "chunks.isospan");
     // Only the first step is read for advice.
-    assert!((2.0..3.0).contains(&decodes(found.source_chunks)));
+    assert!((1.0..2.0).contains(&decodes(found.source_chunks)));
     inputs.assert_same("plain.isospan", "chunks.isospan");
     inputs.reduce(&["a.zarr", "b.zarr"], &settings, "added.isospan");
     let out = inputs.path("added.isospan");

@@ -39,7 +39,9 @@ if TYPE_CHECKING:
         min_volume: float | None
         decimate: float | None
         decimate_error: float | None
-        level: int
+        level: int | None
+        triangles: int | None
+        error: float | str | None
         step: Which | None
         time: float | None
         threads: int
@@ -122,6 +124,13 @@ def _machine(threads: int, memory: Size | None, scratch: PathLike | None = None)
         "memory": None if memory is None else str(memory),
         "scratch": None if scratch is None else os.fspath(scratch),
     }
+
+
+def _level(
+    level: int | None, triangles: int | None, error: float | str | None
+) -> tuple[int | None, int | None, str | None]:
+    bound = error if error is None or isinstance(error, str) else repr(float(error))
+    return level, triangles, bound
 
 
 def place(path: PathLike) -> str:
@@ -264,17 +273,39 @@ class Archive:
 
     @overload
     def count(
-        self, isovalue: float, *, step: Which | None = ..., time: float | None = ...
+        self,
+        isovalue: float,
+        *,
+        level: int | None = ...,
+        triangles: int | None = ...,
+        error: float | str | None = ...,
+        step: Which | None = ...,
+        time: float | None = ...,
     ) -> int: ...
     @overload
     def count(
-        self, isovalue: Sequence[float], *, step: Which | None = ..., time: float | None = ...
+        self,
+        isovalue: Sequence[float],
+        *,
+        level: int | None = ...,
+        triangles: int | None = ...,
+        error: float | str | None = ...,
+        step: Which | None = ...,
+        time: float | None = ...,
     ) -> npt.NDArray[np.uint64]: ...
-    def count(self, isovalue, *, step=None, time=None):
-        """How many tetrahedra an isosurface crosses, exactly; an array for several isovalues."""
+    def count(
+        self, isovalue, *, level=None, triangles=None, error=None, step=None, time=None
+    ):
+        """How many tetrahedra an isosurface crosses, or cells of a pyramid, exactly; an array for
+        several isovalues.
+
+        level, triangles, error: which level of a pyramid, as for :meth:`surface`; triangles are
+            those of each isovalue.
+        """
+        chosen = _level(level, triangles, error)
         if np.ndim(isovalue) == 0:
-            return self._core.count(float(isovalue), (step, time))
-        counts = [self._core.count(float(v), (step, time)) for v in isovalue]
+            return self._core.count(float(isovalue), chosen, (step, time))
+        counts = [self._core.count(float(v), chosen, (step, time)) for v in isovalue]
         return np.array(counts, dtype=np.uint64)
 
     @overload
@@ -295,7 +326,9 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        level: int = 0,
+        level: int | None = None,
+        triangles: int | None = None,
+        error: float | str | None = None,
         step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
@@ -313,7 +346,11 @@ class Archive:
             large.
         decimate: keep this part of the triangles; decimate_error: as far as the surface moves by no
             more.
-        level: of a pyramid, the level: 0 is the finest.
+        level, triangles, error: which level of a pyramid; at most one of them is given. level: its
+            number, 0 is the finest. triangles: the finest whose surfaces have at most so many
+            triangles together, before components are chosen and triangles decimated. error: the
+            coarsest whose RMS error is at most so much, in units of the field, or a text such as
+            "1%", of the range of the samples.
         step, time: of a series, which step, by its number or the name of its field, or which time.
         threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or
             "50%"; half of what the process may use if not given.
@@ -329,7 +366,7 @@ class Archive:
             min_volume,
             decimate,
             decimate_error,
-            level,
+            _level(level, triangles, error),
         )
         cores = self._core.surfaces(wanted, _machine(threads, memory), (step, time))
         surfaces = [Surface(core) for core in cores]
@@ -337,7 +374,7 @@ class Archive:
 
     @staticmethod
     def _wanted(
-        isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, error, level
+        isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, far, level
     ):
         return {
             "isovalues": [float(v) for v in np.atleast_1d(isovalue)],
@@ -347,7 +384,7 @@ class Archive:
             "min_triangles": min_triangles,
             "min_volume": min_volume,
             "decimate": decimate,
-            "decimate_error": error,
+            "decimate_error": far,
             "level": level,
         }
 
@@ -364,7 +401,9 @@ class Archive:
         min_volume: float | None = None,
         decimate: float | None = None,
         decimate_error: float | None = None,
-        level: int = 0,
+        level: int | None = None,
+        triangles: int | None = None,
+        error: float | str | None = None,
         step: Which | None = None,
         time: float | None = None,
         steps: str | bool | None = None,
@@ -389,7 +428,7 @@ class Archive:
             min_volume,
             decimate,
             decimate_error,
-            level,
+            _level(level, triangles, error),
         )
         machine, out = _machine(threads, memory, scratch), os.fspath(path)
         with Reporter(progress) as callback:
@@ -407,15 +446,20 @@ class Archive:
         self,
         points: npt.ArrayLike,
         *,
+        level: int | None = None,
+        error: float | str | None = None,
         step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
         memory: Size | None = None,
     ) -> npt.NDArray[np.float64]:
-        """The field, linear in each tetrahedron, at points in world units: shape (n,), float64.
+        """The field at points in world units: shape (n,), float64. It is linear in each tetrahedron,
+        and that of a pyramid is trilinear between nodes.
 
         points: shape (n, 3), x, y, z; or one point of shape (3,), for an array of one value.
-        NaN outside of the domain, and where the source has no data.
+        level, error: which level of a pyramid, as for :meth:`surface`.
+        NaN outside of the domain, beyond the last nodes of the level, and where the source has no
+        data.
         """
         rows = np.ascontiguousarray(points, dtype="<f8")
         if rows.ndim == 1 and rows.shape == (3,):
@@ -424,12 +468,17 @@ class Archive:
             from ._errors import UsageError
 
             raise UsageError(f"points have the shape (n, 3), not {rows.shape}")
-        return np.asarray(self._core.probe(rows.tobytes(), _machine(threads, memory), (step, time)))
+        found = self._core.probe(
+            rows.tobytes(), _level(level, None, error), _machine(threads, memory), (step, time)
+        )
+        return np.asarray(found)
 
     def sample(
         self,
         dims: Sequence[int] | None = None,
         *,
+        level: int | None = None,
+        error: float | str | None = None,
         step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
@@ -439,11 +488,13 @@ class Archive:
         x].
 
         dims: samples along x, y, z, in this order; those of the source if not given.
+        level, error: which level of a pyramid, as for :meth:`surface`.
         The first and last sample of an axis lie on the domain's faces. NaN where the source has no
-        data.
+        data, and beyond the last nodes of the level.
         """
         nx, ny, nz = (int(n) for n in (self.dims if dims is None else dims))
-        found = self._core.sample([nx, ny, nz], _machine(threads, memory), (step, time))
+        chosen = _level(level, None, error)
+        found = self._core.sample([nx, ny, nz], chosen, _machine(threads, memory), (step, time))
         return np.asarray(found).reshape(nz, ny, nx)
 
     def save_samples(
@@ -451,6 +502,8 @@ class Archive:
         path: PathLike,
         dims: Sequence[int] | None = None,
         *,
+        level: int | None = None,
+        error: float | str | None = None,
         step: Which | None = None,
         time: float | None = None,
         threads: int = 0,
@@ -462,7 +515,10 @@ class Archive:
         grid = [int(n) for n in (self.dims if dims is None else dims)]
         with Reporter(progress) as callback:
             machine = _machine(threads, memory)
-            return self._core.save_samples(os.fspath(path), grid, machine, (step, time), callback)
+            chosen = _level(level, None, error)
+            return self._core.save_samples(
+                os.fspath(path), grid, chosen, machine, (step, time), callback
+            )
 
     def save_tetrahedra(
         self,
@@ -534,6 +590,8 @@ class Archive:
         field: str | None = None,
         step: int | None = None,
         map: PathLike | None = None,
+        level: int | None = None,
+        error: float | str | None = None,
         threads: int = 0,
         memory: Size | None = None,
         scratch: PathLike | None = None,
@@ -543,7 +601,8 @@ class Archive:
         --json`` prints it.
 
         against: the volume or mesh that the archive was made from, a path or an array, as for
-            :func:`isospan.reduce`. map: also write errors of bricks, .vti.
+            :func:`isospan.reduce`. map: also write errors of bricks, .vti. level, error: which level
+            of a pyramid, as for :meth:`surface`; samples beyond its last nodes are outside.
         The error that was measured when the archive was made is ``archive.info["error"]``.
         """
         with Reporter(progress) as callback:
@@ -551,7 +610,10 @@ class Archive:
             place = None if map is None else os.fspath(map)
             with plain(against, field, scratch) as found:
                 source = volume_or_path(found)
-                return self._core.measure(source, found.field, step, place, machine, callback)
+                chosen = _level(level, None, error)
+                return self._core.measure(
+                    source, found.field, step, place, chosen, machine, callback
+                )
 
     def check(self) -> None:
         """Verifies the whole archive; raises BadInputError that names the first thing that is

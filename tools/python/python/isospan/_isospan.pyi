@@ -5,6 +5,7 @@ from typing import Any, Callable, Sequence, TypeAlias
 
 _Path: TypeAlias = str | PathLike[str]
 _When: TypeAlias = tuple[int | str | tuple[int, str] | None, float | None]
+_Level: TypeAlias = tuple[int | None, int | None, str | None]
 _Callback: TypeAlias = Callable[[str, int, int, str], Any] | None
 _Report: TypeAlias = dict[str, Any]
 
@@ -73,7 +74,7 @@ class Archive:
     def info(self, when: _When) -> _Report: ...
     def value_range(self, when: _When) -> list[float] | None: ...
     def spectrum(self, when: _When) -> _Report: ...
-    def count(self, isovalue: float, when: _When) -> int: ...
+    def count(self, isovalue: float, level: _Level, when: _When) -> int: ...
     def surfaces(self, wanted: _Report, machine: _Report, when: _When) -> list[Surface]: ...
     def save_surfaces(
         self, out: _Path, wanted: _Report, machine: _Report, when: _When, progress: _Callback
@@ -81,10 +82,20 @@ class Archive:
     def save_series(
         self, out: _Path, wanted: _Report, machine: _Report, steps: str | None, progress: _Callback
     ) -> _Report: ...
-    def probe(self, points: bytes, machine: _Report, when: _When) -> Numbers: ...
-    def sample(self, dims: Sequence[int], machine: _Report, when: _When) -> Numbers: ...
+    def probe(
+        self, points: bytes, level: _Level, machine: _Report, when: _When
+    ) -> Numbers: ...
+    def sample(
+        self, dims: Sequence[int], level: _Level, machine: _Report, when: _When
+    ) -> Numbers: ...
     def save_samples(
-        self, out: _Path, dims: Sequence[int], machine: _Report, when: _When, progress: _Callback
+        self,
+        out: _Path,
+        dims: Sequence[int],
+        level: _Level,
+        machine: _Report,
+        when: _When,
+        progress: _Callback,
     ) -> _Report: ...
     def save_tetrahedra(
         self, out: _Path, part: _Report, machine: _Report, when: _When, progress: _Callback
@@ -95,6 +106,7 @@ class Archive:
         field: str | None,
         step: int | None,
         map: _Path | None,
+        level: _Level,
         machine: _Report,
         progress: _Callback,
     ) -> _Report: ...

@@ -86,7 +86,7 @@ def reduce(
     cross_r: Sequence[int] | str | None = None,
     interp: str | None = None,
     values: str | None = None,
-    value_bits: int | str | None = None,
+    value_bits: float | None = None,
     nan: float | str | None = None,
     missing: float | None = None,
     keyframes: int | None = None,
@@ -132,13 +132,14 @@ def reduce(
         its range.
     size, ratio: the bytes of the archive, "50MiB", or a share of those of the source, "5%" or
         "1/20"; ratio=20 is size="1/20".
+    lossless: keep the whole numbers of a volume as they are.
+        Without any of these five, a volume has an RMS error of 1 % of its range. Where a target
+        cannot be met, the archive is made all the same: the warning ``isospan.TargetNotMet`` says
+        so, and ``archive.target_met`` is False.
     fraction, count: the number of points as a part of the samples (0.125, "1/8", "12.5%"), or
-        itself.
-        Without any of these six, fraction is 1/8. Where a target (one of the first four) cannot be
-        met, the archive is made all the same: the warning ``isospan.TargetNotMet`` says so, and
-        ``archive.target_met`` is False.
-    lossless: keep the whole numbers of a volume as they are; for points="pyramid".
-    points: "lattice", "samples", "pyramid", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt,
+        itself; 1/8 if not given. They are for points of a volume, and for meshes.
+    points: "pyramid", "hammersley", "halton", "hyperbolic-cross" or "regular"; a volume becomes a
+        pyramid of all its samples, a mesh Hammersley points, if not given. adapt,
         focus=(lo, hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
         chunk_points, and for files field, channel, scale, value_file, dims, type, endian, offset,
         io: as the flags of ``isospan reduce``.
@@ -202,7 +203,7 @@ def append(
     scratch: PathLike | None = None,
     progress: Progress = None,
 ) -> Archive:
-    """Adds steps to an archive, on its mesh, and returns it, opened; as ``isospan append``.
+    """Adds steps to an archive and returns it, opened; as ``isospan append``.
 
     Arguments are as for :func:`reduce`; what is not given is as for the last step that is there. A
     step goes where its time lies; ``replace=True`` puts one in the place of that of the same time.

@@ -4,7 +4,7 @@
     import isospan.dask
 
     with Client("tcp://head:8786"):
-        archive = isospan.dask.reduce("scan.nrrd", "scan.isospan", fraction="1/8")
+        archive = isospan.dask.reduce("scan.nrrd", "scan.isospan")
 
 The archive has the bytes of that of ``isospan.reduce``. Source, archive and the folder of the plan
 lie in places that all workers see, and isospan is installed on the workers. A part may be made
@@ -49,9 +49,8 @@ def reduce(
 ) -> Archive:
     """Reduces a file, or the files of a series, on a cluster, and returns the archive, opened.
 
-    source: a path that all workers see, or a list of them. choices: as for :func:`isospan.reduce`,
-        but for a target (target_rms, target_max, size, ratio), which takes several reductions one
-        after another.
+    source: a path that all workers see, or a list of them. choices: as for :func:`isospan.reduce`.
+        A target may take several reductions, one after another.
     client: the cluster; the current client if not given. shards: parts of the work; four for each
         thread.
     threads, memory, scratch: of a part, on its worker. retries: how often a part that failed is

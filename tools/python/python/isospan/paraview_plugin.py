@@ -1,7 +1,7 @@
 """The ParaView plugin: in Tools, Manage Plugins, Load New, choose this file.
 
 ParaView's Python needs isospan: ``pvpython -m pip install isospan``, or a PYTHONPATH where it lies.
-Open the file ``manifest.json`` of an archive, or type the name of its folder. Port 0 is the
+Open the file ``manifest.zst`` of an archive, or type the name of its folder. Port 0 is the
 surfaces, port 1 the tetrahedra, which are empty unless they are asked for. With VTK alone the class
 is a source as any other. (ParaView imports a plugin by the name of its file: as paraview.py it
 would hide ParaView's own module.)
@@ -82,8 +82,8 @@ class IsospanReader(VTKPythonAlgorithmBase):
     @smdomain.filelist()
     @smhint.filechooser(extensions="isospan json", file_description="isospan archives")
     def SetFileName(self, path: str | None) -> None:
-        """The folder of the archive, or its file manifest.json."""
-        if path is not None and os.path.basename(path) == "manifest.json":
+        """The folder of the archive, or its file manifest.zst."""
+        if path is not None and os.path.basename(path) == "manifest.zst":
             path = os.path.dirname(path)
         if path != self._path:
             self._path = path

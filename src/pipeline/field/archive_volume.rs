@@ -1,0 +1,103 @@
+//! The samples of a pyramid as a volume, which is reduced like any other: point sets can be made
+//! from an archive when its source is gone.
+
+use super::export_grid::field_of;
+use crate::archive::manifest::MANIFEST_NAME;
+use crate::error::{Error, Result};
+use crate::formats::StepSource;
+use crate::formats::samples::push_samples;
+use crate::grid::IndexBox;
+use crate::pipeline::read::{OpenArchive, StepView};
+use crate::volume::chunked::ChunkSource;
+use crate::volume::memory::info_of;
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Samples along each axis of a part that is decoded at a time.
+const EDGE: u64 = 64;
+/// Bytes that decoding one takes: its nodes with margins, at several levels, and what is cached.
+const DECODING_BYTES: u64 = 16 * (EDGE + 20).pow(3);
+/// Bytes that all threads share: tiles, and the coarse levels.
+const SHARED_BYTES: u64 = 64 << 20;
+
+/// A step of a pyramid, as a source of samples.
+struct ArchiveVolume {
+    view: StepView,
+    info: VolumeInfo,
+    offset: f64,
+}
+
+impl ChunkSource for ArchiveVolume {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        [EDGE; 3]
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        DECODING_BYTES
+    }
+
+    fn index_bytes(&self) -> u64 {
+        SHARED_BYTES
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        out.clear();
+        let lo = at.map(|n| n * EDGE);
+        let hi = std::array::from_fn(|a| (lo[a] + EDGE).min(self.info.dims[a]));
+        let values = self.view.nodes(0, &IndexBox { lo, hi })?;
+        push_samples(out, self.info.field.scalar, self.offset, &values)
+    }
+}
+
+/// The steps at some positions of the manifest, as sources.
+///
+/// # Errors
+/// [`Error::Usage`] for an archive of tetrahedra, and for a grid with coordinates of its own;
+/// [`Error::BadInput`] for a damaged archive.
+pub(in crate::pipeline) fn archive_sources(
+    archive: &Arc<OpenArchive>,
+    positions: Range<usize>,
+) -> Result<Vec<StepSource>> {
+    let path = archive.path().display();
+    if !archive.is_pyramid() {
+        return Err(Error::usage(format!(
+            "{path} has tetrahedra: of archives, only pyramids are read as volumes; isospan probe --grid writes its \
+             field on a grid"
+        )));
+    }
+    if archive.coordinate_record().is_some() {
+        return Err(Error::usage(format!(
+            "{path} is of a grid with coordinates of its own, which would be lost: isospan export writes it as .vtr or \
+             .vts, which can be reduced"
+        )));
+    }
+    positions.map(|position| source_of(archive.step_at(position))).collect()
+}
+
+fn source_of(view: StepView) -> Result<StepSource> {
+    // A damaged archive is refused now.
+    view.pyramid()?;
+    let (step, of) = (view.step(), &view.step().plan.source);
+    let (name, time) = (view.path().display().to_string(), step.plan.time);
+    let kind = field_of(&view, 0);
+    let field = FieldInfo { name: step.field().to_owned(), scalar: kind.scalar, components: 1 };
+    let info = VolumeInfo {
+        path: view.path().to_path_buf(),
+        // What the world is of follows from the first word.
+        format: format!("{}, as an archive has it", of.format),
+        geometry: of.geometry,
+        units: of.units.clone(),
+        fields: vec![field.clone()],
+        data_files: vec![view.path().join(MANIFEST_NAME)],
+        field,
+        ..info_of(&name, of.dims, ScalarType::F32)
+    };
+    let identity = format!("isospan step {}", view.step_hash());
+    let volume = ArchiveVolume { info, offset: kind.offset, view };
+    Ok(StepSource::given_in_chunks(&name, Arc::new(volume), &identity, time))
+}
