@@ -4,7 +4,7 @@
 use crate::common::*;
 use isospan::formats::{OpenOptions, StepSource, open_volume};
 use isospan::grid::Geometry;
-use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
+use isospan::pipeline::{self, NanPolicy, ReduceSettings};
 use isospan::surface::check::{SurfaceReport, boundary_outside, check};
 use isospan::surface::extract::{ChunkSurface, CubeBench, GridBlock, marching_cubes};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
@@ -91,7 +91,7 @@ fn each_volume_reduces_to_a_sound_surface() {
         let input = folder.join(&e.file);
         let info = open_volume(&input, &options(&e)).unwrap().info().clone();
         let out = dir.path().join("v.isospan");
-        let settings = ReduceSettings { amount: Amount::Fraction(0.125), ..ReduceSettings::default() };
+        let settings = ReduceSettings::default();
         let report = pipeline::reduce_series(
             &[StepSource::new(&input, &options(&e))],
             &settings,
@@ -101,7 +101,7 @@ fn each_volume_reduces_to_a_sound_surface() {
         )
         .unwrap();
         let per_point = report.archive_bytes as f64 / report.points as f64;
-        assert!(per_point <= 20.0, "{}: {per_point} bytes a point", e.file);
+        assert!(per_point <= 4.0, "{}: {per_point} bytes a point", e.file);
         // The manifest's isovalues are stored values too.
         let isovalue = (f64::from(e.isovalue) * info.slope + info.intercept) as f32;
         let file = dir.path().join("v.ply");
@@ -127,7 +127,7 @@ fn samples_that_are_no_numbers_are_refused_or_masked() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("v.isospan");
     let reduce = |nan| {
-        let settings = ReduceSettings { nan, amount: Amount::Fraction(0.5), ..ReduceSettings::default() };
+        let settings = ReduceSettings { nan, ..ReduceSettings::default() };
         pipeline::reduce_series(
             &[StepSource::new(&input, &OpenOptions::default())],
             &settings,
