@@ -30,7 +30,7 @@ use std::sync::Arc;
 /// # fn main() -> isospan::Result<()> {
 /// # let folder = tempfile::tempdir().unwrap();
 /// # let path = folder.path().join("protein.isospan");
-/// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+/// # isospan::Reduction::of("datasets/ironprot.vtk").write(&path)?;
 /// let archive = Archive::open(&path)?;
 /// let [lo, hi] = archive.value_range().expect("the field has values");
 /// let isovalue = lo + 0.45 * (hi - lo);
@@ -165,7 +165,7 @@ impl Archive {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
     /// # let steps = vec![StepSource::from("datasets/ironprot.vtk"); 2];
-    /// # isospan::Reduction::of_steps(steps).count(20_000).write(&path)?;
+    /// # isospan::Reduction::of_steps(steps).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut triangles = vec![];
     /// archive.surfaces_of_steps(StepRange::default(), &SurfaceSettings::of(100.0), |_step, time, surfaces| {

@@ -24,7 +24,7 @@ use std::path::Path;
 /// let square = |i: usize| (i as f32 - 31.5).powi(2);
 /// let samples: Vec<f32> =
 ///     (0..64 * 64 * 64).map(|i| (square(i % 64) + square(i / 64 % 64) + square(i / 4096)).sqrt()).collect();
-/// let made = Reduction::of(volume_of("ball", [64; 3], samples)?).fraction(1.0 / 64.0).write(&path)?;
+/// let made = Reduction::of(volume_of("ball", [64; 3], samples)?).write(&path)?;
 /// assert!(made.error.unwrap().rms < 1.0);
 /// let mesh = Archive::open(&path)?.surface(20.0)?;
 /// assert!(mesh.triangles.len() > 1_000);

@@ -228,7 +228,8 @@ impl Step {
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// # let protein = isospan::Reduction::of("datasets/ironprot.vtk").count(20_000);
+    /// # protein.points(isospan::points::SetKind::Hammersley).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut active = 0;
     /// for chunk in archive.active(100.0)? {
@@ -298,7 +299,8 @@ impl Step {
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// # let protein = isospan::Reduction::of("datasets/ironprot.vtk").count(20_000);
+    /// # protein.points(isospan::points::SetKind::Hammersley).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let largest = ComponentFilter { largest: Some(1), ..ComponentFilter::default() };
     /// let surfaces = archive.surfaces(&SurfaceSettings {
@@ -332,7 +334,7 @@ impl Step {
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut shown = vec![];
     /// for isovalue in [80.0, 81.0, 82.0] {
@@ -440,7 +442,8 @@ impl Step {
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// # let protein = isospan::Reduction::of("datasets/ironprot.vtk").count(20_000);
+    /// # protein.points(isospan::points::SetKind::Hammersley).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut shown = TriMesh::default();
     /// let mut part = |part: &isospan::pipeline::SurfacePart<'_>| {
@@ -532,7 +535,7 @@ impl Step {
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let small = archive.sample([17, 17, 17])?;
     /// assert_eq!(small.len(), 17 * 17 * 17);

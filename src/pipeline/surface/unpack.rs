@@ -177,7 +177,8 @@ fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(Arc<OpenArchiv
 /// # fn main() -> isospan::Result<()> {
 /// # let folder = tempfile::tempdir().unwrap();
 /// # let path = folder.path().join("protein.isospan");
-/// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+/// # let protein = isospan::Reduction::of("datasets/ironprot.vtk").count(20_000);
+/// # protein.points(isospan::points::SetKind::Hammersley).write(&path)?;
 /// let before = Archive::open(&path)?.surface(100.0)?;
 /// let report = unpack(&path, &UnpackSettings { range: [80.0, 120.0], ..UnpackSettings::default() }, &Silent)?;
 /// assert!(report.files[0].tetrahedra > 0);
