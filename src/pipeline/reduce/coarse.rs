@@ -5,7 +5,7 @@ use crate::archive::segment::{PlanHash, SegmentKind, SegmentWriter};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::Layout;
-use crate::pipeline::read::{chunk_place, has_coarse_mask, index_box};
+use crate::pipeline::read::{chunk_place, has_coarse_mask};
 use isospan_wavelet::{Box3, Coarse, Mask, MaskBuilder, Pyramid, Scale};
 
 /// The samples of nodes that are missing, as a mask of these; no bytes if none is.
@@ -54,7 +54,7 @@ pub(super) fn make_coarse(
                 let (expected, got) = (format!("{} numbers", place.len()), values.len().to_string());
                 return Err(Error::bad_input(layout.low(segment), format!("chunk {}", id.0), expected, got));
             }
-            put(&mut low, &all, &values, &place);
+            all.copy_common(&mut low, &place, &values);
         }
     }
     let bytes = Coarse::encode(pyramid, scale, low).map_err(|e| too_fine(&e))?;
@@ -67,17 +67,6 @@ pub(super) fn make_coarse(
     }
     file.finish()?;
     Ok(())
-}
-
-/// Puts what a part has into an array over a larger box.
-pub(super) fn put<T: Copy>(values: &mut [T], to: &Box3, found: &[T], part: &Box3) {
-    let (to, part) = (index_box(to), index_box(part));
-    let width = part.dims()[0] as usize;
-    let rows = (part.lo[2]..part.hi[2]).flat_map(|z| (part.lo[1]..part.hi[1]).map(move |y| (y, z)));
-    for ((y, z), row) in rows.zip(found.chunks(width)) {
-        let at = to.offset([part.lo[0], y, z]);
-        values[at..at + width].copy_from_slice(row);
-    }
 }
 
 pub(super) fn too_fine(e: &isospan_wavelet::Error) -> Error {

@@ -14,7 +14,7 @@
 //! Memory decides in which parts a chunk is made, and that changes no byte.
 
 use super::build::{Build, SegmentSource, Segments};
-use super::coarse::{make_coarse, mask_of_nodes, put, too_fine};
+use super::coarse::{make_coarse, mask_of_nodes, too_fine};
 use super::encode::BadSteps;
 use super::encoded::EncodedChunk;
 use super::series::SeriesPlan;
@@ -32,7 +32,7 @@ use crate::measure::{BrickErrors, ErrorSums, Squares};
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::plan::{Shares, part_edge};
 use crate::pipeline::read::{
-    LevelNodes, StepView, bricks_of, index_box, pyramid_of, samples_of_level, scale_of,
+    LevelNodes, StepView, box3, bricks_of, index_box, pyramid_of, samples_of_level, scale_of,
 };
 use crate::pipeline::settings::NanPolicy;
 use crate::pipeline::stage::StageTimes;
@@ -105,7 +105,7 @@ impl MakeChunks for DetailMaker<'_> {
             let start = Instant::now();
             samples.iter_mut().for_each(|v| *v = work.scale.enter(f64::from(*v)));
             let made = encode_part(work.pyramid, work.scale, &part, samples).map_err(|e| too_fine(&e))?;
-            put(&mut low, &whole, &made.low, &work.pyramid.low_box(&part));
+            whole.copy_common(&mut low, &work.pyramid.low_box(&part), &made.low);
             tiles.extend(made.tiles);
             times.encode += start.elapsed();
         }
@@ -280,19 +280,19 @@ impl MakeChunks for RangeMaker<'_> {
             let mut decoded = self.view.uncorrected(0, &nodes)?;
             times.encode += start.elapsed();
             let start = Instant::now();
-            let own = index_box(&part);
+            let (around, own) = (box3(&nodes), index_box(&part));
             let samples = if corrects || self.measured { work.read(&nodes)? } else { vec![] };
             if corrects {
                 let corrected = self.correct(&nodes, &mut decoded, &samples);
                 let numbers = work.bad.note(0, work.number, corrected)?;
-                put(&mut corrections, &place, &cut(&numbers, &nodes, &own), &part);
+                place.copy_common(&mut corrections, &part, &around.values_of(&numbers, &part));
             }
             if self.view.leave_out_missing(0, &nodes, &mut decoded)? {
-                void += cut(&decoded, &nodes, &own).iter().filter(|v| v.is_nan()).count();
+                void += around.values_of(&decoded, &part).iter().filter(|v| v.is_nan()).count();
             }
             if self.measured {
-                let originals = cut(&samples, &nodes, &own);
-                let found = cut(&decoded, &nodes, &own);
+                let originals = around.values_of(&samples, &part);
+                let found = around.values_of(&decoded, &part);
                 let [nx, ny, _] = own.dims();
                 for (i, (original, value)) in originals.iter().zip(&found).enumerate() {
                     sums.add(*original, *value, || {
@@ -395,19 +395,6 @@ pub(in crate::pipeline) fn range_of_cells(
         }
     }
     (BlockRange { min: range[0], max: range[1], tets: count as u32 }, known)
-}
-
-/// What a box has of an array over a larger one.
-fn cut<T: Copy>(values: &[T], from: &IndexBox, part: &IndexBox) -> Vec<T> {
-    let mut found = Vec::with_capacity(part.len());
-    let width = part.dims()[0] as usize;
-    for z in part.lo[2]..part.hi[2] {
-        for y in part.lo[1]..part.hi[1] {
-            let at = from.offset([part.lo[0], y, z]);
-            found.extend_from_slice(&values[at..at + width]);
-        }
-    }
-    found
 }
 
 impl Build<'_> {

@@ -3,7 +3,6 @@
 use crate::error::{Error, Result};
 use crate::lengths::{Lengths, encode_lengths};
 use crate::pyramid::{Box3, TILE};
-use crate::refilter::each_row;
 use crate::tile::{decode_numbers, encode_numbers};
 
 /// Magnitudes of samples that are whole numbers: `f32` has each of them.
@@ -91,9 +90,7 @@ pub fn encode_corrections(chunk: &Box3, numbers: &[i32]) -> Result<Vec<u8>> {
     }
     let (mut lengths, mut rest) = (vec![], vec![]);
     for place in boxes_in(*chunk) {
-        let mut here = Vec::with_capacity(place.len());
-        each_row(chunk, &place, |at| here.extend_from_slice(&numbers[at..at + place.size[0]]));
-        let bytes = encode_numbers(place, here)?;
+        let bytes = encode_numbers(place, chunk.values_of(numbers, &place))?;
         lengths.push(bytes.len() as u32);
         rest.extend(bytes);
     }
@@ -120,17 +117,10 @@ pub fn decode_corrections(chunk: &Box3, bytes: &[u8], wanted: &Box3, numbers: &m
     for place in boxes_in(*chunk) {
         let (bytes, behind) = rest.split_at_checked(lengths.next()? as usize).ok_or(short.clone())?;
         rest = behind;
-        let here = place.cut(wanted);
-        if bytes.is_empty() || here.is_empty() {
+        if bytes.is_empty() || place.cut(wanted).is_empty() {
             continue;
         }
-        let found = decode_numbers(place, bytes)?.numbers;
-        let (mut from, mut to) = (vec![], vec![]);
-        each_row(&place, &here, |at| from.push(at));
-        each_row(wanted, &here, |at| to.push(at));
-        for (from, to) in from.into_iter().zip(to) {
-            numbers[to..to + here.size[0]].copy_from_slice(&found[from..from + here.size[0]]);
-        }
+        wanted.copy_common(numbers, &place, &decode_numbers(place, bytes)?.numbers);
     }
     lengths.finish()?;
     if rest.is_empty() { Ok(()) } else { Err(Error::Damaged("bytes behind the corrections")) }

@@ -11,7 +11,6 @@ use crate::lengths::Lengths;
 use crate::levels::{Levels, TileSource};
 use crate::pyramid::{Box3, Pyramid};
 use crate::quantise::Scale;
-use crate::refilter::each_row;
 use crate::tile::{Part, Tile, TileId, decode_numbers, tiles_of};
 use crate::top::decode_top;
 
@@ -147,16 +146,13 @@ impl<'a> Compressed<'a> {
             if here.is_empty() {
                 continue;
             }
-            let numbers = decode_numbers(*place, bytes)?.numbers;
-            let (mut from, mut to) = (vec![], vec![]);
-            each_row(place, &here, |at| from.push(at));
-            each_row(wanted, &here, |at| to.push(at));
-            for (from, to) in from.into_iter().zip(to) {
-                let numbers = &numbers[from..from + here.size[0]];
-                for (sample, number) in samples[to..to + here.size[0]].iter_mut().zip(numbers) {
+            let numbers = place.values_of(&decode_numbers(*place, bytes)?.numbers, &here);
+            let mut rows = numbers.chunks(here.size[0]);
+            wanted.each_row(&here, |at| {
+                for (sample, number) in samples[at..].iter_mut().zip(rows.next().unwrap_or_default()) {
                     *sample = self.correction.correct(*sample, *number);
                 }
-            }
+            });
         }
         match samples.iter().all(|s| s.is_finite()) {
             true => Ok(()),

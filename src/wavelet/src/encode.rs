@@ -9,7 +9,6 @@ use crate::error::{Error, Result};
 use crate::lengths::encode_lengths;
 use crate::pyramid::{Box3, Pyramid};
 use crate::quantise::Scale;
-use crate::refilter::each_row;
 use crate::tile::{Tile, encode_numbers, tiles_of};
 use crate::top::encode_top;
 use crate::transform::{Scratch, Window};
@@ -48,13 +47,6 @@ pub struct Settings {
     pub delay: Option<[u8; 3]>,
 }
 
-/// Samples of a box of an array.
-fn cut(samples: &[f32], dims: [usize; 3], part: &Box3) -> Vec<f32> {
-    let mut found = Vec::with_capacity(part.len());
-    each_row(&Box3::all(dims), part, |at| found.extend_from_slice(&samples[at..at + part.size[0]]));
-    found
-}
-
 /// Compresses an array of samples, x fastest.
 pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Result<Vec<u8>> {
     let wanted = dims.iter().try_fold(1_usize, |n, d| n.checked_mul(*d));
@@ -86,7 +78,8 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
         if let Accuracy::Rms(error) = settings.accuracy {
             scale = Scale::new(range, transformed.guess(range, error)?)?;
         }
-        let tried: Vec<_> = boxes(dims).iter().map(|b| (cut(samples, dims, b), b.size)).collect();
+        let whole = Box3::all(dims);
+        let tried: Vec<_> = boxes(dims).iter().map(|b| (whole.values_of(samples, b), b.size)).collect();
         let delay = choose_delay(&tried, &scale)?;
         if delay != transformed.delay {
             transformed = Transformed::new(samples, dims, &scale, delay);
@@ -286,6 +279,7 @@ impl Transformed {
     /// the second of the steps.
     fn bounded(&self, samples: &[f32], scale: &Scale, by: Correction, bound: f64) -> Result<Vec<u8>> {
         let dims = self.pyramid.nodes(0);
+        let whole = Box3::all(dims);
         let mut best: Option<Vec<u8>> = None;
         for part in STEPS {
             let scale = Scale::near(scale.range, scale.in_samples(scale.step) * part / STEPS[1])?;
@@ -299,7 +293,7 @@ impl Transformed {
             let back = Compressed::new(&made.bytes(self, &scale), samples.len())?.level(0)?;
             made.correction = by;
             for place in correct::boxes(dims) {
-                let pairs = cut(samples, dims, &place).into_iter().zip(cut(&back, dims, &place));
+                let pairs = whole.values_of(samples, &place).into_iter().zip(whole.values_of(&back, &place));
                 let numbers = pairs.map(|(sample, back)| by.number(sample, back, bound)).collect();
                 let bytes = encode_numbers(place, numbers)?;
                 made.lengths.push(bytes.len() as u32);

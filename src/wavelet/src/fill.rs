@@ -5,7 +5,6 @@
 //! into each other, and depend on no more than samples near by: any window has the same ones.
 
 use crate::pyramid::Box3;
-use crate::refilter::each_row;
 
 /// Blocks have up to 2^LEVELS samples along each axis. Farther samples do not count.
 const LEVELS: usize = 5;
@@ -37,7 +36,7 @@ pub fn fill<E>(
             let (mut place, mut found) = (row, read(&row)?);
             for level in &mut levels[1..] {
                 (place, found) = halved(&place, &found);
-                level.put(&place, &found);
+                level.place.copy_common(&mut level.values, &place, &found);
             }
         }
     }
@@ -86,27 +85,10 @@ impl Means {
         Self { place, cells, values: vec![f32::NAN; place.len()] }
     }
 
-    /// Takes over what a box has of these.
-    fn put(&mut self, from: &Box3, values: &[f32]) {
-        let here = self.place.cut(from);
-        if here.is_empty() {
-            return;
-        }
-        let mut rows = vec![];
-        each_row(from, &here, |at| rows.push(at));
-        let mut rows = rows.into_iter();
-        each_row(&self.place, &here, |to| {
-            let width = here.size[0];
-            rows.by_ref().take(1).for_each(|at| {
-                self.values[to..to + width].copy_from_slice(&values[at..at + width]);
-            });
-        });
-    }
-
     /// Fills blocks of half the size in a part of a box with what lies between these.
     fn fill(&self, place: &Box3, values: &mut [f32], part: &Box3) {
         let (mut rows, width) = (vec![], part.size[0]);
-        each_row(place, part, |at| rows.push(at));
+        place.each_row(part, |at| rows.push(at));
         for (row, at) in rows.into_iter().enumerate() {
             let (y, z) = (part.start[1] + row % part.size[1], part.start[2] + row / part.size[1]);
             for (x, v) in values[at..at + width].iter_mut().enumerate().filter(|(_, v)| v.is_nan()) {
@@ -169,9 +151,7 @@ mod tests {
     }
 
     fn part(all: &[f32], place: &Box3) -> Vec<f32> {
-        let mut found = vec![];
-        each_row(&Box3::all(DIMS), place, |at| found.extend_from_slice(&all[at..at + place.size[0]]));
-        found
+        Box3::all(DIMS).values_of(all, place)
     }
 
     fn filled(all: &[f32], place: &Box3) -> Vec<f32> {
@@ -199,12 +179,8 @@ mod tests {
         let mut values = vec![f32::NAN; 1800];
         (0..6).for_each(|row| values[300 * row] = 1.0);
         let given = values.clone();
-        fill(dims, &Box3::all(dims), &mut values, 5.0, |b| {
-            let mut found = vec![];
-            each_row(&Box3::all(dims), b, |at| found.extend_from_slice(&given[at..at + b.size[0]]));
-            Ok::<_, ()>(found)
-        })
-        .unwrap();
+        let whole = Box3::all(dims);
+        fill(dims, &whole, &mut values, 5.0, |b| Ok::<_, ()>(whole.values_of(&given, b))).unwrap();
         assert!(values[..300].is_sorted() && values[..300].iter().all(|v| (1.0..=5.0).contains(v)));
         assert!(values[1] < 1.01 && values[299] == 5.0);
         let steepest = values[..300].windows(2).map(|v| v[1] - v[0]).fold(0.0, f32::max);

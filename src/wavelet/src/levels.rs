@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::error::Error;
 use crate::pyramid::{Box3, Pyramid, TILE};
 use crate::quantise::Scale;
-use crate::refilter::{REACH, each_row, refilter};
+use crate::refilter::{REACH, refilter};
 use crate::tile::{Tile, TileId};
 use crate::transform::{MARGIN, Scratch, Window};
 
@@ -65,14 +65,9 @@ impl Levels<'_> {
     /// Low coefficients of a level in a box: the transform undone, coarsest level first.
     fn low<S: TileSource>(&self, level: usize, wanted: &Box3, tiles: &mut S) -> Result<Vec<f32>, S::Error> {
         let p = self.pyramid;
-        let mut found = Vec::with_capacity(wanted.len());
         if level == p.coarsest() {
-            let place = Box3::all(p.nodes(level));
-            each_row(&place, wanted, |at| {
-                let row = &self.top[at..at + wanted.size[0]];
-                found.extend(row.iter().map(|n| self.scale.restored(*n)));
-            });
-            return Ok(found);
+            let numbers = Box3::all(p.nodes(level)).values_of(self.top, wanted);
+            return Ok(numbers.into_iter().map(|n| self.scale.restored(n)).collect());
         }
         let split = p.split(level + 1);
         let window = wanted.around(split, MARGIN).cut(&Box3::all(p.nodes(level)));
@@ -84,8 +79,7 @@ impl Levels<'_> {
         if window == *wanted {
             return Ok(work.samples);
         }
-        each_row(&window, wanted, |at| found.extend_from_slice(&work.samples[at..at + wanted.size[0]]));
-        Ok(found)
+        Ok(window.values_of(&work.samples, wanted))
     }
 
     /// The coefficients between a level and the finer one, into a window of the finer one.

@@ -7,7 +7,6 @@ use crate::error::{Error, Result};
 use crate::lengths::{LengthOdds, length, new_odds};
 use crate::pyramid::Box3;
 use crate::range_coder::{Coder, Decoder, Encoder, Odds};
-use crate::refilter::each_row;
 
 /// Neighbours that decide the odds of a bit: all are coded before it.
 const NEIGHBOURS: usize = 7;
@@ -126,7 +125,7 @@ impl MaskBuilder {
                 continue;
             }
             let mut missing = 0;
-            each_row(window, &place, |at| {
+            window.each_row(&place, |at| {
                 missing += values[at..at + place.size[0]].iter().filter(|v| v.is_nan()).count();
             });
             *mask = match missing {
@@ -134,7 +133,7 @@ impl MaskBuilder {
                 all if all == place.len() => BoxMask::All,
                 _ => {
                     let (mut bits, mut rows) = (Bits::new(place.size), vec![]);
-                    each_row(window, &place, |at| rows.push(at));
+                    window.each_row(&place, |at| rows.push(at));
                     for (n, from) in rows.into_iter().enumerate() {
                         let to = bits.at([0, n % place.size[1], n / place.size[1]]);
                         for x in 0..place.size[0] {
@@ -238,7 +237,7 @@ impl Mask {
                 _ => None,
             };
             let (mut rows, mut row) = (vec![], 0);
-            each_row(wanted, &nodes, |at| rows.push(at));
+            wanted.each_row(&nodes, |at| rows.push(at));
             for z in nodes.start[2]..nodes.end()[2] {
                 for y in nodes.start[1]..nodes.end()[1] {
                     for x in 0..nodes.size[0] {

@@ -88,6 +88,45 @@ impl Box3 {
         let end = |a: usize| self.end()[a].min(other.end()[a]);
         Self { start, size: std::array::from_fn(|a| end(a).saturating_sub(start[a])) }
     }
+
+    /// Calls with the place of each row of a part of the box in an array over the box.
+    pub(crate) fn each_row(&self, part: &Self, mut row: impl FnMut(usize)) {
+        let first: [usize; 3] = std::array::from_fn(|a| part.start[a] - self.start[a]);
+        for z in first[2]..first[2] + part.size[2] {
+            for y in first[1]..first[1] + part.size[1] {
+                row((z * self.size[1] + y) * self.size[0] + first[0]);
+            }
+        }
+    }
+
+    /// The values of a part of the box, of an array over the box; both x fastest.
+    ///
+    /// # Panics
+    /// If the part reaches out of the box, or the array is shorter than the box.
+    pub fn values_of<T: Copy>(&self, values: &[T], part: &Self) -> Vec<T> {
+        let mut found = Vec::with_capacity(part.len());
+        self.each_row(part, |at| found.extend_from_slice(&values[at..at + part.size[0]]));
+        found
+    }
+
+    /// Copies what an array over another box has of this one into an array over this one.
+    ///
+    /// # Panics
+    /// If an array is shorter than its box.
+    pub fn copy_common<T: Copy>(&self, values: &mut [T], other: &Self, of_other: &[T]) {
+        let (common, mut rows) = (self.cut(other), vec![]);
+        if common.is_empty() {
+            return;
+        }
+        other.each_row(&common, |at| rows.push(at));
+        let mut rows = rows.into_iter();
+        self.each_row(&common, |to| {
+            if let Some(from) = rows.next() {
+                let width = common.size[0];
+                values[to..to + width].copy_from_slice(&of_other[from..from + width]);
+            }
+        });
+    }
 }
 
 impl Pyramid {

@@ -39,7 +39,7 @@ pub(crate) fn refilter(
         let mut to = place;
         (to.start[axis], to.size[axis]) = (wanted.start[axis], wanted.size[axis]);
         values = match splits {
-            0 => crop(&values, &place, &to),
+            0 => place.values_of(&values, &to),
             _ => {
                 let finer = (0..level).rev().find(|l| pyramid.split(l + 1)[axis]).unwrap_or(0);
                 let line = Line {
@@ -70,22 +70,6 @@ impl Line {
             false => at,
         };
         at.clamp(0, last) as usize
-    }
-}
-
-fn crop(values: &[f32], from: &Box3, to: &Box3) -> Vec<f32> {
-    let mut found = Vec::with_capacity(to.len());
-    each_row(from, to, |at| found.extend_from_slice(&values[at..at + to.size[0]]));
-    found
-}
-
-/// Calls with the place of each row of `to` in an array over `from`.
-pub(crate) fn each_row(from: &Box3, to: &Box3, mut row: impl FnMut(usize)) {
-    let first: [usize; 3] = std::array::from_fn(|a| to.start[a] - from.start[a]);
-    for z in first[2]..first[2] + to.size[2] {
-        for y in first[1]..first[1] + to.size[1] {
-            row((z * from.size[1] + y) * from.size[0] + first[0]);
-        }
     }
 }
 

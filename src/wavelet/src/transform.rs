@@ -9,7 +9,6 @@
 //! coefficient depends on the samples in its window alone, and is the same bits on all machines.
 
 use crate::pyramid::{Band, Box3, Pyramid};
-use crate::refilter::each_row;
 use crate::tile::{Tile, TileId};
 use crate::vectors::with_vectors;
 
@@ -252,7 +251,7 @@ impl Window {
                 continue;
             }
             let mut numbers = Vec::with_capacity(here.len());
-            each_row(&part.place, &here, |at| {
+            part.place.each_row(&here, |at| {
                 numbers.extend(part.numbers[at..at + here.size[0]].iter().map(|n| restored(*n)));
             });
             self.put_band(&[split], band.high, &here, &numbers);
