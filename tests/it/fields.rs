@@ -146,20 +146,8 @@ fn each_step_has_all_fields() {
     for (field, isovalue) in [("T", "310"), ("p", "110000")] {
         for n in ["0", "1", "2"] {
             let (file, out) = (format!("v{n}.vti"), format!("{field}{n}.isospan"));
-            let args = [
-                "reduce",
-                "-q",
-                &file,
-                "-o",
-                &out,
-                "--field",
-                field,
-                "--points",
-                "halton",
-                "--fraction",
-                "1/2",
-            ];
-            assert_eq!(run(d, &args).0, 0);
+            let reduce = format!("reduce -q {file} -o {out} --field {field} --points halton --fraction 1/2");
+            assert_eq!(run(d, &reduce.split(' ').collect::<Vec<_>>()).0, 0);
             let alone = count(d, &out, &["-i", isovalue]);
             assert!(alone > 0);
             assert_eq!(count(d, "all.isospan", &["-i", isovalue, "--step", n, "--field", field]), alone);
@@ -214,20 +202,8 @@ fn fields_of_one_moment_become_those_of_steps() {
     let d = dir.path();
     both(d, "a.vti", 3.0);
     both(d, "b.vti", 4.0);
-    let reduce = [
-        "reduce",
-        "-q",
-        "a.vti",
-        "-o",
-        "a.isospan",
-        "--fields",
-        "T,p",
-        "--points",
-        "regular",
-        "--fraction",
-        "1/2",
-    ];
-    assert_eq!(run(d, &reduce).0, 0);
+    let reduce = "reduce -q a.vti -o a.isospan --fields T,p --points regular --fraction 1/2";
+    assert_eq!(run(d, &reduce.split(' ').collect::<Vec<_>>()).0, 0);
     let before = count(d, "a.isospan", &["-i", "110000", "--step", "p"]);
     let (code, _, errors) = run(d, &["append", "-q", "a.isospan", "b.vti", "--fields", "T,p"]);
     assert_eq!(code, 0, "{errors}");
@@ -314,22 +290,8 @@ fn an_export_of_fields_keeps_what_any_has() {
     let d = dir.path();
     let hole = |from: f64| move |x: f64, y: f64, z: f64| if x > from { f64::NAN } else { waves(x, y, z) };
     image(d, "a.vti", None, &[("T", &hole(0.4)), ("p", &hole(0.7))]);
-    let args = [
-        "reduce",
-        "-q",
-        "a.vti",
-        "-o",
-        "a.isospan",
-        "--fields",
-        "T,p",
-        "--points",
-        "regular",
-        "--fraction",
-        "1",
-        "--nan",
-        "mask",
-    ];
-    let (code, _, errors) = run(d, &args);
+    let reduce = "reduce -q a.vti -o a.isospan --fields T,p --points regular --fraction 1 --nan mask";
+    let (code, _, errors) = run(d, &reduce.split(' ').collect::<Vec<_>>());
     assert_eq!(code, 0, "{errors}");
     let export =
         |out: &str, more: &[&str]| json(d, &[&["export", "a.isospan", "-q", "-o", out][..], more].concat());
