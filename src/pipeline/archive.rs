@@ -100,7 +100,7 @@ impl Archive {
     }
 
     /// The same archive, whose steps cache up to about `bytes` bytes of decoded blocks each; 0 for
-    /// none.
+    /// none. A pyramid caches that much of its tiles (32 MiB at least), and as much of its nodes.
     #[must_use]
     pub fn keeping(self, bytes: usize) -> Self {
         Self { first: Step::of(self.open.step_at(0).keeping(bytes)), kept: bytes, ..self }

@@ -81,9 +81,9 @@ impl Step {
         self.view.step().plan.time
     }
 
-    /// Bytes of the blocks that are cached now.
+    /// Bytes that are cached now: of blocks, or of the tiles and nodes of a pyramid.
     pub fn kept_bytes(&self) -> usize {
-        self.view.cache.bytes()
+        self.view.kept_bytes()
     }
 
     /// What the archive holds; range, areas and suggestions are those of the step.
@@ -299,8 +299,7 @@ impl Step {
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # let protein = isospan::Reduction::of("datasets/ironprot.vtk").count(20_000);
-    /// # protein.points(isospan::points::SetKind::Hammersley).write(&path)?;
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let largest = ComponentFilter { largest: Some(1), ..ComponentFilter::default() };
     /// let surfaces = archive.surfaces(&SurfaceSettings {

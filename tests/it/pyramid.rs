@@ -12,6 +12,7 @@ use isospan::surface::TriMesh;
 use isospan::surface::check::check;
 use isospan::{Archive, Error};
 use std::path::Path;
+use std::process::Command;
 
 fn pyramid(target: Option<Target>) -> ReduceSettings {
     ReduceSettings { points: Some(SetKind::Pyramid), target, ..ReduceSettings::default() }
@@ -64,6 +65,58 @@ fn an_error_is_met_with_the_same_bytes_for_any_threads_and_memory() {
             archives.push(folder(&out));
         }
         assert!(archives.iter().all(|a| *a == archives[0]), "{dims:?}");
+    }
+}
+
+/// Blocks of samples with one value, and a slope between them.
+fn plateaus() -> StepSource {
+    let sample = |i: usize| [0, 100, 200][i % 60 / 20] + if i / 60 % 50 < 10 { (i % 20) as i16 } else { 0 };
+    let samples: Vec<i16> = (0..60 * 50 * 40).map(sample).collect();
+    isospan::volume_of("plateaus", [60, 50, 40], samples).unwrap().into()
+}
+
+#[test]
+fn an_isovalue_on_a_plateau_of_a_lossy_archive_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let made = |name: &str, target: Target| {
+        let out = dir.path().join(name);
+        let report = isospan::Reduction::of(plateaus()).target(target).write(&out).unwrap();
+        (Archive::open(&out).unwrap(), report.error.unwrap().rms)
+    };
+    let (coarse, error) = made("coarse.isospan", Target::Rms(Bound::OfRange(0.01)));
+    let found = coarse.plateau(100.0).unwrap().unwrap();
+    assert!(found.share > 0.15 && found.error == error && found.between.is_none(), "{found:?}");
+    assert_eq!(coarse.plateau(50.0).unwrap(), None);
+    // A value between whole numbers, once the error keeps these apart.
+    let (fine, _) = made("fine.isospan", Target::Rms(Bound::Value(0.1)));
+    let found = fine.plateau(100.0).unwrap().unwrap();
+    assert_eq!(found.between, Some(100.5));
+    assert_eq!(fine.plateau(100.5).unwrap(), None);
+    let (whole, _) = made("whole.isospan", Target::Lossless);
+    assert_eq!(whole.plateau(100.0).unwrap(), None);
+    let mut program = Command::new(env!("CARGO_BIN_EXE_isospan"));
+    program.current_dir(dir.path()).args(["surface", "coarse.isospan", "-i", "100", "-o", "s.ply"]);
+    let output = program.output().unwrap();
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && errors.contains("samples around the surface of 100 are"), "{errors}");
+}
+
+#[test]
+fn decoded_nodes_are_kept_for_the_next_surface() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("a.npy"), dir.path().join("a.isospan"));
+    write_npy(&input, [90, 80, 70], rough);
+    reduce(&input, &rms(0.01), &out, 2);
+    // Tiles around a box are kept in any case.
+    for (kept, most) in [(0, 48 << 20), (1 << 20, 50 << 20), (256 << 20, 256 << 20)] {
+        let open = Archive::open(&out).unwrap().keeping(kept);
+        assert_eq!(open.kept_bytes(), 0);
+        let first = open.surface(0.3).unwrap();
+        let bytes = open.kept_bytes();
+        assert!(bytes > 0 && bytes <= most, "{kept}: {bytes}");
+        assert!(open.surface(0.3).unwrap() == first);
+        // All that the surface needs was there.
+        assert!(kept < 256 << 20 || open.kept_bytes() == bytes, "{bytes}");
     }
 }
 

@@ -93,14 +93,13 @@ impl StepView {
         wanted: &IndexBox,
     ) -> Result<Arc<NodeWindow>> {
         let (of, key) = (self.pyramid()?, (level, key));
-        let bytes = |window: &Arc<NodeWindow>| 64 + 4 * window.values.len();
-        let known = lock(&of.windows).get(&key, bytes);
+        let known = lock(&of.windows).get(&key);
         if let Some(known) = known.filter(|known| known.place.intersect(wanted) == *wanted) {
             return Ok(known);
         }
         let found = Arc::new(NodeWindow { place: *wanted, values: self.nodes(level, wanted)? });
         if self.cache.most() > 0 {
-            lock(&of.windows).put(key, Arc::clone(&found), bytes(&found));
+            lock(&of.windows).put(key, Arc::clone(&found), 64 + 4 * found.values.len());
         }
         Ok(found)
     }
@@ -183,7 +182,7 @@ impl StepView {
             let (at, expected) = (format!("chunk {}, blocks", chunk.0), format!("at most {}", blocks + 1));
             return Err(Error::bad_input(file.segment().path(), at, expected, found.to_string()));
         }
-        if let Some(known) = lock(&of.masks).get(&chunk.0, mask_bytes) {
+        if let Some(known) = lock(&of.masks).get(&chunk.0) {
             return Ok(Some(known));
         }
         let mut bytes = vec![];
@@ -203,7 +202,7 @@ impl StepView {
         number: usize,
         block: &TileBlock,
     ) -> Result<Arc<StoredBlock>> {
-        if let Some(known) = lock(&of.blocks).get(&(chunk.0, number), block_bytes) {
+        if let Some(known) = lock(&of.blocks).get(&(chunk.0, number)) {
             return Ok(known);
         }
         let file = self.values_of(self.position(), chunk)?;
@@ -274,7 +273,7 @@ impl TileSource for Reader<'_> {
 
     fn tile(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, Found> {
         let (view, of) = (self.view, self.of);
-        if let Some(known) = lock(&of.tiles).get(&id, tile_bytes) {
+        if let Some(known) = lock(&of.tiles).get(&id) {
             return Ok(Some(known));
         }
         let tile = if id.level > of.pyramid.details() {

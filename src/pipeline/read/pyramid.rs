@@ -62,6 +62,12 @@ impl PyramidStep {
             windows: Mutex::new(Recent::new(of_nodes)),
         }
     }
+
+    /// Bytes that are cached now.
+    pub(super) fn cached_bytes(&self) -> usize {
+        let of_tiles = lock(&self.tiles).bytes() + lock(&self.blocks).bytes();
+        of_tiles + lock(&self.masks).bytes() + lock(&self.windows).bytes()
+    }
 }
 
 /// The bytes of a block, and where its tiles are in them.
@@ -73,34 +79,53 @@ pub(super) struct StoredBlock {
 /// What was used lately, in two generations: when the young one is full, it becomes the old one,
 /// and what was in that is forgotten.
 pub(super) struct Recent<K, V> {
-    young: HashMap<K, V>,
-    old: HashMap<K, V>,
-    bytes: usize,
+    young: Generation<K, V>,
+    old: Generation<K, V>,
     most: usize,
+}
+
+/// Values with their bytes, and the bytes of all.
+struct Generation<K, V> {
+    values: HashMap<K, (V, usize)>,
+    bytes: usize,
 }
 
 impl<K: std::hash::Hash + Eq + Copy, V: Clone> Recent<K, V> {
     fn new(most: usize) -> Self {
-        Self { young: HashMap::new(), old: HashMap::new(), bytes: 0, most }
+        let none = || Generation { values: HashMap::new(), bytes: 0 };
+        Self { young: none(), old: none(), most }
     }
 
-    pub(super) fn get(&mut self, key: &K, bytes: impl Fn(&V) -> usize) -> Option<V> {
-        if let Some(found) = self.young.get(key) {
+    fn bytes(&self) -> usize {
+        self.young.bytes + self.old.bytes
+    }
+
+    pub(super) fn get(&mut self, key: &K) -> Option<V> {
+        if let Some((found, _)) = self.young.values.get(key) {
             return Some(found.clone());
         }
-        let found = self.old.remove(key)?;
-        let size = bytes(&found);
-        self.put(*key, found.clone(), size);
+        let (found, bytes) = self.old.take(key)?;
+        self.put(*key, found.clone(), bytes);
         Some(found)
     }
 
     pub(super) fn put(&mut self, key: K, value: V, bytes: usize) {
-        if self.bytes + bytes > self.most / 2 && !self.young.is_empty() {
-            self.old = std::mem::take(&mut self.young);
-            self.bytes = 0;
+        self.young.take(&key);
+        if self.young.bytes + bytes > self.most / 2 && !self.young.values.is_empty() {
+            let young = Generation { values: HashMap::new(), bytes: 0 };
+            self.old = std::mem::replace(&mut self.young, young);
         }
-        self.bytes += bytes;
-        self.young.insert(key, value);
+        self.old.take(&key);
+        self.young.bytes += bytes;
+        self.young.values.insert(key, (value, bytes));
+    }
+}
+
+impl<K: std::hash::Hash + Eq, V> Generation<K, V> {
+    fn take(&mut self, key: &K) -> Option<(V, usize)> {
+        let found = self.values.remove(key)?;
+        self.bytes -= found.1;
+        Some(found)
     }
 }
 
@@ -203,10 +228,15 @@ mod tests {
         let mut recent = Recent::new(100);
         for i in 0..10 {
             recent.put(i, i, 10);
-            assert_eq!(recent.get(&0, |_| 10), Some(0), "{i}");
+            assert_eq!(recent.get(&0), Some(0), "{i}");
+            let kept = recent.young.values.len() + recent.old.values.len();
+            assert!(recent.bytes() == 10 * kept && recent.bytes() <= 100, "{i}");
         }
-        assert_eq!(recent.get(&1, |_| 10), None);
-        assert!(recent.young.len() + recent.old.len() <= 11);
+        assert_eq!(recent.get(&1), None);
+        // A value in the place of another counts once.
+        let before = recent.bytes();
+        recent.put(0, 7, 10);
+        assert_eq!((recent.get(&0), recent.bytes()), (Some(7), before));
     }
 
     #[test]

@@ -108,6 +108,11 @@ impl StepView {
         Self { cache: BlockCache::new(bytes), ..self }
     }
 
+    /// Bytes that are cached now.
+    pub(in crate::pipeline) fn kept_bytes(&self) -> usize {
+        self.cache.bytes() + self.pyramid.get().map_or(0, PyramidStep::cached_bytes)
+    }
+
     /// The whole archive.
     pub(in crate::pipeline) fn archive(&self) -> &Arc<OpenArchive> {
         &self.archive
