@@ -9,8 +9,9 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Count the tetrahedra that isosurfaces cross, or the cells of a pyramid.
+/// Count the cells that isosurfaces cross.
 ///
+/// Cells are the tetrahedra of points, and the cubes between the samples of a pyramid.
 /// The numbers are exact, and the surfaces are not extracted.
 /// Isovalues with few digits are looked up in the spectrum of a large archive, which takes a few
 /// kilobytes of reading; the JSON output has the number of bytes.

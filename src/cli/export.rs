@@ -13,13 +13,13 @@ use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Write the tetrahedra of an archive, or the samples of a pyramid, for other programs.
+/// Write the tetrahedra or the samples of an archive to a file.
 ///
 /// Tetrahedra are an unstructured grid, VTU or VTKHDF, with the values of each field at the points.
 /// A level of a pyramid is a grid of samples: VTI, NRRD, NIfTI, MetaImage or NPY; VTR and VTS of a
 /// grid with coordinates. OME-Zarr has it and all coarser levels, and several steps. Where the
-/// archive keeps whole numbers without loss, samples have the
-/// source's type; else they are float32, or float64 where values are counted from an offset.
+/// archive keeps whole numbers without loss, samples have the source's type; else they are float32,
+/// or float64 where values are counted from an offset.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan export scan.isospan -o scan.vtu --compress\n  isospan export scan.isospan -o skin.vtu --range 300:500\n  isospan export flow.isospan -o flow3.vtu --step 3 --fields T,p\n  isospan export brain.isospan -o brain.nii.gz\n  isospan export brain.isospan -o brain.ome.zarr\n  isospan export brain.isospan -o small.nrrd --level 2 --roi 40:200,40:200,:"
