@@ -24,7 +24,7 @@ pub const UNDO_LOW: f32 = HIGH;
 pub const UNDO_HIGH: f32 = LOW;
 
 /// Lines that are transformed at a time.
-const W: usize = 16;
+const W: usize = 32;
 type Row = [f32; W];
 
 /// Working space of a transform.
