@@ -29,6 +29,8 @@ pub(in crate::pipeline) struct Sampled {
     pub(in crate::pipeline) boxes: Vec<(Vec<f32>, [usize; 3])>,
     /// The part of these samples that is known.
     pub(in crate::pipeline) known: f64,
+    /// Samples of the volume.
+    pub(in crate::pipeline) samples: usize,
 }
 
 impl Sampled {
@@ -41,7 +43,8 @@ impl Sampled {
         reading: &Reading,
         cancel: &CancelToken,
     ) -> Result<Self> {
-        let boxes = boxes(source.info().dims);
+        let dims = source.info().dims;
+        let boxes = boxes(dims);
         let mut found: Vec<Vec<f32>> = boxes.iter().map(|b| vec![0.0; b.len()]).collect();
         let (missing, stand_in) = (reading.missing().map(|m| m as f32), reading.stand_in());
         let mut range = [f32::INFINITY, f32::NEG_INFINITY];
@@ -58,11 +61,16 @@ impl Sampled {
         }
         let range = (range[0] <= range[1]).then_some(range);
         let sizes = boxes.iter().map(|b| b.dims().map(|n| n as usize));
-        Ok(Self::new(reading, range, found.into_iter().zip(sizes).collect()))
+        Ok(Self::new(reading, dims, range, found.into_iter().zip(sizes).collect()))
     }
 
     /// Missing samples are refused later, where that is asked for.
-    fn new(reading: &Reading, range: Option<[f32; 2]>, mut boxes: Vec<(Vec<f32>, [usize; 3])>) -> Self {
+    fn new(
+        reading: &Reading,
+        dims: [u64; 3],
+        range: Option<[f32; 2]>,
+        mut boxes: Vec<(Vec<f32>, [usize; 3])>,
+    ) -> Self {
         let (mut all, mut missing) = (0, 0);
         let [min, max] = range.unwrap_or_default();
         for (values, dims) in &mut boxes {
@@ -82,7 +90,8 @@ impl Sampled {
             let Ok(()) = fill(*dims, &whole, values, min / 2.0 + max / 2.0, read);
         }
         let known = if missing < all { (all - missing) as f64 / all as f64 } else { 1.0 };
-        Self { range, boxes, known }
+        let samples = dims.iter().map(|&n| n as usize).fold(1, usize::saturating_mul);
+        Self { range, boxes, known, samples }
     }
 }
 
@@ -102,7 +111,8 @@ impl Sampled {
             VolumeSource::Chunked(chunks) => Box::new(ChunkedVolume::new(chunks, CACHE)),
             stream @ VolumeSource::Stream(_) => return Self::of(stream, reading, cancel),
         };
-        let (places, reader) = (boxes(reader.info().dims), reading.reader(reader));
+        let dims = reader.info().dims;
+        let (places, reader) = (boxes(dims), reading.reader(reader));
         let (mut range, mut found) = ([f32::INFINITY, f32::NEG_INFINITY], vec![]);
         for place in places {
             cancel.check()?;
@@ -112,7 +122,7 @@ impl Sampled {
             range = values.iter().fold(range, |[lo, hi], v| [lo.min(*v), hi.max(*v)]);
             found.push((values, place.dims().map(|n| n as usize)));
         }
-        Ok(Self::new(reading, (range[0] <= range[1]).then_some(range), found))
+        Ok(Self::new(reading, dims, (range[0] <= range[1]).then_some(range), found))
     }
 
     /// Fewer and smaller boxes, to try out more.

@@ -475,7 +475,8 @@ fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3
     let delay = match delay {
         Some(delay) => delay,
         None => {
-            let delay = choose_delay(&some, &Scale::new(range, step).map_err(refused)?).map_err(refused)?;
+            let scale = Scale::new(range, step).map_err(refused)?;
+            let delay = choose_delay(&some, &scale, found.samples).map_err(refused)?;
             if delay != [0; 3] {
                 sampling = Sampling::new(&found.boxes, range, delay).map_err(refused)?;
                 step = sampling.step(bound).map_err(refused)?;

@@ -13,6 +13,10 @@ const EDGE: usize = 64;
 const BOXES: usize = 8;
 /// A delay must be this much better than none: a box is not all of the samples.
 const BETTER: f64 = 0.97;
+/// An array with this many times the samples of its boxes is tried along steep axes alone.
+const MANY: usize = 2;
+/// Differences between neighbours along a steep axis are larger than along another, by this factor.
+const STEEP: f64 = 1.35;
 /// What a bit is worth, in squared steps.
 const BIT: f64 = 0.08;
 
@@ -31,13 +35,22 @@ pub fn boxes(dims: [usize; 3]) -> Vec<Box3> {
     (0..n).map(one).collect()
 }
 
-/// The delay with which boxes of samples take the least bits and errors, at a step.
-pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale) -> Result<[u8; 3]> {
+/// The delay with which boxes of samples take the least bits and errors, at a step. Of an array
+/// with many more samples, axes are late along which neighbours differ more than along others.
+pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale, samples: usize) -> Result<[u8; 3]> {
     let none = [0; 3];
+    let tried: usize = boxes.iter().map(|b| b.0.len()).sum();
+    let ways = match samples > MANY * tried {
+        true => vec![steep(boxes)],
+        // An axis alone, or both others.
+        false => vec![[0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]],
+    };
+    if ways == [none] {
+        return Ok(none);
+    }
     let mut best = (BETTER * price(boxes, scale, none)?, none);
     let mut way = none;
-    // An axis alone, or both others.
-    for one in [[0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]] {
+    for one in ways {
         let price = price(boxes, scale, one)?;
         if price < best.0 {
             (best, way) = ((price, one), one);
@@ -52,6 +65,30 @@ pub fn choose_delay(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale) -> Result<[
         best = (price, later);
     }
     Ok(best.1)
+}
+
+/// The axes along which neighbours differ much more than along another.
+fn steep(boxes: &[(Vec<f32>, [usize; 3])]) -> [u8; 3] {
+    let (mut sums, mut counts) = ([0.0; 3], [0.0; 3]);
+    for (samples, [nx, ny, _]) in boxes {
+        let squares = |a: &[f32], b: &[f32]| {
+            a.iter().zip(b).map(|(a, b)| f64::from(a - b) * f64::from(a - b)).sum::<f64>()
+        };
+        let layer = nx * ny;
+        for row in samples.chunks_exact(*nx) {
+            sums[0] += squares(row, &row[1..]);
+            counts[0] += (nx - 1) as f64;
+        }
+        for rows in samples.chunks_exact(layer) {
+            sums[1] += squares(rows, &rows[*nx..]);
+            counts[1] += (layer - nx) as f64;
+        }
+        sums[2] += squares(samples, &samples[layer..]);
+        counts[2] += (samples.len() - layer) as f64;
+    }
+    let mean = |a: usize| if counts[a] > 0.0 { sums[a] / counts[a] } else { f64::INFINITY };
+    let least = (0..3).map(mean).fold(f64::INFINITY, f64::min);
+    [0, 1, 2].map(|a| u8::from(mean(a).is_finite() && mean(a) > STEEP * STEEP * least))
 }
 
 /// Bits and squared errors of boxes, in bits.
@@ -72,15 +109,20 @@ mod tests {
             ((x * 0.1).sin() + (y * 0.12).cos() + 1.5 * (z * 1.9).sin()) as f32
         };
         let samples: Vec<f32> = (0..dims.iter().product()).map(wave).collect();
-        let delay = choose_delay(&[(samples, dims)], &scale).unwrap();
+        let (n, many) = (samples.len(), 1 << 30);
+        let boxes = [(samples, dims)];
+        let delay = choose_delay(&boxes, &scale, n).unwrap();
         assert!(delay[2] > 0 && delay[..2] == [0, 0], "{delay:?}");
+        assert_eq!(choose_delay(&boxes, &scale, many), Ok(delay));
         let dims = [40, 40, 40];
         let ball = |i: usize| {
             let r = [i % 40, i / 40 % 40, i / 1600].map(|n| (n as f64 - 20.0).powi(2)).iter().sum::<f64>();
             (1.0 / (1.0 + (r - 120.0) * (r - 120.0) / 4000.0)) as f32
         };
         let samples: Vec<f32> = (0..dims.iter().product()).map(ball).collect();
-        assert_eq!(choose_delay(&[(samples, dims)], &scale), Ok([0; 3]));
+        let boxes = [(samples, dims)];
+        assert_eq!(choose_delay(&boxes, &scale, boxes[0].0.len()), Ok([0; 3]));
+        assert_eq!(choose_delay(&boxes, &scale, many), Ok([0; 3]));
     }
 
     #[test]

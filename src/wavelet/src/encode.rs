@@ -80,7 +80,7 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
         }
         let whole = Box3::all(dims);
         let tried: Vec<_> = boxes(dims).iter().map(|b| (whole.values_of(samples, b), b.size)).collect();
-        let delay = choose_delay(&tried, &scale)?;
+        let delay = choose_delay(&tried, &scale, samples.len())?;
         if delay != transformed.delay {
             transformed = Transformed::new(samples, dims, &scale, delay);
         }
