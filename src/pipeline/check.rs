@@ -105,6 +105,9 @@ impl ArchiveCheck {
 
 /// Verifies the values of a step to which others refer.
 fn check_base(archive: &StepView, check: &mut ArchiveCheck) -> Result<()> {
+    if archive.is_pyramid() {
+        return check_files_of_pyramid(archive, check);
+    }
     for number in 0..archive.layout.segment_count() {
         let segment = archive.segment(number)?;
         segment.files(false).try_for_each(Segment::verify)?;
@@ -183,14 +186,8 @@ fn check_step(
     Ok(())
 }
 
-/// Verifies a step of a pyramid: all its nodes are decoded, and lie in the ranges of their bricks.
-fn check_pyramid(
-    archive: &StepView,
-    threads: &Threads,
-    cancel: &CancelToken,
-    check: &mut ArchiveCheck,
-) -> Result<()> {
-    let (pyramid, mut entries) = (&archive.pyramid()?.pyramid, EntryDigest::default());
+/// Verifies the checksums of a step of a pyramid.
+fn check_files_of_pyramid(archive: &StepView, check: &mut ArchiveCheck) -> Result<()> {
     for number in 0..archive.layout.segment_count() {
         let first = ChunkId(archive.layout.chunks_of(number).start);
         for file in [archive.values_of(archive.position(), first)?, archive.ranges_of(first)?] {
@@ -201,6 +198,18 @@ fn check_pyramid(
     let coarse = Segment::open(archive.layout.coarse(), SegmentKind::Coarse, Some(archive.step_hash()))?;
     coarse.verify()?;
     check.add(&coarse);
+    Ok(())
+}
+
+/// Verifies a step of a pyramid: all its nodes are decoded, and lie in the ranges of their bricks.
+fn check_pyramid(
+    archive: &StepView,
+    threads: &Threads,
+    cancel: &CancelToken,
+    check: &mut ArchiveCheck,
+) -> Result<()> {
+    let (pyramid, mut entries) = (&archive.pyramid()?.pyramid, EntryDigest::default());
+    check_files_of_pyramid(archive, check)?;
     // Of the nodes of cells, the last along an axis is the next brick's, but where the array ends.
     let own_end = |cells: &[Range<usize>; 3]| {
         let dims = pyramid.nodes(0);

@@ -5,7 +5,7 @@ use isospan::exec::{CancelToken, Resources, Silent};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, AppendSettings, Bound, LevelChoice, MeasureSettings, ReduceSettings, RunSettings, StepChoice,
-    SurfaceSettings, Target,
+    StepRange, SurfaceSettings, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -271,6 +271,95 @@ fn steps_of_a_series_are_made_together_or_one_after_another() {
     let surface = archive.at(StepChoice::Time(1.25)).unwrap().surface(0.1).unwrap();
     assert!(!surface.triangles.is_empty());
     check_archive(&together).unwrap();
+}
+
+/// Steps that change little, one that does not change, and one that has nothing in common with
+/// others.
+fn moving(dir: &Path, dims: [usize; 3]) -> Vec<StepSource> {
+    let step = |t: usize| {
+        let input = dir.join(format!("{t}.npy"));
+        let shift = 0.004 * [0.0, 1.0, 2.0, 2.0, 3.0, 90.0, 91.0][t];
+        write_npy(&input, dims, |x, y, z| waves(x + shift, y, z) + 0.2 * (rough(x, y, z) - waves(x, y, z)));
+        StepSource::from(&*input)
+    };
+    (0..7).map(step).collect()
+}
+
+#[test]
+fn steps_are_stored_as_what_changes() {
+    let dir = tempfile::tempdir().unwrap();
+    let sources = moving(dir.path(), [300, 40, 34]);
+    let bound = Target::Max(Bound::Value(0.02));
+    let out = |name: &str| dir.path().join(format!("{name}.isospan"));
+    let of = |keyframes| ReduceSettings { keyframes, ..pyramid(Some(bound)) };
+    let with = |threads, memory| RunSettings {
+        resources: Resources::default().with_threads(threads).with_memory(memory),
+        ..RunSettings::default()
+    };
+    let bytes = |name: &str| folder(&out(name)).values().map(Vec::len).sum::<usize>();
+    for (keyframes, name) in [(1, "alone"), (3, "three"), (16, "all")] {
+        let made = pipeline::reduce_series(&sources, &of(keyframes), &out(name), &run(2), &Silent).unwrap();
+        assert!(made.steps.iter().all(|step| step.error.unwrap()[1] <= 0.02), "{name}");
+        check_archive(&out(name)).unwrap();
+    }
+    assert!(bytes("all") < bytes("three") && bytes("three") < bytes("alone"));
+    let sizes = [16, 1].map(|keyframes| {
+        let settings = ReduceSettings { keyframes, ..rms(0.001) };
+        pipeline::reduce_series(&sources, &settings, &out("rms"), &with(2, 1 << 30), &Silent).unwrap();
+        let made = bytes("rms");
+        std::fs::remove_dir_all(out("rms")).unwrap();
+        made
+    });
+    assert!(10 * sizes[0] < 8 * sizes[1], "{sizes:?}");
+    let expected = folder(&out("three"));
+    for (threads, memory, name) in [(1, 1 << 30, "one"), (3, 200 << 20, "little")] {
+        let run = with(threads, memory);
+        pipeline::reduce_series(&sources, &of(3), &out(name), &run, &Silent).unwrap();
+        assert!(folder(&out(name)) == expected, "{name}");
+    }
+    reduce_series_in_shards(&sources, &of(3), &out("shards"));
+    assert!(folder(&out("shards")) == expected);
+    pipeline::reduce_series(&sources[..1], &of(3), &out("grown"), &run(2), &Silent).unwrap();
+    for added in [&sources[1..2], &sources[2..6], &sources[6..]] {
+        pipeline::append(added, &AppendSettings::default(), &out("grown"), &run(2), &Silent).unwrap();
+    }
+    assert!(folder(&out("grown")) == expected);
+    // A step by itself, and one after another; a box of it, and all.
+    let archive = Archive::open(out("all")).unwrap();
+    let settings = SurfaceSettings::of(0.4);
+    let mut steps = 0;
+    let each = |number: u64, _: f64, meshes: &mut Vec<TriMesh>| {
+        let alone = Archive::open(out("all"))?.at(StepChoice::Number(number))?.surfaces(&settings)?;
+        assert!(*meshes == alone && !alone[0].triangles.is_empty(), "step {number}");
+        steps += 1;
+        Ok(())
+    };
+    archive.surfaces_of_steps(StepRange::default(), &settings, each).unwrap();
+    assert_eq!(steps, 7);
+}
+
+#[test]
+fn a_step_that_others_refer_to_can_be_lost_or_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let (sources, out) = (moving(dir.path(), [70, 40, 34]), dir.path().join("a.isospan"));
+    let settings = pyramid(Some(Target::Max(Bound::Value(0.02))));
+    pipeline::reduce_series(&sources[..4], &settings, &out, &run(2), &Silent).unwrap();
+    let values = |n| samples(&Archive::open(&out).unwrap(), StepChoice::Number(n));
+    let (before, last) = (folder(&out), values(3));
+    // Step 3 cannot be read without step 1; it is made again from there.
+    std::fs::remove_file(out.join("steps/000001-values-000000.seg")).unwrap();
+    let asked = Archive::open(&out).unwrap().at(StepChoice::Number(3)).unwrap().surface(0.4);
+    assert!(matches!(asked, Err(Error::Incomplete { .. })), "{:?}", asked.err());
+    pipeline::reduce_series(&sources[..4], &settings, &out, &run(2), &Silent).unwrap();
+    assert!(folder(&out) == before && values(3) == last);
+    let how = AppendSettings { replace: true, ..AppendSettings::default() };
+    std::fs::copy(dir.path().join("6.npy"), dir.path().join("1.npy")).unwrap();
+    pipeline::append(&sources[1..2], &how, &out, &run(2), &Silent).unwrap();
+    check_archive(&out).unwrap();
+    assert!(values(3) == last && values(1) != values(2));
+    pipeline::append(&sources[4..5], &AppendSettings::default(), &out, &run(2), &Silent).unwrap();
+    check_archive(&out).unwrap();
+    assert!(values(3) == last && values(4).len() == last.len());
 }
 
 #[test]

@@ -291,6 +291,8 @@ class Array:
         self.levels, self.splits = levels_of(sizes, delays)
         self.odds = first_odds()
         self.coarsest, self.tiles, self.boxes = None, {}, {}
+        # Of the step of a series to which tiles refer, if there is one; and of this, once read.
+        self.numbers_before, self.numbers = {}, {}
 
     def tiles_of(self, m):
         """The place, (x, y, z), of each tile of level m, in their order."""
@@ -333,7 +335,16 @@ class Array:
 
     def _read_tile(self, m, tile, bands):
         """Reads one tile into the bands of its level."""
-        decoder, before = RangeDecoder(self.tiles[m, tile]), []
+        data, old = self.tiles[m, tile], {}
+        for high, whole in self.numbers_before.get(m, {}).items():
+            old[high] = whole[part_of(tile, self.splits[m], whole.shape)]
+        refers = any(numbers.any() for numbers in old.values())
+        if not data:
+            for high, numbers in old.items():
+                bands[m][high][part_of(tile, self.splits[m], bands[m][high].shape)] = numbers
+            return
+        decoder, before = RangeDecoder(data), []
+        changes = refers and decoder.even()
         first = 3 * ((m - 1) % 3)
         odds = [Odds(lines) for lines in self.odds[first : first + 3]]
         for high, whole in bands[m].items():
@@ -342,10 +353,10 @@ class Array:
             if 0 in shape:
                 continue
             parent = self._parent(m, high, tile, part, bands)
-            energy = np.zeros(shape, np.int64) if parent is None else parent
+            energy = np.zeros(shape, np.int64) if parent is None or changes else parent
             band = BandOfTile(shape, energy, list(before))
             band.read(decoder, odds[len(high) - 1], parent is not None)
-            whole[part] = band.array()
+            whole[part] = band.array() + (old[high] if changes else 0)
             before.append(band)
         decoder.end()
 
@@ -363,9 +374,10 @@ class Array:
             names = [high for high in BANDS if all(split[axis] for axis in high)]
             bands[m] = {high: np.zeros(self._shape(m, high), np.int64) for high in names}
             for of, tile in self.tiles:
-                if of == m and self.tiles[m, tile]:
+                if of == m:
                     self._read_tile(m, tile, bands)
             values = self._joined(m, values, bands[m])
+        self.numbers = bands
         samples = self._samples(self._filtered(level, values))
         return samples if level else self._corrected(samples)
 

@@ -84,13 +84,15 @@ def read_mask(region, data):
 class Pyramid:
     """A step of a pyramid archive."""
 
-    def __init__(self, archive, asked=0):
+    def __init__(self, archive, asked=0, files=None):
         self.archive = Path(archive)
         manifest = json.loads(manifest_text(self.archive))
         points, lattice = manifest["plan"]["points"], manifest["plan"]["lattice"]
         if points.get("set") != "pyramid":
             refuse(f"{archive}: its points are {points.get('set')}, not a pyramid")
         steps = [s for s in manifest["steps"] if s.get("place", s["number"]) == asked]
+        if files is not None:
+            steps = [s for s in manifest["steps"] + manifest.get("bases", []) if s["number"] == files]
         if len(steps) != 1:
             refuse(f"{archive}: {len(steps)} steps of number {asked}")
         self.step, self.number = steps[0], steps[0]["number"]
@@ -100,6 +102,11 @@ class Pyramid:
         expect(archive, "chunks", len(self.chunks), manifest["counts"].get("chunks", 1))
         self.ranges = self._segments("ranges", RANGES)
         self.array = self._array(points["dims"], points["delay"])
+        if base := self.step.get("base"):
+            before = Pyramid(archive, files=base["number"])
+            expect(archive, "step of coefficients", before.step["wavelet"]["step"], self.step["wavelet"]["step"])
+            before.array.level(0)
+            self.array.numbers_before = before.array.numbers
         self.missing = np.zeros(points["dims"][::-1], bool)
         self._read_coarse()
         for chunk, blocks in zip(self.chunks, self._segments("values", VALUES)):

@@ -75,6 +75,19 @@ def cases():
         yield name, field.astype("f4"), ["--target-max", "5%"]
 
 
+def series():
+    """A name, the steps and what isospan is asked for, of archives of several steps."""
+    yield "a series", [rough((40, 30, 20)) + t for t in range(3)], []
+    first = rough((70, 40, 300), 0.3)
+    change = first.copy()
+    change[250:, 10:20, 30:] += 0.5
+    moved, gone = np.roll(first, 1, axis=2), np.full(first.shape, first.mean(), "f4")
+    steps = [first, first, change, moved, gone, first]
+    for asked in ([], ["--keyframes", "4"], ["--target-max", "1%"]):
+        yield f"a series that changes, {asked}", steps, asked
+    yield "whole numbers that change", [np.round(50 * s).astype("i2") for s in steps], ["--lossless"]
+
+
 class Program:
     """isospan."""
 
@@ -218,8 +231,8 @@ def differences(program, source, number):
 def main():
     """Tries all archives; says which differ."""
     program, faults, archives, delayed = Program(*sys.argv[1:]), 0, 0, 0
-    series = [rough((40, 30, 20)) + t for t in range(3)]
-    for name, volumes, asked in [*((n, [v], a) for n, v, a in cases()), ("a series", series, [])]:
+    tried = [*((n, [v], a) for n, v, a in cases()), *series()]
+    for name, volumes, asked in tried:
         program.reduce(volumes, asked)
         found = [what for n, v in enumerate(volumes) for what in differences(program, v, n)]
         found += [f"a hash of {file}" for file in hashes_that_differ(program.archive)]

@@ -112,13 +112,19 @@ impl Manifest {
                 continue;
             };
             let found = all[..n].binary_search_by_key(&base.number, |before| before.number).ok();
-            let found = found.filter(|&at| all[at].hash(self.plan_hash) == base.hash);
+            let step = |plan: &StepPlan| plan.wavelet.map(|wavelet| wavelet.step);
+            let is_it =
+                |at: &usize| all[*at].hash(self.plan_hash) == base.hash && step(all[*at]) == step(plan);
+            let found = found.filter(is_it);
             let length = found.map(|at: usize| lengths[at] + 1).filter(|length| *length <= LONGEST_CHAIN);
             let Some(length) = length else {
                 return Err(Error::bad_input(
                     path,
                     format!("base of step {}", plan.number),
-                    format!("a step made before it, and a keyframe at most {LONGEST_CHAIN} steps ago"),
+                    format!(
+                        "a step made before it, as fine as it is, and a keyframe at most \
+                         {LONGEST_CHAIN} steps ago"
+                    ),
                     format!("step {}", base.number),
                 ));
             };

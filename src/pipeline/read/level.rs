@@ -114,23 +114,28 @@ impl StepView {
         }
     }
 
-    /// The bytes that are read for all nodes of each level: its tiles, and those of coarser levels.
-    /// None where that takes the directories of many segments.
+    /// The bytes that are read for all nodes of each level: its tiles, those of coarser levels, and
+    /// those of the steps that these may refer to. None where that takes the directories of many
+    /// segments.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a damaged archive.
     pub(super) fn level_bytes(&self, pyramid: &Pyramid) -> Result<Option<Vec<u64>>> {
-        let Some(coarse) = self.step().coarse.filter(|_| self.layout.segment_count() <= MOST_SEGMENTS) else {
+        if self.layout.segment_count() > MOST_SEGMENTS {
             return Ok(None);
-        };
-        let mut bytes = vec![coarse.bytes; pyramid.coarsest() + 1];
+        }
+        let chain = || std::iter::successors(Some(self.position()), |step| self.manifest.base_of(*step));
+        let coarse = chain().filter_map(|step| self.manifest.step_at(step).coarse);
+        let mut bytes = vec![coarse.map(|file| file.bytes).sum::<u64>(); pyramid.coarsest() + 1];
         let wavelet = self.step().plan.wavelet;
         let is_corrected = wavelet.is_some_and(|w| w.correction != CorrectionRecord::None);
         for id in (0..self.chunks.len()).map(ChunkId) {
-            let file = self.values_of(self.position(), id)?;
-            let found = lengths(&file, id, 0..file.block_count(id))?;
-            for (block, length) in pyramid.blocks(chunk_place(pyramid, id)).iter().zip(found) {
-                bytes[..block.level].iter_mut().for_each(|sum| *sum += length);
+            for step in chain() {
+                let file = self.values_of(step, id)?;
+                let found = lengths(&file, id, 0..file.block_count(id))?;
+                for (block, length) in pyramid.blocks(chunk_place(pyramid, id)).iter().zip(found) {
+                    bytes[..block.level].iter_mut().for_each(|sum| *sum += length);
+                }
             }
             if is_corrected {
                 let file = self.ranges_of(id)?;

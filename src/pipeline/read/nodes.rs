@@ -2,8 +2,8 @@
 
 use super::archive::expect_recorded;
 use super::pyramid::{
-    NodeWindow, PyramidStep, StoredBlock, block_bytes, box3, chunk_number, has_coarse_mask, lock, mask_bytes,
-    pyramid_of, scale_of, tile_bytes,
+    CoarseLevels, NodeWindow, PyramidStep, StoredBlock, block_bytes, box3, chunk_number, has_coarse_mask,
+    lock, mask_bytes, pyramid_of, scale_of, tile_bytes,
 };
 use super::step_view::StepView;
 use super::steps::mean;
@@ -19,7 +19,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 impl StepView {
-    /// The pyramid of the step, with its coarse levels.
+    /// The pyramid of the step.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a damaged archive; [`Error::Usage`] where there is no pyramid.
@@ -27,35 +27,51 @@ impl StepView {
         if let Some(known) = self.pyramid.get() {
             return Ok(known);
         }
-        let step = self.step();
-        let path = self.layout.coarse();
-        let (Some(pyramid), Some(wavelet)) = (pyramid_of(self.manifest.plan.points), step.plan.wavelet)
-        else {
+        let wavelet = self.step().plan.wavelet;
+        let (Some(pyramid), Some(wavelet)) = (pyramid_of(self.manifest.plan.points), wavelet) else {
             return Err(Error::usage(format!("{} is no pyramid: it has no levels", self.path().display())));
         };
         let (scale, correction) = scale_of(&wavelet).map_err(|e| {
             let at = "range, step and correction of a step";
             Error::bad_input(self.path().join(MANIFEST_NAME), at, "those of a pyramid", e.to_string())
         })?;
+        let most = self.cache.most();
+        let of_tiles = if self.is_base { CACHE_OF_BASE } else { most.max(LEAST_CACHE) };
+        let made = PyramidStep::new(pyramid, (scale, correction), [of_tiles, most]);
+        Ok(self.pyramid.get_or_init(|| made))
+    }
+
+    /// The coarse levels of the step.
+    fn coarse<'a>(&self, of: &'a PyramidStep) -> Result<&'a CoarseLevels> {
+        if let Some(known) = of.coarse.get() {
+            return Ok(known);
+        }
+        let path = self.layout.coarse();
         let file =
             Segment::open(&path, SegmentKind::Coarse, Some(self.step_hash())).map_err(|e| self.lost(e))?;
-        if let Some(recorded) = &step.coarse {
+        if let Some(recorded) = &self.step().coarse {
             expect_recorded(&file, Some(recorded))?;
         }
         let mut bytes = vec![];
         file.block(0, &mut bytes)?;
-        let coarse = Coarse::new(&pyramid, bytes).map_err(|e| damaged(&path, 0, &e))?;
+        let tiles = Coarse::new(&of.pyramid, bytes).map_err(|e| damaged(&path, 0, &e))?;
         let mut missing = None;
         if file.block_count() > 1 {
             let mut bytes = vec![];
             file.block(1, &mut bytes)?;
-            let place = Box3::all(pyramid.nodes(pyramid.details()));
+            let place = Box3::all(of.pyramid.nodes(of.pyramid.details()));
             missing = Some(Mask::new(place, bytes).map_err(|e| damaged(&path, 1, &e))?);
         }
-        let most = self.cache.most().max(LEAST_CACHE);
-        let made =
-            PyramidStep::new(pyramid, (scale, correction), (coarse, missing), [most, self.cache.most()]);
-        Ok(self.pyramid.get_or_init(|| made))
+        Ok(of.coarse.get_or_init(|| CoarseLevels { tiles, missing }))
+    }
+
+    /// A decoded tile of the step; none if all its coefficients are zero. Tiles of the first three
+    /// levels need no coarse one.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a damaged archive.
+    pub(in crate::pipeline) fn tile(&self, id: TileId) -> Result<Option<Arc<Tile>>> {
+        Reader { view: self, of: self.pyramid()? }.tile(id).map_err(|Found(e)| e)
     }
 
     /// The nodes of a level in a box, x fastest, less the offset of the source; NaN where the
@@ -107,7 +123,7 @@ impl StepView {
     /// As [`StepView::nodes`], without corrections, and with values that stand for missing samples.
     pub(in crate::pipeline) fn uncorrected(&self, level: usize, wanted: &IndexBox) -> Result<Vec<f32>> {
         let of = self.pyramid()?;
-        let levels = Levels { pyramid: &of.pyramid, scale: &of.scale, top: of.coarse.top() };
+        let levels = Levels { pyramid: &of.pyramid, scale: &of.scale, top: self.coarse(of)?.tiles.top() };
         levels.nodes(level, &box3(wanted), &mut Reader { view: self, of }).map_err(|Found(e)| e)
     }
 
@@ -149,7 +165,7 @@ impl StepView {
         let (pyramid, nodes, details) = (&of.pyramid, box3(wanted), of.pyramid.details());
         let stride = pyramid.stride(level);
         if has_coarse_mask(pyramid, level) {
-            let Some(mask) = &of.missing else { return Ok(false) };
+            let Some(mask) = &self.coarse(of)?.missing else { return Ok(false) };
             let fine = pyramid.stride(details);
             let steps = std::array::from_fn(|a| stride[a] / fine[a]);
             let found = mask.each_missing(&nodes, steps, leave_out);
@@ -243,6 +259,8 @@ fn chunks_with(
 
 /// Decoded tiles that are cached at least: those around a box.
 const LEAST_CACHE: usize = 32 << 20;
+/// And those of a base: parents of the tiles around a box.
+const CACHE_OF_BASE: usize = 4 << 20;
 
 fn damaged(path: &Path, block: u64, what: &isospan_wavelet::Error) -> Error {
     Error::bad_input(path, format!("block {block}"), "coefficients of this pyramid", what.to_string())
@@ -277,7 +295,7 @@ impl TileSource for Reader<'_> {
             return Ok(Some(known));
         }
         let tile = if id.level > of.pyramid.details() {
-            of.coarse.tile(&of.pyramid, id, self)?
+            view.coarse(of).map_err(Found)?.tiles.tile(&of.pyramid, id, self)?
         } else {
             let at = of.pyramid.chunk_of(id);
             let chunk = chunk_number(&of.pyramid, at);
@@ -287,7 +305,13 @@ impl TileSource for Reader<'_> {
             decode_tile(&of.pyramid, id, bytes, self)?
         };
         let Some(tile) = tile else { return Ok(None) };
-        lock(&of.tiles).put(id, Arc::clone(&tile), tile_bytes(&tile));
+        if !view.is_base || Tile::is_parent(&of.pyramid, id.level) {
+            lock(&of.tiles).put(id, Arc::clone(&tile), tile_bytes(&tile));
+        }
         Ok(Some(tile))
+    }
+
+    fn before(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, Found> {
+        self.view.base().map_or(Ok(None), |base| base.tile(id)).map_err(Found)
     }
 }

@@ -6,7 +6,8 @@
 //!  ranges-*.seg: corrections of samples, by chunk ──────────┘
 //! ```
 //!
-//! A tile is decoded when a box needs it, and cached with those that were used lately.
+//! A tile is decoded when a box needs it, and cached with those that were used lately. It may be
+//! stored as what changes from the tile of another step, its base, which is decoded then.
 
 use crate::archive::manifest::{CorrectionRecord, WaveletRecord};
 use crate::grid::{ChunkId, IndexBox};
@@ -15,22 +16,27 @@ use isospan_wavelet::{Box3, Coarse, Correction, Mask, Pyramid, Scale, Tile, Tile
 use rustc_hash::FxHashMap;
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// What a step of a pyramid is, apart from its details.
 pub(in crate::pipeline) struct PyramidStep {
     pub(in crate::pipeline) pyramid: Pyramid,
     pub(in crate::pipeline) scale: Scale,
     pub(in crate::pipeline) correction: Correction,
-    pub(super) coarse: Coarse,
-    /// The nodes of the last level of chunks that are missing, where some are.
-    pub(super) missing: Option<Mask>,
+    pub(super) coarse: OnceLock<CoarseLevels>,
     pub(super) tiles: Mutex<Recent<TileId, Arc<Tile>>>,
     pub(super) blocks: Mutex<Recent<(u64, usize), Arc<StoredBlock>>>,
     /// The samples of chunks that are missing.
     pub(super) masks: Mutex<Recent<u64, Arc<Mask>>>,
     /// Nodes, by level and part, for the next question.
     pub(super) windows: Mutex<Recent<WindowKey, Arc<NodeWindow>>>,
+}
+
+/// What is stored for all chunks together.
+pub(super) struct CoarseLevels {
+    pub(super) tiles: Coarse,
+    /// The nodes of the last level of chunks that are missing, where some are.
+    pub(super) missing: Option<Mask>,
 }
 
 /// A level, and the place of a part among its parts.
@@ -47,15 +53,13 @@ impl PyramidStep {
     pub(super) fn new(
         pyramid: Pyramid,
         (scale, correction): (Scale, Correction),
-        (coarse, missing): (Coarse, Option<Mask>),
         [of_tiles, of_nodes]: [usize; 2],
     ) -> Self {
         Self {
             pyramid,
             scale,
             correction,
-            coarse,
-            missing,
+            coarse: OnceLock::new(),
             tiles: Mutex::new(Recent::new(of_tiles)),
             blocks: Mutex::new(Recent::new(of_tiles / 8)),
             masks: Mutex::new(Recent::new(of_tiles / 8)),

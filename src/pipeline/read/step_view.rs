@@ -13,7 +13,7 @@ use super::choice::{Moment, StepChoice};
 use super::pools::BufferPool;
 use super::pyramid::PyramidStep;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::Step;
+use crate::archive::manifest::{BaseStep, Step, StepPlan};
 use crate::archive::mesh::Unpacked;
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::error::{Error, Result};
@@ -61,6 +61,10 @@ pub(in crate::pipeline) struct StepView {
     pub(super) pyramid: OnceLock<PyramidStep>,
     /// The step behind a moment between two, of a pyramid.
     next: OnceLock<Box<StepView>>,
+    /// The step that its tiles may refer to, of a pyramid.
+    base: OnceLock<Option<Box<StepView>>>,
+    /// Whether this is the base of another step, and answers no question itself.
+    pub(super) is_base: bool,
     /// The unpacked blocks of the step, once they were searched for.
     pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
 }
@@ -99,6 +103,8 @@ impl StepView {
             ranges: Mutex::default(),
             pyramid: OnceLock::new(),
             next: OnceLock::new(),
+            base: OnceLock::new(),
+            is_base: false,
             unpacked: OnceLock::new(),
         }
     }
@@ -128,6 +134,27 @@ impl StepView {
         let share = self.moment.beyond?;
         let make = || Box::new(self.archive.step_at(self.moment.step + 1).keeping(self.cache.most()));
         Some((self.next.get_or_init(make), share))
+    }
+
+    /// The step that its tiles may refer to.
+    pub(super) fn base(&self) -> Option<&Self> {
+        let make = |position| Box::new(Self { is_base: true, ..self.archive.step_at(position) });
+        let base = || self.manifest.base_of(self.moment.step).map(make);
+        self.base.get_or_init(base).as_deref()
+    }
+
+    /// Whether the values of a step may refer to this one.
+    pub(in crate::pipeline) fn is_base_of(&self, plan: &StepPlan) -> bool {
+        plan.base == Some(BaseStep { number: self.step().plan.number, hash: self.step_hash() })
+    }
+
+    /// The view, with that of the step before: if that is the base, tiles are found in its cache.
+    pub(in crate::pipeline) fn after(self, before: Option<Self>) -> Self {
+        if let Some(before) = before.filter(|before| before.is_base_of(&self.step().plan)) {
+            // Its own base is opened again if tiles of it are needed.
+            _ = self.base.set(Some(Box::new(Self { base: OnceLock::new(), ..before })));
+        }
+        self
     }
 
     /// Its position in the manifest.

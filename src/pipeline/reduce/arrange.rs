@@ -3,11 +3,11 @@
 use super::contents::ArchiveContents;
 use super::job::Job;
 use super::order::{
-    Entry, ends_with, is_of_series, is_there, name_of, needed, next_numbers, numbered, series_in, series_of,
-    time_in,
+    Entry, LastStep, ends_with, is_of_series, is_there, name_of, needed, next_numbers, numbered, series_in,
+    series_of, time_in,
 };
 use super::series::{KnownUnits, SeriesPlan, is_of_data};
-use crate::archive::manifest::{BaseStep, Manifest, Step, StepPlan};
+use crate::archive::manifest::{Manifest, Step, StepPlan};
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
 use crate::pipeline::read::{OpenArchive, is_of_fields};
@@ -139,14 +139,13 @@ impl SeriesPlan {
         }
         self.sort(manifest, &replaced, &times);
         let is_replaced = |files: u64| self.order.replaced.values().any(|old| *old == files);
-        let mut lasts: Vec<(Option<String>, BaseStep)> = vec![];
+        let mut lasts: Vec<LastStep> = vec![];
         for step in &manifest.steps {
             let has_series = times.first().is_some_and(|(series, _)| series.is_some());
             let series = has_series.then(|| series_in(manifest, step));
-            lasts.retain(|(other, _)| *other != series);
+            lasts.retain(|last| last.series != series);
             if !is_replaced(step.plan.number) {
-                let hash = step.plan.hash(manifest.plan_hash);
-                lasts.push((series, BaseStep { number: step.plan.number, hash }));
+                lasts.push(LastStep::new(series, &step.plan, manifest.plan_hash));
             }
         }
         self.order.lasts = lasts;
@@ -265,19 +264,16 @@ impl SeriesPlan {
     /// the hashes of its own group alone.
     pub(super) fn connect(&mut self) {
         let (mesh, mut lasts) = (self.plan.mesh_hash(), self.order.lasts.clone());
-        // Each step of a pyramid is stored by itself.
-        let refers = !self.plan.mesh.is_pyramid();
         for (step, from) in self.plan.steps.iter_mut().zip(&self.sources) {
             step.base = None;
             if self.order.between.contains(&step.number) {
                 continue;
             }
             let series = series_of(&from.source);
-            let last = lasts.iter().position(|(name, _)| name.as_deref() == series);
-            let last = last.map(|n| lasts.swap_remove(n).1);
-            step.base = last.filter(|l| refers && l.number / self.keyframes == step.number / self.keyframes);
-            let own = BaseStep { number: step.number, hash: step.hash(mesh) };
-            lasts.push((series.map(str::to_owned), own));
+            let last = lasts.iter().position(|last| last.series.as_deref() == series);
+            let last = last.map(|n| lasts.swap_remove(n));
+            step.base = last.and_then(|last| last.base_of(step, self.keyframes));
+            lasts.push(LastStep::new(series.map(str::to_owned), step, mesh));
         }
     }
 

@@ -23,7 +23,7 @@ use super::sums::FinishedSteps;
 use super::workers::SegmentMaker;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
-use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
+use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
 use crate::exec::{Progress, pool};
 use crate::grid::ChunkId;
@@ -328,28 +328,36 @@ impl<'a> Build<'a> {
         OpenArchive::of(self.layout.root(), manifest).map(Some)
     }
 
-    /// A step of a pyramid as an archive: its details and its coarse levels, without ranges. It may
-    /// refer to the steps before it.
-    pub(super) fn pyramid_archive(
+    /// A step of a pyramid, by the number of its files, with those that it goes back to: the
+    /// details of the segments that are made, without ranges.
+    pub(super) fn pyramid_view(
         &self,
         plan: &Plan,
-        n: usize,
+        source: &SegmentSource<'_>,
+        number: u64,
         coordinates: Option<CoordinateRecord>,
-    ) -> Result<Arc<OpenArchive>> {
-        let layout = self.layout.at(plan.steps[n].number);
-        let (hash, all) = (plan.step_hash(n), 0..layout.segment_count());
-        let record = |s: u64| {
-            ChunkSegment::open(layout.values(s), SegmentKind::Values, Some(hash)).map(|f| f.record())
-        };
-        let coarse = Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))?.info();
-        let step = Step {
-            values: all.map(record).collect::<Result<_>>()?,
-            coarse: Some(coarse),
-            coordinates,
-            ..Step::of(plan.steps[n].clone())
-        };
+    ) -> Result<StepView> {
+        let position = |number: u64| plan.steps.iter().position(|step| step.number == number);
+        let mut chain: Vec<usize> = position(number).into_iter().collect();
+        while let Some(base) = chain.last().and_then(|&n| plan.steps[n].base)
+            && let Some(n) = position(base.number)
+        {
+            chain.push(n);
+        }
+        let mut steps = self.old.map_or(vec![], |old| old.steps.clone());
+        for n in chain.into_iter().rev() {
+            let (layout, hash) = (self.layout.at(plan.steps[n].number), plan.step_hash(n));
+            let values = self.records(source, hash, SegmentKind::Values, |s| layout.values(s))?;
+            steps.push(Step { values, ..Step::of(plan.steps[n].clone()) });
+        }
+        if let Some(last) = steps.last_mut() {
+            last.coordinates = coordinates;
+        }
         let counts = Counts { chunks: self.parts.chunks.len(), ..Counts::default() };
-        OpenArchive::of(self.layout.root(), Manifest::new(plan.mesh.clone(), counts, vec![], vec![step]))
+        let bases = self.old.map_or(vec![], |old| old.bases.clone());
+        let manifest = Manifest::new(plan.mesh.clone(), counts, vec![], steps).with_bases(bases);
+        let at = manifest.position(number).expect("a step of the plan, or one that it refers to");
+        Ok(OpenArchive::of(self.layout.root(), manifest)?.step_at(at))
     }
 
     /// Records of the segments that are made. Other segments have their place alone, because they

@@ -5,8 +5,9 @@ use crate::archive::segment::{PlanHash, SegmentKind, SegmentWriter};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::Layout;
-use crate::pipeline::read::{chunk_place, has_coarse_mask};
-use isospan_wavelet::{Box3, Coarse, Mask, MaskBuilder, Pyramid, Scale};
+use crate::pipeline::read::{StepView, chunk_place, has_coarse_mask};
+use isospan_wavelet::{Box3, Coarse, Mask, MaskBuilder, Pyramid, Scale, Tile, TileId, TileSource};
+use std::sync::Arc;
 
 /// The samples of nodes that are missing, as a mask of these; no bytes if none is.
 pub(super) fn mask_of_nodes(mask: &Mask, nodes: &Box3, stride: [usize; 3]) -> Result<Vec<u8>> {
@@ -17,12 +18,14 @@ pub(super) fn mask_of_nodes(mask: &Mask, nodes: &Box3, stride: [usize; 3]) -> Re
     Ok(builder.finish())
 }
 
-/// Puts together the low coefficients of all chunks, and makes the coarse levels of them.
+/// Puts together the low coefficients of all chunks, and makes the coarse levels of them, after
+/// those of the base where a step has one.
 pub(super) fn make_coarse(
     layout: &Layout,
     hash: PlanHash,
     pyramid: &Pyramid,
     scale: &Scale,
+    base: Option<&StepView>,
     memory: u64,
 ) -> Result<()> {
     let all = Box3::all(pyramid.nodes(pyramid.details()));
@@ -57,7 +60,7 @@ pub(super) fn make_coarse(
             all.copy_common(&mut low, &place, &values);
         }
     }
-    let bytes = Coarse::encode(pyramid, scale, low).map_err(|e| too_fine(&e))?;
+    let bytes = Coarse::encode(pyramid, scale, low, &mut BaseTiles(base)).map_err(|Found(e)| e)?;
     let mut file = SegmentWriter::create(layout.coarse(), SegmentKind::Coarse, hash)?;
     file.push_block(&bytes)?;
     if !missing.is_empty() && has_coarse_mask(pyramid, pyramid.details()) {
@@ -67,6 +70,26 @@ pub(super) fn make_coarse(
     }
     file.finish()?;
     Ok(())
+}
+
+/// The tiles of the base of a step, where it has one.
+pub(super) struct BaseTiles<'a>(pub(super) Option<&'a StepView>);
+
+/// An error of the program as one that the crate of wavelets passes on.
+pub(super) struct Found(pub(super) Error);
+
+impl From<isospan_wavelet::Error> for Found {
+    fn from(e: isospan_wavelet::Error) -> Self {
+        Self(too_fine(&e))
+    }
+}
+
+impl TileSource for BaseTiles<'_> {
+    type Error = Found;
+
+    fn tile(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, Found> {
+        self.0.map_or(Ok(None), |base| base.tile(id)).map_err(Found)
+    }
 }
 
 pub(super) fn too_fine(e: &isospan_wavelet::Error) -> Error {

@@ -10,6 +10,7 @@
 //! of one reduction. Between two steps, and in the place of one, there are keyframes alone.
 
 use crate::archive::manifest::{BaseStep, Manifest, Step, StepPlan};
+use crate::archive::segment::PlanHash;
 use crate::formats::{StepSource, without_frame};
 use crate::pipeline::read::is_of_fields;
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,11 +19,34 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Clone, Debug, Default)]
 pub(super) struct Order {
     /// The last step of each field of the archive, which steps behind it may refer to.
-    pub(super) lasts: Vec<(Option<String>, BaseStep)>,
+    pub(super) lasts: Vec<LastStep>,
     /// Further steps that are not behind those of the archive, by the numbers of their files.
     pub(super) between: BTreeSet<u64>,
     /// The steps whose place further ones take, by the numbers of their files.
     pub(super) replaced: BTreeMap<u64, u64>,
+}
+
+/// The last step of a field so far.
+#[derive(Clone, Debug)]
+pub(super) struct LastStep {
+    pub(super) series: Option<String>,
+    base: BaseStep,
+    /// How fine the coefficients of a pyramid are: others cannot refer to them.
+    wavelet_step: Option<f64>,
+}
+
+impl LastStep {
+    pub(super) fn new(series: Option<String>, plan: &StepPlan, mesh: PlanHash) -> Self {
+        let base = BaseStep { number: plan.number, hash: plan.hash(mesh) };
+        Self { series, base, wavelet_step: plan.wavelet.map(|wavelet| wavelet.step) }
+    }
+
+    /// What a step of the same field refers to, unless a keyframe is due.
+    pub(super) fn base_of(&self, plan: &StepPlan, keyframes: u64) -> Option<BaseStep> {
+        let is_as_fine = self.wavelet_step == plan.wavelet.map(|wavelet| wavelet.step);
+        let is_near = self.base.number / keyframes == plan.number / keyframes;
+        (is_as_fine && is_near).then_some(self.base)
+    }
 }
 
 impl Order {

@@ -14,7 +14,7 @@
 //! Memory decides in which parts a chunk is made, and that changes no byte.
 
 use super::build::{Build, SegmentSource, Segments};
-use super::coarse::{make_coarse, mask_of_nodes, too_fine};
+use super::coarse::{BaseTiles, Found, make_coarse, mask_of_nodes, too_fine};
 use super::encode::BadSteps;
 use super::encoded::EncodedChunk;
 use super::series::SeriesPlan;
@@ -82,11 +82,15 @@ impl Work<'_> {
 }
 
 /// Makes tiles and low coefficients.
-struct DetailMaker<'a>(Work<'a>);
+struct DetailMaker<'a> {
+    work: Work<'a>,
+    /// The step that tiles may refer to.
+    base: Option<&'a StepView>,
+}
 
 impl MakeChunks for DetailMaker<'_> {
     fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
-        let (work, mut times) = (&self.0, StageTimes::default());
+        let (work, mut times) = (&self.work, StageTimes::default());
         let at = chunk.brick_lo.map(|n| n as usize);
         let place = work.samples(chunk);
         let whole = work.pyramid.low_box(&place);
@@ -104,7 +108,9 @@ impl MakeChunks for DetailMaker<'_> {
             times.sample += start.elapsed();
             let start = Instant::now();
             samples.iter_mut().for_each(|v| *v = work.scale.enter(f64::from(*v)));
-            let made = encode_part(work.pyramid, work.scale, &part, samples).map_err(|e| too_fine(&e))?;
+            let mut base = BaseTiles(self.base);
+            let made = encode_part(work.pyramid, work.scale, &part, samples, &mut base);
+            let made = made.map_err(|Found(e)| e)?;
             whole.copy_common(&mut low, &work.pyramid.low_box(&part), &made.low);
             tiles.extend(made.tiles);
             times.encode += start.elapsed();
@@ -128,7 +134,7 @@ impl MakeChunks for DetailMaker<'_> {
     }
 
     fn points(&self, chunk: &Chunk) -> u64 {
-        self.0.samples(chunk).len() as u64
+        self.work.samples(chunk).len() as u64
     }
 
     fn product_bytes(&self, chunk: &Chunk, _: u64) -> u64 {
@@ -136,20 +142,20 @@ impl MakeChunks for DetailMaker<'_> {
     }
 
     fn will_need(&self, chunk: &Chunk) {
-        let window = self.0.pyramid.window(&self.0.samples(chunk));
-        self.0.field.reader.will_need(index_box(&window));
+        let window = self.work.pyramid.window(&self.work.samples(chunk));
+        self.work.field.reader.will_need(index_box(&window));
     }
 
     fn pass(&self, chunk: &Chunk) {
-        self.0.field.pass(chunk);
+        self.work.field.pass(chunk);
     }
 
     fn queue(&self) -> u64 {
-        self.0.shares.queue
+        self.work.shares.queue
     }
 
     fn cancel(&self) -> &CancelToken {
-        self.0.cancel
+        self.work.cancel
     }
 }
 
@@ -406,10 +412,10 @@ impl Build<'_> {
     ) -> Result<Segments> {
         let mut made = Segments { coordinates: self.coordinates(series)?, ..Segments::default() };
         let finished = FinishedSteps::of(self.layout, &series.plan);
-        let mut n = 0;
+        let (mut n, mut before) = (0, None);
         while n < series.plan.steps.len() {
             let bad = BadSteps::new(series.is_several());
-            let done = self.pyramid_step(series, source, n, &finished, &bad, &mut made);
+            let done = self.pyramid_step(series, source, (n, &mut before), &finished, &bad, &mut made);
             match done {
                 Ok(()) => n += 1,
                 Err(e) => {
@@ -427,11 +433,13 @@ impl Build<'_> {
         Ok(made)
     }
 
+    /// Makes a step. `before` is the one before, whose tiles may be in its cache; it becomes this
+    /// one.
     fn pyramid_step(
         &self,
         series: &SeriesPlan,
         source: &SegmentSource<'_>,
-        n: usize,
+        (n, before): (usize, &mut Option<StepView>),
         finished: &FinishedSteps,
         bad: &BadSteps,
         made: &mut Segments,
@@ -450,6 +458,7 @@ impl Build<'_> {
         let has_values = all.clone().all(|s| whole(SegmentKind::Values, layout.values(s), s));
         let has_coarse =
             Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash)).is_ok_and(|s| s.verify().is_ok());
+        let before_step = before.take();
         if has_values && has_coarse && has_ranges {
             return Ok(());
         }
@@ -479,24 +488,33 @@ impl Build<'_> {
             true => format!("step {}: {what}", step.number),
             false => what.to_owned(),
         };
+        // What decoded tiles may take: those of the step, and those of the one before.
+        let cached = usize::try_from(self.shares.all_chunks() / 8).unwrap_or(usize::MAX);
+        let base = match (step.base, before_step.filter(|before| before.is_base_of(step))) {
+            (Some(base), None) => Some(self.pyramid_view(plan, source, base.number, None)?.keeping(cached)),
+            (_, known) => known,
+        };
         if !(has_values && has_coarse) {
             self.progress.begin(&name("transform"), samples, "samples");
             let files = SegmentFiles::of_details(step.number, hash, &layout);
-            self.chunks_of_pyramid(&DetailMaker(work(edge)), &files, source, series, made)?;
+            let maker = DetailMaker { work: work(edge), base: base.as_ref() };
+            self.chunks_of_pyramid(&maker, &files, source, series, made)?;
             // Each worker leaves low coefficients, and the last one makes the levels above.
             if source.segments != all {
                 return Ok(());
             }
-            make_coarse(&layout, hash, &pyramid, &scale, self.run.resources.memory)?;
+            let memory = self.run.resources.memory;
+            make_coarse(&layout, hash, &pyramid, &scale, base.as_ref(), memory)?;
         }
         let measured = step.measured;
         self.progress.begin(&name(if measured { "measure" } else { "look" }), samples, "samples");
-        let archive = self.pyramid_archive(plan, n, made.coordinates)?;
-        let view = archive.step_at(archive.manifest.steps.len() - 1);
-        let view = view.keeping(usize::try_from(self.shares.all_chunks() / 4).unwrap_or(usize::MAX));
+        let view = self.pyramid_view(plan, source, step.number, made.coordinates)?;
+        let view = view.keeping(cached).after(base);
         let files = SegmentFiles::of_ranges(step.number, hash, needs_sums, &layout);
         let ranges = RangeMaker::new(work(edge), &view, step, self.run.resources.memory / 16)?;
-        self.chunks_of_pyramid(&ranges, &files, source, series, made)
+        self.chunks_of_pyramid(&ranges, &files, source, series, made)?;
+        *before = Some(view);
+        Ok(())
     }
 
     fn chunks_of_pyramid(

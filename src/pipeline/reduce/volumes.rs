@@ -345,7 +345,11 @@ impl Planner<'_> {
             Some(known) => *known,
             None => {
                 let (bound, correction) = wanted(self.job.settings, range);
-                let chosen = wavelet_of(&found, range, bound, self.delay())?;
+                let refers = self.job.settings.keyframes > 1 && self.job.sources.len() > 1;
+                // A bound of each sample is kept by corrections, whatever the step.
+                let is_rms = correction == CorrectionRecord::None;
+                let aim = if refers && is_rms { AIM_OF_SERIES } else { AIM };
+                let chosen = wavelet_of(&found, range, [bound, aim], self.delay())?;
                 if let (None, Some(plan)) = (self.delay(), &mut self.plan) {
                     plan.mesh.points = PointSpec::Pyramid { dims: step.source.dims, delay: chosen.delay };
                 }
@@ -431,7 +435,7 @@ pub(super) fn pyramid_bytes(job: &Job<'_>, plan: &Plan) -> Result<u64> {
     let found = Sampled::of_boxes(volume, &reading, &job.run.resources.cancel)?;
     let range = found.range.unwrap_or_default().map(f64::from);
     let (bound, correction) = wanted(settings, range);
-    let chosen = wavelet_of(&found, range, bound, None)?;
+    let chosen = wavelet_of(&found, range, [bound, AIM], None)?;
     let accuracy = match correction {
         CorrectionRecord::None => Accuracy::Step(chosen.step),
         CorrectionRecord::Max(bound) => Accuracy::Max(bound),
@@ -445,8 +449,12 @@ pub(super) fn pyramid_bytes(job: &Job<'_>, plan: &Plan) -> Result<u64> {
         samples += values.len();
     }
     let all = step.source.samples() as f64 / samples.max(1) as f64;
-    Ok((bytes as f64 * all * plan.steps.len() as f64) as u64 + OTHER_FILES)
+    let steps = plan.steps.iter().map(|step| if step.base.is_some() { OF_CHANGES } else { 1.0 });
+    Ok((bytes as f64 * all * steps.sum::<f64>()) as u64 + OTHER_FILES)
 }
+
+/// What a step takes that refers to another one, as a part of one that does not.
+const OF_CHANGES: f64 = 0.7;
 
 /// Bytes before the coefficients of a compressed array, and those of an archive's manifest.
 const HEAD: usize = 56;
@@ -454,6 +462,8 @@ const OTHER_FILES: u64 = 2 << 10;
 
 /// The part of a bound that is aimed at: the boxes are not all samples.
 const AIM: f64 = 0.975;
+/// The same for steps that may refer to others, whose errors are some percent larger.
+const AIM_OF_SERIES: f64 = 0.94;
 
 /// How fine the coefficients of a pyramid are, and which axes are split later.
 struct Chosen {
@@ -461,8 +471,13 @@ struct Chosen {
     delay: [u8; 3],
 }
 
-/// Tries coefficients on boxes of samples.
-fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3]>) -> Result<Chosen> {
+/// Tries coefficients on boxes of samples, for an RMS error of which a part is aimed at.
+fn wavelet_of(
+    found: &Sampled,
+    range: [f64; 2],
+    [bound, aim]: [f64; 2],
+    delay: Option<[u8; 3]>,
+) -> Result<Chosen> {
     if range[0] == range[1] {
         return Ok(Chosen { step: 1.0, delay: delay.unwrap_or_default() });
     }
@@ -485,5 +500,5 @@ fn wavelet_of(found: &Sampled, range: [f64; 2], bound: f64, delay: Option<[u8; 3
         }
     };
     let excess = sampling.excess(&some, step).map_err(refused)?;
-    Ok(Chosen { step: sampling.step(AIM * bound / excess).map_err(refused)?, delay })
+    Ok(Chosen { step: sampling.step(aim * bound / excess).map_err(refused)?, delay })
 }

@@ -156,15 +156,17 @@ fn for_each_step(
 ) -> Result<()> {
     let mut positions = steps;
     let mut reused: Vec<Vec<TriMesh>> = vec![];
+    let mut before: Option<StepView> = None;
     while !positions.is_empty() {
         let view = archive.step_at(positions.start);
         if view.is_pyramid() {
-            // Its steps share nothing.
+            let view = view.after(before.take());
             settings.resources.cancel.check()?;
             let storage =
                 SurfaceStorage { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
             reused.push(use_them(&view, make(&view, settings, storage, None, progress)?)?);
             positions.start += 1;
+            before = Some(view);
             continue;
         }
         let views: Vec<StepView> = positions.clone().take(MOST_STEPS).map(|n| archive.step_at(n)).collect();

@@ -200,10 +200,17 @@ pub struct PartTiles {
 }
 
 /// Encodes a part. `samples` are those of [`Pyramid::window`], as [`Scale::enter`] makes them.
+/// `before` has the tiles of the step of a series before, which has the same step of coefficients.
 ///
 /// # Errors
-/// [`Error::Step`] for a step that is too small.
-pub fn encode_part(pyramid: &Pyramid, scale: &Scale, part: &Box3, samples: Vec<f32>) -> Result<PartTiles> {
+/// [`Error::Step`] for a step that is too small, and those of finding tiles.
+pub fn encode_part<S: TileSource>(
+    pyramid: &Pyramid,
+    scale: &Scale,
+    part: &Box3,
+    samples: Vec<f32>,
+    before: &mut S,
+) -> std::result::Result<PartTiles, S::Error> {
     let details = pyramid.details();
     let mut window = Window { place: pyramid.window(part), samples };
     window.forward(&pyramid.splits()[..details], &mut Scratch::default());
@@ -214,8 +221,8 @@ pub fn encode_part(pyramid: &Pyramid, scale: &Scale, part: &Box3, samples: Vec<f
         let mut here = HashMap::new();
         for id in (TileBlock { level, tiles: pyramid.tiles_over(level, part) }).ids() {
             let coefficients = window.tile(pyramid, 0, id, |c| scale.in_steps(c));
-            let (tile, bytes) =
-                Tile::encode(pyramid, id, &coefficients, above.get(&pyramid.parent(level, id.at)))?;
+            let (parent, before) = (above.get(&pyramid.parent(level, id.at)), before.tile(id)?);
+            let (tile, bytes) = Tile::encode(pyramid, id, &coefficients, parent, before.as_deref())?;
             if !bytes.is_empty() {
                 made.tiles.insert(id, bytes);
             }
@@ -244,15 +251,20 @@ pub struct Coarse {
 }
 
 impl Coarse {
-    /// Encodes the low coefficients of all chunks, x fastest.
+    /// Encodes the low coefficients of all chunks, x fastest. `before` is as in [`encode_part`].
     ///
     /// # Errors
-    /// [`Error::Step`] for a step that is too small.
-    pub fn encode(pyramid: &Pyramid, scale: &Scale, low: Vec<f32>) -> Result<Vec<u8>> {
+    /// [`Error::Step`] for a step that is too small, and those of finding tiles.
+    pub fn encode<S: TileSource>(
+        pyramid: &Pyramid,
+        scale: &Scale,
+        low: Vec<f32>,
+        before: &mut S,
+    ) -> std::result::Result<Vec<u8>, S::Error> {
         let from = pyramid.details();
         let mut window = Window { place: Box3::all(pyramid.nodes(from)), samples: low };
         window.forward(&pyramid.splits()[from..], &mut Scratch::default());
-        let Encoded { top, lengths, tiles, .. } = encode_levels(&window, pyramid, from, scale)?;
+        let Encoded { top, lengths, tiles, .. } = encode_levels(&window, pyramid, from, scale, before)?;
         let lengths = encode_lengths(&lengths);
         let mut out = (top.len() as u32).to_le_bytes().to_vec();
         out.extend((lengths.len() as u32).to_le_bytes());
@@ -297,7 +309,7 @@ impl Coarse {
     }
 
     /// A tile of the coarse levels, or none if all its coefficients are zero. Its parent is asked
-    /// for where it has one.
+    /// for where it has one, and the tile before.
     ///
     /// # Errors
     /// [`Error::Damaged`], and those of finding the parent.
@@ -312,7 +324,8 @@ impl Coarse {
     }
 }
 
-/// Decodes a tile of some bytes, or none of zeros. Its parent is asked for where it has one.
+/// Decodes a tile of some bytes, or none of zeros. Its parent is asked for where it has one, and
+/// the tile before.
 ///
 /// # Errors
 /// [`Error::Damaged`], and those of finding the parent.
@@ -322,10 +335,12 @@ pub fn decode_tile<S: TileSource>(
     bytes: Option<&[u8]>,
     source: &mut S,
 ) -> std::result::Result<Option<Arc<Tile>>, S::Error> {
-    let Some(bytes) = bytes else { return Ok(None) };
+    let before = source.before(id)?;
+    let Some(bytes) = bytes else { return Ok(before) };
     let parent = match Tile::has_parent(pyramid, id.level) {
         true => source.tile(TileId { level: id.level + 1, at: pyramid.parent(id.level, id.at) })?,
         false => None,
     };
-    Ok(Some(Arc::new(Tile::decode(pyramid, id, bytes, parent.as_deref())?)))
+    let tile = Tile::decode(pyramid, id, bytes, parent.as_deref(), before.as_deref())?;
+    Ok(Some(Arc::new(tile)).filter(|tile| !tile.is_zero()))
 }

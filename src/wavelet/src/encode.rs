@@ -7,6 +7,7 @@ use crate::decode::Compressed;
 use crate::delay::{boxes, choose_delay};
 use crate::error::{Error, Result};
 use crate::lengths::encode_lengths;
+use crate::levels::{NoTiles, TileSource};
 use crate::pyramid::{Box3, Pyramid};
 use crate::quantise::Scale;
 use crate::tile::{Tile, encode_numbers, tiles_of};
@@ -308,17 +309,18 @@ impl Transformed {
     }
 
     fn encode(&self, scale: &Scale) -> Result<Encoded> {
-        encode_levels(&self.window, &self.pyramid, 0, scale)
+        encode_levels(&self.window, &self.pyramid, 0, scale, &mut NoTiles)
     }
 }
 
 /// Encodes all levels above one, of whose nodes a window has the coefficients.
-pub(crate) fn encode_levels(
+pub(crate) fn encode_levels<S: TileSource>(
     window: &Window,
     pyramid: &Pyramid,
     from: usize,
     scale: &Scale,
-) -> Result<Encoded> {
+    before: &mut S,
+) -> std::result::Result<Encoded, S::Error> {
     let largest = window.samples.iter().fold(0.0, |most: f32, c| most.max(c.abs()));
     scale.expect_numbers_of(largest)?;
     let size = pyramid.nodes(pyramid.coarsest());
@@ -332,7 +334,8 @@ pub(crate) fn encode_levels(
         for id in tiles_of(pyramid, level) {
             let coefficients = window.tile(pyramid, from, id, |c| scale.in_steps(c));
             let parent = above.get(&pyramid.parent(level, id.at));
-            let (tile, bytes) = Tile::encode(pyramid, id, &coefficients, parent)?;
+            let before = before.tile(id)?;
+            let (tile, bytes) = Tile::encode(pyramid, id, &coefficients, parent, before.as_deref())?;
             lengths.push(bytes.len() as u32);
             tiles.extend(bytes);
             error += tile.error(&coefficients);

@@ -17,8 +17,26 @@ pub trait TileSource {
     /// A tile, or none if all its coefficients are zero.
     fn tile(&mut self, id: TileId) -> Result<Option<Arc<Tile>>, Self::Error>;
 
+    /// The tile at the step of a series before that tiles may refer to; none if there is no such
+    /// step, or all its coefficients are zero.
+    fn before(&mut self, _id: TileId) -> Result<Option<Arc<Tile>>, Self::Error> {
+        Ok(None)
+    }
+
     /// Tells that a tile is used, and is not asked for again for the same box.
     fn used(&mut self, _id: TileId) {}
+}
+
+/// There is no step before.
+#[derive(Clone, Copy, Debug)]
+pub struct NoTiles;
+
+impl TileSource for NoTiles {
+    type Error = Error;
+
+    fn tile(&mut self, _: TileId) -> Result<Option<Arc<Tile>>, Error> {
+        Ok(None)
+    }
 }
 
 /// The levels of an array whose tiles are elsewhere.
@@ -86,7 +104,7 @@ impl Levels<'_> {
     fn details<S: TileSource>(&self, level: usize, work: &mut Window, tiles: &mut S) -> Result<(), S::Error> {
         let p = self.pyramid;
         // Of the finer level, some tiles may have parents here; no others are asked for again.
-        let are_parents = level > 1 && Tile::has_parent(p, level - 1);
+        let are_parents = Tile::is_parent(p, level);
         let first = work.place.start.map(|s| s / TILE);
         let last = work.place.end().map(|e| (e - 1) / TILE);
         for z in first[2]..=last[2] {

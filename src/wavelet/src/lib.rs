@@ -58,7 +58,7 @@ pub use delay::{boxes, choose_delay};
 pub use encode::{Accuracy, Sampling, Settings, compress};
 pub use error::{Error, Result};
 pub use fill::fill;
-pub use levels::{Levels, TileSource};
+pub use levels::{Levels, NoTiles, TileSource};
 pub use mask::{Mask, MaskBuilder};
 pub use pyramid::{Band, Box3, GROUP, Pyramid, TILE};
 pub use quantise::Scale;

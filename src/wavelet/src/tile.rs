@@ -31,6 +31,9 @@ const BIT: f32 = 0.08;
 /// Bits of the part of a magnitude that is not coded in unary, at most.
 const LONGEST: u32 = 30;
 
+/// A number and one before it have a sum whose magnitude is less than this.
+const MOST_SUM: u32 = 1 << 30;
+
 /// Which tile: its level and its place in the grid of that level's tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TileId {
@@ -82,12 +85,40 @@ impl Tile {
     /// Quantises and encodes. `coefficients` are those of each band, in steps, as `numbers` lie. A
     /// coefficient becomes the nearest number or one of less magnitude, if that saves more bits
     /// than its error is worth. No bytes are a tile of zeros.
+    ///
+    /// `before` is the tile at the step of a series before, if it has other numbers than zeros.
+    /// Then the tile may be stored as what changes, and no bytes are the tile before.
     pub fn encode(
         pyramid: &Pyramid,
         id: TileId,
         coefficients: &[Vec<f32>],
         parent: Option<&Self>,
+        before: Option<&Self>,
     ) -> Result<(Self, Vec<u8>)> {
+        let mut tile = Self::nearest(pyramid, id, coefficients)?;
+        let Some(before) = before else {
+            if tile.is_zero() {
+                return Ok((tile, vec![]));
+            }
+            let mut encoder = Encoder::default();
+            tile.walk(pyramid, parent, &mut Model::of(id.level), &mut encoder, Some(coefficients))?;
+            // What was left may have been too little to be worth its bits.
+            let bytes = if tile.is_zero() { vec![] } else { encoder.finish() };
+            return Ok((tile, bytes));
+        };
+        let changed = tile.clone().encode_change(pyramid, coefficients, before)?;
+        let mut encoder = Encoder::default();
+        encoder.even(false);
+        tile.walk(pyramid, parent, &mut Model::of(id.level), &mut encoder, Some(coefficients))?;
+        let alone = (tile, encoder.finish());
+        let price = |(tile, bytes): &(Self, Vec<u8>)| {
+            tile.error(coefficients) + f64::from(BIT) * 8.0 * bytes.len() as f64
+        };
+        Ok(if price(&changed) < price(&alone) { changed } else { alone })
+    }
+
+    /// The nearest numbers.
+    fn nearest(pyramid: &Pyramid, id: TileId, coefficients: &[Vec<f32>]) -> Result<Self> {
         let mut tile = Self::zero(pyramid, id);
         for (part, real) in tile.parts.iter_mut().zip(coefficients) {
             assert_eq!(part.numbers.len(), real.len(), "a coefficient for each number");
@@ -98,14 +129,41 @@ impl Tile {
                 *number = nearest(*c);
             }
         }
-        if tile.is_zero() {
-            return Ok((tile, vec![]));
+        Ok(tile)
+    }
+
+    /// Encodes what changes from the tile before, without a parent: where something moves, the
+    /// changes of a coarser level say little.
+    fn encode_change(
+        mut self,
+        pyramid: &Pyramid,
+        coefficients: &[Vec<f32>],
+        before: &Self,
+    ) -> Result<(Self, Vec<u8>)> {
+        let mut real = coefficients.to_vec();
+        for ((part, real), old) in self.parts.iter_mut().zip(&mut real).zip(&before.parts) {
+            for ((number, c), old) in part.numbers.iter_mut().zip(real).zip(&old.numbers) {
+                *number -= old;
+                *c -= restored(*old);
+            }
         }
-        let (mut encoder, mut model) = (Encoder::default(), Model::of(id.level));
-        tile.walk(pyramid, parent, &mut model, &mut encoder, Some(coefficients))?;
-        // What was left may have been too little to be worth its bits.
-        let bytes = if tile.is_zero() { vec![] } else { encoder.finish() };
-        Ok((tile, bytes))
+        let mut encoder = Encoder::default();
+        encoder.even(true);
+        self.walk(pyramid, None, &mut Model::of(self.id.level), &mut encoder, Some(&real))?;
+        let bytes = if self.is_zero() { vec![] } else { encoder.finish() };
+        self.add(before)?;
+        Ok((self, bytes))
+    }
+
+    /// Adds the numbers of the tile before.
+    fn add(&mut self, before: &Self) -> Result<()> {
+        for (part, old) in self.parts.iter_mut().zip(&before.parts) {
+            for (number, old) in part.numbers.iter_mut().zip(&old.numbers) {
+                let sum = number.checked_add(*old).filter(|sum| sum.unsigned_abs() < MOST_SUM);
+                *number = sum.ok_or(Error::Damaged("a coefficient is too large"))?;
+            }
+        }
+        Ok(())
     }
 
     /// The sum of the squared differences to what it was made of, in squared steps.
@@ -115,15 +173,29 @@ impl Tile {
         pairs.map(|(n, c)| f64::from(restored(*n) - c).powi(2)).sum()
     }
 
-    /// Decodes what [`Tile::encode`] made.
-    pub fn decode(pyramid: &Pyramid, id: TileId, bytes: &[u8], parent: Option<&Self>) -> Result<Self> {
-        let mut tile = Self::zero(pyramid, id);
-        if !bytes.is_empty() {
-            let mut decoder = Decoder::new(bytes);
-            tile.walk(pyramid, parent, &mut Model::of(id.level), &mut decoder, None)?;
-            decoder.finish()?;
+    /// Decodes what [`Tile::encode`] made, with the same parent and tile before.
+    pub fn decode(
+        pyramid: &Pyramid,
+        id: TileId,
+        bytes: &[u8],
+        parent: Option<&Self>,
+        before: Option<&Self>,
+    ) -> Result<Self> {
+        if bytes.is_empty() {
+            return Ok(before.cloned().unwrap_or_else(|| Self::zero(pyramid, id)));
         }
+        let (mut tile, mut decoder) = (Self::zero(pyramid, id), Decoder::new(bytes));
+        let before = before.filter(|_| decoder.even(false));
+        let parent = parent.filter(|_| before.is_none());
+        tile.walk(pyramid, parent, &mut Model::of(id.level), &mut decoder, None)?;
+        decoder.finish()?;
+        before.map_or(Ok(()), |before| tile.add(before))?;
         Ok(tile)
+    }
+
+    /// Whether tiles of a level are parents of others.
+    pub fn is_parent(pyramid: &Pyramid, level: usize) -> bool {
+        level > 1 && Self::has_parent(pyramid, level - 1)
     }
 
     /// Whether tiles of a level have parents.

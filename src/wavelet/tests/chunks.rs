@@ -1,7 +1,7 @@
 //! An array that is made and read chunk by chunk is the one that is made as a whole.
 
 use isospan_wavelet::{
-    Accuracy, Box3, Coarse, Compressed, Error, Levels, Pyramid, Scale, Settings, TileBlock, TileId,
+    Accuracy, Box3, Coarse, Compressed, Error, Levels, NoTiles, Pyramid, Scale, Settings, TileBlock, TileId,
     TileSource, blocks_of, compress, decode_corrections, decode_tile, encode_corrections, encode_part,
 };
 use std::collections::HashMap;
@@ -23,10 +23,23 @@ struct Stored {
     scale: Scale,
     coarse: Coarse,
     chunks: HashMap<[usize; 3], Vec<(TileBlock, Vec<u8>)>>,
+    /// The step of a series before.
+    before: Option<Arc<Stored>>,
 }
 
 impl Stored {
     fn new(samples: &[f32], dims: [usize; 3], delay: [u8; 3], scale: Scale, edge: usize) -> Self {
+        Self::after(None, samples, dims, delay, scale, edge)
+    }
+
+    fn after(
+        before: Option<Arc<Stored>>,
+        samples: &[f32],
+        dims: [usize; 3],
+        delay: [u8; 3],
+        scale: Scale,
+        edge: usize,
+    ) -> Self {
         let pyramid = Pyramid::new(dims, delay);
         let nodes = pyramid.nodes(pyramid.details());
         let mut low = vec![f32::NAN; nodes.iter().product()];
@@ -43,7 +56,11 @@ impl Stored {
                         window.extend(samples[row..row + size[0]].iter().map(|s| scale.enter(f64::from(*s))));
                     }
                 }
-                let made = encode_part(&pyramid, &scale, &part, window).unwrap();
+                let made = match &before {
+                    Some(before) => encode_part(&pyramid, &scale, &part, window, &mut Reader(before)),
+                    None => encode_part(&pyramid, &scale, &part, window, &mut NoTiles),
+                };
+                let made = made.unwrap();
                 tiles.extend(made.tiles);
                 let place = pyramid.low_box(&part);
                 for (i, value) in made.low.into_iter().enumerate() {
@@ -59,9 +76,16 @@ impl Stored {
             chunks.insert(at, blocks);
         }
         assert!(low.iter().all(|v| v.is_finite()));
-        let bytes = Coarse::encode(&pyramid, &scale, low).unwrap();
-        let coarse = Coarse::new(&pyramid, bytes).unwrap();
-        Self { pyramid, scale, coarse, chunks }
+        let bytes = match &before {
+            Some(before) => Coarse::encode(&pyramid, &scale, low, &mut Reader(before)),
+            None => Coarse::encode(&pyramid, &scale, low, &mut NoTiles),
+        };
+        let coarse = Coarse::new(&pyramid, bytes.unwrap()).unwrap();
+        Self { pyramid, scale, coarse, chunks, before }
+    }
+
+    fn detail_bytes(&self) -> usize {
+        self.chunks.values().flatten().map(|(_, bytes)| bytes.len()).sum()
     }
 
     fn nodes(&self, level: usize, wanted: &Box3) -> Vec<f32> {
@@ -84,6 +108,45 @@ impl TileSource for Reader<'_> {
         let (block, bytes) = blocks.iter().find(|(block, _)| block.ids().any(|i| i == id)).unwrap();
         let place = block.places(bytes)?.into_iter().find(|(i, _)| *i == id);
         decode_tile(&of.pyramid, id, place.map(|(_, place)| &bytes[place]), self)
+    }
+
+    fn before(&mut self, id: TileId) -> Result<Option<Arc<isospan_wavelet::Tile>>, Error> {
+        self.0.before.as_ref().map_or(Ok(None), |before| Reader(before).tile(id))
+    }
+}
+
+/// A field that moves, one that stands still but for a place, one that stands still, and one that
+/// is gone: each is what it is alone, but for what was not worth its bits.
+#[test]
+fn steps_of_a_series_refer_to_the_one_before() {
+    let (dims, delay, step) = ([300, 33, 40], [0; 3], 0.05);
+    let scale = Scale::new([-3.0, 6.0], step).unwrap();
+    let first = field(dims);
+    let mut place = first.clone();
+    place[(20 * dims[1] + 16) * dims[0] + 40] += 2.0;
+    let moved: Vec<f32> = (0..first.len()).map(|i| first[(i + 1) % first.len()]).collect();
+    let steps = [first.clone(), first.clone(), place, moved, vec![1.5; first.len()], first];
+    for edge in [128, 256] {
+        let (mut before, mut bytes): (Option<Arc<Stored>>, Vec<_>) = (None, vec![]);
+        for (n, samples) in steps.iter().enumerate() {
+            let alone = Stored::new(samples, dims, delay, scale, edge);
+            let stored = Arc::new(Stored::after(before.take(), samples, dims, delay, scale, edge));
+            let all = Box3::all(dims);
+            let [found, expected] = [&stored, &Arc::new(alone)].map(|of| of.nodes(0, &all));
+            let rms = |values: &[f32]| {
+                let squares = values.iter().zip(samples).map(|(a, b)| f64::from(a - b).powi(2));
+                (squares.sum::<f64>() / samples.len() as f64).sqrt()
+            };
+            let (with, without) = (rms(&found), rms(&expected));
+            assert!(with < 1.1 * without + 1e-6, "step {n}: {with} {without}");
+            let part = Box3 { start: [250, 3, 5], size: [20, 9, 30] };
+            assert_eq!(stored.nodes(0, &part), all.values_of(&found, &part), "step {n}");
+            bytes.push(stored.detail_bytes());
+            before = Some(stored);
+        }
+        assert_eq!(bytes[1], 0, "what stands still takes no bytes");
+        assert!(bytes[2] > 0 && bytes[2] < bytes[0] / 4, "{bytes:?}");
+        assert!(bytes[3] < bytes[0] && bytes[4] > 0 && bytes[5] <= bytes[0] + 200, "{bytes:?}");
     }
 }
 

@@ -180,8 +180,12 @@ pub(crate) fn reduce(input: &Path, settings: &ReduceSettings, out: &Path, thread
 
 /// As [`reduce`], in two shards, the second one first.
 pub(crate) fn reduce_in_shards(input: &Path, settings: &ReduceSettings, out: &Path) {
-    let (sources, run) = ([StepSource::new(input, &OpenOptions::default())], run(2));
-    pipeline::plan_shards(&sources, settings, out, 2, &run, &Silent).unwrap();
+    reduce_series_in_shards(&[StepSource::new(input, &OpenOptions::default())], settings, out);
+}
+
+pub(crate) fn reduce_series_in_shards(sources: &[StepSource], settings: &ReduceSettings, out: &Path) {
+    let run = run(2);
+    pipeline::plan_shards(sources, settings, out, 2, &run, &Silent).unwrap();
     for shard in [1, 0] {
         pipeline::work_shard(out, Shard::new(shard, 2).unwrap(), &run, &Silent).unwrap();
     }
