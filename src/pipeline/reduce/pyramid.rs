@@ -256,9 +256,9 @@ impl<'a> RangeMaker<'a> {
 const MEASURED_WHOLE: u64 = 1 << 20;
 
 /// One row in how many a level is measured in. A coarse field is smooth, so few rows tell its
-/// error; all levels together then take twice the time of one.
+/// error; all levels together then take the time of one.
 fn rows_of(level: usize, samples: u64) -> u64 {
-    if samples > MEASURED_WHOLE { 1 << (level - 1).min(3) } else { 1 }
+    if samples > MEASURED_WHOLE { 1 << (level - 1).clamp(1, 3) } else { 1 }
 }
 
 /// Magnitudes of whole numbers of which `f32` has each.
@@ -297,16 +297,17 @@ impl MakeChunks for RangeMaker<'_> {
                 void += around.values_of(&decoded, &part).iter().filter(|v| v.is_nan()).count();
             }
             if self.measured {
-                let originals = around.values_of(&samples, &part);
-                let found = around.values_of(&decoded, &part);
-                let [nx, ny, _] = own.dims();
-                for (i, (original, value)) in originals.iter().zip(&found).enumerate() {
-                    sums.add(*original, *value, || {
-                        let i = i as u64;
-                        let [x, y, z] = [i % nx, i / nx % ny, i / nx / ny];
-                        let [sx, sy] = [dims[0] as u64, dims[1] as u64];
-                        ((own.lo[2] + z) * sy + own.lo[1] + y) * sx + own.lo[0] + x
-                    });
+                let [sx, sy, _] = dims.map(|n| n as u64);
+                for z in own.lo[2]..own.hi[2] {
+                    for y in own.lo[1]..own.hi[1] {
+                        let first = [own.lo[0], y, z];
+                        let (at, number) = (nodes.offset(first), (z * sy + y) * sx + first[0]);
+                        let row = at..at + part.size[0];
+                        for ((original, value), x) in samples[row.clone()].iter().zip(&decoded[row]).zip(0..)
+                        {
+                            sums.add(*original, *value, || number + x);
+                        }
+                    }
                 }
                 self.measure_levels(&samples, &nodes, &own, &mut levels)?;
             }
