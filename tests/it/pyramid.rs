@@ -362,6 +362,37 @@ fn a_step_that_others_refer_to_can_be_lost_or_replaced() {
     assert!(values(3) == last && values(4).len() == last.len());
 }
 
+/// A simulation often begins with nothing.
+#[test]
+fn a_first_step_that_is_constant_decides_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let inputs: Vec<_> = (0..3).map(|t| dir.path().join(format!("{t}.npy"))).collect();
+    for (t, input) in inputs.iter().enumerate() {
+        write_npy(input, [40, 33, 27], |x, y, z| 1e-3 * t as f64 * rough(x, y, z));
+    }
+    let sources: Vec<StepSource> = inputs.iter().map(|path| StepSource::from(&**path)).collect();
+    let out = dir.path().join("a.isospan");
+    let one_percent = Bound::OfRange(0.01);
+    for target in [Target::Rms(one_percent), Target::Max(one_percent), Target::Max(Bound::Value(1e-5))] {
+        let settings = pyramid(Some(target));
+        let replaced = RunSettings { replace: true, ..run(2) };
+        let made = pipeline::reduce_series(&sources, &settings, &out, &replaced, &Silent).unwrap();
+        let found = made.target.unwrap();
+        assert!(found.met && found.tries <= 2, "{target:?}: {found:?}");
+        let alone = pipeline::reduce_series(&sources[..1], &settings, &out, &replaced, &Silent).unwrap();
+        assert!(alone.target.unwrap().met && alone.steps[0].error.unwrap()[1] == 0.0, "{target:?}");
+        // What is added has the bound of the first, or the usual error.
+        let added = pipeline::append(&sources[1..], &AppendSettings::default(), &out, &run(2), &Silent);
+        for (n, step) in (1..).zip(added.unwrap().steps) {
+            let [rms, max] = step.error.unwrap();
+            let range = 4e-3 * f64::from(n);
+            assert!(rms < 0.012 * range, "{target:?}: {rms} of {range}");
+            assert!(target != Target::Max(Bound::Value(1e-5)) || max <= 1e-5, "{target:?}: {max}");
+        }
+        check_archive(&out).unwrap();
+    }
+}
+
 #[test]
 fn steps_that_are_added_keep_the_bound() {
     let dir = tempfile::tempdir().unwrap();

@@ -6,6 +6,7 @@ use super::shift::{Reading, treat_missing};
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
+use crate::simd::with_vectors;
 use crate::volume::chunked::ChunkedVolume;
 use crate::volume::{VolumeReader, VolumeSource};
 use isospan_wavelet::{Box3, fill};
@@ -18,8 +19,15 @@ const BOXES: u64 = 24;
 const EDGE: u64 = 64;
 /// Bytes of decoded chunks while boxes are read.
 const CACHE: u64 = 32 << 20;
-/// Boxes of a larger one to try out more.
+/// Boxes of a larger one on which delays are tried.
 const TRIED: usize = 8;
+/// A volume of at most this many samples is encoded and decoded as a whole.
+const SMALL: usize = 1 << 19;
+/// Small boxes of a larger one, half of them below so many samples; and samples along each axis of
+/// one.
+const SMALL_BOXES: u64 = 16;
+const MANY_SMALL: usize = 1 << 22;
+const SMALL_EDGE: u64 = 32;
 
 /// What one reading of a volume finds.
 pub(in crate::pipeline) struct Sampled {
@@ -49,10 +57,7 @@ impl Sampled {
         let (missing, stand_in) = (reading.missing().map(|m| m as f32), reading.stand_in());
         let mut range = [f32::INFINITY, f32::NEG_INFINITY];
         each_slab(source, reading, |slab, values| {
-            for value in values.iter().filter(|v| v.is_finite() && Some(**v) != missing) {
-                // A zero has no sign here.
-                range = [range[0].min(value + 0.0), range[1].max(value + 0.0)];
-            }
+            range = widened(range, values, missing);
             boxes.iter().zip(&mut found).for_each(|(b, to)| take(b, to, slab, values));
             cancel.check()
         })?;
@@ -125,20 +130,69 @@ impl Sampled {
         Ok(Self::new(reading, dims, (range[0] <= range[1]).then_some(range), found))
     }
 
-    /// Fewer and smaller boxes, to try out more.
-    pub(in crate::pipeline) fn small_boxes(&self) -> Vec<(Vec<f32>, [usize; 3])> {
-        let [(values, dims)] = &self.boxes[..] else {
-            return self.boxes.iter().take(TRIED).cloned().collect();
-        };
-        let whole = IndexBox::whole(dims.map(|n| n as u64));
-        let cut = |part: Box3| {
-            let place = indices(&part);
-            let mut samples = vec![0.0; place.len()];
-            take(&place, &mut samples, &whole, values);
-            (samples, part.size)
-        };
-        isospan_wavelet::boxes(*dims).into_iter().map(cut).collect()
+    /// Fewer boxes, to try out which axes are split later.
+    pub(in crate::pipeline) fn few_boxes(&self) -> Vec<(Vec<f32>, [usize; 3])> {
+        match &self.boxes[..] {
+            [whole] => cut(whole, isospan_wavelet::boxes(whole.1).iter().map(indices)),
+            boxes => boxes.iter().take(TRIED).cloned().collect(),
+        }
     }
+
+    /// Small boxes all over the volume, to encode and decode: all of a small one.
+    pub(in crate::pipeline) fn small_boxes(&self) -> Vec<(Vec<f32>, [usize; 3])> {
+        match &self.boxes[..] {
+            [whole] if whole.0.len() <= SMALL => vec![whole.clone()],
+            [whole] => {
+                let count = if whole.0.len() < MANY_SMALL { SMALL_BOXES / 2 } else { SMALL_BOXES };
+                cut(whole, spread(whole.1.map(|n| n as u64), count, SMALL_EDGE))
+            }
+            boxes => {
+                let first =
+                    |of: &(Vec<f32>, [usize; 3])| cut(of, spread(of.1.map(|n| n as u64), 1, SMALL_EDGE));
+                boxes.iter().take(SMALL_BOXES as usize).flat_map(first).collect()
+            }
+        }
+    }
+}
+
+/// A range with some samples. A zero has no sign in it.
+fn widened(range: [f32; 2], values: &[f32], missing: Option<f32>) -> [f32; 2] {
+    // What no sample equals.
+    let missing = missing.unwrap_or(f32::NAN);
+    with_vectors(
+        #[inline(always)]
+        || {
+            let [mut least, mut most] = [[range[0]; LANES], [range[1]; LANES]];
+            let (chunks, rest) = values.as_chunks::<LANES>();
+            let mut last = [f32::NAN; LANES];
+            last[..rest.len()].copy_from_slice(rest);
+            for chunk in chunks.iter().chain([&last]) {
+                for ((v, least), most) in chunk.iter().zip(&mut least).zip(&mut most) {
+                    let is_there = v.abs() < f32::INFINITY && *v != missing;
+                    *least = if is_there && v + 0.0 < *least { v + 0.0 } else { *least };
+                    *most = if is_there && v + 0.0 > *most { v + 0.0 } else { *most };
+                }
+            }
+            [least.into_iter().fold(range[0], f32::min), most.into_iter().fold(range[1], f32::max)]
+        },
+    )
+}
+
+/// Samples that are compared side by side.
+const LANES: usize = 16;
+
+/// Parts of a box of samples.
+fn cut(
+    (values, dims): &(Vec<f32>, [usize; 3]),
+    parts: impl IntoIterator<Item = IndexBox>,
+) -> Vec<(Vec<f32>, [usize; 3])> {
+    let whole = IndexBox::whole(dims.map(|n| n as u64));
+    let part = |place: IndexBox| {
+        let mut samples = vec![0.0; place.len()];
+        take(&place, &mut samples, &whole, values);
+        (samples, place.dims().map(|n| n as usize))
+    };
+    parts.into_iter().map(part).collect()
 }
 
 fn indices(b: &Box3) -> IndexBox {
@@ -166,14 +220,19 @@ fn boxes(dims: [u64; 3]) -> Vec<IndexBox> {
     if samples <= u128::from(WHOLE) {
         return vec![IndexBox::whole(dims)];
     }
+    spread(dims, BOXES, EDGE).collect()
+}
+
+/// Boxes of about `edge` samples along each axis, all over a volume.
+fn spread(dims: [u64; 3], count: u64, edge: u64) -> impl Iterator<Item = IndexBox> {
     // The boxes of a thin volume are longer, so that all have as many samples.
-    let mut edges = dims.map(|n| n.min(EDGE));
+    let mut edges = dims.map(|n| n.min(edge));
     for a in 0..3 {
         let others = edges.iter().enumerate().filter(|(b, _)| *b != a).map(|(_, e)| e).product::<u64>();
-        edges[a] = (EDGE.pow(3) / others.max(1)).clamp(edges[a], 4 * EDGE).min(dims[a]);
+        edges[a] = (edge.pow(3) / others.max(1)).clamp(edges[a], 4 * edge).min(dims[a]);
     }
     // Each axis goes through the places in an order of its own: a net of base 2, 3 and 5.
-    let place = |i: u64, a: usize| {
+    let place = move |i: u64, a: usize| {
         let base = [2, 3, 5][a];
         let (mut n, mut part, mut unit) = (i + 1, 0.0, 1.0);
         while n > 0 {
@@ -183,11 +242,11 @@ fn boxes(dims: [u64; 3]) -> Vec<IndexBox> {
         }
         (part * (dims[a] - edges[a] + 1) as f64) as u64
     };
-    let one = |i: u64| {
+    let one = move |i: u64| {
         let lo: [u64; 3] = std::array::from_fn(|a| place(i, a).min(dims[a] - edges[a]));
         IndexBox { lo, hi: std::array::from_fn(|a| lo[a] + edges[a]) }
     };
-    (0..BOXES).map(one).collect()
+    (0..count).map(one)
 }
 
 #[cfg(test)]

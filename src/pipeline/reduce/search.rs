@@ -180,8 +180,10 @@ const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 const USUAL_POWERS_OF_STEPS: [f64; 2] = [0.8, 0.9];
 /// How many times coarser or finer the steps of a pyramid are than at first, at most.
 const LIMITS_OF_FACTORS: [f64; 2] = [1e-5, 1e5];
-/// A pyramid is made again only for more than this.
+/// A pyramid is made again only for more than this; and after so many tries only if none meets the
+/// bound: the error of a small volume leaps as its coefficients become coarser.
 const NEAR_OF_PYRAMIDS: f64 = 0.93;
+const ENOUGH_TRIES: u32 = 4;
 
 /// Points a sample where a size is wanted, at most.
 const MOST_A_SAMPLE: f64 = 4.0;
@@ -376,14 +378,15 @@ impl TargetSearch {
         let search = self.search.get_or_insert_with(|| Search { bound, limits, near, usual, tries: vec![] });
         let made = Try { amount, reached: self.target.reached(report) };
         search.tries.push(made);
+        let meets = made.reached <= bound;
         let next = match self.target {
             Target::Max(_) | Target::Lossless => None,
             _ if search.tries.len() as u32 >= MOST_TRIES => None,
+            _ if self.tries >= ENOUGH_TRIES && (meets || self.best.is_some()) => None,
             // A constant has no error, however coarse it is.
             _ if made.reached == 0.0 => None,
             _ => search.next(),
         };
-        let meets = made.reached <= bound;
         let is_best = match &self.best {
             Some(best) => meets && made.amount < best.made.amount,
             None => meets || next.is_none(),

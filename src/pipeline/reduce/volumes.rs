@@ -73,9 +73,9 @@ struct Planner<'a> {
     offset: Option<f64>,
     /// The packed file that was read last to find the rounding.
     looked_into: Option<PathBuf>,
-    /// How fine the coefficients of each field of a pyramid are, and how its samples are corrected,
-    /// once the first step has decided that.
-    wavelets: HashMap<String, (f64, CorrectionRecord)>,
+    /// How fine the coefficients of each field of a pyramid are, once a step that is not constant
+    /// has decided that, and how its samples are corrected.
+    wavelets: HashMap<String, (Option<f64>, CorrectionRecord)>,
     /// Whether memory and disk were checked.
     is_checked: bool,
     only_estimates: bool,
@@ -202,7 +202,10 @@ impl Planner<'_> {
         for step in &archive.manifest.steps {
             if let Some(wavelet) = &step.plan.wavelet {
                 let field = step.series.clone().unwrap_or_default();
-                self.wavelets.insert(field, (wavelet.step, wavelet.correction));
+                let is_constant = wavelet.range[0] == wavelet.range[1];
+                let known = self.wavelets.entry(field).or_default();
+                let step = (!is_constant).then_some(wavelet.step).or(known.0);
+                *known = (step, wavelet.correction);
             }
         }
         self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
@@ -322,8 +325,9 @@ impl Planner<'_> {
         self.plan.as_ref().is_some_and(|plan| plan.mesh.points.kind() == SetKind::Pyramid)
     }
 
-    /// Finds out what the coefficients of a step stand for. The first step of a field decides how
-    /// fine they are, and that of the archive along which axes levels begin later.
+    /// Finds out what the coefficients of a step stand for. The first step of a field that is not
+    /// constant decides how fine they are, and that of the archive along which axes levels begin
+    /// later.
     fn set_wavelet(
         &mut self,
         step: &mut StepPlan,
@@ -341,10 +345,18 @@ impl Planner<'_> {
         let found = Sampled::of(volume, &self.reading(), &self.job.run.resources.cancel)?;
         let range = found.range.unwrap_or_default().map(f64::from);
         let field = planned.source.part().map_or(String::new(), |part| part.name.clone());
-        let (wavelet_step, correction) = match self.wavelets.get(&field) {
-            Some(known) => *known,
+        let is_constant = range[0] == range[1];
+        let (known_step, known) = self.wavelets.get(&field).copied().unwrap_or_default();
+        let correction = match known {
+            CorrectionRecord::None if known_step.is_none() => correction_of(self.job.settings, range),
+            known => known,
+        };
+        let wavelet_step = match known_step {
+            Some(step) => step,
+            // It has no coefficients. A step that is not constant decides.
+            None if is_constant => 1.0,
             None => {
-                let (bound, correction) = wanted(self.job.settings, range);
+                let bound = rms_of(self.job.settings, correction, range);
                 let refers = self.job.settings.keyframes > 1 && self.job.sources.len() > 1;
                 // A bound of each sample is kept by corrections, whatever the step.
                 let is_rms = correction == CorrectionRecord::None;
@@ -353,10 +365,11 @@ impl Planner<'_> {
                 if let (None, Some(plan)) = (self.delay(), &mut self.plan) {
                     plan.mesh.points = PointSpec::Pyramid { dims: step.source.dims, delay: chosen.delay };
                 }
-                (chosen.step * self.job.settings.step_factor, correction)
+                chosen.step * self.job.settings.step_factor
             }
         };
-        self.wavelets.insert(field, (wavelet_step, correction));
+        let decided = (!is_constant).then_some(wavelet_step).or(known_step);
+        self.wavelets.insert(field, (decided, correction));
         let wavelet = WaveletRecord { range, step: wavelet_step, correction };
         scale_of(&wavelet).map_err(|e| {
             let path = planned.source.path.display();
@@ -368,8 +381,10 @@ impl Planner<'_> {
 
     /// The delay of the pyramid, once a step has decided it.
     fn delay(&self) -> Option<[u8; 3]> {
+        let is_decided =
+            self.job.basis.archive().is_some() || self.wavelets.values().any(|(step, _)| step.is_some());
         match self.plan.as_ref()?.mesh.points {
-            PointSpec::Pyramid { delay, .. } if !self.wavelets.is_empty() => Some(delay),
+            PointSpec::Pyramid { delay, .. } if is_decided => Some(delay),
             _ => None,
         }
     }
@@ -409,20 +424,28 @@ impl Planner<'_> {
     }
 }
 
-/// The RMS error that a pyramid is made for at first, and how samples are corrected.
-fn wanted(settings: &ReduceSettings, range: [f64; 2]) -> (f64, CorrectionRecord) {
+/// How samples are corrected.
+fn correction_of(settings: &ReduceSettings, range: [f64; 2]) -> CorrectionRecord {
+    match settings.target {
+        // A part of no range is no bound; and a constant has no error.
+        Some(Target::Max(Bound::OfRange(_))) if range[0] == range[1] => CorrectionRecord::None,
+        Some(Target::Max(bound)) => CorrectionRecord::Max(bound.in_units(range)),
+        Some(Target::Lossless) => CorrectionRecord::Lossless,
+        _ => CorrectionRecord::None,
+    }
+}
+
+/// The RMS error that a pyramid is made for at first, before corrections.
+fn rms_of(settings: &ReduceSettings, correction: CorrectionRecord, range: [f64; 2]) -> f64 {
     /// What a bound of each sample asks of the RMS error before corrections.
     const OF_MAX: f64 = 0.75;
     /// Of whole numbers.
     const OF_WHOLE: f64 = 0.4;
-    match settings.target {
-        Some(Target::Rms(bound)) => (bound.in_units(range), CorrectionRecord::None),
-        Some(Target::Max(bound)) => {
-            let bound = bound.in_units(range);
-            (OF_MAX * bound, CorrectionRecord::Max(bound))
-        }
-        Some(Target::Lossless) => (OF_WHOLE, CorrectionRecord::Lossless),
-        _ => (Bound::OfRange(DEFAULT_ERROR).in_units(range), CorrectionRecord::None),
+    match (correction, settings.target) {
+        (CorrectionRecord::Max(bound), _) => OF_MAX * bound,
+        (CorrectionRecord::Lossless, _) => OF_WHOLE,
+        (CorrectionRecord::None, Some(Target::Rms(bound))) => bound.in_units(range),
+        (CorrectionRecord::None, _) => Bound::OfRange(DEFAULT_ERROR).in_units(range),
     }
 }
 
@@ -434,7 +457,8 @@ pub(super) fn pyramid_bytes(job: &Job<'_>, plan: &Plan) -> Result<u64> {
     let volume = volume_of(source, "the volume it was")?;
     let found = Sampled::of_boxes(volume, &reading, &job.run.resources.cancel)?;
     let range = found.range.unwrap_or_default().map(f64::from);
-    let (bound, correction) = wanted(settings, range);
+    let correction = correction_of(settings, range);
+    let bound = rms_of(settings, correction, range);
     let chosen = wavelet_of(&found, range, [bound, AIM], None)?;
     let accuracy = match correction {
         CorrectionRecord::None => Accuracy::Step(chosen.step),
@@ -484,14 +508,13 @@ fn wavelet_of(
     let refused = |e: isospan_wavelet::Error| Error::usage(format!("the error that is asked for: {e}"));
     // Errors count where samples are known, and those that stand for others have nearly none.
     let bound = bound * found.known.sqrt();
-    let some = found.small_boxes();
     let mut sampling = Sampling::new(&found.boxes, range, delay.unwrap_or_default()).map_err(refused)?;
     let mut step = sampling.step(bound).map_err(refused)?;
     let delay = match delay {
         Some(delay) => delay,
         None => {
             let scale = Scale::new(range, step).map_err(refused)?;
-            let delay = choose_delay(&some, &scale, found.samples).map_err(refused)?;
+            let delay = choose_delay(&found.few_boxes(), &scale, found.samples).map_err(refused)?;
             if delay != [0; 3] {
                 sampling = Sampling::new(&found.boxes, range, delay).map_err(refused)?;
                 step = sampling.step(bound).map_err(refused)?;
@@ -499,6 +522,6 @@ fn wavelet_of(
             delay
         }
     };
-    let excess = sampling.excess(&some, step).map_err(refused)?;
+    let excess = sampling.excess(&found.small_boxes(), step).map_err(refused)?;
     Ok(Chosen { step: sampling.step(aim * bound / excess).map_err(refused)?, delay })
 }
