@@ -13,8 +13,8 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Corners, ExportSettings, LevelChoice, MeasureSettings, ProbeSettings, Refine, RunSettings, Step,
-    StepChoice, StepRange, SurfaceSettings,
+    self, Corners, ExportSettings, GridSettings, LevelChoice, MeasureSettings, ProbeSettings, Refine,
+    RunSettings, Step, StepChoice, StepRange, SurfaceSettings,
 };
 use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
 use pyo3::prelude::*;
@@ -176,6 +176,17 @@ pub(crate) struct Part {
     every: u64,
     compress: bool,
     fields: Vec<String>,
+}
+
+/// Which samples of a pyramid are wanted.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct Grid {
+    level: usize,
+    roi: Option<String>,
+    compress: bool,
+    fields: Vec<String>,
+    replace: bool,
 }
 
 /// What an archive is measured against.
@@ -440,6 +451,36 @@ impl Archive {
                 &out,
                 progress,
             )
+        })?;
+        to_python(py, &report)
+    }
+
+    /// Samples of a level of a pyramid in a file, or an OME-Zarr image of all coarser levels too.
+    #[allow(clippy::too_many_arguments)]
+    fn save_grid<'py>(
+        &self,
+        py: Python<'py>,
+        out: PathBuf,
+        grid: Grid,
+        machine: Machine,
+        when: When,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let archive = self.at_field(py, when, grid.fields.first())?;
+        let settings = GridSettings {
+            fields: grid.fields,
+            level: grid.level,
+            roi: parsed(py, grid.roi.as_ref())?,
+            compress: grid.compress,
+            resources: machine.resources(py)?,
+        };
+        let report = run(py, progress.as_ref(), |cancel, progress| {
+            let resources = settings.resources.clone().with_cancel(cancel.clone());
+            let settings = GridSettings { resources, ..settings };
+            match out.extension().is_some_and(|e| e == "zarr") {
+                true => archive.write_ome_zarr(&settings, &out, grid.replace, progress),
+                false => archive.write_grid(&settings, &out, SampleFormat::from_path(&out)?, progress),
+            }
         })?;
         to_python(py, &report)
     }

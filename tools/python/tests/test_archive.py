@@ -188,6 +188,22 @@ def test_levels_of_a_pyramid(program, tmp_path):
     report = pyramid.save_samples(tmp_path / "saved.npy", (9, 8, 7), level=2)
     assert (tmp_path / "saved.npy").read_bytes() == (tmp_path / "grid.npy").read_bytes()
     assert report["outside"] == np.isnan(grid).sum()
+    for name, level in [("a.vti", 0), ("a.nrrd", 2), ("a.nii.gz", 1), ("a.npy", 3)]:
+        program("export", pyramid.path, "-o", tmp_path / f"p{name}", "--level", level)
+        report = pyramid.save_grid(tmp_path / f"s{name}", level=level)
+        assert report["level"] == level
+        assert (tmp_path / f"s{name}").read_bytes() == (tmp_path / f"p{name}").read_bytes()
+    part = pyramid.save_grid(tmp_path / "part.npy", roi="1:5,2:6,3:7")
+    assert np.load(tmp_path / "part.npy").shape == tuple(part["dims"][::-1]) == (5, 5, 5)
+    assert pyramid.save_grid(tmp_path / "image.zarr", level=1)["levels"] > 1
+    assert (tmp_path / "image.zarr/.zattrs").exists()
+    with pytest.raises(isospan.UsageError, match="replace|--force|is there"):
+        pyramid.save_grid(tmp_path / "image.zarr", level=1)
+    pyramid.save_grid(tmp_path / "image.zarr", level=1, replace=True)
+    with pytest.raises(isospan.UsageError, match="always compressed"):
+        pyramid.save_grid(tmp_path / "b.zarr", compress=True)
+    with pytest.raises(isospan.UsageError, match="level"):
+        pyramid.save_grid(tmp_path / "n.npy", level=40)
     measured = pyramid.measure(tmp_path / "field.npy", level=2)
     assert measured["level"] == 2 and measured["rms"] <= rms <= 1.002 * measured["rms"]
     with pytest.raises(isospan.UsageError, match="one of level, triangles and error"):

@@ -568,6 +568,48 @@ class Archive:
                 os.fspath(path), part, machine, (step, time), callback
             )
 
+    def save_grid(
+        self,
+        path: PathLike,
+        *,
+        level: int = 0,
+        roi: Roi | None = None,
+        bounds: Sequence[float | None] | None = None,
+        compress: bool = False,
+        fields: Sequence[str] = (),
+        replace: bool = False,
+        step: Which | None = None,
+        time: float | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+        scratch: PathLike | None = None,
+        progress: Progress = None,
+    ) -> dict[str, Any]:
+        """Writes the samples of a level of a pyramid, in bounded memory, as ``isospan export`` does.
+
+        path: .vti, .vtr, .vts, .nrrd, .nii, .nii.gz, .mha, .mhd or .npy; or a folder .zarr, which
+            becomes an OME-Zarr image of the level and all coarser ones, and is always compressed.
+        level: 0 is the finest. roi, bounds: only samples in the box. fields: names of the fields
+            that are written, of those that the archive has at the step; by default that of the
+            step. replace: an image .zarr that is there is replaced.
+        """
+        from ._errors import UsageError
+
+        if isinstance(fields, str):
+            raise UsageError("fields is a list of names")
+        if compress and os.fspath(path).endswith(".zarr"):
+            raise UsageError("an image .zarr is always compressed: leave out compress")
+        grid = {
+            "level": level,
+            "roi": _box(roi, bounds),
+            "compress": compress,
+            "fields": list(fields),
+            "replace": replace,
+        }
+        with Reporter(progress) as callback:
+            machine = _machine(threads, memory, scratch)
+            return self._core.save_grid(os.fspath(path), grid, machine, (step, time), callback)
+
     def to_unstructured_grid(self, **choices: Any) -> pyvista.UnstructuredGrid:
         """The tetrahedra as a grid of PyVista, with the values at the points.
 

@@ -100,6 +100,9 @@ class Archive:
     def save_tetrahedra(
         self, out: _Path, part: _Report, machine: _Report, when: _When, progress: _Callback
     ) -> _Report: ...
+    def save_grid(
+        self, out: _Path, grid: _Report, machine: _Report, when: _When, progress: _Callback
+    ) -> _Report: ...
     def measure(
         self,
         against: _Path | Volume,
