@@ -259,8 +259,8 @@ fn chunks_with(
 
 /// Decoded tiles that are cached at least: those around a box.
 const LEAST_CACHE: usize = 32 << 20;
-/// And those of a base: parents of the tiles around a box.
-const CACHE_OF_BASE: usize = 4 << 20;
+/// And those of a base: some parents. There may be many bases.
+const CACHE_OF_BASE: usize = 1 << 20;
 
 fn damaged(path: &Path, block: u64, what: &isospan_wavelet::Error) -> Error {
     Error::bad_input(path, format!("block {block}"), "coefficients of this pyramid", what.to_string())

@@ -151,10 +151,14 @@ impl StepView {
     /// The view, with that of the step before: if that is the base, tiles are found in its cache.
     pub(in crate::pipeline) fn after(self, before: Option<Self>) -> Self {
         if let Some(before) = before.filter(|before| before.is_base_of(&self.step().plan)) {
-            // Its own base is opened again if tiles of it are needed.
-            _ = self.base.set(Some(Box::new(Self { base: OnceLock::new(), ..before })));
+            _ = self.base.set(Some(Box::new(before.without_base())));
         }
         self
+    }
+
+    /// The view without the tiles of its base, which is opened again if they are needed.
+    pub(in crate::pipeline) fn without_base(self) -> Self {
+        Self { base: OnceLock::new(), ..self }
     }
 
     /// Its position in the manifest.

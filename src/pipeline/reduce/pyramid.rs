@@ -459,7 +459,7 @@ impl Build<'_> {
         let has_values = all.clone().all(|s| whole(SegmentKind::Values, layout.values(s), s));
         let has_coarse =
             Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash)).is_ok_and(|s| s.verify().is_ok());
-        let before_step = before.take();
+        let before_step = before.take().map(StepView::without_base);
         if has_values && has_coarse && has_ranges {
             return Ok(());
         }
