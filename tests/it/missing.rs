@@ -4,10 +4,10 @@
 use crate::common::*;
 use isospan::Archive;
 use isospan::exec::Silent;
-use isospan::formats::{OpenOptions, StepSource};
+use isospan::formats::StepSource;
 use isospan::pipeline::{
-    self, AppendSettings, Bound, LevelChoice, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, StepChoice, SurfaceSettings, Target,
+    self, AppendSettings, Bound, LevelChoice, NanPolicy, ReduceReport, ReduceSettings, RunSettings,
+    StepChoice, SurfaceSettings, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -37,16 +37,6 @@ fn source(dims: [usize; 3], f: impl Fn(f64, f64, f64) -> f64) -> Vec<f64> {
         f64::from(f(unit(x, dims[0]), unit(y, dims[1]), unit(z, dims[2])) as f32)
     };
     (0..dims.iter().product()).map(one).collect()
-}
-
-fn samples(archive: &Archive, choice: StepChoice) -> Vec<f64> {
-    let step = archive.at(choice).unwrap();
-    step.sample(step.dims()).unwrap()
-}
-
-fn error_of(archive: &Path, input: &Path) -> isospan::measure::FieldError {
-    let settings = MeasureSettings { resources: run(2).resources, ..MeasureSettings::default() };
-    pipeline::measure(archive, input, &OpenOptions::default(), &settings, &Silent).unwrap().error
 }
 
 fn make(inputs: &[&Path], settings: &ReduceSettings, out: &Path, run: &RunSettings) -> ReduceReport {

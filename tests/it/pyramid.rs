@@ -2,10 +2,10 @@
 
 use crate::common::*;
 use isospan::exec::{CancelToken, Resources, Silent};
-use isospan::formats::{OpenOptions, StepSource};
+use isospan::formats::StepSource;
 use isospan::pipeline::{
-    self, AppendSettings, Bound, LevelChoice, MeasureSettings, ReduceSettings, RunSettings, StepChoice,
-    StepRange, SurfaceSettings, Target,
+    self, AppendSettings, Bound, LevelChoice, ReduceSettings, RunSettings, StepChoice, StepRange,
+    SurfaceSettings, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -26,17 +26,6 @@ fn rms(part: f64) -> ReduceSettings {
 fn rough(x: f64, y: f64, z: f64) -> f64 {
     let noise = (1e4 * (x + 3.7 * y + 9.1 * z).sin()).rem_euclid(1.0);
     waves(x, y, z) + 0.05 * noise + if ball(x, y, z) > 0.3 { 0.5 } else { 0.0 }
-}
-
-/// All samples of a step, x fastest.
-fn samples(archive: &Archive, choice: StepChoice) -> Vec<f64> {
-    let step = archive.at(choice).unwrap();
-    step.sample(step.dims()).unwrap()
-}
-
-fn error_of(archive: &Path, input: &Path) -> isospan::measure::FieldError {
-    let settings = MeasureSettings { resources: run(2).resources, ..MeasureSettings::default() };
-    pipeline::measure(archive, input, &OpenOptions::default(), &settings, &Silent).unwrap().error
 }
 
 fn with_memory(memory: u64) -> RunSettings {

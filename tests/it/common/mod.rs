@@ -192,6 +192,19 @@ pub(crate) fn reduce_series_in_shards(sources: &[StepSource], settings: &ReduceS
     pipeline::commit_shards(out, &run, &Silent).unwrap();
 }
 
+/// All samples of a step, x fastest.
+pub(crate) fn samples(archive: &Archive, choice: StepChoice) -> Vec<f64> {
+    let step = archive.at(choice).unwrap();
+    step.sample(step.dims()).unwrap()
+}
+
+/// The error of an archive of one step against its source.
+pub(crate) fn error_of(archive: &Path, input: &Path) -> isospan::measure::FieldError {
+    let settings =
+        pipeline::MeasureSettings { resources: run(2).resources, ..pipeline::MeasureSettings::default() };
+    pipeline::measure(archive, input, &OpenOptions::default(), &settings, &Silent).unwrap().error
+}
+
 pub(crate) fn surface(archive: &Path, isovalue: impl Into<f64>, out: &Path, threads: usize) -> SurfaceReport {
     let settings = SurfaceSettings {
         resources: Resources::default().with_threads(threads),
