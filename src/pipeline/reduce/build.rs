@@ -25,7 +25,7 @@ use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
-use crate::exec::{Progress, pool};
+use crate::exec::Progress;
 use crate::grid::ChunkId;
 use crate::pipeline::chunk::{Field, Recipe, SampleErrors, Samples};
 use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
@@ -88,7 +88,7 @@ pub(super) struct Build<'a> {
     pub(super) progress: &'a dyn Progress,
 }
 
-/// Which segments are made, and from what.
+/// Which segments are made, from what, and by which threads.
 pub(super) struct SegmentSource<'a> {
     pub(super) fields: &'a dyn Fields,
     /// Steps made at a time, at most.
@@ -97,6 +97,8 @@ pub(super) struct SegmentSource<'a> {
     pub(super) segments: Range<u64>,
     /// The try before, in a search: chunks that did not change are copied from it.
     pub(super) before: Option<&'a StepView>,
+    /// One pool for all passes: what threads that end have freed stays with their process.
+    pub(super) pool: &'a rayon::ThreadPool,
 }
 
 /// Segments that are all there, and what is known of them.
@@ -242,7 +244,7 @@ impl<'a> Build<'a> {
             files: &files,
             chunks: &parts.chunks,
             segments: source.segments.clone(),
-            pool: &pool(self.shares.workers)?,
+            pool: source.pool,
             watch: &series.watch,
             progress: self.progress,
         }
@@ -335,7 +337,6 @@ impl<'a> Build<'a> {
         plan: &Plan,
         source: &SegmentSource<'_>,
         number: u64,
-        coordinates: Option<CoordinateRecord>,
     ) -> Result<StepView> {
         let position = |number: u64| plan.steps.iter().position(|step| step.number == number);
         let mut chain: Vec<usize> = position(number).into_iter().collect();
@@ -349,9 +350,6 @@ impl<'a> Build<'a> {
             let (layout, hash) = (self.layout.at(plan.steps[n].number), plan.step_hash(n));
             let values = self.records(source, hash, SegmentKind::Values, |s| layout.values(s))?;
             steps.push(Step { values, ..Step::of(plan.steps[n].clone()) });
-        }
-        if let Some(last) = steps.last_mut() {
-            last.coordinates = coordinates;
         }
         let counts = Counts { chunks: self.parts.chunks.len(), ..Counts::default() };
         let bases = self.old.map_or(vec![], |old| old.bases.clone());

@@ -14,6 +14,7 @@ use super::volume_fields::VolumeFields;
 use super::volumes::plan_volumes;
 use crate::archive::manifest::Manifest;
 use crate::error::{Error, Result};
+use crate::exec::pool;
 use crate::formats::Input;
 use crate::pipeline::plan::{Estimate, Held, Layout, MeshParts, Need, Plan, Shares, need_of, parts};
 use crate::pipeline::settings::RunSettings;
@@ -201,7 +202,8 @@ pub(in crate::pipeline) fn run(
     // The measurements of workers are added up when all are there.
     build.measure &= job.basis.plan().is_none();
     let before = job.basis.round().map(|round| &round.before);
-    let source = SegmentSource { fields: &*fields, at_once: need.steps(), segments, before };
+    let pool = &pool(shares.workers)?;
+    let source = SegmentSource { fields: &*fields, at_once: need.steps(), segments, before, pool };
     let made = build.run(&mut series, &source)?;
     let points = build.points(&source.segments);
     let report = ReduceReport { points, reused_chunks: made.reused_chunks, ..report };

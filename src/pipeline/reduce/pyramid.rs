@@ -26,7 +26,7 @@ use crate::archive::manifest::StepPlan;
 use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, pool};
+use crate::exec::CancelToken;
 use crate::grid::{Chunk, IndexBox};
 use crate::measure::{BrickErrors, ErrorSums, Squares};
 use crate::pipeline::chunk::{Field, GridField};
@@ -492,7 +492,7 @@ impl Build<'_> {
         // What decoded tiles may take: those of the step, and those of the one before.
         let cached = usize::try_from(self.shares.all_chunks() / 8).unwrap_or(usize::MAX);
         let base = match (step.base, before_step.filter(|before| before.is_base_of(step))) {
-            (Some(base), None) => Some(self.pyramid_view(plan, source, base.number, None)?.keeping(cached)),
+            (Some(base), None) => Some(self.pyramid_view(plan, source, base.number)?.keeping(cached)),
             (_, known) => known,
         };
         if !(has_values && has_coarse) {
@@ -509,7 +509,7 @@ impl Build<'_> {
         }
         let measured = step.measured;
         self.progress.begin(&name(if measured { "measure" } else { "look" }), samples, "samples");
-        let view = self.pyramid_view(plan, source, step.number, made.coordinates)?;
+        let view = self.pyramid_view(plan, source, step.number)?;
         let view = view.keeping(cached).after(base);
         let files = SegmentFiles::of_ranges(step.number, hash, needs_sums, &layout);
         let ranges = RangeMaker::new(work(edge), &view, step, self.run.resources.memory / 16)?;
@@ -531,7 +531,7 @@ impl Build<'_> {
             files,
             chunks: &self.parts.chunks,
             segments: source.segments.clone(),
-            pool: &pool(self.shares.workers)?,
+            pool: source.pool,
             watch: &series.watch,
             progress: self.progress,
         }
