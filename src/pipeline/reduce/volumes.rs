@@ -522,6 +522,22 @@ fn wavelet_of(
             delay
         }
     };
-    let excess = sampling.excess(&found.small_boxes(), step).map_err(refused)?;
-    Ok(Chosen { step: sampling.step(aim * bound / excess).map_err(refused)?, delay })
+    let boxes = found.small_boxes();
+    let is_whole = boxes.iter().map(|b| b.0.len()).sum::<usize>() == found.samples;
+    let alone = if is_whole { 1.0 } else { ALONE };
+    for _ in 0..ROUNDS {
+        let excess = alone * sampling.excess(&boxes, step).map_err(refused)?;
+        let before = std::mem::replace(&mut step, sampling.step(aim * bound / excess).map_err(refused)?);
+        if (step / before - 1.0).abs() < FAR {
+            break;
+        }
+    }
+    Ok(Chosen { step, delay })
 }
+
+/// The RMS error of boxes among others, as a part of what they have alone: the mean of eleven
+/// volumes at four errors. A transform has larger errors where it ends.
+const ALONE: f64 = 0.98;
+/// What boxes tell of a step holds for steps that differ by less. Others are tried, so many times.
+const FAR: f64 = 0.15;
+const ROUNDS: usize = 3;

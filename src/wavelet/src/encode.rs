@@ -13,6 +13,7 @@ use crate::quantise::Scale;
 use crate::tile::{Tile, encode_numbers, tiles_of};
 use crate::top::encode_top;
 use crate::transform::{Scratch, Window};
+use crate::vectors::with_vectors;
 
 pub(crate) const MAGIC: &[u8; 8] = b"isowave1";
 /// Bytes before the lengths of tiles: magic, u32 sizes, u8 delays, a zero, f64 least and largest
@@ -207,12 +208,28 @@ impl Sampling {
 
 /// The squared errors of coefficients, in squared steps, as if those below 0.8 steps became zero.
 fn lost(coefficients: &[f32], step: f64) -> f64 {
-    let one = |c: &f32| match f64::from(c.abs()) / step {
-        c if c < 0.8 => c * c,
-        c => (c - c.round()).powi(2),
-    };
-    coefficients.iter().map(one).sum()
+    let (chunks, rest) = coefficients.as_chunks::<LANES>();
+    let mut last = [0.0; LANES];
+    last[..rest.len()].copy_from_slice(rest);
+    let per_step = (1.0 / step) as f32;
+    with_vectors(
+        #[inline(always)]
+        || {
+            let mut sums = [0.0_f64; LANES];
+            for chunk in chunks.iter().chain([&last]) {
+                for (c, sum) in chunk.iter().zip(&mut sums) {
+                    let c = c.abs() * per_step;
+                    let off = if c < 0.8 { c } else { c - (c + 0.5).floor() };
+                    *sum += f64::from(off * off);
+                }
+            }
+            sums.iter().sum()
+        },
+    )
 }
+
+/// Coefficients that are looked at side by side.
+const LANES: usize = 16;
 
 /// The step with which coefficients have the error that is the step of a scale.
 fn guess(coefficients: &[f32], unit: &Scale) -> Result<f64> {
