@@ -72,7 +72,6 @@ mod tests {
             ("CHUNK_POINTS", manifest::CHUNK_POINTS),
             ("LONGEST_CHAIN", manifest::LONGEST_CHAIN),
             ("MOST_UNINDEXED", manifest::MOST_UNINDEXED),
-            ("MOST_UNINDEXED_BRICKS", manifest::MOST_UNINDEXED_BRICKS),
             ("MOST_UNINDEXED_CHUNKS", manifest::MOST_UNINDEXED_CHUNKS),
             ("COORDINATES_AXES", u64::from(coordinates::COORDINATES_AXES)),
             ("COORDINATES_POINTS", u64::from(coordinates::COORDINATES_POINTS)),

@@ -22,9 +22,10 @@ use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId, IndexBox};
 use crate::index::{Entry, EntryDigest, index_entries};
 use crate::pipeline::read::{
-    Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, bricks_of, chunk_place, used_corners,
+    Bench, Brick, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, bricks_of, chunk_place,
+    range_of_cells, used_corners,
 };
-use crate::pipeline::reduce::{range_of_cells, strays};
+use crate::pipeline::reduce::strays;
 use crate::pipeline::surface::check_unpacked;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use serde::Serialize;
@@ -227,13 +228,15 @@ fn check_pyramid(
             return wrong("ranges".into(), bricks.len().to_string(), summary.ranges.len().to_string());
         }
         let mut void = 0;
-        for (n, (range, cells)) in summary.ranges.iter().zip(&bricks).enumerate() {
+        for (n, (range, Brick { level, cells })) in summary.ranges.iter().zip(&bricks).enumerate() {
             let window = IndexBox {
                 lo: std::array::from_fn(|a| cells[a].start as u64),
                 hi: std::array::from_fn(|a| cells[a].end as u64 + 1),
             };
-            let values = archive.nodes(0, &window)?;
-            void += missing_below(&values, &window, own_end(cells));
+            let values = archive.nodes(*level, &window)?;
+            if *level == 0 {
+                void += missing_below(&values, &window, own_end(cells));
+            }
             let (found, _) = range_of_cells(&values, &window, cells);
             let holds = range.min <= found.min && found.max <= range.max;
             if found.tets != range.tets || found.tets > 0 && !holds {

@@ -208,8 +208,8 @@ impl Step {
         spectrum::report(&self.view)
     }
 
-    /// The blocks that an isosurface may cross according to the index, in order. Their ranges are
-    /// less [`Step::offset`].
+    /// The blocks that an isosurface may cross according to the index, in order: of a pyramid, the
+    /// bricks of the finest level and of the next three. Their ranges are less [`Step::offset`].
     ///
     /// # Errors
     /// As [`Step::count`].

@@ -114,6 +114,37 @@ fn source_value(input: &Path, n: usize) -> f64 {
     })
 }
 
+/// A ball of 20 samples where nothing else is, in 1100 x 70 x 66.
+fn far_ball(x: f64, y: f64, z: f64) -> f64 {
+    let r = ((16.0 * (x + 0.94)).powi(2) + y * y + z * z).sqrt();
+    (0.6 - r).max(-0.1) + 1e-3 * (40.0 * (x + y)).sin()
+}
+
+#[test]
+fn a_surface_of_a_coarse_level_is_read_where_it_lies() {
+    let dir = tempfile::tempdir().unwrap();
+    let [input, out] = ["a.npy", "a.isospan"].map(|name| dir.path().join(name));
+    write_npy(&input, [1100, 70, 66], far_ball);
+    let settings = ReduceSettings { target: Some(Target::Rms(Bound::Value(2e-3))), ..pyramid(0.01) };
+    reduce(&input, &settings, &out, 2);
+    let archive = Archive::open(&out).unwrap();
+    let ply = isospan::formats::surface::SurfaceFormat::Ply;
+    for (level, bricks) in [(0, 8), (1, 1), (2, 1), (3, 1)] {
+        for cap in [false, true] {
+            let settings = SurfaceSettings { cap, ..of(&[0.0], LevelChoice::Level(level)) };
+            let file = dir.path().join(format!("{level} {cap}.ply"));
+            let report = archive.step(0).unwrap().write_surface(&settings, &file, ply, &Silent).unwrap();
+            assert!(report.triangles > 20, "level {level}: {}", report.triangles);
+            assert_eq!(report.active_blocks, bricks, "level {level}, cap {cap}");
+            // Beside a surface that is nearly everywhere it is no other.
+            let both = SurfaceSettings { cap, ..of(&[0.0, -0.1], LevelChoice::Level(level)) };
+            let both = archive.surfaces(&both).unwrap();
+            assert_eq!(archive.surfaces(&settings).unwrap()[0], both[0]);
+            assert!(both[1].triangles.len() > both[0].triangles.len());
+        }
+    }
+}
+
 #[test]
 fn levels_of_a_larger_volume_are_measured_in_some_rows() {
     let dir = tempfile::tempdir().unwrap();

@@ -197,9 +197,9 @@ class Pyramid:
             return np.zeros(nodes, bool)
         return read_mask([(0, n) for n in nodes], self.coarse_mask[0])
 
-    def strides(self):
-        """The samples from one of these nodes to the next, (z, y, x)."""
-        splits = self.array.splits[1 : self._fine() + 1]
+    def strides(self, level=None):
+        """The samples from a node of a level to the next, (z, y, x); without a level, of these."""
+        splits = self.array.splits[1 : (self._fine() if level is None else level) + 1]
         return [2 ** sum(split[axis] for split in splits) for axis in (2, 1, 0)]
 
     def _read_corrections(self, chunk, data):
@@ -208,29 +208,34 @@ class Pyramid:
         fail_unless(self.array.kind or not data, "there are corrections of none")
         self.array.boxes |= block_records(boxes, data)
 
-    def samples(self):
-        """All samples, (z, y, x), less the offset of the source; NaN where one is missing."""
-        return np.where(self.missing, np.float32(np.nan), self.array.level(0))
+    def nodes(self, level):
+        """The nodes of a level, (z, y, x), less the offset of the source; NaN where one is missing."""
+        missing = self.missing[tuple(slice(None, None, s) for s in self.strides(level))]
+        return np.where(missing, np.float32(np.nan), self.array.level(level))
 
     def bricks(self):
         """Of each chunk the ends of its range, told twice, and its bricks.
 
-        A brick is the samples of its cells, slices (z, y, x), with their least and largest value
-        and the number of cells, as the archive tells them.
+        A brick is a level and the nodes of its cells, slices (z, y, x), with their least and largest
+        value and the number of cells, as the archive tells them.
         """
         for chunk, (_, summary) in zip(self.chunks, self.ranges):
-            axes = [
-                [slice(i, min(i + 32, end) + 1) for i in range(s.start, end, 32)]
-                for s, n in zip(chunk, self.array.levels[0])
-                for end in [min(s.stop, n - 1)]
-            ]
-            bricks = [brick[::-1] for brick in over_axes(axes)]
+            bricks = [brick for level in range(self._fine() + 1) for brick in self._bricks(chunk, level)]
             void, least, largest, count = struct.unpack_from("<I2fI", summary)
             here = self.missing[tuple(slice(s.start, s.stop) for s in reversed(chunk))]
             expect(self.archive, "void samples", int(here.sum()), void)
             expect(self.archive, "bricks", len(bricks), count)
             low, high, ranges = ranges_of(summary[16:], count)
             yield (least, largest, low, high), list(zip(bricks, ranges))
+
+    def _bricks(self, chunk, level):
+        """The bricks of a level of a chunk."""
+        axes, levels = [], self.array.levels
+        for samples, ends, n, stride in zip(chunk, levels[0], levels[level], self.strides(level)[::-1]):
+            start = samples.start // stride
+            end = n - 1 if samples.stop == ends else samples.stop // stride
+            axes.append([slice(i, min(i + 32, end) + 1) for i in range(start, end, 32)])
+        return [(level, brick[::-1]) for brick in over_axes(axes)]
 
 
 def block_records(keys, data):
@@ -249,7 +254,7 @@ def main():
     arguments.add_argument("-o", dest="out", type=Path, help="OUT.npy")
     given = arguments.parse_args()
     pyramid = Pyramid(given.archive, given.step)
-    samples, bricks = pyramid.samples(), sum(len(bricks) for _, bricks in pyramid.bricks())
+    samples, bricks = pyramid.nodes(0), sum(len(bricks) for _, bricks in pyramid.bricks())
     size = "x".join(map(str, samples.shape[::-1]))
     print(f"{size} samples, from {np.nanmin(samples):g} to {np.nanmax(samples):g}, in {bricks} bricks")
     if given.out:

@@ -150,17 +150,18 @@ def range_of(samples):
     return (float(known.min()), float(known.max())) if known.size else (np.inf, -np.inf)
 
 
-def bricks_that_differ(samples, pyramid):
-    """How many bricks have another range or number of cells than their samples say."""
-    differ = 0
+def bricks_that_differ(pyramid):
+    """How many bricks have another range or number of cells than their nodes say."""
+    differ, levels = 0, {}
     for told, bricks in pyramid.bricks():
-        ranges = [range_of(live_nodes(samples[of])) for of, _ in bricks]
+        levels |= {level: pyramid.nodes(level) for (level, _), _ in bricks if level not in levels}
+        ranges = [range_of(live_nodes(levels[level][of])) for (level, of), _ in bricks]
         bounds = min(r[0] for r in ranges), max(r[1] for r in ranges)
-        known = [range_of(samples[of]) for of, _ in bricks]
+        known = [range_of(levels[0][of]) for (level, of), _ in bricks if level == 0]
         known = min(r[0] for r in known), max(r[1] for r in known)
         differ += told != (*known, *bounds)
-        for (of, stored), (least, largest) in zip(bricks, ranges):
-            count = int(live_cells(samples[of]).sum())
+        for ((level, of), stored), (least, largest) in zip(bricks, ranges):
+            count = int(live_cells(levels[level][of]).sum())
             differ += stored != (*rounded(least, largest, bounds), count)
     return differ
 
@@ -209,7 +210,7 @@ def far_from_source(samples, source, step):
 def differences(program, source, number):
     """What is not as it must be of a step, in words."""
     pyramid = Pyramid(program.archive, number)
-    samples = pyramid.samples()
+    samples = pyramid.nodes(0)
     theirs = program.samples(source.shape, number)
     offset = pyramid.step["source"].get("offset", 0)
     # A probe gives no -0.
@@ -222,7 +223,7 @@ def differences(program, source, number):
     z, y, x = pyramid.strides()
     if (pyramid.missing_nodes() != pyramid.missing[::z, ::y, ::x]).any():
         yield "missing nodes"
-    if differ := bricks_that_differ(samples, pyramid):
+    if differ := bricks_that_differ(pyramid):
         yield f"{differ} bricks"
     if far_from_source(samples + added, source, pyramid.step):
         yield "samples are too far from those of the source"

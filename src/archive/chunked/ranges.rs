@@ -68,6 +68,12 @@ impl BlockRange {
     /// That of nothing.
     pub(crate) const NONE: Self = Self { min: f32::INFINITY, max: f32::NEG_INFINITY, tets: 0 };
 
+    /// That of what this one and another one hold.
+    pub(crate) fn and(self, other: Self) -> Self {
+        let (min, max) = (self.min.min(other.min), self.max.max(other.max));
+        Self { min, max, tets: self.tets + other.tets }
+    }
+
     /// Rounds ranges outwards, none beyond all of them together.
     pub(crate) fn round(ranges: &mut [Self]) {
         let bounds = Self::bounds(ranges.iter().copied());

@@ -24,8 +24,7 @@ pub use self::files::{
 };
 pub use self::packed::{MANIFEST_DICTIONARY, pack_manifest};
 pub use self::plan::{
-    BLOCK_TETS, CHUNK_POINTS, Counts, FrameRecord, MOST_UNINDEXED, MOST_UNINDEXED_BRICKS,
-    MOST_UNINDEXED_CHUNKS, OwnRecord, Plan,
+    BLOCK_TETS, CHUNK_POINTS, Counts, FrameRecord, MOST_UNINDEXED, MOST_UNINDEXED_CHUNKS, OwnRecord, Plan,
 };
 
 use self::record::{GeometryRecord, StepRecord};

@@ -11,9 +11,7 @@ use serde::{Deserialize, Serialize};
 /// An archive of one chunk with at most this many blocks has no index and no spectrum of its steps:
 /// they follow from its values.
 pub const MOST_UNINDEXED: u64 = 512;
-/// The same of a lattice whose mesh follows by formula, where an entry of the index stands for a
-/// brick: its bricks, and its chunks.
-pub const MOST_UNINDEXED_BRICKS: u64 = 4096;
+/// A pyramid of at most this many chunks has none: it follows from the ranges of bricks.
 pub const MOST_UNINDEXED_CHUNKS: u64 = 8;
 
 /// Everything that decides the bytes of the mesh.
@@ -161,10 +159,9 @@ impl Counts {
     /// Whether the steps of the mesh of a plan have an index and a spectrum each: see
     /// [`MOST_UNINDEXED`].
     pub fn is_indexed(&self, plan: &Plan) -> bool {
-        let [chunks, blocks] = match plan.is_pyramid() {
-            true => [MOST_UNINDEXED_CHUNKS, MOST_UNINDEXED_BRICKS],
-            false => [1, MOST_UNINDEXED],
-        };
-        self.chunks > chunks || self.blocks > blocks
+        match plan.is_pyramid() {
+            true => self.chunks > MOST_UNINDEXED_CHUNKS,
+            false => self.chunks > 1 || self.blocks > MOST_UNINDEXED,
+        }
     }
 }

@@ -1,10 +1,12 @@
 //! The field of a level of a pyramid, trilinear between its nodes, at samples.
 
-use super::pyramid::PyramidStep;
+use super::pyramid::{PyramidStep, range_of_cells};
 use super::step_view::StepView;
+use crate::archive::chunked::BlockRange;
 use crate::error::Result;
 use crate::grid::IndexBox;
 use isospan_wavelet::Pyramid;
+use std::ops::Range;
 
 /// Nodes of a level, from which rows of samples are interpolated.
 pub(in crate::pipeline) struct LevelNodes {
@@ -36,6 +38,11 @@ impl StepView {
 }
 
 impl LevelNodes {
+    /// The range of some cells of the level.
+    pub(in crate::pipeline) fn range_of(&self, cells: &[Range<usize>; 3]) -> BlockRange {
+        range_of_cells(&self.values, &self.window, cells).0
+    }
+
     #[cfg(test)]
     fn new(window: IndexBox, stride: [u64; 3], values: Vec<f32>) -> Self {
         Self { window, stride, values }

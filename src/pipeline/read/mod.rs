@@ -53,7 +53,8 @@ pub use level::LevelChoice;
 pub(super) use level_field::{LevelNodes, samples_of_level};
 pub(super) use pools::{BufferPool, Buffers};
 pub(super) use pyramid::{
-    box3, bricks_of, cells_of, chunk_place, has_coarse_mask, index_box, pyramid_of, scale_of,
+    Brick, box3, bricks_of, cells_in, chunk_place, has_coarse_mask, index_box, pyramid_of, range_of_cells,
+    scale_of,
 };
 pub(super) use reader_memory::ReaderMemory;
 pub(super) use region::Cut;

@@ -9,6 +9,7 @@
 //! A tile is decoded when a box needs it, and cached with those that were used lately. It may be
 //! stored as what changes from the tile of another step, its base, which is decoded then.
 
+use crate::archive::chunked::BlockRange;
 use crate::archive::manifest::{CorrectionRecord, WaveletRecord};
 use crate::grid::{ChunkId, IndexBox};
 use crate::points::PointSpec;
@@ -203,24 +204,81 @@ pub(in crate::pipeline) fn chunk_place(pyramid: &Pyramid, id: ChunkId) -> [usize
 /// Cells along each axis of a brick, which has a range.
 pub(in crate::pipeline) const BRICK_CELLS: usize = isospan_wavelet::TILE;
 
-/// The cells of a chunk: between which of its nodes, as ranges along each axis.
-pub(in crate::pipeline) fn cells_of(pyramid: &Pyramid, at: [usize; 3]) -> [Range<usize>; 3] {
-    let (place, dims) = (pyramid.chunk(at), pyramid.nodes(0));
-    std::array::from_fn(|a| place.start[a]..place.end()[a].min(dims[a] - 1))
+/// Cells of a level of a chunk that have a range together.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::pipeline) struct Brick {
+    pub(in crate::pipeline) level: usize,
+    /// Between which nodes of the level, along each axis.
+    pub(in crate::pipeline) cells: [Range<usize>; 3],
 }
 
-/// The cells of the bricks of a chunk, in the order of their ranges.
-pub(in crate::pipeline) fn bricks_of(pyramid: &Pyramid, at: [usize; 3]) -> Vec<[Range<usize>; 3]> {
-    let cells = cells_of(pyramid, at);
-    let [nx, ny, nz] = [0, 1, 2].map(|a| cells[a].len().div_ceil(BRICK_CELLS));
-    let brick = |i: usize| {
-        let at = [i % nx, i / nx % ny, i / nx / ny];
-        std::array::from_fn(|a| {
-            let start = cells[a].start + BRICK_CELLS * at[a];
-            start..(start + BRICK_CELLS).min(cells[a].end)
+/// The cells of a level that begin in a box of samples, which begins at a node and ends at one or
+/// where the array does.
+pub(in crate::pipeline) fn cells_in(pyramid: &Pyramid, place: &Box3, level: usize) -> [Range<usize>; 3] {
+    let (stride, nodes, dims) = (pyramid.stride(level), pyramid.nodes(level), pyramid.nodes(0));
+    std::array::from_fn(|a| {
+        let start = place.start[a] / stride[a];
+        let end = if place.end()[a] == dims[a] { nodes[a] - 1 } else { place.end()[a] / stride[a] };
+        start..end.max(start)
+    })
+}
+
+/// The bricks of a chunk, in the order of their ranges: those of the finest level, then those of
+/// each coarser one that chunks have details of.
+pub(in crate::pipeline) fn bricks_of(pyramid: &Pyramid, at: [usize; 3]) -> Vec<Brick> {
+    let place = pyramid.chunk(at);
+    let of_level = |level: usize| {
+        let cells = cells_in(pyramid, &place, level);
+        let [nx, ny, nz] = [0, 1, 2].map(|a| cells[a].len().div_ceil(BRICK_CELLS));
+        (0..nx * ny * nz).map(move |i| {
+            let at = [i % nx, i / nx % ny, i / nx / ny];
+            let range = |a: usize| {
+                let start = cells[a].start + BRICK_CELLS * at[a];
+                start..(start + BRICK_CELLS).min(cells[a].end)
+            };
+            Brick { level, cells: [range(0), range(1), range(2)] }
         })
     };
-    (0..nx * ny * nz).map(brick).collect()
+    (0..=pyramid.details()).flat_map(of_level).collect()
+}
+
+/// The range of the nodes of some cells, void ones left out, and that of all nodes that are known.
+pub(in crate::pipeline) fn range_of_cells(
+    values: &[f32],
+    place: &IndexBox,
+    cells: &[Range<usize>; 3],
+) -> (BlockRange, [f32; 2]) {
+    let [xs, ys, zs] = cells;
+    let none = [f32::INFINITY, f32::NEG_INFINITY];
+    let wider = |[min, max]: [f32; 2], v: f32| [if v < min { v } else { min }, if v > max { v } else { max }];
+    let row = |y: usize, z: usize| &values[place.offset([xs.start, y, z].map(|n| n as u64))..][..=xs.len()];
+    let (mut known, mut missing) = (none, false);
+    for z in zs.start..=zs.end {
+        for y in ys.start..=ys.end {
+            for &v in row(y, z) {
+                known = wider(known, v);
+                missing |= v.is_nan();
+            }
+        }
+    }
+    let known = known.map(|v| v + 0.0);
+    let (mut range, mut count) = (known, cells.iter().map(ExactSizeIterator::len).product());
+    if missing {
+        (range, count) = (none, 0);
+        for z in zs.clone() {
+            for y in ys.clone() {
+                let rows = [row(y, z), row(y + 1, z), row(y, z + 1), row(y + 1, z + 1)];
+                for x in 0..xs.len() {
+                    let nodes = || rows.iter().flat_map(|row| &row[x..x + 2]);
+                    if !nodes().any(|v| v.is_nan()) {
+                        range = nodes().fold(range, |range, v| wider(range, *v + 0.0));
+                        count += 1;
+                    }
+                }
+            }
+        }
+    }
+    (BlockRange { min: range[0], max: range[1], tets: count as u32 }, known)
 }
 
 #[cfg(test)]
@@ -250,9 +308,19 @@ mod tests {
         for id in (0..4).map(ChunkId) {
             assert_eq!(chunk_number(&pyramid, chunk_place(&pyramid, id)), id);
         }
-        assert_eq!(cells_of(&pyramid, [1, 1, 0]), [256..512, 256..299, 0..69]);
+        let place = pyramid.chunk([1, 1, 0]);
+        assert_eq!(cells_in(&pyramid, &place, 0), [256..512, 256..299, 0..69]);
+        assert_eq!(cells_in(&pyramid, &place, 3), [32..64, 32..37, 0..8]);
         let bricks = bricks_of(&pyramid, [1, 1, 0]);
-        assert_eq!((bricks.len(), bricks[0].clone()), (8 * 2 * 3, [256..288, 256..288, 0..32]));
-        assert_eq!(bricks[47], [480..512, 288..299, 64..69]);
+        assert_eq!(bricks.len(), 8 * 2 * 3 + 4 * 2 + 2 + 1);
+        let at = |n: usize| (bricks[n].level, bricks[n].cells.clone());
+        assert_eq!(at(0), (0, [256..288, 256..288, 0..32]));
+        assert_eq!(at(47), (0, [480..512, 288..299, 64..69]));
+        assert_eq!(at(48), (1, [128..160, 128..149, 0..32]));
+        assert_eq!(at(58), (3, [32..64, 32..37, 0..8]));
+        // A chunk of few samples at the end has no coarse cells of its own.
+        let pyramid = Pyramid::new([260, 40, 40], [0; 3]);
+        let levels: Vec<usize> = bricks_of(&pyramid, [1, 0, 0]).iter().map(|b| b.level).collect();
+        assert_eq!(levels, [0, 0, 0, 0, 1]);
     }
 }

@@ -67,7 +67,6 @@ pub(super) use plan_file::{Cut, PLANNED_TRY, PlanFile, PlannedSearch, planned_tr
 pub use plan_file::{plan_path, work_folder};
 pub(super) use planned::{Built, Planned, plan, publish, run};
 use planned::{is_mesh, make};
-pub(super) use pyramid::range_of_cells;
 pub use report::{ReduceReport, SourceChunks, TargetReport};
 pub(super) use search::TargetSearch;
 pub use series::SkippedStep;

@@ -32,7 +32,8 @@ use crate::measure::{BrickErrors, ErrorSums, Squares};
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::plan::{Shares, part_edge};
 use crate::pipeline::read::{
-    LevelNodes, StepView, box3, bricks_of, index_box, pyramid_of, samples_of_level, scale_of,
+    Brick, LevelNodes, StepView, box3, bricks_of, cells_in, index_box, pyramid_of, range_of_cells,
+    samples_of_level, scale_of,
 };
 use crate::pipeline::settings::NanPolicy;
 use crate::pipeline::stage::StageTimes;
@@ -40,7 +41,6 @@ use isospan_wavelet::{
     Box3, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part, fill,
 };
 use std::collections::HashMap;
-use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 
@@ -190,33 +190,50 @@ impl<'a> RangeMaker<'a> {
         Ok(Self { work, view, measured: step.measured, range: hi - lo, levels })
     }
 
-    /// Adds the errors of the levels from 1 on at the samples of a part.
-    fn measure_levels(
+    /// Widens the ranges of the bricks of coarse levels by the cells that begin in a part, and adds
+    /// the errors of these levels at its samples, if they are measured.
+    fn look_at_levels(
         &self,
         samples: &[f32],
         place: &IndexBox,
-        part: &IndexBox,
+        part: &Box3,
+        bricks: &[Brick],
+        ranges: &mut [BlockRange],
         sums: &mut [Squares],
     ) -> Result<()> {
-        let samples_of_volume = self.work.pyramid.nodes(0).iter().map(|n| *n as u64).product();
-        for (level, sums) in (1..).zip(sums) {
-            let ends = samples_of_level(self.work.pyramid, level);
-            let part = part.intersect(&IndexBox { lo: [0; 3], hi: ends });
-            if part.is_empty() {
+        let pyramid = self.work.pyramid;
+        let samples_of_volume = pyramid.nodes(0).iter().map(|n| *n as u64).product();
+        for level in 1..=pyramid.details().max(sums.len()) {
+            let ends = samples_of_level(pyramid, level);
+            let here = index_box(part).intersect(&IndexBox { lo: [0; 3], hi: ends });
+            if here.is_empty() {
                 continue;
             }
             let read;
-            let nodes = match &self.levels[level - 1] {
+            let nodes = match self.levels.get(level - 1).and_then(Option::as_ref) {
                 Some(nodes) => nodes,
                 None => {
-                    read = self.view.nodes_around(level, &part)?;
+                    read = self.view.nodes_around(level, &here)?;
                     &read
                 }
             };
-            nodes.each_row(&part, rows_of(level, samples_of_volume), |[y, z], row| {
-                let at = place.offset([part.lo[0], y, z]);
-                sums.add_row(&samples[at..at + row.len()], row);
-            });
+            let own = cells_in(pyramid, part, level);
+            for (brick, range) in bricks.iter().zip(&mut *ranges).filter(|(brick, _)| brick.level == level) {
+                let common = |a: usize| {
+                    let (own, cells) = (&own[a], &brick.cells[a]);
+                    own.start.max(cells.start)..own.end.min(cells.end)
+                };
+                let cells = [common(0), common(1), common(2)];
+                if cells.iter().all(|cells| !cells.is_empty()) {
+                    *range = range.and(nodes.range_of(&cells));
+                }
+            }
+            if let Some(sums) = sums.get_mut(level - 1) {
+                nodes.each_row(&here, rows_of(level, samples_of_volume), |[y, z], row| {
+                    let at = place.offset([here.lo[0], y, z]);
+                    sums.add_row(&samples[at..at + row.len()], row);
+                });
+            }
         }
         Ok(())
     }
@@ -273,7 +290,8 @@ impl MakeChunks for RangeMaker<'_> {
         let mut corrections = if corrects { vec![0; place.len()] } else { vec![] };
         let (mut ranges, mut sums) = (vec![BlockRange::NONE; bricks.len()], ErrorSums::default());
         let (mut void, mut bounds) = (0, [f32::INFINITY, f32::NEG_INFINITY]);
-        let mut levels = vec![Squares::of_range(self.range); self.levels.len()];
+        let measured = if self.measured { work.pyramid.coarsest() } else { 0 };
+        let mut levels = vec![Squares::of_range(self.range); measured];
         for part in work.pyramid.parts(at, work.edge) {
             work.cancel.check()?;
             // The nodes of all cells that begin in the part.
@@ -309,10 +327,11 @@ impl MakeChunks for RangeMaker<'_> {
                         }
                     }
                 }
-                self.measure_levels(&samples, &nodes, &own, &mut levels)?;
             }
+            self.look_at_levels(&samples, &nodes, &part, &bricks, &mut ranges, &mut levels)?;
             times.measure += start.elapsed();
-            for (range, cells) in ranges.iter_mut().zip(&bricks) {
+            let finest = bricks.iter().take_while(|brick| brick.level == 0);
+            for (range, Brick { cells, .. }) in ranges.iter_mut().zip(finest) {
                 // A brick lies in one part, but for cells at the end of one.
                 let begins = (0..3).all(|a| (part.start[a]..end[a]).contains(&cells[a].start));
                 if begins {
@@ -363,45 +382,6 @@ impl MakeChunks for RangeMaker<'_> {
     fn cancel(&self) -> &CancelToken {
         self.work.cancel
     }
-}
-
-/// The range of the nodes of some cells, void ones left out, and that of all nodes that are known.
-pub(in crate::pipeline) fn range_of_cells(
-    values: &[f32],
-    place: &IndexBox,
-    cells: &[Range<usize>; 3],
-) -> (BlockRange, [f32; 2]) {
-    let [xs, ys, zs] = cells;
-    let none = [f32::INFINITY, f32::NEG_INFINITY];
-    let wider = |[min, max]: [f32; 2], v: f32| [if v < min { v } else { min }, if v > max { v } else { max }];
-    let row = |y: usize, z: usize| &values[place.offset([xs.start, y, z].map(|n| n as u64))..][..=xs.len()];
-    let (mut known, mut missing) = (none, false);
-    for z in zs.start..=zs.end {
-        for y in ys.start..=ys.end {
-            for &v in row(y, z) {
-                known = wider(known, v);
-                missing |= v.is_nan();
-            }
-        }
-    }
-    let known = known.map(|v| v + 0.0);
-    let (mut range, mut count) = (known, cells.iter().map(ExactSizeIterator::len).product());
-    if missing {
-        (range, count) = (none, 0);
-        for z in zs.clone() {
-            for y in ys.clone() {
-                let rows = [row(y, z), row(y + 1, z), row(y, z + 1), row(y + 1, z + 1)];
-                for x in 0..xs.len() {
-                    let nodes = || rows.iter().flat_map(|row| &row[x..x + 2]);
-                    if !nodes().any(|v| v.is_nan()) {
-                        range = nodes().fold(range, |range, v| wider(range, *v + 0.0));
-                        count += 1;
-                    }
-                }
-            }
-        }
-    }
-    (BlockRange { min: range[0], max: range[1], tets: count as u32 }, known)
 }
 
 impl Build<'_> {

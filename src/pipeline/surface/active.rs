@@ -9,7 +9,7 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Cut, Ranges, RoiSpace, StepView, WorldBox, cells_of, chunk_place, pyramid_of, world_box, world_map,
+    Cut, Ranges, RoiSpace, StepView, WorldBox, cells_in, chunk_place, pyramid_of, world_box, world_map,
 };
 use crate::surface::edit::clip::HalfSpace;
 
@@ -39,7 +39,7 @@ pub(super) struct ActiveWork {
     pub(super) index_bytes: u64,
 }
 
-/// The blocks that are read: those that are active, or all of a coarse level.
+/// The blocks that are read: those that are active, or all of a level without bricks.
 pub(super) fn work_of(
     archive: &StepView,
     settings: &SurfaceSettings,
@@ -47,16 +47,17 @@ pub(super) fn work_of(
     cut: Option<&Cut>,
 ) -> Result<ActiveWork> {
     let (isovalues, mut index_bytes) = (settings.kept(archive), 0);
-    let work = if level > 0 {
+    let pyramid = pyramid_of(archive.manifest.plan.points);
+    let work = if pyramid.is_some_and(|pyramid| level > pyramid.details()) {
         of_level(archive, level)?
     } else {
         let index = archive.ranges()?;
         let refs = match settings.cap {
-            true => with_inside(archive, &index, &isovalues)?,
+            true => with_inside(archive, level, &index, &isovalues)?,
             false => index.query_any(&isovalues)?,
         };
         index_bytes = index.bytes_read();
-        by_part(archive, by_chunk(archive, &refs)?)?
+        by_part(archive, level, by_chunk(archive, &refs)?)?
     };
     let work = match cut {
         Some(cut) => touching(archive, cut, level, work)?,
@@ -66,8 +67,13 @@ pub(super) fn work_of(
 }
 
 /// The blocks that are active, and those inside of chunks at the ends of the domain.
-fn with_inside(archive: &StepView, index: &Ranges<'_>, isovalues: &[f32]) -> Result<Vec<Entry>> {
-    let ends = chunks_at_ends(archive)?;
+fn with_inside(
+    archive: &StepView,
+    level: usize,
+    index: &Ranges<'_>,
+    isovalues: &[f32],
+) -> Result<Vec<Entry>> {
+    let ends = chunks_at_ends(archive, level)?;
     let lowest = isovalues.iter().copied().fold(f32::INFINITY, f32::min);
     let mut refs = index.query_any(isovalues)?;
     // A chunk that is not there is named later.
@@ -77,14 +83,15 @@ fn with_inside(archive: &StepView, index: &Ranges<'_>, isovalues: &[f32]) -> Res
     Ok(refs)
 }
 
-/// Whether a tetrahedron of a chunk may reach the ends of the domain, for each chunk.
-fn chunks_at_ends(archive: &StepView) -> Result<Vec<bool>> {
+/// Whether a tetrahedron or a cell of a chunk may reach the ends of the domain, for each chunk.
+fn chunks_at_ends(archive: &StepView, level: usize) -> Result<Vec<bool>> {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);
     if let Some(pyramid) = pyramid_of(archive.manifest.plan.points) {
         let reaches_ends = |id: u64| {
-            let (cells, dims) = (cells_of(&pyramid, chunk_place(&pyramid, ChunkId(id))), pyramid.nodes(0));
-            (0..3).any(|a| cells[a].start == 0 || cells[a].end == dims[a] - 1)
+            let place = pyramid.chunk(chunk_place(&pyramid, ChunkId(id)));
+            let (cells, nodes) = (cells_in(&pyramid, &place, level), pyramid.nodes(level));
+            (0..3).any(|a| cells[a].start == 0 || cells[a].end == nodes[a] - 1)
         };
         return Ok((0..archive.chunks.len()).map(reaches_ends).collect());
     }

@@ -8,41 +8,54 @@ use crate::error::Result;
 use crate::geom::{LatticeBox, PointId};
 use crate::grid::{ChunkId, IndexBox};
 use crate::index::Entry;
-use crate::pipeline::read::{BufferPool, StepView, bricks_of, chunk_place, pyramid_of};
+use crate::pipeline::read::{Brick, BufferPool, StepView, bricks_of, chunk_place, pyramid_of};
 use crate::surface::extract::{ChunkSurface, CubeBench, GridBlock};
+use isospan_wavelet::Pyramid;
 use std::collections::BTreeMap;
 
-/// Cells along each axis of a part.
+/// Cells along each axis of a part, at most.
 const PART: u64 = isospan_wavelet::PART as u64;
 
-/// The parts that have some of the bricks of chunks.
-pub(super) fn by_part(archive: &StepView, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
+/// Cells along each axis of the parts of a level: of a chunk at most.
+fn part_of(pyramid: &Pyramid, level: usize) -> [u64; 3] {
+    match level <= pyramid.details() {
+        true => pyramid.stride(level).map(|stride| PART.min((isospan_wavelet::CHUNK / stride) as u64)),
+        false => [PART; 3],
+    }
+}
+
+/// The parts that have some of the bricks of chunks, those of other levels left out.
+pub(super) fn by_part(archive: &StepView, level: usize, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
     let Some(pyramid) = pyramid_of(archive.manifest.plan.points) else { return Ok(work) };
+    let part = part_of(&pyramid, level);
     let mut parts = vec![];
     for ChunkWork { chunk, blocks, .. } in work {
         let bricks = bricks_of(&pyramid, chunk_place(&pyramid, chunk));
         let mut found: BTreeMap<[u64; 3], (Cells, Vec<Entry>)> = BTreeMap::new();
         for entry in blocks {
             // A brick that is not there is one of a damaged index.
-            let Some(cells) = bricks.get(entry.block as usize) else {
+            let Some(Brick { level: of_level, cells }) = bricks.get(entry.block as usize) else {
                 archive.expect_block(chunk, entry.block, bricks.len())?;
                 continue;
             };
+            if *of_level != level {
+                continue;
+            }
             let cells: Cells = [0, 1, 2].map(|a| [cells[a].start as u64, cells[a].end as u64]);
-            let place = [2, 1, 0].map(|a: usize| cells[a][0] / PART);
+            let place = [2, 1, 0].map(|a: usize| cells[a][0] / part[a]);
             let (all, entries) = found.entry(place).or_insert((cells, vec![]));
             for (all, cells) in all.iter_mut().zip(cells) {
                 *all = [all[0].min(cells[0]), all[1].max(cells[1])];
             }
             entries.push(entry);
         }
-        let part = |(cells, blocks)| ChunkWork { chunk, blocks, cells: Some(cells) };
-        parts.extend(found.into_values().map(part));
+        let work = |(cells, blocks)| ChunkWork { chunk, blocks, cells: Some(cells) };
+        parts.extend(found.into_values().map(work));
     }
     Ok(parts)
 }
 
-/// All parts of a coarse level, which have no ranges of their own.
+/// All parts of a level that is coarser than those with bricks.
 pub(super) fn of_level(archive: &StepView, level: usize) -> Result<Vec<ChunkWork>> {
     let pyramid = &archive.pyramid()?.pyramid;
     let (nodes, range) = (pyramid.nodes(level).map(|n| n as u64), archive.value_range());
@@ -105,7 +118,9 @@ pub(super) fn march(
         lo: cells.map(|[lo, _]| lo.saturating_sub(1)),
         hi: std::array::from_fn(|a| (cells[a][1] + 2).min(grid[a])),
     };
-    let window = archive.cached_nodes(level, cells.map(|[lo, _]| lo / PART), &wanted)?;
+    let part = part_of(pyramid, level);
+    let key = std::array::from_fn(|a| cells[a][0] / part[a]);
+    let window = archive.cached_nodes(level, key, &wanted)?;
     each(&GridBlock {
         grid,
         stride,

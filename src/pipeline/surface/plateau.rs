@@ -6,7 +6,8 @@
 
 use crate::error::Result;
 use crate::grid::{ChunkId, IndexBox};
-use crate::pipeline::read::{StepView, bricks_of, chunk_place, pyramid_of};
+use crate::index::Entry;
+use crate::pipeline::read::{Brick, StepView, bricks_of, chunk_place, pyramid_of};
 use serde::Serialize;
 
 /// What is near an isovalue that lies on a plateau.
@@ -38,12 +39,14 @@ pub(in crate::pipeline) fn plateau_at(archive: &StepView, isovalue: f64) -> Resu
     };
     let source = &step.plan.source;
     let kept = source.kept(isovalue);
-    let active = archive.ranges()?.query_any(&[kept])?;
+    let brick_of = |entry: &Entry| {
+        let bricks = bricks_of(&pyramid, chunk_place(&pyramid, ChunkId(entry.chunk)));
+        bricks.into_iter().nth(entry.block as usize).filter(|brick| brick.level == 0)
+    };
+    let active: Vec<Brick> = archive.ranges()?.query_any(&[kept])?.iter().filter_map(brick_of).collect();
     let every = active.len().div_ceil(BRICKS).max(1);
     let (mut near, mut beside, mut all) = (0, 0, 0);
-    for entry in active.iter().step_by(every) {
-        let bricks = bricks_of(&pyramid, chunk_place(&pyramid, ChunkId(entry.chunk)));
-        let Some(cells) = bricks.get(entry.block as usize) else { continue };
+    for Brick { cells, .. } in active.iter().step_by(every) {
         let window = IndexBox {
             lo: [0, 1, 2].map(|a| cells[a].start as u64),
             hi: [0, 1, 2].map(|a| cells[a].end as u64 + 1),
