@@ -2,7 +2,7 @@
 
 The page without a server is served by a few lines of Python, from a folder that `isospan publish` made.
 
-Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES SEVERAL [FOLDER for screenshots]
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL OTHER FIELDS TUBE AXES SEVERAL LEVELS [FOLDER for screenshots]
 """
 
 import concurrent.futures
@@ -28,9 +28,9 @@ from playwright.sync_api import sync_playwright
 
 from folders import Ranges, Whole
 
-PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:10]
-TOOTH, BALL, OTHER, FIELDS, TUBE, AXES, SEVERAL = ARCHIVES
-PICTURES = pathlib.Path(sys.argv[10]) if sys.argv[10:] and sys.argv[10] else None
+PROGRAM, CHROMIUM, *ARCHIVES = sys.argv[1:11]
+TOOTH, BALL, OTHER, FIELDS, TUBE, AXES, SEVERAL, _ = ARCHIVES
+PICTURES = pathlib.Path(sys.argv[11]) if sys.argv[11:] and sys.argv[11] else None
 MEMORY_MIB = 1536
 
 
@@ -144,7 +144,7 @@ def requests(server):
 
     archives = json.loads(server.ask("archives")[2])
     assert [a["name"] for a in archives] == ARCHIVES
-    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2, 2, 1, 6]
+    assert [len(a["steps"]) for a in archives] == [1, 4, 1, 2, 2, 1, 6, 1]
 
     # The surface is that of the command line.
     report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
@@ -233,6 +233,8 @@ def requests(server):
         (f"/{server.token}/1/surface?isovalues=" + ",".join(map(str, range(17))), 400),
         (f"/{server.token}/1/surface?isovalues=0&step=99", 400),
         (f"/{server.token}/1/surface?isovalues=0&roi=1:2", 400),
+        (f"/{server.token}/7/surface?isovalues=600&level=9", 400),
+        (f"/{server.token}/0/surface?isovalues=600&level=1", 400),
         (f"/{server.token}/1/slice?origin=0,0,0&u=1,0,0&v=0,1,0&size=100000,100000", 400),
         (f"/{server.token}/1/slice?origin=0,0,inf&u=1,0,0&v=0,1,0&size=4,4", 400),
         (f"/{server.token}/4/surface?isovalues=1.5&roi=world:100:101,:,:", 400),
@@ -501,6 +503,36 @@ def several(browser, shown, server):
     page.close()
 
 
+def levels(browser, shown, server):
+    """A coarse level of a pyramid is seen before the finest one, which another may replace."""
+    options = dict(viewport={"width": 900, "height": 700}, color_scheme="light")
+    triangles = {n: surface_of(server.ask(f"7/surface?isovalues=600&level={n}")[2])[0]["triangles"] for n in range(3)}
+    assert triangles[0] > 3 * triangles[1] > 9 * triangles[2] > 0, triangles
+    assert surface_of(server.ask("7/surface?isovalues=600")[2])[0]["triangles"] == triangles[0]
+    page = Page(browser, shown, "#archive=7&iso=600_d8cbb4_1", **options)
+    page.page.evaluate("window.asked = []; new PerformanceObserver((l) => asked.push(...l.getEntries().map((e) => e.name)))"
+                       ".observe({ type: 'resource' })")
+    assert page.triangles() == triangles[0]
+    chosen = page.page.eval_on_selector_all("#level option", "all => all.map(o => o.textContent)")
+    assert chosen[0].startswith("0: 103 × 94 × 161, error 1") and len(chosen) > 3, chosen
+    if shown is server:
+        page.after(lambda: page.set("#isovalue", 0.5))
+        page.until(2)
+        asked = page.page.evaluate("asked.filter((name) => name.includes('/surface?'))")
+        assert ["level=2" in name for name in asked] == [True, False], asked
+        page.page.fill("#surfaces input[type=number]", "600")
+        page.after(lambda: page.page.press("#surfaces input[type=number]", "Enter"))
+    page.after(lambda: page.page.select_option("#level", "1"))
+    assert page.triangles() == triangles[1], (page.triangles(), triangles)
+    address = page.page.url.split("#")[1]
+    assert "level=1" in address, address
+    page.picture("level 1")
+    again = Page(browser, shown, f"#{address}", **options)
+    assert again.triangles() == triangles[1] and again.page.input_value("#level") == "1"
+    again.close()
+    page.close()
+
+
 def volume_of(step, isovalue):
     """The volume inside of an isosurface of the ball, as the program has it."""
     command = [PROGRAM, "spectrum", BALL, "--step", str(step), "--json"]
@@ -652,6 +684,7 @@ def without_a_server(browser, server):
         coloured(browser, published)
         placed(browser, published)
         several(browser, published, server)
+        levels(browser, published, server)
         page = Page(browser, published)
         same(page.page, server)
         stopped(page.page)
@@ -687,6 +720,7 @@ def main():
         coloured(browser, server)
         placed(browser, server)
         several(browser, server, server)
+        levels(browser, server, server)
         without_a_server(browser, server)
         browser.close()
         crowds(server)

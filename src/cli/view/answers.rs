@@ -6,7 +6,7 @@
 use super::archives::Archives;
 use super::now;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{ProbeSettings, Roi, StepChoice, SurfacePart, SurfaceSettings};
+use isospan::pipeline::{LevelChoice, ProbeSettings, Roi, StepChoice, SurfacePart, SurfaceSettings};
 use isospan::render::ColourMap;
 use isospan::{Error, Resources, Result};
 use serde::{Deserialize, Serialize};
@@ -52,6 +52,8 @@ pub(super) struct SurfaceQuery {
     roi: Option<String>,
     #[serde(default)]
     cap: bool,
+    /// Of a pyramid: the finest without.
+    level: Option<u32>,
     /// The step whose field colours the surface, and which one where it has several.
     colour: Option<u64>,
     colour_field: Option<String>,
@@ -83,6 +85,7 @@ impl SurfaceQuery {
             isovalues,
             roi,
             cap: self.cap,
+            level: self.level.map(LevelChoice::Level),
             resources: resources.clone(),
             ..SurfaceSettings::default()
         })

@@ -5,6 +5,8 @@ import { View } from "./scene.js";
 
 const $ = (id) => document.getElementById(id);
 const COLOURS = ["#d8cbb4", "#4c8fb8", "#c8643c", "#6a9a4c", "#8d6bb0", "#c9a13b", "#4aa69c", "#a85577"];
+/** A level with at most so many cells is shown before a finer one. */
+const FEW_CELLS = 1 << 18;
 /** Samples along the longer side of a slice: while the plane moves, and when it rests. */
 const COARSE = 160;
 const FINE = 512;
@@ -15,6 +17,7 @@ const state = {
   step: undefined,
   surfaces: [],
   active: 0,
+  level: 0,
   cap: false,
   clip: null,
   place: 0.5,
@@ -61,6 +64,15 @@ function fields() {
 function colourChoices() {
   const several = names().map((name) => ({ name, value: name }));
   return several.length ? several : fields().map((s) => ({ name: s.field, value: s.number }));
+}
+
+/** The levels of a pyramid, the finest first; none of another archive. */
+const levels = () => archive().pyramid ?? [];
+
+/** The level that is shown until the chosen one is there: a coarser one, where that has many cells. */
+function levelBefore() {
+  const few = levels().find(({ level, cells }) => level >= state.level && cells <= FEW_CELLS);
+  return few && few.level > state.level ? few.level : null;
 }
 
 /** The field that colours surfaces, as the server takes it. */
@@ -118,6 +130,7 @@ function toAddress() {
     p.append("iso", [s.isovalue, s.colour.slice(1), s.opacity].join("_"));
   }
   if (state.active) p.set("active", state.active);
+  if (state.level) p.set("level", state.level);
   if (state.cap) p.set("cap", 1);
   if (state.clip !== null) p.set("clip", ["xyz"[state.clip], state.place, state.flip ? 1 : 0, state.slice ? 1 : 0].join("_"));
   if (state.by !== null) p.set("by", state.by);
@@ -150,6 +163,7 @@ function fromAddress() {
   });
   const active = Number(p.get("active") ?? 0);
   if (Number.isInteger(active) && active >= 0 && active < state.surfaces.length) state.active = active;
+  setLevel(p.get("level"));
   state.cap = p.get("cap") === "1";
   const [axis, place, flip, slice] = (p.get("clip") ?? "").split("_");
   if (["x", "y", "z"].includes(axis) && Number(place) >= 0 && Number(place) <= 1) {
@@ -176,7 +190,8 @@ function newSurface(isovalue, colour, opacity = 1) {
 /** What decides a surface, as the server takes it. */
 function parameters(isovalues) {
   const roi = roiOf(state.region);
-  return { isovalues, step: state.step, field: state.field, roi, cap: state.cap && !roi, ...colourOf() };
+  const { step, field, level } = state;
+  return { isovalues, step, field, level: level || null, roi, cap: state.cap && !roi, ...colourOf() };
 }
 
 function roiOf(region) {
@@ -205,8 +220,8 @@ function giveWay(surface) {
 }
 
 /**
- * Fetches a surface if what decides it has changed, and shows its parts as they come. While one request is under way,
- * only the last wish waits.
+ * Fetches a surface if what decides it has changed, and shows its parts as they come, or a coarse level before it.
+ * While one request is under way, only the last wish waits.
  */
 async function fetchSurface(surface) {
   const wish = parameters(surface.isovalue);
@@ -222,8 +237,10 @@ async function fetchSurface(surface) {
   const moment = momentKey(state.step);
   const times = {};
   Object.assign(surface, { key, request, start, seen: false });
-  // The values of another field come last: surfaces without their colours do not replace those that have them.
-  const isShownWhole = wish.colour !== null && surface.found;
+  const before = levelBefore();
+  // The values of another field come last: surfaces without their colours do not replace those that have them. Nor do
+  // parts of a level replace all of a coarser one.
+  const isShownWhole = before !== null || (wish.colour !== null && surface.found);
   const box = boxOf(state.region);
   const part = (found) => {
     if (surface.removed || isShownWhole || request.signal.aborted) return;
@@ -234,9 +251,20 @@ async function fetchSurface(surface) {
     giveWay(surface);
   };
   try {
+    if (before !== null) {
+      const coarse = await source.surface(state.archive, { ...wish, level: before }, request.signal);
+      if (surface.removed) return;
+      view.show(surface.name, Object.assign(coarse, { box }), surface);
+      view.drawn().then(() => (times.first ??= performance.now() - start));
+      surface.seen = true;
+      if (surface.wanted) {
+        surface.key = "";
+        return;
+      }
+    }
     const found = await source.surface(state.archive, wish, request.signal, part);
     if (surface.removed) return;
-    view.show(surface.name, found, surface);
+    view.show(surface.name, Object.assign(found, { box }), surface);
     view.drawn().then(() => {
       times.whole = performance.now() - start;
       times.first ??= times.whole;
@@ -605,6 +633,22 @@ function drawSuggestions() {
   );
 }
 
+/** Chooses a level by its number: the finest unless there is one of it. */
+function setLevel(number) {
+  const level = levels().find((l) => String(l.level) === String(number));
+  state.level = level ? level.level : 0;
+}
+
+function listLevels() {
+  $("of-level").hidden = levels().length < 2;
+  const name = ({ level, nodes, rms }) => {
+    const error = rms === null || rms === undefined ? "" : `, error ${withUnit(digits(rms, 2), stepInfo().unit)}`;
+    return new Option(`${level}: ${nodes.join(" × ")}${error}`, level);
+  };
+  $("level").replaceChildren(...levels().map(name));
+  $("level").value = state.level;
+}
+
 // ---- archives
 
 async function setArchive(camera) {
@@ -618,6 +662,7 @@ async function setArchive(camera) {
   $("of-field").hidden = !names().length;
   $("field").replaceChildren(...names().map((name) => new Option(name, name)));
   $("field").value = state.field ?? "";
+  listLevels();
   $("coloured").hidden = !colourChoices().length;
   $("by").replaceChildren(new Option("their own colours", ""), ...colourChoices().map((c) => new Option(c.name, c.value)));
   $("by").value = state.by ?? "";
@@ -691,6 +736,7 @@ function listen() {
     state.surfaces.forEach((s) => view.remove(s.name));
     Object.assign(state, { archive: Number($("archive").value), surfaces: [], active: 0, region: null, range: null, clip: null, by: null });
     setField(null);
+    setLevel(0);
     state.step = steps()[0].number;
     $("clip").value = "";
     setArchive();
@@ -723,6 +769,11 @@ function listen() {
     listSurfaces();
     fetchAll();
     drawControls();
+  });
+  on("level", "change", () => {
+    setLevel($("level").value);
+    fetchAll();
+    toAddress();
   });
   on("cap", "change", () => {
     state.cap = $("cap").checked;
@@ -835,7 +886,8 @@ async function saveSurfaces(format) {
   $(format).disabled = true;
   try {
     const colours = state.by === null ? {} : { ...colourOf(), map: state.map, range: state.range ?? undefined };
-    const wish = { isovalues, step: state.step, field: state.field, roi, cap: state.cap && !roi, format, ...colours };
+    const { step, field, level } = state;
+    const wish = { isovalues, step, field, level: level || null, roi, cap: state.cap && !roi, format, ...colours };
     save(await source.file(state.archive, wish), format);
     say("");
   } catch (error) {
