@@ -83,7 +83,8 @@ impl StepView {
         let mut values = self.nodes_at_step(level, wanted)?;
         if let Some((next, share)) = self.next_step() {
             let behind = next.nodes_at_step(level, wanted)?;
-            values.iter_mut().zip(behind).for_each(|(a, b)| *a = mean(*a, b, share));
+            values.iter_mut().zip(&behind).for_each(|(a, b)| *a = mean(*a, *b, share));
+            next.spare.give_nodes(behind);
         }
         Ok(values)
     }
@@ -113,7 +114,11 @@ impl StepView {
         if let Some(known) = known.filter(|known| known.place.intersect(wanted) == *wanted) {
             return Ok(known);
         }
-        let found = Arc::new(NodeWindow { place: *wanted, values: self.nodes(level, wanted)? });
+        let mut values = self.nodes(level, wanted)?;
+        if self.cache.most() > 0 {
+            values.shrink_to_fit();
+        }
+        let found = Arc::new(NodeWindow { place: *wanted, values });
         if self.cache.most() > 0 {
             lock(&of.windows).put(key, Arc::clone(&found), 64 + 4 * found.values.len());
         }
@@ -313,5 +318,13 @@ impl TileSource for Reader<'_> {
 
     fn before(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, Found> {
         self.view.base().map_or(Ok(None), |base| base.tile(id)).map_err(Found)
+    }
+
+    fn room(&mut self, nodes: usize) -> Vec<f32> {
+        self.view.spare.nodes(nodes)
+    }
+
+    fn give_back(&mut self, room: Vec<f32>) {
+        self.view.spare.give_nodes(room);
     }
 }

@@ -16,7 +16,11 @@ use std::sync::{Mutex, PoisonError};
 pub(in crate::pipeline) struct BufferPool {
     surfaces: List<ChunkSurface>,
     buffers: List<Buffers>,
+    nodes: List<Vec<f32>>,
 }
+
+/// Bytes of vectors of nodes that are kept.
+const MOST_OF_NODES: usize = 64 << 20;
 
 /// The memory in which a chunk is read and processed.
 #[derive(Default)]
@@ -111,9 +115,28 @@ impl BufferPool {
         self.buffers.give([buffers]);
     }
 
+    /// A vector with room for so many nodes, or at most twice as many.
+    pub(in crate::pipeline) fn nodes(&self, count: usize) -> Vec<f32> {
+        let mut all = self.nodes.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let fits = |v: &Vec<f32>| (count..=2 * count).contains(&v.capacity());
+        let fitting = all.iter().enumerate().filter(|(_, v)| fits(v));
+        let least = fitting.min_by_key(|(_, v)| v.capacity()).map(|(n, _)| n);
+        least.map_or_else(|| Vec::with_capacity(count), |n| all.swap_remove(n))
+    }
+
+    pub(in crate::pipeline) fn give_nodes(&self, nodes: Vec<f32>) {
+        self.nodes.give([nodes]);
+        self.nodes.trim(MOST_OF_NODES, bytes_of);
+    }
+
     /// Drops what exceeds `most` bytes.
     pub(in crate::pipeline) fn trim(&self, most: usize) {
         self.surfaces.trim(most / 2, ChunkSurface::bytes);
-        self.buffers.trim(most / 2, |b| b.reader.bytes());
+        self.buffers.trim(most / 4, |b| b.reader.bytes());
+        self.nodes.trim(most / 4, bytes_of);
     }
+}
+
+fn bytes_of(nodes: &Vec<f32>) -> usize {
+    4 * nodes.capacity()
 }

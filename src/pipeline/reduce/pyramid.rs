@@ -68,7 +68,13 @@ impl Work<'_> {
 
     /// Reads samples; NaN where they are missing.
     fn read(&self, place: &IndexBox) -> Result<Vec<f32>> {
-        let mut values = vec![0.0; place.len()];
+        self.read_into(place, vec![])
+    }
+
+    /// As [`Work::read`], in the memory of a vector.
+    fn read_into(&self, place: &IndexBox, mut values: Vec<f32>) -> Result<Vec<f32>> {
+        values.clear();
+        values.resize(place.len(), 0.0);
         self.bad.note(0, self.number, self.field.read_window(*place, &mut values))?;
         Ok(values)
     }
@@ -305,7 +311,10 @@ impl MakeChunks for RangeMaker<'_> {
             times.encode += start.elapsed();
             let start = Instant::now();
             let (around, own) = (box3(&nodes), index_box(&part));
-            let samples = if corrects || self.measured { work.read(&nodes)? } else { vec![] };
+            let samples = match corrects || self.measured {
+                true => work.read_into(&nodes, self.view.spare.nodes(nodes.len()))?,
+                false => vec![],
+            };
             if corrects {
                 let corrected = self.correct(&nodes, &mut decoded, &samples);
                 let numbers = work.bad.note(0, work.number, corrected)?;
@@ -340,6 +349,7 @@ impl MakeChunks for RangeMaker<'_> {
                     bounds = [bounds[0].min(known[0]), bounds[1].max(known[1])];
                 }
             }
+            [decoded, samples].into_iter().for_each(|nodes| self.view.spare.give_nodes(nodes));
         }
         let [min, max] = bounds;
         BlockRange::round(&mut ranges);
@@ -494,6 +504,7 @@ impl Build<'_> {
         let files = SegmentFiles::of_ranges(step.number, hash, needs_sums, &layout);
         let ranges = RangeMaker::new(work(edge), &view, step, self.run.resources.memory / 16)?;
         self.chunks_of_pyramid(&ranges, &files, source, series, made)?;
+        view.spare.trim(0);
         *before = Some(view);
         Ok(())
     }

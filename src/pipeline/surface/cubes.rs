@@ -12,6 +12,7 @@ use crate::pipeline::read::{Brick, BufferPool, StepView, bricks_of, chunk_place,
 use crate::surface::extract::{ChunkSurface, CubeBench, GridBlock};
 use isospan_wavelet::Pyramid;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Cells along each axis of a part, at most.
 const PART: u64 = isospan_wavelet::PART as u64;
@@ -129,6 +130,9 @@ pub(super) fn march(
         values: &window.values,
         cells: *cells,
     });
+    if let Some(window) = Arc::into_inner(window) {
+        archive.spare.give_nodes(window.values);
+    }
     Ok(())
 }
 

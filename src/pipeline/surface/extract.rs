@@ -98,7 +98,7 @@ pub(super) fn extract_surfaces(
         weld.close()?;
         weld.hand_on(parts, question.archive.chunks.len())?;
     }
-    spare.trim(cache.most() / 4);
+    question.archive.spare.trim(cache.most() / 4);
     weld.finish()
 }
 

@@ -25,6 +25,15 @@ pub trait TileSource {
 
     /// Tells that a tile is used, and is not asked for again for the same box.
     fn used(&mut self, _id: TileId) {}
+
+    /// A vector for so many nodes: one that was given back, where there is one. What is in it is
+    /// overwritten.
+    fn room(&mut self, nodes: usize) -> Vec<f32> {
+        Vec::with_capacity(nodes)
+    }
+
+    /// Takes a vector of nodes that is no longer needed.
+    fn give_back(&mut self, _room: Vec<f32>) {}
 }
 
 /// There is no step before.
@@ -89,15 +98,18 @@ impl Levels<'_> {
         }
         let split = p.split(level + 1);
         let window = wanted.around(split, MARGIN).cut(&Box3::all(p.nodes(level)));
-        let mut work = Window { place: window, samples: vec![0.0; window.len()] };
+        let mut samples = tiles.room(window.len());
+        samples.clear();
+        samples.resize(window.len(), 0.0);
+        let mut work = Window { place: window, samples };
         let low = window.halved(split);
-        work.put_band(&[split], [false; 3], &low, &self.low(level + 1, &low, tiles)?);
+        let of_low = self.low(level + 1, &low, tiles)?;
+        work.put_band(&[split], [false; 3], &low, &of_low);
+        tiles.give_back(of_low);
         self.details(level + 1, &mut work, tiles)?;
         work.inverse(&[split], &mut Scratch::default());
-        if window == *wanted {
-            return Ok(work.samples);
-        }
-        Ok(window.values_of(&work.samples, wanted))
+        window.crop(&mut work.samples, wanted);
+        Ok(work.samples)
     }
 
     /// The coefficients between a level and the finer one, into a window of the finer one.

@@ -109,6 +109,20 @@ impl Box3 {
         found
     }
 
+    /// Leaves the values of a part of the box, in place.
+    ///
+    /// # Panics
+    /// As [`Box3::values_of`].
+    pub(crate) fn crop<T: Copy>(&self, values: &mut Vec<T>, part: &Self) {
+        let mut end = 0;
+        // A row moves to a lower place, or stays.
+        self.each_row(part, |at| {
+            values.copy_within(at..at + part.size[0], end);
+            end += part.size[0];
+        });
+        values.truncate(end);
+    }
+
     /// Copies what an array over another box has of this one into an array over this one.
     ///
     /// # Panics
