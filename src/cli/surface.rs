@@ -239,7 +239,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     } else {
         super::print(&in_words(&report, args.stats))?;
     }
-    note_plateaus(&step, &settings, talk)?;
+    // Samples that are equal are told by the finest level, which a coarse question does not read.
+    if report.level.is_none_or(|level| level == 0) {
+        note_plateaus(&step, &settings, talk)?;
+    }
     expect_area(&args.output, [&report])
 }
 

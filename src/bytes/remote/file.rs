@@ -2,8 +2,9 @@
 //!
 //! A page that is asked for is fetched with all missing ones of the same read, in one request. If
 //! the page before it is there already, the reader moves forward, and the next pages are fetched
-//! too. Pages are kept, a fixed number for each server, and found again when the same file, by its
-//! ETag, is opened anew. Many bytes are fetched as they are asked for, and not kept.
+//! too. A page that another thread is fetching is waited for, so none is fetched twice. Pages are
+//! kept, a fixed number for each server, and found again when the same file, by its ETag, is opened
+//! anew. Very many bytes are fetched as they are asked for, and not kept.
 
 use super::host::{Host, host_of};
 use super::pages::{KEPT, ServerCache};
@@ -21,10 +22,8 @@ use std::sync::Arc;
 
 /// Bytes of a page: a block of tetrahedra and its neighbours, or a few pages of an index.
 pub(super) const PAGE: u64 = 16 << 10;
-/// Pages that are fetched too when a reader moves forward.
-const AHEAD: u64 = 8;
 /// A read of so many bytes passes the pages by.
-const MANY: usize = 128 << 10;
+const MANY: usize = 4 << 20;
 
 const _: () = assert!(KEPT as u64 * PAGE == super::PAGES_BYTES);
 
@@ -114,50 +113,50 @@ impl RemoteFile {
             out.copy_from_slice(&self.fetch(offset..end)?);
             return Ok(());
         }
-        let (mut at, mut missing) = (offset, None::<Range<u64>>);
-        let last = end.div_ceil(PAGE);
-        // All pages, from the first that is missing to the last that is: one request.
-        for page in offset / PAGE..last {
-            if self.page(page).is_none() {
-                missing = Some(missing.map_or(page, |m| m.start)..page + 1);
-            }
+        if out.is_empty() {
+            return Ok(());
         }
-        let fetched = missing.map(|m| self.fetch_pages(m)).transpose()?;
-        while at < end {
-            let n = at / PAGE;
-            let from_fetched = fetched.as_ref().and_then(|(first, bytes)| {
-                let skip = usize::try_from(at.checked_sub(*first)?).ok()?;
-                bytes.get(skip..).filter(|b| !b.is_empty())
-            });
-            let kept = if from_fetched.is_none() { self.page(n) } else { None };
-            let here = match (from_fetched, &kept) {
-                (Some(bytes), _) => bytes,
-                (None, Some(page)) => &page[(at - n * PAGE) as usize..],
-                // Another thread's pages have pushed it out since: fetch what is left of the read.
-                (None, None) => return self.read_at(at, &mut out[(at - offset) as usize..]),
-            };
-            let n = here.len().min((end - at) as usize);
-            let start = (at - offset) as usize;
-            out[start..start + n].copy_from_slice(&here[..n]);
-            at += n as u64;
+        let pages = self.pages(offset / PAGE..end.div_ceil(PAGE))?;
+        for (page, n) in pages.iter().zip(offset / PAGE..) {
+            let first = n * PAGE;
+            let (from, to) = (offset.max(first), end.min(first + PAGE));
+            let part = &page[(from - first) as usize..(to - first) as usize];
+            out[(from - offset) as usize..(to - offset) as usize].copy_from_slice(part);
         }
         Ok(())
     }
 
-    fn page(&self, n: u64) -> Option<Arc<[u8]>> {
-        self.origin.cache().pages().get((self.number, n))
-    }
-
-    /// Fetches pages, and some more if the page before is there; returns the offset of the first
-    /// byte, and all bytes.
-    fn fetch_pages(&self, mut pages: Range<u64>) -> io::Result<(u64, Vec<u8>)> {
-        if pages.start > 0 && self.page(pages.start - 1).is_some() {
-            pages.end = pages.end.max(pages.start + AHEAD);
+    /// Pages: those that are kept, and all from the first to the last of the others, in one
+    /// request. What another thread fetches is waited for.
+    fn pages(&self, wanted: Range<u64>) -> io::Result<Vec<Arc<[u8]>>> {
+        let cache = self.origin.cache();
+        let mut pages = cache.pages();
+        let (mut found, fetched) = loop {
+            let found: Vec<_> = wanted.clone().map(|n| pages.get((self.number, n))).collect();
+            let missing = || wanted.clone().zip(&found).filter(|(_, page)| page.is_none()).map(|(n, _)| n);
+            let Some((first, last)) = missing().next().zip(missing().last()) else {
+                return Ok(found.into_iter().flatten().collect());
+            };
+            let range = pages.ahead(self.number, first..last + 1, self.len.div_ceil(PAGE));
+            match pages.begin(self.number, range.clone()) {
+                true => break (found, range),
+                false => pages = cache.wait(pages),
+            }
+        };
+        drop(pages);
+        let coming = Coming { file: self, pages: fetched.clone() };
+        let bytes = self.fetch(fetched.start * PAGE..(fetched.end * PAGE).min(self.len))?;
+        let mut pages = cache.pages();
+        for (n, page) in fetched.zip(bytes.chunks(PAGE as usize)) {
+            let page: Arc<[u8]> = page.into();
+            if wanted.contains(&n) {
+                found[(n - wanted.start) as usize] = Some(Arc::clone(&page));
+            }
+            pages.keep((self.number, n), page);
         }
-        let wanted = pages.start * PAGE..(pages.end * PAGE).min(self.len);
-        let bytes = self.fetch(wanted.clone())?;
-        self.keep(wanted.clone(), &bytes);
-        Ok((wanted.start, bytes))
+        drop(pages);
+        drop(coming);
+        Ok(found.into_iter().flatten().collect())
     }
 
     fn fetch(&self, wanted: Range<u64>) -> io::Result<Vec<u8>> {
@@ -179,5 +178,19 @@ impl RemoteFile {
                 pages.keep((self.number, n), part.into());
             }
         }
+    }
+}
+
+/// Pages that a thread fetches, and others wait for until this is dropped.
+struct Coming<'a> {
+    file: &'a RemoteFile,
+    pages: Range<u64>,
+}
+
+impl Drop for Coming<'_> {
+    fn drop(&mut self) {
+        let cache = self.file.origin.cache();
+        cache.pages().end(self.file.number, self.pages.clone());
+        cache.fetched();
     }
 }

@@ -46,6 +46,10 @@ impl StepView {
         if let Some(known) = of.coarse.get() {
             return Ok(known);
         }
+        let _reading = lock(&of.reading);
+        if let Some(known) = of.coarse.get() {
+            return Ok(known);
+        }
         let path = self.layout.coarse();
         let file =
             Segment::open(&path, SegmentKind::Coarse, Some(self.step_hash())).map_err(|e| self.lost(e))?;

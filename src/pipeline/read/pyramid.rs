@@ -25,6 +25,8 @@ pub(in crate::pipeline) struct PyramidStep {
     pub(in crate::pipeline) scale: Scale,
     pub(in crate::pipeline) correction: Correction,
     pub(super) coarse: OnceLock<CoarseLevels>,
+    /// Held while these are read, which one thread does.
+    pub(super) reading: Mutex<()>,
     pub(super) tiles: Mutex<Recent<TileId, Arc<Tile>>>,
     pub(super) blocks: Mutex<Recent<(u64, usize), Arc<StoredBlock>>>,
     /// The samples of chunks that are missing.
@@ -61,6 +63,7 @@ impl PyramidStep {
             scale,
             correction,
             coarse: OnceLock::new(),
+            reading: Mutex::default(),
             tiles: Mutex::new(Recent::new(of_tiles)),
             blocks: Mutex::new(Recent::new(of_tiles / 8)),
             masks: Mutex::new(Recent::new(of_tiles / 8)),
