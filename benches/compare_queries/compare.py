@@ -11,8 +11,8 @@ Two questions, of a smooth field (a sphere) and of a busy one (a gyroid of 12 pe
   that has the archive open and asks for surfaces in memory, with nothing kept from one to the next ("open archive") and with decoded blocks kept, about all of
   which all is known ("open archive, warm"; "second time" where they were needed but once, or a few times). The first and the third are also asked of a copy
   whose blocks are unpacked on disk ("unpacked"), the open archive also for the second time.
-* *volume*: isospan from an archive with 1/8 of the samples of an EDGE^3 f32 volume, as a process, unpacked (6 GB on disk of 512^3), and with decoded
-  blocks kept; vtkFlyingEdges3D on the whole volume in memory.
+* *volume*: isospan from the pyramid of an EDGE^3 f32 volume, at an RMS error of 1 %: as a process, of levels 0 to 2; of an open archive, with nothing kept
+  and with decoded nodes kept; vtkFlyingEdges3D on all samples in memory.
 
 Ratios are of CPU time, which a busy machine disturbs less; with one thread that is the time on a quiet one. The oracle of active tetrahedra is brute
 force over all of them, in numpy. The mesh goes from the archive to VTK by `isospan export`.
@@ -139,8 +139,9 @@ def count_ply(path):
         return next(int(line.split()[2]) for line in file if line.startswith(b"element face"))
 
 
-def ask_process(programs, archive, isovalue, threads, out):
-    seconds = run(programs / "isospan", "surface", archive, f"--isovalue={isovalue!r}", "-o", out, "--force", "--threads", threads, "-q")
+def ask_process(programs, archive, isovalue, threads, out, *level):
+    ask = (programs / "isospan", "surface", archive, f"--isovalue={isovalue!r}", *level, "-o", out)
+    seconds = run(*ask, "--force", "--threads", threads, "-q")
     return seconds, count_ply(out)
 
 
@@ -233,23 +234,23 @@ def volume_question(args, programs, work, field):
     (make, (low, high)) = FIELDS[field]
     volume, archive, out = (work / name for name in ("volume.nrrd", "volume.isospan", "out.ply"))
     run(programs / "make_volume", *make, "--dims", f"{args.edge},{args.edge},{args.edge}", "-o", volume)
-    run(programs / "isospan", "-q", "reduce", volume, "-o", archive, "--points", "hammersley", "--fraction", "1/8")
+    run(programs / "isospan", "-q", "reduce", volume, "-o", archive)
     image = read(vtk.vtkNrrdReader(), volume)
     edges = vtk.vtkFlyingEdges3D()
     edges.SetInputData(image)
     edges.ComputeScalarsOff()
     isovalues = [float(numpy.float32(v)) for v in numpy.linspace(low, high, 5)]
-    unpacked = unpack(programs, archive)
     table = Table()
     for _ in range(args.rounds):
         for v in isovalues:
-            table.add("isospan, process", *ask_process(programs, archive, v, args.threads, out))
-            table.add("isospan, unpacked, process", *ask_process(programs, unpacked, v, args.threads, out))
+            for level in (0, 1, 2):
+                answer = ask_process(programs, archive, v, args.threads, out, "--level", level)
+                table.add(f"isospan, process, level {level}", *answer)
             table.add("vtkFlyingEdges3D", *ask_vtk(edges, v))
-        for label, answer in ask_unpacked(programs, unpacked, isovalues, args.threads):
-            table.add(label, *answer)
-        for label, answer in ask_kept(programs, archive, isovalues, args.threads, 16384):
-            table.add(label, *answer)
+        for answer in ask_open(programs, archive, isovalues, args.threads, 1, 0)[0]:
+            table.add("isospan, open archive", *answer)
+        for answer in ask_open(programs, archive, 2 * isovalues, args.threads, 1, 16384)[0][len(isovalues) :]:
+            table.add("isospan, open archive, second time", *answer)
     table.print(f"volume of {args.edge}^3, {field} field, {args.threads} threads, medians", lambda label: label.startswith("vtk"))
 
 
