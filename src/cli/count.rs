@@ -58,7 +58,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         let _ = writeln!(
             out,
             "isovalue {isovalue}: {} active {}{} ({} read)",
-            text::count(report.active_tetrahedra),
+            text::count(report.active_cells),
             match report.tetrahedra {
                 0 => "cells".to_owned(),
                 all => format!("tetrahedra of {}", text::count(all)),

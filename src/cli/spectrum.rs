@@ -133,7 +133,7 @@ fn table(report: &SpectrumReport, units: &Units) -> String {
     for k in &report.knots {
         let mean = if k.area > 0.0 { k.gradient / k.area } else { 0.0 };
         let [area, volume, mean] = [k.area, k.volume, mean].map(text::number);
-        let active = text::count(k.active_tetrahedra);
+        let active = text::count(k.active_cells);
         let _ = writeln!(
             out,
             "{:>12} {active:>14} {area:>14} {volume:>14} {mean:>14}",

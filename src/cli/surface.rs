@@ -578,7 +578,7 @@ fn components_text(report: &ComponentReport) -> String {
 
 fn stats_text(report: &SurfaceReport) -> String {
     let mut out = String::new();
-    let active = text::count(report.active_tetrahedra);
+    let active = text::count(report.active_cells);
     let blocks = if report.tetrahedra == 0 {
         let _ = writeln!(out, "  samples       {}", text::count(report.points));
         let _ = writeln!(out, "  active        {active} cells");

@@ -38,7 +38,7 @@ use std::sync::Arc;
 /// // How large would the surface be? Then make it.
 /// let count = archive.count(isovalue)?;
 /// let mesh = archive.surface(isovalue)?;
-/// assert!(mesh.triangles.len() as u64 >= count.active_tetrahedra);
+/// assert!(mesh.triangles.len() as u64 >= count.active_cells);
 ///
 /// // The surface lies where the field has the isovalue.
 /// let points: Vec<[f64; 3]> = mesh.vertices.iter().map(|v| v.world(mesh.origin)).collect();

@@ -237,7 +237,7 @@ impl Step {
     ///     let inside = |t: &[u32; 4]| t.iter().filter(|&&v| chunk.values[v as usize] >= 100.0).count();
     ///     active += chunk.tetrahedra.iter().filter(|t| (1..4).contains(&inside(t))).count() as u64;
     /// }
-    /// assert_eq!(active, archive.count(100.0)?.active_tetrahedra);
+    /// assert_eq!(active, archive.count(100.0)?.active_cells);
     /// # Ok(())
     /// # }
     /// ```

@@ -81,9 +81,9 @@ impl SpectrumBuilder {
     /// The spectrum of all chunks.
     pub fn spectrum(&self) -> Spectrum {
         let knots = self.design.knots.values().into_iter().zip(&self.active).zip(&self.sums).map(
-            |((isovalue, &active_tetrahedra), &[area, volume, gradient])| Knot {
+            |((isovalue, &active_cells), &[area, volume, gradient])| Knot {
                 isovalue,
-                active_tetrahedra,
+                active_cells,
                 area,
                 volume,
                 gradient,

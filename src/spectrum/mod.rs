@@ -74,8 +74,8 @@ pub(crate) use design::MOST_LEVELS;
 pub struct Knot {
     /// The isovalue.
     pub isovalue: f32,
-    /// Tetrahedra that the isosurface crosses.
-    pub active_tetrahedra: u64,
+    /// Cells that the isosurface crosses: tetrahedra, or cubes of a pyramid.
+    pub active_cells: u64,
     /// Its area.
     pub area: f64,
     /// The volume of the tetrahedra where the field is at or above the isovalue.

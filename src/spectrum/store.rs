@@ -72,7 +72,7 @@ impl SpectrumFile {
         }
         let knots = &self.spectrum.knots;
         if let Ok(k) = knots.binary_search_by(|k| k.isovalue.total_cmp(&isovalue)) {
-            return Some(knots[k].active_tetrahedra);
+            return Some(knots[k].active_cells);
         }
         self.spectrum.levels.find(isovalue).map(|n| self.total.levels[n as usize])
     }

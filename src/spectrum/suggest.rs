@@ -109,7 +109,7 @@ mod tests {
             let v = f64::from(isovalue);
             let area = 5.0 + 100.0 * bump(v, 200.0) + 200.0 * bump(v, 700.0);
             let mean = 1.0 + 10.0 * bump(v, 200.0) + 10.0 * bump(v, 700.0);
-            Knot { isovalue, active_tetrahedra: 1, area, volume: 0.0, gradient: mean * area }
+            Knot { isovalue, active_cells: 1, area, volume: 0.0, gradient: mean * area }
         });
         Spectrum {
             range: design.range,

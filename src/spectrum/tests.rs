@@ -204,7 +204,7 @@ proptest! {
             let f = |t: &Tet| t.map(|c| f64::from(values[c as usize]));
             let brute: Vec<(f64, f64)> = live.iter().map(|t| cut(at(t), f(t), f64::from(k.isovalue))).collect();
             let (area, inside) = brute.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
-            prop_assert_eq!(k.active_tetrahedra, active(k.isovalue));
+            prop_assert_eq!(k.active_cells, active(k.isovalue));
             prop_assert!(near(k.volume, inside, all), "volume {} {inside} at {}", k.volume, k.isovalue);
             prop_assert!(near(k.area, area, area), "area {} {area} at {}", k.area, k.isovalue);
         }
@@ -217,7 +217,7 @@ proptest! {
         let stored = file.spectrum();
         prop_assert_eq!((stored.range, stored.tetrahedra, stored.volume, stored.levels), (s.range, s.tetrahedra, s.volume, s.levels));
         for (a, b) in stored.knots.iter().zip(&s.knots) {
-            prop_assert_eq!((a.isovalue, a.active_tetrahedra), (b.isovalue, b.active_tetrahedra));
+            prop_assert_eq!((a.isovalue, a.active_cells), (b.isovalue, b.active_cells));
             for (a, b) in [(a.area, b.area), (a.volume, b.volume), (a.gradient, b.gradient)] {
                 prop_assert!((a - b).abs() <= 5e-7 * b, "{} {}", a, b);
             }

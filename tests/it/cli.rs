@@ -64,7 +64,7 @@ fn the_main_job() {
     assert!(ok(d, &["check", "ball.ply"]).contains("sound"));
     assert!(ok(d, &["check", "ball.isospan"]).contains("fill the domain exactly"));
     let count = json(&ok(d, &["count", "ball.isospan", "--isovalue", "0.1", "--json"]));
-    assert!(count["active_tetrahedra"].as_u64().unwrap() > 1000);
+    assert!(count["active_cells"].as_u64().unwrap() > 1000);
     assert!(ok(d, &["count", "ball.isospan", "--isovalue", "1e3"]).contains(": 0 active"));
     let empty = ok(d, &["surface", "ball.isospan", "--isovalue", "77", "-o", "none.stl"]);
     assert!(empty.contains("does not cut the range") && empty.contains("0 triangles"), "{empty}");

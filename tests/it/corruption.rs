@@ -41,7 +41,7 @@ fn extract(archive: &Path) -> Result<Vec<u8>, Error> {
 
 fn answers(archive: &Path) -> Answers {
     check_archive(archive).unwrap();
-    let active = count_active(archive, ISOVALUE).unwrap().active_tetrahedra;
+    let active = count_active(archive, ISOVALUE).unwrap().active_cells;
     Answers { surface: extract(archive).unwrap(), active }
 }
 
@@ -63,7 +63,7 @@ fn error_or_right(archive: &Path, right: &Answers, what: &str) {
         Err(e) => orderly(what, &e),
     }
     match count_active(archive, ISOVALUE) {
-        Ok(found) => assert_eq!(found.active_tetrahedra, right.active, "{what}"),
+        Ok(found) => assert_eq!(found.active_cells, right.active, "{what}"),
         Err(e) => orderly(what, &e),
     }
     match extract(archive) {

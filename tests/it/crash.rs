@@ -115,7 +115,8 @@ fn twenty_kills_at_random_moments_cost_nothing() {
             let folder = case.path().join(&out);
             kept += u64::from(folder.exists() && !temporaries(&folder).is_empty());
             if folder.join("manifest.zst").exists() {
-                // Killed when all was done.
+                // Killed when all was done, maybe before the sums of chunks were removed.
+                ok(case.path(), &reduce_to(&out));
                 case.same(&out);
                 out.clear();
             }
@@ -505,7 +506,7 @@ fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
     let append = [&["append", "-q", "--no-measure", "a.isospan"], &all[2..]].concat();
     let archive = d.join("a.isospan");
     let old = folder(&archive);
-    let answer = || isospan::Archive::open(&archive).unwrap().count(0.1).unwrap().active_tetrahedra;
+    let answer = || isospan::Archive::open(&archive).unwrap().count(0.1).unwrap().active_cells;
     let again = || {
         fs::remove_dir_all(&archive).unwrap();
         for (file, bytes) in &old {

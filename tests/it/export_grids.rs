@@ -527,7 +527,7 @@ fn spectra_of_grids_with_coordinates_are_those_of_their_surfaces() {
                 assert!((0.97..1.03).contains(&(knot.volume / volume)), "{kind} {knot:?} {volume}");
             }
             assert!((0.95..1.05).contains(&(knot.gradient / knot.area)), "{kind} {knot:?}");
-            assert_eq!(knot.active_tetrahedra, archive.count(knot.isovalue).unwrap().active_tetrahedra);
+            assert_eq!(knot.active_cells, archive.count(knot.isovalue).unwrap().active_cells);
         }
     }
 }

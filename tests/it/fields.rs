@@ -120,7 +120,7 @@ fn count(dir: &Path, archive: &str, more: &[&str]) -> u64 {
     let found = json(dir, &[&["count", archive][..], more].concat());
     let found = if found.is_array() { found[0].clone() } else { found };
     let counts = found["counts"].as_array().map_or(found.clone(), |all| all[0].clone());
-    counts["active_tetrahedra"].as_u64().unwrap()
+    counts["active_cells"].as_u64().unwrap()
 }
 
 #[test]

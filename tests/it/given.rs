@@ -118,7 +118,7 @@ fn a_check_and_a_count_are_stopped() {
     assert_eq!(archive.check_until(&go).unwrap().steps, 2);
     assert!(matches!(archive.check_until(&stop), Err(Error::Cancelled)));
     let between = archive.at(StepChoice::Time(0.5)).unwrap();
-    assert!(between.count_until(0.25, &go).unwrap().active_tetrahedra > 0);
+    assert!(between.count_until(0.25, &go).unwrap().active_cells > 0);
     assert!(matches!(between.count_until(0.25, &stop), Err(Error::Cancelled)));
 }
 

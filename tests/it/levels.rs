@@ -323,14 +323,14 @@ fn cells_of_a_level_are_counted() {
     let archive = Archive::open(&out).unwrap();
     let none = CancelToken::new();
     assert_eq!(
-        archive.count(0.1).unwrap().active_tetrahedra,
-        archive.count_at(0.1, LevelChoice::Level(0), &none).unwrap().active_tetrahedra
+        archive.count(0.1).unwrap().active_cells,
+        archive.count_at(0.1, LevelChoice::Level(0), &none).unwrap().active_cells
     );
     for level in 1..4 {
         let report = archive.count_at(0.1, LevelChoice::Level(level), &none).unwrap();
         let (settings, step) = (of(&[0.1], LevelChoice::Level(level)), archive.info().unwrap());
         assert_eq!(report.level, Some(level as usize));
-        let cells = report.active_tetrahedra;
+        let cells = report.active_cells;
         let found = triangles(&archive, &settings);
         // A crossed cell has one to five triangles.
         assert!(

@@ -151,7 +151,7 @@ fn no_surface_and_no_cap_lies_in_a_cell_with_a_missing_sample() {
             let inside = nodes.iter().filter(|v| **v >= isovalue).count();
             crossed += u64::from((1..8).contains(&inside) && !nodes.iter().any(|v| v.is_nan()));
         }
-        assert_eq!(archive.count(isovalue).unwrap().active_tetrahedra, crossed, "{isovalue}");
+        assert_eq!(archive.count(isovalue).unwrap().active_cells, crossed, "{isovalue}");
         for (level, cap) in [(0, false), (0, true), (1, true), (2, true), (3, true), (4, false)] {
             let stride = levels[level].stride.map(|n| n as usize);
             let (nodes, size) = thinned(&values, dims, stride);
@@ -176,7 +176,7 @@ fn no_surface_and_no_cap_lies_in_a_cell_with_a_missing_sample() {
     assert!(archive.probe(&[place, beside]).unwrap().iter().all(|v| v.is_nan()));
     let knots = archive.spectrum().unwrap().knots;
     let knot = &knots[knots.len() / 2];
-    assert_eq!(knot.active_tetrahedra, archive.count(knot.isovalue).unwrap().active_tetrahedra);
+    assert_eq!(knot.active_cells, archive.count(knot.isovalue).unwrap().active_cells);
 }
 
 #[test]
@@ -266,7 +266,7 @@ fn a_volume_without_a_sample_is_an_archive_without_a_value() {
         let archive = Archive::open(out).unwrap();
         assert!(archive.surface(0.0).unwrap().triangles.is_empty());
         assert!(samples(&archive, StepChoice::First).iter().all(|v| v.is_nan()));
-        assert_eq!(archive.count(0.0).unwrap().active_tetrahedra, 0);
+        assert_eq!(archive.count(0.0).unwrap().active_cells, 0);
         assert!(archive.spectrum().unwrap().range.is_none());
     }
 }

@@ -112,10 +112,7 @@ fn a_small_wave_on_a_large_number_is_all_there() {
         let [a, b] = [archive.surface(PASCAL + iso).unwrap(), same.surface(iso).unwrap()];
         assert_eq!(a.triangles.len(), b.triangles.len());
         assert!((area(&a) - area(&b)).abs() < 1e-3 * area(&b) && area(&b) > 100.0);
-        assert_eq!(
-            archive.count(PASCAL + iso).unwrap().active_tetrahedra,
-            same.count(iso).unwrap().active_tetrahedra
-        );
+        assert_eq!(archive.count(PASCAL + iso).unwrap().active_cells, same.count(iso).unwrap().active_cells);
         let at: Vec<[f64; 3]> = a.vertices.iter().map(|v| v.position.map(f64::from)).collect();
         assert!(archive.probe(&at).unwrap().iter().all(|v| v.is_nan() || (v - PASCAL - iso).abs() < 1e-3));
     }

@@ -171,7 +171,7 @@ fn expect_contour(mesh: &Mesh, archive: &Path, isovalue: f64, what: &str) -> Tri
     assert_eq!((found.triangles, found.euler), (triangles, euler), "{what} at {isovalue}: {found:?}");
     // A vertex stays off the ends of its edge by 1/1024 of it.
     assert!((found.area - area).abs() <= 1e-4 * area, "{what} at {isovalue}: {} for {area}", found.area);
-    let active = Archive::open(archive).unwrap().count(isovalue).unwrap().active_tetrahedra;
+    let active = Archive::open(archive).unwrap().count(isovalue).unwrap().active_cells;
     let is_active = |t: &&[usize; 4]| {
         let inside = t.iter().filter(|&&v| mesh.values[v] >= isovalue).count();
         inside > 0 && inside < 4

@@ -39,7 +39,7 @@ fn every_point_set_gives_a_sound_archive_and_sound_surfaces() {
                 "{kind} {isovalue}"
             );
             let count = count_active(&out, isovalue).unwrap();
-            assert_eq!(count.active_tetrahedra, report.active_tetrahedra, "{kind} {isovalue}");
+            assert_eq!(count.active_cells, report.active_cells, "{kind} {isovalue}");
         }
     }
 }

@@ -366,7 +366,7 @@ fn a_program_gets_files_by_ranges_itself() {
         let (a, b) = (local.surface(isovalue).unwrap(), there.surface(isovalue).unwrap());
         assert!(a.triangles.len() > 500 && a == b);
     }
-    assert_eq!(local.count(0.1).unwrap().active_tetrahedra, there.count(0.1).unwrap().active_tetrahedra);
+    assert_eq!(local.count(0.1).unwrap().active_cells, there.count(0.1).unwrap().active_cells);
     let error = Archive::open("host://folder/none.isospan").err().unwrap().to_string();
     assert!(error.contains("host://folder/none.isospan/manifest.zst"), "{error}");
     let error = Archive::open("host://nobody/waves.isospan").err().unwrap().to_string();

@@ -166,7 +166,7 @@ fn surfaces_are_those_of_the_samples() {
     let archive = Archive::open(&out).unwrap();
     let values = samples(&archive, StepChoice::First);
     for isovalue in [-0.5, 0.1, 0.4] {
-        let count = archive.count(isovalue).unwrap().active_tetrahedra;
+        let count = archive.count(isovalue).unwrap().active_cells;
         assert_eq!(count, crossed(&values, archive.dims(), isovalue), "{isovalue}");
         let settings = SurfaceSettings { cap: true, ..SurfaceSettings::of(isovalue) };
         let closed = archive.surfaces(&settings).unwrap().remove(0);
@@ -497,5 +497,5 @@ fn a_spectrum_has_the_areas_of_surfaces() {
     let mesh = archive.surface(knot.isovalue).unwrap();
     let area = check(&mesh).area;
     assert!((0.95..1.05).contains(&(knot.area / area)), "{knot:?} {area}");
-    assert_eq!(knot.active_tetrahedra, archive.count(knot.isovalue).unwrap().active_tetrahedra);
+    assert_eq!(knot.active_cells, archive.count(knot.isovalue).unwrap().active_cells);
 }

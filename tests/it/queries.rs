@@ -49,7 +49,7 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
             single = surface(&archive, isovalue, &alone, 1);
             assert!(fs::read(&one.file).unwrap() == fs::read(&alone).unwrap(), "{extension} {isovalue}");
             assert_eq!((one.triangles, one.vertices), (single.triangles, single.vertices));
-            assert_eq!(one.active_tetrahedra, single.active_tetrahedra);
+            assert_eq!(one.active_cells, single.active_cells);
             assert_eq!(one.outside_range, isovalue > 10.0);
         }
         assert!(report.active_bytes > 0 && report.active_bytes <= report.bytes_read, "{report:?}");

@@ -241,7 +241,7 @@ fn view(_root: &Value, _dir: &Path, _seen: &mut BTreeSet<String>) {}
 fn a_wrong_report_is_found() {
     let root = schema();
     let right = serde_json::json!({
-        "schema": "isospan.count", "version": 1, "isovalue": 0.5, "active_tetrahedra": 3, "tetrahedra": 7,
+        "schema": "isospan.count", "version": 1, "isovalue": 0.5, "active_cells": 3, "tetrahedra": 7,
         "stored": true, "bytes_read": 9,
     });
     let fault_of = |value: &Value| fault(&root, &root["$defs"]["isospan.count"], value, "count");

@@ -501,7 +501,7 @@ fn the_library_answers_as_the_program_does() {
         }
     }
     assert!(volume > 0.0 && volume < 29.0 * 25.0 * 27.0);
-    assert_eq!(active, archive.count(0.25).unwrap().active_tetrahedra);
+    assert_eq!(active, archive.count(0.25).unwrap().active_cells);
     assert!(matches!(archive.surface(f32::NAN), Err(Error::Usage(_))));
     assert_eq!(archive.check().unwrap().tetrahedra, archive.info().unwrap().tetrahedra);
 }

@@ -70,7 +70,7 @@ fn same_answers(dir: &Path, (a, step_a): (&Path, u64), (b, step_b): (&Path, u64)
     assert_eq!(one.value_range(), two.value_range());
     assert_eq!(one.spectrum().unwrap().knots, two.spectrum().unwrap().knots);
     for isovalue in [-0.7, 0.1, 0.123_456] {
-        let count = |a: &Step| a.count(isovalue).unwrap().active_tetrahedra;
+        let count = |a: &Step| a.count(isovalue).unwrap().active_cells;
         assert_eq!(count(&one), count(&two));
         let surface = |path, step| surface_at(path, choice(step), isovalue, &dir.join("s.ply"));
         assert!(surface(a, step_a) == surface(b, step_b), "isovalue {isovalue}");
@@ -374,9 +374,9 @@ fn between_two_steps_values_are_linear() {
         let file = dir.path().join("s.ply");
         surface_at(&out, StepChoice::Time(0.3), isovalue, &file);
         let found = archive.count(isovalue).unwrap();
-        assert!(found.active_tetrahedra > 0 && !found.stored);
+        assert!(found.active_cells > 0 && !found.stored);
         let report = isospan::surface::check::check(&read(&file));
-        assert!(report.is_manifold() && report.triangles as u64 >= found.active_tetrahedra, "{report:?}");
+        assert!(report.is_manifold() && report.triangles as u64 >= found.active_cells, "{report:?}");
     }
     for (step, text) in [
         (StepChoice::Time(1.1), "the time 1.1 is not within 0 .. 1"),

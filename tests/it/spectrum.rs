@@ -58,7 +58,7 @@ fn a_spectrum_is_what_the_surfaces_are() {
         for knot in spectrum.knots.iter().step_by(4) {
             let file = dir.path().join("s.ply");
             let report = surface(&out, knot.isovalue, &file, 2);
-            assert_eq!(report.active_tetrahedra, knot.active_tetrahedra, "{set:?} {knot:?}");
+            assert_eq!(report.active_cells, knot.active_cells, "{set:?} {knot:?}");
             let found = check(&read(&file));
             assert!((found.area - knot.area).abs() <= 1e-4 * knot.area + 1e-9, "{knot:?} {}", found.area);
             if let Some(volume) = found.volume.filter(|_| found.is_closed() && knot.area > 0.0) {
@@ -87,7 +87,7 @@ fn counts_are_exact_whether_stored_or_not() {
     for isovalue in few_digits.chain(many_digits).chain([-100.0, 100.0]) {
         let count = count_active(&out, isovalue).unwrap();
         let report = surface(&out, isovalue, &dir.path().join("s.ply"), 1);
-        assert_eq!(count.active_tetrahedra, report.active_tetrahedra, "{isovalue}");
+        assert_eq!(count.active_cells, report.active_cells, "{isovalue}");
         if count.stored {
             assert!(count.bytes_read < 30_000, "{} bytes", count.bytes_read);
         }
@@ -120,7 +120,7 @@ fn nothing_but_void_has_no_spectrum() {
         assert_eq!((has("000000-index.seg"), has("000000-spectrum.seg")), (name == "several", false));
         let spectrum = contour_spectrum(&out).unwrap();
         assert!(spectrum.range.is_none() && spectrum.knots.is_empty());
-        assert_eq!(count_active(&out, 0.0).unwrap().active_tetrahedra, 0);
+        assert_eq!(count_active(&out, 0.0).unwrap().active_cells, 0);
         check_archive(&out).unwrap();
         assert!(summarize(&out).unwrap().suggestions.is_empty());
     }

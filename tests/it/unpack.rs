@@ -104,7 +104,7 @@ fn unpacked_blocks_give_the_same_surfaces() {
     // They are what is read.
     let out = dir.path().join("one.ply");
     let report = surface(&archive, 0.3, &out, 1);
-    assert!(report.bytes_read > 20 * report.active_tetrahedra, "{report:?}");
+    assert!(report.bytes_read > 20 * report.active_cells, "{report:?}");
     assert!(report.active_bytes > report.bytes_read / 2 && report.bytes_read < report.archive_bytes);
     let removed = remove_unpacked(&archive, &UnpackSettings::default(), false).unwrap();
     assert_eq!((removed.bytes, removed.files.len()), (info.steps[0].unpacked_bytes.unwrap(), 1));
@@ -245,7 +245,7 @@ fn files_of_other_archives_are_never_used() {
     remove_unpacked(&a, &UnpackSettings::default(), false).unwrap();
     fs::copy(&good, a.join("steps/.000000-unpacked.seg.tmp-elsewhere-1-0")).unwrap();
     let report = surface(&a, 0.3, &dir.path().join("packed.ply"), 1);
-    assert!(report.bytes_read < 20 * report.active_tetrahedra);
+    assert!(report.bytes_read < 20 * report.active_cells);
 }
 
 #[test]

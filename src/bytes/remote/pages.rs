@@ -79,8 +79,7 @@ impl Pages {
     pub(super) fn ahead(&self, file: u64, missing: Range<u64>, all: u64) -> Range<u64> {
         let moves_forward = missing.start > 0 && self.kept.contains_key(&(file, missing.start - 1));
         let most = if moves_forward { (missing.start + AHEAD).min(all) } else { missing.end };
-        let is_new =
-            |n: &u64| !self.kept.contains_key(&(file, *n)) && !self.coming.contains(&(file, *n));
+        let is_new = |n: &u64| !self.kept.contains_key(&(file, *n)) && !self.coming.contains(&(file, *n));
         missing.start..(missing.end..most).find(|n| !is_new(n)).unwrap_or(most).max(missing.end)
     }
 

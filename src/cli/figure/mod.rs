@@ -172,7 +172,7 @@ fn draw<B: DrawingBackend>(
     };
     let unit_of = |power| canvas::drawable(&super::text::unit_to_the(power, units.length.as_ref()));
     let panels = [
-        ("active tetrahedra", String::new(), curve(|k| k.active_tetrahedra as f64)),
+        ("active tetrahedra", String::new(), curve(|k| k.active_cells as f64)),
         ("area", unit_of(2), curve(|k| k.area)),
         ("enclosed volume", unit_of(3), curve(|k| k.volume)),
     ];
@@ -294,7 +294,7 @@ mod tests {
     fn a_figure_says_what_it_shows() {
         let knot = |i: u8| isospan::pipeline::Knot {
             isovalue: f64::from(i),
-            active_tetrahedra: 10 * u64::from(i),
+            active_cells: 10 * u64::from(i),
             area: f64::from(i * i) * 1e4,
             volume: 100.0 - f64::from(i),
             gradient: 1.0,

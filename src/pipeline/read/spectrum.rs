@@ -120,8 +120,8 @@ pub(in crate::pipeline) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
 pub struct Knot {
     /// The isovalue.
     pub isovalue: f64,
-    /// Tetrahedra that the isosurface crosses.
-    pub active_tetrahedra: u64,
+    /// Cells that the isosurface crosses: tetrahedra, or cubes of a pyramid.
+    pub active_cells: u64,
     /// Its area.
     pub area: f64,
     /// The volume of the tetrahedra where the field is at or above the isovalue.
@@ -294,7 +294,7 @@ pub(super) fn report_of(archive: &StepView, nodes: usize) -> Result<SpectrumRepo
     let source = &archive.step().plan.source;
     let knot = |k: &crate::spectrum::Knot| Knot {
         isovalue: source.in_file(k.isovalue),
-        active_tetrahedra: k.active_tetrahedra,
+        active_cells: k.active_cells,
         area: k.area,
         volume: k.volume,
         gradient: k.gradient,

@@ -32,7 +32,7 @@ use std::sync::atomic::Ordering;
 /// A surface, welded, and the number of its tetrahedra.
 pub(super) struct Extracted {
     pub(super) surface: StoredSurface,
-    pub(super) active_tetrahedra: u64,
+    pub(super) active_cells: u64,
     /// Whether it is in the world already, of a grid with coordinates.
     pub(super) is_placed: bool,
 }
@@ -230,7 +230,7 @@ impl Question<'_> {
 pub(super) struct Weld<'a> {
     question: &'a Question<'a>,
     builders: Vec<(SurfaceBuilder, Closing)>,
-    active_tetrahedra: Vec<u64>,
+    active_cells: Vec<u64>,
     /// Made when first needed: most surfaces fit in memory.
     frontier: Option<Frontier>,
     shares: SurfaceShares,
@@ -259,7 +259,7 @@ impl<'a> Weld<'a> {
         Self {
             question,
             builders: memory.map(builder).collect(),
-            active_tetrahedra: vec![0; count],
+            active_cells: vec![0; count],
             frontier: None,
             shares,
             place: place.clone(),
@@ -272,7 +272,7 @@ impl<'a> Weld<'a> {
     /// Adds the next chunk; the buffers go back to `spare`.
     pub(super) fn push(&mut self, surfaces: ChunkSurfaces, spare: &BufferPool) -> Result<()> {
         for (i, surface) in surfaces.iter().enumerate() {
-            self.active_tetrahedra[i] += surface.active_cells();
+            self.active_cells[i] += surface.active_cells();
             self.builders[i].0.push(surface)?;
         }
         spare.give_surfaces(surfaces);
@@ -328,12 +328,12 @@ impl<'a> Weld<'a> {
     pub(super) fn finish(self) -> Result<Vec<Extracted>> {
         let has_holes = self.question.archive.may_have_holes();
         let (place, memory) = (self.place, self.shares.batch);
-        let extracted = |((builder, _), active_tetrahedra): ((SurfaceBuilder, _), u64)| {
+        let extracted = |((builder, _), active_cells): ((SurfaceBuilder, _), u64)| {
             let surface = builder.finish()?;
             let surface = if has_holes { split_fans(surface, &place, memory)? } else { surface };
-            Ok(Extracted { surface, active_tetrahedra, is_placed: false })
+            Ok(Extracted { surface, active_cells, is_placed: false })
         };
-        self.builders.into_iter().zip(self.active_tetrahedra).map(extracted).collect()
+        self.builders.into_iter().zip(self.active_cells).map(extracted).collect()
     }
 }
 

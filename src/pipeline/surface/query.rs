@@ -49,7 +49,7 @@ pub(in crate::pipeline) fn count(
     let spectrum = if has_spectrum { archive.stored_spectrum()? } else { None };
     let stored = spectrum.as_ref().and_then(|file| file.active(isovalue));
     let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
-    let active_tetrahedra = match stored {
+    let active_cells = match stored {
         Some(n) => n,
         None => {
             let (n, bytes) = decoded_count(archive, level, isovalue, &settings)?;
@@ -59,7 +59,7 @@ pub(in crate::pipeline) fn count(
     };
     Ok(CountReport {
         isovalue: wanted,
-        active_tetrahedra,
+        active_cells,
         tetrahedra: archive.manifest.counts.tetrahedra,
         level: archive.is_pyramid().then_some(level),
         stored: stored.is_some(),
@@ -166,7 +166,7 @@ fn report_of(
         file_bytes: 0,
         points: totals.points,
         tetrahedra: totals.tetrahedra,
-        active_tetrahedra: surfaces.iter().map(|s| s.active_tetrahedra).sum(),
+        active_cells: surfaces.iter().map(|s| s.active_cells).sum(),
         surfaces,
         blocks: archive.manifest.counts.blocks,
         active_blocks: made.active_blocks,
@@ -506,7 +506,7 @@ fn describe(
         outside_range: is_outside(source.kept(isovalue)),
         vertices: s.surface.vertex_count(),
         triangles: s.surface.triangle_count(),
-        active_tetrahedra: s.active_tetrahedra,
+        active_cells: s.active_cells,
         refined: refined.clone(),
     };
     surfaces.iter().zip(isovalues).zip(refined).map(one).collect()

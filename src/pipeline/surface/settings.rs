@@ -154,8 +154,8 @@ pub struct SurfaceReport {
     pub points: u64,
     /// Tetrahedra of the archive.
     pub tetrahedra: u64,
-    /// Tetrahedra that a surface crosses, once for each.
-    pub active_tetrahedra: u64,
+    /// Cells that a surface crosses, once for each: tetrahedra, or cubes of a pyramid.
+    pub active_cells: u64,
     /// Tetrahedron blocks of the archive.
     pub blocks: u64,
     /// Blocks read.
@@ -194,8 +194,9 @@ pub struct OneSurface {
     pub vertices: u64,
     /// Triangles.
     pub triangles: u64,
-    /// Tetrahedra that the surface crosses: those that touch the region of interest.
-    pub active_tetrahedra: u64,
+    /// Cells that the surface crosses: cubes of a pyramid, or tetrahedra that touch the region of
+    /// interest.
+    pub active_cells: u64,
     /// What was done to the surface after its extraction.
     #[serde(flatten)]
     pub refined: RefineReport,
@@ -207,8 +208,8 @@ pub struct OneSurface {
 pub struct CountReport {
     /// The isovalue.
     pub isovalue: f64,
-    /// Tetrahedra that the surface crosses.
-    pub active_tetrahedra: u64,
+    /// Cells that the surface crosses: tetrahedra, or cubes of a pyramid.
+    pub active_cells: u64,
     /// Tetrahedra of the archive.
     pub tetrahedra: u64,
     /// The level of a pyramid, of whose cells as many are crossed.

@@ -132,7 +132,7 @@ proptest! {
         prop_assert_eq!(s.range, ends);
         for k in &s.knots {
             let crossed: Vec<_> = cells.iter().filter(|cell| is_crossed(cell, k.isovalue)).collect();
-            prop_assert_eq!(k.active_tetrahedra, crossed.len() as u64);
+            prop_assert_eq!(k.active_cells, crossed.len() as u64);
             let v = f64::from(k.isovalue);
             let cuts: Vec<Cut> = crossed.iter().map(|cell| cut(&cell.map(|f| f64::from(f) - v), &world, &CASES)).collect();
             let above = cells.iter().filter(|cell| cell.iter().all(|f| *f >= k.isovalue)).count() as f64;
@@ -163,7 +163,7 @@ proptest! {
         let (whole, parts) = (whole.spectrum(), parts.spectrum());
         prop_assert_eq!((whole.tetrahedra, whole.range), (parts.tetrahedra, parts.range));
         for (a, b) in whole.knots.iter().zip(&parts.knots) {
-            prop_assert_eq!((a.isovalue, a.active_tetrahedra), (b.isovalue, b.active_tetrahedra));
+            prop_assert_eq!((a.isovalue, a.active_cells), (b.isovalue, b.active_cells));
             prop_assert!(near(a.area, b.area, 1e-9) && near(a.gradient, b.gradient, 1e-9));
             prop_assert!((a.volume - b.volume).abs() < 1e-9 * whole.volume);
         }
@@ -221,7 +221,7 @@ fn cells_that_are_cut_stand_for_the_others() {
                 (area, inside, gradient) = (area + cut.area, inside + cut.inside, gradient + cut.gradient);
             }
         }
-        sampled += u32::from(k.active_tetrahedra > 4 * FEW);
+        sampled += u32::from(k.active_cells > 4 * FEW);
         assert!(near(k.area, area, 0.05), "{k:?}: {area}");
         assert!((k.volume - inside).abs() <= 0.01 * inside + 1e-3 * s.volume, "{k:?}: {inside}");
         assert!(near(k.gradient, gradient, 0.05), "{k:?}: {gradient}");

@@ -284,7 +284,7 @@ impl Archive {
             None => archive.count_until(isovalue, cancel),
             Some(level) => archive.count_at(isovalue, level, cancel),
         })?;
-        Ok(report.active_tetrahedra)
+        Ok(report.active_cells)
     }
 
     /// Surfaces in memory, one for each isovalue.

@@ -120,7 +120,7 @@ def test_pyvista_meshes(tooth):
 
 def test_count_and_spectrum(tooth, program):
     expected = program("count", tooth.path, "-i", ISOVALUE, "--json")
-    assert tooth.count(ISOVALUE) == expected["active_tetrahedra"]
+    assert tooth.count(ISOVALUE) == expected["active_cells"]
     assert list(tooth.count([400, ISOVALUE])) == [tooth.count(400), tooth.count(ISOVALUE)]
     spectrum, expected = tooth.spectrum(), program("spectrum", tooth.path, "--json")
     # An archive that is open does not read its manifest again.
@@ -175,7 +175,7 @@ def test_levels_of_a_pyramid(program, tmp_path):
     for choice in ({"triangles": most}, {"error": rms}, {"error": str(rms)}):
         np.testing.assert_array_equal(pyramid.surface(0.2, **choice).faces, expected.faces)
         cells = program("count", pyramid.path, "-i", 0.2, "--level", 2, "--json")
-        assert pyramid.count(0.2, **choice) == cells["active_tetrahedra"]
+        assert pyramid.count(0.2, **choice) == cells["active_cells"]
     assert pyramid.surface(0.2, triangles=most - 1).faces.shape[0] < most
     report = pyramid.save_surface(tmp_path / "a.ply", 0.2, error=rms)
     assert report["level"] == 2 and report["triangles"] == most

@@ -86,7 +86,7 @@ def _spectrum(report: dict[str, Any]) -> Spectrum:
     mean = np.divide(gradient, area, out=np.zeros_like(area), where=area > 0)
     return Spectrum(
         isovalues=column("isovalue"),
-        active=column("active_tetrahedra", np.uint64),
+        active=column("active_cells", np.uint64),
         area=area,
         volume=column("volume"),
         mean_gradient=mean,
