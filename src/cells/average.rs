@@ -6,7 +6,8 @@
 //! does not depend on the window.
 //!
 //! A cell whose value is NaN makes its points NaN: nothing is invented. Cells without a volume do
-//! not count.
+//! not count. Where several points lie in one place, as those of pieces do at their common border,
+//! the first of them stands for all, and the others have no mean of their own.
 
 use super::mesh::{CellBlocks, Part, Tuples};
 use super::polyhedron::{Faces, distinct};
@@ -17,6 +18,9 @@ use std::sync::Arc;
 /// Bytes for a point of a window.
 const POINT_BYTES: u64 = 12;
 
+/// Puts the first point of its place in the place of each.
+pub(crate) type Replace = Box<dyn Fn(&mut [u64]) -> Result<()>>;
+
 /// Means at points 0, 1, 2, …
 pub(super) struct Averages {
     file: Arc<dyn CellFile>,
@@ -24,6 +28,7 @@ pub(super) struct Averages {
     part: Part,
     /// Whether a cell with a value has none: then it counts as NaN.
     is_missing: Box<dyn Fn(f64) -> bool>,
+    replace: Option<Replace>,
     /// Points of a window, at most.
     window: u64,
     /// The first point of the window that comes next.
@@ -41,9 +46,11 @@ impl Averages {
         part: Part,
         memory: u64,
         is_missing: Box<dyn Fn(f64) -> bool>,
+        replace: Option<Replace>,
     ) -> Self {
         let window = (memory / POINT_BYTES).max(BLOCK as u64);
-        Self { file, field, part, is_missing, window, next: 0, sums: vec![], counts: vec![], used: 0 }
+        let (sums, counts) = (vec![], vec![]);
+        Self { file, field, part, is_missing, replace, window, next: 0, sums, counts, used: 0 }
     }
 
     pub(super) fn next_block(&mut self, out: &mut Vec<f64>) -> Result<bool> {
@@ -77,7 +84,7 @@ impl Averages {
         let components = info.fields[self.field].components as usize;
         let mut values = Tuples::new(self.file.field(self.field)?, components, self.part, info.cells);
         let (mut cells, mut block) = (CellBlocks::new(&*self.file)?, CellBlock::default());
-        let (mut some, mut used, mut of_faces) = (vec![], 0, vec![]);
+        let (mut some, mut used, mut points) = (vec![], 0, vec![]);
         while cells.next_block(&mut block)? {
             for (kind, vertices) in block.iter() {
                 if used == some.len() {
@@ -87,13 +94,17 @@ impl Averages {
                 let value = if (self.is_missing)(some[used]) { f64::NAN } else { some[used] };
                 used += 1;
                 match kind {
-                    CellKind::Flat => {}
-                    CellKind::Polyhedron => {
-                        distinct(Faces::new(vertices), &mut of_faces);
-                        self.add(first, value, &of_faces);
+                    CellKind::Flat => continue,
+                    CellKind::Polyhedron => distinct(Faces::new(vertices), &mut points),
+                    _ => {
+                        points.clear();
+                        points.extend_from_slice(vertices);
                     }
-                    _ => self.add(first, value, vertices),
                 }
+                if let Some(replace) = &self.replace {
+                    replace(&mut points)?;
+                }
+                self.add(first, value, &points);
             }
         }
         (self.next, self.used) = (first + n as u64, 0);

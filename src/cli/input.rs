@@ -31,6 +31,10 @@ pub(crate) struct InputArgs {
     /// A text file with one value per point, for meshes in .node and .ele, or .pts and .tet, files.
     #[arg(help_heading = "Input", long, value_name = "FILE")]
     value_file: Option<PathBuf>,
+    /// The values of cells jump between points of one place, as those of two pieces or materials
+    /// are. Without this, all cells around a place are averaged together.
+    #[arg(help_heading = "Input", long)]
+    jumps: bool,
     /// Number of samples along x (fastest), y and z.
     #[arg(long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u64>, requires = "scalar_type", help_heading = "Raw files", allow_hyphen_values = true)]
     dims: Option<[u64; 3]>,
@@ -114,6 +118,7 @@ impl InputArgs {
             origin: self.origin,
             io: self.io.mode(),
             values: self.value_file.clone(),
+            jumps: self.jumps,
             units: Units::default(),
         })
     }

@@ -148,6 +148,7 @@ pub(crate) fn grid_cells(cells: &isospan::archive::tables::CellCount) -> String 
 pub(crate) fn mesh_census(mesh: &isospan::pipeline::MeshCensus) -> String {
     let oddities: String = [
         (mesh.inverted, "turned over, as they were inverted"),
+        (mesh.folded, "left out, as they fold over their neighbours"),
         (mesh.degenerate, "without a volume"),
         (mesh.repeated, "points repeated"),
         (mesh.added, "points added in the middle of polyhedra and of their faces"),

@@ -4,7 +4,8 @@
 //! repeat them for every cell. Vertices of one position (on the fine lattice) and one value are one
 //! vertex: the first of them stands for all, so that the cells around it have common faces. Those
 //! of one position and **different** values stay apart: there the field jumps, and the cells next
-//! to the jump belong to different bodies ([`super::bodies`]).
+//! to the jump belong to different bodies ([`super::bodies`]). Cell data are averaged over all
+//! cells around a place, so there its vertices are one, unless the user says that the field jumps.
 //!
 //! An external sort by position, value and number brings equals together; another by number puts
 //! the answers in order. All steps of a series share the answers of the first, regardless of their
@@ -28,12 +29,18 @@ pub(crate) struct Firsts {
 }
 
 impl Firsts {
-    pub(super) fn new(positions: &[FinePos], values: &[f32], settings: &StoreSettings) -> Result<Self> {
+    /// Of vertices with values; of their places alone without.
+    pub(super) fn new(
+        positions: &[FinePos],
+        values: Option<&[f32]>,
+        settings: &StoreSettings,
+    ) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         let mut equals: Sorter<[u64; 5]> = Sorter::new(memory, &settings.scratch);
-        for (v, ([x, y, z], value)) in positions.iter().zip(values).enumerate() {
+        for (v, [x, y, z]) in positions.iter().enumerate() {
             // One NaN, one zero. A compiler may take the NaN of a sum for any other: bits are
             // chosen.
+            let value = values.map_or(0.0, |values| values[v]);
             let bits = if value.is_nan() { VOID } else { (value + 0.0).to_bits() };
             equals.push([*x as u64, *y as u64, *z as u64, u64::from(bits), v as u64])?;
         }

@@ -8,6 +8,7 @@ use super::identity::{Identity, IdentityHash};
 use super::merge::Firsts;
 use super::polyhedra::{Added, Splitter};
 use crate::bytes::sorter::Sorter;
+use crate::cells::average::Replace;
 use crate::cells::{CellBlock, CellKind, CellMesh, split};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
@@ -57,6 +58,10 @@ pub struct MeshCensus {
     pub inverted: u64,
     /// Tetrahedra that were left out: flat, or with a vertex twice.
     pub degenerate: u64,
+    /// Tetrahedra that were left out, because they lie on the same side of a face as a neighbour:
+    /// of two, the one that is turned otherwise than most, or the smaller one.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub folded: u64,
     /// Triangles of the boundary.
     pub boundary_triangles: u64,
     /// Cells that were left out as ghosts: marked as copies of another piece's cells, or as hidden.
@@ -65,6 +70,11 @@ pub struct MeshCensus {
     pub repeated: u64,
     /// Bodies: tetrahedra that hang together by common faces.
     pub bodies: u64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde wants a reference")]
+fn is_none(count: &u64) -> bool {
+    *count == 0
 }
 
 /// A mesh on disk.
@@ -118,10 +128,17 @@ impl CellStore {
         }
         drop(world);
         let positions = positions.finish()?;
-        let values = read_values(mesh, settings)?;
-        let firsts = match known {
-            Some(firsts) => firsts,
-            None => Firsts::new(positions.get()?, values.get()?, settings)?,
+        let (firsts, values) = match known {
+            None if !mesh.averages_places() => {
+                let values = read_values(mesh, None, settings)?;
+                (Arc::new(Firsts::new(positions.get()?, Some(values.get()?), settings)?), values)
+            }
+            known => {
+                let firsts = known.map_or_else(|| Firsts::new(positions.get()?, None, settings), Ok)?;
+                let firsts = Arc::new(firsts);
+                let values = read_values(mesh, Some(&firsts), settings)?;
+                (firsts, values)
+            }
         };
         let vertices = positions.get()?.len() as u64;
         let added = Added::new(mesh, positions.get()?, &firsts, settings)?;
@@ -132,14 +149,14 @@ impl CellStore {
             None => (positions, values),
         };
         let mut sink = TetSink::new(settings)?;
-        let numbered = (&firsts, added.as_ref());
+        let numbered = (&*firsts, added.as_ref());
         read_cells(mesh, positions.get()?, numbered, settings, &mut identity, &mut sink)?;
         if sink.census.tetrahedra == 0 {
             let got =
                 format!("{} cells with a volume, {} of them flat", sink.census.cells, sink.census.degenerate);
             return Err(Error::bad_input(path, "cells", "at least one tetrahedron", got));
         }
-        let (boundary, body_of) = boundary_of(sink.faces, sink.tets.len(), positions.get()?, settings)?;
+        let (sink, boundary, body_of) = sink.without_folds(positions.get()?, settings)?;
         let creases = Creases::new(&boundary, positions.get()?, settings)?;
         let census = MeshCensus {
             vertices,
@@ -151,7 +168,7 @@ impl CellStore {
         };
         let (tets, bodies) = body_of.arrange(sink.tets.finish()?, settings)?;
         let volume6 = sink.volume6;
-        let (firsts, identity) = (Arc::new(firsts), identity.finish());
+        let identity = identity.finish();
         Ok(Self {
             frame,
             census,
@@ -173,7 +190,7 @@ impl CellStore {
     /// # Errors
     /// When they cannot be read, or differ at vertices that are one in this store.
     pub(crate) fn values_of(&self, mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>> {
-        let column = read_values(mesh, settings)?;
+        let column = read_values(mesh, Some(&self.firsts), settings)?;
         let values = column.get()?;
         for (v, value) in values.iter().enumerate() {
             let mut first = [v as u64];
@@ -236,7 +253,13 @@ fn read_points(
     Ok((out.finish()?, bounds))
 }
 
-fn read_values(mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>> {
+/// The values of all points. Cell data are averaged over the cells around each place: around all
+/// points that are one.
+fn read_values(
+    mesh: &CellMesh,
+    firsts: Option<&Arc<Firsts>>,
+    settings: &StoreSettings,
+) -> Result<Column<f32>> {
     let mut out = ColumnWriter::new(&settings.scratch)?;
     let (wanted, has_offset) = (settings.missing, settings.offset != 0.0);
     // "-1e20", as a text says it, is no f32 that a file may have.
@@ -244,10 +267,24 @@ fn read_values(mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>>
         let alike = |m: f64| m == v || f64::from(m as f32) == v || !has_offset && m as f32 == v as f32;
         wanted.is_some_and(alike)
     };
-    let (mut values, mut block) = (mesh.values(settings.memory, missing)?, vec![]);
+    let of_places = firsts.filter(|firsts| firsts.repeated > 0 && mesh.is_of_cells());
+    let replace = of_places.map(|firsts| {
+        let firsts = Arc::clone(firsts);
+        Box::new(move |points: &mut [u64]| firsts.replace(points)) as Replace
+    });
+    let mut values = mesh.values_of_places(settings.memory, missing, replace)?;
+    let first_of = |v: u64| {
+        let mut first = [v];
+        of_places.map_or(Ok(()), |firsts| firsts.replace(&mut first)).map(|()| first[0])
+    };
+    let mut block = vec![];
     while values.next_block(&mut block)? {
         settings.cancel.check()?;
         for &v in &block {
+            if first_of(out.len())? != out.len() {
+                out.push(&f32::NAN)?;
+                continue;
+            }
             let value = (v - settings.offset) as f32;
             let good = value.is_finite() && !missing(v);
             out.push(&match settings.bad_value {
@@ -263,6 +300,14 @@ fn read_values(mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>>
                 }
             })?;
         }
+    }
+    let means = out.finish()?;
+    if of_places.is_none() {
+        return Ok(means);
+    }
+    let (means, mut out) = (means.get()?, ColumnWriter::new(&settings.scratch)?);
+    for v in 0..means.len() as u64 {
+        out.push(&means[first_of(v)? as usize])?;
     }
     out.finish()
 }
@@ -281,6 +326,8 @@ fn ascending([a, b, c]: [u64; 3]) -> ([u64; 3], bool) {
 /// Takes the tetrahedra that cells become.
 struct TetSink {
     tets: ColumnWriter<[u64; 4]>,
+    /// 1 for each that was turned over, else 0.
+    turned: ColumnWriter<u8>,
     /// Vertices of all faces, ascending; twice the number of the tetrahedron, and one more where
     /// the vertices run clockwise seen from outside of it.
     faces: Sorter<[u64; 4]>,
@@ -293,6 +340,7 @@ impl TetSink {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         Ok(Self {
             tets: ColumnWriter::new(&settings.scratch)?,
+            turned: ColumnWriter::new(&settings.scratch)?,
             faces: Sorter::new(memory, &settings.scratch),
             volume6: 0,
             census: MeshCensus::default(),
@@ -307,16 +355,68 @@ impl TetSink {
         }
         if volume < 0 {
             tet.swap(2, 3);
-            self.census.inverted += 1;
         }
-        self.volume6 += volume.abs();
+        self.add(tet, volume.abs(), volume < 0)
+    }
+
+    /// Adds a tetrahedron that is turned as it must be.
+    fn add(&mut self, tet: [u64; 4], volume: i128, was_turned: bool) -> Result<()> {
+        self.census.inverted += u64::from(was_turned);
+        self.volume6 += volume;
         self.census.tetrahedra += 1;
         for face in FACES {
             let ([a, b, c], odd) = ascending(face.map(|i| tet[i]));
             self.faces.push([a, b, c, self.tets.len() << 1 | u64::from(odd)])?;
         }
+        self.turned.push(&u8::from(was_turned))?;
         self.tets.push(&tet)?;
         Ok(())
+    }
+
+    /// Leaves out tetrahedra that fold over others, of which surfaces would be turned both ways.
+    /// Also the boundary, and the body of each tetrahedron that is left.
+    fn without_folds(
+        self,
+        positions: &[FinePos],
+        settings: &StoreSettings,
+    ) -> Result<(Self, Column<[u64; 4]>, BodyOf)> {
+        let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
+        let count = self.tets.len();
+        let mut folds: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
+        let (boundary, body_of) = boundary_of(self.faces, count, positions, settings, &mut folds)?;
+        let mut folds = folds.finish()?;
+        let mut next = folds.next()?;
+        let empty = Self::new(settings)?;
+        if next.is_none() {
+            return Ok((Self { faces: empty.faces, ..self }, boundary, body_of));
+        }
+        let (tets, turned) = (self.tets.finish()?, self.turned.finish()?);
+        let (tets, turned) = (tets.get()?, turned.get()?);
+        let volume = |n: u64| volume6(tets[n as usize].map(|v| positions[v as usize]));
+        let most = u8::from(2 * self.census.inverted > count);
+        let is_odd = |n: u64| turned[n as usize] != most;
+        let mut left_out: Sorter<[u64; 1]> = Sorter::new(memory, &settings.scratch);
+        while let Some([a, b]) = next {
+            let key = |n: u64| (!is_odd(n), volume(n), std::cmp::Reverse(n));
+            left_out.push([if key(a) < key(b) { a } else { b }])?;
+            next = folds.next()?;
+        }
+        let mut left_out = left_out.finish()?;
+        let mut next = left_out.next()?;
+        let census = MeshCensus { tetrahedra: 0, inverted: 0, ..self.census };
+        let mut rest = Self { census, ..empty };
+        for (n, tet) in (0..).zip(tets) {
+            let mut is_left_out = false;
+            while next == Some([n]) {
+                is_left_out = true;
+                next = left_out.next()?;
+            }
+            match is_left_out {
+                true => rest.census.folded += 1,
+                false => rest.add(*tet, volume(n), turned[n as usize] == 1)?,
+            }
+        }
+        rest.without_folds(positions, settings)
     }
 }
 
@@ -360,27 +460,32 @@ fn read_cells(
 }
 
 /// The faces of one tetrahedron only, along a space-filling curve, each with its body; and the body
-/// of each tetrahedron.
+/// of each tetrahedron. Two tetrahedra on one side of a face go to `folds`.
 fn boundary_of(
     faces: Sorter<[u64; 4]>,
     tets: u64,
     positions: &[FinePos],
     settings: &StoreSettings,
+    folds: &mut Sorter<[u64; 2]>,
 ) -> Result<(Column<[u64; 4]>, BodyOf)> {
     let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
     let mut along: Sorter<[u64; 5]> = Sorter::new(memory, &settings.scratch);
     let mut unions = Unions::new(tets, settings);
     let mut sorted = faces.finish()?;
     let mut next = sorted.next()?;
+    let mut others = vec![];
     while let Some(first) = next {
-        let mut single = true;
+        others.clear();
         next = sorted.next()?;
         while let Some(face) = next.filter(|face| face[..3] == first[..3]) {
-            single = false;
             unions.join(first[3] >> 1, face[3] >> 1)?;
+            for before in others.iter().chain([&first[3]]).filter(|before| *before & 1 == face[3] & 1) {
+                folds.push([before >> 1, face[3] >> 1])?;
+            }
+            others.push(face[3]);
             next = sorted.next()?;
         }
-        if single {
+        if others.is_empty() {
             let [a, b, c, tet] = first;
             let [b, c] = if tet & 1 == 1 { [c, b] } else { [b, c] };
             along.push([hilbert_key(centre([a, b, c], positions), 21), a, b, c, tet >> 1])?;

@@ -107,6 +107,9 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if options.values.is_some() {
         return Err(Error::usage(format!("{} is no mesh: leave out --value-file", path.display())));
     }
+    if options.jumps {
+        return Err(Error::usage(format!("{} is no mesh: leave out --jumps", path.display())));
+    }
     if stack::is_pattern(path) {
         options.refuse_channel(path)?;
         options.refuse_scale(path)?;
@@ -181,7 +184,15 @@ fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<Ce
     options.refuse_geometry(path, "a mesh")?;
     options.refuse_channel(path)?;
     options.refuse_scale(path)?;
-    format.mesh(path, options)
+    let mesh = format.mesh(path, options)?;
+    match options.jumps {
+        false => Ok(mesh),
+        true if mesh.field().is_ok_and(|_| !mesh.is_of_cells()) => Err(Error::usage(format!(
+            "{}: a value for each point may always jump between points of one place: leave out --jumps",
+            path.display()
+        ))),
+        true => Ok(mesh.jumping()),
+    }
 }
 
 /// The format of a mesh; `None` of anything else.

@@ -613,6 +613,107 @@ fn hexahedra_are_kept_as_tetrahedra() {
     assert!(found.is_manifold() && found.is_oriented() && found.triangles > 100, "{found:?}");
 }
 
+/// Cells that are pushed through their neighbours would turn parts of a surface the other way.
+#[test]
+fn cells_that_fold_over_others_are_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("crushed.vtk");
+    let is_inner = |x: f64| x > 0.3 && x < 0.7;
+    let place = |p: [f64; 3]| {
+        let is_pushed = (p[0] - 0.4).abs() < 0.01 && is_inner(p[1]) && is_inner(p[2]);
+        (if is_pushed { [0.75, p[1], p[2]] } else { p }, p[1] + 0.3 * p[2])
+    };
+    write_placed(&input, 5, |_| true, place);
+    for chunk_points in [1000, 100] {
+        let (archive, report) = kept(&input, &whole(chunk_points), "crushed.isospan", &again(2));
+        let census = report.mesh.unwrap();
+        assert!(census.folded > 6 && census.tetrahedra + census.folded == 750, "{census:?}");
+        for isovalue in [0.4, 0.55, 0.7] {
+            let found = check(&extracted(&archive, isovalue, 2));
+            assert!(found.is_manifold() && found.is_oriented() && found.triangles > 50, "{found:?}");
+        }
+    }
+    // Cells that a file lists one way or the other are turned, and all are kept.
+    write_mesh(&input, 5, |_| true, |p| p, |p| p[1]);
+    let text = std::fs::read_to_string(&input).unwrap();
+    let mut is_other = false;
+    let turned: Vec<String> = text
+        .lines()
+        .map(|line| match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
+            ["4", a, b, c, d] => {
+                is_other = !is_other;
+                if is_other { format!("4 {a} {b} {d} {c}") } else { line.to_owned() }
+            }
+            _ => line.to_owned(),
+        })
+        .collect();
+    std::fs::write(&input, turned.join("\n") + "\n").unwrap();
+    let census = kept(&input, &whole(1000), "turned.isospan", &run(2)).1.mesh.unwrap();
+    assert!(census.folded == 0 && census.inverted > 100 && census.tetrahedra == 750, "{census:?}");
+}
+
+/// A legacy VTK file of tetrahedra with a value for each.
+fn write_cells(path: &Path, points: &[[f64; 3]], tets: &[[usize; 4]], values: &[f64]) {
+    let mut text = format!(
+        "# vtk DataFile Version 3.0\ncells\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {} double\n",
+        points.len()
+    );
+    points.iter().for_each(|[x, y, z]| writeln!(text, "{x} {y} {z}").unwrap());
+    writeln!(text, "CELLS {} {}", tets.len(), 5 * tets.len()).unwrap();
+    tets.iter().for_each(|[a, b, c, d]| writeln!(text, "4 {a} {b} {c} {d}").unwrap());
+    write!(text, "CELL_TYPES {}\n{}", tets.len(), "10\n".repeat(tets.len())).unwrap();
+    writeln!(text, "CELL_DATA {}\nSCALARS f double 1\nLOOKUP_TABLE default", tets.len()).unwrap();
+    values.iter().for_each(|v| writeln!(text, "{v}").unwrap());
+    std::fs::write(path, text).unwrap();
+}
+
+/// Values of cells are averaged around a place, also where each piece of a mesh has a point there.
+#[test]
+fn cells_of_two_pieces_are_averaged_together() {
+    let dir = tempfile::tempdir().unwrap();
+    let [plain, whole_file, pieces] = ["plain.vtk", "whole.vtk", "pieces.vtk"].map(|n| dir.path().join(n));
+    write_mesh(&plain, 6, |_| true, |p| p, |p| p[0]);
+    let mesh = Mesh::read(&plain);
+    let centre = |tet: &[usize; 4], a: usize| tet.iter().map(|&v| mesh.points[v][a]).sum::<f64>() / 4.0;
+    let values: Vec<f64> = mesh.tets.iter().map(|t| centre(t, 0) + 0.2 * centre(t, 1)).collect();
+    write_cells(&whole_file, &mesh.points, &mesh.tets, &values);
+    let mut numbers = BTreeMap::new();
+    let mut points = vec![];
+    let of_piece = |tet: &[usize; 4]| {
+        let piece = centre(tet, 0) > 0.5;
+        tet.map(|v| {
+            *numbers.entry((piece, v)).or_insert_with(|| {
+                points.push(mesh.points[v]);
+                points.len() - 1
+            })
+        })
+    };
+    let tets: Vec<[usize; 4]> = mesh.tets.iter().map(of_piece).collect();
+    assert_eq!(points.len(), mesh.points.len() + 49);
+    write_cells(&pieces, &points, &tets, &values);
+    let (one, _) = kept(&whole_file, &whole(100), "one.isospan", &run(2));
+    let (two, report) = kept(&pieces, &whole(100), "two.isospan", &run(2));
+    assert_eq!(report.mesh.unwrap().repeated, 49);
+    let all = |archive: &Path, isovalue: f64| triangle_set(&extracted(archive, isovalue, 2));
+    for isovalue in [0.4, 0.55, 0.61, 0.75] {
+        assert_eq!(all(&one, isovalue), all(&two, isovalue), "{isovalue}");
+        let found = check(&extracted(&two, isovalue, 2));
+        assert!(found.is_manifold() && found.components == 1, "{isovalue}: {found:?}");
+    }
+    // Where the field jumps, each piece has means of its own, and surfaces end there.
+    let options = OpenOptions { jumps: true, ..OpenOptions::default() };
+    let out = dir.path().join("jumps.isospan");
+    let sources = [StepSource::new(&pieces, &options)];
+    let report = reduce_series(&sources, &whole(100), &out, &run(2), &Silent).unwrap();
+    assert_eq!(report.mesh.unwrap().repeated, 0);
+    check_archive(&out).unwrap();
+    let [together, apart] = [&two, &out].map(|archive| check(&extracted(archive, 0.61, 2)));
+    assert!(together.components == 1 && apart.components == 2, "{together:?} {apart:?}");
+    let plain = [StepSource::new(&plain, &options)];
+    let refused = reduce_series(&plain, &whole(100), &out, &again(2), &Silent).unwrap_err();
+    assert!(refused.exit_code() == 2 && refused.to_string().contains("--jumps"), "{refused}");
+}
+
 #[test]
 fn damaged_plans_of_kept_meshes_are_refused() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,6 +1,6 @@
 //! A mesh as the pipeline reads it: which field, and checked blocks of points, values and cells.
 
-use super::average::Averages;
+use super::average::{Averages, Replace};
 use super::order::Orders;
 use super::polyhedron::{Faces, check};
 use super::{
@@ -58,6 +58,8 @@ pub struct CellMesh {
     /// In which order cells have the vertices on their edges; known when cells were first asked
     /// for.
     orders: Arc<OnceLock<Orders>>,
+    /// Whether points of one place have means of their own cells, where a field is of cells.
+    jumps: bool,
 }
 
 /// Components of a field, at most: a tuple is in memory.
@@ -82,7 +84,7 @@ impl CellMesh {
             Some(name) => Some(find(file.info(), name)?),
             None => default_field(file.info()),
         };
-        Ok(Self { file, field, orders: Arc::default() })
+        Ok(Self { file, field, orders: Arc::default(), jumps: false })
     }
 
     /// The same mesh with another field.
@@ -91,7 +93,25 @@ impl CellMesh {
     /// Those of [`CellMesh::new`].
     pub fn with_field(&self, name: &str) -> Result<Self> {
         let other = Self::new(Arc::clone(&self.file), Some(name))?;
-        Ok(Self { orders: Arc::clone(&self.orders), ..other })
+        Ok(Self { orders: Arc::clone(&self.orders), jumps: self.jumps, ..other })
+    }
+
+    /// The same mesh, whose field jumps between points of one place: cell data are averaged over
+    /// the cells of each point, and not over all those around its place.
+    pub(crate) fn jumping(self) -> Self {
+        Self { jumps: true, ..self }
+    }
+
+    /// Whether the field is of cells.
+    pub(crate) fn is_of_cells(&self) -> bool {
+        self.field
+            .as_ref()
+            .is_some_and(|field| field.center == Center::Cell && matches!(field.source, Source::Data { .. }))
+    }
+
+    /// Whether points of one place are one, whatever their cells have.
+    pub(crate) fn averages_places(&self) -> bool {
+        self.is_of_cells() && !self.jumps
     }
 
     /// What the file tells.
@@ -178,6 +198,20 @@ impl CellMesh {
     /// # Errors
     /// Those of [`CellMesh::field`]; when the file cannot be read.
     pub fn values(&self, memory: u64, is_missing: impl Fn(f64) -> bool + 'static) -> Result<ValueBlocks> {
+        self.values_of_places(memory, is_missing, None)
+    }
+
+    /// As [`CellMesh::values`]. Cell data are averaged over the cells around each place: `replace`
+    /// puts the first point of its place in the place of each, and other points are NaN.
+    ///
+    /// # Errors
+    /// As [`CellMesh::values`].
+    pub(crate) fn values_of_places(
+        &self,
+        memory: u64,
+        is_missing: impl Fn(f64) -> bool + 'static,
+        replace: Option<Replace>,
+    ) -> Result<ValueBlocks> {
         let chosen = self.field()?;
         let from = match (chosen.source, chosen.center) {
             (Source::Coordinate(axis), _) => From::Coordinate(self.points()?, axis, vec![]),
@@ -187,6 +221,7 @@ impl CellMesh {
                 part,
                 memory,
                 Box::new(is_missing),
+                replace,
             )),
             (Source::Data { field, part }, Center::Point) => {
                 let components = self.info().fields[field].components as usize;

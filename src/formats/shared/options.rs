@@ -30,6 +30,10 @@ pub struct OpenOptions {
     /// A text file of one number a point, for meshes whose format keeps values apart: TetGen,
     /// points and tetrahedra as text.
     pub values: Option<PathBuf>,
+    /// Whether cell data of a mesh jump between points of one place, as those of two pieces or
+    /// materials are. Without, the cells around a place are averaged together.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub jumps: bool,
     /// Units that the user names; each counts in place of the file's.
     #[serde(default, skip_serializing_if = "Units::are_unknown")]
     pub units: Units,

@@ -99,6 +99,7 @@ def reduce(
     channel: int | str | None = None,
     scale: int | str | None = None,
     value_file: PathLike | None = None,
+    jumps: bool = False,
     dims: Sequence[int] | str | None = None,
     type: str | None = None,
     endian: str | None = None,
@@ -141,7 +142,7 @@ def reduce(
     points: "pyramid", "hammersley", "halton", "hyperbolic-cross" or "regular"; a volume becomes a
         pyramid of all its samples, a mesh Hammersley points, if not given. adapt,
         focus=(lo, hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
-        chunk_points, and for files field, channel, scale, value_file, dims, type, endian, offset,
+        chunk_points, and for files field, channel, scale, value_file, jumps, dims, type, endian, offset,
         io: as the flags of ``isospan reduce``.
     measure: whether the error at all samples is measured in the end.
     times: of a series, the times of its steps. keep_going: leave out steps that cannot be used.
@@ -187,6 +188,7 @@ def append(
     channel: int | str | None = None,
     scale: int | str | None = None,
     value_file: PathLike | None = None,
+    jumps: bool = False,
     dims: Sequence[int] | str | None = None,
     type: str | None = None,
     endian: str | None = None,
@@ -269,3 +271,5 @@ def _only_files(choices: dict[str, Any]) -> None:
     for name in ("field", "channel", "scale", "value_file", "dims", "type", "endian", "offset", "io"):
         if choices[name] is not None:
             raise UsageError(f"{name} is for files, not for arrays")
+    if choices["jumps"]:
+        raise UsageError("jumps is for cells of meshes, not for arrays")
