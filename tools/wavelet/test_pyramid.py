@@ -154,7 +154,8 @@ def bricks_that_differ(pyramid):
     """How many bricks have another range or number of cells than their nodes say."""
     differ, levels = 0, {}
     for told, bricks in pyramid.bricks():
-        levels |= {level: pyramid.nodes(level) for (level, _), _ in bricks if level not in levels}
+        for level in {level for (level, _), _ in bricks} - levels.keys():
+            levels[level] = pyramid.nodes(level)
         ranges = [range_of(live_nodes(levels[level][of])) for (level, of), _ in bricks]
         bounds = min(r[0] for r in ranges), max(r[1] for r in ranges)
         known = [range_of(levels[0][of]) for (level, of), _ in bricks if level == 0]
