@@ -45,6 +45,11 @@ impl<T: Pod> Store<T> {
         self.written + self.tail.len() as u64
     }
 
+    /// All records, as long as they are in memory.
+    pub(crate) fn in_memory(&self) -> Option<&[T]> {
+        (self.written == 0).then_some(&self.tail)
+    }
+
     /// Appends a record.
     pub(crate) fn push(&mut self, record: T) -> Result<()> {
         if self.tail.len() >= self.most {

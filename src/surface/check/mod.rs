@@ -261,12 +261,22 @@ pub(crate) fn zero_area_triangles(source: &dyn SurfaceSource, memory: usize, scr
     let mut positions = Store::new(memory / 2, scratch);
     source.vertices(&mut |batch| batch.iter().try_for_each(|v| positions.push(v.position)))?;
     let (mut places, mut found) = (Cached::new(&positions, memory / 2), 0);
+    let on_a_line = |corners: [[f32; 3]; 3]| {
+        let [a, b, c] = corners.map(|p| p.map(f64::from));
+        u64::from(cross(minus(b, a), minus(c, a)) == [0.0; 3])
+    };
+    let all = positions.in_memory();
     source.triangles(&mut |batch| {
-        for t in batch {
-            let mut at = |v: u32| Ok(places.get(v.into())?.map(f64::from));
-            let [a, b, c]: [[f64; 3]; 3] = [at(t[0])?, at(t[1])?, at(t[2])?];
-            found += u64::from(cross(minus(b, a), minus(c, a)) == [0.0; 3]);
-        }
+        found += match all {
+            Some(all) => batch.iter().map(|t| on_a_line(t.map(|v| all[v as usize]))).sum::<u64>(),
+            None => {
+                let corners = |t: &[u32; 3]| -> Result<u64> {
+                    let mut at = |n: usize| places.get(t[n].into());
+                    Ok(on_a_line([at(0)?, at(1)?, at(2)?]))
+                };
+                batch.iter().map(corners).sum::<Result<u64>>()?
+            }
+        };
         Ok(())
     })?;
     Ok(found)
