@@ -4,6 +4,7 @@ use super::grammar;
 use super::input::InputArgs;
 use super::output::{Force, exists, expect_a_file, expect_no_input};
 use super::progress::Talk;
+use super::step::level_of;
 use super::text;
 use isospan::pipeline::is_archive;
 use isospan::volume::VolumeSource;
@@ -40,8 +41,9 @@ pub(crate) struct Args {
 
 /// The samples of an archive.
 fn archive_volume(args: &Args) -> Result<VolumeSource> {
-    let field = args.read.options()?.field;
-    let steps = Archive::open(&args.input)?.in_field(field).sources()?;
+    let options = args.read.options()?;
+    let archive = Archive::open(&args.input)?.in_field(options.field.clone());
+    let steps = archive.sources_of_level(level_of(&options)?)?;
     let [step] = &steps[..] else {
         return Err(Error::usage(format!(
             "{}: has {} steps, and a bricked copy is of one: isospan export writes each as a file",

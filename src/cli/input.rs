@@ -24,8 +24,8 @@ pub(crate) struct InputArgs {
     /// The channel to read, if a Zarr, HDF5 or TIFF file has several: a label, or a number from 0.
     #[arg(help_heading = "Input", long, value_name = "NAME")]
     channel: Option<String>,
-    /// The level of an OME-Zarr image to read: its name, or a number from 0, the finest [default:
-    /// 0].
+    /// The level of an OME-Zarr image, or of an archive, to read: its name, or a number from 0, the
+    /// finest [default: 0].
     #[arg(help_heading = "Input", long, value_name = "NAME", allow_hyphen_values = true)]
     scale: Option<String>,
     /// A text file with one value per point, for meshes in .node and .ele, or .pts and .tet, files.

@@ -77,15 +77,19 @@ impl StepInputs {
                 "{other} is no archive, as others of the inputs are: give one kind"
             )));
         }
-        let OpenOptions { field, io, .. } = options.clone();
-        if *options != (OpenOptions { field: field.clone(), io, ..OpenOptions::default() }) {
+        let OpenOptions { field, scale, io, .. } = options.clone();
+        let known = OpenOptions { field: field.clone(), scale, io, ..OpenOptions::default() };
+        if *options != known {
             return Err(Error::usage(
-                "an archive tells all of its samples itself: only --field and --fields choose",
+                "an archive tells all of its samples itself: only --field, --fields and --scale choose",
             ));
         }
+        let level = level_of(options)?;
         let of = |field: Option<String>| -> Result<Vec<StepSource>> {
-            let sources =
-                self.inputs.iter().map(|path| Archive::open(path)?.in_field(field.clone()).sources());
+            let sources = self
+                .inputs
+                .iter()
+                .map(|path| Archive::open(path)?.in_field(field.clone()).sources_of_level(level));
             Ok(sources.collect::<Result<Vec<_>>>()?.concat())
         };
         if self.fields.is_empty() {
@@ -348,6 +352,14 @@ impl Times {
         }
         Ok(())
     }
+}
+
+/// The level of an archive that is read as a volume.
+pub(crate) fn level_of(options: &OpenOptions) -> Result<u32> {
+    let Some(name) = &options.scale else { return Ok(0) };
+    name.parse().map_err(|_| {
+        Error::usage(format!("--scale {name}: the levels of an archive are numbers, 0 is the finest"))
+    })
 }
 
 #[cfg(test)]

@@ -215,7 +215,16 @@ impl Archive {
     /// [`crate::Error::Usage`] for an archive of tetrahedra, for a grid with coordinates of its
     /// own, and where a field must be chosen; [`crate::Error::BadInput`] for a damaged archive.
     pub fn sources(&self) -> Result<Vec<StepSource>> {
-        archive_sources(&self.open, self.positions(StepRange::default())?)
+        self.sources_of_level(0)
+    }
+
+    /// As [`Archive::sources`], of the nodes of a level: 0 is the finest, with all samples. Nodes
+    /// lie as far apart as [`PyramidLevel::stride`](super::PyramidLevel::stride) says.
+    ///
+    /// # Errors
+    /// As [`Archive::sources`]; [`crate::Error::Usage`] for a level that is not there.
+    pub fn sources_of_level(&self, level: u32) -> Result<Vec<StepSource>> {
+        archive_sources(&self.open, self.positions(StepRange::default())?, level)
     }
 
     /// Writes the levels of many steps of a pyramid as one OME-Zarr image with an axis of time: see

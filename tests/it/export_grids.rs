@@ -429,6 +429,27 @@ fn an_archive_is_a_source() {
     let done = isospan(d, &["brick", "a.isospan", "-o", "a.bricks"]);
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert!(read(&d.join("a.bricks")).1 == read(&d.join("a.nrrd")).1);
+    // A coarse level is one, too: what export writes of it, in its place.
+    for (out, args) in [
+        ("l.npy", vec!["export", "a.isospan", "--level", "1", "-o"]),
+        ("l.isospan", vec!["reduce", "a.isospan", "--scale", "1", "--target-max", "0.01", "-o"]),
+        ("l.bricks", vec!["brick", "a.isospan", "--scale", "1", "-o"]),
+    ] {
+        let done = isospan(d, &[&args[..], &[out]].concat());
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    }
+    let [fine, coarse] = ["a.isospan", "l.isospan"].map(|name| Archive::open(d.join(name)).unwrap());
+    let level = fine.info().unwrap().pyramid[1].clone();
+    assert_eq!((coarse.dims(), level.stride[0]), (level.nodes, 2));
+    let spacing = [0, 1, 2].map(|a| fine.geometry().spacing[a] * level.stride[a] as f64);
+    assert_eq!(coarse.geometry().spacing, spacing);
+    assert_eq!(coarse.geometry().origin, fine.geometry().origin);
+    let nodes = read(&d.join("l.npy")).1;
+    assert!(
+        read(&d.join("l.bricks")).1 == nodes && nodes.len() as u64 == level.nodes.iter().product::<u64>()
+    );
+    let kept = coarse.sample_with(coarse.dims(), &Default::default()).unwrap();
+    assert!(nodes.iter().zip(kept).all(|(a, b)| (a - b).abs() <= 0.0101));
     // Steps have their times.
     let steps: Vec<StepSource> = (0..2)
         .map(|t| {
@@ -454,6 +475,8 @@ fn an_archive_is_a_source() {
             &["reduce", "a.isospan", "-o", "x.isospan", "--spacing", "1,1,1"],
             "tells all of its samples itself",
         ),
+        (&["reduce", "a.isospan", "--scale", "9", "-o", "x.isospan"], "has no level 9"),
+        (&["reduce", "a.isospan", "--scale", "fine", "-o", "x.isospan"], "are numbers"),
         (&["brick", "s.isospan", "-o", "s.bricks"], "has 2 steps"),
         (&["plan", "a.isospan", "-o", "x.isospan", "--shards", "2"], "isospan brick"),
     ] {

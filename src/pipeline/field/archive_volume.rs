@@ -1,13 +1,13 @@
-//! The samples of a pyramid as a volume, which is reduced like any other: point sets can be made
-//! from an archive when its source is gone.
+//! The samples of a pyramid, or the nodes of a coarser level, as a volume, which is reduced like
+//! any other: point sets can be made from an archive when its source is gone.
 
 use super::export_grid::field_of;
 use crate::archive::manifest::MANIFEST_NAME;
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
 use crate::formats::samples::push_samples;
-use crate::grid::IndexBox;
-use crate::pipeline::read::{OpenArchive, StepView};
+use crate::grid::{Geometry, IndexBox};
+use crate::pipeline::read::{LevelChoice, OpenArchive, StepView};
 use crate::volume::chunked::ChunkSource;
 use crate::volume::memory::info_of;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
@@ -24,6 +24,7 @@ const SHARED_BYTES: u64 = 64 << 20;
 /// A step of a pyramid, as a source of samples.
 struct ArchiveVolume {
     view: StepView,
+    level: usize,
     info: VolumeInfo,
     offset: f64,
 }
@@ -49,19 +50,21 @@ impl ChunkSource for ArchiveVolume {
         out.clear();
         let lo = at.map(|n| n * EDGE);
         let hi = std::array::from_fn(|a| (lo[a] + EDGE).min(self.info.dims[a]));
-        let values = self.view.nodes(0, &IndexBox { lo, hi })?;
+        let values = self.view.nodes(self.level, &IndexBox { lo, hi })?;
         push_samples(out, self.info.field.scalar, self.offset, &values)
     }
 }
 
-/// The steps at some positions of the manifest, as sources.
+/// The steps at some positions of the manifest, as sources: of the nodes of a level.
 ///
 /// # Errors
-/// [`Error::Usage`] for an archive of tetrahedra, and for a grid with coordinates of its own;
+/// [`Error::Usage`] for an archive of tetrahedra, for a grid with coordinates of its own, and for a
+/// level that is not there;
 /// [`Error::BadInput`] for a damaged archive.
 pub(in crate::pipeline) fn archive_sources(
     archive: &Arc<OpenArchive>,
     positions: Range<usize>,
+    level: u32,
 ) -> Result<Vec<StepSource>> {
     let path = archive.path().display();
     if !archive.is_pyramid() {
@@ -76,28 +79,36 @@ pub(in crate::pipeline) fn archive_sources(
              .vts, which can be reduced"
         )));
     }
-    positions.map(|position| source_of(archive.step_at(position))).collect()
+    positions.map(|position| source_of(archive.step_at(position), level)).collect()
 }
 
-fn source_of(view: StepView) -> Result<StepSource> {
+fn source_of(view: StepView, level: u32) -> Result<StepSource> {
+    let level = view.level(Some(LevelChoice::Level(level)))?;
     // A damaged archive is refused now.
-    view.pyramid()?;
+    let pyramid = &view.pyramid()?.pyramid;
+    let [dims, stride] = [pyramid.nodes(level), pyramid.stride(level)].map(|list| list.map(|n| n as u64));
     let (step, of) = (view.step(), &view.step().plan.source);
     let (name, time) = (view.path().display().to_string(), step.plan.time);
-    let kind = field_of(&view, 0);
+    let kind = field_of(&view, level);
     let field = FieldInfo { name: step.field().to_owned(), scalar: kind.scalar, components: 1 };
     let info = VolumeInfo {
         path: view.path().to_path_buf(),
         // What the world is of follows from the first word.
         format: format!("{}, as an archive has it", of.format),
-        geometry: of.geometry,
+        geometry: Geometry {
+            spacing: std::array::from_fn(|a| of.geometry.spacing[a] * stride[a] as f64),
+            ..of.geometry
+        },
         units: of.units.clone(),
         fields: vec![field.clone()],
         data_files: vec![view.path().join(MANIFEST_NAME)],
         field,
-        ..info_of(&name, of.dims, ScalarType::F32)
+        ..info_of(&name, dims, ScalarType::F32)
     };
-    let identity = format!("isospan step {}", view.step_hash());
-    let volume = ArchiveVolume { info, offset: kind.offset, view };
+    let identity = match level {
+        0 => format!("isospan step {}", view.step_hash()),
+        _ => format!("isospan step {}, level {level}", view.step_hash()),
+    };
+    let volume = ArchiveVolume { info, level, offset: kind.offset, view };
     Ok(StepSource::given_in_chunks(&name, Arc::new(volume), &identity, time))
 }
