@@ -4,7 +4,7 @@ use super::grammar;
 use super::input::InputArgs;
 use super::output::{Force, exists, expect_a_file, expect_no_input};
 use super::progress::Talk;
-use super::step::level_of;
+use super::step::archive_level;
 use super::text;
 use isospan::pipeline::is_archive;
 use isospan::volume::VolumeSource;
@@ -43,7 +43,7 @@ pub(crate) struct Args {
 fn archive_volume(args: &Args) -> Result<VolumeSource> {
     let options = args.read.options()?;
     let archive = Archive::open(&args.input)?.in_field(options.field.clone());
-    let steps = archive.sources_of_level(level_of(&options)?)?;
+    let steps = archive.sources_of_level(archive_level(&options)?)?;
     let [step] = &steps[..] else {
         return Err(Error::usage(format!(
             "{}: has {} steps, and a bricked copy is of one: isospan export writes each as a file",

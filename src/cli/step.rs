@@ -77,14 +77,7 @@ impl StepInputs {
                 "{other} is no archive, as others of the inputs are: give one kind"
             )));
         }
-        let OpenOptions { field, scale, io, .. } = options.clone();
-        let known = OpenOptions { field: field.clone(), scale, io, ..OpenOptions::default() };
-        if *options != known {
-            return Err(Error::usage(
-                "an archive tells all of its samples itself: only --field, --fields and --scale choose",
-            ));
-        }
-        let level = level_of(options)?;
+        let (field, level) = (options.field.clone(), archive_level(options)?);
         let of = |field: Option<String>| -> Result<Vec<StepSource>> {
             let sources = self
                 .inputs
@@ -354,8 +347,14 @@ impl Times {
     }
 }
 
-/// The level of an archive that is read as a volume.
-pub(crate) fn level_of(options: &OpenOptions) -> Result<u32> {
+/// The level of an archive that is read as a volume. What says how other files are read is refused.
+pub(crate) fn archive_level(options: &OpenOptions) -> Result<u32> {
+    let OpenOptions { field, scale, io, .. } = options.clone();
+    if *options != (OpenOptions { field, scale, io, ..OpenOptions::default() }) {
+        return Err(Error::usage(
+            "an archive tells all of its samples itself: only --field, --fields and --scale choose",
+        ));
+    }
     let Some(name) = &options.scale else { return Ok(0) };
     name.parse().map_err(|_| {
         Error::usage(format!("--scale {name}: the levels of an archive are numbers, 0 is the finest"))

@@ -116,6 +116,8 @@ fn twenty_kills_at_random_moments_cost_nothing() {
             kept += u64::from(folder.exists() && !temporaries(&folder).is_empty());
             if folder.join("manifest.zst").exists() {
                 // Killed when all was done, maybe before the sums of chunks were removed.
+                let got = crate::common::folder(&folder);
+                assert!(case.expected.iter().all(|(file, bytes)| got.get(file) == Some(bytes)), "{out}");
                 ok(case.path(), &reduce_to(&out));
                 case.same(&out);
                 out.clear();

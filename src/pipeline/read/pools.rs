@@ -132,8 +132,9 @@ impl BufferPool {
     /// Drops what exceeds `most` bytes.
     pub(in crate::pipeline) fn trim(&self, most: usize) {
         self.surfaces.trim(most / 2, ChunkSurface::bytes);
-        self.buffers.trim(most / 4, |b| b.reader.bytes());
-        self.nodes.trim(most / 4, bytes_of);
+        // An archive has the one or the other.
+        self.buffers.trim(most / 2, |b| b.reader.bytes());
+        self.nodes.trim(most / 2, bytes_of);
     }
 }
 

@@ -39,11 +39,13 @@ pub(in crate::pipeline) fn plateau_at(archive: &StepView, isovalue: f64) -> Resu
     };
     let source = &step.plan.source;
     let kept = source.kept(isovalue);
-    let brick_of = |entry: &Entry| {
-        let bricks = bricks_of(&pyramid, chunk_place(&pyramid, ChunkId(entry.chunk)));
-        bricks.into_iter().nth(entry.block as usize).filter(|brick| brick.level == 0)
+    let found = archive.ranges()?.query_any(&[kept])?;
+    let of_chunk = |run: &[Entry]| {
+        let bricks = bricks_of(&pyramid, chunk_place(&pyramid, ChunkId(run[0].chunk)));
+        let named = run.iter().filter_map(|entry| bricks.get(entry.block as usize));
+        named.filter(|brick| brick.level == 0).cloned().collect::<Vec<_>>()
     };
-    let active: Vec<Brick> = archive.ranges()?.query_any(&[kept])?.iter().filter_map(brick_of).collect();
+    let active: Vec<Brick> = found.chunk_by(|a, b| a.chunk == b.chunk).flat_map(of_chunk).collect();
     let every = active.len().div_ceil(BRICKS).max(1);
     let (mut near, mut beside, mut all) = (0, 0, 0);
     for Brick { cells, .. } in active.iter().step_by(every) {
