@@ -55,25 +55,24 @@ fn tetrahedra(c: &mut Criterion) {
     for kind in sets {
         let (name, (positions, tets)) = (kind.name(), mesh(kind));
         let (n, halo, mut encoder) = (positions.len(), vec![], ChunkEncoder::default());
-        let vertices =
-            ChunkVertices { core_counts: vec![n as u32], halo, shared: vec![false; n], from_points: false };
+        let vertices = ChunkVertices { core_counts: vec![n as u32], halo, shared: vec![false; n] };
         group.throughput(Throughput::Elements(tets.len() as u64));
         group.bench_function(format!("encode/{name}"), |b| {
             b.iter(|| {
                 let mut tets = black_box(&tets).clone();
-                encoder.encode(&vertices, &positions, &mut tets, BLOCK_TETS, 1).tet_blocks()
+                encoder.encode(&vertices, &positions, &mut tets, BLOCK_TETS).tet_blocks()
             });
         });
-        let blocks = encoder.encode(&vertices, &positions, &mut tets.clone(), BLOCK_TETS, 1);
-        let blocks = blocks.blocks_of_tets();
+        let encoded = encoder.encode(&vertices, &positions, &mut tets.clone(), BLOCK_TETS);
+        let blocks = encoded.blocks_of_tets();
         let bytes: usize = blocks.iter().map(Vec::len).sum();
         eprintln!("    {name}: {:.2} bits a tetrahedron", bytes as f64 * 8.0 / tets.len() as f64);
         let (mut out, mut scratch, mut here) = (vec![], TetScratch::default(), vec![]);
         group.bench_function(format!("decode/{name}"), |b| {
             b.iter(|| {
                 out.clear();
-                for block in blocks {
-                    let block = TetBlock::open(black_box(block), vertices.len());
+                for (block, head) in blocks.iter().zip(&encoded.heads) {
+                    let block = TetBlock::open(black_box(block), head, vertices.len());
                     let block = block.expect("the block was just made");
                     here.clear();
                     here.extend(block.vertices().iter().map(|&v| positions[v as usize]));

@@ -1,16 +1,15 @@
 #!/usr/bin/env python3
 """Asks isospan and VTK for the same isosurfaces, round by round, and prints medians and ratios.
 
-    compare.py [--points 1000000] [--isovalues 20] [--rounds 3] [--threads 1] [--edge 512] [--scratch FOLDER]
+    compare.py [--points 1000000] [--sets halton] [--isovalues 20] [--rounds 3] [--threads 1] [--edge 512] [--scratch FOLDER]
 
 Two questions, of a smooth field (a sphere) and of a busy one (a gyroid of 12 periods):
 
-* *mesh*: the tetrahedra of an archive of Halton points, for one isovalue after another. VTK has the mesh in memory, and a scalar tree built
+* *mesh*: the tetrahedra of an archive of points, for one isovalue after another. VTK has the mesh in memory, and a scalar tree built
   (vtkSpanSpace), its best case. isospan is asked several ways: as a process that opens the archive, whose files are in the page cache, and writes a PLY
   file ("process"); as one that does so for all isovalues in one pass, a file each ("one pass", of which an isovalue's share is told); as a program
-  that has the archive open and asks for surfaces in memory, with nothing kept from one to the next ("open archive") and with decoded blocks kept, about all of
-  which all is known ("open archive, warm"; "second time" where they were needed but once, or a few times). The first and the third are also asked of a copy
-  whose blocks are unpacked on disk ("unpacked"), the open archive also for the second time.
+  that has the archive open and asks for surfaces in memory, with nothing kept from one to the next ("open archive") and with decoded blocks kept ("open
+  archive, kept").
 * *volume*: isospan from the pyramid of an EDGE^3 f32 volume, at an RMS error of 1 %: as a process, of levels 0 to 2; of an open archive, with nothing kept
   and with decoded nodes kept; vtkFlyingEdges3D on all samples in memory.
 
@@ -23,7 +22,6 @@ target/compare_queries and vtk is installed there from PyPI.
 import argparse
 import os
 import pathlib
-import shutil
 import statistics
 import subprocess
 import sys
@@ -52,6 +50,7 @@ except ImportError:
 def settings():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=1_000_000, help="points of the mesh; 0 leaves that question out")
+    parser.add_argument("--sets", nargs="+", default=["halton"], choices=["halton", "hammersley", "hyperbolic-cross", "regular"], help="their sets")
     parser.add_argument("--isovalues", type=int, default=20)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=1)
@@ -167,36 +166,15 @@ def ask_open(programs, archive, isovalues, threads, rounds, kept):
 
 
 def ask_kept(programs, archive, isovalues, threads, mib):
-    """A label and an answer for each isovalue, of an archive that keeps blocks. In the first pass over the isovalues blocks are read, in the next eight what
-    does not depend on the isovalue is found out of one after another, the tenth finds all of them known."""
-    n = len(isovalues)
-    answers = ask_open(programs, archive, 10 * isovalues, threads, 1, mib)[0]
-    yield from (("isospan, open archive, second time", answer) for answer in answers[n : 2 * n])
-    yield from (("isospan, open archive, warm", answer) for answer in answers[9 * n :])
+    """Seconds and triangles for each isovalue, of an archive that keeps what it has decoded: a first pass over the isovalues reads, the second is told."""
+    return ask_open(programs, archive, 2 * isovalues, threads, 1, mib)[0][len(isovalues) :]
 
 
-def unpack(programs, archive):
-    """A copy of an archive whose blocks are unpacked."""
-    copy = archive.with_name("unpacked.isospan")
-    shutil.copytree(archive, copy)
-    run(programs / "isospan", "-q", "unpack", copy)
-    return copy
-
-
-def ask_unpacked(programs, archive, isovalues, threads):
-    """A label and an answer for each isovalue, of an open archive whose blocks are unpacked: what is read for the first time is verified. It keeps what
-    archives do unless told otherwise: no blocks, for none are decoded, but buffers."""
-    n = len(isovalues)
-    answers = ask_open(programs, archive, 2 * isovalues, threads, 1, 256)[0]
-    yield from (("isospan, unpacked, open archive", answer) for answer in answers[:n])
-    yield from (("isospan, unpacked, second time", answer) for answer in answers[n:])
-
-
-def mesh_question(args, programs, work, field):
+def mesh_question(args, programs, work, field, points):
     (make, (low, high)) = FIELDS[field]
     volume, archive, mesh, out = (work / name for name in ("mesh.nrrd", "mesh.isospan", "mesh.vtu", "out.ply"))
     run(programs / "make_volume", *make, "--dims", "256,256,256", "-o", volume)
-    run(programs / "isospan", "-q", "reduce", volume, "-o", archive, "--points", "halton", "--count", args.points)
+    run(programs / "isospan", "-q", "reduce", volume, "-o", archive, "--points", points, "--count", args.points)
     volume.unlink()
     run(programs / "isospan", "-q", "export", archive, "-o", mesh)
     grid = read(vtk.vtkXMLUnstructuredGridReader(), mesh)
@@ -206,19 +184,15 @@ def mesh_question(args, programs, work, field):
     tets = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, 4)
     filters = vtk_filters(grid, array.GetName())
     isovalues = [float(numpy.float32(v)) for v in numpy.linspace(low, high, args.isovalues)]
-    unpacked = unpack(programs, archive)
     table = Table()
     for _ in range(args.rounds):
         for v in isovalues:
             table.add("isospan, process", *ask_process(programs, archive, v, args.threads, out))
-            table.add("isospan, unpacked, process", *ask_process(programs, unpacked, v, args.threads, out))
-        for label, answer in ask_unpacked(programs, unpacked, isovalues, args.threads):
-            table.add(label, *answer)
         table.add("isospan, one pass", *ask_in_one_pass(programs, archive, isovalues, args.threads, out))
         for answer in ask_open(programs, archive, isovalues, args.threads, 1, 0)[0]:
             table.add("isospan, open archive", *answer)
-        for label, answer in ask_kept(programs, archive, isovalues, args.threads, 4096):
-            table.add(label, *answer)
+        for answer in ask_kept(programs, archive, isovalues, args.threads, 4096):
+            table.add("isospan, open archive, kept", *answer)
         for label, contour in filters.items():
             for v in isovalues:
                 table.add(label, *ask_vtk(contour, v))
@@ -227,7 +201,7 @@ def mesh_question(args, programs, work, field):
         command = [programs / "isospan", "count", archive, f"--isovalue={v!r}", "--json"]
         said = subprocess.run([str(c) for c in command], check=True, capture_output=True, text=True)
         print(f"  {v:10.4f} {brute_force(vtk_to_numpy(array), tets, v):10} {' '.join(said.stdout.split())[:110]}")
-    table.print(f"mesh, {field} field, {args.threads} threads, medians over isovalues and rounds", lambda label: label.startswith("vtk"))
+    table.print(f"mesh of {points} points, {field} field, {args.threads} threads, medians over isovalues and rounds", lambda label: label.startswith("vtk"))
 
 
 def volume_question(args, programs, work, field):
@@ -249,8 +223,8 @@ def volume_question(args, programs, work, field):
             table.add("vtkFlyingEdges3D", *ask_vtk(edges, v))
         for answer in ask_open(programs, archive, isovalues, args.threads, 1, 0)[0]:
             table.add("isospan, open archive", *answer)
-        for answer in ask_open(programs, archive, 2 * isovalues, args.threads, 1, 16384)[0][len(isovalues) :]:
-            table.add("isospan, open archive, second time", *answer)
+        for answer in ask_kept(programs, archive, isovalues, args.threads, 16384):
+            table.add("isospan, open archive, kept", *answer)
     table.print(f"volume of {args.edge}^3, {field} field, {args.threads} threads, medians", lambda label: label.startswith("vtk"))
 
 
@@ -271,10 +245,10 @@ def main():
         args.scratch.mkdir(parents=True, exist_ok=True)
     vtk.vtkSMPTools.Initialize(args.threads)
     for field in args.fields:
-        for wanted, question in ((args.points, mesh_question), (args.edge, volume_question)):
-            if wanted:
-                with tempfile.TemporaryDirectory(dir=args.scratch) as work:
-                    question(args, programs, pathlib.Path(work), field)
+        questions = [(mesh_question, points) for points in args.sets if args.points] + [(volume_question,)] * bool(args.edge)
+        for question, *of in questions:
+            with tempfile.TemporaryDirectory(dir=args.scratch) as work:
+                question(args, programs, pathlib.Path(work), field, *of)
 
 
 if __name__ == "__main__":

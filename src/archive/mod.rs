@@ -1,7 +1,7 @@
 //! The archive: a folder of segments that are written once, and a manifest.
 //!
 //! * [`segment`]: the container, numbered blocks with checksums, published whole or not at all.
-//! * [`mesh`]: the mesh of a chunk as blocks that decode on their own, and precomputed blocks.
+//! * [`mesh`]: the mesh of a chunk as blocks that decode on their own.
 //! * [`values`]: the values of a chunk's points, as blocks.
 //! * [`tables`]: what is stored once: coordinates, levels, listed points, sums of errors.
 //! * [`chunked`]: segments of a range of chunks, with the counts and ranges of each.
@@ -28,7 +28,7 @@ pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::mesh::{chunk, connectivity, unpacked, vertices};
+    use super::mesh::{chunk, connectivity, heads, vertices};
     use super::tables::{coordinates, levels};
     use super::{manifest, segment, values};
     use crate::bytes::publish::TEMPORARY_MARK;
@@ -56,6 +56,7 @@ mod tests {
             ("PAGE_IDS", vertices::PAGE_IDS as u64),
             ("TETS_TUPLES", u64::from(chunk::TETS_TUPLES)),
             ("TETS_STARS", u64::from(chunk::TETS_STARS)),
+            ("PAGE_HEADS", heads::PAGE_HEADS as u64),
             ("LARGEST_STARS", connectivity::LARGEST_STARS as u64),
             ("LARGEST_LIST", u64::from(connectivity::LARGEST_LIST)),
             ("LARGEST_LINK", connectivity::LARGEST_LINK as u64),
@@ -66,9 +67,6 @@ mod tests {
             ("VALUES_QUANTISED", u64::from(values::VALUES_QUANTISED)),
             ("VALUES_AFTER", u64::from(values::VALUES_AFTER)),
             ("VALUES_AFTER_QUANTISED", u64::from(values::VALUES_AFTER_QUANTISED)),
-            ("UNPACKED_VERSION", u64::from(unpacked::UNPACKED_VERSION)),
-            ("UNPACKED_ALIGNED", unpacked::UNPACKED_ALIGNED as u64),
-            ("UNPACKED_CORNERS", unpacked::UNPACKED_CORNERS),
             ("CHUNK_POINTS", manifest::CHUNK_POINTS),
             ("LONGEST_CHAIN", manifest::LONGEST_CHAIN),
             ("MOST_UNINDEXED", manifest::MOST_UNINDEXED),

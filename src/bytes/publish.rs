@@ -33,9 +33,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A file being written; see the module.
 pub(crate) struct Unpublished {
     file: Option<File>,
-    /// Bytes that are not written yet: less than `piece`.
+    /// Bytes that are not written yet: less than [`PIECE`].
     rest: Vec<u8>,
-    piece: usize,
     temporary: PathBuf,
     path: PathBuf,
     keep: bool,
@@ -46,9 +45,6 @@ pub(crate) const TEMPORARY_MARK: &str = ".tmp-";
 
 /// Bytes that are written at once.
 const PIECE: usize = 1 << 18;
-/// The same of a file that will be mapped: the system caches what is written at once in pages of up
-/// to this size, and maps such a page at once.
-const LARGE_PIECE: usize = 1 << 22;
 
 /// Whether a file has the name of a temporary, of a writer that runs or is dead.
 pub(crate) fn is_temporary(path: &Path) -> bool {
@@ -141,7 +137,7 @@ impl Unpublished {
 
     fn of(file: File, temporary: PathBuf, path: &Path) -> Self {
         let path = path.to_path_buf();
-        Self { file: Some(file), rest: vec![], piece: PIECE, temporary, path, keep: false }
+        Self { file: Some(file), rest: vec![], temporary, path, keep: false }
     }
 
     /// Goes on with what a dead writer left, its first `len` bytes.
@@ -164,13 +160,8 @@ impl Unpublished {
         self.keep = true;
     }
 
-    /// Announces, before anything is flushed, that the file will be mapped.
-    pub(crate) fn will_be_mapped(&mut self) {
-        self.piece = LARGE_PIECE;
-    }
-
     pub(crate) fn write(&mut self, mut bytes: &[u8]) -> Result<()> {
-        while let Some((now, later)) = bytes.split_at_checked(self.piece - self.rest.len()) {
+        while let Some((now, later)) = bytes.split_at_checked(PIECE - self.rest.len()) {
             if self.rest.is_empty() {
                 self.hand_on(now)?;
             } else {
@@ -496,23 +487,17 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a");
         let bytes: Vec<u8> = (0..3 * PIECE + 5).map(|i| (i / 7 % 251) as u8).collect();
-        for is_mapped in [false, true] {
-            for cuts in [vec![], vec![1, PIECE], vec![PIECE - 1, PIECE + 1], vec![PIECE, 3 * PIECE + 5]] {
-                let mut out = Unpublished::create(&path).unwrap();
-                if is_mapped {
-                    out.will_be_mapped();
-                }
-                let mut from = 0;
-                for to in cuts.into_iter().chain([bytes.len()]) {
-                    out.write(&bytes[from..to]).unwrap();
-                    let written = out.file().metadata().unwrap().len();
-                    let expected = if is_mapped { 0 } else { to / PIECE * PIECE };
-                    assert_eq!(written, expected as u64, "up to {to}");
-                    from = to;
-                }
-                out.publish().unwrap();
-                assert!(std::fs::read(&path).unwrap() == bytes);
+        for cuts in [vec![], vec![1, PIECE], vec![PIECE - 1, PIECE + 1], vec![PIECE, 3 * PIECE + 5]] {
+            let mut out = Unpublished::create(&path).unwrap();
+            let mut from = 0;
+            for to in cuts.into_iter().chain([bytes.len()]) {
+                out.write(&bytes[from..to]).unwrap();
+                let written = out.file().metadata().unwrap().len();
+                assert_eq!(written, (to / PIECE * PIECE) as u64, "up to {to}");
+                from = to;
             }
+            out.publish().unwrap();
+            assert!(std::fs::read(&path).unwrap() == bytes);
         }
     }
 

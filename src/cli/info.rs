@@ -370,12 +370,6 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     }
     out += &steps_text(s);
     let each = s.bytes as f64 / s.points.max(1) as f64;
-    let unpacked: Vec<u64> = s.steps.iter().filter_map(|s| s.unpacked_bytes).collect();
-    if !unpacked.is_empty() {
-        let (steps, bytes) = (text::count(unpacked.len() as u64), text::bytes(unpacked.iter().sum()));
-        let all = text::plural(s.steps.len() as u64, "step");
-        let _ = writeln!(out, "  unpacked    {steps} of {all}, {bytes} besides");
-    }
     let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
     if let Some(samples) = s.sample_bytes {
         let count = s.dims.iter().product::<u64>() * s.steps.len() as u64;

@@ -30,7 +30,7 @@ pub(crate) struct ManArgs {
 
 /// The commands, in the order in which they are listed.
 const GROUPS: [(&str, &[&str]); 5] = [
-    ("Make archives", &["reduce", "append", "unpack", "brick"]),
+    ("Make archives", &["reduce", "append", "brick"]),
     (
         "Ask files and archives",
         &["info", "spectrum", "count", "probe", "export", "measure", "view", "publish"],

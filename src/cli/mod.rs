@@ -39,7 +39,6 @@ mod status;
 mod step;
 mod surface;
 pub(crate) mod text;
-mod unpack;
 #[cfg(feature = "view")]
 mod view;
 mod work;
@@ -69,7 +68,6 @@ pub(crate) enum Command {
     Reduce(Box<reduce::Args>),
     Append(append::Args),
     Surface(surface::Args),
-    Unpack(unpack::Args),
     Compare(compare::Args),
     Count(count::Args),
     Export(export::Args),
@@ -168,7 +166,6 @@ fn run(cli: &Cli) -> Result<u8> {
         Command::Info(args) => info::run(args, &cli.talk),
         Command::Append(args) => append::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),
-        Command::Unpack(args) => unpack::run(args, &cli.talk),
         Command::Compare(args) => compare::run(args, &cli.talk),
         Command::Count(args) => count::run(args),
         Command::Export(args) => export::run(args, &cli.talk),

@@ -7,7 +7,6 @@
 //!   fill the box exactly;
 //! * the ranges of the blocks, of tetrahedra and of values, the entries of the index, and the sums
 //!   of the spectrum are those of the values;
-//! * unpacked blocks, where there are any, are those that would be made now;
 //! * the error of a volume's step is that of all chunks together.
 
 use crate::archive::chunked::{BlockRange, MeshSizes, MeshSummary, value_ranges};
@@ -26,7 +25,6 @@ use crate::pipeline::read::{
     range_of_cells, used_corners,
 };
 use crate::pipeline::reduce::strays;
-use crate::pipeline::surface::check_unpacked;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use serde::Serialize;
 use std::ops::Range;
@@ -136,10 +134,6 @@ fn check_step(
         .as_ref()
         .zip(meter.as_ref())
         .map(|(file, meter)| SpectrumBuilder::new(Design::new(file.spectrum().range, meter.limits())));
-    if let Some(file) = archive.unpacked()? {
-        file.verify()?;
-        check.add(file.segment());
-    }
     let look = |n: usize| {
         cancel.check()?;
         let chunk = ChunkId(n as u64);
@@ -147,9 +141,7 @@ fn check_step(
         if archive.layout.begins_segment(chunk) {
             segment.files(with_mesh).try_for_each(Segment::verify)?;
         }
-        let checked = check_chunk(archive, &segment, chunk, meter.as_ref())?;
-        archive.unpacked()?.map_or(Ok(()), |file| check_unpacked(archive, file, chunk))?;
-        Ok(checked)
+        check_chunk(archive, &segment, chunk, meter.as_ref())
     };
     // What is left of a chunk is small, so threads alone bound the memory.
     let bytes = vec![0; archive.layout.chunk_count() as usize];
@@ -313,13 +305,10 @@ fn check_chunk(
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
     };
     // A chunk has the blocks of its vertices and a summary besides.
-    let (mesh, mut bytes) = (&segment.mesh, vec![]);
-    let blocks = mesh.block_count(id);
-    mesh.block(id, 0, &mut bytes)?;
-    let read = ChunkHeader::decode(&bytes).map_err(|m| mesh.blame(id, 0, m))?;
-    let header = ChunkHeader { core_counts: vec![sizes.core], halo: sizes.halo, ..read };
-    let stored = if header.from_points { 0 } else { u64::from(sizes.tet_blocks) };
-    if stored + header.blocks() as u64 + 1 != blocks {
+    let blocks = segment.mesh.block_count(id);
+    let header =
+        ChunkHeader { core_counts: vec![sizes.core], halo: sizes.halo, tet_blocks: sizes.tet_blocks };
+    if u64::from(sizes.tet_blocks) + header.blocks() as u64 + 1 != blocks {
         return wrong("summary", format!("that of {blocks} blocks"), format!("{sizes:?}"));
     }
     let blocks: Vec<u32> = (0..sizes.tet_blocks).collect();

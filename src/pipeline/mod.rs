@@ -64,6 +64,5 @@ pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};
 pub use surface::{
     ColourBy, CountReport, OneSurface, Plateau, Refine, RefineReport, SeriesReport, StepSurfaces,
-    SurfacePart, SurfaceReport, SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile,
-    remove_unpacked, unpack, unpack_need,
+    SurfacePart, SurfaceReport, SurfaceSettings,
 };

@@ -38,11 +38,8 @@ use std::sync::Arc;
 /// A step caches the decoded blocks that a surface needed, for the next one. The cache takes up to
 /// [`Archive::KEPT_BYTES`](super::Archive::KEPT_BYTES) or what
 /// [`Archive::keeping`](super::Archive::keeping) says, and a quarter more for buffers. A cached
-/// tetrahedron takes about 28 bytes. One that is used again takes some 60 where the cache has
-/// space, since edges and normals that do not depend on the isovalue are cached too. Blocks that
-/// were not used lately go first. So while an isovalue is dragged to and fro, a surface costs
-/// little more than its triangles. For a step that was unpacked ([`unpack`](super::unpack)) all of
-/// that is on disk: its file is mapped and costs no memory of the process.
+/// tetrahedron takes about 28 bytes. Blocks that were not used lately go first. So while an
+/// isovalue is dragged to and fro, a surface costs little more than its triangles.
 pub struct Step {
     pub(super) view: Arc<StepView>,
 }

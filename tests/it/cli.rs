@@ -470,7 +470,6 @@ fn names_from_files_do_not_steer_the_terminal() {
         series(&["probe", "a.isospan", "--grid", "3,3,3", "-o", "a.vti"]),
         series(&["brick", "one.vtk", "-o", "a.bricks"]),
         series(&["info", "a.bricks"]),
-        series(&["unpack", "a.isospan"]),
         series(&["plan", "one.vtk", "-o", "p.isospan", "--shards", "2"]),
         series(&["status", "p.isospan"]),
         series(&["work", "p.isospan", "--shard", "1/1"]),
@@ -692,14 +691,6 @@ fn what_exists_is_replaced_with_force_alone() {
         ok(d, &[args, &["--force"]].concat());
         assert_ne!(fs::read(d.join(file)).unwrap(), b"mine");
     }
-    // What was unpacked is not made again.
-    let again = ["unpack", "a.isospan", "-q"];
-    let few = [&again[..], &["--range", "0:0.1"]].concat();
-    ok(d, &few);
-    ok(d, &few);
-    let (code, text) = fails(d, &again);
-    assert!(code == 2 && text.contains("unpacked.seg exists"), "{text}");
-    ok(d, &[&again[..], &["--force"]].concat());
     // What no file can replace is reported before any work, too.
     let (code, text) = fails(d, &["export", "a.isospan", "-o", "a.isospan/mesh", "--force", "-q"]);
     assert_eq!(code, 2, "{text}");

@@ -58,29 +58,6 @@ fn a_surface_for_a_closed_standard_output_is_an_error() {
 }
 
 #[test]
-fn what_is_unpacked_already_is_nothing_to_do() {
-    let dir = tempfile::tempdir().unwrap();
-    let d = dir.path();
-    archive(d);
-    let file = d.join("v.isospan/steps/000000-unpacked.seg");
-    ok(d, &["unpack", "v.isospan", "--range", "0.1:0.4", "-q"]);
-    let before = fs::metadata(&file).unwrap().modified().unwrap();
-    for range in ["0.1:0.4", "0.2:0.3"] {
-        let text = ok(d, &["unpack", "v.isospan", "--range", range]);
-        assert!(text.contains("unpacked already"), "{text}");
-        assert_eq!(fs::metadata(&file).unwrap().modified().unwrap(), before);
-    }
-    let report: serde_json::Value =
-        serde_json::from_str(&ok(d, &["unpack", "v.isospan", "--range", "0.1:0.4", "--json"])).unwrap();
-    assert_eq!(report["files"], serde_json::json!([]));
-    // Another range is other work.
-    let (code, error) = fails(d, &["unpack", "v.isospan"]);
-    assert!(code == 2 && error.contains("--force"), "{error}");
-    assert!(ok(d, &["unpack", "v.isospan", "--force"]).contains("tetrahedra"));
-    assert!(ok(d, &["unpack", "v.isospan"]).contains("unpacked already"));
-}
-
-#[test]
 fn gc_takes_a_manifest_for_what_it_says() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();

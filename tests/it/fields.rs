@@ -372,7 +372,7 @@ fn a_step_that_is_another_field_is_refused() {
     (0..2).for_each(|t| both(d, &format!("v{t}.vti"), f64::from(t)));
     assert_eq!(run(d, &["reduce", "-q", "v0.vti", "v1.vti", "-o", "s.isospan", "--fields", "T,p"]).0, 0);
     assert_eq!(run(d, &["reduce", "-q", "v0.vti", "-o", "f.isospan", "--fields", "T,p"]).0, 0);
-    let commands: [&[&str]; 15] = [
+    let commands: [&[&str]; 12] = [
         &["count", "-i", "310"],
         &["spectrum"],
         &["spectrum", "--plot", "o.svg"],
@@ -380,9 +380,6 @@ fn a_step_that_is_another_field_is_refused() {
         &["surface", "-i", "50%", "-o", "o.ply"],
         &["surface", "-i", "310", "-o", "-"],
         &["surface", "-i", "310", "-o", "o.ply", "--colour-by", "p"],
-        &["unpack"],
-        &["unpack", "--range", "50%:"],
-        &["unpack", "--remove"],
         &["compare", "s.isospan", "-i", "310"],
         &["probe", "--grid", "3,3,3", "-o", "o.npy"],
         &["export", "-o", "o.vti"],
@@ -403,7 +400,6 @@ fn a_step_that_is_another_field_is_refused() {
         // The same field twice is one.
         let twice = ["-i", "310", "--step", "T", "--field", "T"];
         assert!(count(d, archive, &twice) > 0);
-        assert!(!d.join(archive).join("steps/000000-unpacked.seg").exists());
     }
     assert_eq!(fs::read_dir(d).unwrap().count(), 4, "nothing was written");
 }
@@ -417,15 +413,11 @@ fn steps_of_a_field_that_is_not_there_are_refused() {
     assert_eq!(run(d, &["reduce", "-q", "v0.vti", "v1.vti", "-o", "T.isospan", "--field", "T"]).0, 0);
     assert_eq!(run(d, &["reduce", "-q", "v0.vti", "-o", "f.isospan", "--fields", "T,p"]).0, 0);
     for archive in ["T.isospan", "f.isospan"] {
-        for command in [
-            &["surface", archive, "-i", "310", "-o", "o%d.ply"][..],
-            &["spectrum", archive],
-            &["unpack", archive],
-        ] {
+        for command in [&["surface", archive, "-i", "310", "-o", "o%d.ply"][..], &["spectrum", archive]] {
             let words = format!("{archive}: step 0 has the field T, not p: steps together");
             refused(d, &[command, &["--all-steps", "--field", "p"]].concat(), &words);
         }
-        assert!(!d.join("o0.ply").exists() && !d.join(archive).join("steps/000000-unpacked.seg").exists());
+        assert!(!d.join("o0.ply").exists());
     }
     let of_one =
         ["surface", "-q", "f.isospan", "-i", "110000", "-o", "o%d.ply", "--steps", "1", "--field", "p"];

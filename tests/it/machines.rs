@@ -72,8 +72,6 @@ const COMMANDS: &[&str] = &[
     "surface own.isospan -i 0.3 -o own.ply",
     "surface hammersley.isospan -i 0.2 -o fewer.ply --decimate 0.3 --largest 2",
     "surface series.isospan -i 0.1 -o between.ply --time 1.3",
-    "unpack halton.isospan",
-    "surface halton.isospan -i 0.2 -o unpacked.ply",
     "probe hole.isospan --grid 17,13,11 -o grid.npy",
     "export cross.isospan -o cross.vtu",
     "export cross.isospan -o cross.vtkhdf",

@@ -62,7 +62,6 @@ mod spectrum;
 mod stretched;
 mod targets;
 mod units;
-mod unpack;
 #[cfg(all(feature = "view", unix))]
 mod view;
 mod writers;

@@ -247,7 +247,7 @@ fn an_archive_larger_than_its_source_is_told_after_a_search() {
     let exact = ["--points", "hammersley", "--fraction", "1/16"];
     let (text, said) = run(d, &[&["reduce", "n.nrrd", "-o", "m.isospan"][..], &exact].concat());
     assert_eq!(said, [""; 0]);
-    assert!(text.contains("  ratio       1/3.") && text.contains(" of the source (62.5 KiB): "), "{text}");
+    assert!(text.contains("  ratio       1/2.") && text.contains(" of the source (62.5 KiB): "), "{text}");
     assert!(text.contains(" bits a sample, the source 8.00\n"), "{text}");
 }
 

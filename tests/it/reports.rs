@@ -177,10 +177,6 @@ fn every_report_is_as_its_schema_says() {
         &["render", "a.ply", "-o", "a.png", "--size", "40,40", "--lights", "0", "--distance-to", "a.ply"],
         &["render", "a.isospan", "-i", "0.1", "-o", "b.png", "--size", "40,40", "--lights", "0"],
         &["render", "a.isospan", "--slice", "z=50%", "-o", "c.png", "--size", "200,200"],
-        &["unpack", "k.isospan", "--dry-run"],
-        &["unpack", "k.isospan"],
-        &["info", "a.isospan"],
-        &["unpack", "k.isospan", "--remove"],
         &["brick", "v0.npy", "-o", "v.bricks"],
         &[
             "plan",

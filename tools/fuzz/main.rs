@@ -24,7 +24,6 @@ mod memory;
 mod mutate;
 mod seeds;
 mod targets;
-mod unpacked_words;
 
 use folders::Folder;
 use isospan::{Error, Result};

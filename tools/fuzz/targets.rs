@@ -3,12 +3,11 @@
 
 use crate::mutate::{Random, mutate};
 use crate::seeds::{get, partners, put};
-use crate::unpacked_words::seal_words;
 use isospan::archive::chunked::{MeshSummary, ValueSummary};
 use isospan::archive::manifest::{
-    MANIFEST_NAME, Manifest, index_path, mesh_segment_path, pack_manifest, unpacked_path, values_segment_path,
+    MANIFEST_NAME, Manifest, index_path, mesh_segment_path, pack_manifest, values_segment_path,
 };
-use isospan::archive::mesh::{ChunkHeader, TetBlock, TetScratch, decode_flags, decode_ids};
+use isospan::archive::mesh::{BlockHead, ChunkHeader, TetBlock, TetScratch, decode_flags, decode_ids};
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan::archive::values::{KnownOfBlock, decode_values};
 use isospan::bytes::IoMode;
@@ -19,7 +18,7 @@ use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource, open_mesh, open_volume};
 use isospan::geom::PointId;
 use isospan::grid::IndexBox;
-use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings, UnpackSettings};
+use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::volume::chunked::ChunkedVolume;
@@ -164,7 +163,11 @@ fn mask(block: &[u8]) -> Result<()> {
 
 fn tetrahedra(block: &[u8]) -> std::result::Result<(), isospan::archive::Malformed> {
     let mut scratch = TetScratch::default();
-    let block = TetBlock::open(block, 1 << (block.len() % 32))?;
+    let vertices = 1 << (block.len() % 32);
+    // Lengths give any heads.
+    let own = (block.len() as u32 % 97).min(vertices);
+    let head = BlockHead { first: 0, own, tets: block.len() as u32 * 3 % 1000 };
+    let block = TetBlock::open(block, &head, vertices)?;
     let scatter = |v: &u32| [1, 5, 25].map(|f| v.wrapping_mul(2_654_435_761u32.wrapping_mul(f)) >> 8);
     let positions: Vec<_> = block.vertices().iter().map(scatter).collect();
     block.decode(&positions, &mut scratch, &mut vec![])
@@ -245,14 +248,11 @@ impl Archive {
 
     /// Puts the good files back, also after a panic.
     pub(crate) fn repair(&self) -> Result<()> {
-        // Only some cases have it.
-        let _ = fs::remove_file(unpacked_path(&self.copy, 0));
         self.files.iter().try_for_each(|(name, bytes)| put(&self.copy.join(name), bytes))
     }
 
     fn damage(&self, random: &mut Random, what: &mut String) -> Result<()> {
-        match random.below(9) {
-            8 => self.damage_unpacked(random, what),
+        match random.below(8) {
             0 | 1 => {
                 let (name, bytes) = random.pick(&self.files);
                 *what = format!("bytes of {}", name.display());
@@ -313,30 +313,6 @@ impl Archive {
             }
         })?;
         manifest.write(&self.copy)
-    }
-
-    /// Unpacks the copy, and damages a block of that, behind good checksums or not.
-    fn damage_unpacked(&self, random: &mut Random, what: &mut String) -> Result<()> {
-        pipeline::unpack(
-            &self.copy,
-            &UnpackSettings { resources: Resources::default().with_threads(1), ..UnpackSettings::default() },
-            &Silent,
-        )?;
-        let path = unpacked_path(&self.copy, 0);
-        if random.below(4) == 0 {
-            *what = "bytes of unpacked blocks".into();
-            return put(&path, &mutate(&get(&path)?, b"", random));
-        }
-        let segment = Segment::open(&path, SegmentKind::Unpacked, None)?;
-        let (plan, block) = (segment.plan(), random.next() % segment.block_count());
-        *what = format!("unpacked block {block}, sealed again");
-        reseal(&path, SegmentKind::Unpacked, plan, |n, bytes| {
-            if n == block {
-                *bytes = mutate(bytes, b"", random);
-                seal_words(bytes);
-            }
-        })
-        .map(drop)
     }
 
     fn ask(&self) -> Result<()> {

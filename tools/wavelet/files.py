@@ -45,8 +45,8 @@ def segment_blocks(path, of_kind):
     expect(path, "magic", MAGIC, header[:8])
     version, oldest, kind = struct.unpack("<HHI", header[8:16])
     expect(path, "kind", of_kind, kind)
-    if oldest > 5 or version < 5:
-        refuse(f"{path}: format {version}, readable by {oldest} and later; this reads 5")
+    if oldest > 7 or version < 7:
+        refuse(f"{path}: format {version}, readable by {oldest} and later; this reads 7")
     expect(path, "checksum of the header", crc32c(header[:36]), struct.unpack("<I", header[36:])[0])
     expect(path, "end", END, footer[36:44])
     expect(path, "checksum of the footer", crc32c(footer[:44]), struct.unpack("<I", footer[44:])[0])

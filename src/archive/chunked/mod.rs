@@ -230,6 +230,26 @@ impl ChunkSegment {
         self.segment.block(self.block_number(chunk, n), out)
     }
 
+    /// As [`ChunkSegment::block`], of blocks that follow each other, with one read; `ends` is
+    /// replaced by the end of each in `out`.
+    ///
+    /// # Errors
+    /// As there.
+    ///
+    /// # Panics
+    /// As there.
+    pub(crate) fn run(
+        &self,
+        chunk: ChunkId,
+        numbers: Range<u64>,
+        out: &mut Vec<u8>,
+        ends: &mut Vec<usize>,
+    ) -> Result<()> {
+        let first = self.block_number(chunk, numbers.start);
+        assert!(numbers.end <= self.block_count(chunk), "blocks {numbers:?} of a chunk");
+        self.segment.run(first..first + (numbers.end - numbers.start), out, ends)
+    }
+
     /// The error for block `n` of a chunk whose bytes could not be decoded.
     pub fn blame(&self, chunk: ChunkId, n: u64, what: Malformed) -> Error {
         what.in_block(self.segment.path(), self.block_number(chunk, n))

@@ -61,16 +61,6 @@ pub fn spectrum_path(archive: &Path, step: u64) -> PathBuf {
     of_step(archive, step, "spectrum.seg")
 }
 
-/// Path of the unpacked blocks of a step.
-pub fn unpacked_path(archive: &Path, step: u64) -> PathBuf {
-    of_step(archive, step, "unpacked.seg")
-}
-
-/// The step whose unpacked blocks are in a file of this name; `None` of another file.
-pub fn unpacked_step(name: &str) -> Option<u64> {
-    name.strip_suffix("-unpacked.seg")?.parse().ok()
-}
-
 /// Path of the coordinates of a step's grid.
 pub fn coordinates_path(archive: &Path, step: u64) -> PathBuf {
     of_step(archive, step, "coordinates.seg")

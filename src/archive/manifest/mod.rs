@@ -20,7 +20,7 @@ mod record;
 pub use self::files::{
     coarse_path, coordinates_path, index_path, is_coordinates, low_segment_path, mesh_folder,
     mesh_segment_path, ranges_segment_path, spectrum_path, step_prefix, steps_folder, sums_segment_path,
-    unpacked_path, unpacked_step, values_segment_path,
+    values_segment_path,
 };
 pub use self::packed::{MANIFEST_DICTIONARY, pack_manifest};
 pub use self::plan::{
@@ -756,7 +756,7 @@ pub(crate) mod tests {
             r#""percentiles":[0.0,0.125,0.25,0.375,0.5,0.625],"#,
             r#""worst":{"sample":9891,"original":0.1,"reduced":0.3}}}]"#
         );
-        let head = r#"{"format":"isospan archive","format_version":5,"isospan_version":"#;
+        let head = r#"{"format":"isospan archive","format_version":7,"isospan_version":"#;
         let counts = r#""counts":{"points":1000,"tetrahedra":6000,"blocks":12},"#;
         let mesh = r#""mesh":[{"bytes":1000,"blocks":7,"content_hash":"fffffffffffffffa"}],"#;
         assert_eq!(
@@ -913,12 +913,12 @@ pub(crate) mod tests {
         refused("not finished");
         let path = dir.path().join(MANIFEST_NAME);
         let write = |json: &str| std::fs::write(&path, pack_manifest(json)).unwrap();
-        write(r#"{"format":"isospan archive","format_version":9,"oldest_reader":8,"new":[]}"#);
+        write(r#"{"format":"isospan archive","format_version":11,"oldest_reader":10,"new":[]}"#);
         let e = Manifest::read(dir.path()).unwrap_err().to_string();
-        assert!(e.contains("got 9, for programs of format 8 on; use a newer isospan"), "{e}");
-        write(r#"{"format":"isospan archive","format_version":4,"oldest_reader":4}"#);
+        assert!(e.contains("got 11, for programs of format 10 on; use a newer isospan"), "{e}");
+        write(r#"{"format":"isospan archive","format_version":5,"oldest_reader":5}"#);
         let e = Manifest::read(dir.path()).unwrap_err().to_string();
-        assert!(e.contains("expected format 5 or later, got 4; an earlier isospan has made it"), "{e}");
+        assert!(e.contains("expected format 7 or later, got 5; an earlier isospan has made it"), "{e}");
         write("{}");
         refused("manifest of an isospan archive");
         std::fs::write(&path, "{}").unwrap();

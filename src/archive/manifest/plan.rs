@@ -135,7 +135,7 @@ impl Plan {
         matches!(self.points, PointSpec::Pyramid { .. })
     }
 
-    /// Whether tetrahedra, or what they are made again from, are in files of their own.
+    /// Whether tetrahedra are in files of their own.
     pub fn stores_mesh(&self) -> bool {
         !self.is_pyramid()
     }

@@ -11,7 +11,7 @@
 //! takes their positions, which predict most of the tetrahedra.
 
 use super::connectivity;
-use super::from_points::StarRuns;
+use super::heads::BlockHead;
 use super::runs::block_starts;
 use super::tuples;
 use super::vertices::ChunkVertices;
@@ -21,32 +21,36 @@ use crate::mesh::tet::{Tet, canonical};
 
 /// Codec of a tetrahedron block: sorted tuples, differences, zstd.
 pub(in crate::archive) const TETS_TUPLES: u8 = 0;
-/// Codec of a tetrahedron block: star after star.
+/// Codec of a tetrahedron block: star after star. The size of neighbourhoods is added.
 pub(in crate::archive) const TETS_STARS: u8 = 1;
 
 /// A chunk ready to be written.
 #[derive(Clone, Debug, Default)]
 pub struct EncodedChunk {
-    /// The vertices' blocks, then the tetrahedra's, or the runs of these.
+    /// The vertices' blocks, heads of the tetrahedra's, then these.
     pub blocks: Vec<Vec<u8>>,
-    /// First tetrahedron of each block, and the number of all.
-    starts: Vec<u32>,
+    /// Of each tetrahedron block.
+    pub heads: Vec<BlockHead>,
 }
 
 impl EncodedChunk {
     /// Number of tetrahedron blocks.
     pub fn tet_blocks(&self) -> usize {
-        self.starts.len() - 1
+        self.heads.len()
     }
 
-    /// The tetrahedron blocks, where they are stored.
+    /// The tetrahedron blocks.
     pub fn blocks_of_tets(&self) -> &[Vec<u8>] {
         &self.blocks[self.blocks.len() - self.tet_blocks()..]
     }
 
     /// The end of each tetrahedron block in the tetrahedra of all.
     pub fn block_ends(&self) -> Vec<usize> {
-        self.starts[1..].iter().map(|&end| end as usize).collect()
+        let end = |sum: &mut usize, head: &BlockHead| {
+            *sum += head.tets as usize;
+            Some(*sum)
+        };
+        self.heads.iter().scan(0, end).collect()
     }
 }
 
@@ -74,49 +78,49 @@ impl ChunkEncoder {
     /// how each is turned; least is to be done where the smallest vertex comes first in each, and
     /// they ascend by that. Leaves the tetrahedra block after block, as their decoders give them.
     ///
-    /// Where they follow from the points, their runs are encoded, with reaches in units of
-    /// `reach_unit` lattice steps.
-    ///
     /// # Panics
     /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, or
-    /// `block_tets` or `reach_unit` is 0.
+    /// `block_tets` is 0.
     pub fn encode(
         &mut self,
         vertices: &ChunkVertices,
         positions: &[LatticePos],
         tets: &mut [Tet],
         block_tets: u32,
-        reach_unit: u32,
     ) -> EncodedChunk {
         assert!(block_tets > 0, "a block holds at least one tetrahedron");
         assert_eq!(positions.len(), vertices.len() as usize, "one position a vertex");
         assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
         let largest = tets.iter().fold(0, |most, t| t.iter().fold(most, |most, &v| most.max(v)));
         assert!(tets.is_empty() || largest < vertices.len(), "every vertex is local");
-        let mut blocks = vertices.encode();
-        if vertices.from_points {
-            let (runs, starts) = StarRuns::of(tets, positions, vertices.core_len(), block_tets, reach_unit);
-            blocks.push(runs.encode());
-            return EncodedChunk { blocks, starts };
-        }
         by_vertex(tets);
         let starts = block_starts(tets, positions, block_tets);
-        for w in starts.windows(2) {
+        let heads = BlockHead::all(tets, &starts);
+        let mut blocks = vertices.encode(heads.len() as u32);
+        blocks.extend(BlockHead::encode(&heads, block_tets));
+        for (head, w) in heads.iter().zip(starts.windows(2)) {
             let tets = &mut tets[w[0] as usize..w[1] as usize];
-            blocks.push(encode_tets(&mut self.0, tets, positions));
+            blocks.push(encode_tets(&mut self.0, tets, head.first, positions));
         }
-        EncodedChunk { blocks, starts }
+        EncodedChunk { blocks, heads }
     }
 }
 
 /// Encodes one block of tetrahedra, the smallest vertex first in each, ascending by it; leaves them
 /// as they will be decoded.
-fn encode_tets(writer: &mut connectivity::Writer, tets: &mut [Tet], positions: &[LatticePos]) -> Vec<u8> {
-    let mut out = vec![TETS_STARS];
-    if writer.encode(tets, positions, &mut out) {
+fn encode_tets(
+    writer: &mut connectivity::Writer,
+    tets: &mut [Tet],
+    own_from: u32,
+    positions: &[LatticePos],
+) -> Vec<u8> {
+    let mut out = vec![];
+    if writer.encode(tets, own_from, positions, &mut out) {
+        // Sizes are far below 255: they stand for lengths below 2^24.
+        out[0] += TETS_STARS;
         tets.copy_from_slice(writer.decoded());
     } else {
-        out[0] = TETS_TUPLES;
+        out.push(TETS_TUPLES);
         tets.iter_mut().for_each(|t| *t = canonical(*t));
         tets.sort_unstable();
         tuples::encode(tets, &mut out);
@@ -144,11 +148,12 @@ enum Body<'a> {
 }
 
 impl<'a> TetBlock<'a> {
-    /// Reads the vertices of a block, each below `vertices` ([`ChunkVertices::len`]).
+    /// Reads the vertices of a block with this head, each below `vertices`
+    /// ([`ChunkVertices::len`]).
     ///
     /// # Errors
     /// When the bytes are not a block, or name a vertex that is not there.
-    pub fn open(bytes: &'a [u8], vertices: u32) -> Result<Self, Malformed> {
+    pub fn open(bytes: &'a [u8], head: &BlockHead, vertices: u32) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         match c.u8("codec")? {
             TETS_TUPLES => {
@@ -156,12 +161,11 @@ impl<'a> TetBlock<'a> {
                 tuples::decode(c.rest(), vertices, &mut tets)?;
                 Ok(Self { vertices: tuples::vertex_list(&tets), body: Body::Tuples(tets) })
             }
-            TETS_STARS => {
-                let mut ids = vec![];
-                let reader = connectivity::Reader::open(c.rest(), vertices, &mut ids)?;
+            stars => {
+                let (size, mut ids) = (stars - TETS_STARS, vec![]);
+                let reader = connectivity::Reader::open(c.rest(), size, head, vertices, &mut ids)?;
                 Ok(Self { vertices: ids, body: Body::Stars(reader) })
             }
-            other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
         }
     }
 
@@ -225,6 +229,8 @@ impl<'a> TetBlock<'a> {
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use super::super::heads::PAGE_HEADS;
+    use super::super::vertices::ChunkHeader;
     use super::*;
     use crate::geom::PointId;
 
@@ -258,7 +264,7 @@ pub(crate) mod tests {
         block_tets: u32,
     ) -> (EncodedChunk, Vec<Tet>) {
         let mut tets = tets.to_vec();
-        (ChunkEncoder::default().encode(vertices, positions, &mut tets, block_tets, 1), tets)
+        (ChunkEncoder::default().encode(vertices, positions, &mut tets, block_tets), tets)
     }
 
     fn vertices_of(n: u32) -> ChunkVertices {
@@ -267,7 +273,6 @@ pub(crate) mod tests {
             core_counts: vec![core / 3, 0, core - core / 3],
             halo: (0..u64::from(n - core)).map(|i| PointId(i * i * 977 + 5)).collect(),
             shared: (0..n).map(|i| i >= core || i % 5 == 0).collect(),
-            from_points: false,
         }
     }
 
@@ -280,14 +285,26 @@ pub(crate) mod tests {
     /// Decodes a chunk, and compares it with the tetrahedra that its encoder left.
     fn decode((encoded, expected): &(EncodedChunk, Vec<Tet>), positions: &[LatticePos]) -> Vec<Tet> {
         let (mut all, mut scratch) = (vec![], TetScratch::default());
-        let open = |bytes| TetBlock::open(bytes, positions.len() as u32).unwrap();
+        let header = ChunkHeader::decode(&encoded.blocks[0]).unwrap();
+        assert_eq!(header.tet_blocks as usize, encoded.tet_blocks());
+        let pages = &encoded.blocks[header.blocks() - header.head_pages()..header.blocks()];
+        let left = |n: usize| PAGE_HEADS.min(encoded.tet_blocks() - n * PAGE_HEADS);
+        let page = |(n, bytes): (usize, &Vec<u8>)| {
+            BlockHead::decode(bytes, left(n), positions.len() as u32).unwrap()
+        };
+        let heads: Vec<BlockHead> = pages.iter().enumerate().flat_map(page).collect();
+        assert_eq!(heads, encoded.heads);
         for (n, bytes) in encoded.blocks_of_tets().iter().enumerate() {
-            let before = all.len();
+            let (before, head) = (all.len(), &heads[n]);
+            let open = |bytes| TetBlock::open(bytes, head, positions.len() as u32).unwrap();
             let block = open(bytes);
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
-            let [start, end] = [n, n + 1].map(|n| encoded.starts[n] as usize);
-            assert_eq!(all[before..], expected[start..end], "in the same order, turned the same way");
+            assert_eq!(
+                all[before..],
+                expected[before..before + head.tets as usize],
+                "in the same order, turned the same way"
+            );
             let (block, mut places) = (open(bytes), vec![]);
             let vertices = block.vertices().to_vec();
             block.decode_places(&here, &mut scratch, &mut places).unwrap();
@@ -304,7 +321,8 @@ pub(crate) mod tests {
         for block_tets in [1, 7, 100, 1000, 1_000_000] {
             let positions = corners([9, 7, 8]);
             let encoded = encode_chunk(&vertices, &positions, &tets, block_tets);
-            assert!(encoded.0.blocks.starts_with(&vertices.encode()));
+            let blocks = encoded.0.tet_blocks() as u32;
+            assert!(encoded.0.blocks.starts_with(&vertices.encode(blocks)));
             assert_eq!(sorted(&decode(&encoded, &positions)), sorted(&tets));
         }
     }
@@ -324,7 +342,7 @@ pub(crate) mod tests {
     fn no_tetrahedra_and_no_vertices_are_a_chunk_too() {
         for n in [0, 10] {
             let (encoded, _) = encode_chunk(&vertices_of(n), &vec![[0; 3]; n as usize], &[], 1000);
-            assert_eq!((encoded.tet_blocks(), &*encoded.blocks), (0, &*vertices_of(n).encode()));
+            assert_eq!((encoded.tet_blocks(), &*encoded.blocks), (0, &*vertices_of(n).encode(0)));
         }
     }
 
@@ -360,8 +378,8 @@ pub(crate) mod tests {
     fn blocks_are_near_the_size_asked_for() {
         let (encoded, _) = encode_chunk(&vertices_of(11 * 11 * 11), &corners([10; 3]), &cubes([10; 3]), 1000);
         assert!((5..8).contains(&encoded.tet_blocks()));
-        for pair in encoded.starts.windows(2) {
-            assert!((500..=1250).contains(&(pair[1] - pair[0])), "{pair:?}");
+        for head in &encoded.heads {
+            assert!((500..=1250).contains(&head.tets), "{head:?}");
         }
     }
 }

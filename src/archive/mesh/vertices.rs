@@ -2,9 +2,10 @@
 //! if a block has a vertex in them.
 //!
 //! ```text
-//!  header                points of each brick, number of halo points
+//!  header                points of each brick, numbers of halo points and of tetrahedron blocks
 //!  pages of flags        8192 core points each: which of them other chunks have too
 //!  pages of halo ids     those of the local vertices n · 1024 … n · 1024 + 1023: as the blocks of values
+//!  pages of heads        of 256 tetrahedron blocks each (`heads`)
 //! ```
 //!
 //! Vertices have ids local to the chunk: first the core points, brick after brick, each brick's in
@@ -16,6 +17,7 @@
 //! of a page, and the values that come with them: [`order_halo`] sorts them along the curve first,
 //! and only within a page by id, which keeps differences small.
 
+use super::heads::PAGE_HEADS;
 use crate::archive::values::BLOCK_VALUES;
 use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::geom::curve::hilbert_key;
@@ -24,8 +26,6 @@ use std::ops::Range;
 
 /// Codec of a header block: one zstd frame.
 pub(in crate::archive) const HEADER_ZSTD: u8 = 0;
-/// The same, of a chunk whose tetrahedra are not stored.
-const HEADER_FROM_POINTS: u8 = 1;
 /// Core points of a page of flags.
 pub const PAGE_FLAGS: usize = 8192;
 /// Local vertices that a page of halo ids is about, from a multiple of it on.
@@ -50,8 +50,6 @@ pub struct ChunkVertices {
     pub halo: Vec<PointId>,
     /// For each local vertex, whether another chunk has it too; always true for halo points.
     pub shared: Vec<bool>,
-    /// Whether the tetrahedra follow from the points, and are not stored.
-    pub from_points: bool,
 }
 
 impl ChunkVertices {
@@ -70,13 +68,10 @@ impl ChunkVertices {
         self.len() == 0
     }
 
-    /// The header, then the pages.
-    pub(super) fn encode(&self) -> Vec<Vec<u8>> {
-        let header = ChunkHeader {
-            core_counts: self.core_counts.clone(),
-            halo: self.halo.len() as u32,
-            from_points: self.from_points,
-        };
+    /// The header of a chunk with so many blocks of tetrahedra, then the pages.
+    pub(super) fn encode(&self, tet_blocks: u32) -> Vec<Vec<u8>> {
+        let halo = self.halo.len() as u32;
+        let header = ChunkHeader { core_counts: self.core_counts.clone(), halo, tet_blocks };
         let core = header.core_len();
         let flags = self.shared[..core].chunks(PAGE_FLAGS).map(|page| {
             let byte =
@@ -118,8 +113,8 @@ pub struct ChunkHeader {
     pub core_counts: Vec<u32>,
     /// Number of halo points.
     pub halo: u32,
-    /// Whether the tetrahedra follow from the points: behind the pages come their runs, not blocks.
-    pub from_points: bool,
+    /// Number of tetrahedron blocks.
+    pub tet_blocks: u32,
 }
 
 impl ChunkHeader {
@@ -148,10 +143,14 @@ impl ChunkHeader {
         if self.halo == 0 { 0 } else { self.len().div_ceil(PAGE_IDS) - self.core_len() / PAGE_IDS }
     }
 
-    /// Blocks of a chunk before those of its tetrahedra: this, the pages, and the runs where there
-    /// are any.
+    /// Pages of the heads of tetrahedron blocks, the blocks behind those.
+    pub fn head_pages(&self) -> usize {
+        (self.tet_blocks as usize).div_ceil(PAGE_HEADS)
+    }
+
+    /// Blocks of a chunk before those of its tetrahedra: this, and the pages.
     pub fn blocks(&self) -> usize {
-        1 + self.flag_pages() + self.id_pages() + usize::from(self.from_points)
+        1 + self.flag_pages() + self.id_pages() + self.head_pages()
     }
 
     /// The halo points of a page.
@@ -166,8 +165,8 @@ impl ChunkHeader {
         put_varint(&mut body, self.core_counts.len() as u64);
         self.core_counts.iter().for_each(|&n| put_varint(&mut body, u64::from(n)));
         put_varint(&mut body, u64::from(self.halo));
-        let codec = if self.from_points { HEADER_FROM_POINTS } else { HEADER_ZSTD };
-        [vec![codec], to_zstd(&body, LEVEL)].concat()
+        put_varint(&mut body, u64::from(self.tet_blocks));
+        [vec![HEADER_ZSTD], to_zstd(&body, LEVEL)].concat()
     }
 
     /// Decodes block 0 of a chunk.
@@ -177,7 +176,7 @@ impl ChunkHeader {
     pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         let codec = c.u8("codec")?;
-        if ![HEADER_ZSTD, HEADER_FROM_POINTS].contains(&codec) {
+        if codec != HEADER_ZSTD {
             return Err(Malformed::new("codec", "a known header codec", codec.to_string()));
         }
         let body = unzstd(c.rest(), LARGEST_HEADER, "chunk header")?;
@@ -193,12 +192,13 @@ impl ChunkHeader {
         }
         let core_counts = (0..n).map(|_| c.varint32("points of a brick")).collect::<Result<Vec<u32>, _>>()?;
         let halo = c.varint32("halo points")?;
+        let tet_blocks = c.varint32("tetrahedron blocks")?;
         c.end("chunk header")?;
         let all = core_counts.iter().map(|&n| u64::from(n)).sum::<u64>() + u64::from(halo);
         if all > u64::from(u32::MAX) {
             return Err(Malformed::new("vertices", "at most 2^32 - 1", all.to_string()));
         }
-        Ok(Self { core_counts, halo, from_points: codec == HEADER_FROM_POINTS })
+        Ok(Self { core_counts, halo, tet_blocks })
     }
 }
 
@@ -246,7 +246,7 @@ mod tests {
             *last = PointId(u64::MAX);
         }
         let shared = (0..core + halo.len()).map(|i| i >= core || i % 7 == 0 && i % 1000 < 200).collect();
-        ChunkVertices { core_counts: core_counts.to_vec(), halo, shared, from_points: false }
+        ChunkVertices { core_counts: core_counts.to_vec(), halo, shared }
     }
 
     /// Reads all pages.
@@ -262,7 +262,7 @@ mod tests {
         for (n, page) in ids.iter().enumerate() {
             decode_ids(page, &mut halo[header.ids_of(n)])?;
         }
-        Ok(ChunkVertices { core_counts: header.core_counts, halo, shared, from_points: header.from_points })
+        Ok(ChunkVertices { core_counts: header.core_counts, halo, shared })
     }
 
     #[test]
@@ -270,7 +270,7 @@ mod tests {
         for halo in [0, 1, 23, 24, 25, 1047, 1048, 1049, 5000] {
             for core in [&[][..], &[1000, 0], &[8000, 192], &[8193, 20_000, 3]] {
                 let vertices = vertices(core, halo);
-                assert_eq!(decode(&vertices.encode()).unwrap(), vertices);
+                assert_eq!(decode(&vertices.encode(0)).unwrap(), vertices);
             }
         }
     }
@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn pages_are_those_of_the_values() {
         for (core, halo) in [(0, 1024), (1000, 24), (1000, 25), (1024, 2048), (5, 1)] {
-            let header = ChunkHeader { core_counts: vec![core], halo, from_points: false };
+            let header = ChunkHeader { core_counts: vec![core], halo, tet_blocks: 0 };
             let blocks: Vec<usize> = (core..core + halo).map(|v| v as usize / BLOCK_VALUES).collect();
             let pages: Vec<usize> =
                 (0..header.id_pages()).flat_map(|n| header.ids_of(n).map(move |_| n)).collect();
@@ -313,7 +313,7 @@ mod tests {
 
     #[test]
     fn damaged_pages_never_panic() {
-        let good = vertices(&[20, 0, 30], 40).encode();
+        let good = vertices(&[20, 0, 30], 40).encode(0);
         for block in 0..good.len() {
             for i in 0..good[block].len() {
                 let mut bad = good.clone();

@@ -23,7 +23,7 @@ pub use self::copy::Copied;
 pub(crate) use self::copy::{Known, copy_segment};
 pub(super) use self::journal::{Journal, Record};
 pub use self::read::Segment;
-pub(crate) use self::read::{BlockPlace, segment_plan};
+pub(crate) use self::read::segment_plan;
 pub use self::write::SegmentWriter;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
@@ -34,13 +34,13 @@ pub const MAGIC: [u8; 8] = *b"\x89ISO\r\n\x1a\n";
 /// Last bytes but eight of a segment.
 pub const END_MAGIC: [u8; 8] = *b"ISOEND\r\n";
 /// The version this program writes.
-pub const FORMAT_VERSION: u16 = 5;
+pub const FORMAT_VERSION: u16 = 7;
 /// That of manifests whose steps are in another order than their files, or have several fields.
-pub const ORDERED_FORMAT: u16 = 6;
+pub const ORDERED_FORMAT: u16 = 8;
 /// The oldest program version (in the same numbering) that can read what this program writes.
-pub const OLDEST_READER: u16 = 5;
+pub const OLDEST_READER: u16 = 7;
 /// The oldest version that this program reads.
-pub const OLDEST_FORMAT: u16 = 5;
+pub const OLDEST_FORMAT: u16 = 7;
 /// Bytes of the header.
 pub const HEADER_BYTES: u64 = 40;
 /// Bytes of the footer.
@@ -77,8 +77,6 @@ pub enum SegmentKind {
     Levels = 8,
     /// Duplicate vertices of a source mesh.
     Repeated = 9,
-    /// Unpacked blocks of one step.
-    Unpacked = 10,
     /// What the chunks of a range add to sums over all, of one step that is not finished.
     Sums = 11,
     /// Low coefficients of a range of chunks of a pyramid, until its coarse levels are made.
@@ -101,7 +99,6 @@ impl SegmentKind {
             7 => "coordinates".into(),
             8 => "levels".into(),
             9 => "repeated vertices".into(),
-            10 => "unpacked blocks".into(),
             11 => "sums".into(),
             12 => "low coefficients".into(),
             13 => "coarse levels".into(),

@@ -1,7 +1,7 @@
 //! A file read at offsets, on disk or in an object store.
 
+use crate::bytes::open_regular;
 use crate::bytes::remote::{RemoteFile, is_remote};
-use crate::bytes::{ByteSource, IoMode, open_regular};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::path::Path;
@@ -9,8 +9,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A file read at given offsets, from any thread; mapped only where its blocks are used where they
-/// lie.
+/// A file read at given offsets, from any thread.
 pub(super) struct PositionedFile {
     bytes: Bytes,
     pub(super) len: u64,
@@ -23,8 +22,6 @@ enum Bytes {
     #[cfg(not(unix))]
     Local(Mutex<File>),
     Remote(Box<RemoteFile>),
-    /// Mapped, but on a network file system.
-    Source(Box<ByteSource>),
 }
 
 impl PositionedFile {
@@ -40,39 +37,9 @@ impl PositionedFile {
         Ok(Self { bytes: Bytes::Local(file), len: meta.len() })
     }
 
-    /// A file whose bytes are used where they lie, on file systems on which files are mapped.
-    pub(super) fn map(path: &Path) -> Result<Self> {
-        let source = ByteSource::open(path, IoMode::Auto)?;
-        Ok(Self { len: source.len(), bytes: Bytes::Source(Box::new(source)) })
-    }
-
-    /// Bytes where they lie, if the file is mapped.
-    pub(super) fn at_hand(&self, offset: u64, len: u64) -> Option<&[u8]> {
-        match &self.bytes {
-            Bytes::Source(source) => source.at_hand(offset..offset.checked_add(len)?),
-            _ => None,
-        }
-    }
-
-    /// Whether bytes that were used where they lie were those of the file.
-    pub(super) fn check(&self) -> Result<()> {
-        match &self.bytes {
-            Bytes::Source(source) => source.check(),
-            _ => Ok(()),
-        }
-    }
-
     pub(super) fn read_at(&self, path: &Path, offset: u64, out: &mut [u8], count: &AtomicU64) -> Result<()> {
         count.fetch_add(out.len() as u64, Ordering::Relaxed);
         let filled = match &self.bytes {
-            Bytes::Source(source) => match source.at_hand(offset..offset.saturating_add(out.len() as u64)) {
-                // Whether they were the file's is checked after they have been used.
-                Some(bytes) => {
-                    out.copy_from_slice(bytes);
-                    Ok(())
-                }
-                None => return source.read_at(offset, out),
-            },
             Bytes::Local(file) => fill(file, offset, out),
             Bytes::Remote(file) => file.read_at(offset, out),
         };

@@ -10,6 +10,7 @@ use super::{
 use crate::archive::wire::{Cursor, Malformed};
 use crate::error::{Error, Fault, Result};
 use std::io::Read;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -17,15 +18,6 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 /// A directory page that has been read: offset, length and checksum of each of its blocks.
 type Page = Arc<Vec<(u64, u32, u32)>>;
-
-/// Where a block is. The bytes of a mapped file lie there, not yet compared with their checksum:
-/// after they have been used, [`Segment::check_mapped`] says whether they were the file's.
-#[derive(Clone, Copy)]
-pub(crate) struct BlockPlace<'a> {
-    pub(crate) number: u64,
-    pub(crate) len: u32,
-    pub(crate) bytes: Option<&'a [u8]>,
-}
 
 /// The plan hash in the header of a segment of any kind, finished or not; `None` of any other file.
 pub(crate) fn segment_plan(path: &Path) -> Option<PlanHash> {
@@ -57,24 +49,6 @@ impl Segment {
     pub fn open(path: impl AsRef<Path>, kind: SegmentKind, plan: Option<PlanHash>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         let file = PositionedFile::open(&path)?;
-        Self::of_file(path, file, kind, plan)
-    }
-
-    /// As [`Segment::open`], of a file on this machine that is mapped, where files are: for
-    /// [`Segment::places`].
-    ///
-    /// # Errors
-    /// As there.
-    pub(crate) fn map(path: &Path, kind: SegmentKind, plan: Option<PlanHash>) -> Result<Self> {
-        Self::of_file(path.to_path_buf(), PositionedFile::map(path)?, kind, plan)
-    }
-
-    fn of_file(
-        path: PathBuf,
-        file: PositionedFile,
-        kind: SegmentKind,
-        plan: Option<PlanHash>,
-    ) -> Result<Self> {
         if file.len < HEADER_BYTES + FOOTER_BYTES {
             return Err(Error::bad_input(
                 &path,
@@ -135,13 +109,52 @@ impl Segment {
     /// # Panics
     /// When `n` is not below [`Segment::block_count`].
     pub fn block(&self, n: u64, out: &mut Vec<u8>) -> Result<()> {
-        assert!(n < self.info.blocks, "block {n} of {}", self.info.blocks);
-        let page = self.page(n / PAGE_BLOCKS)?;
-        let (offset, len, crc) = page[(n % PAGE_BLOCKS) as usize];
+        let (offset, len, crc) = self.place(n)?;
         out.clear();
         out.resize(len as usize, 0);
         self.read_at(offset, out)?;
-        let got = crc32c::crc32c(out);
+        self.check_block(n, crc, out)
+    }
+
+    /// As [`Segment::block`], of blocks that follow each other, with one read; `ends` is replaced
+    /// by the end of each in `out`.
+    ///
+    /// # Errors
+    /// As there.
+    ///
+    /// # Panics
+    /// As there.
+    pub(crate) fn run(&self, numbers: Range<u64>, out: &mut Vec<u8>, ends: &mut Vec<usize>) -> Result<()> {
+        ends.clear();
+        out.clear();
+        if numbers.is_empty() {
+            return Ok(());
+        }
+        let (offset, mut crcs, mut end) = (self.place(numbers.start)?.0, vec![], 0);
+        for n in numbers.clone() {
+            let (_, len, crc) = self.place(n)?;
+            end += len as usize;
+            ends.push(end);
+            crcs.push(crc);
+        }
+        out.resize(end, 0);
+        self.read_at(offset, out)?;
+        let mut start = 0;
+        for ((n, crc), &end) in numbers.zip(crcs).zip(&*ends) {
+            self.check_block(n, crc, &out[start..end])?;
+            start = end;
+        }
+        Ok(())
+    }
+
+    /// Where a block is: offset, length and checksum.
+    fn place(&self, n: u64) -> Result<(u64, u32, u32)> {
+        assert!(n < self.info.blocks, "block {n} of {}", self.info.blocks);
+        Ok(self.page(n / PAGE_BLOCKS)?[(n % PAGE_BLOCKS) as usize])
+    }
+
+    fn check_block(&self, n: u64, crc: u32, bytes: &[u8]) -> Result<()> {
+        let got = crc32c::crc32c(bytes);
         if got != crc {
             let damage = self.damage(format!("block {n}: CRC32C"), hex(crc), hex(got));
             return Err(damage.of_fault(Fault::Checksum));
@@ -149,45 +162,15 @@ impl Segment {
         Ok(())
     }
 
-    /// Where blocks are, one after another; page after page of the directory is looked up once, if
-    /// they ascend.
+    /// The length of block `n`.
     ///
     /// # Errors
-    /// When a directory page is damaged.
+    /// When its directory page is damaged.
     ///
     /// # Panics
-    /// When a number is not below [`Segment::block_count`].
-    pub(crate) fn places<'a>(
-        &'a self,
-        numbers: impl Iterator<Item = u64>,
-        out: &mut Vec<BlockPlace<'a>>,
-    ) -> Result<()> {
-        let mut last: Option<(u64, Page)> = None;
-        for n in numbers {
-            assert!(n < self.info.blocks, "block {n} of {}", self.info.blocks);
-            let (wanted, in_page) = (n / PAGE_BLOCKS, (n % PAGE_BLOCKS) as usize);
-            let page = match last.take() {
-                Some((number, page)) if number == wanted => page,
-                _ => self.page(wanted)?,
-            };
-            let (offset, len, _) = page[in_page];
-            out.push(BlockPlace { number: n, len, bytes: self.file.at_hand(offset, len.into()) });
-            last = Some((wanted, page));
-        }
-        Ok(())
-    }
-
-    /// Whether the bytes of a mapped file that were used so far were those of the file.
-    ///
-    /// # Errors
-    /// When it has become shorter, or its device failed.
-    pub(crate) fn check_mapped(&self) -> Result<()> {
-        self.file.check()
-    }
-
-    /// Counts bytes that were used where they lie.
-    pub(crate) fn count_used(&self, bytes: u64) {
-        self.bytes_read.fetch_add(bytes, Ordering::Relaxed);
+    /// When `n` is not below [`Segment::block_count`].
+    pub(crate) fn block_len(&self, n: u64) -> Result<u64> {
+        Ok(self.place(n)?.1.into())
     }
 
     fn read_at(&self, offset: u64, out: &mut [u8]) -> Result<()> {
@@ -246,7 +229,7 @@ impl Segment {
         let mut at = HEADER_BYTES;
         let mut block = vec![];
         for n in 0..self.info.blocks {
-            let (offset, len, _) = self.page(n / PAGE_BLOCKS)?[(n % PAGE_BLOCKS) as usize];
+            let (offset, len, _) = self.place(n)?;
             if offset != at {
                 return Err(self.damage(format!("block {n}: offset"), at.to_string(), offset.to_string()));
             }

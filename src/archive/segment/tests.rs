@@ -74,14 +74,14 @@ fn other_kinds_plans_and_versions_are_refused() {
     let e = error(SegmentKind::Mesh, Some(PlanHash(1)));
     assert!(e.contains(&PLAN.to_string()) && e.contains("other input or parameters"), "{e}");
     let mut bytes = std::fs::read(&path).unwrap();
-    bytes[10] = 6;
+    bytes[10] = 8;
     std::fs::write(&path, &bytes).unwrap();
     let e = error(SegmentKind::Mesh, None);
-    assert!(e.contains("format 6 and later"), "{e}");
-    bytes[8..12].copy_from_slice(&[4, 0, 4, 0]);
+    assert!(e.contains("format 8 and later"), "{e}");
+    bytes[8..12].copy_from_slice(&[5, 0, 5, 0]);
     std::fs::write(&path, bytes).unwrap();
     let e = error(SegmentKind::Mesh, None);
-    assert!(e.contains("(5 and later), got version 4"), "{e}");
+    assert!(e.contains("(7 and later), got version 5"), "{e}");
     std::fs::write(&path, vec![b'x'; 500]).unwrap();
     assert!(error(SegmentKind::Mesh, None).contains("magic"));
     assert!(Segment::open(dir.path(), SegmentKind::Mesh, None).is_err());

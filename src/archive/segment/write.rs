@@ -46,11 +46,6 @@ impl SegmentWriter {
         Ok(writer)
     }
 
-    /// Announces, before any block, that the segment will be mapped.
-    pub(in crate::archive) fn will_be_mapped(&mut self) {
-        self.out.will_be_mapped();
-    }
-
     /// Goes on with what a dead writer of this segment left: the first of `records` whose blocks
     /// are there, undamaged, give the blocks to begin with, and their number is returned. `None`
     /// when it is not of this kind and plan. Reads and checks all bytes that are kept.

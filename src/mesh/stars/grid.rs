@@ -68,12 +68,6 @@ impl Grid {
         true
     }
 
-    /// Bytes of memory.
-    pub(super) fn bytes(&self) -> usize {
-        4 * (self.starts.capacity() + self.ids.capacity())
-            + self.at.iter().map(|at| 4 * at.capacity()).sum::<usize>()
-    }
-
     #[inline]
     pub(super) fn local(&self, p: &LatticePos, a: usize) -> f32 {
         (p[a] - self.lo[a]) as f32 * self.scale

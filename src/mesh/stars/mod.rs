@@ -43,7 +43,6 @@
 //! lattice, the chunk is left to insertion altogether. The outcome is the same.
 
 mod around;
-pub(crate) mod asked;
 mod grid;
 mod machine;
 mod wide;
@@ -206,23 +205,11 @@ impl Stars {
             return None;
         }
         self.first.resize(positions.len(), NEW);
-        self.forget();
-        Some(spacing)
-    }
-
-    /// Forgets the tetrahedra that were found.
-    fn forget(&mut self) {
         self.first.fill(NEW);
         self.waiting.clear();
         self.free.clear();
         self.slow.stars = 0;
-    }
-
-    /// Bytes of memory.
-    fn bytes(&self) -> usize {
-        self.grid.bytes()
-            + 4 * (self.first.capacity() + self.free.capacity())
-            + self.waiting.capacity() * size_of::<Waiting>()
+        Some(spacing)
     }
 }
 

@@ -1,10 +1,8 @@
 //! Star by star, a chunk's mesh is what insertion makes of it.
 
-use super::asked::PointStars;
 use super::*;
 use crate::geom::{Lattice, Site};
 use crate::mesh::chunk::{Border, ChunkOutcome, Manner, mesh_widening};
-use crate::mesh::tet::canonical as turned;
 use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
 use proptest::prelude::*;
 
@@ -170,80 +168,6 @@ fn memory_is_used_again() {
         mesher.reuse(mesh.tets);
     }
     assert!(meshes[0].tets.len() > 5 * all.len() && meshes.iter().all(|mesh| *mesh == meshes[0]));
-}
-
-/// The tetrahedra whose smallest vertex is a point, as a chunk has them.
-fn sorted(mut star: Vec<Tet>) -> Vec<Tet> {
-    star.iter_mut().for_each(|t| *t = turned(*t));
-    star.sort_unstable();
-    star
-}
-
-#[test]
-fn points_that_are_asked_for_have_their_tetrahedra() {
-    for (kind, quarters) in [(SetKind::Hammersley, 12), (SetKind::Halton, 12), (SetKind::Halton, 2)] {
-        let set = set(kind, [40, 36, 44], 7000);
-        let domain = set.lattice().domain();
-        let order = Order::for_count(set.len());
-        let all = positions_in(&set, &domain);
-        let spacing = set.spacing_around(&domain)[0][0];
-        let middle: LatticePos = std::array::from_fn(|a| domain.hi[a] / 2);
-        let core = LatticeBox { lo: [0, middle[1], 0], hi: [middle[0], domain.hi[1], middle[2]] };
-        // The mesh of the chunk, among the points of a wide region.
-        let wide = boxes(domain, core, spacing, 12);
-        let mesh = both(&wide, &all, &order, false).1.unwrap();
-        let mut expected = std::collections::BTreeMap::<u32, Vec<Tet>>::new();
-        for &tet in &*mesh.tets {
-            expected.entry(turned(tet)[0]).or_default().push(tet);
-        }
-        let wide = local(&wide, &all);
-        let boxes = boxes(domain, core, spacing, quarters);
-        let local = local(&boxes, &all);
-        let count = local.iter().take_while(|p| core.contains(**p)).count();
-        let (mut stars, mut found) = (PointStars::default(), vec![]);
-        let mut ask = |points: &[u32], announced: &[u32]| {
-            let fill = |positions: &mut Vec<LatticePos>| {
-                positions.extend(&local);
-                Ok(count)
-            };
-            assert!(stars.start(boxes, order, fill).unwrap());
-            announced.iter().for_each(|&p| stars.will_ask(p));
-            let mut unproven = 0;
-            for &p in points {
-                if !stars.star(p, &mut found).unwrap() {
-                    unproven += 1;
-                    continue;
-                }
-                // By position: other points have other numbers in the wide region.
-                let at = |positions: &[LatticePos], star: &[Tet]| -> Vec<[LatticePos; 4]> {
-                    let mut at: Vec<_> =
-                        star.iter().map(|t| turned(*t).map(|v| positions[v as usize])).collect();
-                    at.iter_mut().for_each(|t: &mut [LatticePos; 4]| t[1..].sort_unstable());
-                    at.sort_unstable();
-                    at
-                };
-                let known = expected.get(&p).cloned().unwrap_or_default();
-                assert_eq!(at(&local, &found), at(&wide, &sorted(known)), "{kind:?} {p}");
-            }
-            unproven
-        };
-        let ascending: Vec<u32> = (0..count as u32).collect();
-        let descending: Vec<u32> = ascending.iter().rev().copied().step_by(7).collect();
-        let runs: Vec<u32> = ascending.iter().copied().filter(|p| p / 30 % 3 == 1).collect();
-        let half: Vec<u32> = runs.iter().copied().filter(|p| p / 90 % 2 == 1).collect();
-        for (points, announced) in [
-            (&ascending, &ascending),
-            (&ascending, &vec![]),
-            (&runs, &runs),
-            (&runs, &half),
-            (&half, &runs),
-            (&descending, &descending),
-        ] {
-            let unproven = ask(points, announced);
-            // Near the border of a narrow region, spheres leave it.
-            assert_eq!(unproven > 0, quarters == 2, "{unproven}");
-        }
-    }
 }
 
 proptest! {

@@ -9,7 +9,7 @@ use crate::grid::ChunkId;
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Blocks, Cut, DecodedChunk, Frontier, IndexToWorld, Roi, RoiSpace, StepView, Visit, bytes_per_vertex,
+    Blocks, Cut, DecodedChunk, Frontier, IndexToWorld, Roi, RoiSpace, StepView, Visit,
 };
 use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::tets::{ChunkTets, TetBuilder};
@@ -154,9 +154,7 @@ fn export_fields(
     if let Some(cut) = &cut {
         visit.confine(|region| cut.may_touch_box(region))?;
     }
-    // The chunk is read once more for each, one after another.
-    let bytes = others.iter().map(bytes_per_vertex).max().map_or(0, |most| most + 4 * others.len() as u64);
-    let extra = visit.most_vertices() * bytes;
+    let extra = visit.most_vertices() * 4 * others.len() as u64;
     visit.check_memory(extra)?;
     let scratch = settings.resources.scratch.clone().unwrap_or_else(|| folder_of(out).to_path_buf());
     let mut join = Join::new(&visit, others, settings, rest / 8, &scratch);
@@ -230,7 +228,7 @@ impl Wanted<'_> {
             void += u64::from(!has_all);
             has_all && in_range(tet.map(|v| values[v as usize]), range, self.corners)
         });
-        let others = self.others.iter().map(|view| view.values_at_corners(id, &chunk.tets));
+        let others = self.others.iter().map(|view| view.values_of_tets(id, positions.len(), &chunk.tets));
         let others = others.collect::<Result<Vec<_>>>()?;
         if self.range.is_none() {
             chunk.tets.retain(|tet| {

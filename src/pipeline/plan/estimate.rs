@@ -21,7 +21,7 @@
 //! does not fit is sorted in the scratch folder.
 
 use super::finding::Notice;
-use super::{MeshParts, Plan, is_made_again};
+use super::{MeshParts, Plan};
 use crate::archive::manifest::{BLOCK_TETS, Plan as MeshPlan};
 use crate::error::{Error, Result};
 use crate::fit::window_edge;
@@ -69,8 +69,6 @@ const INDEX_ENTRY: u64 = 25;
 const INDEX_ENTRY_ON_DISK: u64 = 48;
 /// Bytes of an archive for a point: 6.7 tetrahedra at 5 bits, a value, its share of tables.
 const ARCHIVE_PER_POINT: u64 = 10;
-/// Where it is made again: the same, and ids of points of other chunks.
-const MADE_AGAIN_PER_POINT: u64 = 6;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
 const VALUES_PER_POINT: u64 = 4;
 /// The time of a further step, as a part of the first, and that of a further pass: the mesh is
@@ -284,10 +282,7 @@ impl Need {
                 Halo::Stars => window_edge(parts.chunks.bricks().voxels()).iter().product(),
             },
             entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
-            archive_per_point: match is_made_again(&parts.points) {
-                true => MADE_AGAIN_PER_POINT,
-                false => ARCHIVE_PER_POINT,
-            },
+            archive_per_point: ARCHIVE_PER_POINT,
             points_per_second: POINTS_PER_SECOND,
         }
     }
@@ -586,6 +581,7 @@ const OPEN_EDGE: u64 = 170;
 /// size.
 const ACTIVE_TET: u64 = 120;
 pub(in crate::pipeline) const SURFACE_PER_VERTEX: u64 = 8;
+pub(in crate::pipeline) const VALUE_PER_VERTEX: u64 = 4;
 const DECODED_CHUNK: u64 = 1 << 20;
 /// Bytes of an active block while it is known.
 const ACTIVE_BLOCK: u64 = 64;

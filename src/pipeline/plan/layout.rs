@@ -135,16 +135,12 @@ impl Layout {
         manifest::coordinates_path(&self.root, self.step)
     }
 
-    pub(in crate::pipeline) fn unpacked(&self) -> PathBuf {
-        manifest::unpacked_path(&self.root, self.step)
-    }
-
     pub(in crate::pipeline) fn spectrum(&self) -> PathBuf {
         manifest::spectrum_path(&self.root, self.step)
     }
 }
 
-/// Bytes of all files below a folder, except unpacked blocks, which are no part of an archive.
+/// Bytes of all files below a folder.
 pub(in crate::pipeline) fn folder_bytes(folder: &Path) -> Result<u64> {
     let mut bytes = 0;
     for entry in fs::read_dir(folder).map_err(|e| Error::io("list", folder, e))? {
@@ -152,7 +148,6 @@ pub(in crate::pipeline) fn folder_bytes(folder: &Path) -> Result<u64> {
         let meta = entry.metadata().map_err(|e| Error::io("look at", entry.path(), e))?;
         bytes += match meta.is_dir() {
             true => folder_bytes(&entry.path())?,
-            false if manifest::unpacked_step(&entry.file_name().to_string_lossy()).is_some() => 0,
             false => meta.len(),
         };
     }

@@ -362,23 +362,6 @@ pub(crate) fn check_brick(points: &PointSet, brick: &LatticeBox) -> Result<()> {
     Ok(())
 }
 
-/// How many spacings a domain is at least thick whose mesh is made again where it is read. In a
-/// thinner one most stars need insertion, which takes long.
-const THICK: u64 = 6;
-
-/// Whether the mesh of a set of points is not stored, but made again where it is read: stars of
-/// even sets take little time.
-pub(in crate::pipeline) fn is_made_again(points: &PointSet) -> bool {
-    let spacing = u64::from(points.mean_spacing()[0]);
-    points.is_even() && points.lattice().max().iter().all(|&end| u64::from(end) >= THICK * spacing)
-}
-
-/// Lattice steps of a unit in which reaches of such a mesh's blocks are stored: an eighth of the
-/// mean spacing.
-pub(in crate::pipeline) fn reach_unit(points: &PointSet) -> u32 {
-    points.mean_spacing()[0].div_ceil(8)
-}
-
 /// The grids and the point set that a plan of a mesh describes.
 pub(crate) struct MeshParts {
     pub(crate) points: PointSet,

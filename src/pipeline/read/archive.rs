@@ -153,7 +153,7 @@ impl OpenArchive {
         }
     }
 
-    /// Bytes of all files of the archive except unpacked blocks. Where files cannot be listed,
+    /// Bytes of all files of the archive. Where files cannot be listed,
     /// these are the files that the manifest names.
     pub(in crate::pipeline) fn file_bytes(&self) -> Result<u64> {
         if let Some(&bytes) = self.bytes.get() {

@@ -1,7 +1,7 @@
 //! One block of a chunk: its corners, numbered from 0, and its tetrahedra.
 //!
 //! All data of an extraction lie together: some ten kilobytes. The blocks of a series are numbered
-//! once for all steps ([`crate::surface::numbered`]).
+//! once for all steps (`surface/extract/numbered`).
 
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
@@ -20,12 +20,6 @@ pub(in crate::pipeline) struct BlockCorners {
 }
 
 impl BlockCorners {
-    /// Replaces the values by those that `values` has at the corners' numbers.
-    pub(in crate::pipeline) fn take_values(&mut self, values: &[f32]) {
-        self.values.clear();
-        self.values.extend(self.numbers.iter().map(|&n| values[n as usize]));
-    }
-
     /// Tetrahedra between these corners.
     pub(in crate::pipeline) fn cells<'a>(&'a self, tets: &'a [Tet]) -> CellSource<'a> {
         CellSource {

@@ -1,7 +1,8 @@
 //! Whole blocks of a chunk, decoded at once: for questions that look at all of it.
 
 use super::chunk_reader::ChunkReader;
-use super::reader_memory::ReaderMemory;
+use super::corner_values::CornerValues;
+use super::reader_memory::{ReaderMemory, ValuesMemory};
 use super::step_view::StepView;
 use crate::error::Result;
 use crate::geom::{LatticePos, PointId};
@@ -30,24 +31,29 @@ impl StepView {
     /// [`ChunkReader`].
     pub(in crate::pipeline) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
-        reader.expect_all(blocks.iter().copied())?;
+        reader.expect(blocks.iter().copied());
         let (mut tets, mut block_ends) = (vec![], vec![]);
         for &block in blocks {
             reader.tets(block, &mut tets)?;
             block_ends.push(tets.len());
         }
-        reader.load_values(&tets)?;
         reader.load_all_flags()?;
+        let values = self.values_of_tets(id, reader.vertices(), &tets)?;
         let core = reader.core();
-        let (positions, ids, values, shared) = reader.into_corners();
+        let (positions, ids, shared) = reader.into_corners();
         Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })
     }
 
-    /// The values at the corners of some tetrahedra of a chunk, by chunk-local vertex number; the
-    /// others are anything. For tetrahedra that another view of the archive has decoded.
-    pub(in crate::pipeline) fn values_at_corners(&self, id: ChunkId, tets: &[Tet]) -> Result<Vec<f32>> {
-        let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
-        reader.load_values(tets)?;
-        Ok(reader.into_corners().2)
+    /// The values at the corners of some tetrahedra of a chunk of so many vertices, by chunk-local
+    /// vertex number; the others are anything.
+    pub(in crate::pipeline) fn values_of_tets(
+        &self,
+        id: ChunkId,
+        vertices: usize,
+        tets: &[Tet],
+    ) -> Result<Vec<f32>> {
+        let mut values = CornerValues::new(self, id, vertices, ValuesMemory::default())?;
+        values.load_of(tets)?;
+        Ok(values.into_values())
     }
 }

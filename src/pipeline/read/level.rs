@@ -151,7 +151,5 @@ const MOST_SEGMENTS: u64 = 64;
 
 /// Bytes of some blocks of a chunk.
 fn lengths(file: &ChunkSegment, id: ChunkId, blocks: Range<u64>) -> Result<Vec<u64>> {
-    let mut places = vec![];
-    file.segment().places(blocks.map(|n| file.block_number(id, n)), &mut places)?;
-    Ok(places.iter().map(|place| place.len.into()).collect())
+    blocks.map(|n| file.segment().block_len(file.block_number(id, n))).collect()
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  archive ─▶ step_view ─▶ chunk_reader ─▶ block ─▶ block_cache    one chunk, some of its blocks
-//!                 │            └─▶ steps: values of a step, or between two
+//!                 │            └─▶ corners, corner_values: of a step, or between two
 //!                 └─▶ visit: all chunks that meet a region, side by side, within memory
 //! ```
 //!
@@ -13,8 +13,10 @@ mod block;
 mod block_cache;
 mod choice;
 mod chunk_mesh;
-pub(super) mod chunk_reader;
+mod chunk_reader;
 mod coordinates;
+mod corner_values;
+mod corners;
 mod damaged;
 mod decoded;
 mod frontier;
@@ -27,26 +29,25 @@ mod reader_memory;
 mod region;
 mod segments;
 pub(super) mod spectrum;
-mod star_blocks;
-mod star_memory;
 mod step_view;
 mod steps;
 mod stored_values;
 mod summary;
 mod visit;
+mod wanted;
 
 pub(super) use archive::OpenArchive;
 pub use archive::is_archive;
 pub(super) use block::{Block, BlockCorners, NumberedShape};
-pub(super) use block_cache::{CacheHit, CachedBlock, unpack_precomputed};
-pub(super) use choice::{Moment, is_of_fields};
+pub(super) use choice::is_of_fields;
 pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::{MeshedChunk, used_corners};
-pub(super) use chunk_reader::{ChunkReader, Needed, Wanted, bytes_per_vertex};
+pub(super) use chunk_reader::{ChunkReader, READER_PER_VERTEX};
 pub(super) use coordinates::{
     IndexToWorld, WorldBox, bounds, coordinate_hash, expect_in_f32, in_memory, in_world, index_places,
     origin_of_volume, world_box, world_map, world_of, write_coordinates,
 };
+pub(super) use corner_values::CornerValues;
 pub(super) use decoded::DecodedChunk;
 pub(super) use frontier::Frontier;
 pub use level::LevelChoice;
@@ -56,14 +57,15 @@ pub(super) use pyramid::{
     Brick, box3, bricks_of, cells_in, chunk_place, has_coarse_mask, index_box, pyramid_of, range_of_cells,
     scale_of,
 };
-pub(super) use reader_memory::ReaderMemory;
+pub(super) use reader_memory::{ReaderMemory, ValuesMemory};
 pub(super) use region::Cut;
 pub use region::{Roi, RoiSpace};
 pub(super) use segments::{Depth, SegmentState, inspect};
 pub(super) use spectrum::{Bench, Meter, limits};
 pub use spectrum::{Knot, SpectrumReport, StepSpectrum, Suggestion};
 pub(super) use step_view::{OpenSegment, StepView};
-pub(super) use steps::{Ranges, ValuesOverTime};
+pub(super) use steps::Ranges;
 pub(super) use summary::summarize;
 pub use summary::{ArchiveSummary, LevelSummary, PyramidLevel, StepSummary};
 pub(super) use visit::{Blocks, Visit, full_region};
+pub(super) use wanted::{Needed, Wanted};

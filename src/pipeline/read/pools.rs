@@ -3,7 +3,7 @@
 //! too.
 
 use super::block::Block;
-use super::reader_memory::ReaderMemory;
+use super::reader_memory::{ReaderMemory, ValuesMemory};
 use crate::error::Result;
 use crate::exec::{Threads, available_threads};
 use crate::mesh::tet::Tet;
@@ -26,6 +26,8 @@ const MOST_OF_NODES: usize = 64 << 20;
 #[derive(Default)]
 pub(in crate::pipeline) struct Buffers {
     pub(in crate::pipeline) reader: ReaderMemory,
+    /// Of each step that is asked.
+    pub(in crate::pipeline) values: Vec<ValuesMemory>,
     pub(in crate::pipeline) block: Block,
     pub(in crate::pipeline) sides: Sides,
     pub(in crate::pipeline) active: Vec<Tet>,
@@ -133,7 +135,8 @@ impl BufferPool {
     pub(in crate::pipeline) fn trim(&self, most: usize) {
         self.surfaces.trim(most / 2, ChunkSurface::bytes);
         // An archive has the one or the other.
-        self.buffers.trim(most / 2, |b| b.reader.bytes());
+        self.buffers
+            .trim(most / 2, |b| b.reader.bytes() + b.values.iter().map(ValuesMemory::bytes).sum::<usize>());
         self.nodes.trim(most / 2, bytes_of);
     }
 }

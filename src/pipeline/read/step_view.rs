@@ -14,7 +14,6 @@ use super::pools::BufferPool;
 use super::pyramid::PyramidStep;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{BaseStep, Step, StepPlan};
-use crate::archive::mesh::Unpacked;
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
@@ -65,8 +64,6 @@ pub(in crate::pipeline) struct StepView {
     base: OnceLock<Option<Box<StepView>>>,
     /// Whether this is the base of another step, and answers no question itself.
     pub(super) is_base: bool,
-    /// The unpacked blocks of the step, once they were searched for.
-    pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
 }
 
 impl Deref for StepView {
@@ -105,7 +102,6 @@ impl StepView {
             next: OnceLock::new(),
             base: OnceLock::new(),
             is_base: false,
-            unpacked: OnceLock::new(),
         }
     }
 
@@ -299,9 +295,7 @@ impl StepView {
 
     /// Bytes read so far for this view, and of the mesh also for others.
     pub(in crate::pipeline) fn bytes_read(&self) -> u64 {
-        let unpacked = self.unpacked.get().and_then(Option::as_ref);
-        let unpacked = unpacked.map_or(0, |file| file.segment().bytes_read());
-        self.mesh_bytes_read() + self.value_bytes_read() + unpacked
+        self.mesh_bytes_read() + self.value_bytes_read()
     }
 
     /// Bytes read so far of values for this view.
@@ -310,9 +304,8 @@ impl StepView {
         self.read_before.load(Ordering::Relaxed) + bytes_read(open.values())
     }
 
-    /// Bytes of all files of the archive, with the unpacked blocks that are used.
+    /// Bytes of all files of the archive.
     pub(in crate::pipeline) fn bytes(&self) -> Result<u64> {
-        let unpacked = self.unpacked.get().and_then(Option::as_ref);
-        Ok(self.file_bytes()? + unpacked.map_or(0, |file| file.segment().info().bytes))
+        self.file_bytes()
     }
 }

@@ -96,7 +96,7 @@ impl StepView {
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut ends) = (vec![], vec![]);
         let blocks = self.mesh_sizes(id)?.tet_blocks;
-        reader.expect_all(0..blocks)?;
+        reader.expect(0..blocks);
         for block in 0..blocks {
             reader.tets(block, &mut tets)?;
             ends.push(tets.len());
@@ -154,64 +154,6 @@ impl StepView {
             found.extend(index_entries(id.0, &ranges).filter(&wanted));
         }
         Ok(found)
-    }
-}
-
-/// The values of a chunk's vertices at one step after another, a block at a time, when it is asked
-/// for.
-///
-/// A block of differences is decoded from its values at the last step at which it was asked for, if
-/// there is no keyframe since.
-pub(in crate::pipeline) struct ValuesOverTime<'a> {
-    archive: &'a StepView,
-    chunk: ChunkId,
-    blocks: ValueBlocks,
-    values: Vec<f32>,
-    /// The step at which each block is.
-    at: Vec<Option<usize>>,
-    /// Bytes that were read of each for that step, and not yet taken.
-    bytes: Vec<u64>,
-    decoded: Vec<f32>,
-}
-
-impl<'a> ValuesOverTime<'a> {
-    pub(in crate::pipeline) fn new(archive: &'a StepView, chunk: ChunkId, vertices: usize) -> Self {
-        let blocks = ValueBlocks::new(vertices);
-        let (at, bytes) = (vec![None; blocks.count()], vec![0; blocks.count()]);
-        Self { archive, chunk, blocks, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
-    }
-
-    /// Reads a block of values at the step at a position in the manifest, unless it is there.
-    #[inline]
-    pub(in crate::pipeline) fn load(&mut self, block: usize, step: usize) -> Result<()> {
-        if self.at[block] == Some(step) { Ok(()) } else { self.read(block, step) }
-    }
-
-    #[cold]
-    fn read(&mut self, block: usize, step: usize) -> Result<()> {
-        let values = &mut self.values[self.blocks.range(block)];
-        self.decoded.clear();
-        let known = self.at[block].map(|step| KnownValues { step, values });
-        self.bytes[block] = self.archive.stored_block(
-            step,
-            self.chunk,
-            BlockAt { block, blocks: &self.blocks },
-            known,
-            &mut self.decoded,
-        )?;
-        values.copy_from_slice(&self.decoded);
-        self.at[block] = Some(step);
-        Ok(())
-    }
-
-    /// Bytes that were read of a block for the step at which it is: once.
-    pub(in crate::pipeline) fn take_bytes(&mut self, block: usize) -> u64 {
-        std::mem::take(&mut self.bytes[block])
-    }
-
-    /// The values, of each block at the step at which it was read last.
-    pub(in crate::pipeline) fn values(&self) -> &[f32] {
-        &self.values
     }
 }
 

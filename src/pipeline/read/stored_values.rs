@@ -6,6 +6,7 @@ use crate::archive::chunked::{BlockRange, ChunkSegment, decode_value_ranges};
 use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
 use crate::error::Result;
 use crate::grid::ChunkId;
+use std::sync::Arc;
 
 /// Blocks of a chunk behind those of its values: their ranges, and its summary.
 const BLOCKS_BEHIND_VALUES: u64 = 2;
@@ -36,22 +37,21 @@ impl StepView {
         known: Option<KnownValues<'_>>,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
-        let segment = self.values_of(step, id)?;
-        let (mut bytes, mut found, mut read) = (vec![], vec![], 0);
+        self.value_block(step, id, at)?.decode(known, out)
+    }
+
+    /// The bytes of a block of values at the step at a position in the manifest.
+    pub(super) fn value_block<'a>(
+        &'a self,
+        step: usize,
+        id: ChunkId,
+        at: BlockAt<'a>,
+    ) -> Result<StoredBlock<'a>> {
+        let (segment, mut bytes) = (self.values_of(step, id)?, vec![]);
         expect_values(&segment, id, at.blocks)?;
         segment.block(id, at.block as u64, &mut bytes)?;
         let base = self.manifest.base_of(step).filter(|_| needs_before(&bytes));
-        let before = match (base, known) {
-            (Some(base), Some(known)) if known.step == base => known.values,
-            (Some(base), _) => {
-                read = self.stored_block(base, id, at, known, &mut found)?;
-                &found
-            }
-            (None, _) => &[],
-        };
-        let known = KnownOfBlock { n: at.blocks.range(at.block).len(), before };
-        decode_values(&bytes, &known, out).map_err(|m| segment.blame(id, at.block as u64, m))?;
-        Ok(read + bytes.len() as u64)
+        Ok(StoredBlock { archive: self, segment, id, at, bytes, base })
     }
 
     /// The ranges of the value blocks of a chunk that are stored, rounded outwards, with a number
@@ -67,6 +67,36 @@ impl StepView {
         let segment = self.values_of(self.position(), id)?;
         let decode = |bytes: &[u8]| decode_value_ranges(bytes, blocks.count());
         segment.block_from_end(id, BLOCKS_BEHIND_VALUES - 1, decode).map(Some)
+    }
+}
+
+/// A block of values that was read, and not decoded yet.
+pub(super) struct StoredBlock<'a> {
+    archive: &'a StepView,
+    segment: Arc<ChunkSegment>,
+    id: ChunkId,
+    at: BlockAt<'a>,
+    bytes: Vec<u8>,
+    /// Position of the step to which it holds differences.
+    pub(super) base: Option<usize>,
+}
+
+impl StoredBlock<'_> {
+    /// Appends its values, and returns the bytes that were read for them.
+    pub(super) fn decode(&self, known: Option<KnownValues<'_>>, out: &mut Vec<f32>) -> Result<u64> {
+        let Self { archive, segment, id, at, bytes, base } = self;
+        let (mut found, mut read) = (vec![], 0);
+        let before = match (base, known) {
+            (Some(base), Some(known)) if known.step == *base => known.values,
+            (Some(base), _) => {
+                read = archive.stored_block(*base, *id, *at, known, &mut found)?;
+                &found
+            }
+            (None, _) => &[],
+        };
+        let known = KnownOfBlock { n: at.blocks.range(at.block).len(), before };
+        decode_values(bytes, &known, out).map_err(|m| segment.blame(*id, at.block as u64, m))?;
+        Ok(read + bytes.len() as u64)
     }
 }
 

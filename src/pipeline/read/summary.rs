@@ -140,7 +140,7 @@ pub struct ArchiveSummary {
     pub suggestions: Vec<Suggestion>,
     /// How far the reduced field is from the samples of its source, where that was measured.
     pub error: Option<FieldError>,
-    /// Bytes of all files, except unpacked blocks.
+    /// Bytes of all files.
     pub bytes: u64,
     /// Bytes of the samples of all steps as the source has them, not compressed; none of a mesh.
     pub sample_bytes: Option<u64>,
@@ -215,9 +215,6 @@ pub struct StepSummary {
     pub value_bytes: u64,
     /// Bytes of its index and spectrum; of a pyramid also of its ranges and corrections.
     pub index_bytes: u64,
-    /// Bytes of the file of its unpacked blocks, where there is one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub unpacked_bytes: Option<u64>,
 }
 
 impl StepSummary {
@@ -241,7 +238,6 @@ impl StepSummary {
             index_bytes: bytes_of(&step.ranges)
                 + step.index.map_or(0, |s| s.bytes)
                 + step.spectrum.map_or(0, |s| s.bytes),
-            unpacked_bytes: None,
         }
     }
 }
@@ -255,7 +251,8 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;
     let spectrum = report_of(archive, FEW_NODES)?;
-    let steps = archive.summarized_steps()?;
+    let steps = archive.manifest.steps.len();
+    let steps = (0..steps).map(|n| StepSummary::of(&archive.manifest, n)).collect();
     Ok(ArchiveSummary {
         format: FORMAT_VERSION,
         source: source.path.clone(),

@@ -26,7 +26,7 @@ use crate::pipeline::chunk::{
     ChunkMesher, ChunkTets, Field, Meshing, Placement, Recipe, SampleErrors, Samples, StepLanes, fitted,
     interpolated, step_lanes,
 };
-use crate::pipeline::plan::{Halo, Shares, is_made_again, reach_unit};
+use crate::pipeline::plan::{Halo, Shares};
 use crate::pipeline::read::{MeshedChunk, Meter, StepView, spectrum};
 use crate::pipeline::stage::StageTimes;
 use crate::spectrum::Digits;
@@ -400,17 +400,9 @@ impl ChunkMaker<'_> {
             core_counts: std::mem::take(&mut mesh.core_counts),
             halo: std::mem::take(&mut mesh.halo),
             shared: std::mem::take(&mut mesh.shared),
-            // Without those that were left out, it is another mesh.
-            from_points: is_made_again(self.recipe.points) && outside6 == 0,
         };
         let positions = &mesh.all_positions[..mesh.all_positions.len() - mesh.around];
-        let encoded = encoder.encode(
-            &vertices,
-            positions,
-            &mut mesh.tets,
-            self.block_tets,
-            reach_unit(self.recipe.points),
-        );
+        let encoded = encoder.encode(&vertices, positions, &mut mesh.tets, self.block_tets);
         ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared, .. } = vertices;
         let (ends, sizes) =
             (encoded.block_ends(), MeshSizes { tet_blocks: encoded.tet_blocks() as u32, ..sizes });

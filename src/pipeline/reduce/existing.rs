@@ -18,8 +18,7 @@ use super::plan_file::{new_archive, old_archive, work_folder};
 use crate::archive::lock::WriterLock;
 use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, Step, coarse_path, coordinates_path, index_path, is_coordinates, mesh_folder,
-    mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step,
-    values_segment_path,
+    mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, values_segment_path,
 };
 use crate::archive::segment::{PlanHash, SegmentInfo, segment_plan};
 use crate::bytes::publish::{self, TEMPORARY_MARK};
@@ -52,8 +51,7 @@ pub(super) fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, Seg
     mesh.chain(manifest.all_steps().flat_map(of_step)).collect()
 }
 
-/// The files of an archive in a folder, by their names in it, the manifest last; unpacked blocks,
-/// which are copies, are none.
+/// The files of an archive in a folder, by their names in it, the manifest last.
 ///
 /// # Errors
 /// [`Error::BadInput`] when there is no archive, or its manifest is damaged.
@@ -117,7 +115,7 @@ impl NewFolders {
 }
 
 /// Files of an archive that its manifest does not name, in order of their names. Temporary files,
-/// which may belong to a running process, and unpacked blocks of its steps are left out.
+/// which may belong to a running process, are left out.
 ///
 /// # Errors
 /// When a folder cannot be listed.
@@ -126,7 +124,6 @@ pub(in crate::pipeline) fn strays(archive: &Path, manifest: &Manifest) -> Result
         .into_iter()
         .map(|(path, _)| path)
         .chain(Attachments::files(archive, &manifest.plan))
-        .chain(manifest.steps.iter().map(|step| unpacked_path(archive, step.plan.number)))
         .collect();
     let mut strays = vec![];
     for folder in [mesh_folder(archive), steps_folder(archive)] {
@@ -167,9 +164,8 @@ fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> 
     let steps: HashSet<PlanHash> = (0..plan.steps.len()).map(|n| plan.step_hash(n)).collect();
     let is_other = |path: &PathBuf, own: &dyn Fn(PlanHash) -> bool| {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        // Both are copies, made anew in little time.
-        let is_copy = unpacked_step(&name).is_some() || is_coordinates(&name);
-        !is_copy && segment_plan(path).is_some_and(|plan| !own(plan))
+        // A copy of coordinates is made anew in little time.
+        !is_coordinates(&name) && segment_plan(path).is_some_and(|plan| !own(plan))
     };
     let files = |folder: PathBuf| {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();

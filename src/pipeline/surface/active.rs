@@ -1,8 +1,8 @@
 //! Which blocks can hold an answer: those that the index names, and that touch the cut.
 
 use super::cubes::{by_part, of_level};
+use super::question::{Cells, ChunkWork, by_chunk};
 use super::settings::SurfaceSettings;
-use super::worker::{Cells, ChunkWork, by_chunk};
 use crate::error::Result;
 use crate::geom::LatticeBox;
 use crate::grid::ChunkId;

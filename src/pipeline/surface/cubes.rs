@@ -3,7 +3,8 @@
 //! The work is cut into parts of chunks, so that a volume of one chunk has work for some threads.
 //! Of each part the least box that holds its active bricks is decoded, with a node on each side.
 
-use super::worker::{Cells, ChunkSurfaces, ChunkWork, Question};
+use super::question::{Cells, ChunkWork, Question};
+use super::worker::ChunkSurfaces;
 use crate::error::Result;
 use crate::geom::{LatticeBox, PointId};
 use crate::grid::{ChunkId, IndexBox};

@@ -6,8 +6,8 @@
 
 use super::active::{cut_of, work_of};
 use super::cubes::{march, part_bytes};
+use super::question::ChunkWork;
 use super::settings::SurfaceSettings;
-use super::worker::ChunkWork;
 use crate::error::{Error, Result};
 use crate::exec::pool;
 use crate::pipeline::read::{Cut, LevelChoice, StepView, world_map};

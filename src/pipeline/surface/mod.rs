@@ -4,23 +4,22 @@
 //!  query: settings ─▶ index ─▶ active blocks ─▶ extract: chunk by chunk ─▶ weld ─▶ refine ─▶ file
 //! ```
 //!
-//! [`extract_steps`] answers for many steps at once, [`unpack`] stores blocks as extraction uses
-//! them.
+//! [`pass`] answers for several steps together.
 
 mod active;
 mod colours;
 mod cubes;
 mod extract;
-mod extract_steps;
 mod level;
 mod parts;
+mod pass;
 mod plateau;
 mod query;
+mod question;
 mod refine;
 mod series;
 mod settings;
-mod unpack;
-mod unpacked;
+mod weld;
 mod worker;
 
 pub(super) use colours::values_on;
@@ -33,7 +32,3 @@ pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};
 pub(super) use series::{series_files, surfaces_of_steps, write_series};
 pub use settings::{ColourBy, CountReport, OneSurface, SurfaceReport, SurfaceSettings};
-pub(super) use unpack::check_unpacked;
-pub use unpack::{
-    UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,
-};

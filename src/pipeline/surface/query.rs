@@ -4,21 +4,22 @@
 use super::active::{ActiveWork, cut_of, work_of};
 use super::colours::colours;
 use super::cubes::crossed_cells;
-use super::extract::{Extracted, SurfaceStorage, extract_surfaces};
+use super::extract::Extraction;
 use super::level::level_of;
 use super::parts::{Parts, SurfacePart};
+use super::question::{ChunkWork, Question};
 use super::refine::{Means, RefineReport};
 use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
 };
-use super::worker::{ChunkWork, Question};
+use super::weld::{Extracted, SurfaceStorage};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Clock, Progress, Resources, Silent, pool};
 use crate::formats::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, LevelChoice, Needed, ReaderMemory, StepView, Wanted, expect_in_f32, in_memory,
-    in_world, world_map,
+    Block, ChunkReader, CornerValues, Cut, LevelChoice, Needed, ReaderMemory, StepView, ValuesMemory, Wanted,
+    expect_in_f32, in_memory, in_world, world_map,
 };
 use crate::pipeline::stage::Stage;
 use crate::surface::check::zero_area_triangles;
@@ -28,7 +29,6 @@ use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use std::path::Path;
-use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 /// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored
@@ -89,10 +89,12 @@ fn decoded_count(
 
 fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result<u64> {
     let mut reader = ChunkReader::open(archive, work.chunk, ReaderMemory::default())?;
-    reader.expect_all(work.blocks.iter().map(|b| b.block))?;
+    reader.expect(work.blocks.iter().map(|b| b.block));
+    let mut values = CornerValues::new(archive, work.chunk, reader.vertices(), ValuesMemory::default())?;
     let (mut block, mut sides, mut active, mut count) = (Block::default(), Sides::default(), vec![], 0);
     for entry in &work.blocks {
-        reader.block(entry.block, &Wanted::All, &Needed::ForActive(&[isovalue]), &mut block)?;
+        reader.block(entry.block, &Wanted::All, &mut block)?;
+        values.take(&Needed::ForActive(&[isovalue]), &mut block)?;
         active.clear();
         sides.select(&block.tets, &block.corners.values, isovalue, &mut active);
         count += active.len() as u64;
@@ -254,6 +256,9 @@ pub(super) struct Prepared<'a> {
     /// Where surfaces are cut in the world, after they are placed.
     half_spaces: Option<Vec<HalfSpace>>,
     world: WorldMap,
+    /// Bytes that the view had read before, and those of values.
+    read_before: u64,
+    values_before: u64,
     /// Bytes of the index that were read, and the time that it took.
     index_bytes: u64,
     opened: Duration,
@@ -269,7 +274,8 @@ pub(super) struct Effort {
 
 impl<'a> Prepared<'a> {
     pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
-        let start = Clock::start();
+        let (start, read_before) = (Clock::start(), archive.bytes_read());
+        let values_before = archive.value_bytes_read();
         expect_in_f32(archive)?;
         let level = level_of(archive, settings)?;
         let (cut, half_spaces) = cut_of(archive, settings)?;
@@ -287,6 +293,8 @@ impl<'a> Prepared<'a> {
             cut,
             half_spaces,
             world: world_map(archive),
+            read_before,
+            values_before,
             index_bytes,
             opened: start.elapsed(),
         })
@@ -301,7 +309,6 @@ impl<'a> Prepared<'a> {
             level: self.level,
             caps: settings.cap.then(|| self.view.manifest.plan.lattice.max()),
             work: &self.work,
-            active_bytes: AtomicU64::new(0),
         }
     }
 
@@ -342,6 +349,7 @@ impl<'a> Prepared<'a> {
     }
 }
 
+/// Answers a question about one step.
 pub(super) fn make(
     archive: &StepView,
     settings: &SurfaceSettings,
@@ -350,17 +358,35 @@ pub(super) fn make(
     progress: &dyn Progress,
 ) -> Result<FinishedSurfaces> {
     settings.check()?;
-    let read_before = archive.bytes_read();
-    let prepared = Prepared::new(archive, settings)?;
-    let (start, scratch) = (Clock::start(), storage.scratch.clone());
-    let question = prepared.question(settings);
-    let surfaces = extract_surfaces(&question, settings, storage, parts, progress)?;
-    let effort = Effort {
-        bytes_read: archive.bytes_read() - read_before,
-        active_bytes: question.active_bytes.into_inner(),
+    let prepared = [Prepared::new(archive, settings)?];
+    let mut made = extract(&prepared, settings, vec![storage], parts, progress)?;
+    Ok(made.swap_remove(0))
+}
+
+/// Answers prepared questions about steps of one archive together. What was read for all of them is
+/// reported with the first.
+pub(super) fn extract(
+    steps: &[Prepared<'_>],
+    settings: &SurfaceSettings,
+    storages: Vec<SurfaceStorage>,
+    parts: Option<&mut Parts<'_>>,
+    progress: &dyn Progress,
+) -> Result<Vec<FinishedSurfaces>> {
+    let (start, scratch) = (Clock::start(), storages[0].scratch.clone());
+    let questions: Vec<Question<'_>> = steps.iter().map(|step| step.question(settings)).collect();
+    let extraction = Extraction::new(&questions);
+    let surfaces = extraction.surfaces(settings, storages, parts, progress)?;
+    // The first view reads blocks for all; others may have read summaries.
+    let of_others = steps[1..].iter().map(|step| step.view.value_bytes_read() - step.values_before);
+    let mut effort = Effort {
+        bytes_read: steps[0].view.bytes_read() - steps[0].read_before + of_others.sum::<u64>(),
+        active_bytes: extraction.active_bytes(),
         time: start.elapsed(),
     };
-    prepared.finish(settings, surfaces, effort, &scratch)
+    let finish = |(step, surfaces): (&Prepared<'_>, _)| {
+        step.finish(settings, surfaces, std::mem::take(&mut effort), &scratch)
+    };
+    steps.iter().zip(surfaces).map(finish).collect()
 }
 
 /// Refuses caps of a mesh that does not fill its box: they close a surface at the faces of the box

@@ -3,13 +3,13 @@
 //! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; for other formats the list
 //! is ParaView's JSON, `out.ply.series`. ParaView and [`crate::formats::steps_of`] read both.
 //! A list that is there already keeps its other files, so that a series can be made in parts.
-//! Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one
+//! Several steps are extracted in one pass ([`super::pass`]). A step whose values all lie on one
 //! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
 
-use super::extract::SurfaceStorage;
-use super::extract_steps::{MOST_STEPS, Pass};
+use super::pass::{MOST_STEPS, Pass};
 use super::query::{FinishedSurfaces, make, write_made};
 use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
+use super::weld::SurfaceStorage;
 use crate::archive::manifest::Step;
 use crate::bytes::publish::{Unpublished, folder_of};
 use crate::error::{Error, Result};

@@ -29,9 +29,6 @@ pub struct ChunkSurface {
     /// The crossed edges that further tetrahedra may have, and what is known of each.
     pub(super) edges: EdgeTable,
     pub(super) open: Vec<OpenVertex>,
-    /// The vertices of edges that have numbers in the chunk: of those that were crossed since
-    /// `start`.
-    pub(super) of_numbers: Vec<u32>,
     pub(super) vertices: Vec<Vertex>,
     pub(super) shared: Vec<SharedEdge>,
     pub(super) triangles: Vec<[u32; 3]>,
@@ -125,19 +122,9 @@ impl ChunkSurface {
         self.active_cells
     }
 
-    /// Makes room for `count` edges with numbers.
-    pub(crate) fn number_edges(&mut self, count: usize) {
-        // Each is set before it is read, and a system hands out cleared pages when they are
-        // touched.
-        if self.of_numbers.len() < count {
-            self.of_numbers = vec![0; count];
-        }
-    }
-
     /// Bytes of memory that the buffers hold.
     pub fn bytes(&self) -> usize {
-        4 * self.of_numbers.capacity()
-            + self.edges.bytes()
+        self.edges.bytes()
             + self.open.capacity() * size_of::<OpenVertex>()
             + self.vertices.capacity() * size_of::<Vertex>()
             + self.shared.capacity() * size_of::<SharedEdge>()

@@ -2,16 +2,14 @@
 //! grid.
 //!
 //! ```text
-//!  cells ─▶ numbering ─▶ patch ───────────┐      tetrahedra as they were read
-//!  numbered ──────────▶ patch ────────────┼──▶ chunk_surface ──▶ weld
-//!  precomputed ─▶ crossed edges, triangles ─┤    a block for many isovalues
-//!  marching_cubes ──────────────────────────┘    cells of a grid
+//!  cells ─▶ numbering ─▶ patch ───┐      tetrahedra as they were read
+//!  numbered ──────────▶ patch ────┼──▶ chunk_surface ──▶ weld
+//!  marching_cubes ────────────────┘    cells of a grid
 //! ```
 //!
 //! The arithmetic of four edges or tetrahedra at a time is in `fours`, the table of cases in
 //! `cases`.
 
-mod add_precomputed;
 pub mod cap;
 mod cases;
 mod cells;
@@ -24,7 +22,6 @@ mod numbered;
 mod numbering;
 mod ordered;
 mod patch;
-mod precomputed;
 mod workbench;
 
 #[cfg(test)]
@@ -35,5 +32,4 @@ pub use marching_cubes::{CubeBench, GridBlock, marching_cubes};
 pub use marching_tets::extract;
 pub(crate) use numbered::NumberedBlock;
 pub(crate) use ordered::Unpacked;
-pub(crate) use precomputed::{Flaw, Joiner, Precomputed, PrecomputedBlock};
 pub use workbench::Workbench;

@@ -1,5 +1,4 @@
-//! The corners of a block that is kept, in the order of their ids: what both kinds of such blocks
-//! have ([`super::numbered`], [`super::precomputed`]).
+//! The corners of a block that is kept ([`super::numbered`]), in the order of their ids.
 
 use super::cells::CellSource;
 use super::fours::Corner;

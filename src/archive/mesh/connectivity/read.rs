@@ -4,6 +4,7 @@ use super::bits::BitReader;
 use super::link::{Gate, Gates, Link, VERTICES};
 use super::odds::first_odds;
 use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
+use crate::archive::mesh::heads::BlockHead;
 use crate::archive::range_coder::{Decoder, Odds};
 use crate::archive::wire::{Cursor, Malformed};
 use crate::geom::LatticePos;
@@ -105,11 +106,15 @@ pub(crate) struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     /// Reads the vertices of a block, and appends them to `ids`; each is below `vertices`.
-    pub(crate) fn open(bytes: &'a [u8], vertices: u32, ids: &mut Vec<u32>) -> Result<Self, Malformed> {
+    pub(crate) fn open(
+        bytes: &'a [u8],
+        size: u8,
+        &BlockHead { first, own, tets }: &BlockHead,
+        vertices: u32,
+        ids: &mut Vec<u32>,
+    ) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
-        let (first, own) = (c.varint32("first vertex")?, c.varint32("own vertices")?);
-        let (others, tets) = (c.varint32("other vertices")?, c.varint32("tetrahedra")?);
-        let size = c.u8("size of neighbourhoods")?;
+        let others = c.varint32("other vertices")?;
         let bits = c.varint32("bytes of bits")? as usize;
         let mut bits = BitReader::new(c.take(bits, "bits")?);
         let fits = first.checked_add(own).is_some_and(|end| end <= vertices);

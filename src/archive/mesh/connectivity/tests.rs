@@ -3,6 +3,7 @@ use super::write::Truth;
 use super::write::even::Luck;
 use super::*;
 use crate::archive::mesh::chunk::tests::{corners, cubes, sorted};
+use crate::archive::mesh::heads::BlockHead;
 use crate::archive::wire::Malformed;
 use crate::geom::Lattice;
 use crate::geom::curve::{Order, hilbert_key};
@@ -11,9 +12,35 @@ use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
 
-fn decode(bytes: &[u8], positions: &[LatticePos], out: &mut Vec<Tet>) -> Result<(), Malformed> {
+/// The head of a block of tetrahedra that ascend by their first vertices.
+fn head_of(tets: &[Tet]) -> BlockHead {
+    let (first, last) = (tets[0][0], tets[tets.len() - 1][0]);
+    BlockHead { first, own: last - first + 1, tets: tets.len() as u32 }
+}
+
+/// Encodes a block whose own vertices begin with the first that has a tetrahedron.
+fn put(writer: &mut Writer, tets: &[Tet], positions: &[LatticePos], out: &mut Vec<u8>) -> bool {
+    writer.encode(tets, tets.first().map_or(0, |t| t[0]), positions, out)
+}
+
+fn open<'a>(
+    bytes: &'a [u8],
+    head: &BlockHead,
+    positions: &[LatticePos],
+    ids: &mut Vec<u32>,
+) -> Result<Reader<'a>, Malformed> {
+    let (&size, rest) = bytes.split_first().ok_or_else(|| Malformed::new("size", "a byte", "none"))?;
+    Reader::open(rest, size, head, positions.len() as u32, ids)
+}
+
+fn decode(
+    bytes: &[u8],
+    head: &BlockHead,
+    positions: &[LatticePos],
+    out: &mut Vec<Tet>,
+) -> Result<(), Malformed> {
     let (mut scratch, mut ids) = (Scratch::default(), vec![]);
-    let reader = Reader::open(bytes, positions.len() as u32, &mut ids)?;
+    let reader = open(bytes, head, positions, &mut ids)?;
     assert!(ids.is_sorted() && ids.iter().all(|&v| (v as usize) < positions.len()));
     let here: Vec<LatticePos> = ids.iter().map(|&v| positions[v as usize]).collect();
     reader.decode(&mut scratch, &ids, &here, out)
@@ -21,13 +48,13 @@ fn decode(bytes: &[u8], positions: &[LatticePos], out: &mut Vec<Tet>) -> Result<
 
 fn encode(tets: &[Tet], positions: &[LatticePos]) -> Option<Vec<u8>> {
     let mut bytes = vec![];
-    Writer::default().encode(&sorted(tets), positions, &mut bytes).then_some(bytes)
+    put(&mut Writer::default(), &sorted(tets), positions, &mut bytes).then_some(bytes)
 }
 
 fn round_trip(tets: &[Tet], positions: &[LatticePos]) -> usize {
     let bytes = encode(tets, positions).unwrap();
     let mut back = vec![[9; 4]];
-    decode(&bytes, positions, &mut back).unwrap();
+    decode(&bytes, &head_of(&sorted(tets)), positions, &mut back).unwrap();
     assert_eq!(back.remove(0), [9; 4], "appended");
     assert!(sorted(&back) == sorted(tets));
     bytes.len()
@@ -114,19 +141,19 @@ fn paths_agree(positions: &[LatticePos], tets: &[Tet]) -> usize {
     for run in runs(tets, 300) {
         let mut writer = Writer::default();
         let mut bytes = vec![];
-        let takes = writer.encode(run, positions, &mut bytes);
+        let takes = put(&mut writer, run, positions, &mut bytes);
         taken += usize::from(takes);
         for path in [Paths::All, Paths::Narrow, Paths::Plain] {
             let mut other = vec![];
             writer.stars.path = path;
-            assert_eq!(writer.encode(run, positions, &mut other), takes);
+            assert_eq!(put(&mut writer, run, positions, &mut other), takes);
             assert!(bytes == other);
             if !takes {
                 continue;
             }
             let (mut scratch, mut ids, mut back) = (Scratch::default(), vec![], vec![]);
             scratch.stars.path = path;
-            let reader = Reader::open(&bytes, positions.len() as u32, &mut ids).unwrap();
+            let reader = open(&bytes, &head_of(run), positions, &mut ids).unwrap();
             let here: Vec<LatticePos> = ids.iter().map(|&v| positions[v as usize]).collect();
             reader.decode(&mut scratch, &ids, &here, &mut back).unwrap();
             assert!(back == writer.decoded());
@@ -147,7 +174,7 @@ fn an_even_star_is_coded_as_an_odd_one_would_be() {
         let (mut bytes, mut others) = (vec![], vec![]);
         let (mut tries, mut never) = (Writer::default(), Writer::default());
         never.truth.luck = Luck::none();
-        assert!(tries.encode(run, &both, &mut bytes) == never.encode(run, &both, &mut others));
+        assert!(put(&mut tries, run, &both, &mut bytes) == put(&mut never, run, &both, &mut others));
         assert!(bytes == others && tries.decoded() == never.decoded());
     }
 }
@@ -175,9 +202,9 @@ fn what_is_almost_a_mesh_comes_back_or_is_refused() {
         }
         some.retain(|t| (1..4).all(|i| !t[..i].contains(&t[i])));
         let (some, mut bytes, mut back) = (sorted(&some), vec![], vec![]);
-        if writer.encode(&some, &positions, &mut bytes) {
+        if put(&mut writer, &some, &positions, &mut bytes) {
             taken += 1;
-            decode(&bytes, &positions, &mut back).unwrap();
+            decode(&bytes, &head_of(&some), &positions, &mut back).unwrap();
             assert!(back == writer.decoded() && sorted(&back) == some, "{n}");
         }
     }
@@ -197,7 +224,10 @@ fn the_order_within_stars_decides_no_byte() {
         }
         let mut writer = Writer::default();
         let [mut bytes, mut others] = [vec![], vec![]];
-        assert!(writer.encode(run, &positions, &mut bytes) && writer.encode(&other, &positions, &mut others));
+        assert!(
+            put(&mut writer, run, &positions, &mut bytes)
+                && put(&mut writer, &other, &positions, &mut others)
+        );
         assert!(bytes == others);
     }
 }
@@ -215,25 +245,26 @@ fn positions_that_foretell_nothing_cost_bytes_only() {
 fn what_does_not_fit_is_left_to_another_coder() {
     let mut writer = Writer::default();
     let (mut out, positions) = (vec![], anywhere(100_004));
-    assert!(!writer.encode(&[], &positions, &mut out));
-    assert!(!writer.encode(&[[0, 1, 2, 3], [100_000, 100_001, 100_002, 100_003]], &positions, &mut out));
-    assert!(!writer.encode(&[[0, 1, 2, 2]], &positions, &mut out));
+    assert!(!put(&mut writer, &[], &positions, &mut out));
+    assert!(!put(&mut writer, &[[0, 1, 2, 3], [100_000, 100_001, 100_002, 100_003]], &positions, &mut out));
+    assert!(!put(&mut writer, &[[0, 1, 2, 2]], &positions, &mut out));
     // A star of too many vertices.
     let many: Vec<Tet> = (0..1000).map(|i| [0, 3 * i + 1, 3 * i + 2, 3 * i + 3]).collect();
-    assert!(!writer.encode(&many, &positions, &mut out));
+    assert!(!put(&mut writer, &many, &positions, &mut out));
     assert!(out.is_empty());
-    assert!(writer.encode(&[[0, 1, 2, 3]], &positions, &mut out), "what came before does no harm");
-    decode(&out, &positions, &mut vec![]).unwrap();
+    assert!(put(&mut writer, &[[0, 1, 2, 3]], &positions, &mut out), "what came before does no harm");
+    decode(&out, &head_of(&[[0, 1, 2, 3]]), &positions, &mut vec![]).unwrap();
 }
 
 /// Opens and decodes with memory that is in use already.
 fn decode_again(
     scratch: &mut Scratch,
     bytes: &[u8],
+    head: &BlockHead,
     positions: &[LatticePos],
 ) -> Result<Vec<Tet>, Malformed> {
     let (mut ids, mut out) = (vec![], vec![]);
-    let reader = Reader::open(bytes, positions.len() as u32, &mut ids)?;
+    let reader = open(bytes, head, positions, &mut ids)?;
     let here: Vec<LatticePos> = ids.iter().map(|&v| positions[v as usize]).collect();
     reader.decode(scratch, &ids, &here, &mut out).map(|()| out)
 }
@@ -242,13 +273,13 @@ fn decode_again(
 fn a_damaged_block_does_the_next_one_no_harm() {
     let (positions, tets) = delaunay(600);
     let run = runs(&tets, 60).next().unwrap();
-    let good = encode(run, &positions).unwrap();
+    let (good, head) = (encode(run, &positions).unwrap(), head_of(&sorted(run)));
     let (mut scratch, mut next, mut refused) = (Scratch::default(), noise(), 0);
     for _ in 0..200 {
         let mut bad = good.clone();
         (0..3).for_each(|_| bad[next(good.len() as u32) as usize] ^= 1 << next(8));
-        refused += u32::from(decode_again(&mut scratch, &bad, &positions).is_err());
-        let back = decode_again(&mut scratch, &good, &positions).unwrap();
+        refused += u32::from(decode_again(&mut scratch, &bad, &head, &positions).is_err());
+        let back = decode_again(&mut scratch, &good, &head, &positions).unwrap();
         assert!(sorted(&back) == sorted(run));
     }
     assert!(refused > 100, "{refused}");
@@ -258,15 +289,16 @@ fn a_damaged_block_does_the_next_one_no_harm() {
 fn no_damage_panics_or_gives_a_vertex_that_is_not_there() {
     let (tets, positions) = (cubes([4, 3, 3]), corners([4, 3, 3]));
     let good = encode(&tets, &positions).unwrap();
-    assert!(decode(&good, &positions[..79], &mut vec![]).is_err(), "vertex 79 is in use");
+    let head = head_of(&sorted(&tets));
+    assert!(decode(&good, &head, &positions[..79], &mut vec![]).is_err(), "vertex 79 is in use");
     for i in 0..good.len() {
-        assert!(decode(&good[..i], &positions, &mut vec![]).is_err());
+        assert!(decode(&good[..i], &head, &positions, &mut vec![]).is_err());
         for bit in 0..8 {
             let mut bad = good.clone();
             bad[i] ^= 1 << bit;
             for bytes in [&bad[..], &[&bad[..5], &[0x55; 90]].concat()] {
                 let mut out = vec![];
-                if decode(bytes, &positions, &mut out).is_ok() {
+                if decode(bytes, &head, &positions, &mut out).is_ok() {
                     assert!(out.iter().flatten().all(|&v| v < 80));
                 }
             }
@@ -320,7 +352,7 @@ fn the_first_odds_are_those_of_the_point_sets() {
         let (positions, tets) = mesh_of(kind, 60_000);
         let mut writer = Writer::default();
         for run in runs(&tets, 40) {
-            writer.encode(run, &positions, &mut vec![]);
+            put(&mut writer, run, &positions, &mut vec![]);
         }
         for (&at, [all, set]) in &writer.truth.counts {
             let share = weight / tets.len() as f64;

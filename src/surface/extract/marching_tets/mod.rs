@@ -66,9 +66,8 @@
 //! # Cost
 //!
 //! The tetrahedra of a block are worked on together (`patch.rs`): their edges are found in a table
-//! of their ends, small enough for the nearest cache (`numbering.rs`), or, in a block whose values
-//! change, have been numbered before (`numbered.rs`); of a block that is kept for many isovalues
-//! all is precomputed that does not depend on them (`precomputed/`). Only those around which the
+//! of their ends, small enough for the nearest cache (`numbering.rs`), or, in a block that is kept,
+//! or whose values change, have been numbered before (`numbered/`). Only those around which the
 //! block has not all tetrahedra, a third of the edges but most of the look-ups, are then found in
 //! their chunk, in a cache line of the edges of their lower corner (`edges.rs`). 4 bytes a corner,
 //! 24 a vertex, about 70 more for each of those edges, and 12 a triangle while a chunk is

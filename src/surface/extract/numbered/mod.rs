@@ -1,6 +1,5 @@
-//! A block of tetrahedra whose corners and edges have been numbered once, for the values of one
-//! step after another. (Where isovalues change and values do not, more can be
-//! precomputed: [`super::precomputed`].)
+//! A block of tetrahedra whose corners and edges have been numbered once, for many isovalues, or
+//! for the values of one step after another.
 //!
 //! Corners are in the order of their ids. A tetrahedron of 16 bytes has the numbers of its corners
 //! and of its six edges, so that nothing is looked up when a surface is extracted. Edges with all

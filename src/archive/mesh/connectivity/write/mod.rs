@@ -89,12 +89,18 @@ impl Default for Truth {
 const WITHIN: usize = 99;
 
 impl Writer {
-    /// Encodes canonical tetrahedra, ascending by their first vertices, given where all vertices
-    /// are; false, with nothing written, if the block is none for this coder: empty, too large, no
-    /// mesh, or with too large a star.
-    pub(crate) fn encode(&mut self, tets: &[Tet], positions: &[LatticePos], out: &mut Vec<u8>) -> bool {
-        let (Some(first), Some(last)) = (tets.first(), tets.last()) else { return false };
-        let (first, own) = (first[0], last[0] - first[0] + 1);
+    /// Encodes canonical tetrahedra, ascending by their first vertices, of which own ones begin at
+    /// `own_from`, given where all vertices are; false, with nothing written, if the block is none
+    /// for this coder: empty, too large, no mesh, or with too large a star.
+    pub(crate) fn encode(
+        &mut self,
+        tets: &[Tet],
+        own_from: u32,
+        positions: &[LatticePos],
+        out: &mut Vec<u8>,
+    ) -> bool {
+        let Some(last) = tets.last() else { return false };
+        let (first, own) = (own_from, last[0] - own_from + 1);
         if tets.len() > LARGEST_STARS
             || own >= LARGEST_LIST
             || !self.localise(tets, first, own, positions.len())
@@ -122,10 +128,8 @@ impl Writer {
             self.truth.give_up();
             return false;
         }
-        for number in [first, own, n, tets.len() as u32] {
-            put_varint(out, u64::from(number));
-        }
         out.push(size);
+        put_varint(out, u64::from(n));
         self.truth.bits.finish(out);
         self.truth.coder.finish(out);
         true
