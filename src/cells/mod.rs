@@ -14,12 +14,10 @@
 //!
 //! **Numbers.** Points are numbered in the order of the stream, whatever labels a file gives them.
 //! Nothing here holds a point, a value or a cell longer than its block; who needs them together
-//! sorts them (externally).
-//!
-//! **Cells.** [`CellKind`] lists the kinds that are read: linear and quadratic ones, and polyhedra,
-//! which need vertices of their own ([`polyhedron`]). Cells without a volume (vertices, lines,
-//! triangles: Gmsh writes the boundary too) are counted and passed over; kinds that are neither are
-//! refused by name.
+//! sorts them (externally).  **Cells.** [`CellKind`] lists the kinds that are read: linear and
+//! quadratic ones, and polyhedra. Polyhedra and some quadratic ones need vertices of their own
+//! ([`polyhedron`], [`quadratic`]). Cells without a volume (vertices, lines, triangles: Gmsh writes
+//! the boundary too) are counted and passed over; kinds that are neither are refused by name.
 //!
 //! **Cell data** are averaged to the vertices: the mean over the cells that use the vertex, each
 //! counted once. See [`average`](mod@average) for how that is done in bounded memory.

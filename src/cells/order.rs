@@ -2,10 +2,10 @@
 //! cells are whole.
 //!
 //! Formats have orders of their own (VTK's, Gmsh's, TetGen's), and programs write one format in the
-//! order of another. A vertex on an edge lies nearer to the middle of this edge than to those of
-//! others, also where edges are curved. So a sample of cells tells the order. One that is no order
-//! of the edges is refused, as are cells whose tetrahedra are turned both ways: their vertices are
-//! in an order that is not understood.
+//! order of another. A vertex on an edge lies near the middle of this edge, also where edges are
+//! curved. So a sample of cells tells the order: the one of the least distances. Where vertices are
+//! far from their edges in that too, the mesh is refused, as are cells whose tetrahedra are turned
+//! both ways: their vertices are in an order that is not understood.
 //!
 //! Memory: the cells of the sample and the positions of their vertices. Cost: a pass over cells and
 //! points, where one of the first blocks has another cell than a linear tetrahedron, whose order of
@@ -13,6 +13,7 @@
 
 use super::mesh::{CellBlocks, CellMesh};
 use super::polyhedron::{Faces, is_folded};
+use super::quadratic::with_middles;
 use super::{CellBlock, CellKind, Orientation, orient, split};
 use crate::error::{Error, Result};
 use std::collections::HashMap;
@@ -106,43 +107,29 @@ impl Orders {
                 Error::bad_input(&info.path, format!("cell {cell} (counted from 0)"), expected, got)
                     .with_help("write the mesh in VTK's order of vertices (.vtu), or with linear cells")
             };
-            // Of each vertex, how often it is on each edge.
-            let n = shape.edges.len();
-            let mut votes = vec![vec![0usize; n]; n];
-            let found: Vec<Vec<usize>> = cells
+            if cells.is_empty() {
+                continue;
+            }
+            let placed: Vec<Placed> = cells
                 .iter()
                 .map(|(_, _, vertices)| {
                     let corners: Vec<[f64; 3]> = vertices[..shape.corners].iter().map(place).collect();
-                    let found: Vec<usize> = vertices[shape.corners..on_edges]
-                        .iter()
-                        .map(|v| nearest(shape.edges, &corners, place(v)))
-                        .collect();
-                    found.iter().enumerate().for_each(|(i, &edge)| votes[i][edge] += 1);
-                    found
+                    Placed::new(shape.edges, &corners, vertices[shape.corners..on_edges].iter().map(place))
                 })
                 .collect();
-            let most = |votes: &Vec<usize>| (0..n).max_by_key(|&e| (votes[e], n - e)).unwrap_or(0);
-            let edges: Vec<usize> = votes.iter().map(most).collect();
-            let order: Option<Vec<usize>> = (0..n).map(|e| edges.iter().position(|&f| f == e)).collect();
-            let odd: Vec<usize> = (0..found.len()).filter(|&c| found[c] != edges).collect();
-            match order {
-                Some(order) if odd.len() * 100 <= found.len() || order.iter().copied().eq(0..n) => {
-                    if !order.iter().copied().eq(0..n) {
-                        orders.0.push((kind, order));
-                    }
-                }
-                // One or two odd cells tell nothing.
-                _ if found.len() < 3 => {}
-                _ => {
-                    let bad = odd.first().copied().unwrap_or(0);
-                    let got = format!(
-                        "those of {} of {} {} elsewhere",
-                        odd.len().max(1),
-                        found.len(),
-                        kind.plural()
-                    );
-                    return Err(wrong(cells[bad].0, got));
-                }
+            let edges = likeliest(&placed, shape.edges.len());
+            let odd: Vec<usize> = (0..placed.len()).filter(|&c| !placed[c].fits(&edges)).collect();
+            let order: Vec<usize> =
+                (0..edges.len()).filter_map(|e| edges.iter().position(|&f| f == e)).collect();
+            let is_usual = order.iter().copied().eq(0..edges.len());
+            let most = if is_usual { placed.len() / 2 } else { placed.len() / 100 };
+            // One or two odd cells tell nothing.
+            if odd.len() > most && placed.len() >= 3 {
+                let got = format!("those of {} of {} {} elsewhere", odd.len(), placed.len(), kind.plural());
+                return Err(wrong(cells[odd[0]].0, got));
+            }
+            if !is_usual && odd.len() <= most {
+                orders.0.push((kind, order));
             }
         }
         // The cells, in that order: whole, or folded?
@@ -156,8 +143,10 @@ impl Orders {
             one.push(*kind, vertices);
             orders.apply(&mut one);
             tets.clear();
-            split(*kind, &one.vertices, &mut tets);
-            let turned = |t: &[u64; 4]| orient(t.map(|v| places[&v]));
+            let (kind, all, added) = with_middles(*kind, &one.vertices, |v| places[&v]);
+            split(kind, &all, &mut tets);
+            let place = |v: u64| added.get((u64::MAX - v) as usize).copied().unwrap_or_else(|| places[&v]);
+            let turned = |t: &[u64; 4]| orient(t.map(place));
             let has = |way| tets.iter().any(|t| turned(t) == way);
             if has(Orientation::Positive) && has(Orientation::Inverted) {
                 folded.push(*cell);
@@ -183,14 +172,64 @@ impl Orders {
     }
 }
 
-/// The edge whose middle is nearest; of equal ones the first.
-fn nearest(edges: &[[u8; 2]], corners: &[[f64; 3]], p: [f64; 3]) -> usize {
-    let distance = |[a, b]: [u8; 2]| -> f64 {
-        let (a, b) = (corners[usize::from(a)], corners[usize::from(b)]);
-        (0..3).map(|i| (p[i] - 0.5 * (a[i] + b[i])) * (p[i] - 0.5 * (a[i] + b[i]))).sum()
-    };
-    let nearer = |x: &usize, y: &usize| distance(edges[*x]).total_cmp(&distance(edges[*y]));
-    (0..edges.len()).min_by(nearer).unwrap_or(0)
+/// How far the vertices of a cell lie from the middles of its edges.
+struct Placed {
+    /// For each vertex and edge the square of the distance, in squares of the length of the edge.
+    /// Of an edge without length it is 0 in its place.
+    squares: Vec<Vec<f64>>,
+}
+
+impl Placed {
+    fn new(edges: &[[u8; 2]], corners: &[[f64; 3]], vertices: impl Iterator<Item = [f64; 3]>) -> Self {
+        let square = |p: [f64; 3], q: [f64; 3]| (0..3).map(|i| (p[i] - q[i]) * (p[i] - q[i])).sum::<f64>();
+        let of_vertex = |p: [f64; 3]| {
+            let to_edge = |&[a, b]: &[u8; 2]| {
+                let (a, b) = (corners[usize::from(a)], corners[usize::from(b)]);
+                let middle = std::array::from_fn(|i| 0.5 * (a[i] + b[i]));
+                square(p, middle) / square(a, b).max(f64::MIN_POSITIVE)
+            };
+            edges.iter().map(to_edge).map(|square| square.min(FARTHEST)).collect()
+        };
+        Self { squares: vertices.map(of_vertex).collect() }
+    }
+
+    /// Whether each vertex may be on its edge: a quarter of its length from the middle, as on an
+    /// arc of more than a right angle, or nearer to it than to others.
+    fn fits(&self, edges: &[usize]) -> bool {
+        self.squares.iter().zip(edges).all(|(squares, &edge)| {
+            squares[edge] <= 1.0 / 16.0 || squares.iter().all(|&other| other >= squares[edge])
+        })
+    }
+}
+
+/// The most that a distance counts.
+const FARTHEST: f64 = 1e6;
+
+/// Which vertex is on which edge: the sum of the squares of all distances is least, over the
+/// subsets of edges that the first vertices have. So the two sides of a thin curved cell are told
+/// apart, where a vertex of one is nearer to the edge of the other.
+fn likeliest(cells: &[Placed], edges: usize) -> Vec<usize> {
+    let cost = |vertex: usize, edge: usize| cells.iter().map(|cell| cell.squares[vertex][edge]).sum::<f64>();
+    let cost: Vec<Vec<f64>> = (0..edges).map(|v| (0..edges).map(|e| cost(v, e)).collect()).collect();
+    // For each subset the least sum, and the edge of its last vertex.
+    let mut least = vec![(f64::INFINITY, 0usize); 1 << edges];
+    least[0].0 = 0.0;
+    for taken in 0usize..1 << edges {
+        let (sum, vertex) = (least[taken].0, taken.count_ones() as usize);
+        for edge in (0..edges).filter(|edge| taken >> edge & 1 == 0) {
+            let found = sum + cost[vertex][edge];
+            let known = &mut least[taken | 1 << edge];
+            if found < known.0 {
+                *known = (found, edge);
+            }
+        }
+    }
+    let (mut out, mut taken) = (vec![0; edges], (1usize << edges) - 1);
+    for vertex in (0..edges).rev() {
+        out[vertex] = least[taken].1;
+        taken &= !(1 << out[vertex]);
+    }
+    out
 }
 
 #[cfg(test)]

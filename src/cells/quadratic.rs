@@ -1,84 +1,143 @@
-//! Quadratic cells into linear tetrahedra, on all of their own vertices.
+//! Quadratic cells into linear tetrahedra, on all of their vertices.
 //!
 //! The vertices in the middle of the edges carry positions and values of their own: a quadratic
-//! cell becomes a finer mesh of linear ones, curved edges follow their middle, and nothing is
-//! interpolated.
+//! cell becomes a finer mesh of linear ones, and curved edges follow their middle. Cells with
+//! vertices in the middle of their four-sided faces too are cut into smaller linear cells: a
+//! hexahedron into 8, a wedge into 8, a pyramid into 6 pyramids and 4 tetrahedra; those are split
+//! by the rule for linear cells. Of a thin curved cell these are whole, as its halves are.
 //!
-//! Cells with vertices on edges only are cut in two steps. Each corner is cut off, up to the
-//! middles of its edges; what is left is a convex body of middles alone (of a tetrahedron an
-//! octahedron, of a hexahedron a cuboctahedron), filled by the star of its smallest vertex. On a
-//! face this leaves a triangle at each corner and one inner polygon, cut from its smallest vertex:
-//! again a rule of the face's vertices alone.
+//! Cells that have vertices on their edges alone are given those of faces ([`Middles`]), where
+//! their shape functions have them: in position and value a quarter of each corner less than the
+//! halves of the vertices on edges (Zienkiewicz and Taylor, "The Finite Element Method", the
+//! serendipity family). A face is given the same one by both of its cells. Who has positions and
+//! values at hand makes them (`domain`).
 //!
 //! ```text
-//!   3----6----2        3-----10----2
-//!   | a / \ b |        |  /      \ |        a triangle at each corner, the polygon of middles within
-//!   7 /     \ 5       11           9
-//!   | \     / |        | \       / |
-//!   0----4----1        0-----8-----1
+//!   3----6----2
+//!   |    |    |        m = (4 + 5 + 6 + 7) / 2 - (0 + 1 + 2 + 3) / 4
+//!   7----m----5
+//!   |    |    |
+//!   0----4----1
 //! ```
 //!
-//! Cells with vertices in the middle of their four-sided faces too are cut into smaller linear
-//! cells: a hexahedron into 8, a wedge into 8, a pyramid into 6 pyramids and 4 tetrahedra; those
-//! are split by the rule for linear cells.
+//! Of a tetrahedron each corner is cut off, up to the middles of its edges; what is left is an
+//! octahedron of middles, filled by the star of its smallest vertex. So on a face there are four
+//! triangles, as of wedges and pyramids.
 
 use super::kind::{CellKind, HEXAHEDRON, PYRAMID, Shape, WEDGE};
-use super::split::{CellTet, fan, star};
+use super::split::{CellTet, star};
 
-/// Appends the tetrahedra of a quadratic cell.
+/// The vertices that a quadratic cell lacks in its middle.
+#[derive(Debug)]
+pub struct Middles {
+    /// The kind that has them: behind the vertices of the cell, face by face, then the centre.
+    pub kind: CellKind,
+    /// Around each face that has one: its corners, then the vertices on its edges.
+    pub faces: &'static [[u8; 8]],
+    /// Whether the cell has one in its centre.
+    pub has_centre: bool,
+}
+
+impl Middles {
+    /// Of each vertex that a cell lacks, in order, the cell's vertices around it, corners first,
+    /// and how many corners these are.
+    pub fn around<'a>(&'static self, vertices: &'a [u64]) -> impl Iterator<Item = (Vec<u64>, usize)> + 'a {
+        let of_face = |face: &[u8; 8]| (face.iter().map(|&i| vertices[usize::from(i)]).collect(), 4);
+        let centre = self.has_centre.then(|| (vertices.to_vec(), self.kind.shape().corners));
+        self.faces.iter().map(of_face).chain(centre)
+    }
+}
+
+/// What a vertex in the middle of a face or cell has, from its corners and from the vertices on its
+/// edges. Without corners it is the mean.
+pub fn at_middle(corners: impl Iterator<Item = f64>, others: impl Iterator<Item = f64>) -> f64 {
+    let sum = |all: (f64, f64), x: f64| (all.0 + x, all.1 + 1.0);
+    let (of_corners, count) = corners.fold((0.0, 0.0), sum);
+    let (of_others, others) = others.fold((0.0, 0.0), sum);
+    (1.0 + 0.25 * count) * of_others / others - 0.25 * of_corners
+}
+
+impl CellKind {
+    /// The vertices that cells of this kind are given before they are split.
+    pub fn middles(self) -> Option<&'static Middles> {
+        match self {
+            Self::QuadraticHexahedron => Some(&OF_HEXAHEDRON),
+            Self::QuadraticWedge => Some(&OF_WEDGE),
+            Self::QuadraticPyramid => Some(&OF_PYRAMID),
+            _ => None,
+        }
+    }
+}
+
+const OF_HEXAHEDRON: Middles = Middles {
+    kind: CellKind::TriquadraticHexahedron,
+    faces: &[
+        [0, 4, 7, 3, 16, 15, 19, 11],
+        [1, 2, 6, 5, 9, 18, 13, 17],
+        [0, 1, 5, 4, 8, 17, 12, 16],
+        [2, 3, 7, 6, 10, 19, 14, 18],
+        [0, 1, 2, 3, 8, 9, 10, 11],
+        [4, 5, 6, 7, 12, 13, 14, 15],
+    ],
+    has_centre: true,
+};
+
+const OF_WEDGE: Middles = Middles {
+    kind: CellKind::BiquadraticWedge,
+    faces: &[[0, 1, 4, 3, 6, 13, 9, 12], [1, 2, 5, 4, 7, 14, 10, 13], [2, 0, 3, 5, 8, 12, 11, 14]],
+    has_centre: false,
+};
+
+const OF_PYRAMID: Middles =
+    Middles { kind: CellKind::BiquadraticPyramid, faces: &[[0, 1, 2, 3, 5, 6, 7, 8]], has_centre: false };
+
+/// A cell with the vertices that it lacks, and where these are: they have the numbers from the
+/// largest one downwards.
+pub(crate) fn with_middles(
+    kind: CellKind,
+    vertices: &[u64],
+    place: impl Fn(u64) -> [f64; 3],
+) -> (CellKind, Vec<u64>, Vec<[f64; 3]>) {
+    let Some(middles) = kind.middles() else { return (kind, vertices.to_vec(), vec![]) };
+    let added: Vec<[f64; 3]> = middles
+        .around(vertices)
+        .map(|(around, corners)| {
+            let (corners, others) = around.split_at(corners);
+            let along = |of: &[u64], a: usize| of.iter().map(|&v| place(v)[a]).collect::<Vec<f64>>();
+            std::array::from_fn(|a| at_middle(along(corners, a).into_iter(), along(others, a).into_iter()))
+        })
+        .collect();
+    let numbers = (0..added.len() as u64).map(|n| u64::MAX - n);
+    (middles.kind, vertices.iter().copied().chain(numbers).collect(), added)
+}
+
+/// Appends the tetrahedra of a quadratic cell that lacks no vertex.
 pub(super) fn split(kind: CellKind, vertices: &[u64], out: &mut Vec<CellTet>) {
-    let parts = |shape: &Shape, cells: &[&[u8]], out: &mut Vec<CellTet>| {
+    let mut parts = |shape: &Shape, cells: &[&[u8]]| {
         for cell in cells {
             let part: Vec<u64> = cell.iter().map(|&i| vertices[usize::from(i)]).collect();
             star(shape.faces.iter().copied(), &part, out);
         }
     };
     match kind {
-        CellKind::TriquadraticHexahedron => parts(&HEXAHEDRON, &HEXAHEDRA_OF_27, out),
-        CellKind::BiquadraticWedge => parts(&WEDGE, &WEDGES_OF_18, out),
+        CellKind::TriquadraticHexahedron => parts(&HEXAHEDRON, &HEXAHEDRA_OF_27),
+        CellKind::BiquadraticWedge => parts(&WEDGE, &WEDGES_OF_18),
         CellKind::BiquadraticPyramid => {
-            parts(&PYRAMID, &PYRAMIDS_OF_14, out);
+            parts(&PYRAMID, &PYRAMIDS_OF_14);
             out.extend(TETRAHEDRA_OF_14.map(|tet| tet.map(|i| vertices[usize::from(i)])));
         }
-        _ => cut_corners(kind.shape(), vertices, out),
+        _ => {
+            out.extend(CORNERS_OF_10.map(|tet| tet.map(|i| vertices[usize::from(i)])));
+            star(OCTAHEDRON_OF_10.iter().map(|face| &face[..]), vertices, out);
+        }
     }
 }
 
-/// The vertex on the edge between two corners.
-fn middle(shape: &Shape, a: u8, b: u8) -> u8 {
-    let edge = shape.edges.iter().position(|e| *e == [a, b] || *e == [b, a]);
-    (shape.corners + edge.expect("neighbours around a face are joined by an edge")) as u8
-}
+/// Vertices 4 … 9 lie on the edges 0-1, 1-2, 2-0, 0-3, 1-3, 2-3.
+const CORNERS_OF_10: [[u8; 4]; 4] = [[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3]];
 
-/// Corners, then the body of middles.
-fn cut_corners(shape: &Shape, vertices: &[u64], out: &mut Vec<CellTet>) {
-    // Inner polygons of the faces, then one polygon a corner; all anticlockwise from outside the
-    // body of middles.
-    let mut body: Vec<Vec<u8>> = vec![];
-    // For each corner, the sides of inner polygons that cut it off, as seen from the corner's
-    // polygon.
-    let mut sides: Vec<Vec<[u8; 2]>> = vec![vec![]; shape.corners];
-    for face in shape.faces {
-        let n = face.len();
-        let inner: Vec<u8> = (0..n).map(|i| middle(shape, face[i], face[(i + 1) % n])).collect();
-        for i in 0..n {
-            sides[usize::from(face[(i + 1) % n])].push([inner[(i + 1) % n], inner[i]]);
-        }
-        body.push(inner);
-    }
-    for (corner, sides) in sides.iter().enumerate() {
-        let mut polygon = vec![sides[0][0]];
-        while polygon.len() < sides.len() {
-            let last = polygon[polygon.len() - 1];
-            let next = sides.iter().find(|s| s[0] == last).expect("the faces at a corner close around it");
-            polygon.push(next[1]);
-        }
-        // The corner lies outside: seen from it the polygon is anticlockwise.
-        fan(&polygon, vertices, |[a, b, c]| out.push([vertices[corner], a, c, b]));
-        body.push(polygon);
-    }
-    star(body.iter().map(Vec::as_slice), vertices, out);
-}
+const OCTAHEDRON_OF_10: [[u8; 3]; 8] =
+    [[4, 6, 5], [4, 8, 7], [5, 9, 8], [6, 7, 9], [4, 7, 6], [4, 5, 8], [5, 6, 9], [7, 8, 9]];
 
 /// Faces 20 … 25 are x-, x+, y-, y+, z-, z+; 26 is the middle.
 const HEXAHEDRA_OF_27: [&[u8]; 8] = [

@@ -2,6 +2,7 @@
 //! of averaged cell data.
 
 use super::polyhedron::{Faces, tetrahedra_of};
+use super::quadratic::with_middles;
 use super::{CellBlock, CellKind, CellMesh, split};
 use crate::error::Result;
 use serde::Serialize;
@@ -47,7 +48,9 @@ pub fn scan(mesh: &CellMesh) -> Result<MeshScan> {
                 out.tetrahedra += tetrahedra_of(Faces::new(vertices));
                 continue;
             }
-            out.collapsed += split(kind, vertices, &mut tets) as u64;
+            // Where its vertices lie decides nothing here.
+            let (kind, all, _) = with_middles(kind, vertices, |_| [0.0; 3]);
+            out.collapsed += split(kind, &all, &mut tets) as u64;
             out.tetrahedra += tets.len() as u64;
         }
     }

@@ -151,7 +151,7 @@ pub(crate) fn mesh_census(mesh: &isospan::pipeline::MeshCensus) -> String {
         (mesh.folded, "left out, as they fold over their neighbours"),
         (mesh.degenerate, "without a volume"),
         (mesh.repeated, "points repeated"),
-        (mesh.added, "points added in the middle of polyhedra and of their faces"),
+        (mesh.added, "points added in the middle of cells and of their faces"),
         (mesh.ghosts, "ghosts left out"),
     ]
     .into_iter()

@@ -1,5 +1,7 @@
 //! The lattice that a mesh lies in, and the way from the world to it.
 
+use super::column::{Column, ColumnWriter};
+use super::store::StoreSettings;
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
 use crate::grid::Geometry;
@@ -20,6 +22,14 @@ pub(crate) struct Bounds {
 
 impl Bounds {
     pub(crate) const NONE: Self = Self { lo: [f64::INFINITY; 3], hi: [f64::NEG_INFINITY; 3] };
+
+    /// The bounds of two boxes.
+    pub(super) fn join(&self, other: &Self) -> Self {
+        Self {
+            lo: std::array::from_fn(|a| self.lo[a].min(other.lo[a])),
+            hi: std::array::from_fn(|a| self.hi[a].max(other.hi[a])),
+        }
+    }
 
     pub(crate) fn add(&mut self, p: [f64; 3]) {
         self.lo = std::array::from_fn(|a| self.lo[a].min(p[a]));
@@ -66,12 +76,41 @@ impl Frame {
         })
     }
 
+    /// The bounds in the world of the fine positions that lie outside of the box.
+    pub(super) fn beyond(&self, positions: &[FinePos]) -> Bounds {
+        let (mut bounds, most) = (Bounds::NONE, self.most());
+        let is_outside = |p: &&FinePos| (0..3).any(|a| !(0..=most[a]).contains(&p[a]));
+        for p in positions.iter().filter(is_outside) {
+            bounds.add(std::array::from_fn(|a| self.geometry.origin[a] + p[a] as f64 / self.scale));
+        }
+        bounds
+    }
+
+    /// The upper corner of the box in fine steps.
+    fn most(&self) -> FinePos {
+        self.lattice.max().map(|max| i64::from(max) << FINE_BITS)
+    }
+
+    /// Fine positions, within the box.
+    pub(super) fn clamped(&self, all: Column<FinePos>, settings: &StoreSettings) -> Result<Column<FinePos>> {
+        let most = self.most();
+        let is_within = |p: &FinePos| (0..3).all(|a| (0..=most[a]).contains(&p[a]));
+        if all.get()?.iter().all(is_within) {
+            return Ok(all);
+        }
+        let mut out = ColumnWriter::new(&settings.scratch)?;
+        for p in all.get()? {
+            let clamped: FinePos = std::array::from_fn(|a| p[a].clamp(0, most[a]));
+            out.push(&clamped)?;
+        }
+        out.finish()
+    }
+
     /// A position of the world on the fine lattice: the nearest, within the box.
     pub(crate) fn fine(&self, p: [f64; 3]) -> FinePos {
-        let max = self.lattice.max();
+        let most = self.most();
         std::array::from_fn(|a| {
-            let most = i64::from(max[a]) << FINE_BITS;
-            (((p[a] - self.geometry.origin[a]) * self.scale).round() as i64).clamp(0, most)
+            (((p[a] - self.geometry.origin[a]) * self.scale).round() as i64).clamp(0, most[a])
         })
     }
 }

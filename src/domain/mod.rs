@@ -15,7 +15,7 @@
 //! point is looked for among the cells of its brick, in batches, by [`crate::locate`]. Where values
 //! are fitted to those at the mesh's vertices, a brick has these too ([`vertices`]).
 //!
-//! Polyhedra add vertices to those of the file before: see [`polyhedra`].
+//! Some cells add vertices to those of the file before: see [`middles`].
 //!
 //! # The box around it
 //!
@@ -48,9 +48,9 @@ pub(crate) mod frame;
 pub(crate) mod gradients;
 pub(crate) mod identity;
 pub(crate) mod merge;
+mod middles;
 pub(crate) mod nearest;
 pub(crate) mod own;
-mod polyhedra;
 mod scatter;
 pub(crate) mod store;
 pub(crate) mod vertices;

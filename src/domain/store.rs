@@ -6,7 +6,7 @@ use super::creases::Creases;
 use super::frame::{Bounds, Frame};
 use super::identity::{Identity, IdentityHash};
 use super::merge::Firsts;
-use super::polyhedra::{Added, Splitter};
+use super::middles::{Added, Splitter};
 use crate::bytes::sorter::Sorter;
 use crate::cells::average::Replace;
 use crate::cells::{CellBlock, CellKind, CellMesh, split};
@@ -16,6 +16,7 @@ use crate::geom::LatticePos;
 use crate::geom::curve::hilbert_key;
 use crate::locate::{CellBatch, FINE_BITS, FinePos, volume6};
 use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -47,8 +48,8 @@ pub(crate) struct StoreSettings {
 pub struct MeshCensus {
     /// Points of the file.
     pub vertices: u64,
-    /// Points that were added: in the middle of polyhedra, and of their faces of more than four
-    /// points.
+    /// Points that were added: in the middle of polyhedra and of their faces of more than four
+    /// points, and of quadratic cells and their faces.
     pub added: u64,
     /// Cells with a volume.
     pub cells: u64,
@@ -94,7 +95,7 @@ pub(crate) struct CellStore {
     pub(super) creases: Creases,
     /// Vertices that are one.
     pub(crate) firsts: Arc<Firsts>,
-    /// What polyhedra add.
+    /// What cells add.
     added: Option<Added>,
     pub(crate) identity: Identity,
     /// Six times the volume of all tetrahedra, in fine steps.
@@ -119,8 +120,28 @@ impl CellStore {
         known: Option<Firsts>,
         settings: &StoreSettings,
     ) -> Result<Self> {
+        let known = known.map(Arc::new);
+        // Where quadratic cells reach beyond the points is known when they are met.
+        match Self::build_around(mesh, known.clone(), None, settings)? {
+            ControlFlow::Continue(store) => Ok(store),
+            ControlFlow::Break(beyond) => match Self::build_around(mesh, known, Some(beyond), settings)? {
+                ControlFlow::Continue(store) => Ok(store),
+                ControlFlow::Break(_) => unreachable!("what cells add was within the box"),
+            },
+        }
+    }
+
+    /// Builds the store in a box that also holds `beyond`, where what cells add lies; breaks with
+    /// that box, if it is needed and not known.
+    fn build_around(
+        mesh: &CellMesh,
+        known: Option<Arc<Firsts>>,
+        beyond: Option<Bounds>,
+        settings: &StoreSettings,
+    ) -> Result<ControlFlow<Bounds, Self>> {
         let (path, mut identity) = (&mesh.info().path, IdentityHash::default());
         let (world, bounds) = read_points(mesh, settings, &mut identity)?;
+        let bounds = beyond.map_or(bounds, |beyond| bounds.join(&beyond));
         let frame = Frame::around(path, &bounds, world.get()?.len() as u64)?;
         let mut positions = ColumnWriter::new(&settings.scratch)?;
         for &p in world.get()? {
@@ -134,23 +155,33 @@ impl CellStore {
                 (Arc::new(Firsts::new(positions.get()?, Some(values.get()?), settings)?), values)
             }
             known => {
-                let firsts = known.map_or_else(|| Firsts::new(positions.get()?, None, settings), Ok)?;
-                let firsts = Arc::new(firsts);
+                let new = || Firsts::new(positions.get()?, None, settings).map(Arc::new);
+                let firsts = known.map_or_else(new, Ok)?;
                 let values = read_values(mesh, Some(&firsts), settings)?;
                 (firsts, values)
             }
         };
         let vertices = positions.get()?.len() as u64;
-        let added = Added::new(mesh, positions.get()?, &firsts, settings)?;
+        let look = || Added::new(mesh, positions.get()?, &firsts, settings);
+        let added = if beyond.is_some() || mesh.may_have_polyhedra()? { look()? } else { None };
         let (positions, values) = match &added {
             Some(added) => {
-                (added.positions(positions.get()?, settings)?, added.values(values.get()?, settings)?)
+                let all = added.positions(positions.get()?, settings)?;
+                if beyond.is_none() && added.may_lie_outside() {
+                    return Ok(ControlFlow::Break(frame.beyond(all.get()?)));
+                }
+                (frame.clamped(all, settings)?, added.values(values.get()?, settings)?)
             }
             None => (positions, values),
         };
         let mut sink = TetSink::new(settings)?;
         let numbered = (&*firsts, added.as_ref());
-        read_cells(mesh, positions.get()?, numbered, settings, &mut identity, &mut sink)?;
+        if !read_cells(mesh, positions.get()?, numbered, settings, &mut identity, &mut sink)? {
+            let added = Added::new(mesh, positions.get()?, &firsts, settings)?;
+            let added = added.expect("a cell that needs vertices was met");
+            let all = added.positions(positions.get()?, settings)?;
+            return Ok(ControlFlow::Break(frame.beyond(all.get()?)));
+        }
         if sink.census.tetrahedra == 0 {
             let got =
                 format!("{} cells with a volume, {} of them flat", sink.census.cells, sink.census.degenerate);
@@ -169,7 +200,7 @@ impl CellStore {
         let (tets, bodies) = body_of.arrange(sink.tets.finish()?, settings)?;
         let volume6 = sink.volume6;
         let identity = identity.finish();
-        Ok(Self {
+        Ok(ControlFlow::Continue(Self {
             frame,
             census,
             positions,
@@ -182,7 +213,7 @@ impl CellStore {
             added,
             identity,
             volume6,
-        })
+        }))
     }
 
     /// The values of another step on the same mesh: `mesh` with its field.
@@ -420,6 +451,7 @@ impl TetSink {
     }
 }
 
+/// Splits all cells. False if one needs vertices, and what cells add is not known.
 fn read_cells(
     mesh: &CellMesh,
     positions: &[FinePos],
@@ -427,8 +459,8 @@ fn read_cells(
     settings: &StoreSettings,
     identity: &mut IdentityHash,
     sink: &mut TetSink,
-) -> Result<()> {
-    let mut polyhedra = added.map(Splitter::new).transpose()?;
+) -> Result<bool> {
+    let mut splitter = added.map(Splitter::new).transpose()?;
     let (mut cells, mut block, mut tets) = (mesh.cells()?, CellBlock::default(), vec![]);
     let mut replaced = vec![];
     while cells.next_block(&mut block)? {
@@ -438,7 +470,7 @@ fn read_cells(
             tets.clear();
             sink.census.cells += 1;
             if kind == CellKind::Polyhedron {
-                let splitter = polyhedra.as_mut().expect("the mesh was looked through for polyhedra");
+                let splitter = splitter.as_mut().expect("the mesh was looked through for polyhedra");
                 sink.census.degenerate += splitter.split(vertices, positions, firsts, &mut tets)? as u64;
                 // Its faces may be listed as they are seen from inside.
                 let volumes = tets.iter().map(|tet| volume6(tet.map(|v| positions[v as usize])));
@@ -451,12 +483,17 @@ fn read_cells(
             replaced.clear();
             replaced.extend_from_slice(vertices);
             firsts.replace(&mut replaced)?;
-            sink.census.degenerate += split(kind, &replaced, &mut tets) as u64;
+            let dropped = match (kind.middles(), &mut splitter) {
+                (Some(middles), Some(splitter)) => splitter.split_quadratic(middles, &replaced, &mut tets),
+                (Some(_), None) => return Ok(false),
+                (None, _) => split(kind, &replaced, &mut tets),
+            };
+            sink.census.degenerate += dropped as u64;
             tets.iter().try_for_each(|&tet| sink.push(tet, positions))?;
         }
     }
     sink.census.ghosts = cells.ghosts();
-    Ok(())
+    Ok(true)
 }
 
 /// The faces of one tetrahedron only, along a space-filling curve, each with its body; and the body

@@ -46,6 +46,7 @@ mod polyhedra;
 mod programs;
 mod publish;
 mod pyramid;
+mod quadratic;
 mod queries;
 mod refine;
 mod reports;

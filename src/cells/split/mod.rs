@@ -30,10 +30,12 @@ pub const MOST_TETS: usize = 48;
 /// that was collapsed to a wedge, say). A cell without a volume gives none.
 ///
 /// # Panics
-/// When the number of vertices is not that of the kind, or the kind is a polyhedron.
+/// When the number of vertices is not that of the kind, or the kind is a polyhedron, or one that is
+/// given vertices first ([`CellKind::middles`]).
 pub fn split(kind: CellKind, vertices: &[u64], out: &mut Vec<CellTet>) -> usize {
     assert_ne!(kind, CellKind::Polyhedron, "a polyhedron is split with vertices of its own");
     assert_eq!(vertices.len(), kind.vertices(), "readers count vertices");
+    assert!(kind.middles().is_none(), "its faces have vertices in their middle");
     let start = out.len();
     match kind {
         CellKind::Flat => {}

@@ -1,3 +1,4 @@
+use super::super::quadratic::{at_middle, with_middles};
 use super::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -83,7 +84,7 @@ fn boundary(tets: &[CellTet]) -> BTreeSet<[u64; 3]> {
 
 #[test]
 fn tetrahedra_fill_every_kind_of_cell_whatever_the_numbers() {
-    for kind in CellKind::SOLID {
+    for kind in CellKind::SOLID.into_iter().filter(|kind| kind.middles().is_none()) {
         let positions = positions(kind);
         assert_eq!(positions.len(), kind.vertices());
         let expected = [1.0, 2.0, 3.0, 6.0][match kind.shape().corners {
@@ -110,7 +111,7 @@ fn tetrahedra_fill_every_kind_of_cell_whatever_the_numbers() {
 /// The triangles on a face of a cell depend on the numbers of the face's vertices alone.
 #[test]
 fn neighbours_agree_on_faces() {
-    for kind in CellKind::SOLID {
+    for kind in CellKind::SOLID.into_iter().filter(|kind| kind.middles().is_none()) {
         let positions = positions(kind);
         for axis_plane in [(0, 0.0), (1, 0.0), (2, 0.0), (2, 1.0)] {
             let on = |i: usize| positions[i][axis_plane.0] == axis_plane.1;
@@ -146,4 +147,25 @@ fn collapsed_cells_lose_their_flat_tetrahedra() {
     assert_eq!(split(CellKind::Tetrahedron, &[1, 2, 3, 1], &mut tets), 1);
     assert_eq!(split(CellKind::Flat, &[], &mut tets), 0);
     assert_eq!(tets.len(), 3);
+}
+
+/// Cells that lack vertices have the places of those that do not, which are means of corners.
+#[test]
+fn middles_are_where_whole_cells_have_them() {
+    for (kind, middles) in CellKind::SOLID.into_iter().filter_map(|kind| Some((kind, kind.middles()?))) {
+        let (places, expected) = (positions(kind), positions(middles.kind));
+        let numbers: Vec<u64> = (0..places.len() as u64).collect();
+        let (whole, all, added) = with_middles(kind, &numbers, |v| places[v as usize]);
+        assert_eq!((whole, all.len()), (middles.kind, middles.kind.vertices()));
+        let near = |a: &[f64; 3], b: &[f64; 3]| (0..3).all(|i| (a[i] - b[i]).abs() < 1e-12);
+        assert!(added.iter().zip(&expected[places.len()..]).all(|(a, b)| near(a, b)), "{kind:?}");
+        // A quadratic field comes back where it has no term that edges do not show.
+        let field = |p: &[f64; 3]| p[0] * p[0] - p[1] * p[1] + p[0] * p[2] + 3.0 * p[1];
+        for ((around, corners), place) in middles.around(&numbers).zip(&added) {
+            let values: Vec<f64> = around.iter().map(|&v| field(&places[v as usize])).collect();
+            let (corners, others) = values.split_at(corners);
+            let found = at_middle(corners.iter().copied(), others.iter().copied());
+            assert!((found - field(place)).abs() < 1e-12, "{kind:?}");
+        }
+    }
 }

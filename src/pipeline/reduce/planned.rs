@@ -101,7 +101,10 @@ fn of_meshes(job: &Job<'_>) -> Result<Planned> {
     let parts = parts(&series.plan.mesh, series.attachments.clone())?;
     let held = Held { always: input.listed.bytes(), ..Held::default() };
     let need = need_of(&parts, held, series.plan.steps.len(), job.run.resources.memory, job.run);
-    let copies = Copies { scratch: scratch_bytes([census.vertices, census.cells], job), memory: 0 };
+    let copies = Copies {
+        scratch: scratch_bytes([census.vertices + census.added, census.tetrahedra], job),
+        memory: 0,
+    };
     let estimate = job.estimate(&series.plan, &need, &copies)?;
     let report = ReduceReport {
         samples: census.vertices,

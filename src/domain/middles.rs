@@ -1,5 +1,6 @@
-//! Vertices that polyhedra need: one in the middle of each, and one in the middle of each face of
-//! more than four vertices ([`crate::cells::polyhedron`] has the rule).
+//! Vertices that cells need: polyhedra one in the middle of each, and one in the middle of each
+//! face of more than four vertices ([`crate::cells::polyhedron`] has the rule); quadratic cells
+//! those that they lack ([`crate::cells::quadratic`]).
 //!
 //! Both cells at a face must have the same vertex, and memory need not hold the faces of a mesh. So
 //! a pass over the cells lists the faces in question, and sorting brings equals together:
@@ -17,16 +18,17 @@
 //! vertex.
 //!
 //! New vertices follow the file's own: first those of cells, then those of faces, in the order of
-//! the cells. Positions are means on the fine lattice, rounded to the nearest step. Values are
-//! means of those of the file's vertices: there is none where one of these has none. Cell data are
-//! averaged to the file's vertices before.
+//! the cells. Positions are means on the fine lattice, rounded to the nearest step; of quadratic
+//! cells, what their shape functions say. Values are those of the file's vertices, likewise: there
+//! is none where one of these has none. Cell data are averaged to the file's vertices before.
 
 use super::column::{Column, ColumnWriter};
 use super::merge::Firsts;
 use super::store::StoreSettings;
 use crate::bytes::sorter::Sorter;
 use crate::cells::polyhedron::{Cut, Faces, bent_corner, cone, distinct};
-use crate::cells::{CellBlock, CellKind, CellMesh, CellTet};
+use crate::cells::quadratic::{Middles, at_middle};
+use crate::cells::{CellBlock, CellKind, CellMesh, CellTet, split};
 use crate::error::Result;
 use crate::locate::FinePos;
 use bytemuck::Pod;
@@ -39,11 +41,16 @@ const FROM_SMALLEST: u64 = u64::MAX - 1;
 /// The number of a face of another kind of cell: after those of polyhedra.
 const OF_OTHERS: u64 = u64::MAX;
 
-/// The vertices that the polyhedra of a mesh add to its own.
+/// Marks a corner in a list of vertices: of a quadratic cell or face.
+const CORNER: u64 = 1 << 63;
+
+/// The vertices that the cells of a mesh add to its own.
 pub(super) struct Added {
     /// The mesh's own vertices.
     own: u64,
-    /// Of which vertices that of each polyhedron is the mean.
+    /// Whether some are of quadratic cells, and may lie outside of the box of those around them.
+    has_quadratic: bool,
+    /// Of which vertices that of each cell is the mean.
     cells: Lists,
     /// The same of all faces in question.
     faces: Lists,
@@ -54,7 +61,7 @@ pub(super) struct Added {
 }
 
 impl Added {
-    /// Looks for the polyhedra of a mesh. `None` of a mesh without any.
+    /// Looks for the cells of a mesh that need vertices. `None` of a mesh without any.
     ///
     /// # Errors
     /// When the mesh cannot be read, or the scratch folder not be written.
@@ -64,15 +71,13 @@ impl Added {
         firsts: &Firsts,
         settings: &StoreSettings,
     ) -> Result<Option<Self>> {
-        if !mesh.may_have_polyhedra()? {
-            return Ok(None);
-        }
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         let (mut of_cells, mut of_faces) = (ListsWriter::new(settings)?, ListsWriter::new(settings)?);
         // Whether the face has four vertices; their hash; its number, or that of others.
         let mut equals: Sorter<[u64; 4]> = Sorter::new(memory, &settings.scratch);
         let (mut cells, mut block) = (mesh.cells()?, CellBlock::default());
         let (mut cell, mut vertices, mut bytes) = (Polyhedron::default(), vec![], vec![]);
+        let (mut replaced, mut has_quadratic) = (vec![], false);
         let mut hash = |vertices: &[u64]| {
             bytes.clear();
             vertices.iter().for_each(|v: &u64| bytes.extend(v.to_le_bytes()));
@@ -82,6 +87,27 @@ impl Added {
         while cells.next_block(&mut block)? {
             settings.cancel.check()?;
             for (kind, numbers) in block.iter() {
+                if let Some(middles) = kind.middles() {
+                    has_quadratic = true;
+                    replaced.clear();
+                    replaced.extend_from_slice(numbers);
+                    firsts.replace(&mut replaced)?;
+                    for (n, (mut around, corners)) in middles.around(&replaced).enumerate() {
+                        if n == middles.faces.len() {
+                            around[..corners].iter_mut().for_each(|v| *v |= CORNER);
+                            of_cells.push(&around)?;
+                        } else if own_middle(&around).is_none() {
+                            vertices.clone_from(&around);
+                            vertices.sort_unstable();
+                            let [high, low] = hash(&vertices);
+                            equals.push([0, high, low, of_faces.len()])?;
+                            around[..corners].iter_mut().for_each(|v| *v |= CORNER);
+                            around.sort_unstable();
+                            of_faces.push(&around)?;
+                        }
+                    }
+                    continue;
+                }
                 if kind != CellKind::Polyhedron {
                     cell.set_sides(kind, numbers, firsts)?;
                     for face in cell.faces().filter(|face| is_asked(face, positions)) {
@@ -106,13 +132,13 @@ impl Added {
                 }
             }
         }
-        if of_cells.len() == 0 {
+        if of_cells.len() == 0 && of_faces.len() == 0 && !has_quadratic {
             return Ok(None);
         }
         let own = positions.len() as u64;
         let (cells, faces) = (of_cells.finish()?, of_faces.finish()?);
         let (with_vertex, answers) = answers(equals, own + cells.len()?, memory, settings)?;
-        Ok(Some(Self { own, cells, faces, with_vertex, answers }))
+        Ok(Some(Self { own, has_quadratic, cells, faces, with_vertex, answers }))
     }
 
     /// How many they are.
@@ -123,10 +149,15 @@ impl Added {
     /// Positions of the mesh's own vertices, then of those added.
     pub(super) fn positions(&self, own: &[FinePos], settings: &StoreSettings) -> Result<Column<FinePos>> {
         self.append(own, settings, |of| {
-            let n = of.len() as i128;
+            let is_corner = |v: &&u64| **v & CORNER != 0;
+            let corners = of.iter().filter(is_corner).count() as i128;
+            let others = of.len() as i128 - corners;
             std::array::from_fn(|a| {
-                let sum: i128 = of.iter().map(|&v| i128::from(own[v as usize][a])).sum();
-                (2 * sum + n).div_euclid(2 * n) as i64
+                let at = |v: &u64| i128::from(own[(v & !CORNER) as usize][a]);
+                let of_corners: i128 = of.iter().filter(is_corner).map(at).sum();
+                let sum: i128 = of.iter().map(at).sum::<i128>() - of_corners;
+                let (above, below) = ((4 + corners) * sum - others * of_corners, 4 * others);
+                (2 * above + below).div_euclid(2 * below) as i64
             })
         })
     }
@@ -134,8 +165,17 @@ impl Added {
     /// Values of the mesh's own vertices, then of those added.
     pub(super) fn values(&self, own: &[f32], settings: &StoreSettings) -> Result<Column<f32>> {
         self.append(own, settings, |of| {
-            (of.iter().map(|&v| f64::from(own[v as usize])).sum::<f64>() / of.len() as f64) as f32
+            let at = |v: &u64| f64::from(own[(v & !CORNER) as usize]);
+            let corners = of.iter().filter(|v| **v & CORNER != 0).map(at);
+            let value = at_middle(corners, of.iter().filter(|v| **v & CORNER == 0).map(at));
+            // It may be beyond all values around; none is infinite.
+            value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32
         })
+    }
+
+    /// Whether some may lie outside of the box of the mesh's own vertices.
+    pub(super) fn may_lie_outside(&self) -> bool {
+        self.has_quadratic
     }
 
     /// What own vertices have, then the means of those that are added.
@@ -207,6 +247,15 @@ fn answers(
     Ok((with_vertex.finish()?, answers.finish()?))
 }
 
+/// The vertex in the middle of a quadratic face that is collapsed to an edge: the one on that edge.
+fn own_middle(around: &[u64]) -> Option<u64> {
+    match around[..4] {
+        [a, b, c, d] if a == b && c == d => Some(around[5]),
+        [a, b, c, d] if b == c && d == a => Some(around[4]),
+        _ => None,
+    }
+}
+
 /// Whether a face has a vertex in its middle, or a straight corner.
 fn is_asked(face: &[u64], positions: &[FinePos]) -> bool {
     match face.len() {
@@ -220,11 +269,11 @@ fn corner_of(face: &[u64], positions: &[FinePos]) -> Option<usize> {
     bent_corner(face, |v| positions[v as usize].map(|x| x as f64))
 }
 
-/// Splits the polyhedra of a mesh, in the order in which [`Added::new`] met them.
+/// Splits the cells of a mesh that need vertices, in the order in which [`Added::new`] met them.
 pub(super) struct Splitter<'a> {
     added: &'a Added,
     answers: &'a [u64],
-    /// Polyhedra, and faces in question, so far.
+    /// Cells with a vertex in their middle, and faces in question, so far.
     cells: u64,
     faces: usize,
     cell: Polyhedron,
@@ -233,6 +282,30 @@ pub(super) struct Splitter<'a> {
 impl<'a> Splitter<'a> {
     pub(super) fn new(added: &'a Added) -> Result<Self> {
         Ok(Self { added, answers: added.answers.get()?, cells: 0, faces: 0, cell: Polyhedron::default() })
+    }
+
+    /// Appends the tetrahedra of the next quadratic cell, whose vertices that are one have become
+    /// one. Gives the number of those that were left out because they name a vertex twice.
+    pub(super) fn split_quadratic(
+        &mut self,
+        middles: &'static Middles,
+        vertices: &[u64],
+        out: &mut Vec<CellTet>,
+    ) -> usize {
+        let mut all = vertices.to_vec();
+        for (n, (around, _)) in middles.around(vertices).enumerate() {
+            let own = own_middle(&around).filter(|_| n < middles.faces.len());
+            all.push(if let Some(own) = own {
+                own
+            } else if n < middles.faces.len() {
+                self.faces += 1;
+                self.answers[self.faces - 1]
+            } else {
+                self.cells += 1;
+                self.added.own + self.cells - 1
+            });
+        }
+        split(middles.kind, &all, out)
     }
 
     /// Appends the tetrahedra of the next polyhedron. Gives the number of those that were left out
@@ -247,18 +320,18 @@ impl<'a> Splitter<'a> {
         self.cell.set(numbers, firsts)?;
         let (apex, mut dropped) = (self.added.own + self.cells, 0);
         self.cells += 1;
-        for face in self.cell.faces() {
-            let mut answer = || {
-                let answer = self.answers[self.faces];
-                self.faces += 1;
-                answer
-            };
+        let Self { cell, answers, faces, .. } = self;
+        let mut next_face = || {
+            *faces += 1;
+            answers[*faces - 1]
+        };
+        for face in cell.faces() {
             let cut = match face.len() {
                 4 => match corner_of(face, positions) {
-                    Some(corner) if answer() == FROM_CORNER => Cut::From(corner),
+                    Some(corner) if next_face() == FROM_CORNER => Cut::From(corner),
                     _ => Cut::Smallest,
                 },
-                5.. => Cut::Around(answer()),
+                5.. => Cut::Around(next_face()),
                 _ => Cut::Smallest,
             };
             dropped += cone(apex, face, cut, out);
