@@ -84,9 +84,19 @@ pub(crate) fn threads(text: &str) -> Parsed<usize> {
     whole_in(0..=MOST_THREADS)(text)
 }
 
-/// A whole number above 0.
+/// A whole number above 0: `1000`, `250k`, `1.5M`.
 pub(crate) fn natural(text: &str) -> Parsed<u64> {
-    expected(whole(text).ok().filter(|n| *n > 0), "a whole number above 0, as in 4")
+    let text = text.trim();
+    let found = match text.chars().last().and_then(|unit| Some((unit, "kMG".find(unit)?))) {
+        None => whole(text).ok(),
+        Some((unit, n)) => {
+            let many = text.strip_suffix(unit).and_then(positive).map(|x| x * 1000f64.powi(n as i32 + 1));
+            // A decimal fraction times a thousand is whole but for rounding.
+            let is_whole = |x: &f64| (x - x.round()).abs() <= 1e-9 * x && *x < 1e15;
+            many.filter(is_whole).map(|x| x.round() as u64)
+        }
+    };
+    expected(found.filter(|n| *n > 0), "a whole number above 0, as in 4, 250k or 1.5M")
 }
 
 /// A share above 0: `1/8`, `0.125`, `12.5%`, `1`.
@@ -468,11 +478,15 @@ mod tests {
     fn numbers() {
         assert_eq!((number("-1.5e3"), positive_number("2")), (Ok(-1500.0), Ok(2.0)));
         assert_eq!((whole::<u32>("77"), natural("1")), (Ok(77), Ok(1)));
+        assert_eq!(
+            [natural("250k"), natural("1.5M"), natural("2G")],
+            [Ok(250_000), Ok(1_500_000), Ok(2_000_000_000)]
+        );
         assert_eq!(whole_in(2..=5u32)("5"), Ok(5));
         refused(number, &["", "x", "nan", "inf", "1,5"]);
         refused(positive_number, &["0", "-1"]);
         refused(whole::<u8>, &["", "-1", "1.5", "256"]);
-        refused(natural, &["0"]);
+        refused(natural, &["0", "0k", "-1M", "1.5", "k", "1.0001k", "1m", "1kk"]);
         assert_eq!((threads("0"), threads("4096")), (Ok(0), Ok(4096)));
         refused(threads, &["", "-1", "4097", "18446744073709551615", "18446744073709551616"]);
         refused(whole_in(2..=5u32), &["1", "6"]);

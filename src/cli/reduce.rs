@@ -32,6 +32,10 @@ pub(crate) struct Args {
     pub(crate) output: PathBuf,
     #[command(flatten)]
     pub(crate) choices: Choices,
+    /// Also measure the error of the first step against this file: of an archive that is reduced
+    /// again, against its source.
+    #[arg(long, value_name = "INPUT")]
+    against: Option<PathBuf>,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -61,8 +65,14 @@ impl Args {
     pub(crate) fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
         let steps = self.steps.all(&self.read, talk)?;
         let settings = self.choices.settings(&steps)?;
-        expect_apart(&self.output, steps.iter().map(|step| &step.path))?;
+        expect_apart(&self.output, steps.iter().map(|step| &step.path).chain(&self.against))?;
         Ok((steps, settings))
+    }
+
+    /// What the error is measured against besides.
+    pub(crate) fn against(&self) -> Result<Option<StepSource>> {
+        let Some(path) = &self.against else { return Ok(None) };
+        Ok(Some(StepSource::new(path, &self.read.options()?)))
     }
 }
 
@@ -75,6 +85,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     let Resources { threads, memory, .. } = resources;
     let reduction = Reduction::of_steps(steps).settings(settings).resources(resources);
     let reduction = reduction.replace(replace).keep_going(keep_going);
+    let reduction = match args.against()? {
+        Some(source) => reduction.against(source),
+        None => reduction,
+    };
     if args.dry_run {
         let found = reduction.estimate(&args.output)?;
         talk.notices(&found.notices);
@@ -265,6 +279,9 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     out += &text::rounding(report.steps.iter().filter_map(|s| s.rounding).reduce(f64::max));
     if let Some(line) = error_line(report) {
         let _ = writeln!(out, "{line}");
+    }
+    if let Some(error) = &report.against {
+        let _ = writeln!(out, "{}", super::measure::line(error).replacen("error  ", "against", 1));
     }
     if let Some(t) = &report.target {
         let _ = writeln!(out, "{}", target_line(t));

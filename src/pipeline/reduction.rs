@@ -1,8 +1,9 @@
 //! [`Reduction`]: from volumes or meshes to an archive, set up one method at a time.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, Silent};
-use crate::formats::StepSource;
+use crate::formats::{Input, StepSource};
+use crate::pipeline::field::{MeasureSettings, measure_source};
 use crate::pipeline::plan::Estimate;
 use crate::pipeline::reduce::{ReduceReport, estimate_series, reduce_series};
 use crate::pipeline::settings::{Adapt, Amount, ReduceSettings, RunSettings, Target};
@@ -37,6 +38,7 @@ pub struct Reduction<'a> {
     sources: Vec<StepSource>,
     settings: ReduceSettings,
     run: RunSettings,
+    against: Option<StepSource>,
     progress: &'a dyn Progress,
 }
 
@@ -53,6 +55,7 @@ impl Reduction<'static> {
             sources: sources.into_iter().collect(),
             settings: ReduceSettings::default(),
             run: RunSettings::default(),
+            against: None,
             progress: &Silent,
         }
     }
@@ -115,10 +118,18 @@ impl Reduction<'_> {
         self
     }
 
+    /// Also measures the error of the first step against another file or volume of as many
+    /// samples: where an archive is reduced again, against what that was made from. See
+    /// [`ReduceReport::against`].
+    pub fn against(mut self, source: impl Into<StepSource>) -> Self {
+        self.against = Some(source.into());
+        self
+    }
+
     /// Shows how far it is.
     pub fn progress(self, progress: &dyn Progress) -> Reduction<'_> {
-        let Self { sources, settings, run, .. } = self;
-        Reduction { sources, settings, run, progress }
+        let Self { sources, settings, run, against, .. } = self;
+        Reduction { sources, settings, run, against, progress }
     }
 
     /// What writing to this path would need; nothing is made.
@@ -127,6 +138,7 @@ impl Reduction<'_> {
     /// As [`Reduction::write`], but a budget that does not suffice is only reported: see
     /// [`Estimate::check`].
     pub fn estimate(&self, path: impl AsRef<Path>) -> Result<Estimate> {
+        self.expect_alike()?;
         estimate_series(&self.sources, &self.settings, path.as_ref(), &self.run)
     }
 
@@ -142,6 +154,34 @@ impl Reduction<'_> {
     /// [`Error::Budget`](crate::Error::Budget) when the memory does not suffice for one chunk;
     /// [`Error::Cancelled`](crate::Error::Cancelled) when stopped: the same call continues.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<ReduceReport> {
-        reduce_series(&self.sources, &self.settings, path.as_ref(), &self.run, self.progress)
+        let path = path.as_ref();
+        self.expect_alike()?;
+        let mut report = reduce_series(&self.sources, &self.settings, path, &self.run, self.progress)?;
+        if let Some(source) = &self.against {
+            let resources = self.run.resources.clone();
+            let settings = MeasureSettings { resources, ..MeasureSettings::default() };
+            report.against = Some(measure_source(path, source, &settings, self.progress)?.error);
+        }
+        Ok(report)
+    }
+
+    /// Refuses what an error cannot be measured against before anything is made. A source that
+    /// cannot be opened is named by the run.
+    fn expect_alike(&self) -> Result<()> {
+        let (Some(first), Some(other)) = (self.sources.first(), &self.against) else { return Ok(()) };
+        let (found, Ok(first)) = (other.open()?, first.open()) else { return Ok(()) };
+        let size = |input: &Input| match input {
+            Input::Volume(volume) => {
+                let [x, y, z] = volume.info().dims;
+                format!("{x} x {y} x {z} samples")
+            }
+            Input::Mesh(mesh) => format!("a mesh of {} points", mesh.info().points),
+        };
+        let [expected, got] = [&first, &found].map(size);
+        if expected == got {
+            return Ok(());
+        }
+        Err(Error::bad_input(&other.path, "size", expected, got)
+            .with_help("an error is measured against a file of as many samples"))
     }
 }

@@ -425,6 +425,23 @@ fn an_archive_is_a_source() {
         assert!(a.surface(100.5).unwrap() == b.surface(100.5).unwrap(), "{words:?}");
         check_archive(&d.join(format!("{n}-a.isospan.isospan"))).unwrap();
     }
+    // The error against another file, too: of a pyramid of some error, against its source.
+    let reduce = |args: &[&str]| {
+        let done = isospan(d, &[&["reduce", "--json", "-q"][..], args].concat());
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        serde_json::from_slice::<serde_json::Value>(&done.stdout).unwrap()
+    };
+    reduce(&["a.nrrd", "-o", "some.isospan", "--target-rms", "5%"]);
+    let again = ["--points", "hammersley", "--count", "4k", "--against", "a.nrrd"];
+    let found = reduce(&[&["some.isospan", "-o", "again.isospan"][..], &again].concat());
+    let said = isospan(d, &["measure", "again.isospan", "--against", "a.nrrd", "--json"]);
+    let said: serde_json::Value = serde_json::from_slice(&said.stdout).unwrap();
+    for figure in ["rms", "max", "measured"] {
+        assert_eq!(found["against"][figure], said[figure], "{figure}");
+    }
+    assert_ne!(found["against"]["rms"], found["error"]["rms"]);
+    let refused = isospan(d, &["reduce", "some.isospan", "-o", "no.isospan", "--against", "missing.nrrd"]);
+    assert!(!refused.status.success() && !d.join("no.isospan").exists());
     // So is a bricked copy of it, which other processes read.
     let done = isospan(d, &["brick", "a.isospan", "-o", "a.bricks"]);
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));

@@ -74,6 +74,10 @@ pub struct ReduceReport {
     /// The error of the reduced field against the samples at the first of the steps, if it was
     /// measured.
     pub error: Option<FieldError>,
+    /// The error of the first step against another source, if one was given: see
+    /// [`Reduction::against`](crate::Reduction::against).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub against: Option<FieldError>,
     /// The steps that were made.
     pub steps: Vec<StepSummary>,
     /// Steps that could not be used, and were left out.

@@ -9,6 +9,7 @@ use crate::json::to_python;
 use crate::volume::{Volume, raised_or, steps};
 use crate::work::run;
 use clap::Parser;
+use isospan::Reduction;
 use isospan::pipeline::{self, Committed, RunSettings};
 use pyo3::prelude::*;
 use std::ffi::OsString;
@@ -57,7 +58,13 @@ pub(crate) fn reduce<'py>(
                 (steps, settings)
             }
         };
-        pipeline::reduce_series(&steps, &settings, &args.output, &run, progress)
+        let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
+        let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
+        let reduction = match args.against()? {
+            Some(source) => reduction.against(source),
+            None => reduction,
+        };
+        reduction.progress(progress).write(&args.output)
     });
     let report = done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?;
     warn_unmet(py, &args.output, &report)?;

@@ -92,6 +92,7 @@ def reduce(
     keyframes: int | None = None,
     chunk_points: int | None = None,
     measure: bool = True,
+    against: PathLike | None = None,
     times: Sequence[float] | str | None = None,
     keep_going: bool = False,
     fields: Sequence[str] | str | None = None,
@@ -144,7 +145,8 @@ def reduce(
         focus=(lo, hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
         chunk_points, and for files field, channel, scale, value_file, jumps, dims, type, endian, offset,
         io: as the flags of ``isospan reduce``.
-    measure: whether the error at all samples is measured in the end.
+    measure: whether the error at all samples is measured in the end. against: a file whose error is
+        measured besides, of an archive that is reduced again its source.
     times: of a series, the times of its steps. keep_going: leave out steps that cannot be used.
     spacing, origin: of an array, distance of its samples and place of the first one, x, y, z, in
         world units; 1 and 0 if not given. An xarray tells them itself. They are also those of a
