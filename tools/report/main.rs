@@ -33,21 +33,31 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 const HELP: &str = "\
-usage: report FOLDER [--quick]
+usage: report FOLDER [--quick] [--vtk FILE]
   FOLDER    where the report goes: index.html, index.md, conclusions.html, a CSV file a table, a PNG file a figure
   --quick   SPHERE and HEART only, 1/4 of the points and fewer, each time measured once
+  --vtk     VTK's times, as tools/report/vtk_times.py prints them
 Real geometries of heart and torso are taken from the folder that ISOSPAN_SHARED_DATA names; without it, ellipsoids.";
 
 fn main() -> ExitCode {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let (options, folders): (Vec<&String>, Vec<&String>) = args.iter().partition(|a| a.starts_with('-'));
-    let quick = options.iter().any(|a| *a == "--quick");
-    if folders.len() != 1 || options.len() != usize::from(quick) {
+    let (mut folder, mut quick, mut vtk, mut is_good) = (None, false, None, true);
+    let mut rest = args.iter();
+    while let Some(argument) = rest.next() {
+        match argument.as_str() {
+            "--quick" => quick = true,
+            "--vtk" => vtk = rest.next(),
+            other if other.starts_with('-') || folder.is_some() => is_good = false,
+            other => folder = Some(Path::new(other)),
+        }
+    }
+    let Some(folder) = folder.filter(|_| is_good && (vtk.is_some() || !args.contains(&"--vtk".to_owned())))
+    else {
         eprintln!("{HELP}");
         let asked = args.iter().any(|a| a == "--help" || a == "-h");
         return ExitCode::from(if asked { 0 } else { 2 });
-    }
-    match run(Path::new(folders[0]), quick) {
+    };
+    match run(folder, quick, vtk.map(Path::new)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("report: {error}");
@@ -56,7 +66,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(folder: &Path, quick: bool) -> Result<()> {
+fn run(folder: &Path, quick: bool, vtk: Option<&Path>) -> Result<()> {
     let started = Instant::now();
     std::fs::create_dir_all(folder).map_err(|e| Error::io("create the folder", folder, e))?;
     let work = tempfile::tempdir_in(folder).map_err(|e| Error::io("create a folder in", folder, e))?;
@@ -67,6 +77,9 @@ fn run(folder: &Path, quick: bool) -> Result<()> {
     clock.lap("data");
     let mut report = beginning(&lab, shared.as_deref());
     chapters(&mut lab, folder, &mut report, &mut clock)?;
+    report.heading(2, "Times of extraction");
+    report.push(Block::Table(tables::extraction(&mut lab, "T", vtk)?));
+    clock.lap("times of extraction");
     errors(&mut lab, folder, &mut report)?;
     clock.lap("errors");
     let curves = Curves::new(&lab, work.path(), shared.as_deref(), quick)?;

@@ -5,7 +5,8 @@ use crate::data::Dataset;
 use crate::document::{Cell, Table};
 use crate::runs::{How, Key, Lab, Outcome, Points, Times, is_grid};
 use crate::thesis::{self, printed};
-use isospan::Result;
+use isospan::{Error, Result};
+use std::path::Path;
 
 /// Parts of the points that are tried: 1/n.
 pub(crate) const PARTS: [u64; 5] = [1, 2, 4, 8, 16];
@@ -123,6 +124,38 @@ pub(crate) fn subsampling(lab: &mut Lab) -> Result<Table> {
 pub(crate) fn subsampled(dataset: Dataset, points: Points) -> Key {
     let how = if points == Points::Hyperbolic { How::Nearest } else { How::Linear };
     Key { dataset, points, count: thesis::SUBSAMPLED, how }
+}
+
+/// Times of extraction over the number of points, all sets and data sets, with VTK's from all
+/// samples, of a file that `vtk_times.py` wrote.
+pub(crate) fn extraction(lab: &mut Lab, number: &str, vtk: Option<&Path>) -> Result<Table> {
+    let columns = PARTS.map(|part| if part == 1 { "all".into() } else { format!("1/{part}") });
+    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+    let note = "Milliseconds, one thread, from opening the archive to the welded surface, nothing kept from before: as many points as samples or vertices, \
+                and parts of them. VTK: vtkFlyingEdges3D of grids and vtkContour3DLinearGrid of meshes, from all samples in memory.";
+    let mut out = table(number, "Times of extraction over points", &columns, note);
+    let found = match vtk {
+        Some(path) => std::fs::read_to_string(path).map_err(|e| Error::io("read", path, e))?,
+        None => String::new(),
+    };
+    let of_vtk = |dataset: Dataset| {
+        let line = found.lines().find_map(|line| line.strip_prefix(dataset.name())?.strip_prefix(','))?;
+        line.split(',').next()?.parse::<f64>().ok()
+    };
+    for dataset in lab.datasets().collect::<Vec<_>>() {
+        for points in COMPARED {
+            let mut row = vec![];
+            for part in PARTS {
+                let times = lab.times_of_part(dataset, points, part, How::Linear)?;
+                row.push(times.map_or(Cell::Empty, |times| Cell::Number(1e3 * times.extract)));
+            }
+            out.rows.push((format!("{}, {}", dataset.name(), points.name()), row));
+        }
+        let mut row = vec![of_vtk(dataset).map_or(Cell::Empty, Cell::Number)];
+        row.resize(PARTS.len(), Cell::Empty);
+        out.rows.push((format!("{}, VTK from all samples", dataset.name()), row));
+    }
+    Ok(out)
 }
 
 const SIX: [&str; 6] = [
