@@ -59,6 +59,21 @@ fn hexahedron() -> Vec<[f64; 3]> {
     with_middles(&corners.map(|c| c.map(f64::from)), &EDGES)
 }
 
+/// The vertices of a wedge of one unit.
+fn wedge() -> Vec<[f64; 3]> {
+    with_middles(
+        &[
+            [0.0, 0.0, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [1.0, 0.0, 1.0],
+            [0.0, 1.0, 1.0],
+        ],
+        &[[0, 1], [1, 2], [2, 0], [3, 4], [4, 5], [5, 3], [0, 3], [1, 4], [2, 5]],
+    )
+}
+
 fn with_middles(corners: &[[f64; 3]], edges: &[[usize; 2]]) -> Vec<[f64; 3]> {
     let middle = |[a, b]: &[usize; 2]| std::array::from_fn(|i| 0.5 * (corners[*a][i] + corners[*b][i]));
     corners.iter().copied().chain(edges.iter().map(middle)).collect()
@@ -126,17 +141,6 @@ fn thin_curved_cells_do_not_fold() {
 /// collapsed to a wedge beside that.
 #[test]
 fn neighbours_of_other_kinds_have_the_same_middles() {
-    let wedge = with_middles(
-        &[
-            [0.0, 0.0, 0.0],
-            [1.0, 0.0, 0.0],
-            [0.0, 1.0, 0.0],
-            [0.0, 0.0, 1.0],
-            [1.0, 0.0, 1.0],
-            [0.0, 1.0, 1.0],
-        ],
-        &[[0, 1], [1, 2], [2, 0], [3, 4], [4, 5], [5, 3], [0, 3], [1, 4], [2, 5]],
-    );
     let pyramid = with_middles(
         &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0], [0.5, 0.5, 2.0]],
         &[[0, 1], [1, 2], [2, 3], [3, 0], [0, 4], [1, 4], [2, 4], [3, 4]],
@@ -144,7 +148,7 @@ fn neighbours_of_other_kinds_have_the_same_middles() {
     let dir = tempfile::tempdir().unwrap();
     let (d, mut mesh) = (dir.path(), Mesh::default());
     mesh.add(25, &hexahedron(), |p| p);
-    mesh.add(26, &wedge, |[x, y, z]| [1.0 + x, y, z]);
+    mesh.add(26, &wedge(), |[x, y, z]| [1.0 + x, y, z]);
     mesh.add(27, &pyramid, |p| p);
     // Its face x = 1 is an edge.
     mesh.add(25, &hexahedron(), |[x, y, z]| [-x, (1.0 - x) * y + x, z]);
@@ -172,19 +176,8 @@ fn collapsed_cells_and_large_values_are_kept() {
         &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         &[[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]],
     );
-    let wedge = with_middles(
-        &[
-            [0.0, 0.0, 0.0],
-            [1.0, 0.0, 0.0],
-            [0.0, 1.0, 0.0],
-            [0.0, 0.0, 1.0],
-            [1.0, 0.0, 1.0],
-            [0.0, 1.0, 1.0],
-        ],
-        &[[0, 1], [1, 2], [2, 0], [3, 4], [4, 5], [5, 3], [0, 3], [1, 4], [2, 5]],
-    );
     mesh.add(24, &tetrahedron, |p| p);
-    mesh.add(26, &wedge, |[x, y, _]| [x, y, 0.0]);
+    mesh.add(26, &wedge(), |[x, y, _]| [x, y, 0.0]);
     mesh.write(&d.join("m.vtk"), |p| p[2]);
     let census = kept(d);
     assert_eq!((&census["added"], &census["tetrahedra"]), (&0.into(), &8.into()), "{census}");
