@@ -114,61 +114,48 @@
 // What only vector code of x86-64 uses is looked for there.
 #![cfg_attr(not(target_arch = "x86_64"), allow(dead_code, unused_imports, unused_mut))]
 
-#[cfg(target_endian = "big")]
-compile_error!(
-    "isospan is for machines whose integers begin with the lowest byte: on s390x, Hammersley points were wrong"
-);
-
 #[doc(hidden)]
 pub mod archive;
-#[doc(hidden)]
-pub mod bytes;
-#[doc(hidden)]
-pub mod cells;
 #[cfg(feature = "compare")]
 pub mod compare;
 #[doc(hidden)]
 pub mod density;
 pub(crate) mod domain;
-pub mod error;
-pub mod exec;
+pub(crate) mod files;
 #[doc(hidden)]
 pub mod fit;
-pub mod formats;
-#[doc(hidden)]
-pub mod geom;
-pub mod grid;
+/// Other programs' files: volumes and meshes are read, surfaces are read and written.
+pub mod formats {
+    pub use crate::files::surface;
+    pub use isospan_io::formats::*;
+}
 #[doc(hidden)]
 pub mod index;
-#[doc(hidden)]
-pub mod locate;
 pub mod measure;
-#[doc(hidden)]
-pub mod mesh;
 pub mod pipeline;
-pub mod points;
-#[doc(hidden)]
-pub mod raster;
 pub mod render;
-pub mod sample;
-pub(crate) mod simd;
 #[doc(hidden)]
 pub mod spectrum;
 pub mod surface;
 #[doc(hidden)]
 pub mod tets;
-pub mod volume;
 
 /// The features that the library was compiled with, in alphabetical order.
 pub fn features() -> Vec<&'static str> {
     let all = [
-        ("cli", cfg!(feature = "cli")),
+        ("compare", cfg!(feature = "compare")),
         ("hdf5", cfg!(feature = "hdf5")),
         ("remote", cfg!(feature = "remote")),
-        ("view", cfg!(feature = "view")),
     ];
     all.into_iter().filter(|(_, is_there)| *is_there).map(|(name, _)| name).collect()
 }
+
+#[doc(hidden)]
+pub use isospan_io::{bytes, cells, geom};
+pub use isospan_io::{error, exec, grid, volume};
+#[doc(hidden)]
+pub use isospan_mesh::{locate, mesh, raster};
+pub use isospan_mesh::{points, sample};
 
 pub use error::{Error, ErrorKind, Result};
 pub use exec::{CancelToken, Progress, Resources};

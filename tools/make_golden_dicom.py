@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/dicom, small DICOM files of pydicom for the tests of src/formats/volume/dicom.
+"""Writes tests/data/dicom, small DICOM files of pydicom for the tests of src/io/formats/volume/dicom.
 
 Needs pydicom and numpy. Sample (z, y, x) is 20 z + 5 y + x, where z counts along the normal of the slices.
 Usage: tools/make_golden_dicom.py

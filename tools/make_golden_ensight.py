@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/ensight, small EnSight Gold cases for the tests of src/formats/mesh/ensight.
+"""Writes tests/data/ensight, small EnSight Gold cases for the tests of src/io/formats/mesh/ensight.
 
 Needs numpy and vtk, which writes one case and must read all of them.
 The field heat of (x, y, z) is x + 10 y + 100 z + 1000 step.

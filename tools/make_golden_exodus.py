@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/exodus, small Exodus II files for the tests of src/formats/mesh/exodus.
+"""Writes tests/data/exodus, small Exodus II files for the tests of src/io/formats/mesh/exodus.
 
 Needs meshio, netCDF4 and numpy. The field heat of (x, y, z) is x + 10 y + 100 z + 1000 step.
 Usage: tools/make_golden_exodus.py

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/*.h5, *.hdf, *.mat, *.mnc, *.ims and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/volume/hdf5.
+"""Writes tests/data/*.h5, *.hdf, *.mat, *.mnc, *.ims and *.nc, small HDF5 and NetCDF-4 files for the tests of src/io/formats/volume/hdf5.
 
 Needs h5py, hdf5plugin, netCDF4 and numpy. Sample (z, y, x) of each dataset is its index in C order, unless said otherwise.
 Usage: tools/make_golden_hdf5.py
@@ -158,7 +158,7 @@ def fills():
 
 
 def small():
-    """One field, so that it is read without a choice: what tools/fuzz damages."""
+    """One field, so that it is read without a choice: what tools/dev/fuzz damages."""
     with h5py.File(OUT / "hdf5_small.h5", "w", libver="latest") as f:
         f.create_dataset("v", data=RAMP.astype("<i2"), **FILTERS)
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/netcdf3_*.nc, small NetCDF-3 files for the tests of src/formats/volume/netcdf.
+"""Writes tests/data/netcdf3_*.nc, small NetCDF-3 files for the tests of src/io/formats/volume/netcdf.
 
 Needs netCDF4, scipy and numpy. Sample (z, y, x) of each variable is its index in C order, unless said otherwise.
 Usage: tools/make_golden_netcdf.py
@@ -60,7 +60,7 @@ def one_variable():
 
 
 def small():
-    """One field, so that it is read without a choice: what tools/fuzz damages."""
+    """One field, so that it is read without a choice: what tools/dev/fuzz damages."""
     with netCDF4.Dataset(OUT / "netcdf3_small.nc", "w", format="NETCDF3_64BIT_DATA") as f:
         for axis, count in (("runs", None), ("y", 3), ("x", 5)):
             f.createDimension(axis, count)

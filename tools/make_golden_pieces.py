@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/pieces, small PVTI, PVTR and PVTS files of VTK for the tests of src/formats/vtk/xml.
+"""Writes tests/data/pieces, small PVTI, PVTR and PVTS files of VTK for the tests of src/io/formats/vtk/xml.
 
 Needs vtk and numpy. The sample of (x, y, z) is x + 10 y + 100 z, that of a cell half of it.
 Usage: tools/make_golden_pieces.py

@@ -60,9 +60,9 @@ def main():
     vtk.vtkSMPTools.Initialize(1)
     program = args.program
     if program is None:
-        subprocess.run(["cargo", "build", "-q", "--release", "--example", "locate_points"], cwd=ROOT, check=True)
+        subprocess.run(["cargo", "build", "-q", "--release", "--bin", "locate_points"], cwd=ROOT, check=True)
         target = subprocess.check_output([ROOT / "tools/target_folder"], text=True).strip()
-        program = pathlib.Path(target) / "release/examples/locate_points"
+        program = pathlib.Path(target) / "release/locate_points"
     with tempfile.TemporaryDirectory() as scratch:
         for mesh in args.meshes:
             compare(program, *mesh.rsplit(":", 1), args, pathlib.Path(scratch))

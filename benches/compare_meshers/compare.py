@@ -109,7 +109,7 @@ def hxt(python):
 
 def build(work, python, wanted):
     """The commands that mesh a file: ours, and name -> (command before FILE REPEAT THREADS)."""
-    subprocess.run(["cargo", "build", "--release", "--quiet", "--example", "mesh_points"], cwd=HERE, check=True)
+    subprocess.run(["cargo", "build", "--release", "--quiet", "--bin", "mesh_points"], cwd=HERE, check=True)
     python = python or (environment() if {"HXT", "Geogram"} & set(wanted) else None)
     cgal = [*CGAL_FLAGS, str(HERE / "cgal.cpp"), "-lgmp", "-lmpfr", "-ltbb", "-ltbbmalloc", "-lpthread"]
     peers = {
@@ -117,7 +117,7 @@ def build(work, python, wanted):
         "CGAL": lambda: compile_cpp("CGAL", cgal, "apt-get install libcgal-dev libtbb-dev", str(work / "cgal")),
         "Geogram": lambda: geogram(python, work),
     }
-    ours = str(target() / "release/examples/mesh_points")
+    ours = str(target() / "release/mesh_points")
     return ours, {name: command for name in PEERS if name in wanted and (command := peers[name]())}
 
 

@@ -230,10 +230,10 @@ def volume_question(args, programs, work, field):
 
 def build():
     """The folder of the programs."""
-    examples = ["--example", "make_volume", "--example", "ask_archive"]
+    examples = ["--bin", "make_volume", "--bin", "ask_archive"]
     subprocess.run(["cargo", "build", "--release", "--quiet", "--bin", "isospan", *examples], cwd=ROOT, check=True)
     folder = pathlib.Path(tempfile.mkdtemp(prefix="compare_queries"))
-    for path in ("isospan", "examples/make_volume", "examples/ask_archive"):
+    for path in ("isospan", "make_volume", "ask_archive"):
         (folder / pathlib.Path(path).name).symlink_to(TARGET / "release" / path)
     return folder
 

@@ -2,7 +2,7 @@
 //! against √(n/L) + k/L, where n is the number of entries, k of answers, and L = 128 the least
 //! entries of a full page.
 //!
-//! `cargo run --release --example index_pages -- 1000000 10000000 100000000` (the last takes 5 GB
+//! `cargo run --release --bin index_pages -- 1000000 10000000 100000000` (the last takes 5 GB
 //! of disk in the system's temporary folder, and as much memory as it is given)
 //!
 //! On 2 cores of an AMD EPYC (virtual machine, shared, 2026-11-21), one run; 10^8 entries took

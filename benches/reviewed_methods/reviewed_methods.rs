@@ -1,7 +1,7 @@
 //! Times of the methods that the thesis reviews, and of isospan's index, over the same cells: to
 //! build, to ask, and what they hold.
 //!
-//! `cargo run --release --example reviewed_methods -- [VOLUME…]`: a Markdown table each of 50³
+//! `cargo run --release --bin reviewed_methods -- [VOLUME…]`: a Markdown table each of 50³
 //! samples of a sphere, of the 705 894 tetrahedra of these, of 200³ samples, without and with
 //! noise, and of volumes that are named. One thread; queries are medians of nine, of the isovalue
 //! of 63 over the range with the fewest active cells and that with the most, in turn.

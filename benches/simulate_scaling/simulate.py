@@ -13,7 +13,7 @@ chunks are so large that progress tells the time of each. The simulation of two 
 beside what two threads take.
 
 `surface`, `check` and `measure` hand chunks to n threads and take results in order, with 4 chunks a
-thread on their way (src/exec/ordered.rs). The work of all threads is the CPU time of a run with two threads.
+thread on their way (src/io/exec/ordered.rs). The work of all threads is the CPU time of a run with two threads.
 The part that runs alone (reading the index, writing a surface) is what makes the
 simulation of two threads take as long as they did. Chunks differ as they do in `reduce`. Welding a
 surface is counted with the chunks, though one thread does it at a time.
@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parents[2]
 THREADS = [1, 2, 4, 8, 12, 16]
 # WAITING in src/pipeline/plan/estimate.rs.
 PERMITS_A_THREAD = 3
-# `held` in src/exec/ordered.rs.
+# `held` in src/io/exec/ordered.rs.
 HELD_A_THREAD = 4
 # The table is for this volume, and for one of so many times its samples.
 LARGER = 16

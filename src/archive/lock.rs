@@ -20,9 +20,9 @@
 //!
 //! Workers of a planned reduction take no lock: those of one segment write the same bytes.
 
-use crate::bytes::plain::{is_named, is_of_this_user, kind_of, names_of, open_plain};
-use crate::bytes::publish::host;
-use crate::error::{Error, Result};
+use isospan_io::bytes::plain::{is_named, is_of_this_user, kind_of, names_of, open_plain};
+use isospan_io::bytes::publish::host;
+use isospan_io::error::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Read, Seek, Write};
 use std::path::{Path, PathBuf};

@@ -31,9 +31,9 @@ mod tests {
     use super::mesh::{chunk, connectivity, heads, vertices};
     use super::tables::{coordinates, levels};
     use super::{manifest, segment, values};
-    use crate::bytes::publish::TEMPORARY_MARK;
     use crate::index::page;
     use crate::spectrum;
+    use isospan_io::bytes::publish::TEMPORARY_MARK;
 
     /// The table at the end of FORMAT.md, and the bytes that it draws.
     #[test]

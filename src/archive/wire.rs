@@ -1,7 +1,7 @@
 //! Little-endian fields and variable-length integers, read with every length checked.
 
-use crate::error::{Error, Fault};
 use byteorder::{ByteOrder, LE};
+use isospan_io::error::{Error, Fault};
 use std::cell::RefCell;
 use std::path::Path;
 use zstd::bulk::Decompressor;

@@ -47,10 +47,10 @@ mod tests;
 
 pub use nearest::{Nearest, NearestPoint, Triangles};
 
-use crate::error::{Error, Result};
-use crate::exec::{Resources, pool};
 use crate::surface::check::{CheckSettings, SurfaceReport, check_source};
 use crate::surface::{SurfaceSource, Vertex, vertices_from};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Resources, pool};
 use nearest::Walk;
 use rayon::prelude::*;
 use samples::AreaSamples;

@@ -1,8 +1,8 @@
 //! The nearest point of a surface.
 
-use crate::error::{Error, Result};
 use crate::surface::{SurfaceSource, vertices_from};
 use glam::DVec3;
+use isospan_io::error::{Error, Result};
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2;

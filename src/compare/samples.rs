@@ -1,9 +1,9 @@
 //! Points of a surface, evenly by area, always the same.
 
 use super::nearest::Triangles;
-use crate::error::{Error, Result};
-use crate::points::radical_inverse;
 use glam::DVec3;
+use isospan_io::error::{Error, Result};
+use isospan_mesh::points::radical_inverse;
 
 /// Samples of a surface: any of them, without those before.
 pub(super) struct AreaSamples<'a> {

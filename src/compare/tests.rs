@@ -1,6 +1,6 @@
 use super::*;
-use crate::exec::Resources;
 use crate::surface::{TriMesh, Vertex};
+use isospan_io::exec::Resources;
 use std::collections::BTreeMap;
 
 fn vertex(p: [f64; 3]) -> Vertex {

@@ -14,7 +14,7 @@
 //!
 //! Distances are changed by factors of 2, for the whole volume at once: the lattice gets 2 or 4
 //! times the steps a voxel along such an axis
-//! ([`Lattice::stretched`](crate::geom::Lattice::stretched)), and all that is even on it follows.
+//! ([`Lattice::stretched`](isospan_io::geom::Lattice::stretched)), and all that is even on it follows.
 //! For a field that is smooth at all distances that is the rule of D'Azevedo and Simpson ("On
 //! optimal interpolation triangle incidences", 1989): a distance goes with the inverse root of the
 //! second difference.
@@ -26,8 +26,8 @@
 //! sums are those of blocks, added in their order: the same for any threads.
 
 use super::SCALES;
-use crate::geom::Lattice;
-use crate::grid::IndexBox;
+use isospan_io::geom::Lattice;
+use isospan_io::grid::IndexBox;
 
 /// The part of the error that is expected to be left, at most, where an axis is made finer: a
 /// smaller gain is not worth longer tetrahedra.

@@ -1,7 +1,7 @@
 //! The errors of one block of samples at all densities.
 
 use super::SCALES;
-use crate::grid::{BrickGrid, BrickId, IndexBox};
+use isospan_io::grid::{BrickGrid, BrickId, IndexBox};
 
 /// Voxel cells along each edge of a block: the widest distance of samples that are kept.
 pub const BLOCK_EDGE: u64 = 1 << SCALES;

@@ -2,10 +2,10 @@
 //! errors.
 
 use super::{Bend, ErrorCurves, NOTHING, SCALES, STEPS};
-use crate::error::Result;
-use crate::geom::Lattice;
-use crate::grid::BrickId;
-use crate::points::Levels;
+use isospan_io::error::Result;
+use isospan_io::geom::Lattice;
+use isospan_io::grid::BrickId;
+use isospan_mesh::points::Levels;
 use rayon::prelude::*;
 
 /// A density for every cell.
@@ -163,7 +163,7 @@ impl Choice {
         let densities: Vec<f64> = (0..=Levels::LARGEST).map(|l| self.density(l)).collect();
         let of = |(cell, &level): (u64, &u8)| {
             densities[usize::from(level)]
-                * crate::points::cell_voxels(self.levels.cells(), BrickId(cell)) as f64
+                * isospan_mesh::points::cell_voxels(self.levels.cells(), BrickId(cell)) as f64
         };
         (0..).zip(levels).map(of).sum()
     }
@@ -174,7 +174,7 @@ impl Choice {
         let [dims, edge] = [cells.dims(), cells.edge];
         let highest = (0..=Levels::LARGEST)
             .rev()
-            .find(|&l| self.density(l) <= MOST_IN_VOXEL && self.n <= crate::points::MOST_POINTS >> l)
+            .find(|&l| self.density(l) <= MOST_IN_VOXEL && self.n <= isospan_mesh::points::MOST_POINTS >> l)
             .unwrap_or(0);
         let mut levels = before.to_vec();
         for (cell, &error) in worst.iter().enumerate() {
@@ -228,7 +228,7 @@ impl ErrorCurves {
     fn cell_voxels(&self, cell: usize) -> f64 {
         match &self.inside {
             Some(inside) => f64::from(inside[cell]),
-            None => crate::points::cell_voxels(&self.cells, BrickId(cell as u64)) as f64,
+            None => isospan_mesh::points::cell_voxels(&self.cells, BrickId(cell as u64)) as f64,
         }
     }
 }

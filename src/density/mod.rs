@@ -45,8 +45,8 @@ pub use bend::Bend;
 pub use block::{BLOCK_EDGE, BlockErrors};
 pub use choose::Choice;
 
-use crate::grid::BrickGrid;
-use crate::points::Levels;
+use isospan_io::grid::BrickGrid;
+use isospan_mesh::points::Levels;
 
 /// Densities at which errors are measured: every 2nd, 4th … sample along each axis.
 pub const SCALES: usize = 5;
@@ -73,7 +73,7 @@ pub struct ErrorCurves {
 
 impl ErrorCurves {
     /// Empty curves for the cells of a lattice, which are as small as possible.
-    pub fn new(lattice: crate::geom::Lattice) -> Self {
+    pub fn new(lattice: isospan_io::geom::Lattice) -> Self {
         let at = |edge| BrickGrid::new(lattice, [edge; 3]);
         let count = |edge| at(edge).dims().iter().map(|&n| u128::from(n)).product::<u128>();
         let mut edge = LEAST_EDGE;
@@ -87,7 +87,7 @@ impl ErrorCurves {
     }
 
     /// As [`ErrorCurves::new`], of a mesh in the lattice's box; it is where samples have values.
-    pub fn of_mesh(lattice: crate::geom::Lattice) -> Self {
+    pub fn of_mesh(lattice: isospan_io::geom::Lattice) -> Self {
         let curves = Self::new(lattice);
         let inside = Some(vec![0.0; curves.logs.len()]);
         Self { inside, ..curves }
@@ -116,13 +116,13 @@ impl ErrorCurves {
     }
 
     /// Bytes that the curves of a lattice take, and the levels made of them.
-    pub fn bytes_for(lattice: crate::geom::Lattice) -> u64 {
+    pub fn bytes_for(lattice: isospan_io::geom::Lattice) -> u64 {
         let cells = lattice.dims.iter().map(|&d| (d - 1).div_ceil(LEAST_EDGE)).fold(1, u64::saturating_mul);
         cells.min(Levels::MOST_CELLS) * 16
     }
 
     /// As [`ErrorCurves::bytes_for`], of a mesh, with the number of vertices of each cell.
-    pub fn bytes_for_mesh(lattice: crate::geom::Lattice) -> u64 {
+    pub fn bytes_for_mesh(lattice: isospan_io::geom::Lattice) -> u64 {
         Self::bytes_for(lattice) / 16 * 24
     }
 

@@ -1,12 +1,12 @@
 use super::*;
-use crate::geom::Lattice;
-use crate::grid::IndexBox;
+use isospan_io::geom::Lattice;
+use isospan_io::grid::IndexBox;
 
 /// The curves of a function of the sample, measured block by block.
 fn curves(dims: [u64; 3], f: impl Fn([u64; 3]) -> f32) -> ErrorCurves {
     let mut curves = ErrorCurves::new(Lattice::new(dims).unwrap());
     let blocks = BlockErrors::blocks(curves.cells());
-    for block in (0..blocks.len()).map(crate::grid::BrickId) {
+    for block in (0..blocks.len()).map(isospan_io::grid::BrickId) {
         let samples = BlockErrors::samples_of(&blocks, block);
         let values = values(&samples, &f);
         curves.add(&BlockErrors::measure(curves.cells(), &samples, &values));

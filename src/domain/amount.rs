@@ -8,10 +8,10 @@
 use super::boundary::BoundarySamples;
 use super::buckets::BATCH;
 use super::store::CellStore;
-use crate::error::Result;
-use crate::geom::{LatticePos, Site};
-use crate::locate::{CellBatch, CellHit, PointGrid, fine};
-use crate::points::PointSet;
+use isospan_io::error::Result;
+use isospan_io::geom::{LatticePos, Site};
+use isospan_mesh::locate::{CellBatch, CellHit, PointGrid, fine};
+use isospan_mesh::points::PointSet;
 use std::sync::Arc;
 
 /// The most points that are counted one by one, in some 40 MB. The same for any memory that a run

@@ -17,9 +17,9 @@
 
 use super::column::{Column, ColumnWriter};
 use super::store::StoreSettings;
-use crate::bytes::paged::Paged;
-use crate::bytes::sorter::Sorter;
-use crate::error::Result;
+use isospan_io::bytes::paged::Paged;
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::Result;
 
 /// Which tetrahedra have a face in common, while that is found out.
 pub(super) struct Unions {
@@ -129,7 +129,7 @@ impl Bodies {
 mod tests {
     use super::*;
     use crate::domain::store::BadValue;
-    use crate::exec::CancelToken;
+    use isospan_io::exec::CancelToken;
 
     #[test]
     fn bodies_are_numbered_by_their_first_tetrahedron_and_follow_each_other() {

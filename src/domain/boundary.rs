@@ -33,11 +33,11 @@ use super::contact::Contacts;
 use super::nearest::nearest;
 use super::scatter::scattered;
 use super::store::CellStore;
-use crate::error::{Error, Result};
-use crate::geom::vec3::{cross, dot};
-use crate::geom::{Lattice, LatticeBox, LatticePos};
-use crate::locate::{FINE_BITS, FinePos, fine};
-use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, radical_inverse};
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::vec3::{cross, dot};
+use isospan_io::geom::{Lattice, LatticeBox, LatticePos};
+use isospan_mesh::locate::{FINE_BITS, FinePos, fine};
+use isospan_mesh::points::{ExplicitPoints, Levels, PointSet, PointSpec, radical_inverse};
 use std::path::Path;
 use std::sync::Arc;
 

@@ -2,11 +2,11 @@
 
 use super::column::{Column, ColumnWriter};
 use super::store::{CellStore, StoreSettings};
-use crate::bytes::sorter::Sorter;
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::grid::{BrickGrid, BrickId};
-use crate::locate::{CellBatch, FINE_BITS, FinePos};
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::locate::{CellBatch, FINE_BITS, FinePos};
 
 /// Cells handed out at a time.
 pub(super) const BATCH: usize = 4096;

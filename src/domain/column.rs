@@ -1,9 +1,9 @@
 //! A long array in a nameless scratch file: written front to back, then mapped. A short one stays
 //! in memory.
 
-use crate::bytes::{ByteSource, IoMode};
-use crate::error::{Error, Result};
 use bytemuck::Pod;
+use isospan_io::bytes::{ByteSource, IoMode};
+use isospan_io::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};

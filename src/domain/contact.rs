@@ -31,10 +31,10 @@
 use super::boundary::{Near, OnBoundary, Sample, Spacing, difference, mean, rounded};
 use super::buckets::BATCH;
 use super::store::CellStore;
-use crate::error::Result;
-use crate::geom::vec3::{cross, dot};
-use crate::geom::{Lattice, LatticePos};
-use crate::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine};
+use isospan_io::error::Result;
+use isospan_io::geom::vec3::{cross, dot};
+use isospan_io::geom::{Lattice, LatticePos};
+use isospan_mesh::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine};
 
 /// Boundaries touch within this many mean distances.
 const TOUCH: f64 = 0.5;

@@ -13,12 +13,12 @@
 use super::boundary::difference;
 use super::column::{Column, ColumnWriter};
 use super::store::StoreSettings;
-use crate::bytes::sorter::Sorter;
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::geom::curve::hilbert_key;
-use crate::geom::vec3::{cross, dot};
-use crate::locate::{FINE_BITS, FinePos};
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::geom::curve::hilbert_key;
+use isospan_io::geom::vec3::{cross, dot};
+use isospan_mesh::locate::{FINE_BITS, FinePos};
 
 /// A boundary bends where normals, or edges, are further apart than 40 degrees: the cosine.
 const BENT: f64 = 0.766;

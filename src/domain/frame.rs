@@ -2,10 +2,10 @@
 
 use super::column::{Column, ColumnWriter};
 use super::store::StoreSettings;
-use crate::error::{Error, Result};
-use crate::geom::Lattice;
-use crate::grid::Geometry;
-use crate::locate::{FINE_BITS, FinePos};
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::Lattice;
+use isospan_io::grid::Geometry;
+use isospan_mesh::locate::{FINE_BITS, FinePos};
 use std::path::Path;
 
 /// The longest side of a mesh's bounding box in fine steps, as a power of two.

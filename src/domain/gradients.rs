@@ -7,10 +7,10 @@
 
 use super::column::{Column, ColumnWriter};
 use super::store::{CellStore, StoreSettings};
-use crate::bytes::sorter::Sorter;
-use crate::error::Result;
-use crate::geom::vec3::{cross, dot};
-use crate::locate::FinePos;
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::Result;
+use isospan_io::geom::vec3::{cross, dot};
+use isospan_mesh::locate::FinePos;
 
 /// Vertex, tetrahedron, then the bits of volume and of the gradient times the volume.
 type Record = [u64; 6];
@@ -66,9 +66,9 @@ fn of_tet(corners: [FinePos; 4], values: [f64; 4]) -> (f64, [f64; 3]) {
 mod tests {
     use super::*;
     use crate::domain::store::BadValue;
-    use crate::exec::CancelToken;
-    use crate::formats::{OpenOptions, open_mesh};
-    use crate::locate::{
+    use isospan_io::exec::CancelToken;
+    use isospan_io::formats::{OpenOptions, open_mesh};
+    use isospan_mesh::locate::{
         CellBatch, CellHit, Corner, FINE_BITS, PointGrid, fine, linear, quadratic, quadratic_thesis,
     };
     use std::fmt::Write as _;

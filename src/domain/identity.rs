@@ -4,9 +4,9 @@
 //! polyhedra the faces, in the order of the file. Cells without a volume, and those that a file
 //! marks as ghosts, are no part of the mesh. Cost: one pass over both, of which hashing is little.
 
-use crate::cells::{CellBlock, CellMesh};
-use crate::error::Result;
-use crate::exec::CancelToken;
+use isospan_io::cells::{CellBlock, CellMesh};
+use isospan_io::error::Result;
+use isospan_io::exec::CancelToken;
 use xxhash_rust::xxh3::Xxh3;
 
 /// What identifies a mesh.

@@ -13,9 +13,9 @@
 
 use super::column::{Column, ColumnWriter};
 use super::store::StoreSettings;
-use crate::bytes::sorter::Sorter;
-use crate::error::Result;
-use crate::locate::FinePos;
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::Result;
+use isospan_mesh::locate::FinePos;
 
 /// The bits of every value that is missing.
 const VOID: u32 = 0x7fc0_0000;

@@ -1,6 +1,6 @@
 //! Vertices that cells need: polyhedra one in the middle of each, and one in the middle of each
-//! face of more than four vertices ([`crate::cells::polyhedron`] has the rule); quadratic cells
-//! those that they lack ([`crate::cells::quadratic`]).
+//! face of more than four vertices ([`isospan_io::cells::polyhedron`] has the rule); quadratic cells
+//! those that they lack ([`isospan_io::cells::quadratic`]).
 //!
 //! Both cells at a face must have the same vertex, and memory need not hold the faces of a mesh. So
 //! a pass over the cells lists the faces in question, and sorting brings equals together:
@@ -25,13 +25,13 @@
 use super::column::{Column, ColumnWriter};
 use super::merge::Firsts;
 use super::store::StoreSettings;
-use crate::bytes::sorter::Sorter;
-use crate::cells::polyhedron::{Cut, Faces, bent_corner, cone, distinct};
-use crate::cells::quadratic::{Middles, at_middle};
-use crate::cells::{CellBlock, CellKind, CellMesh, CellTet, split};
-use crate::error::Result;
-use crate::locate::FinePos;
 use bytemuck::Pod;
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::cells::polyhedron::{Cut, Faces, bent_corner, cone, distinct};
+use isospan_io::cells::quadratic::{Middles, at_middle};
+use isospan_io::cells::{CellBlock, CellKind, CellMesh, CellTet, split};
+use isospan_io::error::Result;
+use isospan_mesh::locate::FinePos;
 use xxhash_rust::xxh3::xxh3_128;
 
 /// Answers for faces of four vertices with a straight corner: they are cut from it,

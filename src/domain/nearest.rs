@@ -5,8 +5,8 @@
 //! one order of operations, so the bits are the same on every machine.
 
 use super::boundary::difference;
-use crate::geom::vec3::{cross, dot};
-use crate::locate::FinePos;
+use isospan_io::geom::vec3::{cross, dot};
+use isospan_mesh::locate::FinePos;
 
 /// Weights of the corners of a triangle at its point nearest to `p`, and the square of the distance
 /// in fine steps.

@@ -22,12 +22,12 @@
 use super::boundary::rounded;
 use super::column::{Column, ColumnWriter};
 use super::store::{CellStore, StoreSettings};
-use crate::bytes::sorter::Sorter;
-use crate::error::{Error, Result};
-use crate::geom::LatticePos;
-use crate::geom::predicates::signed_volume6;
-use crate::grid::{BrickGrid, BrickId};
-use crate::points::ExplicitPoints;
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::points::ExplicitPoints;
+use isospan_mesh::predicates::signed_volume6;
 use std::path::Path;
 use std::sync::Arc;
 

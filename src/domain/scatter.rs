@@ -21,10 +21,10 @@
 
 use super::boundary::{OnBoundary, Spacing, Surface, difference, mean, rounded};
 use super::store::CellStore;
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::geom::vec3::{cross, dot};
-use crate::locate::{FINE_BITS, FinePos};
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::geom::vec3::{cross, dot};
+use isospan_mesh::locate::{FINE_BITS, FinePos};
 use std::collections::HashMap;
 
 /// Samples keep this distance, in mean distances of the points inside.

@@ -9,11 +9,11 @@
 use super::boundary::rounded;
 use super::column::{Column, ColumnWriter};
 use super::store::{CellStore, StoreSettings};
-use crate::bytes::paged::Paged;
-use crate::bytes::sorter::Sorter;
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::grid::{BrickGrid, BrickId};
+use isospan_io::bytes::paged::Paged;
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::{BrickGrid, BrickId};
 
 /// Vertices handed out at a time.
 const BATCH: usize = 1 << 15;

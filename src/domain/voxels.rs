@@ -1,13 +1,13 @@
 //! A mesh's field at the samples of a grid: those of the lattice's voxels, block by block.
 //!
 //! Each sample is located among the cells that a block has, as points of a reduction are
-//! ([`crate::locate`]); where there is no cell, the value is no number.
+//! ([`isospan_mesh::locate`]); where there is no cell, the value is no number.
 
 use super::buckets::Buckets;
 use super::store::{CellStore, StoreSettings};
-use crate::error::Result;
-use crate::grid::{BrickGrid, BrickId, IndexBox};
-use crate::locate::{CellBatch, CellHit, FinePos, PointGrid, fine, linear};
+use isospan_io::error::Result;
+use isospan_io::grid::{BrickGrid, BrickId, IndexBox};
+use isospan_mesh::locate::{CellBatch, CellHit, FinePos, PointGrid, fine, linear};
 
 /// The cells of a mesh, sorted into blocks.
 pub(crate) struct Voxels<'a> {

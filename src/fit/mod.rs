@@ -57,7 +57,7 @@
 //! the bits.
 //!
 //! **Meshes.** The samples of a tetrahedral mesh are its vertices. They lie anywhere, so windows
-//! are bricks, and the tetrahedra look the samples of a brick up ([`crate::raster::PointLocator`]);
+//! are bricks, and the tetrahedra look the samples of a brick up ([`isospan_mesh::raster::PointLocator`]);
 //! else all is the same.
 //!
 //! **What holds.** A constant stays that constant, exactly, since a difference is Σ w (f - s),
@@ -81,12 +81,12 @@ mod windows;
 use self::sums::Lanes;
 pub use windows::{BrickTets, Windows, window_edge};
 
-use crate::exec::Room;
-use crate::geom::LatticePos;
-use crate::grid::IndexBox;
-use crate::mesh::tet::Tet;
-use crate::raster::{BatchScan, PointLocator, SampleGrid, Scanner};
-use crate::simd::with_vectors;
+use isospan_io::exec::Room;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::IndexBox;
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::raster::{BatchScan, PointLocator, SampleGrid, Scanner};
+use isospan_mesh::simd::with_vectors;
 
 /// Samples of a step that are read at a time, where a slice has no more.
 const SLICES: usize = 1 << 13;

@@ -6,10 +6,10 @@
 //! all had in common so far. Steps that are left over have lanes that are not looked at.
 
 use super::{Located, NONE, RoundWithin};
-use crate::exec::{Lent, Room};
-use crate::mesh::tet::Tet;
-use crate::simd::{Avx2, F64xN, Plain, four, on_avx2_or_plain, on_widest, sorted, with_vectors};
 use bytemuck::{Pod, Zeroable};
+use isospan_io::exec::{Lent, Room};
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::simd::{Avx2, F64xN, Plain, four, on_avx2_or_plain, on_widest, sorted, with_vectors};
 
 /// ω: the length of the step.
 const STEP: f64 = 1.16;

@@ -2,11 +2,11 @@
 //! holes; neither order nor windows show.
 
 use super::*;
-use crate::geom::Lattice;
-use crate::geom::curve::Order;
-use crate::mesh::delaunay::Mesher;
-use crate::points::{PointSet, PointSpec};
-use crate::raster::interpolate;
+use isospan_io::geom::Lattice;
+use isospan_io::geom::curve::Order;
+use isospan_mesh::mesh::delaunay::Mesher;
+use isospan_mesh::points::{PointSet, PointSpec};
+use isospan_mesh::raster::interpolate;
 use std::convert::Infallible;
 
 const DIMS: [u64; 3] = [21, 17, 38];

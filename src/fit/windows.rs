@@ -4,12 +4,12 @@
 //! read where tetrahedra have samples: its box is cut to theirs. Where samples lie anywhere, as the
 //! vertices of a mesh do, windows are bricks ([`BrickTets`]).
 
-use crate::exec::{Lent, Room};
-use crate::geom::LatticePos;
-use crate::grid::{BrickGrid, BrickId, IndexBox};
-use crate::mesh::tet::Tet;
-use crate::raster::{SampleGrid, greater, lesser};
-use crate::simd::with_vectors;
+use isospan_io::exec::{Lent, Room};
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::{BrickGrid, BrickId, IndexBox};
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::raster::{SampleGrid, greater, lesser};
+use isospan_mesh::simd::with_vectors;
 
 /// Samples along an edge of a window, at least: few tetrahedra then touch two of them.
 const LEAST_EDGE: u64 = 32;

@@ -5,7 +5,7 @@ use super::Entry;
 use super::external::Spill;
 use super::page::{Bounds, LEAF_ENTRIES, PAGE_LEVELS, child_sizes, encode_inner, encode_leaf};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind, SegmentWriter};
-use crate::error::Result;
+use isospan_io::error::Result;
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 

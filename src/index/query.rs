@@ -5,8 +5,8 @@ use super::{Entry, EntryDigest};
 use crate::archive::Malformed;
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::archive::wire::Cursor;
-use crate::error::{Error, Result};
-use crate::mesh::tet::is_active;
+use isospan_io::error::{Error, Result};
+use isospan_mesh::mesh::tet::is_active;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -5,7 +5,7 @@
 //! brick are added up in chunk order.
 
 use super::sums::error_of;
-use crate::error::Result;
+use isospan_io::error::Result;
 use std::collections::BTreeMap;
 
 /// What a chunk knows of a brick. All fields are integers, so that records have an order.

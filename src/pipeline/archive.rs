@@ -1,10 +1,6 @@
 //! [`Archive`]: an archive opened for reading, with all its steps.
 
-use crate::bytes::remote::{Traffic, traffic, traffic_since};
-use crate::error::Result;
-use crate::exec::{CancelToken, Clock, Progress};
-use crate::formats::StepSource;
-use crate::formats::surface::SurfaceFormat;
+use crate::files::surface::SurfaceFormat;
 use crate::pipeline::check::{ArchiveCheck, check_archive};
 use crate::pipeline::field::{GridReport, GridSettings, Moments, archive_sources, export_zarr};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
@@ -13,6 +9,10 @@ use crate::pipeline::surface::{
     SeriesReport, SurfaceSettings, series_files, surfaces_of_steps, write_series,
 };
 use crate::surface::TriMesh;
+use isospan_io::bytes::remote::{Traffic, traffic, traffic_since};
+use isospan_io::error::Result;
+use isospan_io::exec::{CancelToken, Clock, Progress};
+use isospan_io::formats::StepSource;
 use serde::Serialize;
 use std::ops::{Deref, Range};
 use std::path::{Path, PathBuf};

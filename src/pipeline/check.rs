@@ -14,11 +14,6 @@ use crate::archive::mesh::ChunkHeader;
 use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::RepeatedReader;
 use crate::archive::values::ValueBlocks;
-use crate::bytes::remote::is_remote;
-use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Threads, in_order};
-use crate::geom::predicates::signed_volume6;
-use crate::grid::{Chunk, ChunkId, IndexBox};
 use crate::index::{Entry, EntryDigest, index_entries};
 use crate::pipeline::read::{
     Bench, Brick, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, bricks_of, chunk_place,
@@ -26,6 +21,11 @@ use crate::pipeline::read::{
 };
 use crate::pipeline::reduce::strays;
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
+use isospan_io::bytes::remote::is_remote;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{CancelToken, Threads, in_order};
+use isospan_io::grid::{Chunk, ChunkId, IndexBox};
+use isospan_mesh::predicates::signed_volume6;
 use serde::Serialize;
 use std::ops::Range;
 use std::path::{Path, PathBuf};

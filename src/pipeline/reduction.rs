@@ -1,13 +1,13 @@
 //! [`Reduction`]: from volumes or meshes to an archive, set up one method at a time.
 
-use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, Silent};
-use crate::formats::{Input, StepSource};
 use crate::pipeline::field::{MeasureSettings, measure_source};
 use crate::pipeline::plan::Estimate;
 use crate::pipeline::reduce::{ReduceReport, estimate_series, reduce_series};
 use crate::pipeline::settings::{Adapt, Amount, ReduceSettings, RunSettings, Target};
-use crate::points::SetKind;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Progress, Resources, Silent};
+use isospan_io::formats::{Input, StepSource};
+use isospan_mesh::points::SetKind;
 use std::path::Path;
 
 /// What is to become an archive, and how.
@@ -49,7 +49,7 @@ impl Reduction<'static> {
     }
 
     /// A reduction of the steps of a series: one mesh, and the values of each step. They are
-    /// numbered from 0. [`steps_of`](crate::formats::steps_of) finds them in files.
+    /// numbered from 0. [`steps_of`](isospan_io::formats::steps_of) finds them in files.
     pub fn of_steps(sources: impl IntoIterator<Item = StepSource>) -> Self {
         Self {
             sources: sources.into_iter().collect(),

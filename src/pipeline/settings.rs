@@ -5,10 +5,10 @@
 
 use crate::archive::manifest::{self, KEYFRAMES};
 use crate::archive::segment::PlanHash;
-use crate::error::{Error, Result};
-use crate::exec::Resources;
-use crate::points::{SetKind, SetSettings};
-use crate::sample::{Interpolation, Values};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Resources;
+use isospan_mesh::points::{SetKind, SetSettings};
+use isospan_mesh::sample::{Interpolation, Values};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

@@ -1,10 +1,6 @@
 //! [`Step`]: an archive at a step, and all questions that can be asked of it.
 
-use crate::error::Result;
-use crate::exec::{CancelToken, Progress, Resources, Silent};
-use crate::formats::samples::SampleFormat;
-use crate::formats::surface::SurfaceFormat;
-use crate::grid::{ChunkId, Geometry};
+use crate::files::surface::SurfaceFormat;
 use crate::index::Entry;
 use crate::pipeline::field::{
     ExportReport, ExportSettings, GridReport, GridSettings, Moments, ProbeReport, ProbeSettings,
@@ -20,7 +16,11 @@ use crate::pipeline::surface::{
 };
 use crate::render::ColourMap;
 use crate::surface::{SurfaceSource, TriMesh};
-use crate::volume::units::Units;
+use isospan_io::error::Result;
+use isospan_io::exec::{CancelToken, Progress, Resources, Silent};
+use isospan_io::formats::samples::SampleFormat;
+use isospan_io::grid::{ChunkId, Geometry};
+use isospan_io::volume::units::Units;
 use std::path::Path;
 use std::sync::Arc;
 

@@ -1,8 +1,8 @@
 //! From the world to the samples of an image.
 
-use crate::error::{Error, Result};
 use crate::surface::SurfaceSource;
 use glam::DVec3;
+use isospan_io::error::{Error, Result};
 use std::str::FromStr;
 
 /// Which way is up.

@@ -1,7 +1,7 @@
 //! Colours: sRGB bytes outside, linear light inside.
 
 use super::ColourMap;
-use crate::error::{Error, Result};
+use isospan_io::error::{Error, Result};
 
 /// The colour of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@
 //! to those who do not distinguish all colours. Coolwarm goes through white in the middle of the
 //! range: K. Moreland, Diverging Color Maps for Scientific Visualization, ISVC 2009.
 
-use crate::error::Error;
+use isospan_io::error::Error;
 use std::f64::consts::FRAC_PI_3;
 use std::str::FromStr;
 

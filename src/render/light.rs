@@ -1,7 +1,7 @@
 //! A sky of lights, and what each of them sees of the surface.
 
 use super::Placed;
-use crate::geom::vec3::{cross, dot};
+use isospan_io::geom::vec3::{cross, dot};
 use rayon::prelude::*;
 
 /// Texels along each side of a light's depth map.

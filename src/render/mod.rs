@@ -41,11 +41,11 @@ pub use camera::{Camera, Up, View};
 pub use colour::{Paint, SEQUENTIAL, parse_colour, scale_colour};
 pub use colour_map::ColourMap;
 
-use crate::bytes::store::{Cached, Store};
-use crate::error::{Error, Result};
-use crate::exec::{Resources, pool};
 use crate::surface::SurfaceSource;
 use glam::{DVec3, Vec3};
+use isospan_io::bytes::store::{Cached, Store};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Resources, pool};
 use light::Sky;
 use rayon::prelude::*;
 use samples::{Corner, Samples};

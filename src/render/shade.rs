@@ -4,7 +4,7 @@ use super::colour::{encode, linear, scale_linear};
 use super::light::Sky;
 use super::samples::{Samples, Seen};
 use super::{ColourMap, Look, Paint, View};
-use crate::geom::vec3::dot;
+use isospan_io::geom::vec3::dot;
 use rayon::prelude::*;
 
 /// The share of a highlight that a surface reflects; a little, and wide.

@@ -1,6 +1,6 @@
 use super::*;
-use crate::exec::Resources;
 use crate::surface::{TriMesh, Vertex};
+use isospan_io::exec::Resources;
 
 /// A sphere of radius 1 in rows and columns.
 fn sphere(rows: u32, normals: bool) -> TriMesh {

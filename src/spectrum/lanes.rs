@@ -3,9 +3,9 @@
 use super::design::{Design, Limits};
 use super::measure::{ChunkPart, Vertices};
 use super::sums::{Ends, Sums};
-use crate::exec::will_read;
-use crate::mesh::tet::Tet;
-use crate::simd::with_vectors;
+use isospan_io::exec::will_read;
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::simd::with_vectors;
 
 /// Steps that are interleaved, at most, and at least: two are measured sooner one by one.
 pub(super) const LANES: usize = 8;

@@ -15,10 +15,10 @@
 use super::design::{Design, Limits};
 use super::lanes::{Alone, LANES, LaneBuffers, Lanes, Together, ends_of};
 use super::tetra::{BATCH, Ladder, PiecesOf, Shapes};
-use crate::mesh::tet::Tet;
-use crate::simd::{Avx2, Avx512, F64s, F64x4s, F64xN, Plain, four, with_avx512, with_vectors};
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::simd::{Avx2, Avx512, F64s, F64x4s, F64xN, Plain, four, with_avx512, with_vectors};
 #[cfg(target_arch = "x86_64")]
-use crate::simd::{F64x4, F64x8, Pair};
+use isospan_mesh::simd::{F64x4, F64x8, Pair};
 
 /// What the tetrahedra of a chunk contribute to a spectrum: the spectrum of the chunk.
 #[derive(Clone, Debug, PartialEq)]

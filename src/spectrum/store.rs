@@ -6,7 +6,7 @@ use super::design::Limits;
 use super::measure::ChunkPart;
 use super::part::Digits;
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use crate::error::{Error, Result};
+use isospan_io::error::{Error, Result};
 use std::path::Path;
 
 impl SpectrumBuilder {

@@ -14,7 +14,7 @@ use super::design::{Design, MOST_KNOTS};
 use super::grid::{BinaryPlaces, Places};
 use super::measure::{ChunkPart, Measured};
 use super::tetra::{Cut, KNOTS, Pieces, PiecesOf};
-use crate::simd::F64s;
+use isospan_mesh::simd::F64s;
 
 /// How many knots are at or below a void value: more than there are.
 pub(super) const VOID: u8 = u8::MAX;

@@ -3,8 +3,8 @@
 use super::measure::Vectors;
 use super::*;
 use crate::archive::segment::PlanHash;
-use crate::mesh::tet::{Tet, is_active, range};
-use crate::simd::{Avx2, Avx512};
+use isospan_mesh::mesh::tet::{Tet, is_active, range};
+use isospan_mesh::simd::{Avx2, Avx512};
 use proptest::prelude::*;
 use std::path::Path;
 

@@ -22,8 +22,8 @@
 
 use super::design::Design;
 use super::sums::VOID;
-use crate::mesh::tet::Tet;
-use crate::simd::{F64s, F64x4s, F64xN, four, sorted, three};
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::simd::{F64s, F64x4s, F64xN, four, sorted, three};
 
 /// Tetrahedra that are looked at together: enough that the sums near their values, at some steps,
 /// are fetched once for many of them.

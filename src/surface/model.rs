@@ -1,6 +1,6 @@
 //! A surface: vertices and triangles, in memory or read in batches.
 
-use crate::error::Result;
+use isospan_io::error::Result;
 
 /// A vertex of an output surface, in world coordinates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]

@@ -3,9 +3,9 @@
 use super::extract::{CellSource, ChunkSurface, Workbench, extract};
 use super::weld::{BuilderSettings, SurfaceBuilder};
 use super::{TriMesh, Vertex, WorldMap};
-use crate::geom::{Lattice, LatticePos, PointId};
-use crate::grid::Geometry;
-use crate::mesh::tet::Tet;
+use isospan_io::geom::{Lattice, LatticePos, PointId};
+use isospan_io::grid::Geometry;
+use isospan_mesh::mesh::tet::Tet;
 
 /// A box of voxels, each cut into Kuhn's six tetrahedra.
 pub(super) struct Grid {

@@ -1,7 +1,7 @@
 //! From the lattice to the world.
 
-use crate::geom::Lattice;
-use crate::grid::Geometry;
+use isospan_io::geom::Lattice;
+use isospan_io::grid::Geometry;
 
 /// From the lattice to the world: positions as points, gradients as covectors.
 ///

@@ -18,10 +18,10 @@
 //! addition about 40 bytes for each shared point that is still open: a caller that knows which
 //! points later chunks can still use closes the others ([`TetBuilder::keep_open`]).
 
-use crate::bytes::store::Store;
-use crate::error::Result;
-use crate::geom::{LatticePos, PointId};
-use crate::mesh::tet::Tet;
+use isospan_io::bytes::store::Store;
+use isospan_io::error::Result;
+use isospan_io::geom::{LatticePos, PointId};
+use isospan_mesh::mesh::tet::Tet;
 use rustc_hash::FxHashMap;
 use std::path::Path;
 

@@ -10,8 +10,16 @@ type Imports = BTreeMap<String, BTreeSet<String>>;
 
 /// The heading of the table of modules.
 const MODULES: &str = "## Which module may use which?";
-/// What every module uses, the root of the crate, and the program, which is not in the library.
-const NO_ROWS: [&str; 5] = ["error", "lib", "main", "cli", "Error"];
+/// What every module uses, and the root of each crate.
+const NO_ROWS: [&str; 3] = ["error", "lib", "Error"];
+/// The crates whose modules have rows: their names in code, and their folders. Which crate may use
+/// which, Cargo says.
+const CRATES: [(&str, &str); 3] =
+    [("isospan_io", "src/io"), ("isospan_mesh", "src/mesh"), ("isospan", "src")];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
@@ -73,37 +81,57 @@ fn names(text: &str) -> Vec<&str> {
     found
 }
 
-/// All paths of the library's modules to others: module, other, and the name that is used of it.
-fn paths_of_the_code(src: &Path) -> BTreeSet<[String; 3]> {
-    let (mut files, mut found) = (vec![], BTreeSet::new());
-    sources(src, &mut files);
-    for file in files {
-        let below = file.strip_prefix(src).unwrap().to_string_lossy().into_owned();
-        let module = word(&below).to_owned();
-        if NO_ROWS.contains(&&*module) {
-            continue;
-        }
-        for path in code(&fs::read_to_string(&file).unwrap()).split("crate::").skip(1) {
-            let other = word(path);
-            assert!(!other.is_empty(), "{below}: write `crate::module`, not `crate::{{`");
-            if other != module && !NO_ROWS.contains(&other) {
-                let rest = path[other.len()..].strip_prefix("::").unwrap_or_default();
-                found.extend(names(rest).iter().map(|n| [module.clone(), other.into(), (*n).to_owned()]));
+/// What follows the name of a crate, wherever a file uses a path of the crate.
+fn paths_of<'a>(code: &'a str, name: &str) -> Vec<&'a str> {
+    let name = format!("{name}::");
+    let is_a_word = |at: usize| code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
+    code.match_indices(&name)
+        .filter(|(at, _)| !is_a_word(*at))
+        .map(|(at, _)| &code[at + name.len()..])
+        .collect()
+}
+
+/// All paths of modules to others: module, other, and the name that is used of it.
+fn paths_of_the_code(root: &Path) -> BTreeSet<[String; 3]> {
+    let mut found = BTreeSet::new();
+    for (own, folder) in CRATES {
+        let mut files = vec![];
+        sources(&root.join(folder), &mut files);
+        for file in files {
+            let below = file.strip_prefix(root.join(folder)).unwrap().to_string_lossy().into_owned();
+            let module = word(&below).to_owned();
+            if NO_ROWS.contains(&&*module) {
+                continue;
+            }
+            let code = code(&fs::read_to_string(&file).unwrap());
+            let others = CRATES.iter().filter(|(name, _)| *name != own).map(|(name, _)| *name);
+            for path in others.chain(["crate"]).flat_map(|name| paths_of(&code, name)) {
+                let other = word(path);
+                assert!(!other.is_empty(), "{below}: write `crate::module`, not `crate::{{`");
+                if other != module && !NO_ROWS.contains(&other) {
+                    let rest = path[other.len()..].strip_prefix("::").unwrap_or_default();
+                    found.extend(names(rest).iter().map(|n| [module.clone(), other.into(), (*n).to_owned()]));
+                }
             }
         }
     }
     found
 }
 
-/// Modules that consist of rooms.
-const HOUSES: [&str; 4] = ["pipeline", "formats", "archive", "surface"];
+/// Modules that consist of rooms, and their folders.
+const HOUSES: [(&str, &str); 4] = [
+    ("pipeline", "src/pipeline"),
+    ("formats", "src/io/formats"),
+    ("archive", "src/archive"),
+    ("surface", "src/surface"),
+];
 
 /// The rooms of a module, and what each uses of others.
-fn rooms_of_the_code(src: &Path, house: &str) -> Imports {
+fn rooms_of_the_code(folder: &Path, house: &str) -> Imports {
     let (mut files, mut found) = (vec![], Imports::new());
-    sources(&src.join(house), &mut files);
+    sources(folder, &mut files);
     for file in files {
-        let below = file.strip_prefix(src.join(house)).unwrap().to_string_lossy().into_owned();
+        let below = file.strip_prefix(folder).unwrap().to_string_lossy().into_owned();
         let room = word(&below);
         if room == "mod" {
             continue;
@@ -125,11 +153,10 @@ fn rooms_of_the_code(src: &Path, house: &str) -> Imports {
 
 #[test]
 fn the_table_of_rooms_is_the_code_s() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap();
-    for house in HOUSES {
+    let text = fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
+    for (house, folder) in HOUSES {
         let (order, listed) = rows(&text, &format!("## Which room of `{house}` may use which?"));
-        assert_eq!(listed, rooms_of_the_code(&root.join("src"), house));
+        assert_eq!(listed, rooms_of_the_code(&root().join(folder), house));
         for (at, room) in order.iter().enumerate() {
             for other in &listed[room] {
                 assert!(order[..at].contains(other), "{room} uses {other}, which is below it");
@@ -167,8 +194,7 @@ fn names_of(text: &str) -> Vec<String> {
 
 #[test]
 fn the_files_of_a_room_have_no_circles() {
-    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let mut rooms: Vec<PathBuf> = HOUSES.iter().map(|house| src.join(house)).collect();
+    let mut rooms: Vec<PathBuf> = HOUSES.iter().map(|(_, folder)| root().join(folder)).collect();
     let mut at = 0;
     while at < rooms.len() {
         let entries = fs::read_dir(&rooms[at]).unwrap().map(|entry| entry.unwrap().path());
@@ -207,10 +233,10 @@ fn rows(text: &str, heading: &str) -> (Vec<String>, Imports) {
 
 #[test]
 fn the_table_of_imports_is_the_code_s() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = root();
     let (_, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap(), MODULES);
     let (mut missing, mut used) = (BTreeSet::new(), Imports::new());
-    for [module, other, name] in paths_of_the_code(&root.join("src")) {
+    for [module, other, name] in paths_of_the_code(&root) {
         let row = listed.get(&module).unwrap_or_else(|| panic!("{module} has no row"));
         let entry = [other.clone(), format!("{other}::{name}")].into_iter().find(|e| row.contains(e));
         match entry {
@@ -227,7 +253,7 @@ fn the_table_of_imports_is_the_code_s() {
 
 #[test]
 fn modules_use_those_of_the_rows_above() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = root();
     let (order, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap(), MODULES);
     for (at, module) in order.iter().enumerate() {
         for other in listed[module].iter().map(|entry| word(entry)) {

@@ -495,7 +495,7 @@ fn info_lists_fields_and_steps() {
     fs::write(d.join("two.vtk"), legacy(&["heat", "speed"], "", "")).unwrap();
     let text = ok(d, &["info", "two.vtk"]);
     assert!(text.contains("heat (float32), speed (float32)") && text.contains("--field NAME"), "{text}");
-    let levels = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/levels.nc");
+    let levels = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data/levels.nc");
     let levels = levels.to_str().unwrap();
     let text = ok(d, &["info", levels, "--field", "temp"]);
     assert!(text.contains("steps      3, of which this is the first; times 0 .. 18"), "{text}");

@@ -19,7 +19,7 @@ const DOCUMENTS: [&str; 7] = [
 const MOST_WORDS_OF_README: usize = 1500;
 
 fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }
 
 /// The pages of the book: names in tools/book/src.

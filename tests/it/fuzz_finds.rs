@@ -1,5 +1,5 @@
 //! Inputs that once led to a panic, a hang or a claim of memory, each by its name: found by
-//! `tools/fuzz`, or by looking for what it might find.
+//! `tools/dev/fuzz`, or by looking for what it might find.
 
 use crate::common::*;
 use isospan::Error;

@@ -28,7 +28,6 @@ mod given;
 mod grids;
 mod io;
 mod levels;
-#[cfg(feature = "remote")]
 mod liars;
 mod machines;
 mod measure;
@@ -52,7 +51,6 @@ mod refine;
 mod reports;
 mod resample;
 mod series;
-#[cfg(feature = "remote")]
 mod servers;
 mod shards;
 mod shared_data;

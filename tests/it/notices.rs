@@ -81,7 +81,7 @@ fn fill_values_are_named_by_every_door() {
 #[test]
 fn ordinary_data_are_silent() {
     let dir = tempfile::tempdir().unwrap();
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("datasets");
+    let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("datasets");
     for name in ["tooth/tooth.nhdr", "ironprot.vtk"] {
         let input = data.join(name).display().to_string();
         assert_eq!(notices(dir.path(), &["info", &input]), [""; 0]);
@@ -98,7 +98,7 @@ fn ordinary_data_are_silent() {
 fn files_that_are_no_slices_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dicom");
+    let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data/dicom");
     fs::create_dir(d.join("scan")).unwrap();
     for slice in ["a", "b", "c", "d", "e"] {
         fs::copy(data.join("series").join(slice), d.join("scan").join(slice)).unwrap();

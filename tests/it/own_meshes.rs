@@ -470,7 +470,7 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
 #[test]
 fn steps_of_a_variable_are_a_series_on_one_mesh() {
     let dir = tempfile::tempdir().unwrap();
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data");
     let heat = OpenOptions { field: Some("heat".into()), ..OpenOptions::default() };
     let mut areas = vec![];
     for (number, name) in ["exodus/row.exo", "exodus/row_cdf5.g", "exodus/row_packed.exo", "ensight/big.case"]

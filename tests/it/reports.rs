@@ -10,7 +10,8 @@ use std::path::Path;
 use std::process::Command;
 
 fn schema() -> Value {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/book/src/reports.schema.json");
+    let file =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tools/book/src/reports.schema.json");
     serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap()
 }
 

@@ -81,7 +81,6 @@ impl Vtu {
 }
 
 /// The same mesh, field and values in both formats, compressed or not; a reduction of it, too.
-#[cfg(feature = "hdf5")]
 #[test]
 fn vtkhdf_files_hold_what_vtu_files_do() {
     use isospan::cells::{CellBlock, CellMesh};

@@ -301,7 +301,7 @@ fn the_archive_is_that_of_the_same_files_on_disk() {
     let mut packed = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
     packed.write_all(&all).unwrap();
     fs::write(d.join("packed.raw.gz"), packed.finish().unwrap()).unwrap();
-    let h5 = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/chunks.h5");
+    let h5 = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data/chunks.h5");
     fs::copy(h5, d.join("chunks.h5")).unwrap();
     let server = Server::of(d);
     let layout = ["--dims", "40,36,48", "--type", "uint16"];

@@ -62,7 +62,7 @@ impl Cluster {
 
     fn control(&self, args: &[&str]) {
         // Nodes outlive the script, and would hold its pipes.
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tools/slurm/cluster");
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/slurm/cluster");
         let log = fs::File::create(self.path().join("cluster.log")).unwrap();
         let mut command = self.command(script, args);
         let status = command.stdout(log.try_clone().unwrap()).stderr(log).status().unwrap();
@@ -178,7 +178,7 @@ impl Drop for Cluster {
         if !std::thread::panicking() {
             return self.control(&["stop"]);
         }
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tools/slurm/cluster");
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/slurm/cluster");
         let _ = self.command(script, &["stop"]).output();
     }
 }

@@ -37,7 +37,12 @@ fn volumes(dir: &Path, count: usize) {
 }
 
 fn data(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name).to_str().unwrap().to_owned()
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+        .join("tests/data")
+        .join(name)
+        .to_str()
+        .unwrap()
+        .to_owned()
 }
 
 const THREE: [&str; 6] = ["--unit", "K", "--length-unit", "micrometer", "--time-unit", "seconds"];

@@ -19,9 +19,9 @@ pub use summary::{
 use crate::archive::manifest::SegmentRecord;
 use crate::archive::segment::{Journal, PlanHash, Record, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use crate::archive::wire::{Cursor, Malformed, put_varint};
-use crate::bytes::publish::{self, Dead};
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
+use isospan_io::bytes::publish::{self, Dead};
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
 use std::ops::Range;
 use std::path::Path;
 

@@ -15,7 +15,7 @@
 
 use crate::archive::range_coder::{Decoder, Encoder, Odds};
 use crate::archive::wire::{Cursor, Malformed};
-use crate::mesh::tet::Tet;
+use isospan_mesh::mesh::tet::Tet;
 
 /// The values of one tetrahedron block.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -11,7 +11,7 @@
 use super::ranges::{BlockRange, RangeDecoder, RangeEncoder, greater, lesser};
 use crate::archive::values::ValueBlocks;
 use crate::archive::wire::{Cursor, Malformed};
-use crate::simd::with_vectors;
+use isospan_mesh::simd::with_vectors;
 
 /// The most blocks of a chunk.
 const MOST_BLOCKS: u32 = 5_000_000;

@@ -34,16 +34,16 @@ use crate::archive::segment::{
 };
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
-use crate::bytes::plain::open_plain;
-use crate::bytes::publish::Unpublished;
-use crate::bytes::read_whole;
-use crate::bytes::remote::{is_remote, read_all};
-use crate::error::{Error, Fault, Result};
-use crate::grid::Geometry;
 use crate::measure::{FieldError, LevelError};
-use crate::sample::{Interpolation, Values};
-use crate::volume::units::Units;
-use crate::volume::{ScalarType, shifted::shortest};
+use isospan_io::bytes::plain::open_plain;
+use isospan_io::bytes::publish::Unpublished;
+use isospan_io::bytes::read_whole;
+use isospan_io::bytes::remote::{is_remote, read_all};
+use isospan_io::error::{Error, Fault, Result};
+use isospan_io::grid::Geometry;
+use isospan_io::volume::units::Units;
+use isospan_io::volume::{ScalarType, shifted::shortest};
+use isospan_mesh::sample::{Interpolation, Values};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::Read;
@@ -602,9 +602,9 @@ pub(crate) fn check_sum(bytes: &[u8], path: &Path, help: &str) -> Result<()> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::geom::Lattice;
     use crate::measure::{PERCENTILES, Percentile, Worst};
-    use crate::points::PointSpec;
+    use isospan_io::geom::Lattice;
+    use isospan_mesh::points::PointSpec;
 
     pub(crate) fn plan() -> Plan {
         Plan {

@@ -11,7 +11,7 @@
 
 use super::{CoordinateRecord, LONGEST_CHAIN, Manifest, Step, StepPlan};
 use crate::archive::segment::ORDERED_FORMAT;
-use crate::error::{Error, Result};
+use isospan_io::error::{Error, Result};
 use std::path::Path;
 
 impl Step {

@@ -3,7 +3,7 @@
 //! The frame is compressed with a dictionary, a constant of the format: of a small archive the
 //! names of the members would be most of all bytes. The checksum is a frame that zstd skips.
 
-use crate::error::{Error, Fault, Result};
+use isospan_io::error::{Error, Fault, Result};
 use std::io::{Read, Write};
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_64;

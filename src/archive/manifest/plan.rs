@@ -3,9 +3,9 @@
 use super::record::{is_one, one};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord, RepeatedRecord};
-use crate::geom::Lattice;
-use crate::grid::{BrickGrid, ChunkCuts};
-use crate::points::PointSpec;
+use isospan_io::geom::Lattice;
+use isospan_io::grid::{BrickGrid, ChunkCuts};
+use isospan_mesh::points::PointSpec;
 use serde::{Deserialize, Serialize};
 
 /// An archive of one chunk with at most this many blocks has no index and no spectrum of its steps:
@@ -106,7 +106,7 @@ impl OwnRecord {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameRecord {
     /// Bits an axis of the key that orders points: see
-    /// [`PointSet::order_bits`](crate::points::PointSet::order_bits).
+    /// [`PointSet::order_bits`](isospan_mesh::points::PointSet::order_bits).
     pub site_bits: u32,
     /// Where bricks are cut into chunks.
     pub cuts: ChunkCuts,

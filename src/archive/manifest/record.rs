@@ -3,8 +3,8 @@
 
 use super::{CoordinateRecord, SegmentRecord, Source, Step, StepPlan};
 use crate::archive::segment::SegmentInfo;
-use crate::grid::Geometry;
 use crate::measure::{FieldError, LevelError, PERCENTILES, Percentile, Worst};
+use isospan_io::grid::Geometry;
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// Whether a member has the value that it has where it is left out.

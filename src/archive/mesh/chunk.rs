@@ -16,8 +16,8 @@ use super::runs::block_starts;
 use super::tuples;
 use super::vertices::ChunkVertices;
 use crate::archive::wire::{Cursor, Malformed};
-use crate::geom::LatticePos;
-use crate::mesh::tet::{Tet, canonical};
+use isospan_io::geom::LatticePos;
+use isospan_mesh::mesh::tet::{Tet, canonical};
 
 /// Codec of a tetrahedron block: sorted tuples, differences, zstd.
 pub(in crate::archive) const TETS_TUPLES: u8 = 0;
@@ -232,7 +232,7 @@ pub(crate) mod tests {
     use super::super::heads::PAGE_HEADS;
     use super::super::vertices::ChunkHeader;
     use super::*;
-    use crate::geom::PointId;
+    use isospan_io::geom::PointId;
 
     /// A box of cubes, each cut in six tetrahedra around its diagonal, positively oriented;
     /// vertices x fastest.

@@ -5,7 +5,7 @@
 //! where the one before ended.
 
 use crate::archive::wire::{Cursor, Malformed, put_varint};
-use crate::mesh::tet::Tet;
+use isospan_mesh::mesh::tet::Tet;
 
 /// Blocks of a page.
 pub const PAGE_HEADS: usize = 256;

@@ -12,9 +12,9 @@
 //! quarters of cubes rather than equal lengths of the curve along which vertices are sorted. So
 //! fewer blocks are read, less of them in vain, and they have fewer vertices of others.
 
-use crate::geom::LatticePos;
-use crate::mesh::tet::Tet;
 use glam::{UVec3, Vec4};
+use isospan_io::geom::LatticePos;
+use isospan_mesh::mesh::tet::Tet;
 
 /// Steps in a block of the size asked for.
 const STEPS: u32 = 16;

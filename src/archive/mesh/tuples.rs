@@ -10,7 +10,7 @@
 //! 1 000.
 
 use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::mesh::tet::Tet;
+use isospan_mesh::mesh::tet::Tet;
 
 /// The most bytes that a body may expand to, for each tetrahedron: four vertex differences and four
 /// numbers of five bytes.
@@ -105,7 +105,7 @@ fn decode_list(c: &mut Cursor<'_>, vertices: u32) -> Result<Vec<u32>, Malformed>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::tet::canonical;
+    use isospan_mesh::mesh::tet::canonical;
 
     #[test]
     fn no_damage_panics_or_gives_a_vertex_that_is_not_there() {

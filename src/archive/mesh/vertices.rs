@@ -20,8 +20,8 @@
 use super::heads::PAGE_HEADS;
 use crate::archive::values::BLOCK_VALUES;
 use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::geom::curve::hilbert_key;
-use crate::geom::{LatticePos, PointId};
+use isospan_io::geom::curve::hilbert_key;
+use isospan_io::geom::{LatticePos, PointId};
 use std::ops::Range;
 
 /// Codec of a header block: one zstd frame.
@@ -236,7 +236,7 @@ pub fn decode_ids(bytes: &[u8], out: &mut [PointId]) -> Result<(), Malformed> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geom::PointClass;
+    use isospan_io::geom::PointClass;
 
     fn vertices(core_counts: &[u32], halo: usize) -> ChunkVertices {
         let core = core_counts.iter().sum::<u32>() as usize;

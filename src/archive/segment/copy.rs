@@ -3,8 +3,8 @@
 use super::frame::{header_plan, read_footer};
 use super::read::at_frame;
 use super::{FOOTER_BYTES, HEADER_BYTES, PlanHash, SegmentInfo};
-use crate::bytes::plain::open_plain;
-use crate::error::{Error, Fault, Result};
+use isospan_io::bytes::plain::open_plain;
+use isospan_io::error::{Error, Fault, Result};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;

@@ -20,8 +20,8 @@
 //! when the segment is done.
 
 use crate::archive::wire::Cursor;
-use crate::bytes::publish::{Dead, TEMPORARY_MARK, open_own};
-use crate::error::{Error, Result};
+use isospan_io::bytes::publish::{Dead, TEMPORARY_MARK, open_own};
+use isospan_io::error::{Error, Result};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! A file read at offsets, on disk or in an object store.
 
-use crate::bytes::open_regular;
-use crate::bytes::remote::{RemoteFile, is_remote};
-use crate::error::{Error, Result};
+use isospan_io::bytes::open_regular;
+use isospan_io::bytes::remote::{RemoteFile, is_remote};
+use isospan_io::error::{Error, Result};
 use std::fs::File;
 use std::path::Path;
 #[cfg(not(unix))]

@@ -8,7 +8,7 @@ use super::{
     SegmentKind,
 };
 use crate::archive::wire::{Cursor, Malformed};
-use crate::error::{Error, Fault, Result};
+use isospan_io::error::{Error, Fault, Result};
 use std::io::Read;
 use std::ops::Range;
 use std::path::{Path, PathBuf};

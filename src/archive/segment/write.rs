@@ -3,8 +3,8 @@
 use super::frame::{directory_page, footer, header};
 use super::{FOOTER_BYTES, HEADER_BYTES, LARGEST_BLOCK, PAGE_BLOCKS, PlanHash, SegmentInfo, SegmentKind};
 use crate::archive::segment::Record;
-use crate::bytes::publish::{Dead, Unpublished};
-use crate::error::{Error, Result};
+use isospan_io::bytes::publish::{Dead, Unpublished};
+use isospan_io::error::{Error, Result};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};

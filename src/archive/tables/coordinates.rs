@@ -15,9 +15,9 @@
 
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use crate::archive::wire::Malformed;
-use crate::error::{Error, Result};
 use byteorder::{ByteOrder, LE};
 use glam::{DMat3, DVec3};
+use isospan_io::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::path::Path;

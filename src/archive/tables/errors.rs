@@ -2,7 +2,7 @@
 
 use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::measure::{BINS, BrickErrors, EXPONENTS, ErrorSums, LAST_DIGIT, Largest, Mantissas};
-use crate::points::Levels;
+use isospan_mesh::points::Levels;
 
 const LEVEL: i32 = 9;
 /// More than the numbers of all bins and exponents can take.

@@ -8,9 +8,9 @@
 
 use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::error::{Error, Result};
-use crate::geom::{Lattice, LatticePos};
-use crate::points::ExplicitPoints;
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::{Lattice, LatticePos};
+use isospan_mesh::points::ExplicitPoints;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

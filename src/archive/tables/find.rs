@@ -12,8 +12,8 @@
 //! first one.
 
 use super::coordinates::{CoordinateMap, trilinear};
-use crate::error::Result;
 use glam::DVec3;
+use isospan_io::error::Result;
 
 /// Cells along a side of a box, at least.
 const SIDE: u64 = 8;

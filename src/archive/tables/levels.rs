@@ -6,10 +6,10 @@
 
 use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use crate::archive::wire::{Malformed, to_zstd, unzstd};
-use crate::error::{Error, Result};
-use crate::geom::Lattice;
-use crate::grid::BrickGrid;
-use crate::points::Levels;
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::Lattice;
+use isospan_io::grid::BrickGrid;
+use isospan_mesh::points::Levels;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

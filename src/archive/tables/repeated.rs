@@ -11,7 +11,7 @@
 
 use crate::archive::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use crate::archive::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::error::{Error, Result};
+use isospan_io::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::Xxh3;

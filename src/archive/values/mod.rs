@@ -27,8 +27,8 @@
 //! both ways, and the shorter way is taken for all of the chunk.
 
 use crate::archive::wire::{Cursor, Malformed};
-use crate::sample::Values;
 use byteorder::{ByteOrder, LE};
+use isospan_mesh::sample::Values;
 use pco::standalone::{simple_compress, simple_decompress_into};
 use pco::{ChunkConfig, DeltaSpec, ModeSpec};
 use serde::{Deserialize, Serialize};

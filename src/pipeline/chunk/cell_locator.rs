@@ -3,11 +3,11 @@
 use super::placement::{NO_BODY, brick_order};
 use crate::domain::buckets::Buckets;
 use crate::domain::store::CellStore;
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::grid::{BrickGrid, BrickId};
-use crate::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine};
-use crate::mesh::tet::Tet;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine};
+use isospan_mesh::mesh::tet::Tet;
 
 /// A mesh, and the cells of each of its bricks.
 pub(in crate::pipeline) struct CellLocator<'a> {

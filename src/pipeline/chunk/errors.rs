@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The tetrahedra of a block lie together, so the box around a few consecutive blocks is small. Its
-//! samples are read from the source. The scan conversion ([`crate::raster`]) visits each sample of
+//! samples are read from the source. The scan conversion ([`isospan_mesh::raster`]) visits each sample of
 //! the domain in exactly one tetrahedron. The samples in a tetrahedron and their weights are found
 //! once for all steps that are measured together.
 
@@ -16,18 +16,18 @@ use super::step_samples::WindowSamples;
 use crate::archive::tables::ChunkErrors;
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
-use crate::error::{Error, Result};
-use crate::geom::{Lattice, LatticePos};
-use crate::grid::IndexBox;
 use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally, Worst};
-use crate::mesh::tet::Tet;
 use crate::pipeline::inputs::treat_missing;
 use crate::pipeline::plan::ERROR_WINDOW;
 use crate::pipeline::read::{StepView, world_of};
-use crate::points::Levels;
-use crate::raster::{BatchScan, SampleGrid, Scanner, corner_box, greater, lesser};
-use crate::simd::with_vectors;
-use crate::volume::VolumeReader;
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::{Lattice, LatticePos};
+use isospan_io::grid::IndexBox;
+use isospan_io::volume::VolumeReader;
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::points::Levels;
+use isospan_mesh::raster::{BatchScan, SampleGrid, Scanner, corner_box, greater, lesser};
+use isospan_mesh::simd::with_vectors;
 use std::ops::Range;
 
 /// The samples that an archive was made from.

@@ -10,10 +10,10 @@ use super::own_field::OwnField;
 use super::placement::Placement;
 use super::volume_field;
 use super::volume_field::GridField;
-use crate::error::Result;
-use crate::exec::CancelToken;
-use crate::grid::Chunk;
 use crate::pipeline::read::MeshedChunk;
+use isospan_io::error::Result;
+use isospan_io::exec::CancelToken;
+use isospan_io::grid::Chunk;
 
 /// The data of a step: a source of values at any place.
 pub(in crate::pipeline) enum Field<'a> {

@@ -14,13 +14,13 @@ use super::placement::Placement;
 use super::volume_field::GridField;
 use crate::archive::values::Quantiser;
 use crate::domain::vertices::Vertices;
-use crate::error::Result;
-use crate::exec::{CancelToken, Room};
 use crate::fit::{BrickTets, Fit, FitMesh, Windows, window_edge};
-use crate::mesh::tet::Tet;
 use crate::pipeline::read::MeshedChunk;
-use crate::raster::{PointLocator, SampleGrid};
-use crate::sample::Values;
+use isospan_io::error::Result;
+use isospan_io::exec::{CancelToken, Room};
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::raster::{PointLocator, SampleGrid};
+use isospan_mesh::sample::Values;
 
 /// The values of a chunk's vertices at some steps, fitted where that is wanted; from the
 /// interpolated ones of these and of the vertices around. Those of a step with a quantiser are

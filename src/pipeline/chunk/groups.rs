@@ -11,9 +11,9 @@
 //! Long rows of samples are read faster than short ones, and a halo vertex by itself would need a
 //! box of its own.
 
-use crate::geom::LatticePos;
-use crate::grid::BrickGrid;
 use crate::pipeline::read::MeshedChunk;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::BrickGrid;
 use std::ops::Range;
 
 /// Samples of a row of bricks, at most, where it has more than one: they stay in the processor's
@@ -158,8 +158,8 @@ impl<'a> Near<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geom::{Lattice, PointId};
-    use crate::mesh::list::TetList;
+    use isospan_io::geom::{Lattice, PointId};
+    use isospan_mesh::mesh::list::TetList;
 
     #[test]
     fn each_vertex_is_in_one_group() {

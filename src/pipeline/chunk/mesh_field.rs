@@ -8,16 +8,16 @@ use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
 use crate::domain::vertices::Vertices;
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::geom::predicates::signed_volume6;
-use crate::geom::vec3::{cross, dot};
-use crate::grid::BrickId;
-use crate::locate::{
+use crate::pipeline::read::MeshedChunk;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::geom::vec3::{cross, dot};
+use isospan_io::grid::BrickId;
+use isospan_mesh::locate::{
     CellBatch, CellHit, Corner, FINE_BITS, FinePos, fine, linear, quadratic, quadratic_thesis,
 };
-use crate::pipeline::read::MeshedChunk;
-use crate::sample::Interpolation;
+use isospan_mesh::predicates::signed_volume6;
+use isospan_mesh::sample::Interpolation;
 
 /// A mesh, and how it is sampled.
 pub(in crate::pipeline) struct CellField<'a> {

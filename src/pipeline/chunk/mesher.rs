@@ -5,17 +5,19 @@
 
 use super::recipe::{OwnMesh, Recipe};
 use crate::archive::mesh::order_halo;
-use crate::error::Result;
-use crate::exec::CancelToken;
-use crate::geom::{LatticeBox, LatticePos, PointId, Site};
-use crate::grid::Chunk;
-use crate::mesh::chunk::{Border, ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_around, mesh_widening};
-use crate::mesh::delaunay::Mesher;
-use crate::mesh::list::TetList;
-use crate::mesh::tet::Tet;
 use crate::pipeline::plan::{Halo, check_brick, estimate};
 use crate::pipeline::read::MeshedChunk;
-use crate::points::PointSet;
+use isospan_io::error::Result;
+use isospan_io::exec::CancelToken;
+use isospan_io::geom::{LatticeBox, LatticePos, PointId, Site};
+use isospan_io::grid::Chunk;
+use isospan_mesh::mesh::chunk::{
+    Border, ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_around, mesh_widening,
+};
+use isospan_mesh::mesh::delaunay::Mesher;
+use isospan_mesh::mesh::list::TetList;
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::points::PointSet;
 use std::collections::HashMap;
 
 /// The result of meshing a chunk.

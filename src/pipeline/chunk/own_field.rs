@@ -10,11 +10,11 @@ use super::placement::Placement;
 use super::recipe::{OwnMesh, Recipe};
 use crate::archive::mesh::order_halo;
 use crate::domain::column::Column;
-use crate::error::{Error, Result};
-use crate::geom::{LatticePos, PointClass, PointId, Site};
-use crate::grid::Chunk;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::MeshedChunk;
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::{LatticePos, PointClass, PointId, Site};
+use isospan_io::grid::Chunk;
 use std::collections::HashMap;
 
 /// Tetrahedra for a point of a meshed chunk: this many tetrahedra need as much memory as a further

@@ -2,11 +2,11 @@
 
 use super::groups::Groups;
 use crate::domain::boundary::OnBoundary;
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::grid::{BrickGrid, BrickId};
-use crate::locate::CellHit;
 use crate::pipeline::read::MeshedChunk;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::locate::CellHit;
 
 /// Where the vertices of a chunk lie in the data: the same for all steps of a series.
 #[derive(Clone, Debug, Default)]

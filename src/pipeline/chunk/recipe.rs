@@ -2,11 +2,11 @@
 
 use crate::domain::own::OwnCells;
 use crate::domain::store::CellStore;
-use crate::geom::curve::Order;
-use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::chunk::ChunkRegion;
 use crate::pipeline::plan::{Halo, estimate};
-use crate::points::PointSet;
+use isospan_io::geom::curve::Order;
+use isospan_io::grid::{BrickGrid, Chunk};
+use isospan_mesh::mesh::chunk::ChunkRegion;
+use isospan_mesh::points::PointSet;
 
 /// What the chunks of one archive have in common.
 pub(in crate::pipeline) struct Recipe<'a> {

@@ -5,11 +5,11 @@
 
 use super::step_lanes::{Lanes, StepLanes};
 use super::step_samples::{Rows, WindowSamples};
-use crate::grid::IndexBox;
 use crate::measure::{Compared, ComparedAt, TOGETHER};
-use crate::mesh::tet::Tet;
-use crate::raster::{MEMBERS, Members, interpolate};
-use crate::simd::{Avx2, F64xN, Plain, four, on_avx2_or_plain, on_widest, sorted, with_vectors};
+use isospan_io::grid::IndexBox;
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::raster::{MEMBERS, Members, interpolate};
+use isospan_mesh::simd::{Avx2, F64xN, Plain, four, on_avx2_or_plain, on_widest, sorted, with_vectors};
 
 const _: () = assert!(MEMBERS <= TOGETHER);
 

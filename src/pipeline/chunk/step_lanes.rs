@@ -5,10 +5,10 @@
 //! left, the other lanes are unused. A single step is stored as it is.
 
 use crate::archive::chunked::BlockRange;
-use crate::mesh::tet::Tet;
+use isospan_mesh::mesh::tet::Tet;
 #[cfg(target_arch = "x86_64")]
-use crate::simd::transpose_f32x8;
-use crate::simd::{Avx2, with_vectors};
+use isospan_mesh::simd::transpose_f32x8;
+use isospan_mesh::simd::{Avx2, with_vectors};
 use std::ops::Range;
 
 /// The memory of interleaved values, reused from chunk to chunk so that its pages are not requested

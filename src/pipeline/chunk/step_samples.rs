@@ -5,8 +5,8 @@
 //! are in a near cache.
 
 use super::step_lanes::{Lanes, StepLanes, interleave};
-use crate::error::Result;
-use crate::grid::IndexBox;
+use isospan_io::error::Result;
+use isospan_io::grid::IndexBox;
 use std::ops::Range;
 
 /// The samples of a window at up to eight steps, x fastest.

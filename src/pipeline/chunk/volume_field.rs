@@ -4,16 +4,16 @@
 use super::errors::Originals;
 use super::groups::Groups;
 use super::placement::Placement;
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
-use crate::geom::LatticePos;
-use crate::grid::{BrickGrid, Chunk, IndexBox};
 use crate::pipeline::inputs::{Scratch, treat_missing};
 use crate::pipeline::read::MeshedChunk;
 use crate::pipeline::settings::NanPolicy;
-use crate::sample::{Interpolation, Places, Values};
-use crate::simd::with_vectors;
-use crate::volume::VolumeReader;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::{BrickGrid, Chunk, IndexBox};
+use isospan_io::volume::VolumeReader;
+use isospan_mesh::sample::{Interpolation, Places, Values};
+use isospan_mesh::simd::with_vectors;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A volume, and how it is sampled.

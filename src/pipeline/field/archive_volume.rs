@@ -3,14 +3,14 @@
 
 use super::export_grid::field_of;
 use crate::archive::manifest::MANIFEST_NAME;
-use crate::error::{Error, Result};
-use crate::formats::StepSource;
-use crate::formats::samples::push_samples;
-use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::read::{LevelChoice, OpenArchive, StepView};
-use crate::volume::chunked::ChunkSource;
-use crate::volume::memory::info_of;
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
+use isospan_io::error::{Error, Result};
+use isospan_io::formats::StepSource;
+use isospan_io::formats::samples::push_samples;
+use isospan_io::grid::{Geometry, IndexBox};
+use isospan_io::volume::chunked::ChunkSource;
+use isospan_io::volume::memory::info_of;
+use isospan_io::volume::{FieldInfo, ScalarType, VolumeInfo};
 use std::ops::Range;
 use std::sync::Arc;
 

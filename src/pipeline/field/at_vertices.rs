@@ -10,11 +10,11 @@ use super::vertex_errors::on_lattice;
 use crate::domain::buckets::Buckets;
 use crate::domain::store::{CellStore, StoreSettings};
 use crate::domain::vertices::{VertexBodies, vertex_bodies};
-use crate::error::Result;
-use crate::exec::{Progress, Resources};
-use crate::geom::LatticePos;
 use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::read::StepView;
+use isospan_io::error::Result;
+use isospan_io::exec::{Progress, Resources};
+use isospan_io::geom::LatticePos;
 use std::ops::Range;
 
 /// Bytes for a vertex of a batch: its place, three times while it is sorted and located, its value,

@@ -1,12 +1,12 @@
 //! A VTI file with the errors of each brick.
 
-use crate::bytes::sorter::Sorter;
-use crate::error::Result;
-use crate::exec::Resources;
-use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
-use crate::grid::Geometry;
 use crate::measure::{BrickErrors, BrickRecord, merged};
 use crate::pipeline::read::StepView;
+use isospan_io::bytes::sorter::Sorter;
+use isospan_io::error::Result;
+use isospan_io::exec::Resources;
+use isospan_io::formats::brick_map::{BrickMapFile, BrickNumbers};
+use isospan_io::grid::Geometry;
 use std::collections::BTreeMap;
 use std::path::Path;
 

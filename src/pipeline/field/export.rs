@@ -1,18 +1,18 @@
 //! `export`: the reduced tetrahedra as a mesh for other programs, each point once.
 
-use crate::bytes::publish::folder_of;
-use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, pool};
-use crate::formats::tet_arrays::{PACKING_BYTES, TetField, TetMeta};
-use crate::formats::tetrahedra::{TetFormat, write_tetrahedra};
-use crate::grid::ChunkId;
-use crate::mesh::tet::Tet;
+use crate::files::tets::arrays::{PACKING_BYTES, TetField, TetMeta};
+use crate::files::tets::{TetFormat, write_tetrahedra};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
     Blocks, Cut, DecodedChunk, Frontier, IndexToWorld, Roi, RoiSpace, StepView, Visit,
 };
 use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::tets::{ChunkTets, TetBuilder};
+use isospan_io::bytes::publish::folder_of;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Progress, Resources, pool};
+use isospan_io::grid::ChunkId;
+use isospan_mesh::mesh::tet::Tet;
 use serde::Serialize;
 use std::path::Path;
 use std::time::Instant;

@@ -8,13 +8,15 @@
 //! Memory: a part for each thread.
 
 use crate::archive::manifest::CorrectionRecord;
-use crate::error::{Error, Result};
-use crate::exec::{Clock, Progress, Resources, Threads, in_order};
-use crate::formats::samples::{Anatomy, GridMeta, GridPlace, SampleField, SampleFile, SampleFormat, limits};
-use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::read::{Roi, RoiSpace, StepView, WorldBox, world_box};
-use crate::volume::ScalarType;
-use crate::volume::units::common;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Clock, Progress, Resources, Threads, in_order};
+use isospan_io::formats::samples::{
+    Anatomy, GridMeta, GridPlace, SampleField, SampleFile, SampleFormat, limits,
+};
+use isospan_io::grid::{Geometry, IndexBox};
+use isospan_io::volume::ScalarType;
+use isospan_io::volume::units::common;
 use serde::Serialize;
 use std::path::Path;
 

@@ -7,14 +7,14 @@
 //! Memory: a chunk for each thread.
 
 use super::export_grid::{GridReport, GridSettings, LevelGrid, Views, field_of};
-use crate::error::{Error, Result};
-use crate::exec::{Clock, Progress};
-use crate::formats::ome_zarr::{ZarrFolder, ZarrImage, ZarrLevel, ZarrTimes, unit_name};
-use crate::formats::samples::{SampleField, limits};
-use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::read::{OpenArchive, StepView};
-use crate::volume::ScalarType;
-use crate::volume::units::{Units, common};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Clock, Progress};
+use isospan_io::formats::ome_zarr::{ZarrFolder, ZarrImage, ZarrLevel, ZarrTimes, unit_name};
+use isospan_io::formats::samples::{SampleField, limits};
+use isospan_io::grid::{Geometry, IndexBox};
+use isospan_io::volume::ScalarType;
+use isospan_io::volume::units::{Units, common};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;

@@ -4,11 +4,11 @@
 //! Samples are decoded box after box, some at a time. Points are sorted by box. A box whose points
 //! need no node is not decoded.
 
-use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, in_order, pool};
-use crate::grid::IndexBox;
 use crate::measure::{BrickErrors, ErrorSums};
 use crate::pipeline::read::{StepView, index_box, samples_of_level};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Progress, Resources, in_order, pool};
+use isospan_io::grid::IndexBox;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 

@@ -15,13 +15,9 @@ use super::levels::errors_of;
 use super::own_errors::own_errors;
 use super::vertex_errors::{StepErrors, reported_errors};
 use crate::archive::manifest::Source;
-use crate::cells::CellMesh;
 use crate::domain::column::Column;
 use crate::domain::merge::Firsts;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
-use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources};
-use crate::formats::{self, Input, OpenOptions, StepSource, without_frame};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally};
 use crate::pipeline::chunk::{
     ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of, field_error_within,
@@ -32,7 +28,11 @@ use crate::pipeline::read::{
     Blocks, DecodedChunk, LevelChoice, OpenArchive, StepChoice, StepView, Visit, samples_of_level,
 };
 use crate::pipeline::settings::RunSettings;
-use crate::volume::{VolumeReader, VolumeSource};
+use isospan_io::cells::CellMesh;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Progress, Resources};
+use isospan_io::formats::{self, Input, OpenOptions, StepSource, without_frame};
+use isospan_io::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

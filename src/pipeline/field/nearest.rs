@@ -9,11 +9,11 @@
 //! Where the bodies of points are known, places of a point's own body come before all others.
 
 use crate::domain::nearest::nearest;
-use crate::geom::{Lattice, LatticePos};
-use crate::locate::{FINE_BITS, fine};
-use crate::mesh::tet::Tet;
 use crate::pipeline::read::DecodedChunk;
-use crate::raster::{PointLocator, interpolate};
+use isospan_io::geom::{Lattice, LatticePos};
+use isospan_mesh::locate::{FINE_BITS, fine};
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::raster::{PointLocator, interpolate};
 use std::collections::BTreeMap;
 
 /// A place near a point, and the values there: NaN where a corner has none.

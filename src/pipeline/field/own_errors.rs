@@ -13,12 +13,12 @@ use super::vertex_errors::{StepErrors, on_lattice, other_mesh, reported_errors};
 use crate::domain::column::Column;
 use crate::domain::own::{OwnVertices, POINT_BYTES, UNUSED};
 use crate::domain::store::{CellStore, StoreSettings};
-use crate::error::{Error, Result};
-use crate::exec::Progress;
-use crate::grid::ChunkId;
 use crate::measure::{BrickErrors, ErrorSums};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{ChunkReader, ReaderMemory, StepView};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Progress;
+use isospan_io::grid::ChunkId;
 use std::collections::BTreeMap;
 
 /// Vertices whose errors in bricks are handed on together.

@@ -5,7 +5,7 @@
 //!  chunk ─▶ decode ─▶ box of its tetrahedra, cut into windows ─▶ scan conversion ─▶ runs, each to its place in the file
 //! ```
 //!
-//! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once,
+//! Each sample is in exactly one tetrahedron ([`isospan_mesh::raster`]), so each is written exactly once,
 //! by the chunk with that tetrahedron, and chunks need not wait for each other. Memory: some
 //! chunks, and a window for each.
 //!
@@ -15,13 +15,13 @@
 
 use super::export_grid::pool_of;
 use super::levels::values_on_grid;
-use crate::error::{Error, Result};
-use crate::exec::{Clock, Progress, Resources, Silent, Threads};
-use crate::formats::samples::{Anatomy, GridMeta, SampleField, SampleFile, SampleFormat};
-use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{Blocks, DecodedChunk, LevelChoice, StepView, Visit};
-use crate::raster::{Axis, SampleGrid, Scanner, interpolate};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Clock, Progress, Resources, Silent, Threads};
+use isospan_io::formats::samples::{Anatomy, GridMeta, SampleField, SampleFile, SampleFormat};
+use isospan_io::grid::{Geometry, IndexBox};
+use isospan_mesh::raster::{Axis, SampleGrid, Scanner, interpolate};
 use serde::Serialize;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

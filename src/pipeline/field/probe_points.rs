@@ -15,20 +15,20 @@ use super::levels::values_at_places;
 use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
 use crate::archive::manifest::Source;
-use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Clock, Progress, Resources, Silent};
-use crate::formats::point_list::{PointReader, PointWriter};
-use crate::formats::samples::SampleFile;
-use crate::geom::{Lattice, LatticeBox, LatticePos};
-use crate::grid::{BrickGrid, ChunkId, Geometry};
-use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
     Blocks, DecodedChunk, StepView, Visit, full_region, index_places, origin_of_volume, samples_of_level,
 };
-use crate::raster::{PointLocator, interpolate};
 use glam::DVec3;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{CancelToken, Clock, Progress, Resources, Silent};
+use isospan_io::formats::point_list::{PointReader, PointWriter};
+use isospan_io::formats::samples::SampleFile;
+use isospan_io::geom::{Lattice, LatticeBox, LatticePos};
+use isospan_io::grid::{BrickGrid, ChunkId, Geometry};
+use isospan_mesh::mesh::tet::{Tet, is_active, range};
+use isospan_mesh::raster::{PointLocator, interpolate};
 use std::collections::BTreeMap;
 use std::path::Path;
 

@@ -2,11 +2,11 @@
 
 use crate::archive::manifest::Source;
 use crate::domain::store::CellStore;
-use crate::error::{Error, Result};
-use crate::geom::LatticePos;
-use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{ErrorSums, FieldError, LevelError, Worst};
 use crate::pipeline::read::StepView;
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::LatticePos;
+use isospan_mesh::locate::{FINE_BITS, FinePos};
 
 /// The errors of a step: that of the field and, for a mesh whose points have levels, those at the
 /// vertices in the cells of each level.

@@ -14,15 +14,15 @@
 //! * if none of these fit, the source is copied into bricks, as a stream is.
 
 use super::bricked_copy::{Scratch, copied};
-use crate::error::Result;
-use crate::exec::Progress;
-use crate::geom::LatticeBox;
-use crate::grid::{ChunkGrid, IndexBox};
 use crate::pipeline::plan::{Halo, estimate};
 use crate::pipeline::settings::RunSettings;
-use crate::points::PointSet;
-use crate::volume::chunked::{ChunkShape, ChunkedVolume};
-use crate::volume::{VolumeReader, VolumeSource};
+use isospan_io::error::Result;
+use isospan_io::exec::Progress;
+use isospan_io::geom::LatticeBox;
+use isospan_io::grid::{ChunkGrid, IndexBox};
+use isospan_io::volume::chunked::{ChunkShape, ChunkedVolume};
+use isospan_io::volume::{VolumeReader, VolumeSource};
+use isospan_mesh::points::PointSet;
 
 /// The part of the memory that decoded chunks may take, and that they may where the source would be
 /// copied otherwise.
@@ -182,12 +182,12 @@ pub(in crate::pipeline) fn random_access(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::Error;
-    use crate::exec::Resources;
-    use crate::volume::VolumeInfo;
-    use crate::volume::chunked::ChunkSource;
-    use crate::volume::memory::info_of;
-    use crate::volume::{ScalarType, VolumeSource};
+    use isospan_io::error::Error;
+    use isospan_io::exec::Resources;
+    use isospan_io::volume::VolumeInfo;
+    use isospan_io::volume::chunked::ChunkSource;
+    use isospan_io::volume::memory::info_of;
+    use isospan_io::volume::{ScalarType, VolumeSource};
     use std::sync::Arc;
 
     /// 512 x 512 x 512 samples of u16 in chunks of 64 x 64 x 64.

@@ -1,14 +1,14 @@
 //! Copies volumes into bricks: on request, and where an input has no random access.
 
-use crate::bytes::publish;
-use crate::error::Result;
-use crate::exec::{CancelToken, Progress};
-use crate::grid::IndexBox;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::settings::RunSettings;
-use crate::volume::bricked::BrickedVolume;
-use crate::volume::chunked::ChunkShape;
-use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
+use isospan_io::bytes::publish;
+use isospan_io::error::Result;
+use isospan_io::exec::{CancelToken, Progress};
+use isospan_io::grid::IndexBox;
+use isospan_io::volume::bricked::BrickedVolume;
+use isospan_io::volume::chunked::ChunkShape;
+use isospan_io::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};

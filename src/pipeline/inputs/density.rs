@@ -8,13 +8,13 @@
 use super::access::{ChunkCache, ReadBox, random_access};
 use super::shift::{Reading, treat_missing};
 use crate::density::{Bend, BlockErrors, Choice, ErrorCurves};
-use crate::error::{Error, Result};
-use crate::exec::{Silent, pool};
-use crate::geom::Lattice;
-use crate::grid::{BrickGrid, BrickId};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::settings::{Adapt, RunSettings};
-use crate::volume::{VolumeReader, VolumeSource};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Silent, pool};
+use isospan_io::geom::Lattice;
+use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_io::volume::{VolumeReader, VolumeSource};
 use rayon::prelude::*;
 
 /// Blocks that are read and measured before their errors are added, in order.

@@ -17,11 +17,11 @@ use crate::density::{BlockErrors, Choice, ErrorCurves};
 use crate::domain::boundary::rounded;
 use crate::domain::store::{CellStore, StoreSettings};
 use crate::domain::voxels::Voxels;
-use crate::error::{Error, Result};
-use crate::exec::pool;
-use crate::grid::{BrickGrid, BrickId};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::settings::{Adapt, RunSettings, Target};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::pool;
+use isospan_io::grid::{BrickGrid, BrickId};
 use rayon::prelude::*;
 
 /// Blocks that are measured before their errors are added, in order, for each thread.

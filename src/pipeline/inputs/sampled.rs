@@ -3,12 +3,12 @@
 
 use super::scan::each_slab;
 use super::shift::{Reading, treat_missing};
-use crate::error::Result;
-use crate::exec::CancelToken;
-use crate::grid::IndexBox;
-use crate::simd::with_vectors;
-use crate::volume::chunked::ChunkedVolume;
-use crate::volume::{VolumeReader, VolumeSource};
+use isospan_io::error::Result;
+use isospan_io::exec::CancelToken;
+use isospan_io::grid::IndexBox;
+use isospan_io::volume::chunked::ChunkedVolume;
+use isospan_io::volume::{VolumeReader, VolumeSource};
+use isospan_mesh::simd::with_vectors;
 use isospan_wavelet::{Box3, fill};
 use std::convert::Infallible;
 

@@ -1,12 +1,12 @@
 //! One pass over a volume: range, mean, missing samples, histogram. Memory: one slab.
 
 use super::shift::Reading;
-use crate::error::Result;
-use crate::exec::CancelToken;
-use crate::grid::IndexBox;
-use crate::volume::shifted::{each_value, may_need_offset, shortest};
-use crate::volume::strided::convert_row;
-use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
+use isospan_io::error::Result;
+use isospan_io::exec::CancelToken;
+use isospan_io::grid::IndexBox;
+use isospan_io::volume::shifted::{each_value, may_need_offset, shortest};
+use isospan_io::volume::strided::convert_row;
+use isospan_io::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
 
 /// What one pass over the samples finds. Values have slope and intercept applied.

@@ -1,17 +1,17 @@
 //! The offset that is subtracted from the values of a source before they become `f32`, and their
-//! rounding then: see [`crate::volume::shifted`].
+//! rounding then: see [`isospan_io::volume::shifted`].
 //!
 //! The first step of an archive decides the offset; all steps have it. Sources whose type is exact
 //! in `f32` are not read for this; others are read once, or twice where values lose digits.
 
 use crate::archive::manifest::StepPlan;
-use crate::cells::CellMesh;
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
 use crate::pipeline::settings::NanPolicy;
-use crate::simd::with_vectors;
-use crate::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
-use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use isospan_io::cells::CellMesh;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
+use isospan_io::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
+use isospan_io::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use isospan_mesh::simd::with_vectors;
 use std::path::Path;
 
 /// From this on, `f64` has not all whole numbers.

@@ -6,11 +6,11 @@
 //! it is read to the end anyway. The choice depends on the volume's size alone, so the same input
 //! always gives the same findings.
 
-use crate::cells::{CellField, CellMesh, Center};
-use crate::error::Result;
-use crate::grid::IndexBox;
-use crate::volume::{ScalarType, SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use half::f16;
+use isospan_io::cells::{CellField, CellMesh, Center};
+use isospan_io::error::Result;
+use isospan_io::grid::IndexBox;
+use isospan_io::volume::{ScalarType, SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The most samples that are kept.
@@ -573,8 +573,8 @@ impl Survey {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::{OpenOptions, RawLayout};
-    use crate::volume::chunked::DecodeCount;
+    use isospan_io::formats::{OpenOptions, RawLayout};
+    use isospan_io::volume::chunked::DecodeCount;
 
     /// What is found in rows that hold all samples.
     fn found(rows: &[Vec<f64>]) -> Found {
@@ -693,7 +693,7 @@ mod tests {
             std::fs::write(&path, (0..n).map(|i| (i / 777 % 251) as u8).collect::<Vec<_>>()).unwrap();
             let layout = RawLayout { dims, scalar: ScalarType::U8, big_endian: false, offset: 0 };
             let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
-            let open = || crate::formats::open_volume(&path, &options).unwrap();
+            let open = || isospan_io::formats::open_volume(&path, &options).unwrap();
             let sorted = |mut s: Survey| {
                 s.values.sort_unstable_by(f64::total_cmp);
                 (s.values, s.pairs)
@@ -719,7 +719,7 @@ mod tests {
         let array = r#"{"zarr_format": 2, "shape": [1000, 1000, 1000], "chunks": [1, 1, 1], "dtype": "|u1",
             "compressor": null, "filters": null, "fill_value": 0, "order": "C"}"#;
         std::fs::write(dir.path().join(".zarray"), array).unwrap();
-        let source = crate::formats::open_volume(dir.path(), &OpenOptions::default()).unwrap();
+        let source = isospan_io::formats::open_volume(dir.path(), &OpenOptions::default()).unwrap();
         let VolumeSource::Chunked(chunks) = source else { panic!("chunks") };
         let count = DecodeCount::default();
         let survey = survey_volume(VolumeSource::Chunked(count.counting(chunks)), BUDGET).unwrap();

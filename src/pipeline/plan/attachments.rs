@@ -10,8 +10,8 @@ use crate::archive::tables::{
 };
 use crate::domain::merge::Firsts;
 use crate::domain::store::StoreSettings;
-use crate::error::Result;
-use crate::points::{ExplicitPoints, Levels, SetKind};
+use isospan_io::error::Result;
+use isospan_mesh::points::{ExplicitPoints, Levels, SetKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -10,11 +10,11 @@
 //! of change) stand for its bytes. Servers are asked for these when the watch begins. From then on
 //! each answer is compared with the one before, so the watch sees what has been read since.
 
-use crate::bytes::remote::{self, is_remote};
-use crate::bytes::{open_regular, place};
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
-use crate::formats::StepSource;
+use isospan_io::bytes::remote::{self, is_remote};
+use isospan_io::bytes::{open_regular, place};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
+use isospan_io::formats::StepSource;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Read;

@@ -1,9 +1,9 @@
 //! Where the files of an archive are.
 
 use crate::archive::manifest;
-use crate::bytes::publish::sync_folders;
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
+use isospan_io::bytes::publish::sync_folders;
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
 use std::fs;
 use std::io::ErrorKind;
 use std::ops::Range;

@@ -18,14 +18,7 @@ use crate::archive::manifest::{
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};
 use crate::archive::values::Quantiser;
-use crate::error::{Error, Result};
-use crate::geom::curve::Order;
-use crate::geom::{Lattice, LatticeBox};
-use crate::grid::{BrickGrid, BrickId, ChunkGrid};
 use crate::pipeline::settings::{Amount, ReduceSettings};
-use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
-use crate::sample::{Interpolation, Values};
-use crate::volume::VolumeInfo;
 pub(super) use attachments::Attachments;
 pub(super) use estimate::{
     ERROR_WINDOW, Halo, Held, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares,
@@ -35,6 +28,13 @@ pub use estimate::{Estimate, SearchEstimate};
 pub use finding::{Finding, Notice};
 pub use fingerprint::fingerprint;
 pub(super) use fingerprint::{Inputs, RecordedFile, Watch};
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::curve::Order;
+use isospan_io::geom::{Lattice, LatticeBox};
+use isospan_io::grid::{BrickGrid, BrickId, ChunkGrid};
+use isospan_io::volume::VolumeInfo;
+use isospan_mesh::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
+use isospan_mesh::sample::{Interpolation, Values};
 pub(super) use layout::{Layout, folder_bytes};
 use serde::{Deserialize, Serialize};
 pub use shard::Shard;

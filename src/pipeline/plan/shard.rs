@@ -1,6 +1,6 @@
 //! Which part of a reduction a worker does.
 
-use crate::error::{Error, Result};
+use isospan_io::error::{Error, Result};
 use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;

@@ -3,9 +3,9 @@
 //! All data of an extraction lie together: some ten kilobytes. The blocks of a series are numbered
 //! once for all steps (`surface/extract/numbered`).
 
-use crate::geom::{LatticePos, PointId};
-use crate::mesh::tet::Tet;
 use crate::surface::extract::{CellSource, NumberedBlock, Unpacked, Workbench};
+use isospan_io::geom::{LatticePos, PointId};
+use isospan_mesh::mesh::tet::Tet;
 
 /// The corners of a block, and of its chunk how many.
 #[derive(Clone, Debug, Default)]

@@ -5,9 +5,9 @@
 //! since the hand last passed.
 
 use super::block::{Block, NumberedShape};
-use crate::exec::will_read;
-use crate::grid::ChunkId;
 use crate::surface::extract::Workbench;
+use isospan_io::exec::will_read;
+use isospan_io::grid::ChunkId;
 use rustc_hash::FxHashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

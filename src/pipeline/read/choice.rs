@@ -1,8 +1,8 @@
 //! Which steps of a series a question is about: by number, by time, or a range of them.
 
 use crate::archive::manifest::{Manifest, Step};
-use crate::error::{Error, Result};
-use crate::formats::without_frame;
+use isospan_io::error::{Error, Result};
+use isospan_io::formats::without_frame;
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::Path;

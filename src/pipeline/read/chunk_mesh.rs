@@ -1,9 +1,9 @@
 //! The mesh of a chunk: made from points, or read from an archive.
 
 use crate::archive::values::ValueBlocks;
-use crate::geom::{LatticePos, PointId};
-use crate::mesh::list::TetList;
-use crate::mesh::tet::Tet;
+use isospan_io::geom::{LatticePos, PointId};
+use isospan_mesh::mesh::list::TetList;
+use isospan_mesh::mesh::tet::Tet;
 
 /// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra
 /// need (halo), and the tetrahedra it owns.

@@ -19,10 +19,10 @@ use super::wanted::Wanted;
 use crate::archive::Malformed;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::mesh::{BlockHead, ChunkHeader, PAGE_HEADS, TetBlock, TetScratch};
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::grid::ChunkId;
-use crate::mesh::tet::Tet;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::ChunkId;
+use isospan_mesh::mesh::tet::Tet;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -221,7 +221,7 @@ impl<'a> ChunkReader<'a> {
         TetBlock::open(bytes, head, self.corners.len() as u32).map_err(|m| self.blame(number, m))
     }
 
-    fn blame(&self, number: u32, malformed: Malformed) -> crate::error::Error {
+    fn blame(&self, number: u32, malformed: Malformed) -> isospan_io::error::Error {
         self.mesh.blame(self.id, self.block_at(number), malformed)
     }
 

@@ -12,9 +12,9 @@ use super::stored_values::{BlockAt, KnownValues, expect_values};
 use super::wanted::Needed;
 use crate::archive::chunked::ValueRange;
 use crate::archive::values::ValueBlocks;
-use crate::error::Result;
-use crate::grid::ChunkId;
-use crate::mesh::tet::{Tet, is_active, range};
+use isospan_io::error::Result;
+use isospan_io::grid::ChunkId;
+use isospan_mesh::mesh::tet::{Tet, is_active, range};
 
 /// The values of a chunk's corners, by their numbers.
 pub(in crate::pipeline) struct CornerValues<'a> {

@@ -9,10 +9,10 @@ use super::reader_memory::{CornersMemory, PLACED, SHARED};
 use super::step_view::StepView;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::mesh::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, decode_flags, decode_ids};
-use crate::error::Result;
-use crate::geom::{LatticeBox, LatticePos, PointId};
-use crate::grid::{BrickId, Chunk, ChunkId};
 use crate::pipeline::plan::check_brick;
+use isospan_io::error::Result;
+use isospan_io::geom::{LatticeBox, LatticePos, PointId};
+use isospan_io::grid::{BrickId, Chunk, ChunkId};
 use std::sync::Arc;
 
 /// The corners of a chunk: those of its core, brick after brick, then those of the halo. Arrays are

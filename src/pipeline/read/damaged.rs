@@ -1,8 +1,8 @@
 //! How a chunk is refused that verifies, but does not mean anything.
 
 use crate::archive::chunked::ChunkSegment;
-use crate::error::Error;
-use crate::grid::ChunkId;
+use isospan_io::error::Error;
+use isospan_io::grid::ChunkId;
 
 /// A block that verifies but does not mean anything: written by a faulty program.
 pub(super) fn damaged(

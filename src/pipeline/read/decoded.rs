@@ -4,10 +4,10 @@ use super::chunk_reader::ChunkReader;
 use super::corner_values::CornerValues;
 use super::reader_memory::{ReaderMemory, ValuesMemory};
 use super::step_view::StepView;
-use crate::error::Result;
-use crate::geom::{LatticePos, PointId};
-use crate::grid::ChunkId;
-use crate::mesh::tet::Tet;
+use isospan_io::error::Result;
+use isospan_io::geom::{LatticePos, PointId};
+use isospan_io::grid::ChunkId;
+use isospan_mesh::mesh::tet::Tet;
 
 /// Some blocks of a chunk, decoded: tetrahedra, and position, id and value of the corners they use.
 /// Corner arrays are indexed by chunk-local vertex number; corners that are not used hold anything.

@@ -14,10 +14,10 @@
 //! needed.
 
 use super::step_view::StepView;
-use crate::error::Result;
-use crate::geom::{LatticeBox, LatticePos};
-use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
+use isospan_io::error::Result;
+use isospan_io::geom::{LatticeBox, LatticePos};
+use isospan_io::grid::ChunkId;
 
 /// The rows of chunks of a query.
 pub(in crate::pipeline) struct Frontier {

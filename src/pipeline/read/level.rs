@@ -4,9 +4,9 @@ use super::pyramid::{chunk_place, pyramid_of};
 use super::step_view::StepView;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::CorrectionRecord;
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
 use crate::pipeline::settings::Bound;
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
 use isospan_wavelet::Pyramid;
 use std::ops::Range;
 

@@ -3,8 +3,8 @@
 use super::pyramid::{PyramidStep, range_of_cells};
 use super::step_view::StepView;
 use crate::archive::chunked::BlockRange;
-use crate::error::Result;
-use crate::grid::IndexBox;
+use isospan_io::error::Result;
+use isospan_io::grid::IndexBox;
 use isospan_wavelet::Pyramid;
 use std::ops::Range;
 

@@ -9,8 +9,8 @@ use super::step_view::StepView;
 use super::steps::mean;
 use crate::archive::manifest::MANIFEST_NAME;
 use crate::archive::segment::{Segment, SegmentKind};
-use crate::error::{Error, Result};
-use crate::grid::{ChunkId, IndexBox};
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::{ChunkId, IndexBox};
 use isospan_wavelet::{
     Box3, Coarse, Correction, Levels, Mask, Pyramid, Tile, TileBlock, TileId, TileSource, decode_corrections,
     decode_tile,

@@ -4,10 +4,10 @@
 
 use super::block::Block;
 use super::reader_memory::{ReaderMemory, ValuesMemory};
-use crate::error::Result;
-use crate::exec::{Threads, available_threads};
-use crate::mesh::tet::Tet;
 use crate::surface::extract::{ChunkSurface, Sides, Workbench};
+use isospan_io::error::Result;
+use isospan_io::exec::{Threads, available_threads};
+use isospan_mesh::mesh::tet::Tet;
 use std::ops::Deref;
 use std::sync::{Mutex, PoisonError};
 

@@ -11,8 +11,8 @@
 
 use crate::archive::chunked::BlockRange;
 use crate::archive::manifest::{CorrectionRecord, WaveletRecord};
-use crate::grid::{ChunkId, IndexBox};
-use crate::points::PointSpec;
+use isospan_io::grid::{ChunkId, IndexBox};
+use isospan_mesh::points::PointSpec;
 use isospan_wavelet::{Box3, Coarse, Correction, Mask, Pyramid, Scale, Tile, TileId};
 use rustc_hash::FxHashMap;
 use std::collections::HashMap;

@@ -2,7 +2,7 @@
 //! cleared again.
 
 use crate::archive::mesh::TetScratch;
-use crate::geom::{LatticePos, Site};
+use isospan_io::geom::{LatticePos, Site};
 
 /// What is known of the corners of a chunk, by their numbers. Its pages are touched where corners
 /// are placed only.

@@ -4,10 +4,10 @@
 //! boxes that touch fit together, and nothing outside is in the file. (Extracting a subset and
 //! contouring it, as one would in VTK, gives the same for a box of whole voxels.)
 
-use crate::error::{Error, Result};
-use crate::geom::{LatticeBox, LatticePos};
-use crate::grid::{Geometry, IndexBox};
 use crate::surface::edit::clip::HalfSpace;
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::{LatticeBox, LatticePos};
+use isospan_io::grid::{Geometry, IndexBox};
 use serde::Serialize;
 use std::str::FromStr;
 

@@ -3,7 +3,7 @@
 
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::segment::{PlanHash, SegmentKind};
-use crate::error::Error;
+use isospan_io::error::Error;
 use std::fmt;
 use std::ops::Range;
 use std::path::Path;

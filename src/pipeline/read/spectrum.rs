@@ -9,15 +9,15 @@ use crate::archive::chunked::BlockRange;
 use crate::archive::manifest::{Plan as MeshPlan, Source};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::CoordinateMap;
-use crate::error::{Error, Result};
-use crate::exec::in_order;
-use crate::geom::{Lattice, LatticePos};
-use crate::grid::{ChunkId, Geometry, IndexBox};
-use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
 use crate::spectrum::{
     CellShapes, ChunkPart, LaneBuffers, Limits, Spectrum, SpectrumBuilder, SpectrumFile, Vertices,
 };
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::in_order;
+use isospan_io::geom::{Lattice, LatticePos};
+use isospan_io::grid::{ChunkId, Geometry, IndexBox};
+use isospan_mesh::mesh::tet::Tet;
 use serde::Serialize;
 use std::path::PathBuf;
 

@@ -22,10 +22,10 @@ use super::step_view::StepView;
 use super::stored_values::{BlockAt, KnownValues};
 use crate::archive::chunked::BlockRange;
 use crate::archive::values::ValueBlocks;
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
 use crate::index::{Entry, SpanIndex, index_entries};
-use crate::mesh::tet::is_active;
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
+use isospan_mesh::mesh::tet::is_active;
 
 /// A value between two, `share` of the way from the first; void where one of them is. Monotonic in
 /// both; a zero has no sign.
@@ -217,12 +217,12 @@ mod tests {
     use super::super::archive::OpenArchive;
     use super::super::choice::StepChoice;
     use super::*;
-    use crate::exec::{Resources, Silent};
-    use crate::formats::RawLayout;
-    use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
-    use crate::points::SetKind;
-    use crate::volume::ScalarType;
+    use isospan_io::exec::{Resources, Silent};
+    use isospan_io::formats::RawLayout;
+    use isospan_io::formats::{OpenOptions, StepSource};
+    use isospan_io::volume::ScalarType;
+    use isospan_mesh::points::SetKind;
     use std::path::Path;
 
     const DIMS: [u64; 3] = [14, 13, 12];

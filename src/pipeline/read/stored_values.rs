@@ -4,8 +4,8 @@ use super::damaged::damaged;
 use super::step_view::StepView;
 use crate::archive::chunked::{BlockRange, ChunkSegment, decode_value_ranges};
 use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
-use crate::error::Result;
-use crate::grid::ChunkId;
+use isospan_io::error::Result;
+use isospan_io::grid::ChunkId;
 use std::sync::Arc;
 
 /// Blocks of a chunk behind those of its values: their ranges, and its summary.

@@ -10,12 +10,12 @@
 
 use super::decoded::DecodedChunk;
 use super::step_view::StepView;
-use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, Threads, in_order};
-use crate::geom::LatticeBox;
-use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Progress, Resources, Threads, in_order};
+use isospan_io::geom::LatticeBox;
+use isospan_io::grid::ChunkId;
 
 /// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included,
 /// and for a chunk of any size.

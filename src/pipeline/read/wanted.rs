@@ -1,8 +1,8 @@
 //! Which blocks of a chunk a question wants, and which values of their corners.
 
 use super::region::Cut;
-use crate::error::Result;
-use crate::geom::{LatticeBox, LatticePos};
+use isospan_io::error::Result;
+use isospan_io::geom::{LatticeBox, LatticePos};
 
 /// Which values of a block's corners are needed.
 pub(in crate::pipeline) enum Needed<'a> {

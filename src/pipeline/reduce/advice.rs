@@ -8,18 +8,18 @@
 use super::job::Job;
 use super::meshes::keeps_own;
 use super::report::ReduceReport;
-use crate::bytes::place;
-use crate::bytes::remote::is_remote;
-use crate::cells::CellMesh;
-use crate::error::{Result, bytes_text};
-use crate::formats::{Input, StepSource, passed_over};
-use crate::geom::Lattice;
 use crate::pipeline::inputs::{Fill, Scan, Seen, Stretch, Survey, scan, survey_mesh, survey_volume, watched};
 use crate::pipeline::plan::{Estimate, Finding, Notice, count_of};
 use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings};
-use crate::points::{PointSet, PointSpec, SetKind};
-use crate::sample::Interpolation;
-use crate::volume::{Assumed, VolumeInfo, VolumeSource};
+use isospan_io::bytes::place;
+use isospan_io::bytes::remote::is_remote;
+use isospan_io::cells::CellMesh;
+use isospan_io::error::{Result, bytes_text};
+use isospan_io::formats::{Input, StepSource, passed_over};
+use isospan_io::geom::Lattice;
+use isospan_io::volume::{Assumed, VolumeInfo, VolumeSource};
+use isospan_mesh::points::{PointSet, PointSpec, SetKind};
+use isospan_mesh::sample::Interpolation;
 use std::path::{Path, PathBuf};
 
 /// The most steps of a series that are surveyed, evenly spread; all of them share the samples that

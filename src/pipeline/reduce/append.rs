@@ -16,11 +16,11 @@ use super::order::next_files;
 use super::planned::{plan, publish, run as run_plan};
 use super::report::{ReduceReport, SourceChunks};
 use crate::archive::manifest::{MANIFEST_NAME, Manifest, Step};
-use crate::error::{Error, Result};
-use crate::exec::Progress;
-use crate::formats::{self, OpenOptions, StepSource, without_frame};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Progress;
+use isospan_io::formats::{self, OpenOptions, StepSource, without_frame};
 use std::path::Path;
 use std::time::Instant;
 

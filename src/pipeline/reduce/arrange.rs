@@ -8,9 +8,9 @@ use super::order::{
 };
 use super::series::{KnownUnits, SeriesPlan, is_of_data};
 use crate::archive::manifest::{Manifest, Step, StepPlan};
-use crate::error::{Error, Result};
-use crate::formats::StepSource;
 use crate::pipeline::read::{OpenArchive, is_of_fields};
+use isospan_io::error::{Error, Result};
+use isospan_io::formats::StepSource;
 use std::collections::BTreeSet;
 
 impl SeriesPlan {

@@ -5,12 +5,12 @@
 
 use super::plan_file::work_folder;
 use crate::archive::manifest::{Manifest, Step};
-use crate::bytes::publish::Unpublished;
-use crate::bytes::read_whole;
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
-use crate::formats::{Input, OpenOptions, open_input};
 use crate::pipeline::plan::{Inputs, RecordedFile, Watch};
+use isospan_io::bytes::publish::Unpublished;
+use isospan_io::bytes::read_whole;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
+use isospan_io::formats::{Input, OpenOptions, open_input};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

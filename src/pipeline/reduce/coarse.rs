@@ -2,10 +2,10 @@
 
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::segment::{PlanHash, SegmentKind, SegmentWriter};
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
 use crate::pipeline::plan::Layout;
 use crate::pipeline::read::{StepView, chunk_place, has_coarse_mask};
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
 use isospan_wavelet::{Box3, Coarse, Mask, MaskBuilder, Pyramid, Scale, Tile, TileId, TileSource};
 use std::sync::Arc;
 

@@ -4,10 +4,10 @@
 use crate::archive::chunked::{ChunkSegment, MeshSizes};
 use crate::archive::manifest::{Counts, Manifest, SegmentRecord, Step};
 use crate::archive::segment::SegmentKind;
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
 use crate::pipeline::plan::{Layout, MeshParts, Plan};
 use crate::pipeline::read::{bricks_of, chunk_place, pyramid_of};
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
 use std::path::Path;
 
 /// The mesh of an archive, and the steps that are finished.

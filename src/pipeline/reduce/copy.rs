@@ -4,10 +4,10 @@
 use super::existing::segments;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::archive::segment::{Copied, Known, copy_segment};
-use crate::bytes::plain::kind_of;
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
 use crate::pipeline::plan::Attachments;
+use isospan_io::bytes::plain::kind_of;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
 use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::Write;

@@ -16,12 +16,6 @@ use crate::archive::manifest::StepPlan;
 use crate::archive::mesh::{ChunkEncoder, ChunkVertices};
 use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::archive::values::encode_values;
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
-use crate::geom::LatticePos;
-use crate::geom::predicates::signed_volume6;
-use crate::grid::Chunk;
-use crate::mesh::tet::Tet;
 use crate::pipeline::chunk::{
     ChunkMesher, ChunkTets, Field, Meshing, Placement, Recipe, SampleErrors, Samples, StepLanes, fitted,
     interpolated, step_lanes,
@@ -30,6 +24,12 @@ use crate::pipeline::plan::{Halo, Shares};
 use crate::pipeline::read::{MeshedChunk, Meter, StepView, spectrum};
 use crate::pipeline::stage::StageTimes;
 use crate::spectrum::Digits;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::Chunk;
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::predicates::signed_volume6;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError, RwLock};

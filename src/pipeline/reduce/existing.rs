@@ -21,12 +21,12 @@ use crate::archive::manifest::{
     mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, values_segment_path,
 };
 use crate::archive::segment::{PlanHash, SegmentInfo, segment_plan};
-use crate::bytes::publish::{self, TEMPORARY_MARK};
-use crate::bytes::remote::is_remote;
-use crate::error::{Error, Result};
-use crate::formats::StepSource;
 use crate::pipeline::plan::{Attachments, Layout, Plan};
 use crate::pipeline::settings::RunSettings;
+use isospan_io::bytes::publish::{self, TEMPORARY_MARK};
+use isospan_io::bytes::remote::is_remote;
+use isospan_io::error::{Error, Result};
+use isospan_io::formats::StepSource;
 use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};

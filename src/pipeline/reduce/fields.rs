@@ -1,8 +1,8 @@
 //! The data of steps, opened when their turn comes.
 
 use super::series::SeriesPlan;
-use crate::error::Result;
 use crate::pipeline::chunk::{Field, OwnMesh};
+use isospan_io::error::Result;
 
 /// Opens the data of steps.
 pub(super) trait Fields {

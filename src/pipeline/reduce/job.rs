@@ -4,12 +4,12 @@
 use super::plan_file::PlanFile;
 use super::reuse::Round;
 use super::series::Copies;
-use crate::error::Result;
-use crate::exec::Progress;
-use crate::formats::StepSource;
 use crate::pipeline::plan::{Estimate, Inputs, Need, Plan, Question, folder_bytes};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use isospan_io::error::Result;
+use isospan_io::exec::Progress;
+use isospan_io::formats::StepSource;
 use std::path::Path;
 
 /// What is asked of a reduction.

@@ -6,10 +6,10 @@ use super::kept_search::StepInput;
 use super::report::ReduceReport;
 use super::tries::full_cells;
 use crate::archive::manifest::{Manifest, Step};
-use crate::error::Result;
-use crate::formats::StepSource;
 use crate::pipeline::plan::Inputs;
 use crate::pipeline::settings::Target;
+use isospan_io::error::Result;
+use isospan_io::formats::StepSource;
 
 /// The report of an archive that a search has published which was stopped right after.
 pub(super) fn published_before(job: &Job<'_>, target: Target, source: Option<u64>) -> Option<ReduceReport> {

@@ -7,21 +7,21 @@
 
 use super::fields::Fields;
 use super::series::SeriesPlan;
-use crate::cells::CellMesh;
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;
 use crate::domain::gradients::gradients;
 use crate::domain::own::{OwnCells, OwnVertices};
 use crate::domain::store::{CellStore, StoreSettings};
 use crate::domain::vertices::Vertices;
-use crate::error::Result;
-use crate::formats::{self, OpenOptions, StepSource};
-use crate::grid::BrickGrid;
 use crate::pipeline::chunk::{CellField, CellLocator, Field, OwnField, OwnMesh};
 use crate::pipeline::plan::Plan;
 use crate::pipeline::stage::{Stage, StageSeconds};
-use crate::points::ExplicitPoints;
-use crate::sample::{Interpolation, Values};
+use isospan_io::cells::CellMesh;
+use isospan_io::error::Result;
+use isospan_io::formats::{self, OpenOptions, StepSource};
+use isospan_io::grid::BrickGrid;
+use isospan_mesh::points::ExplicitPoints;
+use isospan_mesh::sample::{Interpolation, Values};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 

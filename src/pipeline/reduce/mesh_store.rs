@@ -1,12 +1,12 @@
 //! How the mesh of a job is read, and the disk that this takes.
 
 use super::job::Job;
-use crate::cells::CellMesh;
 use crate::domain::store::{BadValue, StoreSettings};
-use crate::error::{Error, Result};
 use crate::pipeline::plan::{MOST_SMALL_STEPS_AT_ONCE, free_bytes};
 use crate::pipeline::settings::{NanPolicy, ReduceSettings};
-use crate::sample::{Interpolation, Values};
+use isospan_io::cells::CellMesh;
+use isospan_io::error::{Error, Result};
+use isospan_mesh::sample::{Interpolation, Values};
 use std::path::Path;
 
 /// Scratch bytes of a vertex (position in the world and on the lattice, value; to find equals,

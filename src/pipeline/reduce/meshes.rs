@@ -21,22 +21,22 @@ use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, 
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, RepeatedRecord};
 use crate::archive::values::Quantiser;
-use crate::cells::CellMesh;
 use crate::domain::amount::{COUNTABLE, amount_between, next_amount, valued};
 use crate::domain::boundary::{BoundarySamples, Spacing};
 use crate::domain::column::Column;
 use crate::domain::identity::Identity;
 use crate::domain::own::OwnVertices;
 use crate::domain::store::{CellStore, StoreSettings};
-use crate::error::{Error, Result};
-use crate::formats::{Input, StepSource};
 use crate::pipeline::inputs::{MeshChoice, MeshCurves, Shift};
 use crate::pipeline::plan::{Attachments, Inputs, Plan, Watch};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{Amount, ReduceSettings};
-use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
-use crate::sample::Interpolation;
-use crate::volume::units::Units;
+use isospan_io::cells::CellMesh;
+use isospan_io::error::{Error, Result};
+use isospan_io::formats::{Input, StepSource};
+use isospan_io::volume::units::Units;
+use isospan_mesh::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
+use isospan_mesh::sample::Interpolation;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -597,7 +597,7 @@ fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
         dims: [2; 3],
         scalar: field.scalar,
         field: field.name.clone(),
-        geometry: crate::grid::Geometry::default(),
+        geometry: isospan_io::grid::Geometry::default(),
         slope: 1.0,
         intercept: 0.0,
         missing: None,

@@ -11,8 +11,8 @@
 
 use crate::archive::manifest::{BaseStep, Manifest, Step, StepPlan};
 use crate::archive::segment::PlanHash;
-use crate::formats::{StepSource, without_frame};
 use crate::pipeline::read::is_of_fields;
+use isospan_io::formats::{StepSource, without_frame};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What the order of further steps is decided by.

@@ -36,12 +36,12 @@ use super::search::TargetSearch;
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::segment::PlanHash;
-use crate::bytes::publish::Unpublished;
-use crate::bytes::{place, read_whole};
-use crate::error::{Error, Result};
-use crate::formats::{Input, OpenOptions, StepSource};
 use crate::pipeline::plan::{Attachments, Inputs, Plan, RecordedFile, Watch};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use isospan_io::bytes::publish::Unpublished;
+use isospan_io::bytes::{place, read_whole};
+use isospan_io::error::{Error, Result};
+use isospan_io::formats::{Input, OpenOptions, StepSource};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

@@ -10,16 +10,16 @@ use super::sums::{FinishedSteps, StoredSums, summed_error};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{Manifest, Step, StepPlan};
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
 use crate::index::{BuildSettings, IndexBuilder, index_entries};
 use crate::measure::shortest_between;
 use crate::pipeline::field::{MeasureSettings, StepErrors, reopened_errors};
 use crate::pipeline::plan::{Layout, Plan, estimate};
 use crate::pipeline::read::{OpenArchive, limits};
 use crate::pipeline::stage::Stage;
-use crate::points::SetKind;
 use crate::spectrum::{Design, Limits, SpectrumBuilder};
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
+use isospan_mesh::points::SetKind;
 use std::time::Instant;
 
 impl Build<'_> {

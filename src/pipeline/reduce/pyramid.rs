@@ -25,9 +25,6 @@ use crate::archive::chunked::{BlockRange, ValueSummary};
 use crate::archive::manifest::StepPlan;
 use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, encode_errors};
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
-use crate::grid::{Chunk, IndexBox};
 use crate::measure::{BrickErrors, ErrorSums, Squares};
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::plan::{Shares, part_edge};
@@ -37,6 +34,9 @@ use crate::pipeline::read::{
 };
 use crate::pipeline::settings::NanPolicy;
 use crate::pipeline::stage::StageTimes;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
+use isospan_io::grid::{Chunk, IndexBox};
 use isospan_wavelet::{
     Box3, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part, fill,
 };

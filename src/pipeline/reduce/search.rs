@@ -8,10 +8,10 @@
 //! with a plan for each ([`super::plan_file`]), which stores the search between two tries.
 
 use super::report::{ReduceReport, TargetReport};
-use crate::error::{Error, Result};
 use crate::pipeline::plan::{Estimate, SearchEstimate};
 use crate::pipeline::settings::{Amount, ReduceSettings, Target};
-use crate::points::SetKind;
+use isospan_io::error::{Error, Result};
+use isospan_mesh::points::SetKind;
 use serde::{Deserialize, Serialize};
 
 impl Target {

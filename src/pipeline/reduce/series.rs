@@ -2,11 +2,11 @@
 
 use super::order::Order;
 use crate::archive::manifest::StepPlan;
-use crate::error::{Error, Result};
-use crate::formats::{StepSource, without_frame};
 use crate::pipeline::plan::{Attachments, Layout, Plan, Watch};
-use crate::volume::chunked::ChunkShape;
-use crate::volume::units::Unit;
+use isospan_io::error::{Error, Result};
+use isospan_io::formats::{StepSource, without_frame};
+use isospan_io::volume::chunked::ChunkShape;
+use isospan_io::volume::units::Unit;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 
@@ -226,7 +226,7 @@ pub(super) fn is_of_data(error: &Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::OpenOptions;
+    use isospan_io::formats::OpenOptions;
 
     #[test]
     fn small_copies_are_on_the_disk_together_and_large_ones_alone() {

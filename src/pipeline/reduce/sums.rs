@@ -12,13 +12,13 @@ use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{Manifest, Step, StepPlan};
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, decode_errors};
-use crate::error::{Error, Result};
-use crate::grid::ChunkId;
 use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError};
 use crate::pipeline::chunk::field_error_of;
 use crate::pipeline::plan::{Layout, Plan};
 use crate::pipeline::read::{StepView, pyramid_of};
 use crate::spectrum::{ChunkPart, Digits, Limits};
+use isospan_io::error::{Error, Result};
+use isospan_io::grid::ChunkId;
 
 /// The sums of some chunks of a step.
 pub(super) struct StoredSums {

@@ -45,10 +45,10 @@ use super::report::ReduceReport;
 use super::search::TargetSearch;
 use super::target_max::reduce_to_max;
 use super::tries::{full_cells, publish, tidy};
-use crate::error::{Error, Result};
-use crate::exec::Attempt;
 use crate::pipeline::plan::folder_bytes;
 use crate::pipeline::settings::{Bound, RunSettings, Target};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Attempt;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

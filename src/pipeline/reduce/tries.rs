@@ -3,10 +3,10 @@
 use super::existing::{remove_strays, replace_archive};
 use super::plan_file::work_folder;
 use crate::archive::manifest::Manifest;
-use crate::bytes::publish::remove_folder;
-use crate::error::Result;
 use crate::pipeline::plan::{Attachments, Plan};
 use crate::pipeline::settings::ReduceSettings;
+use isospan_io::bytes::publish::remove_folder;
+use isospan_io::error::Result;
 use std::fs;
 use std::path::{Path, PathBuf};
 

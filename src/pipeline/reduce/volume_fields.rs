@@ -2,14 +2,14 @@
 
 use super::fields::Fields;
 use super::series::{PlannedSource, SeriesPlan};
-use crate::error::{Error, Result};
-use crate::exec::Progress;
-use crate::formats::{self, Input, StepSource, UnpackedFrames};
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::inputs::{Reading, Scratch, random_access};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
-use crate::volume::unpacked::unpack;
-use crate::volume::{VolumeReader, VolumeSource};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Progress;
+use isospan_io::formats::{self, Input, StepSource, UnpackedFrames};
+use isospan_io::volume::unpacked::unpack;
+use isospan_io::volume::{VolumeReader, VolumeSource};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -16,12 +16,12 @@
 
 use super::encoded::EncodedChunk;
 use super::sink::{SegmentFiles, Sink};
-use crate::error::{Error, Result};
-use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder, no_thread};
-use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::pipeline::plan::{Watch, estimate};
 use crate::pipeline::stage::StageTimes;
 use crossbeam::channel;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder, no_thread};
+use isospan_io::grid::{Chunk, ChunkGrid, ChunkId};
 use std::any::Any;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};

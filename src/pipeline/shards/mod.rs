@@ -24,9 +24,6 @@ mod search;
 mod status;
 
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
-use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources};
-use crate::formats::StepSource;
 use crate::pipeline::plan::{
     Attachments, Estimate, Held, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts,
 };
@@ -38,6 +35,9 @@ use crate::pipeline::reduce::{
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 use crate::pipeline::stage::{Stage, StageSeconds};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Progress, Resources};
+use isospan_io::formats::StepSource;
 use serde::Serialize;
 use status::Inventory;
 pub use status::{GcReport, StatusReport, collect_garbage, shard_status};

@@ -3,12 +3,12 @@
 
 use super::{Committed, NextTry, PlanReport, begin, plan_file, planned_report};
 use crate::archive::manifest::Manifest;
-use crate::error::{Error, Result};
-use crate::exec::Progress;
 use crate::pipeline::reduce::{
     self, Basis, Existing, Job, PLANNED_TRY, PlanFile, PlannedSearch, ReduceReport, TargetSearch, planned_try,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Progress;
 use std::path::Path;
 
 /// The search that some settings ask for, if they do. `source` is the number of bytes of the

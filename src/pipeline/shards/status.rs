@@ -3,13 +3,13 @@
 
 use crate::archive::manifest::{MANIFEST_NAME, Manifest, mesh_folder, steps_folder};
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
-use crate::bytes::publish::{final_name, open_own};
-use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
 use crate::pipeline::plan::{Attachments, Layout, Shard};
 use crate::pipeline::read::{Depth, SegmentState, inspect};
 use crate::pipeline::reduce::{Existing, FinishedSteps, PlanFile, plan_path, strays, work_folder};
 use crate::pipeline::settings::RunSettings;
+use isospan_io::bytes::publish::{final_name, open_own};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{CancelToken, Progress, Resources, Silent, pool};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fs;

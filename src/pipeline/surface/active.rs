@@ -3,15 +3,15 @@
 use super::cubes::{by_part, of_level};
 use super::question::{Cells, ChunkWork, by_chunk};
 use super::settings::SurfaceSettings;
-use crate::error::Result;
-use crate::geom::LatticeBox;
-use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
     Cut, Ranges, RoiSpace, StepView, WorldBox, cells_in, chunk_place, pyramid_of, world_box, world_map,
 };
 use crate::surface::edit::clip::HalfSpace;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticeBox;
+use isospan_io::grid::ChunkId;
 
 /// The cut of surfaces as they are extracted; or half-spaces of the world, for a curvilinear grid.
 pub(super) fn cut_of(

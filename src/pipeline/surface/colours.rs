@@ -4,13 +4,13 @@
 //! that the surface cuts, where surface and field are of one archive.
 
 use super::settings::SurfaceSettings;
-use crate::error::{Error, Result};
-use crate::exec::{Resources, Silent};
-use crate::formats::surface::VertexValues;
+use crate::files::surface::VertexValues;
 use crate::pipeline::field::{ProbeSettings, values_at, values_on_surface};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::StepView;
 use crate::surface::SurfaceSource;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Resources, Silent};
 use std::path::Path;
 use std::sync::Arc;
 

@@ -5,12 +5,12 @@
 
 use super::question::{Cells, ChunkWork, Question};
 use super::worker::ChunkSurfaces;
-use crate::error::Result;
-use crate::geom::{LatticeBox, PointId};
-use crate::grid::{ChunkId, IndexBox};
 use crate::index::Entry;
 use crate::pipeline::read::{Brick, BufferPool, StepView, bricks_of, chunk_place, pyramid_of};
 use crate::surface::extract::{ChunkSurface, CubeBench, GridBlock};
+use isospan_io::error::Result;
+use isospan_io::geom::{LatticeBox, PointId};
+use isospan_io::grid::{ChunkId, IndexBox};
 use isospan_wavelet::Pyramid;
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -17,14 +17,14 @@ use super::question::{Cells, Question};
 use super::settings::SurfaceSettings;
 use super::weld::{Extracted, SurfaceStorage, Weld};
 use super::worker::{ChunkSurfaces, ChunkWorker};
-use crate::error::Result;
-use crate::exec::{Progress, in_order};
-use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
     BufferPool, Buffers, ChunkReader, CornerValues, NumberedShape, READER_PER_VERTEX, StepView,
 };
+use isospan_io::error::Result;
+use isospan_io::exec::{Progress, in_order};
+use isospan_io::grid::ChunkId;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -8,12 +8,12 @@ use super::active::{cut_of, work_of};
 use super::cubes::{march, part_bytes};
 use super::question::ChunkWork;
 use super::settings::SurfaceSettings;
-use crate::error::{Error, Result};
-use crate::exec::pool;
 use crate::pipeline::read::{Cut, LevelChoice, StepView, world_map};
 use crate::surface::WorldMap;
 use crate::surface::edit::clip::HalfSpace;
 use crate::surface::extract::{ChunkSurface, CubeBench};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::pool;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 

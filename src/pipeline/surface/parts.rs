@@ -7,10 +7,10 @@
 //! alone.
 
 use super::settings::SurfaceSettings;
-use crate::error::Result;
 use crate::pipeline::read::{IndexToWorld, StepView};
 use crate::surface::weld::SurfaceBuilder;
 use crate::surface::{SurfaceSource, Vertex};
+use isospan_io::error::Result;
 
 /// A part of a surface that is streamed: see
 /// [`Step::stream_surfaces`](crate::pipeline::Step::stream_surfaces).

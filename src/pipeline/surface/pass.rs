@@ -12,10 +12,10 @@ use super::extract::Extraction;
 use super::query::{FinishedSurfaces, Prepared, extract};
 use super::settings::SurfaceSettings;
 use super::weld::SurfaceStorage;
-use crate::error::{Error, Result};
-use crate::exec::Progress;
 use crate::pipeline::read::StepView;
 use crate::surface::TriMesh;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Progress;
 use std::path::{Path, PathBuf};
 
 /// Steps that are extracted together, at most: what is done once for all of them is then a tenth of

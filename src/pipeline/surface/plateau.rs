@@ -4,10 +4,10 @@
 //! Some active bricks are looked at. On a plateau, far more of their samples are within the error
 //! of the isovalue than there are beside it.
 
-use crate::error::Result;
-use crate::grid::{ChunkId, IndexBox};
 use crate::index::Entry;
 use crate::pipeline::read::{Brick, StepView, bricks_of, chunk_place, pyramid_of};
+use isospan_io::error::Result;
+use isospan_io::grid::{ChunkId, IndexBox};
 use serde::Serialize;
 
 /// What is near an isovalue that lies on a plateau.

@@ -13,10 +13,7 @@ use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
 };
 use super::weld::{Extracted, SurfaceStorage};
-use crate::bytes::remote::{traffic, traffic_since};
-use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Clock, Progress, Resources, Silent, pool};
-use crate::formats::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
+use crate::files::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::pipeline::read::{
     Block, ChunkReader, CornerValues, Cut, LevelChoice, Needed, ReaderMemory, StepView, ValuesMemory, Wanted,
     expect_in_f32, in_memory, in_world, world_map,
@@ -27,6 +24,9 @@ use crate::surface::edit::clip::{HalfSpace, clip};
 use crate::surface::extract::Sides;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
+use isospan_io::bytes::remote::{traffic, traffic_since};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{CancelToken, Clock, Progress, Resources, Silent, pool};
 use rayon::prelude::*;
 use std::path::Path;
 use std::time::Duration;

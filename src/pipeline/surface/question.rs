@@ -1,13 +1,13 @@
 //! What is asked of a step, and of which blocks.
 
-use crate::error::Result;
-use crate::geom::LatticePos;
-use crate::grid::ChunkId;
 use crate::index::Entry;
-use crate::mesh::tet::{Tet, is_active};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{BlockCorners, Cut, Needed, StepView, Wanted};
 use crate::surface::WorldMap;
+use isospan_io::error::Result;
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::ChunkId;
+use isospan_mesh::mesh::tet::{Tet, is_active};
 
 /// Cells of a box along each axis, from the first to past the last.
 pub(super) type Cells = [[u64; 2]; 3];

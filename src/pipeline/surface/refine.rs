@@ -1,14 +1,14 @@
 //! Refines a welded surface before it is written: components are chosen, and triangles are
 //! decimated.
 
-use crate::error::{Error, Result};
-use crate::exec::{CancelToken, pool};
 use crate::surface::SurfaceSource;
 use crate::surface::edit::{
     components::{ComponentFilter, ComponentReport, components},
     decimate::{Decimation, DecimationReport, decimate},
 };
 use crate::surface::weld::{BuilderSettings, StoredSurface};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{CancelToken, pool};
 use serde::Serialize;
 use std::path::Path;
 

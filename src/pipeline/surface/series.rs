@@ -1,7 +1,7 @@
 //! Isosurfaces of many steps: one file for each, and a list of the files with their times.
 //!
 //! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; for other formats the list
-//! is ParaView's JSON, `out.ply.series`. ParaView and [`crate::formats::steps_of`] read both.
+//! is ParaView's JSON, `out.ply.series`. ParaView and [`isospan_io::formats::steps_of`] read both.
 //! A list that is there already keeps its other files, so that a series can be made in parts.
 //! Several steps are extracted in one pass ([`super::pass`]). A step whose values all lie on one
 //! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
@@ -11,13 +11,13 @@ use super::query::{FinishedSurfaces, make, write_made};
 use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
 use super::weld::SurfaceStorage;
 use crate::archive::manifest::Step;
-use crate::bytes::publish::{Unpublished, folder_of};
-use crate::error::{Error, Result};
-use crate::exec::{Progress, Silent};
-use crate::formats::listed_files;
-use crate::formats::surface::SurfaceFormat;
+use crate::files::surface::SurfaceFormat;
 use crate::pipeline::read::{OpenArchive, StepView};
 use crate::surface::TriMesh;
+use isospan_io::bytes::publish::{Unpublished, folder_of};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::{Progress, Silent};
+use isospan_io::formats::listed_files;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::ops::Range;

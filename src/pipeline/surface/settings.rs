@@ -1,15 +1,15 @@
 //! What is asked of a surface, and what is reported about it.
 
 use super::refine::{Refine, RefineReport};
-use crate::bytes::publish::folder_of;
-use crate::bytes::remote::Traffic;
-use crate::error::{Error, Result};
-use crate::exec::Resources;
-use crate::formats::surface::SurfaceFormat;
-use crate::mesh::tet::is_active;
+use crate::files::surface::SurfaceFormat;
 use crate::pipeline::read::{LevelChoice, Roi, StepView};
 use crate::pipeline::stage::StageSeconds;
 use crate::render::ColourMap;
+use isospan_io::bytes::publish::folder_of;
+use isospan_io::bytes::remote::Traffic;
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::Resources;
+use isospan_mesh::mesh::tet::is_active;
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};

@@ -8,14 +8,14 @@ use super::parts::Parts;
 use super::question::Question;
 use super::settings::SurfaceSettings;
 use super::worker::ChunkSurfaces;
-use crate::error::Result;
-use crate::exec::Progress;
-use crate::geom::LatticeBox;
 use crate::pipeline::plan::SurfaceShares;
 use crate::pipeline::read::{BufferPool, Frontier, StepView, in_memory, in_world, pyramid_of};
 use crate::surface::edit::fans::split_fans;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use crate::surface::{SurfaceSource, TriMesh};
+use isospan_io::error::Result;
+use isospan_io::exec::Progress;
+use isospan_io::geom::LatticeBox;
 use std::path::PathBuf;
 
 /// A surface, welded, and the number of its tetrahedra.

@@ -2,9 +2,9 @@
 
 use super::question::Question;
 use crate::index::Entry;
-use crate::mesh::tet::is_active;
 use crate::pipeline::read::{BufferPool, Buffers, NumberedShape};
 use crate::surface::extract::{ChunkSurface, cap::select_boundary};
+use isospan_mesh::mesh::tet::is_active;
 
 /// The surfaces of a chunk, one for each isovalue.
 pub(super) type ChunkSurfaces = Vec<ChunkSurface>;

@@ -29,8 +29,8 @@ use super::grid::{BinaryPlaces, Places};
 use super::lanes::NOTHING;
 use super::measure::{ChunkPart, Measured};
 use super::sums::counts;
-use crate::simd::with_vectors;
 use cell::{CASES, Cut, World, cut};
+use isospan_mesh::simd::with_vectors;
 
 /// So many active cells of a knot are all cut.
 const FEW: u64 = 4096;

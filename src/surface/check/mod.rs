@@ -34,13 +34,13 @@
 //!
 //! It does *not* look for triangles that intersect each other.
 
-use crate::bytes::sorter::{Sorted, Sorter};
-use crate::bytes::store::{Cached, Store};
-use crate::error::{Error, Result};
-use crate::geom::vec3::{cross, dot, minus};
-use crate::grid::Geometry;
 use crate::surface::edit::clip::HalfSpace;
 use crate::surface::model::{SurfaceSource, TriMesh, corner_of, world_of};
+use isospan_io::bytes::sorter::{Sorted, Sorter};
+use isospan_io::bytes::store::{Cached, Store};
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::vec3::{cross, dot, minus};
+use isospan_io::grid::Geometry;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

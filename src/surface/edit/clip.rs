@@ -23,9 +23,9 @@
 //!
 //! Reference: Sutherland, Hodgman 1974, "Reentrant polygon clipping".
 
-use crate::error::{Error, Result};
 use crate::surface::model::{SurfaceSource, Vertex};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
+use isospan_io::error::{Error, Result};
 use rustc_hash::FxHashMap;
 
 /// The points p with `normal · p >= offset`.

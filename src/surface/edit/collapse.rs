@@ -38,8 +38,8 @@
 //! Garland, Heckbert 1997, "Surface simplification using quadric error metrics". Dey, Edelsbrunner,
 //! Guha, Nekhayev 1999, "Topology preserving edge contraction".
 
-use crate::geom::vec3::{cross, dot, minus};
 use crate::surface::model::Vertex;
+use isospan_io::geom::vec3::{cross, dot, minus};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 

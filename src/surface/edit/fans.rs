@@ -27,12 +27,12 @@
 //! vertex, in pages within the memory given. New vertices follow the old ones, in the order of the
 //! vertices that they are made from: a function of the surface alone.
 
-use crate::bytes::paged::Paged;
-use crate::bytes::sorter::{Sorted, Sorter};
-use crate::bytes::store::Store;
-use crate::error::{Error, Result};
 use crate::surface::model::{SurfaceSource, Vertex};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
+use isospan_io::bytes::paged::Paged;
+use isospan_io::bytes::sorter::{Sorted, Sorter};
+use isospan_io::bytes::store::Store;
+use isospan_io::error::{Error, Result};
 
 /// A corner at a vertex of the rim: the vertex, the triangle, the corners next and before.
 type Corner = [u64; 4];

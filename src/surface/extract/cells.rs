@@ -1,9 +1,9 @@
 //! Tetrahedra of a chunk, given to be cut by a surface.
 
 use super::cases::{ODD, ORDERS};
-use crate::geom::{LatticePos, PointId};
-use crate::mesh::tet::Tet;
 use crate::surface::world_map::WorldMap;
+use isospan_io::geom::{LatticePos, PointId};
+use isospan_mesh::mesh::tet::Tet;
 
 /// The corners and tetrahedra of (a part of) one chunk. Corner arrays are indexed by the numbers
 /// that the tetrahedra use; entries that no tetrahedron uses may hold anything.
@@ -75,7 +75,7 @@ impl Sides {
     /// The sums of four corners, some of them inside and all others outside, as bits.
     const ACTIVE: u64 = 1 << (1 + 3 * 16) | 1 << (2 + 2 * 16) | 1 << (3 + 16);
 
-    /// Appends the active tetrahedra to `active`: those for which [`crate::mesh::tet::is_active`]
+    /// Appends the active tetrahedra to `active`: those for which [`isospan_mesh::mesh::tet::is_active`]
     /// holds.
     ///
     /// # Panics

@@ -4,10 +4,10 @@
 use super::cells::{CellSource, along_edge};
 use super::edges::{EdgeLookup, EdgeTable};
 use super::{fours, patch};
-use crate::geom::PointId;
-use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
+use isospan_io::geom::PointId;
+use isospan_mesh::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 
 /// A vertex on an edge that tetrahedra of other chunks may use too.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,8 +7,8 @@
 //! edges has a chain of buckets; one of enormous degree would make it slow, so what exceeds
 //! `LONGEST_CHAIN` goes to a hash table. What belongs to an edge is kept elsewhere, by its number.
 
-use crate::exec::will_read;
-use crate::simd::places_among_eight;
+use isospan_io::exec::will_read;
+use isospan_mesh::simd::places_among_eight;
 use rustc_hash::FxHashMap;
 
 /// No corner.

@@ -3,8 +3,8 @@
 //!
 //! The formulas are those of [`super::marching_tets`]; each is evaluated in one order.
 
-use crate::simd::F64x4s;
 use crate::surface::world_map::WorldMap;
+use isospan_mesh::simd::F64x4s;
 
 /// A corner: its position in lattice steps, at most 2^24, and so exact, and its value.
 pub(super) type Corner = [f32; 4];
@@ -175,9 +175,9 @@ pub(super) fn normals<W: F64x4s>(
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
     use super::*;
-    use crate::geom::Lattice;
-    use crate::simd::{Avx2, F64x4, Plain};
     use crate::surface::testing::mirrored;
+    use isospan_io::geom::Lattice;
+    use isospan_mesh::simd::{Avx2, F64x4, Plain};
     use proptest::prelude::*;
 
     fn corner() -> impl Strategy<Value = Corner> {

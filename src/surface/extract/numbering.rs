@@ -26,8 +26,8 @@
 use super::cells::{CellSource, Sorted};
 use super::fours::Corner;
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
-use crate::geom::PointId;
-use crate::mesh::tet::Tet;
+use isospan_io::geom::PointId;
+use isospan_mesh::mesh::tet::Tet;
 
 /// Tetrahedra of a patch, at most.
 const TETS: usize = 512;

@@ -3,8 +3,8 @@
 use super::cells::CellSource;
 use super::fours::Corner;
 use super::patch::CORNERS;
-use crate::geom::{LatticePos, PointId};
-use crate::mesh::tet::Tet;
+use isospan_io::geom::{LatticePos, PointId};
+use isospan_mesh::mesh::tet::Tet;
 
 /// In the number of a corner: other chunks may have it.
 pub(super) const SHARED: u32 = 1 << 31;

@@ -13,10 +13,10 @@
 
 use super::cases::{CASES, Case, ODD};
 use super::fours::{self, Corner, Gradient};
-use crate::geom::PointId;
-use crate::simd::F64x4s;
 use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
+use isospan_io::geom::PointId;
+use isospan_mesh::simd::F64x4s;
 
 /// Corners of a patch, at most: their numbers have a byte.
 pub(super) const CORNERS: usize = 256;

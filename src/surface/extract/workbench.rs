@@ -4,7 +4,7 @@ use super::cells::{CellSource, Sides};
 use super::numbered::{BlockBuffers, NumberedBlock};
 use super::numbering::Numbering;
 use super::patch::Patch;
-use crate::mesh::tet::Tet;
+use isospan_mesh::mesh::tet::Tet;
 
 /// Buffers in which surfaces are made, some hundred kilobytes. One is enough for all surfaces that
 /// a thread works on.

@@ -47,12 +47,12 @@
 //! # }
 //! ```
 
-use crate::bytes::store::{Cached, Store};
-use crate::error::{Error, Result};
-use crate::geom::PointId;
 use crate::surface::extract::{ChunkSurface, SharedEdge};
 use crate::surface::model::{SurfaceSource, TriMesh, Vertex, relative_to, world_of};
 use crate::surface::world_map::{WorldMap, nearby_origin};
+use isospan_io::bytes::store::{Cached, Store};
+use isospan_io::error::{Error, Result};
+use isospan_io::geom::PointId;
 use rustc_hash::FxHashMap;
 use std::path::PathBuf;
 

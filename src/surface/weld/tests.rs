@@ -1,8 +1,8 @@
 use super::super::extract::{Workbench, extract};
 use super::super::testing::{Grid, assert_sound, triangle_set};
 use super::*;
-use crate::grid::Geometry;
 use crate::surface::TriMesh;
+use isospan_io::grid::Geometry;
 
 fn wave(p: [f64; 3]) -> f64 {
     (p[0] * 0.7).sin() + (p[1] * 0.5).cos() + p[2] * 0.2

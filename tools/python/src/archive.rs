@@ -1,7 +1,6 @@
 //! An archive, asked from Python.
 
 use crate::arrays::Numbers;
-use crate::cli::grammar;
 use crate::errors::{exception, usage};
 use crate::json::to_python;
 use crate::surface::Surface;
@@ -17,6 +16,7 @@ use isospan::pipeline::{
     RunSettings, Step, StepChoice, StepRange, SurfaceSettings,
 };
 use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
+use isospan_cli::commands::grammar;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::str::FromStr;

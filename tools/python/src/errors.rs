@@ -1,9 +1,9 @@
 //! Errors of the library as exceptions: a class for each kind, with what the error knows as
 //! attributes.
 
-use crate::cli::reduce::unmet;
 use isospan::Error;
 use isospan::pipeline::ReduceReport;
+use isospan_cli::commands::reduce::unmet;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::Path;

@@ -13,17 +13,14 @@ mod surface;
 mod volume;
 mod work;
 
-// The program, as it is: it uses the public face of the library.
-#[path = "../../../src/cli/mod.rs"]
-mod cli;
-
+use isospan_cli::commands;
 use pyo3::prelude::*;
 use std::ffi::OsString;
 
 /// Runs the program on arguments, the first of which is its name; returns the exit code.
 #[pyfunction]
 fn program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    py.detach(|| cli::main(arguments))
+    py.detach(|| commands::main(arguments))
 }
 
 #[pymodule]

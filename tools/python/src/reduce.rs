@@ -2,8 +2,6 @@
 //! parses them.
 
 use crate::archive::Machine;
-use crate::cli::progress::Talk;
-use crate::cli::{self, Cli, Command};
 use crate::errors::{usage, warn_unmet};
 use crate::json::to_python;
 use crate::volume::{Volume, raised_or, steps};
@@ -11,6 +9,8 @@ use crate::work::run;
 use clap::Parser;
 use isospan::Reduction;
 use isospan::pipeline::{self, Committed, RunSettings};
+use isospan_cli::commands::progress::Talk;
+use isospan_cli::commands::{self, Cli, Command};
 use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -25,16 +25,16 @@ fn parsed<Args>(
     let quiet = [OsString::from("isospan"), OsString::from("--quiet")];
     let arguments: Vec<OsString> = quiet.into_iter().chain(arguments).collect();
     let cli =
-        Cli::try_parse_from(&arguments).map_err(|error| usage(py, cli::one_line(&error, &arguments)))?;
+        Cli::try_parse_from(&arguments).map_err(|error| usage(py, commands::one_line(&error, &arguments)))?;
     let args = expected(cli.command).ok_or_else(|| usage(py, "this is another command"))?;
     Ok((args, cli.talk))
 }
 
-fn reduction(command: Command) -> Option<Box<cli::reduce::Args>> {
+fn reduction(command: Command) -> Option<Box<commands::reduce::Args>> {
     if let Command::Reduce(args) = command { Some(args) } else { None }
 }
 
-fn addition(command: Command) -> Option<cli::append::Args> {
+fn addition(command: Command) -> Option<commands::append::Args> {
     if let Command::Append(args) = command { Some(args) } else { None }
 }
 

@@ -15,7 +15,7 @@
 //! the code says so. IEEE 754 makes that the same everywhere; its errors cost bits, not
 //! correctness.
 
-use crate::geom::LatticePos;
+use isospan_io::geom::LatticePos;
 
 /// Room for a link: more than it may have vertices, for what ends the list.
 pub(super) const MOST: usize = super::LARGEST_LINK + 4;

@@ -59,7 +59,7 @@ use self::odds::first_odds;
 pub(crate) use self::read::{Reader, Scratch};
 pub(crate) use self::write::Writer;
 use crate::archive::range_coder::Odds;
-use crate::geom::LatticePos;
+use isospan_io::geom::LatticePos;
 
 /// The most tetrahedra of a block of this codec.
 pub(crate) const LARGEST_STARS: usize = 1 << 14;

@@ -7,8 +7,8 @@ use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
 use crate::archive::mesh::heads::BlockHead;
 use crate::archive::range_coder::{Decoder, Odds};
 use crate::archive::wire::{Cursor, Malformed};
-use crate::geom::LatticePos;
-use crate::mesh::tet::Tet;
+use isospan_io::geom::LatticePos;
+use isospan_mesh::mesh::tet::Tet;
 
 /// The decoder's end.
 struct ReadEnd<'a, 'o> {

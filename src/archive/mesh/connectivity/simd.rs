@@ -3,7 +3,7 @@
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
-use crate::simd::{Avx2, PLACES, may_use_all};
+use isospan_mesh::simd::{Avx2, PLACES, may_use_all};
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.

@@ -5,12 +5,12 @@ use super::*;
 use crate::archive::mesh::chunk::tests::{corners, cubes, sorted};
 use crate::archive::mesh::heads::BlockHead;
 use crate::archive::wire::Malformed;
-use crate::geom::Lattice;
-use crate::geom::curve::{Order, hilbert_key};
-use crate::grid::{BrickGrid, BrickId};
-use crate::mesh::delaunay::Mesher;
-use crate::mesh::tet::Tet;
-use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
+use isospan_io::geom::Lattice;
+use isospan_io::geom::curve::{Order, hilbert_key};
+use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::mesh::delaunay::Mesher;
+use isospan_mesh::mesh::tet::Tet;
+use isospan_mesh::points::{PointSet, PointSpec, SetKind, SetSettings};
 
 /// The head of a block of tetrahedra that ascend by their first vertices.
 fn head_of(tets: &[Tet]) -> BlockHead {

@@ -5,7 +5,7 @@
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
 use super::simd::Vectors;
-use crate::simd::{Avx512, may_use_all};
+use isospan_mesh::simd::{Avx512, may_use_all};
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.

@@ -9,7 +9,7 @@ use super::series::PlannedSource;
 use crate::pipeline::inputs::{Met, boxes_of_chunks, most_at_work, most_cached};
 use crate::pipeline::plan::{Held, MeshParts, Need, estimate, need_of};
 use crate::pipeline::settings::RunSettings;
-use crate::volume::chunked::ChunkShape;
+use isospan_io::volume::chunked::ChunkShape;
 
 /// What the chunks of an archive need, where its steps are made of these sources. Notes the size
 /// of the cache with each source of chunks; one without it will be copied.

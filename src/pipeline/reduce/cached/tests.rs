@@ -1,17 +1,17 @@
 //! Sources of chunks give the archives of the plain file, without a copy on disk.
 
 use crate::archive::chunked::ChunkSegment;
-use crate::exec::{Resources, Silent};
-use crate::formats::{OpenOptions, StepSource};
-use crate::grid::ChunkId;
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::{
     Adapt, Amount, AppendSettings, Bound, MeasureSettings, ReduceReport, ReduceSettings, RunSettings, Shard,
     SourceChunks, Target, append, commit_shards, estimate_series, measure, plan_shards, reduce_series,
     work_folder, work_shard,
 };
-use crate::points::SetKind;
-use crate::sample::Values;
+use isospan_io::exec::{Resources, Silent};
+use isospan_io::formats::{OpenOptions, StepSource};
+use isospan_io::grid::ChunkId;
+use isospan_mesh::points::SetKind;
+use isospan_mesh::sample::Values;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;

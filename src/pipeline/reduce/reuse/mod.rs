@@ -19,12 +19,12 @@ use super::encoded::EncodedChunk;
 use super::sums::StoredSums;
 use crate::archive::manifest::{FrameRecord, Plan as MeshPlan, StepPlan};
 use crate::density::Choice;
-use crate::error::Result;
-use crate::grid::{Chunk, ChunkId};
 use crate::pipeline::plan::{Frame, Halo, MeshParts, Plan, estimate};
 use crate::pipeline::read::{StepView, limits};
 use crate::pipeline::stage::StageTimes;
-use crate::points::{PointSet, PointSpec};
+use isospan_io::error::Result;
+use isospan_io::grid::{Chunk, ChunkId};
+use isospan_mesh::points::{PointSet, PointSpec};
 use std::ops::Range;
 use std::sync::Arc;
 

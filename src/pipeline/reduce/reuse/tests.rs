@@ -8,16 +8,16 @@ use super::super::{make, numbered};
 use super::Round;
 use crate::archive::manifest::Manifest;
 use crate::density::Choice;
-use crate::exec::{Progress, Resources, Silent};
-use crate::formats::{OpenOptions, StepSource};
 use crate::pipeline::plan::{Attachments, Layout};
 use crate::pipeline::read::{OpenArchive, StepView};
 use crate::pipeline::{
     Adapt, Bound, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target, commit_shards,
     reduce_series, work_shard,
 };
-use crate::points::{Levels, PointSpec, SetKind};
-use crate::sample::Values;
+use isospan_io::exec::{Progress, Resources, Silent};
+use isospan_io::formats::{OpenOptions, StepSource};
+use isospan_mesh::points::{Levels, PointSpec, SetKind};
+use isospan_mesh::sample::Values;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

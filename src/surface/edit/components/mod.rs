@@ -31,10 +31,10 @@
 //! Tarjan 1975, "Efficiency of a good but not linear set union algorithm"; path halving: Tarjan,
 //! van Leeuwen 1984.
 
-use crate::bytes::paged::Paged;
-use crate::error::{Error, Result};
 use crate::surface::model::{SurfaceSource, Vertex, corner_of};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
+use isospan_io::bytes::paged::Paged;
+use isospan_io::error::{Error, Result};
 use serde::Serialize;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

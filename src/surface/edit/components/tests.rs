@@ -1,8 +1,8 @@
 use super::*;
-use crate::grid::Geometry;
 use crate::surface::TriMesh;
 use crate::surface::check::check;
 use crate::surface::testing::{Grid, assert_sound, mirrored};
+use isospan_io::grid::Geometry;
 
 fn stored(mesh: &TriMesh, settings: &BuilderSettings) -> StoredSurface {
     let mut out = StoredSurface::new(settings);

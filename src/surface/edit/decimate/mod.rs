@@ -29,12 +29,12 @@
 //! memory allows.
 
 use super::collapse::{BYTES_PER_TRIANGLE, Goal, Patch, collapse_edges};
-use crate::bytes::paged::Paged;
-use crate::bytes::store::{Cached, Store};
-use crate::error::{Error, Result};
-use crate::exec::CancelToken;
 use crate::surface::model::{SurfaceSource, Vertex};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
+use isospan_io::bytes::paged::Paged;
+use isospan_io::bytes::store::{Cached, Store};
+use isospan_io::error::{Error, Result};
+use isospan_io::exec::CancelToken;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;

@@ -25,9 +25,9 @@
 
 use super::cells::{CellSource, in_order};
 use super::chunk_surface::ChunkSurface;
-use crate::geom::{LatticePos, PointId};
-use crate::mesh::tet::Tet;
 use crate::surface::world_map::WorldMap;
+use isospan_io::geom::{LatticePos, PointId};
+use isospan_mesh::mesh::tet::Tet;
 
 /// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];

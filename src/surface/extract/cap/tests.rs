@@ -1,10 +1,10 @@
 use super::*;
-use crate::grid::Geometry;
 use crate::surface::check::check;
 use crate::surface::extract::Workbench;
 use crate::surface::testing::{Grid, assert_sound, mirrored, triangle_set};
 use crate::surface::weld::{BuilderSettings, SurfaceBuilder};
 use crate::surface::{TriMesh, Vertex, WorldMap};
+use isospan_io::grid::Geometry;
 
 /// The capped surface, by way of chunks.
 fn capped(grid: &Grid, values: &[f32], isovalue: f32, geometry: &Geometry, chunk: &[usize]) -> TriMesh {

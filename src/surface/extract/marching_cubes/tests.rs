@@ -1,10 +1,10 @@
 use super::cases::{CASES, share_face};
 use super::*;
-use crate::grid::Geometry;
 use crate::surface::check::{SurfaceReport, check};
 use crate::surface::testing::{assert_sound, mirrored, triangle_set};
 use crate::surface::weld::{BuilderSettings, SurfaceBuilder};
 use crate::surface::{TriMesh, Vertex};
+use isospan_io::grid::Geometry;
 
 /// A grid with all its values.
 struct Field {

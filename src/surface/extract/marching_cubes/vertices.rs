@@ -2,11 +2,11 @@
 
 use super::cases::lower_corner;
 use super::{GridBlock, March};
-use crate::geom::PointId;
 use crate::surface::extract::SharedEdge;
 use crate::surface::extract::cells::along_edge;
 use crate::surface::model::Vertex;
 use crate::surface::world_map::WorldMap;
+use isospan_io::geom::PointId;
 
 /// The factors of differences along each axis, by the number of neighbours.
 pub(super) struct Differences([[f64; 3]; 3]);

@@ -4,7 +4,7 @@
 //!
 //! A corner whose value is `>= isovalue` is *inside*. A tetrahedron with corners on both sides is
 //! active, and the surface cuts it in one triangle (one corner against three) or one quadrilateral
-//! (two against two). The corners are first sorted by [their ids](crate::geom::PointId), so a
+//! (two against two). The corners are first sorted by [their ids](isospan_io::geom::PointId), so a
 //! tetrahedron gives the same triangles however its corners were listed:
 //!
 //! ```text
@@ -84,8 +84,8 @@ use super::fours::{self, Corner};
 use super::numbered::NumberedBlock;
 use super::patch::{Corners, Patch};
 use super::workbench::Workbench;
-use crate::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 use crate::surface::world_map::WorldMap;
+use isospan_mesh::simd::{Avx2, F64x4s, Plain, on_avx2_or_plain};
 
 /// Extracts a chunk whose tetrahedra are all at hand. For several blocks use the three methods that
 /// this calls.

@@ -2,12 +2,12 @@ use super::super::cases::{CASES, EDGES, is_odd};
 use super::super::cells::Sides;
 use super::super::edges::{EdgeLookup, EdgeTable, NO_BUCKET};
 use super::*;
-use crate::geom::{Lattice, LatticePos, PointId};
-use crate::grid::Geometry;
-use crate::mesh::tet::{self, Tet};
 use crate::surface::check::boundary_outside;
 use crate::surface::testing::{Grid, assert_sound, mirrored, triangle_set};
 use crate::surface::{TriMesh, Vertex};
+use isospan_io::geom::{Lattice, LatticePos, PointId};
+use isospan_io::grid::Geometry;
+use isospan_mesh::mesh::tet::{self, Tet};
 use proptest::prelude::*;
 
 const PERMUTATIONS: [([usize; 4], bool); 24] = {

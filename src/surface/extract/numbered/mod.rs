@@ -20,9 +20,9 @@ use super::fours::Corner;
 use super::numbering::{Ring, code_of};
 use super::ordered::{EDGE_SLOTS, Order, SHARED, Unpacked, shared_ids, sides_of, slot_of};
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
-use crate::exec::will_read;
-use crate::geom::PointId;
-use crate::mesh::tet::{Tet, is_active, range};
+use isospan_io::exec::will_read;
+use isospan_io::geom::PointId;
+use isospan_mesh::mesh::tet::{Tet, is_active, range};
 
 /// Tetrahedra that have a range of values together.
 const GROUP: usize = 16;

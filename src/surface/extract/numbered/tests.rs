@@ -1,10 +1,10 @@
 use super::*;
-use crate::geom::LatticePos;
-use crate::grid::Geometry;
-use crate::simd::Avx2;
 use crate::surface::extract::{ChunkSurface, SharedEdge, Workbench};
 use crate::surface::testing::{Grid, mirrored};
 use crate::surface::{Vertex, WorldMap};
+use isospan_io::geom::LatticePos;
+use isospan_io::grid::Geometry;
+use isospan_mesh::simd::Avx2;
 use proptest::prelude::*;
 
 /// Blocks of neighbouring tetrahedra, with corners of their own; those on the faces of the grid are

@@ -7,11 +7,11 @@
 // Places in memory cross the border as numbers.
 #![allow(unsafe_code)]
 
-use crate::answers::Sink;
 use crate::{Viewer, refusal};
 use isospan::archive::segment::FORMAT_VERSION;
 use isospan::bytes::remote::{Fetched, Ranges, Wanted, add_host};
 use isospan::{Error, Result};
+use isospan_cli::answers::Sink;
 use std::cell::{Cell, RefCell};
 use std::io;
 

@@ -6,25 +6,18 @@
 //!                  ◀─ fetch(name, range) ◀─ pages of 16 KiB, read ahead, kept ◀─┘
 //! ```
 //!
-//! Addresses and answers are those of the server of `isospan view`: their files are compiled here,
-//! too. `tools/viewer/wasm` makes the file that the program has. On other machines nobody asks: the
+//! Addresses and answers are those of the server of `isospan view`. `tools/viewer/wasm` makes the file that the program has. On other machines nobody asks: the
 //! compiler checks what there is.
 #![cfg_attr(not(target_arch = "wasm32"), allow(dead_code))]
 
-#[path = "../../../../src/cli/view/answers.rs"]
-#[allow(dead_code, reason = "a server has files, too")]
-mod answers;
-#[path = "../../../../src/cli/view/archives.rs"]
-mod archives;
 #[cfg(target_arch = "wasm32")]
 mod host;
 
-use answers::Sink;
-use archives::Archives;
 #[cfg(target_arch = "wasm32")]
 use host::{is_stopped, now};
 use isospan::exec::CancelToken;
 use isospan::{Error, Resources, Result};
+use isospan_cli::answers::{self, Archives, Sink};
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;
 
@@ -61,7 +54,7 @@ impl Viewer {
     pub fn open(addresses: &[PathBuf]) -> Result<Self> {
         let means = Resources::default().with_threads(1).with_memory(MEMORY);
         let means = means.with_scratch(PathBuf::from(SCRATCH)).with_cancel(CancelToken::asking(is_stopped));
-        Ok(Self { archives: Archives::open(addresses, KEPT)?, means })
+        Ok(Self { archives: Archives::open(addresses, KEPT, now)?, means })
     }
 
     /// Answers a question, by the address that a server has for it.

@@ -8,9 +8,9 @@ use super::odds::first_odds;
 use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
 use crate::archive::range_coder::{Encoder, Odds};
 use crate::archive::wire::put_varint;
-use crate::geom::LatticePos;
-use crate::mesh::tet::Tet;
 use even::{Found, Luck};
+use isospan_io::geom::LatticePos;
+use isospan_mesh::mesh::tet::Tet;
 use std::ops::Range;
 
 /// Encodes blocks of one chunk.

@@ -1,0 +1,221 @@
+//! `isospan check`: is an archive whole, is a surface sound?
+
+use super::grammar;
+use super::level::LevelArgs;
+use super::progress::Talk;
+use super::text;
+use isospan::formats::surface::load_surface;
+use isospan::pipeline::{self, ArchiveCheck, ArchiveSummary, Roi, RoiSpace};
+use isospan::surface::SurfaceSource;
+use isospan::surface::check::{CheckSettings, Domain, OpenEdges, SurfaceReport, check_source, check_within};
+use isospan::surface::edit::clip::HalfSpace;
+use isospan::{Archive, Error, Result};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Check an archive or a surface.
+///
+/// Of an archive every checksum and structural invariant is verified. A surface should be an
+/// oriented manifold; boundary, Euler number, area and volume are printed.
+#[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan\n  isospan check part.ply --within scan.isospan --roi 10:90,:,:"
+)]
+pub struct Args {
+    /// An archive, also by address (s3://... or https://...), or a surface file: .ply .stl .obj
+    /// .vtp .vtkhdf .glb.
+    input: PathBuf,
+    /// For a surface: also check that boundary edges lie on the boundary of this archive's domain,
+    /// or where it has no data.
+    #[arg(long, value_name = "ARCHIVE")]
+    within: Option<PathBuf>,
+    /// With --within: the box at which the surface was cut, as `surface --roi` has it. Boundary
+    /// edges may lie on its faces, too.
+    #[arg(long, value_name = "BOX", requires = "within", allow_hyphen_values = true, value_parser = grammar::region)]
+    roi: Option<Roi>,
+    #[command(flatten)]
+    level: LevelArgs,
+    /// For a surface: limit of memory, 4GiB, 500MB or 50% [default: half of what the process may
+    /// use].
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, allow_hyphen_values = true)]
+    memory: Option<u64>,
+    /// For a surface: folder for what does not fit in memory [default: the system's temporary
+    /// folder].
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print the report as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    if pipeline::is_archive(&args.input) {
+        let only = [
+            ("--within", args.within.is_some()),
+            ("--roi", args.roi.is_some()),
+            ("--memory", args.memory.is_some()),
+            ("--scratch", args.scratch.is_some()),
+        ];
+        let levels = args.level.given().map(|(given, flag)| (flag, given));
+        if let Some((flag, _)) = only.into_iter().chain(levels).find(|(_, given)| *given) {
+            return Err(Error::usage(format!("{flag} is for surfaces")));
+        }
+        let report = Archive::open(&args.input)?.check_until(&super::signals::cancel_token())?;
+        return if args.json {
+            super::print_json("check.archive", &report)
+        } else {
+            super::print(&archive_text(&args.input, &report))
+        };
+    }
+    let settings = CheckSettings {
+        memory: super::memory(args.memory, talk),
+        scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
+    };
+    talk.detail(&format!("memory {}", text::bytes(settings.memory)));
+    let within = args.within.as_ref().map(Archive::open).transpose()?;
+    if let (None, Some((_, flag))) = (&within, args.level.given().into_iter().find(|(given, _)| *given)) {
+        return Err(Error::usage(format!(
+            "{flag} is for --within: which level the surface was extracted from"
+        )));
+    }
+    let summary = within.as_ref().map(|archive| archive.info()).transpose()?;
+    if summary.as_ref().is_some_and(|s| s.grid_cells.is_some() || s.mesh.is_some()) {
+        return Err(isospan::Error::usage(
+            "--within an archive of a mesh, or of a rectilinear or curvilinear grid, is not possible: its domain is no box",
+        ));
+    }
+    let dims = within.as_ref().map(|archive| archive.dims_of_level(args.level.choice())).transpose()?;
+    let surface = load_surface(&args.input, &settings)?;
+    let origin = surface.origin();
+    let cuts = summary.as_ref().zip(args.roi).map_or(vec![], |(s, roi)| cuts(&roi, s, origin));
+    let domain = summary.as_ref().map(|s| Domain {
+        geometry: &s.geometry,
+        dims: dims.unwrap_or(s.dims),
+        cuts: &cuts,
+        tolerance: BOUNDARY_TOLERANCE,
+    });
+    let (report, open) = match (&domain, &within) {
+        (Some(domain), Some(archive)) => {
+            let (report, open) =
+                check_within(&surface, domain, &settings, &mut |edges| archive.edges_at_missing(edges))?;
+            (report, Some(open))
+        }
+        _ => (check_source(&surface, None, &settings)?.0, None),
+    };
+    if args.json {
+        let mut value = serde_json::to_value(&report)
+            .map_err(|e| Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
+        if let Some(open) = open {
+            value["boundary_edges_outside"] = open.outside.into();
+            value["boundary_edges_at_missing"] = open.at_missing.into();
+        }
+        super::print_json("check.surface", &value)?;
+    } else {
+        super::print(&surface_text(&args.input, &report, open))?;
+    }
+    let defects = defects(&report, open);
+    if defects.is_empty() {
+        return Ok(());
+    }
+    let error = Error::bad_input(
+        &args.input,
+        "surface",
+        "an oriented manifold without degenerate triangles",
+        defects.join(", "),
+    );
+    let may_be_cut = args.roi.is_none() && open.is_some_and(|open| open.outside > 0);
+    Err(if may_be_cut {
+        error.with_help("a surface that was cut at a box is checked with the same --roi BOX")
+    } else {
+        error
+    })
+}
+
+/// The planes of a box, and how far a vertex may lie from each.
+fn cuts(roi: &Roi, summary: &ArchiveSummary, origin: [f64; 3]) -> Vec<(HalfSpace, f64)> {
+    let unit = match roi.space {
+        RoiSpace::Index => 1.0,
+        RoiSpace::World => summary.geometry.spacing.into_iter().fold(f64::INFINITY, f64::min),
+    };
+    let planes = roi.half_spaces(&summary.geometry, summary.dims, origin);
+    planes.into_iter().map(|plane| (plane, BOUNDARY_TOLERANCE * unit)).collect()
+}
+
+/// How far from the domain's faces, in voxel edges, a boundary edge may lie: positions in a file
+/// are `f32`.
+const BOUNDARY_TOLERANCE: f64 = 1e-2;
+
+fn defects(r: &SurfaceReport, open: Option<OpenEdges>) -> Vec<String> {
+    let mut list = vec![];
+    let mut note = |n: u64, what: &str| {
+        if n > 0 {
+            list.push(format!("{} {what}", text::count(n)));
+        }
+    };
+    note(r.non_manifold_edges, "non-manifold edges");
+    note(r.misoriented_edges, "misoriented edges");
+    note(r.non_manifold_vertices, "non-manifold vertices");
+    note(r.duplicate_triangles, "duplicate triangles");
+    note(r.degenerate_triangles, "triangles with a repeated vertex");
+    note(r.zero_area_triangles, "triangles without area");
+    note(r.out_of_range_triangles, "triangles with a vertex that does not exist");
+    note(r.non_finite_vertices, "vertices that are no numbers");
+    note(open.map_or(0, |open| open.outside), "boundary edges inside the domain");
+    list
+}
+
+fn surface_text(path: &Path, r: &SurfaceReport, open: Option<OpenEdges>) -> String {
+    let mut out = String::new();
+    let sound = defects(r, open).is_empty();
+    let _ = writeln!(out, "{}: {}", path.display(), if sound { "sound" } else { "NOT SOUND" });
+    let mut row = |name: &str, value: String| {
+        let _ = writeln!(out, "  {name:<22} {value}");
+    };
+    row("vertices", text::count(r.vertices));
+    row("triangles", text::count(r.triangles));
+    row("components", text::count(r.components));
+    row("Euler number", r.euler.to_string());
+    row(
+        "boundary edges",
+        format!("{} in {}", text::count(r.boundary_edges), text::plural(r.boundary_loops, "loop")),
+    );
+    if let Some(open) = open {
+        row("  inside the domain", text::count(open.outside));
+        if open.at_missing > 0 {
+            row("  at missing samples", text::count(open.at_missing));
+        }
+    }
+    row("non-manifold edges", text::count(r.non_manifold_edges));
+    row("non-manifold vertices", text::count(r.non_manifold_vertices));
+    row("misoriented edges", text::count(r.misoriented_edges));
+    row("degenerate triangles", text::count(r.degenerate_triangles + r.zero_area_triangles));
+    row("area", format!("{} square world units", text::number(r.area)));
+    row(
+        "enclosed volume",
+        r.volume.map_or_else(
+            || "none: the surface is not closed".into(),
+            |v| format!("{} cubic world units", text::number(v)),
+        ),
+    );
+    out
+}
+
+fn archive_text(path: &Path, r: &ArchiveCheck) -> String {
+    let mut out = String::new();
+    let _ = writeln!(out, "{}: sound", path.display());
+    let _ = writeln!(out, "  segments    {} verified, {}", text::count(r.segments), text::bytes(r.bytes));
+    let _ = writeln!(out, "  blocks      {} verified", text::count(r.blocks));
+    let _ = writeln!(out, "  points      {}", text::count(r.points));
+    if r.tetrahedra > 0 {
+        let _ = writeln!(out, "  tetrahedra  {}, all positively oriented", text::count(r.tetrahedra));
+        let volume = if r.own { "have the volume of the mesh, exactly" } else { "fill the domain exactly" };
+        let _ = writeln!(out, "  volume      the tetrahedra {volume}");
+    }
+    let _ =
+        writeln!(out, "  index       {} entries, equal to the blocks' ranges", text::count(r.index_entries));
+    for file in &r.strays {
+        let name = file.strip_prefix(path).unwrap_or(file).display();
+        let _ = writeln!(out, "  stray       {name} is no part of the archive; it can be deleted");
+    }
+    out
+}

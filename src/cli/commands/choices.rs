@@ -1,0 +1,296 @@
+//! The choices of a user for a reduction: everything that decides the archive's bytes, besides the
+//! input.
+
+use super::grammar::{self, Range, Size};
+use clap::ValueEnum;
+use isospan::cells::scan::scan_field;
+use isospan::formats::{Input, StepSource, is_mesh};
+use isospan::pipeline::{self, Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target};
+use isospan::points::{SetKind, SetSettings};
+use isospan::sample::{Interpolation, Values};
+use isospan::{Error, Result};
+
+/// The choices for one reduction, or for several tries that meet a target.
+#[derive(clap::Args, Debug)]
+pub struct Choices {
+    #[command(flatten)]
+    plan: PlanChoices,
+    #[command(flatten)]
+    targets: Targets,
+}
+
+/// An error or a size that is wanted.
+#[derive(clap::Args, Debug)]
+struct Targets {
+    /// Keep the RMS error at all samples at or below E, in units of the field or as N% of its
+    /// range. A volume takes one or two tries. Of points the fewest are used, in several tries;
+    /// meshes and --focus imply --adapt [default for volumes: 1%].
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure"], allow_hyphen_values = true)]
+    target_rms: Option<Bound>,
+    /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"], allow_hyphen_values = true)]
+    target_max: Option<Bound>,
+    /// Find the least error in an archive of at most this size: 50MiB, or 5% or 1/20 of the bytes
+    /// of the source, which are those of its files or of its samples, whichever are fewer. This
+    /// takes a few tries.
+    #[arg(help_heading = "Error and size", long, value_name = "SIZE", value_parser = grammar::size, conflicts_with_all = ["fraction", "count", "cross_m", "target_rms", "target_max"], allow_hyphen_values = true)]
+    size: Option<Size>,
+    /// Find the least error in 1/N of the bytes of the source, as --size 1/N does: 20 for 5%.
+    #[arg(help_heading = "Error and size", long, value_name = "N", value_parser = grammar::positive_number, conflicts_with_all = ["fraction", "count", "cross_m", "target_rms", "target_max", "size"], allow_negative_numbers = true)]
+    ratio: Option<f64>,
+    /// Store all samples of a volume without loss, where they are whole numbers.
+    #[arg(help_heading = "Error and size", long, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms", "target_max", "size", "ratio"])]
+    lossless: bool,
+}
+
+/// Point set, interpolation, missing values, numbers of points.
+#[derive(clap::Args, Debug)]
+struct PlanChoices {
+    /// What is kept [default: pyramid; hammersley for meshes; halton with --adapt].
+    #[arg(help_heading = "Points", long, value_enum)]
+    points: Option<Set>,
+    /// Number of points as a fraction of the number of samples: 1/8, 0.125 or 12.5% [default: 1/8].
+    /// A volume needs --points with it. For a mesh, a fraction of its vertices, boundary included.
+    /// With 1, a mesh is stored unchanged, with its own vertices and tetrahedra and no error;
+    /// --points, --interp and --adapt must not be given then.
+    #[arg(help_heading = "Points", long, value_name = "FRACTION", value_parser = grammar::share, conflicts_with = "count", allow_hyphen_values = true)]
+    fraction: Option<f64>,
+    /// Number of points. For a volume, samples of its boundary come on top. With as many as a mesh
+    /// has vertices, or more, the mesh is stored unchanged, as with --fraction 1.
+    #[arg(help_heading = "Points", long, value_name = "N", value_parser = grammar::natural, allow_negative_numbers = true)]
+    count: Option<u64>,
+    /// Place more points where the field needs them and fewer elsewhere; the total stays the same.
+    /// The input is read once more for that: up to eight steps of a series of volumes, the first
+    /// step of a series of meshes. Uses --points halton.
+    #[arg(help_heading = "Points", long)]
+    adapt: bool,
+    /// The range of values that matters, for points that adapt. Errors outside LO to HI are
+    /// ignored. 100% is the range of the values of the first step, which is read once more for it.
+    #[arg(help_heading = "Points", long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
+    focus: Option<Range>,
+    /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
+    #[arg(help_heading = "Points", long, value_name = "T", value_parser = grammar::number, allow_negative_numbers = true)]
+    shift: Option<f64>,
+    /// Hyperbolic cross: the level m [default: the one whose size is nearest to the count]. Needs
+    /// --cross-k.
+    #[arg(help_heading = "Points", long, value_name = "M", value_parser = grammar::whole::<u32>, conflicts_with_all = ["fraction", "count"], requires = "cross_k", allow_negative_numbers = true)]
+    cross_m: Option<u32>,
+    /// Hyperbolic cross: log2 of the number of cells of the coarsest grid, 2 to 5 [default: the one
+    /// that brings the size nearest to the count].
+    #[arg(help_heading = "Points", long, value_name = "K", value_parser = grammar::whole_in(2..=5u32), allow_negative_numbers = true)]
+    cross_k: Option<u32>,
+    /// Hyperbolic cross: regularity of the field along x, y and z [default: 1,1,1].
+    #[arg(help_heading = "Points", long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u32>, allow_hyphen_values = true)]
+    cross_r: Option<[u32; 3]>,
+    /// How values are interpolated between samples.
+    #[arg(help_heading = "Values", long, value_enum, default_value_t = Interp::Linear)]
+    interp: Interp,
+    /// "sample" takes the field at each point, as the thesis does. "fit" takes values that bring
+    /// the reduced field closer to all samples; the RMS error is 0.56 to 0.92 times as large, and
+    /// no value leaves the range of the samples around it [default: fit; sample with --interp
+    /// nearest, cubic-thesis or quadratic-thesis].
+    #[arg(help_heading = "Values", long, value_enum)]
+    values: Option<Vertex>,
+    /// What to do with samples that are NaN, infinite or missing: "error", "mask" (leave a hole),
+    /// or a value to use instead.
+    #[arg(help_heading = "Values", long, value_name = "error|mask|VALUE", default_value = "error", value_parser = grammar::nan, allow_negative_numbers = true)]
+    nan: NanPolicy,
+    /// A value that means "no data here".
+    #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true, value_parser = grammar::number)]
+    missing: Option<f64>,
+    /// Store every N-th step without reference to the step before.
+    #[arg(help_heading = "Series", long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES, value_parser = grammar::natural, allow_negative_numbers = true)]
+    keyframes: u64,
+    /// Number of points that are meshed together. Changes the layout of the archive, not its mesh.
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS, value_parser = grammar::natural, allow_negative_numbers = true)]
+    chunk_points: u64,
+    /// Round the values of points to N bits (4 to 24; 6.5 is allowed) of the range of the source.
+    /// Rounding reads the source once more; its largest error is reported and stored [default:
+    /// values are exact].
+    #[arg(help_heading = "Values", long, value_name = "N", value_parser = grammar::bits, allow_hyphen_values = true)]
+    value_bits: Option<f64>,
+    /// Skip the measurement of the error at the samples of the source.
+    #[arg(help_heading = "Error and size", long)]
+    no_measure: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Set {
+    /// All samples of a volume, as a wavelet pyramid: the fewest bytes to an error, and coarser
+    /// levels. Without a target its RMS error is 1 % of the range.
+    Pyramid,
+    Hammersley,
+    Halton,
+    HyperbolicCross,
+    Regular,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Interp {
+    Linear,
+    Cubic,
+    CubicThesis,
+    Nearest,
+    /// Tetrahedral meshes only.
+    Quadratic,
+    /// Tetrahedral meshes only; the thesis's variant, which is linear.
+    QuadraticThesis,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Vertex {
+    Sample,
+    Fit,
+}
+
+impl Interp {
+    fn interpolation(self) -> Interpolation {
+        match self {
+            Self::Linear => Interpolation::Linear,
+            Self::Cubic => Interpolation::Cubic,
+            Self::CubicThesis => Interpolation::CubicThesis,
+            Self::Nearest => Interpolation::Nearest,
+            Self::Quadratic => Interpolation::Quadratic,
+            Self::QuadraticThesis => Interpolation::QuadraticThesis,
+        }
+    }
+}
+
+impl Choices {
+    /// The settings that the flags say.
+    ///
+    /// # Errors
+    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
+    /// is of. A first one that cannot be read may be left out: the next one counts.
+    pub fn settings(&self, steps: &[StepSource]) -> Result<ReduceSettings> {
+        let is_known = |step: &&StepSource| step.is_given() || is_mesh(&step.path, &step.options).is_ok();
+        let first = steps.iter().find(is_known).unwrap_or(&steps[0]);
+        self.plan.settings(first, self.targets.target())
+    }
+
+    /// The error or the size that is wanted.
+    pub(crate) fn target(&self) -> Option<Target> {
+        self.targets.target()
+    }
+}
+
+impl Targets {
+    fn target(&self) -> Option<Target> {
+        let error = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));
+        let size = self.size.map(|size| match size {
+            Size::Bytes(bytes) => Target::Size(bytes),
+            Size::OfSource(share) => Target::Ratio(1.0 / share),
+        });
+        let lossless = self.lossless.then_some(Target::Lossless);
+        error.or(size).or(self.ratio.map(Target::Ratio)).or(lossless)
+    }
+}
+
+impl PlanChoices {
+    /// The settings that the flags say; what a target implies besides, the library adds.
+    fn settings(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
+        let is_of_error = matches!(target, Some(Target::Rms(_) | Target::Max(_)));
+        let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
+        let is_open = matches!(self.points, None | Some(Set::Halton));
+        // A focus says that points adapt, where nothing else must decide that.
+        let adapt = self.adapt || self.focus.is_some() && is_of_error && is_open;
+        if self.focus.is_some() && !adapt {
+            return Err(Error::usage("--focus needs points that adapt: add --adapt"));
+        }
+        let points = match self.points {
+            None if self.shift.is_some() && !adapt && target.is_none() => Some(Set::Hammersley),
+            None if !of_mesh && !adapt => Some(Set::Pyramid),
+            points => points,
+        };
+        let kind = points.map(|points| match points {
+            Set::Hammersley => SetKind::Hammersley,
+            Set::Halton => SetKind::Halton,
+            Set::HyperbolicCross => SetKind::HyperbolicCross,
+            Set::Regular => SetKind::Regular,
+            Set::Pyramid => SetKind::Pyramid,
+        });
+        let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
+        if cross && points != Some(Set::HyperbolicCross) {
+            return Err(Error::usage("--cross-m, --cross-k and --cross-r are for --points hyperbolic-cross"));
+        }
+        if self.shift.is_some() && points != Some(Set::Hammersley) {
+            return Err(Error::usage("--shift is for --points hammersley"));
+        }
+        let interpolation = self.interp.interpolation();
+        if points == Some(Set::Pyramid) {
+            self.check_pyramid()?;
+        }
+        let amount = match (self.count, self.fraction) {
+            (Some(n), _) => Amount::Count(n),
+            (None, fraction) => fraction.map_or(Amount::Usual, Amount::Fraction),
+        };
+        Ok(ReduceSettings {
+            points: kind,
+            set: SetSettings {
+                shift: self.shift.unwrap_or(0.5),
+                m: self.cross_m,
+                k: self.cross_k,
+                r: self.cross_r.unwrap_or([1; 3]),
+            },
+            amount,
+            adapt: if adapt { Some(Adapt { focus: self.focus(first)? }) } else { None },
+            target,
+            interpolation,
+            values: match self.values {
+                Some(Vertex::Sample) => Values::Sample,
+                Some(Vertex::Fit) => Values::Fit,
+                None => Values::usual(interpolation),
+            },
+            nan: self.nan,
+            missing: self.missing,
+            value_bits: self.value_bits,
+            chunk_points: self.chunk_points,
+            measure: !self.no_measure,
+            keyframes: self.keyframes,
+            ..ReduceSettings::default()
+        })
+    }
+
+    /// Refuses what asks for points: a pyramid has all samples.
+    fn check_pyramid(&self) -> Result<()> {
+        let asked = [
+            (self.count.is_some(), "--count"),
+            (self.fraction.is_some(), "--fraction"),
+            (self.values.is_some(), "--values"),
+            (self.value_bits.is_some(), "--value-bits"),
+            (!matches!(self.interp, Interp::Linear), "--interp"),
+            (self.chunk_points != ReduceSettings::CHUNK_POINTS, "--chunk-points"),
+        ];
+        match asked.into_iter().find(|asked| asked.0) {
+            None => Ok(()),
+            Some((_, flag)) => Err(Error::usage(format!(
+                "{flag} is for point sets, and a pyramid keeps all samples of a volume: add --points \
+                 hammersley, halton or regular, or leave {flag} out and ask surface for a --level"
+            ))),
+        }
+    }
+
+    /// The range that matters; percentages refer to the values of a step.
+    fn focus(&self, first: &StepSource) -> Result<Option<[f64; 2]>> {
+        let Some(focus) = self.focus else { return Ok(None) };
+        if !focus.is_of_a_range() {
+            return focus.of(None).map(Some);
+        }
+        if self.missing.is_some() {
+            return Err(Error::usage("a --focus in % does not go with --missing: give the values"));
+        }
+        let range = match first.open()? {
+            Input::Volume(volume) => {
+                let (_, found) = pipeline::scan(volume)?;
+                found.min.zip(found.max)
+            }
+            Input::Mesh(mesh) => {
+                let chosen = mesh.field()?;
+                let field = mesh.info().fields.iter().position(|f| f.name == chosen.name).unwrap_or(0);
+                let found = scan_field(&mesh, field)?;
+                found.min.zip(found.max)
+            }
+        };
+        focus.of(range.map(|(lo, hi)| [lo, hi])).map(Some)
+    }
+}

@@ -1,0 +1,145 @@
+//! `isospan compare`: how far are two surfaces apart?
+
+use super::grammar::{self, Value};
+use super::machine::Machine;
+use super::progress::Talk;
+use super::step::StepArgs;
+use super::text;
+use isospan::compare::{CompareReport, CompareSettings, compare};
+use isospan::formats::surface::{SurfaceFormat, load_surface};
+use isospan::pipeline::{Step, SurfaceSettings, is_archive};
+use isospan::surface::check::{CheckSettings, SurfaceReport};
+use isospan::surface::weld::StoredSurface;
+use isospan::{Archive, Error, Result};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Compare two surfaces, or those of two archives at an isovalue.
+///
+/// That is distances, deviation of normals, area, volume, Euler number, components.
+/// Both surfaces are sampled evenly by area, always at the same points, and nearest points are
+/// exact. The largest distance also takes all vertices into account.
+#[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan compare full.ply reduced.ply\n  isospan compare a.isospan b.isospan --isovalue 600 --json"
+)]
+pub struct Args {
+    /// A surface (.ply .stl .obj .vtp .vtkhdf .glb), or an archive.
+    a: PathBuf,
+    /// The other surface, or archive.
+    b: PathBuf,
+    /// The isovalue of the archives. 50% is half-way from the least value of the first one's step
+    /// to its largest.
+    #[arg(long, short = 'i', value_name = "VALUE", allow_hyphen_values = true, value_parser = grammar::value)]
+    isovalue: Option<Value>,
+    #[command(flatten)]
+    step: StepArgs,
+    /// Number of samples on each surface.
+    #[arg(long, value_name = "N", default_value = "200000", value_parser = grammar::natural, allow_negative_numbers = true)]
+    samples: u64,
+    #[command(flatten)]
+    machine: Machine,
+    /// Folder for what does not fit in memory [default: the system's temporary folder].
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let settings = CompareSettings {
+        resources: args.machine.resources(args.scratch.clone(), talk),
+        samples: args.samples,
+    };
+    let scratch = args.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let check = CheckSettings { memory: settings.resources.memory, scratch };
+    let steps = [opened(args, &args.a)?, opened(args, &args.b)?];
+    let isovalue = isovalue(args, &steps)?;
+    let surface = |path: &Path, step: &Option<Step>| match step {
+        Some(step) => extracted(path, step, isovalue, &settings, &check, talk),
+        None => load_surface(path, &check),
+    };
+    let (a, b) = (surface(&args.a, &steps[0])?, surface(&args.b, &steps[1])?);
+    let report = compare(&a, &b, &settings)?;
+    if args.json { super::print_json("compare", &report) } else { super::print(&in_words(args, &report)) }
+}
+
+/// The step of an archive; none of a surface.
+fn opened(args: &Args, path: &Path) -> Result<Option<Step>> {
+    if !is_archive(path) {
+        return Ok(None);
+    }
+    if args.isovalue.is_none() {
+        let path = path.display();
+        let text = "is an archive: give the isovalue whose surface is compared, --isovalue VALUE";
+        return Err(Error::usage(format!("{path} {text}")));
+    }
+    Archive::open(path)?.at(args.step.choice()?).map(Some)
+}
+
+/// The isovalue of the archives; 0 where there are none.
+fn isovalue(args: &Args, steps: &[Option<Step>; 2]) -> Result<f64> {
+    match (&args.isovalue, steps.iter().flatten().next()) {
+        (Some(isovalue), Some(first)) => isovalue.of(first.value_range()),
+        (None, _) if !args.step.is_given() => Ok(0.0),
+        _ => Err(Error::usage("--isovalue, --step and --time are for archives; both inputs are surfaces")),
+    }
+}
+
+/// The surface of an archive, by way of a file in the scratch folder.
+fn extracted(
+    path: &Path,
+    step: &Step,
+    isovalue: f64,
+    settings: &CompareSettings,
+    check: &CheckSettings,
+    talk: &Talk,
+) -> Result<StoredSurface> {
+    let folder = tempfile::tempdir_in(&check.scratch)
+        .map_err(|e| Error::io("make a temporary folder in", &check.scratch, e))?;
+    let resources = settings.resources.clone();
+    let wanted = SurfaceSettings { resources, ..SurfaceSettings::of(isovalue) };
+    let (file, bar) = (folder.path().join("surface.ply"), talk.progress());
+    let report = step.write_surface(&wanted, &file, SurfaceFormat::Ply, &*bar);
+    bar.end();
+    if report?.triangles == 0 {
+        let path = path.display();
+        return Err(Error::usage(format!("{path}: the isovalue {isovalue} gives no surface")));
+    }
+    load_surface(&file, check)
+}
+
+fn value(v: f64) -> String {
+    text::value(text::figures(v, 6))
+}
+
+fn in_words(args: &Args, r: &CompareReport) -> String {
+    let mut out = format!("A  {}\nB  {}\n", args.a.display(), args.b.display());
+    let mut row = |name: &str, cells: [String; 3]| {
+        let [a, b, c] = cells;
+        let _ = writeln!(out, "  {name:<18} {a:>14} {b:>14} {c:>14}");
+    };
+    row("", ["A".into(), "B".into(), String::new()]);
+    let of = |f: &dyn Fn(&SurfaceReport) -> String| [f(&r.a), f(&r.b), String::new()];
+    row("triangles", of(&|s| text::count(s.triangles)));
+    row("area", of(&|s| value(s.area)));
+    row("volume", of(&|s| s.volume.map_or("open".into(), value)));
+    row("Euler number", of(&|s| s.euler.to_string()));
+    row("components", of(&|s| text::count(s.components)));
+    row("", ["A to B".into(), "B to A".into(), "both".into()]);
+    row("largest distance", [r.a_to_b.max, r.b_to_a.max, r.hausdorff].map(value));
+    row("mean distance", [r.a_to_b.mean, r.b_to_a.mean, r.mean].map(value));
+    row("RMS distance", [r.a_to_b.rms, r.b_to_a.rms, r.rms].map(value));
+    let angles = [r.a_to_b.rms_normal_degrees, r.b_to_a.rms_normal_degrees, r.rms_normal_degrees];
+    row("RMS normal angle", angles.map(|v| format!("{}°", value(v))));
+    let percent = 100.0 * r.hausdorff / r.diagonal;
+    let _ = writeln!(
+        out,
+        "  in world units; the largest distance is {} % of the diagonal {}; {} samples each",
+        value(percent),
+        value(r.diagonal),
+        text::count(r.samples)
+    );
+    out
+}

@@ -1,0 +1,74 @@
+//! `isospan count`: how large would the surface be?
+
+use super::grammar::{self, Value};
+use super::level::LevelArgs;
+use super::step::StepArgs;
+use super::text;
+use isospan::exec::CancelToken;
+use isospan::{Archive, Result};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Count the cells that isosurfaces cross.
+///
+/// Cells are the tetrahedra of points, and the cubes between the samples of a pyramid.
+/// The numbers are exact, and the surfaces are not extracted.
+/// Isovalues with few digits are looked up in the spectrum of a large archive, which takes a few
+/// kilobytes of reading; the JSON output has the number of bytes.
+#[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json\n  isospan count scan.isospan -i 600 --level 2"
+)]
+pub struct Args {
+    /// The archive: a folder, or its address, s3://... or https://...
+    pub archive: PathBuf,
+    /// One isovalue, or several: 300,600. 50% is half-way from the least value of the step to its
+    /// largest.
+    #[arg(
+        long,
+        short = 'i',
+        value_name = "VALUE",
+        required = true,
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        value_parser = grammar::value
+    )]
+    isovalue: Vec<Value>,
+    #[command(flatten)]
+    level: LevelArgs,
+    #[command(flatten)]
+    step: StepArgs,
+    /// Print the result as JSON, one object per line.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let step = Archive::open(&args.archive)?.at(args.step.choice()?)?;
+    args.isovalue.iter().try_for_each(|isovalue| {
+        let isovalue = isovalue.of(step.value_range())?;
+        let report = match args.level.choice() {
+            None => step.count(isovalue)?,
+            Some(level) => step.count_at(isovalue, level, &CancelToken::new())?,
+        };
+        if args.json {
+            return super::print_json("count", &report);
+        }
+        let mut out = String::new();
+        let _ = writeln!(
+            out,
+            "isovalue {isovalue}: {} active {}{} ({} read)",
+            text::count(report.active_cells),
+            match report.tetrahedra {
+                0 => "cells".to_owned(),
+                all => format!("tetrahedra of {}", text::count(all)),
+            },
+            report
+                .level
+                .filter(|level| *level > 0)
+                .map_or_else(String::new, |level| format!(" of level {level}")),
+            text::bytes(report.bytes_read)
+        );
+        super::print(&out)
+    })
+}

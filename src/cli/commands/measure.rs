@@ -1,0 +1,150 @@
+//! `isospan measure`: how far is the reduced field from its source?
+
+use super::grammar;
+use super::input::InputArgs;
+use super::level::LevelArgs;
+use super::machine::{InputScratch, Machine};
+use super::output::{Force, files_of};
+use super::progress::Talk;
+use super::text;
+use isospan::Result;
+use isospan::measure::FieldError;
+use isospan::pipeline::{MeasureReport, MeasureSettings, measure};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Measure the error of an archive against its source.
+///
+/// That is at every sample of a volume, or vertex of a mesh.
+/// An error is the reduced value less the original one. Percentiles are at most 1/16 too large; all
+/// other figures are exact. If f32 cannot hold the samples exactly (see `isospan info`), the
+/// figures include that loss and are upper bounds.
+#[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan measure scan.isospan --against scan.nrrd\n  isospan measure scan.isospan --against scan.nrrd --map error.vti"
+)]
+pub struct Args {
+    /// The archive: a folder, or its address, s3://... or https://...
+    pub archive: PathBuf,
+    /// The source volume or mesh; a volume also by address.
+    #[arg(long, value_name = "INPUT")]
+    against: PathBuf,
+    /// Also write an image with a cell for each brick of samples, as .vti: the arrays rms (RMS
+    /// error), max (largest error) and samples (how many were measured).
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
+    /// Number of the time step [default: the first].
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>, allow_negative_numbers = true)]
+    step: Option<u64>,
+    #[command(flatten)]
+    level: LevelArgs,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: InputScratch,
+    #[command(flatten)]
+    force: Force,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    read: InputArgs,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let settings = MeasureSettings {
+        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
+        step: args.step,
+        level: args.level.choice(),
+        map: args.map.clone(),
+    };
+    if let Some(map) = &args.map {
+        let inputs = files_of(&args.against, &args.read.options()?);
+        args.force.check(map, inputs.iter().chain([&args.archive]))?;
+    }
+    let bar = talk.progress();
+    let report = measure(&args.archive, &args.against, &args.read.options()?, &settings, &*bar);
+    bar.end();
+    let report = report?;
+    if !report.same_source {
+        talk.note(&format!("{} is not the file that the archive was made from", args.against.display()));
+    }
+    if args.json {
+        super::print_json("measure", &report)
+    } else {
+        super::print(&report_text(&args.archive, &report))
+    }
+}
+
+/// The figures as a line of a report on an archive.
+pub(crate) fn line(e: &FieldError) -> String {
+    let figure = |v: f64| text::value(text::figures(v, 4)) + &text::share_of(v, e.source_range);
+    let [rms, max] = [e.rms, e.max].map(figure);
+    let of_range = if e.source_range.is_some() { "; % of the source's range" } else { "" };
+    let beyond = beyond(e).map_or(String::new(), |line| format!("\n  outside     {line}"));
+    format!(
+        "  error       RMS {rms}, at most {max}, at {} samples{of_range}{beyond}",
+        text::count(e.measured)
+    )
+}
+
+/// How many vertices of a mesh the reduced domain leaves out.
+fn beyond(e: &FieldError) -> Option<String> {
+    let share = 100.0 * e.beyond as f64 / e.samples.max(1) as f64;
+    (e.beyond > 0).then(|| {
+        format!(
+            "{} vertices ({share:.1} %) lie outside of the reduced domain: measured against its nearest value",
+            text::count(e.beyond)
+        )
+    })
+}
+
+fn report_text(archive: &Path, report: &MeasureReport) -> String {
+    let e = &report.error;
+    let value = |v: f64| text::value(text::figures(v, 6));
+    let range = e.source_range.map(|[lo, hi]| hi - lo).filter(|r| *r > 0.0);
+    let share =
+        |v: f64| range.map_or(String::new(), |r| format!("  ({:.3} % of the source's range)", 100.0 * v / r));
+    let mut out = format!(
+        "{}: measured at {} of {} samples\n",
+        archive.display(),
+        text::count(e.measured),
+        text::count(e.samples)
+    );
+    let (void, outside) = match report.level {
+        None => ("in void tetrahedra", "outside of all tetrahedra".to_owned()),
+        Some(level) => ("between nodes without a value", format!("beyond the last nodes of level {level}")),
+    };
+    for (count, why) in [(e.missing, "without a value in the source"), (e.void, void), (e.outside, &outside)]
+    {
+        if count > 0 {
+            let _ = writeln!(out, "  not         {} {why}", text::count(count));
+        }
+    }
+    if let Some(line) = beyond(e) {
+        let _ = writeln!(out, "  outside     {line}");
+    }
+    if e.measured == 0 {
+        return out;
+    }
+    let _ = writeln!(out, "  RMS         {}{}", value(e.rms), share(e.rms));
+    let _ = writeln!(out, "  mean        {}{}, with sign {}", value(e.mean), share(e.mean), value(e.bias));
+    for p in &e.percentiles {
+        let _ = writeln!(out, "  {:<11} {}{}", format!("{} %", p.percent), value(p.error), share(p.error));
+    }
+    let _ = writeln!(out, "  largest     {}{}", value(e.max), share(e.max));
+    if let Some(w) = &e.worst {
+        let at = w.index.map_or(format!("vertex {}", w.sample), |[i, j, k]| format!("sample {i}, {j}, {k}"));
+        let [x, y, z] = w.world.map(value);
+        let _ = writeln!(
+            out,
+            "    at        {at}, in the world {x}, {y}, {z}: {} where {} was",
+            text::number(w.reduced),
+            text::number(w.original)
+        );
+    }
+    if let Some([x, y, z]) = report.map_bricks {
+        let _ = writeln!(out, "  map         {x} x {y} x {z} bricks");
+    }
+    out
+}

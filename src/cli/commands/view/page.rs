@@ -1,0 +1,75 @@
+//! The files of the page, compiled in: `tools/viewer/page`.
+
+/// A file of the page.
+pub(in crate::commands) struct File {
+    pub(in crate::commands) name: &'static str,
+    pub(super) kind: &'static str,
+    pub(in crate::commands) content: &'static [u8],
+    /// Compressed by gzip; every browser takes it as it is.
+    pub(in crate::commands) is_gzip: bool,
+}
+
+macro_rules! file {
+    ($name:literal, $kind:literal) => {
+        file!($name, $kind, "", false)
+    };
+    ($name:literal, $kind:literal, $suffix:literal, $is_gzip:literal) => {
+        File {
+            name: $name,
+            kind: concat!($kind, "; charset=utf-8"),
+            content: include_bytes!(concat!("../../../../tools/viewer/page/", $name, $suffix)),
+            is_gzip: $is_gzip,
+        }
+    };
+}
+
+/// All files; the first is the page itself.
+pub(in crate::commands) const FILES: &[File] = &[
+    file!("index.html", "text/html"),
+    file!("style.css", "text/css"),
+    file!("main.js", "text/javascript"),
+    file!("scene.js", "text/javascript"),
+    file!("spectrum.js", "text/javascript"),
+    file!("source.js", "text/javascript"),
+    file!("local.js", "text/javascript"),
+    file!("three.js", "text/javascript", ".gz", true),
+];
+
+/// What a page without a server has besides: a worker, and what it runs.
+pub(in crate::commands) const WORKER: &[u8] = include_bytes!("../../../../tools/viewer/page/worker.js");
+pub(in crate::commands) const LICENCES_GZ: &[u8] =
+    include_bytes!("../../../../tools/viewer/page/licences.txt.gz");
+/// Compressed by zstd, for a fifth less of the program; a browser unpacks gzip.
+pub(in crate::commands) const WASM_ZST: &[u8] =
+    include_bytes!("../../../../tools/viewer/page/isospan.wasm.zst");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Read as _;
+
+    fn text_of(name: &str) -> String {
+        let file = FILES.iter().find(|file| file.name == name).unwrap();
+        let mut content = file.content.to_vec();
+        if file.is_gzip {
+            content.clear();
+            flate2::read::GzDecoder::new(file.content).read_to_end(&mut content).unwrap();
+        }
+        String::from_utf8(content).unwrap()
+    }
+
+    #[test]
+    fn the_bundle_has_what_the_scene_imports() {
+        let (scene, bundle) = (text_of("scene.js"), text_of("three.js"));
+        assert!(bundle.contains("Three.js Authors"), "its licence");
+        let (names, _) = scene.split_once("} from \"./three.js\";").unwrap();
+        let (_, names) = names.rsplit_once("import {").unwrap();
+        let (_, exported) = bundle.rsplit_once("export{").unwrap();
+        let names: Vec<&str> = names.split(',').map(str::trim).filter(|name| !name.is_empty()).collect();
+        assert!(names.len() > 5, "{names:?}");
+        for name in names {
+            let is_there = exported.split([',', '}']).any(|e| e.rsplit(' ').next() == Some(name));
+            assert!(is_there, "{name} is not in the bundle: run tools/viewer/three");
+        }
+    }
+}

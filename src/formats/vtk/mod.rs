@@ -1,6 +1,0 @@
-//! VTK's formats: legacy and XML, which hold volumes and meshes, and what its HDF5 files have in
-//! common.
-
-pub(in crate::formats) mod hdf;
-pub(in crate::formats) mod legacy;
-pub(in crate::formats) mod xml;

@@ -1,0 +1,43 @@
+//! Reads other programs' files.
+//!
+//! [`open_volume`] finds the format of a file by its first bytes or, where they do not show it, by
+//! its name (`kinds`: one line a format). It hands the file to that format. Each parses a header,
+//! and checks every number of it against the file's length. Uncompressed samples become a mapped
+//! [`StridedVolume`](crate::volume::strided::StridedVolume); compressed samples and text become a
+//! stream of slabs.
+//!
+//! World coordinates are the file's own: NRRD and MetaImage files usually say
+//! left-posterior-superior, NIfTI right-anterior-superior. They are not converted into one another.
+//!
+//! ```text
+//!  series ─▶ kinds ─▶ mesh ─▶ volume, vtk ─▶ shared
+//!                           point_list ─▶ shared
+//! ```
+
+mod kinds;
+mod mesh;
+pub mod point_list;
+mod series;
+pub mod shared;
+pub mod volume;
+#[doc(hidden)]
+pub mod vtk;
+
+pub use kinds::{Input, is_mesh, open_coordinates, open_input, open_mesh, open_volume};
+pub use series::{
+    FieldOfStep, StepSource, order_in_doubt, packed_frames, sort_by_names, steps_of, steps_of_fields,
+    unpack_frames,
+};
+pub use series::{counted_from, listed_files, without_frame};
+pub use shared::coordinates;
+pub use shared::packed::UnpackedFrames;
+pub use shared::{OpenOptions, RawLayout, pick_field};
+pub use volume::brick_map;
+pub use volume::folder::passed_over;
+pub use volume::ome_zarr;
+pub use volume::{raw, samples};
+
+#[cfg(test)]
+mod shared_data;
+#[cfg(test)]
+pub(crate) mod tests;
