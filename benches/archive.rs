@@ -1,7 +1,7 @@
 //! Coding and decoding of a chunk's tetrahedra, in tetrahedra a second, and of values, in values a
 //! second.
 //!
-//! `cargo bench --bench archive`; names are `encode/SET`, `decode/SET`, `values/encode` and
+//! `cargo bench --package isospan-benches --bench archive`; names are `encode/SET`, `decode/SET`, `values/encode` and
 //! `values/decode`.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};

@@ -1,4 +1,4 @@
-//! Scan conversion, in samples a second: `cargo bench --bench raster`; names are
+//! Scan conversion, in samples a second: `cargo bench --package isospan-benches --bench raster`; names are
 //! `raster/SAMPLES A POINT`, `scan/…` and `fit/…`.
 //!
 //! Every sample of a volume of 128³ is visited once, with its weights: the tetrahedra of a chunk

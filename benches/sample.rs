@@ -1,4 +1,4 @@
-//! Points sampled a second by one thread: `cargo bench --bench sample`.
+//! Points sampled a second by one thread: `cargo bench --package isospan-benches --bench sample`.
 //!
 //! Positions are those of a brick's points in Z order of small boxes, as the pipeline asks for
 //! them.

@@ -3,7 +3,7 @@
 //! thread: of 60 000 points what is kept fits in the caches, of a million it does not). Throughput
 //! is in triangles; of the cells of a grid (`cubes/ISOVALUE`) it is in cells.
 //!
-//! `cargo bench --bench surface`, about a minute.
+//! `cargo bench --package isospan-benches --bench surface`, about a minute.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use isospan::exec::Silent;

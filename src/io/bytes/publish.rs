@@ -160,6 +160,10 @@ impl Unpublished {
         self.keep = true;
     }
 
+    /// Adds bytes.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the system refuses to write.
     pub fn write(&mut self, mut bytes: &[u8]) -> Result<()> {
         while let Some((now, later)) = bytes.split_at_checked(PIECE - self.rest.len()) {
             if self.rest.is_empty() {
@@ -327,7 +331,9 @@ impl Drop for Unpublished {
 /// A temporary whose writer is no more, locked for us.
 #[derive(Debug)]
 pub struct Dead {
+    /// The open file.
     pub file: File,
+    /// Its name.
     pub path: PathBuf,
 }
 

@@ -142,7 +142,9 @@ impl<R: Pod + Ord> Sorter<R> {
 /// Sorted records, to be taken one by one.
 #[derive(Debug)]
 pub enum Sorted<R> {
+    /// All of them.
     Memory(std::vec::IntoIter<R>),
+    /// Runs on disk, merged.
     Disk(Merge<R>),
 }
 
@@ -158,7 +160,7 @@ impl<R: Pod + Ord> Sorted<R> {
 
 /// Runs that are read together.
 #[derive(Debug)]
-pub(crate) struct Merge<R> {
+pub struct Merge<R> {
     runs: Runs,
     pieces: Vec<Piece<R>>,
     /// The least record of each run that is not at its end, and the number of its piece.

@@ -41,6 +41,7 @@ impl<T: Pod> Store<T> {
         Self::new(other.most.saturating_mul(size_of::<U>()) / part, &other.scratch)
     }
 
+    /// The number of records.
     pub fn len(&self) -> u64 {
         self.written + self.tail.len() as u64
     }
@@ -211,18 +212,30 @@ impl<'a, T: Pod> Cached<'a, T> {
     }
 }
 
+/// Fills `bytes` from `offset` of a file on.
+///
+/// # Errors
+/// When the file ends before, or the system refuses to read.
 #[cfg(unix)]
 pub fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
     std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
 }
 
+/// Writes `bytes` at `offset` of a file.
+///
+/// # Errors
+/// When the system refuses to write.
 #[cfg(unix)]
 pub fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
     std::os::unix::fs::FileExt::write_all_at(file, bytes, offset)
 }
 
+/// Fills `bytes` from `offset` of a file on.
+///
+/// # Errors
+/// When the file ends before, or the system refuses to read.
 #[cfg(windows)]
-pub(crate) fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
+pub fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
     let mut done = 0;
     while done < bytes.len() {
         match std::os::windows::fs::FileExt::seek_read(file, &mut bytes[done..], offset + done as u64)? {
@@ -233,8 +246,12 @@ pub(crate) fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Re
     Ok(())
 }
 
+/// Writes `bytes` at `offset` of a file.
+///
+/// # Errors
+/// When the system refuses to write.
 #[cfg(windows)]
-pub(crate) fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+pub fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
     let mut done = 0;
     while done < bytes.len() {
         match std::os::windows::fs::FileExt::seek_write(file, &bytes[done..], offset + done as u64)? {

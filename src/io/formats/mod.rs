@@ -16,9 +16,12 @@
 
 mod kinds;
 mod mesh;
+#[doc(hidden)]
 pub mod point_list;
 mod series;
+#[doc(hidden)]
 pub mod shared;
+#[doc(hidden)]
 pub mod volume;
 #[doc(hidden)]
 pub mod vtk;

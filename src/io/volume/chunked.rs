@@ -93,6 +93,7 @@ pub struct ChunkShape {
 }
 
 impl ChunkShape {
+    /// The shape of a source.
     pub fn of(source: &dyn ChunkSource) -> Self {
         let (info, chunk) = (source.info(), source.chunk_dims());
         Self {

@@ -57,8 +57,10 @@ pub struct Surveyed {
 }
 
 impl Surveyed {
+    /// What is known before the first value.
     pub const NONE: Self = Self { range: [f64::INFINITY, f64::NEG_INFINITY], lost: 0.0 };
 
+    /// Takes a value into account.
     #[inline]
     pub fn add(&mut self, v: f64) {
         if v.is_finite() {

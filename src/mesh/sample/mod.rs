@@ -243,6 +243,7 @@ pub struct Places<'a> {
 }
 
 impl<'a> Places<'a> {
+    /// Of points of a lattice; there are none yet.
     pub fn new(how: Interpolation, lattice: &'a Lattice) -> Self {
         let voxels = IndexBox { lo: [0; 3], hi: [0; 3] };
         Self { how, lattice, positions: vec![], voxels, spots: vec![] }
@@ -269,6 +270,7 @@ impl<'a> Places<'a> {
         self.voxels
     }
 
+    /// The points that are there.
     pub fn positions(&self) -> &[LatticePos] {
         &self.positions
     }

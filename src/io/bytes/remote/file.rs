@@ -101,6 +101,7 @@ impl RemoteFile {
         Ok(file)
     }
 
+    /// Its bytes.
     pub fn len(&self) -> u64 {
         self.len
     }

@@ -172,7 +172,7 @@ pub fn traffic_since(path: &Path, before: Option<Traffic>) -> Option<Traffic> {
 }
 
 #[cfg(not(feature = "remote"))]
-pub(crate) use without_client::*;
+pub use without_client::*;
 
 #[cfg(not(feature = "remote"))]
 fn refused<T>(path: &Path) -> Result<T> {

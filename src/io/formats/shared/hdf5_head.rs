@@ -79,7 +79,12 @@ pub enum Data {
     After(u64),
     /// After it, in chunks of so many rows, each of them compressed (zlib) to so many bytes. The
     /// last chunk is a full one too.
-    Chunks { rows: u64, packed: Vec<u64> },
+    Chunks {
+        /// Rows of a chunk.
+        rows: u64,
+        /// Bytes of each compressed chunk.
+        packed: Vec<u64>,
+    },
 }
 
 /// A dataset.
@@ -137,10 +142,12 @@ impl Group {
         self
     }
 
+    /// Adds a dataset.
     pub fn add(&mut self, name: &str, dataset: impl Into<Dataset>) {
         self.members.push((name.into(), Member::Dataset(dataset.into())));
     }
 
+    /// Adds a group.
     pub fn add_group(&mut self, name: &str, group: Self) {
         self.members.push((name.into(), Member::Group(group)));
     }

@@ -24,6 +24,11 @@ enum Out<'a> {
 }
 
 impl<'a> Sink<'a> {
+    /// Begins a file, which gets its name when it is published.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the target is a folder or lies in none; [`Error::Io`] when the system
+    /// refuses to write.
     pub fn create(path: &Path) -> Result<Self> {
         let target = resolve(path)?;
         let parent = folder_of(&target).to_path_buf();

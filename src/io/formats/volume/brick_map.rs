@@ -16,8 +16,11 @@ use std::path::Path;
 /// The numbers of a brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BrickNumbers {
+    /// The root of the mean square of its errors.
     pub rms: f32,
+    /// Its largest error.
     pub max: f32,
+    /// The samples that were compared.
     pub samples: u64,
 }
 

@@ -9,7 +9,7 @@ pub(in crate::formats) mod folder;
 pub mod hdf5;
 #[cfg(not(feature = "hdf5"))]
 #[path = "no_hdf5.rs"]
-pub(in crate::formats) mod hdf5;
+pub mod hdf5;
 pub(in crate::formats) mod metaimage;
 pub(in crate::formats) mod mrc;
 pub(in crate::formats) mod netcdf;

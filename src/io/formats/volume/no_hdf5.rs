@@ -35,12 +35,12 @@ impl Format for Hdf5 {
 }
 
 /// The datasets of a file, which are not read.
-pub(in crate::formats) fn arrays(source: &Arc<ByteSource>, _: usize) -> Result<Arc<dyn Arrays>> {
+pub fn arrays(source: &Arc<ByteSource>, _: usize) -> Result<Arc<dyn Arrays>> {
     Err(not_read(source.path()))
 }
 
 /// The type of a VTKHDF file, which is not read.
-pub(in crate::formats) fn vtk_kind(source: &Arc<ByteSource>) -> Result<Option<String>> {
+pub fn vtk_kind(source: &Arc<ByteSource>) -> Result<Option<String>> {
     Err(not_read(source.path()))
 }
 

@@ -30,9 +30,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub struct ZarrImage {
     /// Its name.
     pub name: String,
-    /// The type of all samples, and the offset that is added to values.
+    /// The type of all samples.
     pub scalar: ScalarType,
+    /// What is added to values.
     pub offset: f64,
+    /// The units of lengths, values and times.
     pub units: Units,
     /// The levels, the finest first.
     pub levels: Vec<ZarrLevel>,
@@ -47,17 +49,22 @@ pub struct ZarrImage {
 /// A level: its samples along x, y, z, and where these lie.
 #[derive(Clone, Debug)]
 pub struct ZarrLevel {
+    /// Samples along x, y, z.
     pub dims: [u64; 3],
+    /// Their distances.
     pub scale: [f64; 3],
+    /// Where the first one lies.
     pub translation: [f64; 3],
 }
 
 /// The steps of a series.
 #[derive(Clone, Copy, Debug)]
 pub struct ZarrTimes {
+    /// The number of steps.
     pub count: u64,
-    /// The time of the first one, and from each to the next.
+    /// The time of the first one.
     pub start: f64,
+    /// The time from each to the next.
     pub step: f64,
 }
 

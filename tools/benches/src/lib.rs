@@ -1,0 +1,1 @@
+//! Times the stages of isospan: the programs of `benches`.
