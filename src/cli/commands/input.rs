@@ -17,7 +17,7 @@ pub(crate) enum Endian {
 
 /// How to read the input.
 #[derive(clap::Args, Debug)]
-pub struct InputArgs {
+pub(crate) struct InputArgs {
     /// The field to read, if the file has several.
     #[arg(help_heading = "Input", long, value_name = "NAME")]
     pub(crate) field: Option<String>,

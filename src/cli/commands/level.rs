@@ -5,7 +5,7 @@ use isospan::pipeline::{Bound, LevelChoice};
 
 /// Which level of a pyramid answers.
 #[derive(clap::Args, Debug)]
-pub struct LevelArgs {
+pub(crate) struct LevelArgs {
     /// The level of a pyramid (reduce --points pyramid): 0 is the finest, 1 has every second sample
     /// along each axis, and so on; isospan info lists them [default: 0].
     #[arg(help_heading = "Level", long, value_name = "L", value_parser = grammar::whole::<u32>, allow_negative_numbers = true, conflicts_with_all = ["triangles", "error"])]

@@ -127,7 +127,7 @@ impl StepInputs {
 
 /// Which step of a series is asked, and which of its fields.
 #[derive(clap::Args, Debug)]
-pub struct StepArgs {
+pub(crate) struct StepArgs {
     #[command(flatten)]
     moment: MomentArgs,
     /// The field, where each step has several.
@@ -137,7 +137,7 @@ pub struct StepArgs {
 
 /// Which step of a series is asked.
 #[derive(clap::Args, Debug)]
-pub struct MomentArgs {
+pub(crate) struct MomentArgs {
     /// Number of the step, or the name of its field; `isospan info` lists them [default: the
     /// first].
     #[arg(help_heading = "Series", long, value_name = "N|FIELD")]
