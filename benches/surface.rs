@@ -11,7 +11,7 @@ use isospan::formats::{OpenOptions, StepSource};
 use isospan::geom::{Lattice, LatticePos, PointId};
 use isospan::grid::Geometry;
 use isospan::mesh::tet::{self, Tet};
-use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce_series};
+use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::check::check;
@@ -183,14 +183,12 @@ fn kept(c: &mut Criterion) {
         for points in [60_000, 1_000_000] {
             let archive = Archive::open(archive(folder.path(), turns, points)).expect("it was just made");
             let archive = archive.keeping(4 << 30);
-            let questions = [0.0, 0.01, 0.02, 0.03].map(|v| SurfaceSettings {
-                resources: Resources::default().with_threads(1),
-                ..SurfaceSettings::of(v)
-            });
+            let one = Resources::default().with_threads(1);
+            let questions = [0.0, 0.01, 0.02, 0.03].map(|v| archive.query(v).resources(one.clone()));
             let mut surfaces = vec![];
             let mut ask = || -> u64 {
                 let triangles = questions.iter().map(|question| {
-                    archive.surfaces_into(question, &mut surfaces).expect("memory suffices");
+                    question.meshes_into(&mut surfaces).expect("memory suffices");
                     surfaces[0].triangles.len() as u64
                 });
                 triangles.sum()

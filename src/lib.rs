@@ -49,10 +49,8 @@
 //! Of a file, with surfaces in a file, and little memory:
 //!
 //! ```
-//! use isospan::exec::Silent;
-//! use isospan::formats::surface::SurfaceFormat;
 //! use isospan::pipeline::{Bound, Target};
-//! use isospan::{Archive, Reduction, Resources, SurfaceSettings};
+//! use isospan::{Archive, Reduction, Resources};
 //!
 //! # fn main() -> isospan::Result<()> {
 //! # let folder = tempfile::tempdir().unwrap();
@@ -67,8 +65,7 @@
 //!
 //! // … and any isosurface comes out of them.
 //! let archive = Archive::open(&path)?;
-//! let query = SurfaceSettings { resources: little, ..SurfaceSettings::of(128.0) };
-//! let found = archive.write_surface(&query, &dir.join("protein.ply"), SurfaceFormat::Ply, &Silent)?;
+//! let found = archive.query(128.0).resources(little).write(dir.join("protein.ply"))?;
 //! assert!(found.triangles > 9_000);
 //!
 //! // Other questions: counts, the field at points, on grids, active tetrahedra.
@@ -79,7 +76,7 @@
 //! ```
 //!
 //! An [`Archive`] has [`Step`]s, which answer everything that the command line can:
-//! `archive.step(3)?.surface(600.0)?`. A volume of the program need not be in memory: anything that
+//! `archive.step(3)?.query(600.0).mesh()?`. A volume of the program need not be in memory: anything that
 //! answers for boxes of samples is one ([`VolumeReader`]).
 //!
 //! # Guarantees
@@ -160,7 +157,7 @@ pub use isospan_mesh::{points, sample};
 pub use error::{Error, ErrorKind, Result};
 pub use exec::{CancelToken, Progress, Resources};
 pub use formats::StepSource;
-pub use pipeline::{Archive, ReduceSettings, Reduction, Step, StepChoice, SurfaceSettings};
+pub use pipeline::{Addition, Archive, ReduceSettings, Reduction, Step, StepChoice, SurfaceQuery};
 pub use surface::TriMesh;
 pub use volume::VolumeReader;
 pub use volume::memory::volume_of;

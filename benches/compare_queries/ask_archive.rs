@@ -10,7 +10,6 @@
 #![allow(unsafe_code)]
 #![allow(clippy::print_stdout)]
 
-use isospan::pipeline::SurfaceSettings;
 use isospan::{Archive, Resources};
 use std::time::Instant;
 
@@ -44,12 +43,9 @@ fn main() -> isospan::Result<()> {
         let archive = Archive::open(&path)?.keeping(kept << 20);
         let mut surfaces = vec![];
         for &isovalue in &isovalues {
-            let settings = SurfaceSettings {
-                resources: Resources::default().with_threads(threads),
-                ..SurfaceSettings::of(isovalue)
-            };
+            let query = archive.query(isovalue).resources(Resources::default().with_threads(threads));
             let start = (Instant::now(), cpu_seconds());
-            archive.surfaces_into(&settings, &mut surfaces)?;
+            query.meshes_into(&mut surfaces)?;
             let (wall, cpu) = (start.0.elapsed().as_secs_f64(), cpu_seconds() - start.1);
             println!("{round} {isovalue} {wall:.6} {cpu:.6} {}", surfaces[0].triangles.len());
         }

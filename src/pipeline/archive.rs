@@ -1,17 +1,13 @@
 //! [`Archive`]: an archive opened for reading, with all its steps.
 
-use crate::files::surface::SurfaceFormat;
 use crate::pipeline::check::{ArchiveCheck, check_archive};
-use crate::pipeline::field::{GridReport, GridSettings, Moments, archive_sources, export_zarr};
-use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
+use crate::pipeline::field::archive_sources;
+use crate::pipeline::read::{OpenArchive, StepChoice, StepRange};
 use crate::pipeline::step::Step;
-use crate::pipeline::surface::{
-    SeriesReport, SurfaceSettings, series_files, surfaces_of_steps, write_series,
-};
-use crate::surface::TriMesh;
+use crate::pipeline::steps::Steps;
 use isospan_io::bytes::remote::{Traffic, traffic, traffic_since};
 use isospan_io::error::Result;
-use isospan_io::exec::{CancelToken, Clock, Progress};
+use isospan_io::exec::{CancelToken, Clock};
 use isospan_io::formats::StepSource;
 use serde::Serialize;
 use std::ops::{Deref, Range};
@@ -21,9 +17,9 @@ use std::sync::Arc;
 /// An archive opened for reading.
 ///
 /// Opening reads the manifest. Every question reads what can hold its answer and nothing else.
-/// Questions are asked of a [`Step`]: `archive.step(3)?.surface(600.0)?`. Most archives have one,
-/// so an archive itself answers as its first step does: `archive.surface(600.0)?`. Questions may be
-/// asked from several threads at one time.
+/// Questions are asked of a [`Step`]: `archive.step(3)?.query(600.0).mesh()?`. Most archives have
+/// one, so an archive itself answers as its first step does: `archive.query(600.0).mesh()?`.
+/// Questions may be asked from several threads at one time.
 ///
 /// ```
 /// use isospan::Archive;
@@ -48,7 +44,7 @@ use std::sync::Arc;
 /// # }
 /// ```
 pub struct Archive {
-    open: Arc<OpenArchive>,
+    pub(super) open: Arc<OpenArchive>,
     path: PathBuf,
     first: Step,
     kept: usize,
@@ -125,6 +121,14 @@ impl Archive {
         self.at(StepChoice::Number(number))
     }
 
+    /// Some consecutive steps: those of a [`StepRange`], or of `3..=7`, or `..` for all.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] when no step is in the range.
+    pub fn steps(&self, range: impl Into<StepRange>) -> Result<Steps> {
+        Ok(Steps { open: Arc::clone(&self.open), positions: self.positions(range.into())? })
+    }
+
     /// The archive at a step, or at a time; between two steps values are linear.
     ///
     /// # Errors
@@ -142,69 +146,6 @@ impl Archive {
     /// What opening took: reports of questions do not count it.
     pub fn opening(&self) -> Opening {
         self.opening
-    }
-
-    /// The contour spectra of many steps. The bytes read are those of each spectrum, and of the
-    /// manifest with each.
-    ///
-    /// # Errors
-    /// As [`Step::spectrum`]; [`crate::Error::Usage`] when no step is in the range.
-    pub fn spectra(&self, steps: StepRange) -> Result<Vec<StepSpectrum>> {
-        self.positions(steps)?.map(|n| StepSpectrum::of(&self.open.step_at(n))).collect()
-    }
-
-    /// Extracts the isosurfaces of many steps in memory, step after step. `each` gets the number
-    /// and the time of a step, and its surfaces. Several steps are extracted at a time, as memory
-    /// allows: what they share is decoded once. The memory of surfaces that `each` does not take is
-    /// reused for later ones.
-    ///
-    /// ```
-    /// # use isospan::{Archive, StepSource};
-    /// # use isospan::pipeline::{StepRange, SurfaceSettings};
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # let steps = vec![StepSource::from("datasets/ironprot.vtk"); 2];
-    /// # isospan::Reduction::of_steps(steps).write(&path)?;
-    /// let archive = Archive::open(&path)?;
-    /// let mut triangles = vec![];
-    /// archive.surfaces_of_steps(StepRange::default(), &SurfaceSettings::of(100.0), |_step, time, surfaces| {
-    ///     triangles.push((time, surfaces[0].triangles.len()));
-    ///     Ok(())
-    /// })?;
-    /// assert_eq!(triangles.len(), archive.info()?.steps.len());
-    /// # assert!(triangles.iter().all(|t| t.1 > 0));
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// As [`Archive::write_series`] but for files, and those of `each`.
-    pub fn surfaces_of_steps(
-        &self,
-        steps: StepRange,
-        settings: &SurfaceSettings,
-        mut each: impl FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()>,
-    ) -> Result<()> {
-        surfaces_of_steps(&self.open, self.positions(steps)?, settings, &mut each)
-    }
-
-    /// Writes isosurfaces of many steps, as [`Step::write_surface`] does of one; the file's name
-    /// holds `%d` or `%04d` in place of the step's number. It also writes a list of the files with
-    /// their times.
-    ///
-    /// # Errors
-    /// Those of [`Step::write_surface`]; [`crate::Error::Usage`] for a name without that place, and
-    /// when no step is in the range.
-    pub fn write_series(
-        &self,
-        steps: StepRange,
-        settings: &SurfaceSettings,
-        out: &Path,
-        format: SurfaceFormat,
-        progress: &dyn Progress,
-    ) -> Result<SeriesReport> {
-        write_series(&self.open, self.positions(steps)?, settings, out, format, progress)
     }
 
     /// The steps of a pyramid as sources, which are reduced as other volumes are: their samples as
@@ -225,38 +166,6 @@ impl Archive {
     /// As [`Archive::sources`]; [`crate::Error::Usage`] for a level that is not there.
     pub fn sources_of_level(&self, level: u32) -> Result<Vec<StepSource>> {
         archive_sources(&self.open, self.positions(StepRange::default())?, level)
-    }
-
-    /// Writes the levels of many steps of a pyramid as one OME-Zarr image with an axis of time: see
-    /// [`Step::write_ome_zarr`].
-    ///
-    /// # Errors
-    /// Those of [`Step::write_ome_zarr`]; [`crate::Error::Usage`] when no step is in the range.
-    pub fn write_ome_zarr_of_steps(
-        &self,
-        steps: StepRange,
-        settings: &GridSettings,
-        out: &Path,
-        replace: bool,
-        progress: &dyn Progress,
-    ) -> Result<GridReport> {
-        let moments = Moments::Steps(&self.open, self.positions(steps)?);
-        export_zarr(&moments, settings, out, replace, progress)
-    }
-
-    /// The files that [`Archive::write_series`] writes: those of the steps, then the lists.
-    ///
-    /// # Errors
-    /// [`crate::Error::Usage`] for a name without a place for the step's number, and when no step
-    /// is in the range.
-    pub fn series_files(
-        &self,
-        steps: StepRange,
-        settings: &SurfaceSettings,
-        out: &Path,
-        format: SurfaceFormat,
-    ) -> Result<Vec<PathBuf>> {
-        series_files(&self.open, self.positions(steps)?, settings, out, format)
     }
 
     /// Verifies the whole archive: every checksum, and every invariant that ties its parts

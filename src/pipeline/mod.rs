@@ -16,16 +16,20 @@
 //!  field      questions about the field
 //!  reduce     inputs ─▶ plan ─▶ passes over chunks ─▶ commit
 //!  shards     the same in several processes
-//!  step       the questions of users          check     the proof that an archive is whole
-//!  archive    the handle of users             reduction the order of users
+//!  step       an archive at a moment          steps     at some of its steps
+//!  query      which surfaces, and their ends  check     the proof that an archive is whole
+//!  archive    the handle of users             reduction, addition, measurement: the orders of users
 //! ```
 
+mod addition;
 mod archive;
 mod check;
 mod chunk;
 mod field;
 mod inputs;
+mod measurement;
 mod plan;
+mod query;
 mod read;
 mod reduce;
 mod reduction;
@@ -33,36 +37,40 @@ mod settings;
 mod shards;
 mod stage;
 mod step;
+mod steps;
 mod surface;
 
 pub use crate::domain::store::MeshCensus;
+pub use addition::Addition;
 pub use archive::{Archive, Opening};
 pub use check::ArchiveCheck;
 pub use field::{
-    Corners, ExportReport, ExportSettings, GridReport, GridSettings, MeasureReport, MeasureSettings,
-    ProbeReport, ProbeSettings, measure, measure_source,
+    Corners, ExportReport, ExportSettings, GridReport, GridSettings, MeasureReport, ProbeReport,
+    ProbeSettings,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
+pub use measurement::Measurement;
 pub use plan::{Estimate, Finding, Notice, Plan, SearchEstimate, Shard, fingerprint};
+pub use query::{Isovalues, SurfaceQuery};
 pub use read::{
     ArchiveSummary, Knot, LevelChoice, LevelSummary, PyramidLevel, Roi, RoiSpace, SpectrumReport, StepChoice,
     StepRange, StepSpectrum, StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
-    AppendSettings, CopiedFile, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, archive_files,
-    copy_archive, header_notices, mesh_notices, plan_path, scan_with_notices, work_folder,
+    CopiedFile, ReduceReport, SkippedStep, SourceChunks, TargetReport, archive_files, copy_archive,
+    header_notices, mesh_notices, plan_path, scan_with_notices, work_folder,
 };
 #[doc(hidden)]
 pub use reduce::{changed_sources, estimate_series, reduce_series};
 pub use reduction::Reduction;
 pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target};
 pub use shards::{
-    Committed, GcReport, NextTry, PlanReport, Planned, StatusReport, WorkReport, collect_garbage,
-    commit_shards, plan_shards, planned, shard_status, work_shard,
+    Committed, GcReport, NextTry, PlanReport, ShardNeeds, Shards, StatusReport, WorkReport, collect_garbage,
 };
 pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};
+pub use steps::Steps;
 pub use surface::{
     ColourBy, CountReport, OneSurface, Plateau, Refine, RefineReport, SeriesReport, StepSurfaces,
-    SurfacePart, SurfaceReport, SurfaceSettings,
+    StreamedPart, SurfaceReport, SurfaceSink,
 };

@@ -1,9 +1,11 @@
 //! [`Reduction`]: from volumes or meshes to an archive, set up one method at a time.
 
-use crate::pipeline::field::{MeasureSettings, measure_source};
+use crate::pipeline::field::{MeasureSettings, measure};
 use crate::pipeline::plan::Estimate;
+use crate::pipeline::read::OpenArchive;
 use crate::pipeline::reduce::{ReduceReport, estimate_series, reduce_series};
 use crate::pipeline::settings::{Adapt, Amount, ReduceSettings, RunSettings, Target};
+use crate::pipeline::shards::{PlanReport, plan_shards};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Resources, Silent};
 use isospan_io::formats::{Input, StepSource};
@@ -160,9 +162,26 @@ impl Reduction<'_> {
         if let Some(source) = &self.against {
             let resources = self.run.resources.clone();
             let settings = MeasureSettings { resources, ..MeasureSettings::default() };
-            report.against = Some(measure_source(path, source, &settings, self.progress)?.error);
+            let archive = OpenArchive::open(path)?;
+            report.against = Some(measure(&archive, source, &settings, self.progress)?.error);
         }
         Ok(report)
+    }
+
+    /// Plans the archive in `shards` parts, which processes of their own make, and writes the plan
+    /// next to its path: see [`Shards`](crate::pipeline::Shards). Of a target it plans the first
+    /// try.
+    ///
+    /// # Errors
+    /// As [`Reduction::write`]; [`Error::Usage`](crate::Error::Usage) when there is another plan
+    /// already, for a largest error with points that adapt, and with [`Reduction::against`].
+    pub fn plan_shards(&self, path: impl AsRef<Path>, shards: u64) -> Result<PlanReport> {
+        if self.against.is_some() {
+            return Err(Error::usage(
+                "a plan measures no error against another source: measure the archive when it is there",
+            ));
+        }
+        plan_shards(&self.sources, &self.settings, path.as_ref(), shards, &self.run, self.progress)
     }
 
     /// Refuses what an error cannot be measured against before anything is made. A source that

@@ -1,6 +1,5 @@
 //! [`Step`]: an archive at a step, and all questions that can be asked of it.
 
-use crate::files::surface::SurfaceFormat;
 use crate::index::Entry;
 use crate::pipeline::field::{
     ExportReport, ExportSettings, GridReport, GridSettings, Moments, ProbeReport, ProbeSettings,
@@ -10,12 +9,9 @@ use crate::pipeline::read::{
     ArchiveSummary, IndexToWorld, LevelChoice, SpectrumReport, StepView, bounds, samples_of_level, spectrum,
     summarize,
 };
-use crate::pipeline::surface::{
-    ColourBy, CountReport, Plateau, SurfacePart, SurfaceReport, SurfaceSettings, count, level_of, plateau_at,
-    stream_file, stream_surfaces, surfaces_in_memory, values_on, write_surfaces,
-};
+use crate::pipeline::surface::{ColourBy, Plateau, plateau_at, values_on};
 use crate::render::ColourMap;
-use crate::surface::{SurfaceSource, TriMesh};
+use crate::surface::SurfaceSource;
 use isospan_io::error::Result;
 use isospan_io::exec::{CancelToken, Progress, Resources, Silent};
 use isospan_io::formats::samples::SampleFormat;
@@ -30,16 +26,17 @@ use std::sync::Arc;
 /// A step never changes. It is cheap to get, and answers from several threads at one time. Whether
 /// a question is asked from this type or from the command line, the answer is the same.
 ///
-/// What fits in memory is returned ([`Step::surface`], [`Step::sample`], [`Step::probe`],
-/// [`Step::active`]); what may not is written to a file, in bounded memory, by a method with
-/// settings and progress ([`Step::write_surface`], [`Step::write_samples`], [`Step::write_probed`],
-/// [`Step::write_tetrahedra`]). Positions are world coordinates.
+/// [`Step::query`] asks for isosurfaces. Of the other questions, what fits in memory is returned
+/// ([`Step::sample`], [`Step::probe`], [`Step::active`]); what may not is written to a file, in
+/// bounded memory, by a method with settings and progress ([`Step::write_samples`],
+/// [`Step::write_probed`], [`Step::write_tetrahedra`]). Positions are world coordinates.
 ///
 /// A step caches the decoded blocks that a surface needed, for the next one. The cache takes up to
 /// [`Archive::KEPT_BYTES`](super::Archive::KEPT_BYTES) or what
 /// [`Archive::keeping`](super::Archive::keeping) says, and a quarter more for buffers. A cached
 /// tetrahedron takes about 28 bytes. Blocks that were not used lately go first. So while an
 /// isovalue is dragged to and fro, a surface costs little more than its triangles.
+#[derive(Clone)]
 pub struct Step {
     pub(super) view: Arc<StepView>,
 }
@@ -147,36 +144,6 @@ impl Step {
         bounds(&self.view, cancel)
     }
 
-    /// How many tetrahedra an isosurface crosses, exactly.
-    ///
-    /// # Errors
-    /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a
-    /// damaged archive.
-    pub fn count(&self, isovalue: impl Into<f64>) -> Result<CountReport> {
-        self.count_until(isovalue, &CancelToken::new())
-    }
-
-    /// As [`Step::count`], until it is stopped.
-    ///
-    /// # Errors
-    /// Those of [`Step::count`]; [`crate::Error::Cancelled`].
-    pub fn count_until(&self, isovalue: impl Into<f64>, cancel: &CancelToken) -> Result<CountReport> {
-        count(&self.view, isovalue.into(), None, cancel)
-    }
-
-    /// How many cells of a level of a pyramid an isosurface crosses, exactly.
-    ///
-    /// # Errors
-    /// Those of [`Step::count_until`]; [`crate::Error::Usage`] for a level that cannot be had.
-    pub fn count_at(
-        &self,
-        isovalue: impl Into<f64>,
-        level: LevelChoice,
-        cancel: &CancelToken,
-    ) -> Result<CountReport> {
-        count(&self.view, isovalue.into(), Some(level), cancel)
-    }
-
     /// The plateau of the samples on which an isovalue lies, of a pyramid that was not stored
     /// without loss: its surface there is noise. Some bricks are looked at.
     ///
@@ -184,16 +151,6 @@ impl Step {
     /// [`crate::Error::BadInput`] for a damaged archive.
     pub fn plateau(&self, isovalue: impl Into<f64>) -> Result<Option<Plateau>> {
         plateau_at(&self.view, isovalue.into())
-    }
-
-    /// The level of a pyramid that a question for surfaces is asked of, by its number:
-    /// [`SurfaceSettings::level`] chooses it; 0 where nothing does.
-    ///
-    /// # Errors
-    /// [`crate::Error::Usage`] for an archive without levels, for a level that is not there, and
-    /// where no level has so few triangles or so small an error.
-    pub fn level_of(&self, settings: &SurfaceSettings) -> Result<u32> {
-        level_of(&self.view, settings).map(|level| level as u32)
     }
 
     /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads
@@ -277,118 +234,8 @@ impl Step {
         Ok(out)
     }
 
-    /// An isosurface, in memory. For one that may not fit there is [`Step::write_surface`].
-    ///
-    /// # Errors
-    /// As [`Step::count`]; [`crate::Error::Usage`] for a surface of 2^32 vertices or more.
-    pub fn surface(&self, isovalue: impl Into<f64>) -> Result<TriMesh> {
-        let mut surfaces = self.surfaces(&SurfaceSettings::of(isovalue))?;
-        Ok(surfaces.pop().expect("there is a surface for each isovalue"))
-    }
-
-    /// Isosurfaces, in memory, one for each isovalue: cut, capped, with chosen components,
-    /// decimated, as the settings say.
-    ///
-    /// ```
-    /// # use isospan::Archive;
-    /// # use isospan::pipeline::{Refine, SurfaceSettings};
-    /// # use isospan::surface::edit::components::ComponentFilter;
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # isospan::Reduction::of("datasets/ironprot.vtk").write(&path)?;
-    /// let archive = Archive::open(&path)?;
-    /// let largest = ComponentFilter { largest: Some(1), ..ComponentFilter::default() };
-    /// let surfaces = archive.surfaces(&SurfaceSettings {
-    ///     isovalues: vec![80.0, 120.0],
-    ///     cap: true,
-    ///     refine: Refine { components: Some(largest), ..Refine::default() },
-    ///     ..SurfaceSettings::default()
-    /// })?;
-    /// assert!(surfaces[0].triangles.len() > surfaces[1].triangles.len());
-    ///
-    /// // Another isovalue between the two: most blocks are still in memory.
-    /// let between = archive.surface(100.0)?;
-    /// # assert!(archive.kept_bytes() > 0 && !between.triangles.is_empty());
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// As [`Step::write_surface`], but for files.
-    pub fn surfaces(&self, settings: &SurfaceSettings) -> Result<Vec<TriMesh>> {
-        surfaces_in_memory(&self.view, settings, vec![])
-    }
-
-    /// As [`Step::surfaces`], in the memory of surfaces that were asked for before; these are
-    /// replaced. This is for an isovalue that is dragged: where blocks are kept, new cleared pages
-    /// would take the system about a tenth of the time of each answer.
-    ///
-    /// ```
-    /// # use isospan::Archive;
-    /// # use isospan::pipeline::SurfaceSettings;
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # isospan::Reduction::of("datasets/ironprot.vtk").write(&path)?;
-    /// let archive = Archive::open(&path)?;
-    /// let mut shown = vec![];
-    /// for isovalue in [80.0, 81.0, 82.0] {
-    ///     archive.surfaces_into(&SurfaceSettings::of(isovalue), &mut shown)?;
-    ///     assert_eq!(shown[0], archive.surface(isovalue)?);
-    /// }
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// As [`Step::write_surface`], but for files; `surfaces` is empty then.
-    pub fn surfaces_into(&self, settings: &SurfaceSettings, surfaces: &mut Vec<TriMesh>) -> Result<()> {
-        let reused = std::mem::take(surfaces);
-        *surfaces = surfaces_in_memory(&self.view, settings, reused)?;
-        Ok(())
-    }
-
-    /// Writes isosurfaces to a file, or, where the file's name holds `{}`, each to a file with its
-    /// isovalue in that place.
-    ///
-    /// All isovalues are extracted in one pass, in which each block is decoded once; each surface
-    /// is the one that would come out alone. In one file they follow each other, named as the
-    /// format can. Chunks are extracted in parallel and welded in chunk order: the bytes do not
-    /// depend on the number of threads, nor on memory. Vertices and triangles that memory does not
-    /// hold wait in the scratch folder. An isovalue outside the values' range gives an empty, valid
-    /// surface.
-    ///
-    /// # Errors
-    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Budget`] when the memory
-    /// does not suffice; [`crate::Error::Usage`] for settings that make no sense; those of writing
-    /// a file, of which nothing is left then.
-    pub fn write_surface(
-        &self,
-        settings: &SurfaceSettings,
-        out: &Path,
-        format: SurfaceFormat,
-        progress: &dyn Progress,
-    ) -> Result<SurfaceReport> {
-        write_surfaces(&self.view, settings, out, format, progress)
-    }
-
-    /// Hands the bytes of the file that [`Step::write_surface`] writes to `each`, in bounded
-    /// memory: for a program that sends a file, or has no disk.
-    ///
-    /// # Errors
-    /// As [`Step::write_surface`], but for those of a file, and those of `each`.
-    pub fn stream_surface_file(
-        &self,
-        settings: &SurfaceSettings,
-        format: SurfaceFormat,
-        each: &mut dyn FnMut(&[u8]) -> Result<()>,
-    ) -> Result<SurfaceReport> {
-        stream_file(&self.view, settings, format, each)
-    }
-
     /// This step as a field that colours surfaces, of this archive or another one in the same
-    /// world: see [`SurfaceSettings::colour_by`].
+    /// world: see [`SurfaceQuery::colour_by`](super::SurfaceQuery::colour_by).
     pub fn colours(&self, map: ColourMap) -> ColourBy {
         ColourBy { view: Arc::clone(&self.view), range: None, map }
     }
@@ -420,52 +267,6 @@ impl Step {
     /// on the same points.
     pub fn fields_here(&self) -> Vec<&str> {
         self.view.fields()
-    }
-
-    /// Streams isosurfaces, in bounded memory, with world positions: `part` gets each chunk's part
-    /// as soon as it is welded, in the order of the chunks; then `whole` gets each surface, in the
-    /// order of the isovalues.
-    ///
-    /// The parts of an isovalue, put together, are its surface. A surface that is cut at a region,
-    /// or of a field with holes, is one part, and so is one that is refined. Before the former come
-    /// the parts of a preview, [`SurfacePart::is_preview`]: of the surface as it was extracted.
-    /// `part` is called on one thread at a time; others wait while it takes long.
-    ///
-    /// ```
-    /// # use isospan::Archive;
-    /// # use isospan::pipeline::SurfaceSettings;
-    /// # use isospan::surface::TriMesh;
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # let protein = isospan::Reduction::of("datasets/ironprot.vtk").count(20_000);
-    /// # protein.points(isospan::points::SetKind::Hammersley).write(&path)?;
-    /// let archive = Archive::open(&path)?;
-    /// let mut shown = TriMesh::default();
-    /// let mut part = |part: &isospan::pipeline::SurfacePart<'_>| {
-    ///     let added = TriMesh::from_source(part.added)?;
-    ///     shown.vertices.extend(added.vertices);
-    ///     shown.triangles.extend(added.triangles);
-    ///     for &(number, vertex) in part.changed {
-    ///         shown.vertices[number as usize] = vertex;
-    ///     }
-    ///     Ok(())
-    /// };
-    /// archive.stream_surfaces(&SurfaceSettings::of(100.0), &mut part, |_| Ok(()))?;
-    /// assert_eq!(shown, archive.surface(100.0)?);
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// As [`Step::write_surface`], and those of `part` and `whole`.
-    pub fn stream_surfaces(
-        &self,
-        settings: &SurfaceSettings,
-        part: &mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
-        whole: impl FnMut(&dyn SurfaceSource) -> Result<()>,
-    ) -> Result<SurfaceReport> {
-        stream_surfaces(&self.view, settings, part, whole)
     }
 
     /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the

@@ -4,9 +4,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{
-    self, Adapt, Amount, AppendSettings, Bound, ReduceReport, ReduceSettings, RunSettings, Target, append,
-};
+use isospan::pipeline::{self, Adapt, Amount, Bound, ReduceReport, ReduceSettings, RunSettings, Target};
 use isospan::points::SetKind;
 use std::fs;
 use std::path::Path;
@@ -104,7 +102,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     let second = dir.path().join("second.vtk");
     fs::copy(&input, &second).unwrap();
     let sources = [StepSource::new(&second, &OpenOptions::default())];
-    append(&sources, &AppendSettings::default(), &out, &run(1), &Silent).unwrap();
+    addition(&sources, &run(1)).append_to(&out).unwrap();
     check_archive(&out).unwrap();
     let summary = summarize(&out).unwrap();
     let errors: Vec<_> = summary.steps.iter().map(|s| s.error.unwrap()).collect();

@@ -1,8 +1,7 @@
 //! Surfaces coloured by another field: values at the vertices, the same bytes however made.
 
 use crate::common::*;
-use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{ReduceSettings, StepChoice, SurfaceSettings};
+use isospan::pipeline::{ReduceSettings, StepChoice};
 use isospan::render::ColourMap;
 use isospan::sample::Values;
 use isospan::{Archive, Resources};
@@ -264,15 +263,9 @@ fn another_archive_in_little_memory() {
     for memory in [64 << 20, 4 << 30] {
         let archive = Archive::open(&ball_out).unwrap();
         let by = Archive::open(&slope_out).unwrap().at(StepChoice::First).unwrap();
-        let settings = SurfaceSettings {
-            isovalues: vec![0.1, -0.05],
-            colour_by: Some(by.colours(ColourMap::Grey)),
-            resources: Resources::default().with_memory(memory),
-            ..SurfaceSettings::default()
-        };
+        let query = archive.query([0.1, -0.05]).colour_by(by.colours(ColourMap::Grey));
         let out = dir.path().join(format!("{memory}.vtp"));
-        let step = archive.at(StepChoice::First).unwrap();
-        step.write_surface(&settings, &out, SurfaceFormat::Vtp, &isospan::exec::Silent).unwrap();
+        query.resources(Resources::default().with_memory(memory)).write(&out).unwrap();
         files.push(fs::read(out).unwrap());
     }
     assert!(files[0] == files[1]);

@@ -9,12 +9,10 @@ use crate::common::*;
 use isospan::archive::manifest::{MANIFEST_NAME, Manifest, Plan};
 use isospan::archive::segment::SegmentKind;
 use isospan::error::{ErrorKind, Fault};
-use isospan::exec::Silent;
-use isospan::formats::surface::SurfaceFormat;
 use isospan::geom::Lattice;
-use isospan::pipeline::{Amount, SurfaceSettings};
+use isospan::pipeline::Amount;
 use isospan::points::{PointSpec, SetKind};
-use isospan::{Error, Resources};
+use isospan::{Archive, Error, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -31,9 +29,8 @@ struct Answers {
 
 fn extract(archive: &Path) -> Result<Vec<u8>, Error> {
     let out = archive.with_extension("ply");
-    let settings =
-        SurfaceSettings { resources: Resources::default().with_threads(1), ..SurfaceSettings::of(ISOVALUE) };
-    let made = extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent);
+    let query = Archive::open(archive)?.keeping(0).query(ISOVALUE);
+    let made = query.resources(Resources::default().with_threads(1)).write(&out);
     let bytes = fs::read(&out);
     let _ = fs::remove_file(&out);
     made.map(|_| bytes.expect("a surface was written"))

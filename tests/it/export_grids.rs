@@ -6,7 +6,7 @@ use isospan::formats::samples::{GridMeta, SampleField, SampleFile, SampleFormat}
 use isospan::formats::{OpenOptions, StepSource, open_coordinates, open_volume, steps_of};
 use isospan::grid::Geometry;
 use isospan::pipeline::{
-    self, Bound, GridReport, GridSettings, ProbeSettings, ReduceSettings, StepChoice, StepRange, Target,
+    self, Bound, GridReport, GridSettings, ProbeSettings, ReduceSettings, StepChoice, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::check::check;
@@ -387,8 +387,7 @@ fn ome_zarr_has_steps_and_a_region() {
     let archive = Archive::open(&out).unwrap();
     let image = dir.path().join("a.zarr");
     let settings = GridSettings { roi: Some("10:80,:,4:".parse().unwrap()), ..GridSettings::default() };
-    let report =
-        archive.write_ome_zarr_of_steps(StepRange::default(), &settings, &image, false, &Silent).unwrap();
+    let report = archive.steps(..).unwrap().write_ome_zarr(&settings, &image, false, &Silent).unwrap();
     assert_eq!((report.steps, report.dims, report.first), (3, [71, 40, 30], [10, 0, 4]));
     let steps = steps_of(std::slice::from_ref(&image), &OpenOptions::default()).unwrap();
     assert_eq!(steps.iter().map(|step| step.time).collect::<Vec<_>>(), [2.0, 2.5, 3.0].map(Some));

@@ -4,7 +4,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{Amount, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, measure};
+use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings};
 use isospan::sample::Values;
 use std::fs;
 use std::path::Path;
@@ -95,13 +95,13 @@ fn neither_bodies_nor_holes_leak() {
         assert_eq!((report.mesh.unwrap().bodies, report.range), (2, Some([1.0, 11.0])), "{gap}");
         assert!([1.01, 5.0, 10.99].iter().all(|&v| area(&out, v) == 0.0), "{gap}: a value between");
         // Each vertex is compared with its own body, but for those deep in another one.
-        let (error, how) = (report.error.unwrap(), MeasureSettings::default());
+        let error = report.error.unwrap();
         assert_eq!(
             (error.samples, error.max),
             (2 * 18 * 18 * 9, if gap < 0.0 { 10.0 } else { 0.0 }),
             "{gap}"
         );
-        let again = measure(&out, &input, &OpenOptions::default(), &how, &Silent).unwrap();
+        let again = measurement(&out, &input).run().unwrap();
         assert_eq!(again.error, error, "{gap}");
     }
     write_mesh(&input, 12, |_| true, |p| p, |p| if p[0] > 0.7 { f64::NAN } else { 7.5 });

@@ -5,13 +5,12 @@ use isospan::exec::{CancelToken, Silent};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::grid::{Geometry, IndexBox};
 use isospan::pipeline::{
-    self, AppendSettings, Archive, MeasureSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice,
-    Target, append, measure_source, reduce_series,
+    Addition, Archive, ReduceReport, ReduceSettings, RunSettings, StepChoice, Target, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::volume::memory::{info_of, volume_of};
 use isospan::volume::{ScalarType, VolumeInfo, VolumeReader};
-use isospan::{Error, Resources, Result};
+use isospan::{Error, Reduction, Resources, Result};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -92,7 +91,7 @@ fn an_archive_is_measured_against_samples_in_memory() {
     let (file, out) = (dir.path().join("field.npy"), dir.path().join("a.isospan"));
     common::write_npy(&file, DIMS, field);
     let made = reduce(given(samples()), &ReduceSettings::default(), &out).unwrap();
-    let measured = |source| measure_source(&out, &source, &MeasureSettings::default(), &Silent);
+    let measured = |source| Archive::open(&out)?.measure(source).run();
     let [against_samples, against_file] =
         [given(samples()), StepSource::new(&file, &OpenOptions::default())].map(|s| measured(s).unwrap());
     assert_eq!(Some(&against_samples.error), made.error.as_ref());
@@ -118,8 +117,9 @@ fn a_check_and_a_count_are_stopped() {
     assert_eq!(archive.check_until(&go).unwrap().steps, 2);
     assert!(matches!(archive.check_until(&stop), Err(Error::Cancelled)));
     let between = archive.at(StepChoice::Time(0.5)).unwrap();
-    assert!(between.count_until(0.25, &go).unwrap().active_cells > 0);
-    assert!(matches!(between.count_until(0.25, &stop), Err(Error::Cancelled)));
+    let count = |cancel| between.query(0.25).resources(Resources::default().with_cancel(cancel)).count();
+    assert!(count(go).unwrap().active_cells > 0);
+    assert!(matches!(count(stop), Err(Error::Cancelled)));
 }
 
 #[test]
@@ -134,7 +134,7 @@ fn steps_are_added_and_places_are_those_of_the_volume() {
     let (run, settings) = (RunSettings::default(), ReduceSettings::default());
     reduce_series(&[step(samples(), 0.0)], &settings, &out, &run, &Silent).unwrap();
     let later = samples().iter().map(|v| v + 1.0).collect();
-    append(&[step(later, 2.5)], &AppendSettings::default(), &out, &run, &Silent).unwrap();
+    Addition::of(step(later, 2.5)).append_to(&out).unwrap();
     let archive = Archive::open(&out).unwrap();
     assert_eq!(archive.geometry(), geometry);
     assert_eq!(archive.info().unwrap().steps.len(), 2);
@@ -144,8 +144,7 @@ fn steps_are_added_and_places_are_those_of_the_volume() {
 fn other_processes_cannot_read_it() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("a.isospan");
-    let (settings, run) = (ReduceSettings::default(), RunSettings::default());
-    let planned = pipeline::plan_shards(&[given(samples())], &settings, &out, 2, &run, &Silent);
+    let planned = Reduction::of(given(samples())).plan_shards(&out, 2);
     let error = planned.expect_err("refused").to_string();
     assert!(error.contains("field is in memory"), "{error}");
     assert_eq!(fs::read_dir(dir.path()).unwrap().filter(|e| !hidden(e)).count(), 0);

@@ -1,13 +1,13 @@
 //! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic
 //! maps say what must come out.
 
-use crate::common::{check_archive, contour_spectrum, extract_surface, streamed};
+use crate::common::{check_archive, contour_spectrum, query, streamed};
 use isospan::exec::{CancelToken, Silent};
-use isospan::formats::surface::{SurfaceFormat, read_surface};
+use isospan::formats::surface::read_surface;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice, StepRange,
-    SurfaceSettings, reduce_series,
+    Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, Roi, RunSettings, StepChoice,
+    reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -88,9 +88,10 @@ fn make(input: &Path) -> Result<(PathBuf, ReduceReport)> {
 
 fn surface(archive: &Path, isovalue: f32) -> TriMesh {
     let out = archive.with_extension("ply");
-    extract_surface(archive, &SurfaceSettings::of(isovalue), &out, SurfaceFormat::Ply, &Silent).unwrap();
+    let query = query(archive, isovalue);
+    query.write(&out).unwrap();
     let mesh = read_surface(&out).unwrap();
-    let (found, parts) = streamed(&Archive::open(archive).unwrap(), &SurfaceSettings::of(isovalue));
+    let (found, parts) = streamed(&query);
     assert!(found == [mesh.clone()] && parts > 2, "{parts} parts are the file");
     mesh
 }
@@ -113,15 +114,15 @@ fn answers_in_the_world(archive: &Archive, isovalue: f64) {
         let cut = |range: String| {
             let mut ranges = [":"; 3];
             ranges[axis] = &range;
-            let roi = Some(format!("world:{}", ranges.join(",")).parse().unwrap());
-            let settings = SurfaceSettings { roi, ..SurfaceSettings::of(isovalue) };
-            let found = archive.surfaces(&settings).unwrap().remove(0);
-            assert!(streamed(archive, &settings).0 == [found.clone()]);
+            let region: Roi = format!("world:{}", ranges.join(",")).parse().unwrap();
+            let query = archive.query(isovalue).region(region);
+            let found = query.mesh().unwrap();
+            assert!(streamed(&query).0 == [found.clone()]);
             let same = |_: u64, _: f64, of_step: &mut Vec<TriMesh>| {
                 assert!(of_step[..] == [found.clone()]);
                 Ok(())
             };
-            archive.surfaces_of_steps(StepRange::default(), &settings, same).unwrap();
+            archive.steps(..).unwrap().query(isovalue).region(region).for_each(same).unwrap();
             found
         };
         let (below, above) = (cut(format!(":{middle}")), cut(format!("{middle}:")));
@@ -134,9 +135,8 @@ fn answers_in_the_world(archive: &Archive, isovalue: f64) {
             assert!(mesh.vertices.iter().all(|v| beyond(v) < 1e-5), "axis {axis}");
         }
     }
-    let nowhere = Some("world:1000:1001,:,:".parse().unwrap());
-    let error =
-        archive.surfaces(&SurfaceSettings { roi: nowhere, ..SurfaceSettings::of(isovalue) }).unwrap_err();
+    let nowhere: Roi = "world:1000:1001,:,:".parse().unwrap();
+    let error = archive.query(isovalue).region(nowhere).mesh().unwrap_err();
     assert!(error.to_string().contains("outside the volume"), "{error}");
 }
 

@@ -2,12 +2,11 @@
 //! errors that are told are those of the samples.
 
 use crate::common::*;
-use isospan::exec::{CancelToken, Resources, Silent};
-use isospan::formats::{OpenOptions, StepSource};
+use isospan::exec::{Resources, Silent};
+use isospan::formats::StepSource;
 use isospan::measure::FieldError;
 use isospan::pipeline::{
-    self, AppendSettings, Bound, LevelChoice, MeasureSettings, ProbeSettings, ReduceSettings, Roi,
-    RunSettings, StepRange, SurfaceSettings, Target,
+    self, Bound, LevelChoice, ProbeSettings, ReduceSettings, Roi, RunSettings, SurfaceQuery, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -39,29 +38,25 @@ fn made(dir: &Path, dims: [usize; 3], field: fn(f64, f64, f64) -> f64) -> [std::
 }
 
 fn measured(archive: &Path, input: &Path, level: usize) -> FieldError {
-    let settings = MeasureSettings {
-        resources: run(2).resources,
-        level: Some(LevelChoice::Level(level as u32)),
-        ..MeasureSettings::default()
-    };
-    pipeline::measure(archive, input, &OpenOptions::default(), &settings, &Silent).unwrap().error
+    let level = LevelChoice::Level(level as u32);
+    measurement(archive, input).level(level).resources(run(2).resources).run().unwrap().error
 }
 
 fn at_level(level: usize) -> ProbeSettings {
     ProbeSettings { level: Some(LevelChoice::Level(level as u32)), ..ProbeSettings::default() }
 }
 
-fn of(isovalues: &[f64], level: LevelChoice) -> SurfaceSettings {
-    SurfaceSettings { isovalues: isovalues.to_vec(), level: Some(level), ..SurfaceSettings::default() }
+fn at(level: u32) -> LevelChoice {
+    LevelChoice::Level(level)
 }
 
 /// Surfaces, and the level that they are of.
-fn surfaces(archive: &Archive, settings: &SurfaceSettings) -> (u32, Vec<TriMesh>) {
-    (archive.level_of(settings).unwrap(), archive.surfaces(settings).unwrap())
+fn surfaces(query: &SurfaceQuery<'_>) -> (u32, Vec<TriMesh>) {
+    (query.chosen_level().unwrap(), query.meshes().unwrap())
 }
 
-fn triangles(archive: &Archive, settings: &SurfaceSettings) -> u64 {
-    archive.surfaces(settings).unwrap().iter().map(|mesh| mesh.triangles.len() as u64).sum()
+fn triangles(query: &SurfaceQuery<'_>) -> u64 {
+    query.meshes().unwrap().iter().map(|mesh| mesh.triangles.len() as u64).sum()
 }
 
 #[test]
@@ -128,18 +123,15 @@ fn a_surface_of_a_coarse_level_is_read_where_it_lies() {
     let settings = ReduceSettings { target: Some(Target::Rms(Bound::Value(2e-3))), ..pyramid(0.01) };
     reduce(&input, &settings, &out, 2);
     let archive = Archive::open(&out).unwrap();
-    let ply = isospan::formats::surface::SurfaceFormat::Ply;
     for (level, bricks) in [(0, 8), (1, 1), (2, 1), (3, 1)] {
         for cap in [false, true] {
-            let settings = SurfaceSettings { cap, ..of(&[0.0], LevelChoice::Level(level)) };
-            let file = dir.path().join(format!("{level} {cap}.ply"));
-            let report = archive.step(0).unwrap().write_surface(&settings, &file, ply, &Silent).unwrap();
+            let query = archive.query(0.0).level(at(level)).cap(cap);
+            let report = query.write(dir.path().join(format!("{level} {cap}.ply"))).unwrap();
             assert!(report.triangles > 20, "level {level}: {}", report.triangles);
             assert_eq!(report.active_blocks, bricks, "level {level}, cap {cap}");
             // Beside a surface that is nearly everywhere it is no other.
-            let both = SurfaceSettings { cap, ..of(&[0.0, -0.1], LevelChoice::Level(level)) };
-            let both = archive.surfaces(&both).unwrap();
-            assert_eq!(archive.surfaces(&settings).unwrap()[0], both[0]);
+            let both = archive.query([0.0, -0.1]).level(at(level)).cap(cap).meshes().unwrap();
+            assert_eq!(query.mesh().unwrap(), both[0]);
             assert!(both[1].triangles.len() > both[0].triangles.len());
         }
     }
@@ -183,7 +175,7 @@ fn an_error_chooses_the_coarsest_level_that_has_it() {
     let [_, out] = made(dir.path(), [64, 60, 70], rough);
     let archive = Archive::open(&out).unwrap();
     let levels = archive.info().unwrap().pyramid;
-    let of_error = |bound| archive.level_of(&of(&[0.1], LevelChoice::Error(bound)));
+    let of_error = |bound| archive.query(0.1).level(LevelChoice::Error(bound)).chosen_level();
     for level in &levels {
         assert_eq!(of_error(Bound::Value(level.rms.unwrap())).unwrap() as usize, level.level);
         let [lo, hi] = archive.info().unwrap().error.unwrap().source_range.unwrap();
@@ -196,14 +188,13 @@ fn an_error_chooses_the_coarsest_level_that_has_it() {
     // Without errors there is nothing to choose by.
     let further = dir.path().join("b.npy");
     write_npy(&further, [64, 60, 70], waves);
-    let settings = AppendSettings { measure: false, ..AppendSettings::default() };
-    pipeline::append(&[StepSource::from(&*further)], &settings, &out, &run(2), &Silent).unwrap();
+    addition(&[StepSource::from(&*further)], &run(2)).measure(false).append_to(&out).unwrap();
     let archive = Archive::open(&out).unwrap();
     let archive = archive.at(pipeline::StepChoice::Number(1)).unwrap();
     assert!(archive.info().unwrap().pyramid.iter().all(|level| level.rms.is_none()));
-    let error = archive.level_of(&of(&[0.1], LevelChoice::Error(Bound::Value(1.0)))).unwrap_err();
+    let error = archive.query(0.1).level(LevelChoice::Error(Bound::Value(1.0))).chosen_level().unwrap_err();
     assert!(error.to_string().contains("--no-measure"), "{error}");
-    assert!(archive.surfaces(&of(&[0.1], LevelChoice::Level(1))).is_ok());
+    assert!(archive.query(0.1).level(at(1)).mesh().is_ok());
 }
 
 #[test]
@@ -213,15 +204,14 @@ fn triangles_choose_the_finest_level_that_stays_below() {
     let archive = Archive::open(&out).unwrap();
     let levels = archive.info().unwrap().pyramid.len();
     let isovalues = [0.1, 0.4];
-    let counts: Vec<u64> = (0..levels as u32)
-        .map(|level| triangles(&archive, &of(&isovalues, LevelChoice::Level(level))))
-        .collect();
+    let counts: Vec<u64> =
+        (0..levels as u32).map(|level| triangles(&archive.query(isovalues).level(at(level)))).collect();
     assert!(counts.is_sorted_by(|a, b| a > b) && counts[levels - 1] > 0, "{counts:?}");
     for (level, &count) in (0u32..).zip(&counts) {
-        let (chosen, meshes) = surfaces(&archive, &of(&isovalues, LevelChoice::Triangles(count)));
+        let (chosen, meshes) = surfaces(&archive.query(isovalues).level(LevelChoice::Triangles(count)));
         assert_eq!(chosen, level);
-        assert_eq!(meshes, archive.surfaces(&of(&isovalues, LevelChoice::Level(level))).unwrap());
-        let next = archive.level_of(&of(&isovalues, LevelChoice::Triangles(count - 1)));
+        assert_eq!(meshes, archive.query(isovalues).level(at(level)).meshes().unwrap());
+        let next = archive.query(isovalues).level(LevelChoice::Triangles(count - 1)).chosen_level();
         match next {
             Ok(chosen) => assert_eq!(chosen, level + 1),
             Err(error) => {
@@ -232,7 +222,7 @@ fn triangles_choose_the_finest_level_that_stays_below() {
         }
     }
     // Nothing crosses the values: no triangle is at most any number.
-    assert_eq!(archive.level_of(&of(&[1e6], LevelChoice::Triangles(1))).unwrap(), 0);
+    assert_eq!(archive.query(1e6).level(LevelChoice::Triangles(1)).chosen_level().unwrap(), 0);
 }
 
 #[test]
@@ -242,21 +232,19 @@ fn caps_and_cuts_count_as_triangles() {
     let archive = Archive::open(&out).unwrap();
     let roi: Roi = "9.3:50.1,:,5.7:40".parse().unwrap();
     for most in [700, 2000, 6000, 15_000] {
-        let choice = LevelChoice::Triangles(most);
-        let capped = SurfaceSettings { cap: true, ..of(&[0.1], choice) };
-        let (level, meshes) = surfaces(&archive, &capped);
+        let query = archive.query(0.1).level(LevelChoice::Triangles(most));
+        let capped = query.clone().cap(true);
+        let (level, meshes) = surfaces(&capped);
         assert!(meshes[0].triangles.len() as u64 <= most && check(&meshes[0]).is_closed());
         if level > 0 {
-            let finer = SurfaceSettings { level: Some(LevelChoice::Level(level - 1)), ..capped };
-            assert!(triangles(&archive, &finer) > most);
+            assert!(triangles(&capped.level(at(level - 1))) > most);
         }
-        let cut = SurfaceSettings { roi: Some(roi), ..of(&[0.1], choice) };
-        let (level, meshes) = surfaces(&archive, &cut);
+        let cut = query.region(roi);
+        let (level, meshes) = surfaces(&cut);
         assert!(meshes[0].triangles.len() as u64 <= most && !meshes[0].triangles.is_empty());
         if level > 0 {
             // Cutting was reckoned with; it makes few triangles more.
-            let finer = SurfaceSettings { level: Some(LevelChoice::Level(level - 1)), ..cut };
-            assert!(triangles(&archive, &finer) as f64 > 0.7 * most as f64);
+            assert!(triangles(&cut.level(at(level - 1))) as f64 > 0.7 * most as f64);
         }
     }
 }
@@ -321,27 +309,23 @@ fn cells_of_a_level_are_counted() {
     let dir = tempfile::tempdir().unwrap();
     let [_, out] = made(dir.path(), [140, 40, 34], rough);
     let archive = Archive::open(&out).unwrap();
-    let none = CancelToken::new();
     assert_eq!(
         archive.count(0.1).unwrap().active_cells,
-        archive.count_at(0.1, LevelChoice::Level(0), &none).unwrap().active_cells
+        archive.query(0.1).level(at(0)).count().unwrap().active_cells
     );
     for level in 1..4 {
-        let report = archive.count_at(0.1, LevelChoice::Level(level), &none).unwrap();
-        let (settings, step) = (of(&[0.1], LevelChoice::Level(level)), archive.info().unwrap());
+        let query = archive.query(0.1).level(at(level));
+        let (report, step) = (query.count().unwrap(), archive.info().unwrap());
         assert_eq!(report.level, Some(level as usize));
-        let cells = report.active_cells;
-        let found = triangles(&archive, &settings);
+        let (cells, found) = (report.active_cells, triangles(&query));
         // A crossed cell has one to five triangles.
         assert!(
             cells > 0 && cells <= found && found <= 5 * cells && cells < step.pyramid[level as usize].cells
         );
     }
-    let chosen = archive.count_at(0.1, LevelChoice::Triangles(2000), &none).unwrap();
-    assert_eq!(
-        chosen.level.unwrap(),
-        archive.level_of(&of(&[0.1], LevelChoice::Triangles(2000))).unwrap() as usize
-    );
+    let few = archive.query(0.1).level(LevelChoice::Triangles(2000));
+    let chosen = few.count().unwrap().level;
+    assert_eq!(chosen.unwrap(), few.chosen_level().unwrap() as usize);
 }
 
 #[test]
@@ -354,24 +338,16 @@ fn each_step_of_a_series_has_a_level_of_its_own() {
     let out = dir.path().join("a.isospan");
     pipeline::reduce_series(&sources, &pyramid(0.005), &out, &run(2), &Silent).unwrap();
     let archive = Archive::open(&out).unwrap();
-    let settings = of(&[0.1], LevelChoice::Triangles(3000));
-    let report = archive
-        .write_series(
-            StepRange::default(),
-            &settings,
-            &dir.path().join("s_%d.ply"),
-            isospan::formats::surface::SurfaceFormat::Ply,
-            &Silent,
-        )
-        .unwrap();
+    let few = LevelChoice::Triangles(3000);
+    let report = archive.steps(..).unwrap().query(0.1).level(few).write(dir.path().join("s_%d.ply")).unwrap();
     let levels: Vec<usize> = report.steps.iter().map(|step| step.report.level.unwrap()).collect();
     assert!(report.steps.iter().all(|step| step.report.triangles <= 3000));
     assert!(levels[0] > 0 && levels[1] < levels[0], "{levels:?}");
     // A moment between two steps has levels, and no errors.
     let between = archive.at(pipeline::StepChoice::Time(0.5)).unwrap();
-    assert!(between.surfaces(&of(&[0.1], LevelChoice::Level(1))).is_ok());
-    assert!(between.surfaces(&settings).is_ok());
-    let error = between.surfaces(&of(&[0.1], LevelChoice::Error(Bound::Value(1.0)))).unwrap_err();
+    assert!(between.query(0.1).level(at(1)).mesh().is_ok());
+    assert!(between.query(0.1).level(few).mesh().is_ok());
+    let error = between.query(0.1).level(LevelChoice::Error(Bound::Value(1.0))).mesh().unwrap_err();
     assert!(error.to_string().contains("between two"), "{error}");
 }
 
@@ -380,10 +356,10 @@ fn threads_and_memory_do_not_choose_another_level() {
     let dir = tempfile::tempdir().unwrap();
     let [_, out] = made(dir.path(), [300, 60, 70], rough);
     let archive = Archive::open(&out).unwrap();
-    let settings = of(&[0.1], LevelChoice::Triangles(5000));
-    let whole = surfaces(&archive, &settings);
+    let query = archive.query(0.1).level(LevelChoice::Triangles(5000));
+    let whole = surfaces(&query);
     let resources = Resources::default().with_threads(1).with_memory(100 << 20);
-    assert!(surfaces(&archive, &SurfaceSettings { resources, ..settings }) == whole);
+    assert!(surfaces(&query.resources(resources)) == whole);
 }
 
 fn isospan(dir: &Path, command: &str) -> (bool, String, String) {
@@ -476,6 +452,6 @@ fn damaged_levels_are_an_error() {
     let name = folder(&out).into_keys().find(|name| name.to_string_lossy().ends_with("coarse.seg")).unwrap();
     std::fs::write(out.join(name), b"no").unwrap();
     let archive = Archive::open(&out).unwrap();
-    let found = archive.level_of(&of(&[0.1], LevelChoice::Triangles(100)));
+    let found = archive.query(0.1).level(LevelChoice::Triangles(100)).chosen_level();
     assert!(matches!(found, Err(Error::BadInput { .. } | Error::Incomplete { .. })), "{found:?}");
 }

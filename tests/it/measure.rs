@@ -1,12 +1,11 @@
 //! An archive carries its error against the samples that it was made from, and it is the one that
 //! anybody can work out.
 
-use crate::common::{reduce, settings, summarize, waves, write_npy};
-use isospan::exec::Silent;
+use crate::common::{measurement, reduce, settings, summarize, waves, write_npy};
 use isospan::formats::{OpenOptions, open_volume};
 use isospan::grid::IndexBox;
 use isospan::measure::FieldError;
-use isospan::pipeline::{Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, measure};
+use isospan::pipeline::{Amount, MeasureReport, NanPolicy, ReduceSettings};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::volume::VolumeSource;
@@ -14,12 +13,8 @@ use isospan::{Archive, Error, Resources};
 use std::path::Path;
 
 fn measured(archive: &Path, input: &Path, threads: usize, map: Option<&Path>) -> MeasureReport {
-    let settings = MeasureSettings {
-        resources: Resources::default().with_threads(threads).with_memory(1 << 30),
-        map: map.map(Path::to_path_buf),
-        ..MeasureSettings::default()
-    };
-    measure(archive, input, &OpenOptions::default(), &settings, &Silent).unwrap()
+    let resources = Resources::default().with_threads(threads).with_memory(1 << 30);
+    measurement(archive, input).map(map.map(Path::to_path_buf)).resources(resources).run().unwrap()
 }
 
 fn stored(archive: &Path) -> FieldError {
@@ -169,11 +164,7 @@ fn another_input_is_refused_in_one_line() {
     let out = dir.path().join("a.isospan");
     reduce(&input, &ReduceSettings::exact(SetKind::Regular), &out, 1);
     let refused = |input: &Path, memory: u64| {
-        let settings = MeasureSettings {
-            resources: Resources::default().with_memory(memory),
-            ..MeasureSettings::default()
-        };
-        measure(&out, input, &OpenOptions::default(), &settings, &Silent).unwrap_err()
+        measurement(&out, input).resources(Resources::default().with_memory(memory)).run().unwrap_err()
     };
     let e = refused(&other, 1 << 30).to_string();
     assert!(

@@ -1,14 +1,13 @@
 //! Reductions of tetrahedral meshes: the reduced domain is the mesh's, and surfaces are those of
 //! its field.
 
-use crate::common::{self, check_archive, read, run, surface, triangle_set, write_mesh, write_placed};
+use crate::common::{
+    self, addition, check_archive, measurement, read, run, surface, triangle_set, write_mesh, write_placed,
+};
 use isospan::Resources;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{
-    Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, append,
-    measure, reduce_series,
-};
+use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings, RunSettings, reduce_series};
 use isospan::sample::Interpolation;
 use isospan::surface::check::{SurfaceReport, check};
 use std::fmt::Write as _;
@@ -241,9 +240,8 @@ fn appended_steps_have_the_bodies_of_the_first() {
     let made = |steps: &[StepSource], name: &str| {
         reduce_series(steps, &settings, &out(name), &run(2), &Silent).unwrap()
     };
-    let add = |step: &StepSource, name: &str| {
-        append(std::slice::from_ref(step), &AppendSettings::default(), &out(name), &run(1), &Silent)
-    };
+    let add =
+        |step: &StepSource, name: &str| addition(std::slice::from_ref(step), &run(1)).append_to(&out(name));
     for (case, first, bodies) in [("smooth", &smooth[0], 1), ("jump", &jump, 2)] {
         let [all, grown] = ["all", "grown"].map(|kind| format!("{case}-{kind}.isospan"));
         let found = made(&[first.clone(), smooth[1].clone()], &all).mesh.unwrap();
@@ -306,9 +304,8 @@ fn steps_of_other_meshes_are_refused() {
         (&other, "d.vtk: step 1, cells: expected those of a.vtk, step 0, got others"),
         (&volume, "v.npy: step 1, kind of file: expected a mesh"),
     ];
-    let how = AppendSettings::default();
     for (step, expected) in &cases {
-        let e = append(std::slice::from_ref(step), &how, &out, &run(1), &Silent).unwrap_err();
+        let e = addition(std::slice::from_ref(step), &run(1)).append_to(&out).unwrap_err();
         let text = e.to_string();
         assert!(e.exit_code() == 5 && text.contains(expected) && !text.contains('\n'), "{expected}: {text}");
         assert!(common::folder(&out) == before, "{expected}");
@@ -318,7 +315,7 @@ fn steps_of_other_meshes_are_refused() {
     write_mesh(&good.path, 6, |_| true, |p| p, |p| p[2]);
     let steps: Vec<StepSource> = cases.iter().map(|c| c.0.clone()).chain([good]).collect();
     let keep_going = RunSettings { keep_going: true, ..run(2) };
-    let report = append(&steps, &how, &out, &keep_going, &Silent).unwrap();
+    let report = addition(&steps, &keep_going).append_to(&out).unwrap();
     assert_eq!(report.steps.iter().map(|s| s.number).collect::<Vec<_>>(), [5]);
     assert_eq!(report.skipped.iter().map(|s| s.number).collect::<Vec<_>>(), [1, 2, 3, 4]);
     check_archive(&out).unwrap();
@@ -326,7 +323,7 @@ fn steps_of_other_meshes_are_refused() {
     let out = dir.path().join("v.isospan");
     let settings = ReduceSettings::exact(isospan::points::SetKind::Regular);
     reduce_series(std::slice::from_ref(&volume), &settings, &out, &run(2), &Silent).unwrap();
-    let e = append(std::slice::from_ref(&first), &how, &out, &run(1), &Silent).unwrap_err();
+    let e = addition(std::slice::from_ref(&first), &run(1)).append_to(&out).unwrap_err();
     assert!(e.exit_code() == 5 && e.to_string().contains("a volume, as other steps are"), "{e}");
 }
 
@@ -430,11 +427,8 @@ fn the_error_at_the_vertices_is_measured() {
     assert!(e.rms > 1e-4 && e.max < 0.1, "{e:?}");
     let worst = e.worst.as_ref().unwrap();
     assert!((worst.original - field(worst.world)).abs() < 1e-5, "{worst:?}");
-    let again = MeasureSettings {
-        resources: Resources::default().with_threads(1).with_memory(1 << 30),
-        ..MeasureSettings::default()
-    };
-    let again = measure(&out, &input, &OpenOptions::default(), &again, &Silent).unwrap();
+    let resources = Resources::default().with_threads(1).with_memory(1 << 30);
+    let again = measurement(&out, &input).resources(resources).run().unwrap();
     assert!(again.same_source && again.error == e);
 }
 

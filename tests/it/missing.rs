@@ -6,8 +6,7 @@ use isospan::Archive;
 use isospan::exec::Silent;
 use isospan::formats::StepSource;
 use isospan::pipeline::{
-    self, AppendSettings, Bound, LevelChoice, NanPolicy, ReduceReport, ReduceSettings, RunSettings,
-    StepChoice, SurfaceSettings, Target,
+    self, Bound, LevelChoice, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice, Target,
 };
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
@@ -155,12 +154,8 @@ fn no_surface_and_no_cap_lies_in_a_cell_with_a_missing_sample() {
         for (level, cap) in [(0, false), (0, true), (1, true), (2, true), (3, true), (4, false)] {
             let stride = levels[level].stride.map(|n| n as usize);
             let (nodes, size) = thinned(&values, dims, stride);
-            let settings = SurfaceSettings {
-                level: Some(LevelChoice::Level(level as u32)),
-                cap,
-                ..SurfaceSettings::of(isovalue)
-            };
-            let mesh = archive.surfaces(&settings).unwrap().remove(0);
+            let choice = LevelChoice::Level(level as u32);
+            let mesh = archive.query(isovalue).level(choice).cap(cap).mesh().unwrap();
             assert!(mesh.triangles.len() > 10, "level {level}");
             for &triangle in &mesh.triangles {
                 let cell = cell_of(&mesh, triangle, stride, size);
@@ -197,7 +192,7 @@ fn steps_have_masks_of_their_own_and_can_be_added() {
     make(&paths, &settings, &together, &run(2));
     make(&paths[..1], &settings, &grown, &run(1));
     let added: Vec<StepSource> = paths[1..].iter().map(|path| StepSource::from(*path)).collect();
-    pipeline::append(&added, &AppendSettings::default(), &grown, &run(2), &Silent).unwrap();
+    addition(&added, &run(2)).append_to(&grown).unwrap();
     assert!(folder(&together) == folder(&grown));
     check_archive(&together).unwrap();
     let archive = Archive::open(&together).unwrap();
@@ -301,8 +296,7 @@ fn lost_and_damaged_files_are_found_out() {
     let before = folder(&out);
     let answer = |out: &Path| -> isospan::Result<(TriMesh, TriMesh)> {
         let archive = Archive::open(out)?;
-        let settings = SurfaceSettings { level: Some(LevelChoice::Level(3)), ..SurfaceSettings::of(0.1) };
-        Ok((archive.surface(0.1)?, archive.surfaces(&settings)?.remove(0)))
+        Ok((archive.surface(0.1)?, archive.query(0.1).level(LevelChoice::Level(3)).mesh()?))
     };
     let right = answer(&out).unwrap();
     let mut errors = 0;

@@ -6,10 +6,7 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::{Input, OpenOptions, StepSource, open_input, open_mesh};
-use isospan::pipeline::{
-    self, Adapt, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ProbeSettings,
-    ReduceSettings, SurfaceSettings,
-};
+use isospan::pipeline::{self, Adapt, Amount, ExportSettings, NanPolicy, ProbeSettings, ReduceSettings};
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
@@ -98,12 +95,8 @@ fn a_small_wave_on_a_large_number_is_all_there() {
         (worst.original - PASCAL).abs() < 3.5
             && ((worst.reduced - worst.original).abs() - error.max).abs() < 1e-6
     );
-    let how = MeasureSettings {
-        resources: Resources::default().with_memory(1 << 28),
-        ..MeasureSettings::default()
-    };
-    let measured =
-        pipeline::measure(&out("p.isospan"), &out("p.npy"), &OpenOptions::default(), &how, &Silent);
+    let little = Resources::default().with_memory(1 << 28);
+    let measured = measurement(&out("p.isospan"), &out("p.npy")).resources(little).run();
     assert_eq!(measured.unwrap().error, error);
     check_archive(&out("p.isospan")).unwrap();
 
@@ -118,9 +111,7 @@ fn a_small_wave_on_a_large_number_is_all_there() {
     }
     assert!(archive.surface(0.5).unwrap().triangles.is_empty());
     let file = out("two.ply");
-    let two = SurfaceSettings { isovalues: vec![PASCAL + 0.5, PASCAL + 0.75], ..SurfaceSettings::default() };
-    let told =
-        archive.write_surface(&two, &file, isospan::formats::surface::SurfaceFormat::Ply, &Silent).unwrap();
+    let told = archive.query([PASCAL + 0.5, PASCAL + 0.75]).write(&file).unwrap();
     assert_eq!(told.surfaces[1].isovalue, PASCAL + 0.75);
     assert!(String::from_utf8_lossy(&fs::read(&file).unwrap()).contains("property double isovalue"));
     let spectrum = archive.spectrum().unwrap();
@@ -181,8 +172,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
         reduce(&out("a.npy"), settings, &name("one"), 2);
         reduce_in_shards(&out("a.npy"), settings, &name("shards"));
         assert!(folder(&name("one")) == folder(&name("shards")), "{n}");
-        pipeline::append(&[step("b.npy")], &AppendSettings::default(), &name("one"), &run(2), &Silent)
-            .unwrap();
+        addition(&[step("b.npy")], &run(2)).append_to(&name("one")).unwrap();
         let steps = [step("a.npy"), step("b.npy")];
         let report = pipeline::reduce_series(&steps, settings, &name("two"), &run(1), &Silent).unwrap();
         assert!(folder(&name("one")) == folder(&name("two")), "{n}");
@@ -198,13 +188,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
     assert!(report.error.unwrap().rms < 0.5);
     // A step that the offset does not suit says what it loses.
     write_pressure(&out("far.npy"), 1e12, 0.0);
-    let report = pipeline::append(
-        &[step("far.npy")],
-        &AppendSettings::default(),
-        &out("one0.isospan"),
-        &run(2),
-        &Silent,
-    );
+    let report = addition(&[step("far.npy")], &run(2)).append_to(&out("one0.isospan"));
     let report = report.unwrap();
     let lost = report.steps[0].rounding.unwrap();
     assert!(lost > 3.0 && report.error.unwrap().max >= lost, "{lost}");
@@ -334,18 +318,14 @@ fn a_mesh_has_an_offset_too() {
         assert!(lo > PASCAL - 3.5 && hi < PASCAL + 3.5 && hi - lo > 4.0, "{lo} {hi}");
         let (error, wanted) = (report.error.unwrap(), small.error.unwrap());
         assert!((error.rms - wanted.rms).abs() < 1e-3 * wanted.rms, "{} {}", error.rms, wanted.rms);
-        let how = MeasureSettings {
-            resources: Resources::default().with_memory(1 << 28),
-            ..MeasureSettings::default()
-        };
-        let measured = pipeline::measure(&name("a"), &out("a.vtk"), &OpenOptions::default(), &how, &Silent);
+        let little = Resources::default().with_memory(1 << 28);
+        let measured = measurement(&name("a"), &out("a.vtk")).resources(little).run();
         assert_eq!(measured.unwrap().error, error);
         let [a, b] = [("a", PASCAL), ("small", 0.0)]
             .map(|(what, base)| area(&Archive::open(name(what)).unwrap().surface(base + 0.5).unwrap()));
         assert!((a - b).abs() < 1e-3 * b && b > 0.1, "{a} {b}");
         let later = StepSource::new(&out("later.vtk"), &OpenOptions::default());
-        let report =
-            pipeline::append(&[later], &AppendSettings::default(), &name("a"), &run(2), &Silent).unwrap();
+        let report = addition(&[later], &run(2)).append_to(&name("a")).unwrap();
         let [low, _] = report.range.unwrap();
         assert!((low - lo - 0.5).abs() < 0.2, "{low} {lo}");
         check_archive(&name("a")).unwrap();

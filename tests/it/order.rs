@@ -4,7 +4,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{self, Amount, AppendSettings, ReduceReport, ReduceSettings, StepChoice};
+use isospan::pipeline::{self, Amount, ReduceReport, ReduceSettings, StepChoice};
 use isospan::points::SetKind;
 use isospan::{Archive, Result};
 use std::fs;
@@ -34,8 +34,7 @@ fn reduce(steps: &[StepSource], bits: Option<f64>, out: &Path) {
 }
 
 fn append(steps: &[StepSource], replace: bool, out: &Path) -> Result<ReduceReport> {
-    let how = AppendSettings { replace, ..AppendSettings::default() };
-    pipeline::append(steps, &how, out, &run(2), &Silent)
+    addition(steps, &run(2)).replace(replace).append_to(out)
 }
 
 /// The numbers and times of an archive's steps.

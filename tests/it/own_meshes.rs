@@ -2,14 +2,14 @@
 //! answer.
 
 use crate::common::{
-    self, check_archive, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed,
+    self, addition, check_archive, folder, measurement, query, reduce_in_shards, run, triangle_set,
+    write_mesh, write_placed,
 };
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, SurfaceSettings, append, measure, reduce_series,
+    self, Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, Roi, RunSettings, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Interpolation;
@@ -39,11 +39,7 @@ fn kept(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings) -
 }
 
 fn extracted(archive: &Path, isovalue: f64, threads: usize) -> TriMesh {
-    let settings = SurfaceSettings {
-        resources: Resources::default().with_threads(threads),
-        ..SurfaceSettings::of(isovalue)
-    };
-    Archive::open(archive).unwrap().surfaces(&settings).unwrap().remove(0)
+    query(archive, isovalue).resources(Resources::default().with_threads(threads)).mesh().unwrap()
 }
 
 /// A mesh as its file gives it.
@@ -249,13 +245,9 @@ fn a_long_tetrahedron_is_found_wherever_it_is() {
             ([1.2 + 0.1 * x, -0.3 + 1.9 * x + 0.025 * x, -0.4 + 2.1 * x + 0.025 * (1.0 - x)], 2),
         ] {
             let around: Vec<String> = place.iter().map(|c| format!("{}:{}", c - 0.06, c + 0.06)).collect();
-            let roi = Some(format!("world:{}", around.join(",")).parse().unwrap());
-            let settings = SurfaceSettings {
-                resources: Resources::default().with_threads(2),
-                roi,
-                ..SurfaceSettings::of(at)
-            };
-            let cut = Archive::open(&archive).unwrap().surfaces(&settings).unwrap().remove(0);
+            let region: Roi = format!("world:{}", around.join(",")).parse().unwrap();
+            let resources = Resources::default().with_threads(2);
+            let cut = query(&archive, at).region(region).resources(resources).mesh().unwrap();
             assert!(
                 cut.triangles.len() >= triangles,
                 "{at}: {place:?} of {} triangles",
@@ -438,8 +430,7 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
     reduce_series(&steps[..2], &whole(100), &out("grown.isospan"), &run(1), &Silent).unwrap();
     for step in &steps[2..] {
         let one = std::slice::from_ref(step);
-        let report =
-            append(one, &AppendSettings::default(), &out("grown.isospan"), &run(2), &Silent).unwrap();
+        let report = addition(one, &run(2)).append_to(&out("grown.isospan")).unwrap();
         assert!(report.own);
     }
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
@@ -451,17 +442,14 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
         let (triangles, area, euler) = mesh.contour(0.43);
         assert_eq!((found.triangles, found.euler), (triangles, euler), "step {n}");
         assert!((found.area - area).abs() < 1e-6, "step {n}");
-        let how = MeasureSettings { step: Some(n as u64), ..MeasureSettings::default() };
-        let told =
-            measure(&out("all.isospan"), &source.path, &OpenOptions::default(), &how, &Silent).unwrap();
+        let told = measurement(&out("all.isospan"), &source.path).step(n as u64).run().unwrap();
         assert!(told.same_source && told.error.max == 0.0 && told.error.measured == all.samples, "step {n}");
     }
     // Another mesh is no step.
     let other = dir.path().join("other.vtk");
     write_placed(&other, 9, keep, |p| (closed(p).map(|c| c * c), p[2]));
     let other = StepSource::new(&other, &OpenOptions::default());
-    let e =
-        append(&[other], &AppendSettings::default(), &out("grown.isospan"), &run(2), &Silent).unwrap_err();
+    let e = addition(&[other], &run(2)).append_to(&out("grown.isospan")).unwrap_err();
     assert_eq!(e.exit_code(), 5, "{e}");
 }
 
@@ -504,17 +492,13 @@ fn errors_are_those_of_rounded_values_alone() {
     let (e, bound) = (report.error.unwrap(), report.quantiser.unwrap().bound);
     assert!(e.rms > 0.0 && e.max <= bound * 1.000_001 && e.max > bound / 4.0, "{e:?} {bound}");
     let map = dir.path().join("map.vti");
-    let how = MeasureSettings {
-        resources: Resources::default().with_threads(1),
-        map: Some(map.clone()),
-        ..MeasureSettings::default()
-    };
-    let told = measure(&out, &input, &OpenOptions::default(), &how, &Silent).unwrap();
+    let one = Resources::default().with_threads(1);
+    let told = measurement(&out, &input).map(map.clone()).resources(one).run().unwrap();
     assert!(told.same_source && told.error == e && map.exists());
     // The field of another file with as many vertices that are elsewhere is no original.
     let other = dir.path().join("other.vtk");
     write_mesh(&other, 9, |[x, y, _]| x < 0.5 || y < 0.5, |[x, y, z]| [x, y * y, z], |p| p[0]);
-    let e = measure(&out, &other, &OpenOptions::default(), &MeasureSettings::default(), &Silent).unwrap_err();
+    let e = measurement(&out, &other).run().unwrap_err();
     assert!(e.exit_code() == 5 && e.to_string().contains("a mesh with others"), "{e}");
 }
 

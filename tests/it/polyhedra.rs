@@ -1,12 +1,9 @@
 //! Meshes of polyhedra: they are split without holes, and agree with other cells.
 
-use crate::common::{check_archive, folder, manifest_json, run};
+use crate::common::{addition, check_archive, folder, manifest_json, measurement, query, run};
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{
-    Amount, AppendSettings, MeasureSettings, MeshCensus, ReduceReport, ReduceSettings, RunSettings, append,
-    measure, reduce_series,
-};
+use isospan::pipeline::{Amount, MeshCensus, ReduceReport, ReduceSettings, RunSettings, reduce_series};
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
 use isospan::{Archive, Resources};
@@ -244,12 +241,7 @@ fn volume(archive: &Path) -> f64 {
 }
 
 fn surface(archive: &Path, isovalue: f64) -> TriMesh {
-    let archive = Archive::open(archive).unwrap();
-    let settings = isospan::pipeline::SurfaceSettings {
-        resources: Resources::default().with_threads(2),
-        ..isospan::pipeline::SurfaceSettings::of(isovalue)
-    };
-    archive.surfaces(&settings).unwrap().remove(0)
+    query(archive, isovalue).resources(Resources::default().with_threads(2)).mesh().unwrap()
 }
 
 fn census(report: &ReduceReport) -> MeshCensus {
@@ -497,7 +489,7 @@ fn steps_and_other_fields_of_polyhedra() {
     let out = |name: &str| dir.path().join(name);
     reduce_series(&steps, &whole, &out("all.isospan"), &run(2), &Silent).unwrap();
     reduce_series(&steps[..1], &whole, &out("grown.isospan"), &run(1), &Silent).unwrap();
-    append(&steps[1..], &AppendSettings::default(), &out("grown.isospan"), &run(2), &Silent).unwrap();
+    addition(&steps[1..], &run(2)).append_to(&out("grown.isospan")).unwrap();
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
     check_archive(&out("grown.isospan")).unwrap();
     let areas: Vec<f64> = (0..3u32)
@@ -511,9 +503,7 @@ fn steps_and_other_fields_of_polyhedra() {
         "the surface stays where it is: {areas:?}"
     );
     for (n, source) in steps.iter().enumerate() {
-        let how = MeasureSettings { step: Some(n as u64), ..MeasureSettings::default() };
-        let told =
-            measure(&out("all.isospan"), &source.path, &OpenOptions::default(), &how, &Silent).unwrap();
+        let told = measurement(&out("all.isospan"), &source.path).step(n as u64).run().unwrap();
         assert!(told.same_source && told.error.max == 0.0);
         assert_eq!(told.error.measured, mesh.points.len() as u64);
     }

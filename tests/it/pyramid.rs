@@ -3,10 +3,7 @@
 use crate::common::*;
 use isospan::exec::{CancelToken, Resources, Silent};
 use isospan::formats::StepSource;
-use isospan::pipeline::{
-    self, AppendSettings, Bound, LevelChoice, ReduceSettings, RunSettings, StepChoice, StepRange,
-    SurfaceSettings, Target,
-};
+use isospan::pipeline::{self, Bound, LevelChoice, ReduceSettings, Roi, RunSettings, StepChoice, Target};
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
@@ -168,22 +165,17 @@ fn surfaces_are_those_of_the_samples() {
     for isovalue in [-0.5, 0.1, 0.4] {
         let count = archive.count(isovalue).unwrap().active_cells;
         assert_eq!(count, crossed(&values, archive.dims(), isovalue), "{isovalue}");
-        let settings = SurfaceSettings { cap: true, ..SurfaceSettings::of(isovalue) };
-        let closed = archive.surfaces(&settings).unwrap().remove(0);
+        let closed = archive.query(isovalue).cap(true).mesh().unwrap();
         let checked = check(&closed);
         assert!(checked.is_closed() && checked.is_manifold(), "{isovalue}: {checked:?}");
         // A region has the same triangles, cut.
         let whole = archive.surface(isovalue).unwrap();
-        let region = "20:280,:,5:".parse().unwrap();
-        let settings = SurfaceSettings { roi: Some(region), ..SurfaceSettings::of(isovalue) };
-        let part = archive.surfaces(&settings).unwrap().remove(0);
+        let region: Roi = "20:280,:,5:".parse().unwrap();
+        let part = archive.query(isovalue).region(region).mesh().unwrap();
         assert!(!part.triangles.is_empty() && part.triangles.len() < whole.triangles.len());
         // Neither threads nor memory show.
-        let one = SurfaceSettings {
-            resources: Resources::default().with_threads(1).with_memory(100 << 20),
-            ..SurfaceSettings::of(isovalue)
-        };
-        assert!(archive.surfaces(&one).unwrap()[0] == whole);
+        let little = Resources::default().with_threads(1).with_memory(100 << 20);
+        assert!(archive.query(isovalue).resources(little).mesh().unwrap() == whole);
     }
 }
 
@@ -196,14 +188,11 @@ fn levels_are_coarser_and_a_missing_one_is_named() {
     let archive = Archive::open(&out).unwrap();
     let levels = archive.info().unwrap().pyramid;
     assert_eq!((levels[0].nodes, levels[1].nodes), ([64, 60, 70], [32, 30, 35]));
-    let surface = |level| {
-        archive
-            .surfaces(&SurfaceSettings { level: Some(LevelChoice::Level(level)), ..SurfaceSettings::of(0.1) })
-    };
+    let surface = |level| archive.query(0.1).level(LevelChoice::Level(level)).mesh();
     let area = |mesh: &TriMesh| check(mesh).area;
-    let fine = surface(0).unwrap().remove(0);
+    let fine = surface(0).unwrap();
     for level in 1..4 {
-        let coarse = surface(level).unwrap().remove(0);
+        let coarse = surface(level).unwrap();
         let fewer = fine.triangles.len() as f64 / coarse.triangles.len() as f64;
         let expected = 4f64.powi(level as i32);
         assert!((0.7 * expected..1.5 * expected).contains(&fewer), "level {level}: {fewer}");
@@ -250,7 +239,7 @@ fn steps_of_a_series_are_made_together_or_one_after_another() {
     let [together, grown] = ["together", "grown"].map(|name| dir.path().join(format!("{name}.isospan")));
     pipeline::reduce_series(&sources, &rms(0.01), &together, &run(2), &Silent).unwrap();
     pipeline::reduce_series(&sources[..1], &rms(0.01), &grown, &run(2), &Silent).unwrap();
-    pipeline::append(&sources[1..], &AppendSettings::default(), &grown, &run(2), &Silent).unwrap();
+    addition(&sources[1..], &run(2)).append_to(&grown).unwrap();
     let archive = Archive::open(&together).unwrap();
     let grown = Archive::open(&grown).unwrap();
     assert_eq!(samples(&grown, StepChoice::Number(2)).len(), 60 * 40 * 34);
@@ -310,20 +299,19 @@ fn steps_are_stored_as_what_changes() {
     assert!(folder(&out("shards")) == expected);
     pipeline::reduce_series(&sources[..1], &of(3), &out("grown"), &run(2), &Silent).unwrap();
     for added in [&sources[1..2], &sources[2..6], &sources[6..]] {
-        pipeline::append(added, &AppendSettings::default(), &out("grown"), &run(2), &Silent).unwrap();
+        addition(added, &run(2)).append_to(&out("grown")).unwrap();
     }
     assert!(folder(&out("grown")) == expected);
     // A step by itself, and one after another; a box of it, and all.
     let archive = Archive::open(out("all")).unwrap();
-    let settings = SurfaceSettings::of(0.4);
     let mut steps = 0;
     let each = |number: u64, _: f64, meshes: &mut Vec<TriMesh>| {
-        let alone = Archive::open(out("all"))?.at(StepChoice::Number(number))?.surfaces(&settings)?;
+        let alone = Archive::open(out("all"))?.step(number)?.query(0.4).meshes()?;
         assert!(*meshes == alone && !alone[0].triangles.is_empty(), "step {number}");
         steps += 1;
         Ok(())
     };
-    archive.surfaces_of_steps(StepRange::default(), &settings, each).unwrap();
+    archive.steps(..).unwrap().query(0.4).for_each(each).unwrap();
     assert_eq!(steps, 7);
 }
 
@@ -341,12 +329,11 @@ fn a_step_that_others_refer_to_can_be_lost_or_replaced() {
     assert!(matches!(asked, Err(Error::Incomplete { .. })), "{:?}", asked.err());
     pipeline::reduce_series(&sources[..4], &settings, &out, &run(2), &Silent).unwrap();
     assert!(folder(&out) == before && values(3) == last);
-    let how = AppendSettings { replace: true, ..AppendSettings::default() };
     std::fs::copy(dir.path().join("6.npy"), dir.path().join("1.npy")).unwrap();
-    pipeline::append(&sources[1..2], &how, &out, &run(2), &Silent).unwrap();
+    addition(&sources[1..2], &run(2)).replace(true).append_to(&out).unwrap();
     check_archive(&out).unwrap();
     assert!(values(3) == last && values(1) != values(2));
-    pipeline::append(&sources[4..5], &AppendSettings::default(), &out, &run(2), &Silent).unwrap();
+    addition(&sources[4..5], &run(2)).append_to(&out).unwrap();
     check_archive(&out).unwrap();
     assert!(values(3) == last && values(4).len() == last.len());
 }
@@ -371,7 +358,7 @@ fn a_first_step_that_is_constant_decides_nothing() {
         let alone = pipeline::reduce_series(&sources[..1], &settings, &out, &replaced, &Silent).unwrap();
         assert!(alone.target.unwrap().met && alone.steps[0].error.unwrap()[1] == 0.0, "{target:?}");
         // What is added has the bound of the first, or the usual error.
-        let added = pipeline::append(&sources[1..], &AppendSettings::default(), &out, &run(2), &Silent);
+        let added = addition(&sources[1..], &run(2)).append_to(&out);
         for (n, step) in (1..).zip(added.unwrap().steps) {
             let [rms, max] = step.error.unwrap();
             let range = 4e-3 * f64::from(n);
@@ -396,7 +383,7 @@ fn steps_that_are_added_keep_the_bound() {
         let [together, grown] = ["a", "b"].map(|part| dir.path().join(format!("{name}-{part}.isospan")));
         pipeline::reduce_series(&sources, &pyramid(Some(target)), &together, &run(2), &Silent).unwrap();
         pipeline::reduce_series(&sources[..1], &pyramid(Some(target)), &grown, &run(2), &Silent).unwrap();
-        let added = pipeline::append(&sources[1..], &AppendSettings::default(), &grown, &run(2), &Silent);
+        let added = addition(&sources[1..], &run(2)).append_to(&grown);
         assert!(added.unwrap().steps.iter().all(|step| step.error.unwrap()[1] <= most), "{name}");
         assert!(folder(&together) == folder(&grown), "{name}");
     }
@@ -470,8 +457,8 @@ fn what_asks_for_tetrahedra_or_points_is_refused_by_name() {
     let points = dir.path().join("points.isospan");
     let halton = ReduceSettings::exact(SetKind::Halton);
     reduce(&input, &halton, &points, 2);
-    let settings = SurfaceSettings { level: Some(LevelChoice::Level(1)), ..SurfaceSettings::of(0.1) };
-    let error = Archive::open(&points).unwrap().surfaces(&settings).unwrap_err().to_string();
+    let level_1 = query(&points, 0.1).level(LevelChoice::Level(1));
+    let error = level_1.mesh().unwrap_err().to_string();
     assert!(error.contains("is no pyramid: it has no levels"), "{error}");
     let refused = |settings: &ReduceSettings| {
         let out = dir.path().join("no.isospan");

@@ -2,10 +2,8 @@
 //! the whole, cut.
 
 use crate::common::*;
-use isospan::exec::Silent;
-use isospan::formats::surface::SurfaceFormat;
 use isospan::grid::Geometry;
-use isospan::pipeline::{Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport, SurfaceSettings};
+use isospan::pipeline::{Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport};
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
 use isospan::surface::check::{
@@ -26,22 +24,14 @@ fn archive(dir: &Path, kind: SetKind) -> PathBuf {
     out
 }
 
-fn ask(archive: &Path, settings: &SurfaceSettings, out: &Path) -> SurfaceReport {
-    extract_surface(archive, settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent).unwrap()
-}
-
 #[test]
 fn several_isovalues_give_the_bytes_of_each_alone() {
     let dir = tempfile::tempdir().unwrap();
     let archive = archive(dir.path(), SetKind::Hammersley);
     let isovalues = [0.9, -0.7, 1e9, 0.0];
     for extension in ["ply", "stl", "obj", "vtp", "vtkhdf"] {
-        let settings = SurfaceSettings {
-            resources: Resources::default().with_threads(2),
-            isovalues: isovalues.to_vec(),
-            ..SurfaceSettings::default()
-        };
-        let report = ask(&archive, &settings, &dir.path().join(format!("all_{{}}.{extension}")));
+        let query = query(&archive, isovalues).resources(Resources::default().with_threads(2));
+        let report = query.write(dir.path().join(format!("all_{{}}.{extension}"))).unwrap();
         let mut single = SurfaceReport::default();
         for (one, isovalue) in report.surfaces.iter().zip(isovalues) {
             assert_eq!(one.file, dir.path().join(format!("all_{isovalue}.{extension}")));
@@ -64,26 +54,21 @@ fn parts_of_surfaces_put_together_are_the_surfaces() {
         let dir = tempfile::tempdir().unwrap();
         let archive = Archive::open(archive(dir.path(), kind)).unwrap();
         for threads in [1, 2] {
-            let all = SurfaceSettings {
-                isovalues: vec![0.9, 1e9, 0.0],
-                resources: Resources::default().with_threads(threads),
-                ..SurfaceSettings::default()
-            };
-            let (found, parts) = streamed(&archive, &all);
-            assert!(found == archive.surfaces(&all).unwrap(), "{kind:?}, {threads} threads");
+            let resources = Resources::default().with_threads(threads);
+            let all = archive.query([0.9, 1e9, 0.0]).resources(resources);
+            let (found, parts) = streamed(&all);
+            assert!(found == all.meshes().unwrap(), "{kind:?}, {threads} threads");
             assert!(parts > 4 && found[1] == TriMesh::default(), "{parts} parts");
-            let roi = "5:30,:,2.5:20".parse().unwrap();
-            for settings in
-                [SurfaceSettings { roi: Some(roi), ..all.clone() }, SurfaceSettings { cap: true, ..all }]
-            {
-                let (found, parts) = streamed(&archive, &settings);
-                assert!(found == archive.surfaces(&settings).unwrap());
+            let region: Roi = "5:30,:,2.5:20".parse().unwrap();
+            for query in [all.clone().region(region), all.cap(true)] {
+                let (found, parts) = streamed(&query);
+                assert!(found == query.meshes().unwrap());
                 assert!(parts > 4, "{parts} parts, those of a preview too");
             }
         }
         // An error of whoever takes the parts ends it.
-        let mut refuse = |_: &isospan::pipeline::SurfacePart<'_>| Err(isospan::Error::Cancelled);
-        let ended = archive.stream_surfaces(&SurfaceSettings::of(0.0), &mut refuse, |_| Ok(()));
+        let mut refuse = |_: &isospan::pipeline::StreamedPart<'_>| Err(isospan::Error::Cancelled);
+        let ended = archive.query(0.0).stream(&mut refuse);
         assert!(matches!(ended, Err(isospan::Error::Cancelled)));
     }
 }
@@ -112,10 +97,9 @@ fn several_isovalues_in_one_file_follow_each_other() {
     let dir = tempfile::tempdir().unwrap();
     let archive = archive(dir.path(), SetKind::Halton);
     let isovalues = [0.9, -0.7, 0.0];
-    let settings = SurfaceSettings { isovalues: isovalues.to_vec(), ..SurfaceSettings::default() };
     for extension in ["ply", "obj", "vtp", "vtkhdf"] {
         let all = dir.path().join(format!("all.{extension}"));
-        ask(&archive, &settings, &all);
+        query(&archive, isovalues).write(&all).unwrap();
         let (joined, mut expected) = (read(&all), TriMesh::default());
         for isovalue in isovalues {
             let alone = dir.path().join(format!("one.{extension}"));
@@ -135,9 +119,8 @@ fn several_isovalues_in_one_file_follow_each_other() {
         assert!(text.contains(named) && text.contains("isovalue 0.9 -0.7"), "{extension}");
     }
     for isovalues in [vec![], vec![1.0, 2.0, 1.0], vec![1.0, f64::NAN], vec![1e300]] {
-        let wrong = SurfaceSettings { isovalues, ..SurfaceSettings::default() };
         let out = dir.path().join("x.ply");
-        let error = extract_surface(&archive, &wrong, &out, SurfaceFormat::Ply, &Silent);
+        let error = query(&archive, isovalues).write(&out);
         assert_eq!(error.unwrap_err().exit_code(), 2);
         assert!(!out.exists());
     }
@@ -162,9 +145,8 @@ fn a_box_cuts_every_surface_exactly_at_its_faces() {
         let archive = archive(dir.path(), kind);
         for roi in ["10:30.5,5:28,7.25:33", "20:21,:,:", ":,-5:16,12:99", "0:47,0:32,0:39"] {
             let roi: Roi = roi.parse().unwrap();
-            let settings = SurfaceSettings { roi: Some(roi), ..SurfaceSettings::of(0.1) };
             let file = dir.path().join("roi.ply");
-            let report = ask(&archive, &settings, &file);
+            let report = query(&archive, 0.1).region(roi).write(&file).unwrap();
             let mesh = read(&file);
             let sound = check(&mesh);
             assert!(
@@ -190,13 +172,10 @@ fn boxes_that_touch_make_the_whole() {
     let archive = archive(dir.path(), SetKind::Hammersley);
     let file = dir.path().join("part.ply");
     let part = |roi: Option<&str>, threads| {
-        let roi = roi.map(|text| text.parse().unwrap());
-        let settings = SurfaceSettings {
-            resources: Resources::default().with_threads(threads),
-            roi,
-            ..SurfaceSettings::of(-0.3)
-        };
-        (ask(&archive, &settings, &file), read(&file))
+        let region: Option<Roi> = roi.map(|text| text.parse().unwrap());
+        let query =
+            query(&archive, -0.3).region(region).resources(Resources::default().with_threads(threads));
+        (query.write(&file).unwrap(), read(&file))
     };
     let (whole_report, whole) = part(None, 2);
     let area = check(&whole).area;
@@ -246,8 +225,7 @@ fn a_box_in_the_world_goes_through_the_geometry() {
     reduce(&nhdr, &settings(SetKind::Halton, Amount::Fraction(1.0), 250_000), &out, 2);
     let cut = |roi: &str| {
         let file = dir.path().join("s.ply");
-        let settings = SurfaceSettings { roi: Some(roi.parse().unwrap()), ..SurfaceSettings::of(0.0) };
-        ask(&out, &settings, &file);
+        query(&out, 0.0).region(roi.parse::<Roi>().unwrap()).write(&file).unwrap();
         read(&file)
     };
     // Index axis 0 is world axis y in steps of 2; 14.5 is the middle.
@@ -258,8 +236,8 @@ fn a_box_in_the_world_goes_through_the_geometry() {
     assert!(index.vertices.iter().all(|v| v.position[1] > 229.0 - 1e-3));
     assert!((check(&world).area / report.area - 1.0).abs() < 1e-5);
     assert!(boundary_outside(&index, &Geometry::default(), [30; 3], 1e-3) > 20);
-    let outside = SurfaceSettings { roi: Some("world:0:1,:,:".parse().unwrap()), ..SurfaceSettings::of(0.0) };
-    let error = extract_surface(&out, &outside, &dir.path().join("x.ply"), SurfaceFormat::Ply, &Silent);
+    let outside: Roi = "world:0:1,:,:".parse().unwrap();
+    let error = query(&out, 0.0).region(outside).write(dir.path().join("x.ply"));
     assert!(error.unwrap_err().to_string().contains("outside the volume"));
 }
 
@@ -269,42 +247,27 @@ fn what_an_open_archive_keeps_does_not_show() {
     let archive = archive(dir.path(), SetKind::Hammersley);
     let file = dir.path().join("s.ply");
     let roi: Option<Roi> = Some("10:30,5:20.5,8:30".parse().unwrap());
-    let questions: Vec<SurfaceSettings> =
-        [(0.1, false, None), (0.15, true, None), (-0.3, false, roi), (0.1, false, None)]
-            .into_iter()
-            .flat_map(|(isovalue, cap, roi)| {
-                let settings = SurfaceSettings {
-                    resources: Resources::default().with_threads(2),
-                    cap,
-                    roi,
-                    ..SurfaceSettings::of(isovalue)
-                };
-                [settings.clone(), SurfaceSettings { isovalues: vec![isovalue, 0.4], ..settings }]
-            })
-            .collect();
-    let alone: Vec<TriMesh> = questions
-        .iter()
-        .flat_map(|q| {
-            q.isovalues.iter().map(|&v| {
-                ask(&archive, &SurfaceSettings { isovalues: vec![v], ..q.clone() }, &file);
-                read(&file)
-            })
-        })
-        .collect();
+    let asked = [(0.1, false, None), (0.15, true, None), (-0.3, false, roi), (0.1, false, None)];
+    let resources = |threads| Resources::default().with_threads(threads);
+    let alone = |isovalue: f64, cap, roi: Option<Roi>| {
+        query(&archive, isovalue).cap(cap).region(roi).resources(resources(2)).write(&file).unwrap();
+        read(&file)
+    };
+    let each = |(first, cap, roi)| [first, first, 0.4].map(|isovalue| alone(isovalue, cap, roi));
+    let alone: Vec<TriMesh> = asked.into_iter().flat_map(each).collect();
     assert!(alone.iter().all(|mesh| mesh.triangles.len() > 100));
     for kept in [0, 300_000, 256 << 20] {
         let open = isospan::Archive::open(&archive).unwrap().keeping(kept);
-        let found: Vec<TriMesh> = questions.iter().flat_map(|q| open.surfaces(q).unwrap()).collect();
+        let query = |isovalues: &[f64]| open.query(isovalues).resources(resources(2));
+        let each = |(first, cap, roi): (f64, bool, Option<Roi>)| {
+            [&[first][..], &[first, 0.4]].map(|v| query(v).cap(cap).region(roi).meshes().unwrap())
+        };
+        let found: Vec<TriMesh> = asked.into_iter().flat_map(each).flatten().collect();
         assert!(found == alone, "{kept} bytes kept");
         assert!(open.kept_bytes() <= kept && (kept == 0 || open.kept_bytes() > kept.min(1 << 20) / 4));
         // What is kept need not be read again.
-        let settings =
-            SurfaceSettings { resources: Resources::default().with_threads(1), ..SurfaceSettings::of(0.1) };
-        let format = SurfaceFormat::Ply;
-        let (first, second) = (
-            open.write_surface(&settings, &file, format, &Silent).unwrap(),
-            open.write_surface(&settings, &file, format, &Silent).unwrap(),
-        );
+        let query = open.query(0.1).resources(resources(1));
+        let (first, second) = (query.write(&file).unwrap(), query.write(&file).unwrap());
         assert_eq!((first.triangles, first.active_blocks), (second.triangles, second.active_blocks));
         assert_eq!(second.active_bytes == 0, kept > 1 << 20, "{kept}");
         assert!(read(&file) == alone[0]);
@@ -351,7 +314,7 @@ fn a_surface_that_ends_at_missing_samples_is_sound() {
         check_within(mesh, &domain, &CheckSettings::default(), &mut at_missing).unwrap().1
     };
     let whole = asked.surface(0.3).unwrap();
-    let (found, parts) = streamed(&asked, &SurfaceSettings::of(0.3));
+    let (found, parts) = streamed(&asked.query(0.3));
     assert!(found == [whole.clone()] && parts > 3, "{parts} parts, those of a preview too");
     let found = open(&whole);
     assert!(found.outside == 0 && found.at_missing > 100, "{found:?}");

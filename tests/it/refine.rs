@@ -3,9 +3,7 @@
 
 use crate::common::*;
 use isospan::Resources;
-use isospan::exec::Silent;
-use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{Amount, Refine, SurfaceReport, SurfaceSettings};
+use isospan::pipeline::{Amount, Refine};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
@@ -20,11 +18,6 @@ fn archive(dir: &Path, kind: SetKind) -> PathBuf {
     out
 }
 
-fn ask(archive: &Path, settings: &SurfaceSettings, out: &Path) -> SurfaceReport {
-    let format = SurfaceFormat::from_path(out).unwrap();
-    extract_surface(archive, settings, out, format, &Silent).unwrap()
-}
-
 #[test]
 fn capped_surfaces_are_closed_and_divide_the_box() {
     for kind in [SetKind::Hammersley, SetKind::Regular] {
@@ -34,12 +27,8 @@ fn capped_surfaces_are_closed_and_divide_the_box() {
         let whole = 39.0 * 32.0 * 35.0;
         let mut before = f64::INFINITY;
         for isovalue in [-1e9f32, -0.5, 0.1, 0.6, 1e9] {
-            let settings = SurfaceSettings {
-                resources: Resources::default().with_threads(2),
-                cap: true,
-                ..SurfaceSettings::of(isovalue)
-            };
-            ask(&archive, &settings, &file);
+            let query = query(&archive, isovalue).resources(Resources::default().with_threads(2));
+            query.cap(true).write(&file).unwrap();
             let report = check(&read(&file));
             assert!(
                 report.is_closed() && report.is_manifold() && report.is_oriented(),
@@ -67,13 +56,9 @@ fn threads_and_memory_do_not_show() {
     };
     let with = |name: &str, threads: usize, memory: u64| {
         let file = dir.path().join(name);
-        let settings = SurfaceSettings {
-            resources: Resources::default().with_threads(threads).with_memory(memory),
-            cap: true,
-            refine: refine.clone(),
-            ..SurfaceSettings::of(0.1)
-        };
-        (ask(&archive, &settings, &file), fs::read(&file).unwrap(), read(&file))
+        let resources = Resources::default().with_threads(threads).with_memory(memory);
+        let query = query(&archive, 0.1).cap(true).refine(refine.clone()).resources(resources);
+        (query.write(&file).unwrap(), fs::read(&file).unwrap(), read(&file))
     };
     let (report, bytes, mesh) = with("a.glb", 1, 1 << 30);
     assert!(bytes == with("b.glb", 4, 1 << 30).1 && bytes == with("c.glb", 2, 160 << 20).1);
@@ -99,9 +84,8 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
         Refine { components: Some(filter), decimate: None },
         Refine { components: None, decimate: Some(ratio) },
     ] {
-        let settings = SurfaceSettings { refine, ..SurfaceSettings::of(0.1) };
         let file = dir.path().join("none.ply");
-        let refused = extract_surface(&archive, &settings, &file, SurfaceFormat::Ply, &Silent);
+        let refused = query(&archive, 0.1).refine(refine).write(&file);
         assert_eq!((refused.unwrap_err().exit_code(), file.exists()), (2, false));
     }
 }

@@ -4,11 +4,10 @@
 use crate::common::*;
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
-use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Adapt, Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, Step, StepChoice, SurfaceSettings,
+    self, Adapt, Amount, NanPolicy, ReduceReport, ReduceSettings, Roi, RunSettings, Step, StepChoice,
+    StepRange,
 };
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
@@ -56,8 +55,7 @@ fn choice(number: u64) -> StepChoice {
 }
 
 fn surface_at(archive: &Path, step: StepChoice, isovalue: f32, out: &Path) -> Vec<u8> {
-    let (settings, format) = (SurfaceSettings::of(isovalue), SurfaceFormat::from_path(out).unwrap());
-    extract_surface_at(archive, step, &settings, out, format, &Silent).unwrap();
+    Archive::open(archive).unwrap().keeping(0).at(step).unwrap().query(isovalue).write(out).unwrap();
     fs::read(out).unwrap()
 }
 
@@ -120,13 +118,8 @@ fn each_step_is_what_it_is_alone() {
             let _ = fs::remove_dir_all(&one);
             reduce_all(std::slice::from_ref(step), &settings, &one, &run(2));
             same_answers(dir.path(), (&all, number), (&one, 0));
-            let settings = MeasureSettings {
-                resources: Resources::default().with_memory(1 << 28),
-                step: Some(number),
-                ..Default::default()
-            };
-            let measured =
-                pipeline::measure(&all, &step.path, &OpenOptions::default(), &settings, &Silent).unwrap();
+            let little = Resources::default().with_memory(1 << 28);
+            let measured = measurement(&all, &step.path).step(number).resources(little).run().unwrap();
             let stored =
                 |path, step| Archive::open(path).unwrap().step(step).unwrap().info().unwrap().error.unwrap();
             assert_eq!(measured.error, stored(&all, number));
@@ -155,8 +148,7 @@ fn steps_with_holes_are_fitted_as_alone() {
     reduce_all(&steps, &settings, &out("small.isospan"), &small);
     assert!(folder(&out("all.isospan")) == folder(&out("small.isospan")));
     reduce_all(&steps[..3], &settings, &out("grown.isospan"), &run(2));
-    let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
-    pipeline::append(&steps[3..], &how, &out("grown.isospan"), &run(2), &Silent).unwrap();
+    addition(&steps[3..], &run(2)).keyframes(3).append_to(&out("grown.isospan")).unwrap();
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
     for number in [1, 2, 3, 8, 9] {
         let _ = fs::remove_dir_all(out("one.isospan"));
@@ -236,18 +228,16 @@ fn appending_is_reducing_all_at_once() {
         reduce_all(&steps, &settings, &all, &run(2));
         reduce_all(&steps[..2], &settings, &grown, &run(2));
         for (from, to) in [(2, 3), (3, 7)] {
-            let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
-            let report = pipeline::append(&steps[from..to], &how, &grown, &run(1), &Silent).unwrap();
+            let report = addition(&steps[from..to], &run(1)).keyframes(3).append_to(&grown).unwrap();
             assert_eq!(report.steps.len(), to - from);
         }
         assert!(folder(&all) == folder(&grown), "{bits:?}");
         // Once more is not twice.
-        let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
-        let report = pipeline::append(&steps[3..7], &how, &grown, &run(1), &Silent).unwrap();
+        let report = addition(&steps[3..7], &run(1)).keyframes(3).append_to(&grown).unwrap();
         assert!(report.steps.is_empty() && folder(&all) == folder(&grown));
         // The same file at another time is another step.
         let again = steps[6].clone().at(Some(9.0));
-        let report = pipeline::append(&[again], &how, &grown, &run(1), &Silent).unwrap();
+        let report = addition(&[again], &run(1)).keyframes(3).append_to(&grown).unwrap();
         assert_eq!(report.steps.iter().map(|s| (s.number, s.time)).collect::<Vec<_>>(), [(7, Some(9.0))]);
     }
 }
@@ -258,7 +248,6 @@ fn appending_is_reducing_all_at_once() {
 fn appending_to_a_mesh_is_reducing_all_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let field = |name: &str| OpenOptions { field: Some(name.into()), ..OpenOptions::default() };
-    let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
     let grow = |steps: &[StepSource], cuts: &[usize], settings: &ReduceSettings| {
         let out = |name: &str| dir.path().join(name);
         for name in ["all.isospan", "grown.isospan"] {
@@ -267,15 +256,16 @@ fn appending_to_a_mesh_is_reducing_all_at_once() {
         reduce_all(steps, settings, &out("all.isospan"), &run(2));
         reduce_all(&steps[..cuts[0]], settings, &out("grown.isospan"), &run(2));
         for cut in cuts.windows(2) {
-            let report =
-                pipeline::append(&steps[cut[0]..cut[1]], &how, &out("grown.isospan"), &run(1), &Silent)
-                    .unwrap();
+            let report = addition(&steps[cut[0]..cut[1]], &run(1))
+                .keyframes(3)
+                .append_to(&out("grown.isospan"))
+                .unwrap();
             assert_eq!(report.steps.len(), cut[1] - cut[0]);
         }
         assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")), "{cuts:?}");
         // Once more is not twice.
         let last = &steps[cuts[cuts.len() - 2]..];
-        let report = pipeline::append(last, &how, &out("grown.isospan"), &run(1), &Silent).unwrap();
+        let report = addition(last, &run(1)).keyframes(3).append_to(&out("grown.isospan")).unwrap();
         assert!(report.steps.is_empty() && folder(&out("all.isospan")) == folder(&out("grown.isospan")));
         check_archive(&out("grown.isospan")).unwrap();
     };
@@ -340,7 +330,7 @@ fn a_bad_step_costs_itself_alone() {
     let none = pipeline::reduce_series(&steps[1..2], &few_points(), &out("n.isospan"), &keep_going, &Silent);
     assert_eq!(none.unwrap_err().exit_code(), 5);
     // Further steps are refused in the same way.
-    let e = pipeline::append(&steps[..1], &AppendSettings::default(), &out("a.isospan"), &run(1), &Silent);
+    let e = addition(&steps[..1], &run(1)).append_to(&out("a.isospan"));
     assert!(e.unwrap_err().to_string().contains("step 6, dimensions: expected 26 x 22 x 20, as step 0 has"));
 }
 
@@ -501,10 +491,9 @@ fn surfaces_of_many_steps_have_a_list() {
     write_npy(&steps[2].path, DIMS, |x, _, _| 0.01 * x);
     let archive = dir.path().join("a.isospan");
     reduce_all(&steps, &few_points(), &archive, &run(2));
-    let settings = SurfaceSettings::of(0.5);
+    let all = Archive::open(&archive).unwrap().keeping(0).steps(..).unwrap();
     let out = dir.path().join("s_%03d.vtp");
-    let all = pipeline::StepRange::default();
-    let report = extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
+    let report = all.query(0.5).write(&out).unwrap();
     assert_eq!(report.lists, [dir.path().join("s.pvd")]);
     assert_eq!(report.steps.iter().map(|s| s.skipped).collect::<Vec<_>>(), [false, false, true, false]);
     let listed = isospan::formats::steps_of(&report.lists, &OpenOptions::default()).unwrap();
@@ -516,9 +505,8 @@ fn surfaces_of_many_steps_have_a_list() {
     // What all steps share is read once: with little memory, where each is extracted by itself,
     // more is.
     let read = |memory| {
-        let settings =
-            SurfaceSettings { resources: settings.resources.clone().with_memory(memory), ..settings.clone() };
-        let report = extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
+        let resources = Resources::default().with_memory(memory);
+        let report = all.query(0.5).resources(resources).write(&out).unwrap();
         report.steps.iter().map(|s| s.report.bytes_read).sum::<u64>()
     };
     let passes = [1 << 30, 28 << 20, 24 << 20].map(read);
@@ -526,16 +514,15 @@ fn surfaces_of_many_steps_have_a_list() {
     assert_eq!(report.steps[2].report.triangles, 0);
     let read = [1, 2].map(|n: usize| report.steps[n].report.bytes_read);
     assert!(read[1] < read[0], "{read:?}");
-    let (some, out) = ("1:2".parse().unwrap(), dir.path().join("t%d_{}.ply"));
-    let two = SurfaceSettings { isovalues: vec![0.5, -0.25], ..SurfaceSettings::default() };
-    let report = extract_series(&archive, some, &two, &out, SurfaceFormat::Ply, &Silent).unwrap();
+    let some = Archive::open(&archive).unwrap().steps(1..=2).unwrap();
+    let report = some.query([0.5, -0.25]).write(dir.path().join("t%d_{}.ply")).unwrap();
     assert_eq!(report.lists, ["t_0.5.ply.series", "t_-0.25.ply.series"].map(|f| dir.path().join(f)));
     let listed = isospan::formats::steps_of(&report.lists[1..], &OpenOptions::default()).unwrap();
     assert_eq!(listed[1].path, dir.path().join("t2_-0.25.ply"));
-    let none = "7:".parse().unwrap();
-    let e = extract_series(&archive, none, &settings, &out, SurfaceFormat::Ply, &Silent).unwrap_err();
+    let none: StepRange = "7:".parse().unwrap();
+    let e = Archive::open(&archive).unwrap().steps(none).err().unwrap();
     assert!(e.exit_code() == 2 && e.to_string().contains("it has steps 0 to 3"), "{e}");
-    let spectra = Archive::open(&archive).unwrap().spectra(all).unwrap();
+    let spectra = all.spectra().unwrap();
     assert_eq!(
         spectra[3].spectrum.knots,
         Archive::open(&archive).unwrap().at(choice(3)).unwrap().spectrum().unwrap().knots
@@ -593,27 +580,23 @@ fn surfaces_of_steps_are_those_of_each_alone() {
     write_npy(&steps[1].path, DIMS, |x, _, _| 0.01 * x + 10.0);
     let hole = |x: f64, y: f64, z: f64| (x - 0.4).abs() + (y - 0.5).abs() + (z - 0.5).abs() < 0.3;
     write_npy(&steps[3].path, DIMS, |x, y, z| if hole(x, y, z) { f64::NAN } else { moving(3)(x, y, z) });
-    let asked = |cap, roi: Option<&str>| SurfaceSettings {
-        isovalues: vec![0.5, -0.25],
-        cap,
-        roi: roi.map(|roi| roi.parse().unwrap()),
-        ..SurfaceSettings::default()
-    };
-    let questions = [asked(false, None), asked(true, None), asked(false, Some("3:18,:,4:15"))];
+    let region: Roi = "3:18,:,4:15".parse().unwrap();
+    let questions = [(false, None), (true, None), (false, Some(region))];
     for (bits, keyframes) in [(None, 3), (Some(12.0), 16)] {
         let archive = dir.path().join(format!("a{keyframes}.isospan"));
         let settings = ReduceSettings { value_bits: bits, keyframes, nan: NanPolicy::Mask, ..few_points() };
         reduce_all(&steps, &settings, &archive, &run(2));
-        for question in &questions {
-            let alone =
-                |step| Archive::open(&archive).unwrap().step(step).unwrap().surfaces(question).unwrap();
+        for (cap, region) in questions {
+            let alone = |step| {
+                let step = Archive::open(&archive).unwrap().step(step).unwrap();
+                step.query([0.5, -0.25]).cap(cap).region(region).meshes().unwrap()
+            };
             let alone: Vec<_> = (0..5).map(alone).collect();
-            assert!(alone[1][0].triangles.is_empty() != question.cap && alone[0] != alone[4]);
+            assert!(alone[1][0].triangles.is_empty() != cap && alone[0] != alone[4]);
             for (threads, memory) in [(1, 1 << 30), (3, 1 << 30), (2, 40 << 20), (1, 27 << 20)] {
-                let settings = SurfaceSettings {
-                    resources: question.resources.clone().with_threads(threads).with_memory(memory),
-                    ..question.clone()
-                };
+                let all = Archive::open(&archive).unwrap().steps(..).unwrap();
+                let resources = Resources::default().with_threads(threads).with_memory(memory);
+                let query = all.query([0.5, -0.25]).cap(cap).region(region).resources(resources);
                 let mut next = 0;
                 let compare = |step, time, surfaces: &mut Vec<_>| {
                     assert_eq!((step, time), (next, 0.5 * next as f64));
@@ -624,8 +607,7 @@ fn surfaces_of_steps_are_those_of_each_alone() {
                     next += 1;
                     Ok(())
                 };
-                let open = Archive::open(&archive).unwrap();
-                open.surfaces_of_steps(pipeline::StepRange::default(), &settings, compare).unwrap();
+                query.for_each(compare).unwrap();
                 assert_eq!(next, 5);
             }
         }
@@ -646,27 +628,21 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     let settings = ReduceSettings { nan: NanPolicy::Mask, missing: Some(-1e34), ..few_points() };
     reduce_all(&steps, &settings, &out("all.isospan"), &run(2));
     reduce_all(&steps[..2], &settings, &out("grown.isospan"), &run(2));
-    let append = |steps: &[StepSource], how: &AppendSettings| {
-        pipeline::append(steps, how, &out("grown.isospan"), &run(2), &Silent).unwrap()
+    let append = |steps: &[StepSource], missing: Option<f64>| {
+        addition(steps, &run(2)).missing(missing).append_to(out("grown.isospan")).unwrap()
     };
-    append(&steps[2..3], &AppendSettings::default());
-    let report = append(&steps[3..], &AppendSettings::default());
+    append(&steps[2..3], None);
+    let report = append(&steps[3..], None);
     assert!(report.range.is_some_and(|[lo, hi]| lo > -10.0 && hi < 10.0), "{:?}", report.range);
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
     // Another missing value that is given is that of the new step, and of those behind it; it is
     // measured without being given again.
     let other = StepSource::new(&out("o.npy"), &OpenOptions::default()).at(Some(9.0));
     write_npy(&other.path, DIMS, |x, y, z| if x > 0.4 { -9999.0 } else { waves(x, y, z) });
-    let how = AppendSettings { missing: Some(-9999.0), ..AppendSettings::default() };
-    let report = append(std::slice::from_ref(&other), &how);
+    let report = append(std::slice::from_ref(&other), Some(-9999.0));
     assert!(report.range.is_some_and(|[lo, _]| lo > -10.0), "{:?}", report.range);
-    let of_step = MeasureSettings {
-        resources: Resources::default().with_memory(1 << 28),
-        step: Some(5),
-        ..Default::default()
-    };
-    let measured =
-        pipeline::measure(&out("grown.isospan"), &other.path, &OpenOptions::default(), &of_step, &Silent);
+    let little = Resources::default().with_memory(1 << 28);
+    let measured = measurement(&out("grown.isospan"), &other.path).step(5).resources(little).run();
     assert_eq!(measured.unwrap().error, report.error.unwrap());
 
     let vti = |name: &str, t: f64| {
@@ -690,9 +666,7 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     let first = StepSource::new(&vti("a.vti", 0.0), &salt);
     reduce_all(&[first], &few_points(), &out("salt.isospan"), &run(1));
     let next = StepSource::new(&vti("b.vti", 3.0), &OpenOptions::default());
-    let report =
-        pipeline::append(&[next], &AppendSettings::default(), &out("salt.isospan"), &run(1), &Silent)
-            .unwrap();
+    let report = addition(&[next], &run(1)).append_to(&out("salt.isospan")).unwrap();
     assert_eq!(report.steps[0].field, "salt");
 }
 
@@ -720,10 +694,7 @@ fn a_field_of_another_name_is_no_step() {
     assert!(!archive.exists());
 
     reduce_all(&[heat], &few_points(), &archive, &run(1));
-    let append = |source: &StepSource| {
-        let settings = AppendSettings::default();
-        pipeline::append(std::slice::from_ref(source), &settings, &archive, &run(1), &Silent)
-    };
+    let append = |source: &StepSource| addition(std::slice::from_ref(source), &run(1)).append_to(&archive);
     assert!(append(&salt).unwrap_err().to_string().contains("its field is salt"));
     assert_eq!(append(&later).unwrap().steps[0].field, "heat");
     let pattern = OpenOptions { field: Some("*".into()), ..OpenOptions::default() };

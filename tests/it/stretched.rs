@@ -5,9 +5,8 @@ use crate::common::*;
 use isospan::Archive;
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
-use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{Input, OpenOptions, open_input};
-use isospan::pipeline::{Adapt, Amount, ExportSettings, ReduceReport, ReduceSettings, Roi, SurfaceSettings};
+use isospan::pipeline::{Adapt, Amount, ExportSettings, ReduceReport, ReduceSettings, Roi, SurfaceQuery};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
@@ -48,9 +47,9 @@ fn made(dir: &Path, chunk_points: u64, threads: usize) -> (PathBuf, ReduceReport
     (out, report)
 }
 
-fn ask(archive: &Path, settings: &SurfaceSettings) -> TriMesh {
-    let file = archive.with_extension("ply");
-    extract_surface(archive, settings, &file, SurfaceFormat::from_path(&file).unwrap(), &Silent).unwrap();
+fn ask(query: &SurfaceQuery<'_>, dir: &Path) -> TriMesh {
+    let file = dir.join("surface.ply");
+    query.write(&file).unwrap();
     read(&file)
 }
 
@@ -61,7 +60,7 @@ fn it_is_worth_it_and_neither_chunks_nor_threads_nor_shards_show() {
     let (cut, other) = made(dir.path(), 400, 2);
     assert!(report.chunks == 1 && other.chunks > 5, "{} chunks", other.chunks);
     assert_eq!(report.error, other.error);
-    let sets = [&whole, &cut].map(|archive| triangle_set(&ask(archive, &SurfaceSettings::of(0.3))));
+    let sets = [&whole, &cut].map(|archive| triangle_set(&ask(&query(archive, 0.3), dir.path())));
     assert!(sets[0].len() > 1000 && sets[0] == sets[1], "chunks");
     assert_eq!(folder(&cut), folder(&made(dir.path(), 400, 1).0), "threads");
     let (input, parts) = (dir.path().join("sheets.npy"), dir.path().join("parts.isospan"));
@@ -78,7 +77,7 @@ fn it_is_worth_it_and_neither_chunks_nor_threads_nor_shards_show() {
 fn surfaces_lie_where_the_field_is_and_their_normals_point_down_it() {
     let dir = tempfile::tempdir().unwrap();
     let (archive, _) = made(dir.path(), 900, 2);
-    let mesh = ask(&archive, &SurfaceSettings::of(0.3));
+    let mesh = ask(&query(&archive, 0.3), dir.path());
     let sound = check(&mesh);
     assert!(sound.is_manifold() && sound.is_oriented() && sound.triangles > 1000, "{sound:?}");
     let unit = |p: [f32; 3]| [0, 1, 2].map(|a| 2.0 * f64::from(p[a]) / (DIMS[a] - 1) as f64 - 1.0);
@@ -96,15 +95,15 @@ fn surfaces_lie_where_the_field_is_and_their_normals_point_down_it() {
     let spectrum = contour_spectrum(&archive).unwrap();
     assert!((spectrum.volume / (35.0 * 29.0 * 27.0) - 1.0).abs() < 1e-12, "{}", spectrum.volume);
     for knot in spectrum.knots.iter().step_by(9) {
-        let area = check(&ask(&archive, &SurfaceSettings::of(knot.isovalue))).area;
+        let area = check(&ask(&query(&archive, knot.isovalue), dir.path())).area;
         assert!((area - knot.area).abs() <= 1e-4 * knot.area + 1e-9, "{knot:?} {area}");
     }
-    let capped = ask(&archive, &SurfaceSettings { cap: true, ..SurfaceSettings::of(0.3) });
+    let capped = ask(&query(&archive, 0.3).cap(true), dir.path());
     assert!(check(&capped).is_closed());
     // Two halves are the whole.
     let areas = [":,:,:13.3", ":,:,13.3:", "9.7:,:,:", ":9.7,:,:"].map(|roi| {
         let roi: Roi = roi.parse().unwrap();
-        check(&ask(&archive, &SurfaceSettings { roi: Some(roi), ..SurfaceSettings::of(0.3) })).area
+        check(&ask(&query(&archive, 0.3).region(roi), dir.path())).area
     });
     for halves in areas.chunks(2) {
         assert!((halves.iter().sum::<f64>() / sound.area - 1.0).abs() < 1e-4, "{areas:?} {}", sound.area);

@@ -5,7 +5,7 @@ use isospan::{Archive, Error, Result};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 /// Steps in use at one time, at most. Each holds decoded blocks for the next isovalue.
 const STEPS: usize = 4;
@@ -23,7 +23,7 @@ pub struct Archives {
     /// Milliseconds on the clock of the host, which never goes back.
     clock: fn() -> f64,
     /// The step used last comes last.
-    steps: Mutex<VecDeque<(Key, Arc<Step>)>>,
+    steps: Mutex<VecDeque<(Key, Step)>>,
 }
 
 /// An archive, for the page.
@@ -59,7 +59,7 @@ impl Archives {
     ///
     /// # Errors
     /// [`Error::Usage`] when there is no such archive or step; those of opening the step.
-    pub fn at(&self, archive: usize, step: StepChoice) -> Result<Arc<Step>> {
+    pub fn at(&self, archive: usize, step: StepChoice) -> Result<Step> {
         let none =
             || Error::usage(format!("there is no archive {archive}; there are {}", self.archives.len()));
         let key = Key { archive, step: step.clone() };
@@ -67,7 +67,7 @@ impl Archives {
         let at = steps.iter().position(|(k, _)| *k == key);
         let found = match at.and_then(|at| steps.remove(at)) {
             Some((_, step)) => step,
-            None => Arc::new(self.archives.get(archive).ok_or_else(none)?.at(step)?),
+            None => self.archives.get(archive).ok_or_else(none)?.at(step)?,
         };
         steps.push_back((key, found.clone()));
         while steps.len() > STEPS {

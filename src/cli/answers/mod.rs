@@ -8,12 +8,13 @@ mod archives;
 pub use archives::Archives;
 
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{LevelChoice, ProbeSettings, Roi, StepChoice, SurfacePart, SurfaceSettings};
+use isospan::pipeline::{LevelChoice, ProbeSettings, Roi, StepChoice, StreamedPart, SurfaceSink};
 use isospan::render::ColourMap;
-use isospan::{Error, Resources, Result};
+use isospan::surface::SurfaceSource;
+use isospan::{Error, Resources, Result, Step, SurfaceQuery};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use std::io::Write;
 
 /// Isovalues of one request.
 const MOST_ISOVALUES: usize = 16;
@@ -45,7 +46,7 @@ fn choice_of(step: Option<u64>, field: Option<&String>) -> StepChoice {
 
 /// Surfaces of a step. Numbers are those of the command line.
 #[derive(Debug, Deserialize)]
-pub struct SurfaceQuery {
+pub struct SurfaceRequest {
     /// `1,2.5`.
     isovalues: String,
     step: Option<u64>,
@@ -65,7 +66,7 @@ pub struct SurfaceQuery {
     range: Option<String>,
 }
 
-impl SurfaceQuery {
+impl SurfaceRequest {
     pub fn choice(&self) -> StepChoice {
         choice_of(self.step, self.field.as_ref())
     }
@@ -75,7 +76,8 @@ impl SurfaceQuery {
         self.colour.map(|step| choice_of(Some(step), self.colour_field.as_ref()))
     }
 
-    pub fn settings(&self, resources: &Resources) -> Result<SurfaceSettings> {
+    /// The question for a step that is asked.
+    fn of(&self, step: &Step, resources: &Resources) -> Result<SurfaceQuery<'static>> {
         let wrong = |text: &str| Error::usage(format!("'{text}' is no isovalue"));
         let number = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong(text));
         let isovalues = self.isovalues.split(',').map(number).collect::<Result<Vec<_>>>()?;
@@ -83,14 +85,9 @@ impl SurfaceQuery {
             return Err(Error::usage(format!("a request has at most {MOST_ISOVALUES} isovalues")));
         }
         let roi = self.roi.as_deref().map(str::parse::<Roi>).transpose().map_err(Error::usage)?;
-        Ok(SurfaceSettings {
-            isovalues,
-            roi,
-            cap: self.cap,
-            level: self.level.map(LevelChoice::Level),
-            resources: resources.clone(),
-            ..SurfaceSettings::default()
-        })
+        let level = self.level.map(LevelChoice::Level);
+        let query = step.query(isovalues).region(roi).cap(self.cap).level(level);
+        Ok(query.resources(resources.clone()))
     }
 }
 
@@ -171,7 +168,7 @@ fn text_of(value: &impl Serialize) -> Result<Vec<u8>> {
 pub fn surface(
     archives: &Archives,
     archive: usize,
-    query: &SurfaceQuery,
+    query: &SurfaceRequest,
     resources: &Resources,
     sink: &mut dyn Sink,
 ) -> Result<()> {
@@ -180,26 +177,43 @@ pub fn surface(
     // Half is for the colours, where there are some.
     let share = resources.memory / if field.is_some() { 2 } else { 1 };
     let resources = resources.clone().with_memory(share);
-    let settings = query.settings(&resources)?;
-    let archive = archives.at(archive, query.choice())?;
-    let mut isovalues = settings.isovalues.iter().enumerate();
-    let sink = Mutex::new(sink);
-    let sink = || sink.lock().unwrap_or_else(PoisonError::into_inner);
-    let report =
-        archive.stream_surfaces(&settings, &mut |part| part_of_surface(part, &mut **sink()), |surface| {
-            if let (Some(field), Some((n, &isovalue))) = (&field, isovalues.next()) {
-                let values = archive.values_on(field, surface, isovalue, &resources)?;
-                let mut sink = sink();
-                json_part(&serde_json::json!({ "surface": n, "values": values.len() }), &mut **sink)?;
-                sink.write(bytemuck::cast_slice(&values))?;
-            }
-            Ok(())
-        })?;
+    let step = archives.at(archive, query.choice())?;
+    let asked = query.of(&step, &resources)?;
+    let field = field.as_ref().map(|field| Colours { field, step: &step, resources: &resources });
+    let mut parts = Parts { sink, isovalues: asked.isovalues(), field };
+    let report = asked.stream(&mut parts)?;
     let milliseconds = archives.milliseconds() - start;
-    json_part(&serde_json::json!({ "milliseconds": milliseconds, "report": report }), &mut **sink())
+    json_part(&serde_json::json!({ "milliseconds": milliseconds, "report": report }), parts.sink)
 }
 
-fn part_of_surface(part: &SurfacePart<'_>, sink: &mut dyn Sink) -> Result<()> {
+/// The field that colours the surfaces of a step.
+struct Colours<'a> {
+    field: &'a Step,
+    step: &'a Step,
+    resources: &'a Resources,
+}
+
+/// Sends surfaces part by part, then the values that colour each.
+struct Parts<'a> {
+    sink: &'a mut dyn Sink,
+    isovalues: &'a [f64],
+    field: Option<Colours<'a>>,
+}
+
+impl SurfaceSink for Parts<'_> {
+    fn part(&mut self, part: &StreamedPart<'_>) -> Result<()> {
+        part_of_surface(part, self.sink)
+    }
+
+    fn whole(&mut self, n: usize, surface: &dyn SurfaceSource) -> Result<()> {
+        let Some(Colours { field, step, resources }) = &self.field else { return Ok(()) };
+        let values = step.values_on(field, surface, self.isovalues[n], resources)?;
+        json_part(&serde_json::json!({ "surface": n, "values": values.len() }), self.sink)?;
+        self.sink.write(bytemuck::cast_slice(&values))
+    }
+}
+
+fn part_of_surface(part: &StreamedPart<'_>, sink: &mut dyn Sink) -> Result<()> {
     let head = serde_json::json!({
         "surface": part.isovalue,
         "vertices": part.added.vertex_count(),
@@ -227,11 +241,12 @@ pub fn failed_part(text: &str, sink: &mut dyn Sink) -> Result<()> {
 pub fn export(
     archives: &Archives,
     archive: usize,
-    query: &SurfaceQuery,
+    query: &SurfaceRequest,
     resources: &Resources,
     sink: &mut dyn Sink,
 ) -> Result<()> {
-    let mut settings = query.settings(resources)?;
+    let step = archives.at(archive, query.choice())?;
+    let mut asked = query.of(&step, resources)?;
     let ending = query.format.as_deref().unwrap_or("glb");
     let format = SurfaceFormat::from_path(format!("surface.{ending}").as_ref())?;
     // Triangles of STL have no colours.
@@ -239,10 +254,22 @@ pub fn export(
         let map = query.map.as_deref().map_or(Ok(ColourMap::default()), str::parse)?;
         let mut colours = archives.at(archive, choice)?.colours(map);
         colours.range = query.range.as_deref().map(|text| numbers(text, "range")).transpose()?;
-        settings.colour_by = Some(colours);
+        asked = asked.colour_by(colours);
     }
-    let archive = archives.at(archive, query.choice())?;
-    archive.stream_surface_file(&settings, format, &mut |bytes| sink.write(bytes)).map(drop)
+    asked.write_to(&mut ToSink(sink), format).map(drop)
+}
+
+/// A sink as a writer of the standard library.
+struct ToSink<'a>(&'a mut dyn Sink);
+
+impl Write for ToSink<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.write(bytes).map(|()| bytes.len()).map_err(std::io::Error::other)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush().map_err(std::io::Error::other)
+    }
 }
 
 /// The values of a slice: f64, NaN outside of the domain, `u` fastest.

@@ -6,10 +6,10 @@ use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::signals;
 use super::step::StepInputs;
-use isospan::Result;
 use isospan::exec::CancelToken;
 use isospan::formats::StepSource;
-use isospan::pipeline::{AppendSettings, RunSettings, append};
+use isospan::pipeline::RunSettings;
+use isospan::{Addition, Result};
 use std::path::PathBuf;
 
 /// Add time steps to an archive, on its mesh.
@@ -64,22 +64,19 @@ impl Args {
         self.steps.further(&self.read, talk)
     }
 
-    /// How they are added.
-    pub fn settings(&self) -> AppendSettings {
-        AppendSettings {
-            missing: self.missing,
-            keyframes: self.keyframes,
-            measure: !self.no_measure,
-            replace: self.replace,
-        }
+    /// The steps, and how they are added.
+    pub fn addition(&self, steps: Vec<StepSource>, run: RunSettings) -> Addition<'static> {
+        let addition = Addition::of_steps(steps).missing(self.missing).keyframes(self.keyframes);
+        let addition = addition.measure(!self.no_measure).replace(self.replace);
+        addition.keep_going(run.keep_going).resources(run.resources)
     }
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = args.run_settings(talk, signals::cancel_token());
-    let (steps, settings) = (args.sources(talk)?, args.settings());
+    let addition = args.addition(args.sources(talk)?, run);
     let bar = talk.progress();
-    let report = append(&steps, &settings, &args.archive, &run, &*bar);
+    let report = addition.progress(&*bar).append_to(&args.archive);
     bar.end();
     super::reduce::tell("append", &args.archive, &report?, args.json, talk)
 }

@@ -4,7 +4,7 @@ use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
-use isospan::pipeline::{Committed, NextTry, commit_shards, work_folder};
+use isospan::pipeline::{Committed, NextTry, Shards, work_folder};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -35,7 +35,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     super::expect_planned(&args.archive)?;
     let run = args.machine.run(&args.scratch, talk);
     let bar = talk.progress();
-    let committed = commit_shards(&args.archive, &run, &*bar);
+    let committed = Shards::at(&args.archive).resources(run.resources).progress(&*bar).commit();
     bar.end();
     let report = match committed? {
         Committed::Archive(report) => report,

@@ -6,8 +6,8 @@ use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
 use isospan::compare::{CompareReport, CompareSettings, compare};
-use isospan::formats::surface::{SurfaceFormat, load_surface};
-use isospan::pipeline::{Step, SurfaceSettings, is_archive};
+use isospan::formats::surface::load_surface;
+use isospan::pipeline::{Step, is_archive};
 use isospan::surface::check::{CheckSettings, SurfaceReport};
 use isospan::surface::weld::StoredSurface;
 use isospan::{Archive, Error, Result};
@@ -99,9 +99,8 @@ fn extracted(
     let folder = tempfile::tempdir_in(&check.scratch)
         .map_err(|e| Error::io("make a temporary folder in", &check.scratch, e))?;
     let resources = settings.resources.clone();
-    let wanted = SurfaceSettings { resources, ..SurfaceSettings::of(isovalue) };
     let (file, bar) = (folder.path().join("surface.ply"), talk.progress());
-    let report = step.write_surface(&wanted, &file, SurfaceFormat::Ply, &*bar);
+    let report = step.query(isovalue).resources(resources).progress(&*bar).write(&file);
     bar.end();
     if report?.triangles == 0 {
         let path = path.display();

@@ -4,7 +4,6 @@ use super::grammar::{self, Value};
 use super::level::LevelArgs;
 use super::step::StepArgs;
 use super::text;
-use isospan::exec::CancelToken;
 use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -47,10 +46,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let step = Archive::open(&args.archive)?.at(args.step.choice()?)?;
     args.isovalue.iter().try_for_each(|isovalue| {
         let isovalue = isovalue.of(step.value_range())?;
-        let report = match args.level.choice() {
-            None => step.count(isovalue)?,
-            Some(level) => step.count_at(isovalue, level, &CancelToken::new())?,
-        };
+        let report = step.query(isovalue).level(args.level.choice()).count()?;
         if args.json {
             return super::print_json("count", &report);
         }

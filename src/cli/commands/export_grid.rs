@@ -54,8 +54,8 @@ pub(super) fn run(args: &Args, archive: &Archive, talk: &Talk) -> Result<()> {
         (None, None) => step.write_ome_zarr(&settings, &args.output, args.force.is_given(), &*bar),
         (None, Some(steps)) => {
             let field = (!archive.fields().is_empty()).then(|| step.field().to_owned());
-            let archive = Archive::open(&args.archive)?.in_field(field);
-            archive.write_ome_zarr_of_steps(steps, &settings, &args.output, args.force.is_given(), &*bar)
+            let steps = Archive::open(&args.archive)?.in_field(field).steps(steps)?;
+            steps.write_ome_zarr(&settings, &args.output, args.force.is_given(), &*bar)
         }
     };
     bar.end();

@@ -7,9 +7,10 @@ use super::machine::{InputScratch, Machine};
 use super::output::{Force, files_of};
 use super::progress::Talk;
 use super::text;
-use isospan::Result;
+use isospan::formats::StepSource;
 use isospan::measure::FieldError;
-use isospan::pipeline::{MeasureReport, MeasureSettings, measure};
+use isospan::pipeline::MeasureReport;
+use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -52,18 +53,17 @@ pub struct Args {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let settings = MeasureSettings {
-        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
-        step: args.step,
-        level: args.level.choice(),
-        map: args.map.clone(),
-    };
+    let options = args.read.options()?;
     if let Some(map) = &args.map {
-        let inputs = files_of(&args.against, &args.read.options()?);
+        let inputs = files_of(&args.against, &options);
         args.force.check(map, inputs.iter().chain([&args.archive]))?;
     }
+    let archive = Archive::open(&args.archive)?;
+    let measurement = archive.measure(StepSource::new(&args.against, &options)).step(args.step);
+    let measurement = measurement.level(args.level.choice()).map(args.map.clone());
+    let resources = args.machine.resources(args.scratch.scratch.clone(), talk);
     let bar = talk.progress();
-    let report = measure(&args.archive, &args.against, &args.read.options()?, &settings, &*bar);
+    let report = measurement.resources(resources).progress(&*bar).run();
     bar.end();
     let report = report?;
     if !report.same_source {

@@ -15,10 +15,8 @@ use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::{grammar, signals, text};
 use isospan::formats::{StepSource, sort_by_names, steps_of, steps_of_fields};
-use isospan::pipeline::{
-    AppendSettings, ReduceReport, RunSettings, StepSummary, append, changed_sources, work_folder,
-};
-use isospan::{Archive, Error, Reduction, Result};
+use isospan::pipeline::{ReduceReport, RunSettings, StepSummary, changed_sources, work_folder};
+use isospan::{Addition, Archive, Error, Reduction, Result};
 use serde::Serialize;
 use std::ffi::OsString;
 use std::fmt::Write as _;
@@ -246,8 +244,8 @@ fn write(args: &Args, talk: &Talk, steps: Vec<StepSource>, first: bool) -> Resul
         let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
         reduction.keep_going(true).progress(&*bar).write(&args.archive)
     } else {
-        let settings = AppendSettings { replace: args.replace, ..AppendSettings::default() };
-        let added = append(&steps, &settings, &args.archive, &run, &*bar);
+        let addition = Addition::of_steps(steps).replace(args.replace).keep_going(run.keep_going);
+        let added = addition.resources(run.resources).progress(&*bar).append_to(&args.archive);
         // Points are chosen by the first night: later ones may have errors beyond the target.
         match args.choices.target() {
             Some(target) => added.map(|report| report.judged_by(target)),

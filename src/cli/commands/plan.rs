@@ -8,8 +8,8 @@ use super::output::expect_apart;
 use super::progress::Talk;
 use super::step::StepInputs;
 use super::text;
-use isospan::Result;
-use isospan::pipeline::{PlanReport, RunSettings, plan_shards};
+use isospan::pipeline::{PlanReport, RunSettings};
+use isospan::{Reduction, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -57,8 +57,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let steps = args.steps.all(&args.read, talk)?;
     let settings = args.choices.settings(&steps)?;
     expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
+    let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
+    let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
     let bar = talk.progress();
-    let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);
+    let report = reduction.progress(&*bar).plan_shards(&args.output, args.shards);
     bar.end();
     let report = report?;
     if args.json { super::print_json("plan", &report) } else { super::print(&in_words(args, &report)) }

@@ -8,7 +8,7 @@ use super::grammar;
 use super::output::{Force, exists};
 use super::progress::Talk;
 use super::text;
-use isospan::pipeline::{Planned, planned, work_folder};
+use isospan::pipeline::{ShardNeeds, Shards, work_folder};
 use isospan::{Error, Result};
 use serde::Serialize;
 use std::ffi::OsString;
@@ -96,7 +96,7 @@ const TEMPLATES: [&str; 3] =
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     super::expect_planned(&args.archive)?;
-    let plan = planned(&args.archive, args.threads as usize)?;
+    let plan = Shards::at(&args.archive).needs(args.threads as usize)?;
     let archive = std::path::absolute(&args.archive).map_err(|e| Error::io("find", &args.archive, e))?;
     let folder = work_folder(&archive).join("slurm");
     std::fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
@@ -153,7 +153,7 @@ struct Job {
 }
 
 impl Job {
-    fn new(args: &Args, plan: &Planned, tasks: u64, archive: &Path, folder: &Path) -> Result<Self> {
+    fn new(args: &Args, plan: &ShardNeeds, tasks: u64, archive: &Path, folder: &Path) -> Result<Self> {
         let memory = args.memory.unwrap_or(plan.memory);
         if memory < plan.memory_least {
             let (needed, available) = (plan.memory_least, memory);

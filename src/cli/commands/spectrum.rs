@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
     let archive = Archive::open(&args.archive)?.in_field(args.step.field());
     if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {
-        let steps = archive.spectra(steps)?;
+        let steps = archive.steps(steps)?.spectra()?;
         if let Some((file, format)) = args.plot.as_deref().zip(format) {
             let units = archive.info()?.units;
             let drawn = figure::OverTime { steps: &steps, name: &name, units: &units };

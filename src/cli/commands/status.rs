@@ -2,8 +2,8 @@
 
 use super::{grammar, text};
 use clap::ValueEnum;
-use isospan::Result;
-use isospan::pipeline::{StatusReport, shard_status};
+use isospan::pipeline::{Shards, StatusReport};
+use isospan::{Resources, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -47,7 +47,9 @@ enum Form {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     super::expect_planned(&args.archive)?;
-    let report = shard_status(&args.archive, args.shards, args.quick, super::signals::cancel_token())?;
+    let resources = Resources::default().with_cancel(super::signals::cancel_token());
+    let shards = Shards::at(&args.archive).cut_into(args.shards).quick(args.quick);
+    let report = shards.resources(resources).status()?;
     if args.json {
         return super::print_json("status", &report);
     }

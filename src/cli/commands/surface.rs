@@ -9,15 +9,13 @@ use super::step::{StepArgs, colour_fields};
 use super::text;
 use clap::ValueEnum;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{
-    ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings,
-};
+use isospan::pipeline::{ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport};
 use isospan::render::ColourMap;
 use isospan::surface::edit::{
     components::{ComponentFilter, ComponentReport},
     decimate::Decimation,
 };
-use isospan::{Archive, Error, Result, Step};
+use isospan::{Archive, Error, Result, Step, SurfaceQuery};
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{IsTerminal, Write as _};
@@ -196,30 +194,43 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     // One question is asked: no block is cached for a next one.
     let archive = Archive::open(&args.archive)?.keeping(0).in_field(args.step.field());
     let steps = args.steps.or(args.all_steps.then(StepRange::default));
-    let settings = SurfaceSettings {
-        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
-        isovalues: isovalues(args, &archive, steps)?,
-        roi: args.roi,
-        cap: args.cap,
-        refine: refine(args, &archive)?,
-        colour_by: colours(args, &archive)?,
-        level: args.level.choice(),
-    };
-    if args.is_to_standard_output() {
-        return to_standard_output(args, &settings, &archive, format, talk);
+    let isovalues = isovalues(args, &archive, steps)?;
+    let question = Question { args, archive: &archive, format, talk };
+    match steps {
+        None => question.of_step(&isovalues),
+        Some(_) if args.is_to_standard_output() => Err(Error::usage(
+            "several steps are several files: give -o a name such as out_%04d.ply in place of -",
+        )),
+        Some(steps) => question.of_steps(steps, &isovalues),
     }
-    let files = match steps {
-        Some(steps) => archive.series_files(steps, &settings, &args.output, format)?,
-        None => settings.files(&args.output),
-    };
-    args.force.check_all(&files, &[&args.archive])?;
-    if steps.is_none() {
-        expect_more_than_nothing(args, &settings, &archive, &files)?;
+}
+
+/// What is asked, and of which archive.
+struct Question<'a> {
+    args: &'a Args,
+    archive: &'a Archive,
+    format: SurfaceFormat,
+    talk: &'a Talk,
+}
+
+impl Question<'_> {
+    /// A query as the arguments say.
+    fn ask<'q, Of>(&self, query: SurfaceQuery<'q, Of>) -> Result<SurfaceQuery<'q, Of>> {
+        let Self { args, archive, .. } = *self;
+        let query = query.region(args.roi).cap(args.cap).level(args.level.choice()).format(self.format);
+        let query = query.refine(refine(args, archive)?).colour_by(colours(args, archive)?);
+        Ok(query.resources(args.machine.resources(args.scratch.scratch.clone(), self.talk)))
     }
-    note_what_is_lost(&settings, &files, format, talk);
-    let bar = talk.progress();
-    if let Some(steps) = steps {
-        let report = archive.write_series(steps, &settings, &args.output, format, &*bar);
+
+    /// Writes the surfaces of many steps.
+    fn of_steps(&self, steps: StepRange, isovalues: &[f64]) -> Result<()> {
+        let Self { args, talk, .. } = *self;
+        let query = self.ask(self.archive.steps(steps)?.query(isovalues))?;
+        let files = query.files(&args.output)?;
+        args.force.check_all(&files, &[&args.archive])?;
+        self.note_what_is_lost(isovalues.len(), files.len());
+        let bar = talk.progress();
+        let report = query.progress(&*bar).write(&args.output);
         bar.end();
         let report = report?;
         if args.json {
@@ -227,23 +238,92 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         } else {
             super::print(&series_text(&report, args.stats))?;
         }
-        return expect_area(&args.output, report.steps.iter().map(|s| &s.report));
+        expect_area(&args.output, report.steps.iter().map(|s| &s.report))
     }
-    let step = archive.at(args.step.choice()?)?;
-    let report = step.write_surface(&settings, &args.output, format, &*bar);
-    bar.end();
-    let report = with_opening(report?, archive.opening());
-    talk.stages(&report.seconds);
+
+    /// Writes the surfaces of one step.
+    fn of_step(&self, isovalues: &[f64]) -> Result<()> {
+        let Self { args, archive, talk, .. } = *self;
+        let step = archive.at(args.step.choice()?)?;
+        let query = self.ask(step.query(isovalues))?;
+        if args.is_to_standard_output() {
+            return self.to_standard_output(&step, query);
+        }
+        let files = query.files(&args.output);
+        args.force.check_all(&files, &[&args.archive])?;
+        expect_more_than_nothing(args, &step, isovalues, &files)?;
+        self.note_what_is_lost(isovalues.len(), files.len());
+        let bar = talk.progress();
+        let report = query.progress(&*bar).write(&args.output);
+        bar.end();
+        let report = with_opening(report?, archive.opening());
+        talk.stages(&report.seconds);
+        if args.json {
+            super::print_json("surface", &report)?;
+        } else {
+            super::print(&in_words(&report, args.stats))?;
+        }
+        // Samples that are equal are told by the finest level, which a coarse question does not
+        // read.
+        if report.level.is_none_or(|level| level == 0) {
+            note_plateaus(&step, isovalues, talk)?;
+        }
+        expect_area(&args.output, [&report])
+    }
+
+    /// Writes a surface to standard output, by way of a file in the scratch folder, so that it
+    /// comes whole or not at all. What was made is reported on standard error.
+    fn to_standard_output(&self, step: &Step, query: SurfaceQuery<'_>) -> Result<()> {
+        let Self { args, archive, talk, .. } = *self;
+        expect_open_output(args)?;
+        let scratch = args.scratch.scratch.clone().unwrap_or_else(std::env::temp_dir);
+        let folder = tempfile::tempdir_in(&scratch)
+            .map_err(|e| Error::io("make a temporary folder in", &scratch, e))?;
+        let (file, isovalues) = (folder.path().join("surface"), query.isovalues().to_vec());
+        let bar = talk.progress();
+        let report = query.progress(&*bar).write(&file);
+        bar.end();
+        let mut report = with_opening(report?, archive.opening());
+        talk.stages(&report.seconds);
+        let mut bytes = File::open(&file).map_err(|e| Error::io("open", &file, e))?;
+        let mut out = std::io::stdout().lock();
+        std::io::copy(&mut bytes, &mut out)
+            .and_then(|_| out.flush())
+            .map_err(|e| Error::io("write the whole surface to", "standard output", not_wanted(e)))?;
+        report.surfaces.iter_mut().for_each(|s| s.file = "standard output".into());
+        in_words(&report, args.stats).lines().for_each(|line| talk.note(line));
+        note_plateaus(step, &isovalues, talk)?;
+        expect_area("standard output".as_ref(), [&report])
+    }
+
+    /// Says what a format has no place for.
+    fn note_what_is_lost(&self, isovalues: usize, files: usize) {
+        let name = match self.format {
+            SurfaceFormat::Stl => "STL",
+            SurfaceFormat::Glb => "GLB",
+            _ => return,
+        };
+        if isovalues > 1 && files == 1 {
+            self.talk.note(&format!(
+                "warning: {name} does not keep isovalues apart: the {isovalues} surfaces become one;                  -o NAME_{{}} gives each a file"
+            ));
+        }
+    }
+}
+
+/// Refuses a standard output that a surface cannot be written to.
+fn expect_open_output(args: &Args) -> Result<()> {
+    let refuse = |why: &str| Err(Error::usage(why));
     if args.json {
-        super::print_json("surface", &report)?;
-    } else {
-        super::print(&in_words(&report, args.stats))?;
+        return refuse("--json and -o - both write to standard output: give -o the name of a file");
     }
-    // Samples that are equal are told by the finest level, which a coarse question does not read.
-    if report.level.is_none_or(|level| level == 0) {
-        note_plateaus(&step, &settings, talk)?;
+    if is_closed(std::io::stdout()) {
+        return refuse("standard output is closed: redirect it, or give -o the name of a file");
     }
-    expect_area(&args.output, [&report])
+    if std::io::stdout().is_terminal() {
+        return refuse("standard output is a terminal: redirect it, or give -o the name of a file");
+    }
+    Ok(())
 }
 
 /// Refuses surfaces that `isospan check` would refuse: the files are there, and are not sound.
@@ -263,21 +343,16 @@ fn expect_area<'a>(
 }
 
 /// Refuses to replace a file by an empty surface.
-fn expect_more_than_nothing(
-    args: &Args,
-    settings: &SurfaceSettings,
-    archive: &Archive,
-    files: &[PathBuf],
-) -> Result<()> {
+fn expect_more_than_nothing(args: &Args, step: &Step, asked: &[f64], files: &[PathBuf]) -> Result<()> {
     let there: Vec<bool> = files.iter().map(|file| file.exists()).collect();
     if !there.contains(&true) {
         return Ok(());
     }
-    let range = archive.at(args.step.choice()?)?.value_range();
-    let cuts = |v: f64| range.is_some_and(|[lo, hi]| v <= hi && (v > lo || settings.cap));
-    let each_alone = files.len() == settings.isovalues.len();
+    let range = step.value_range();
+    let cuts = |v: f64| range.is_some_and(|[lo, hi]| v <= hi && (v > lo || args.cap));
+    let each_alone = files.len() == asked.len();
     for (n, (file, is_there)) in files.iter().zip(there).enumerate() {
-        let isovalues = if each_alone { &settings.isovalues[n..=n] } else { &settings.isovalues[..] };
+        let isovalues = if each_alone { &asked[n..=n] } else { asked };
         if is_there && !isovalues.iter().any(|&v| cuts(v)) {
             let range =
                 range.map_or("no point has a value".into(), |r| format!("values are {}", text::range(r)));
@@ -293,8 +368,8 @@ fn expect_more_than_nothing(
 
 /// Says which isovalues lie where many samples are equal: what the archive lost makes their
 /// surfaces.
-fn note_plateaus(step: &Step, settings: &SurfaceSettings, talk: &Talk) -> Result<()> {
-    for &isovalue in &settings.isovalues {
+fn note_plateaus(step: &Step, isovalues: &[f64], talk: &Talk) -> Result<()> {
+    for &isovalue in isovalues {
         let Some(found) = step.plateau(isovalue)? else { continue };
         let (percent, error) = (100.0 * found.share, text::number(2.0 * found.error));
         let beside = found
@@ -306,18 +381,6 @@ fn note_plateaus(step: &Step, settings: &SurfaceSettings, talk: &Talk) -> Result
         ));
     }
     Ok(())
-}
-
-/// Says what a format has no place for.
-fn note_what_is_lost(settings: &SurfaceSettings, files: &[PathBuf], format: SurfaceFormat, talk: &Talk) {
-    let count = settings.isovalues.len();
-    let joins = matches!(format, SurfaceFormat::Stl | SurfaceFormat::Glb);
-    if joins && count > 1 && files.len() == 1 {
-        talk.note(&format!(
-            "warning: {} does not keep isovalues apart: the {count} surfaces become one; -o NAME_{{}} gives each a file",
-            if format == SurfaceFormat::Stl { "STL" } else { "GLB" }
-        ));
-    }
 }
 
 /// A length in world units.
@@ -347,48 +410,6 @@ fn isovalues(args: &Args, archive: &Archive, steps: Option<StepRange>) -> Result
 fn in_words(report: &SurfaceReport, stats: bool) -> String {
     let stats = if stats { stats_text(report) } else { String::new() };
     surfaces_text(report) + &stats
-}
-
-/// Writes a surface to standard output, by way of a file in the scratch folder, so that it comes
-/// whole or not at all. What was made is reported on standard error.
-fn to_standard_output(
-    args: &Args,
-    settings: &SurfaceSettings,
-    archive: &Archive,
-    format: SurfaceFormat,
-    talk: &Talk,
-) -> Result<()> {
-    let refuse = |why: &str| Err(Error::usage(why));
-    if args.steps.is_some() || args.all_steps {
-        return refuse("several steps are several files: give -o a name such as out_%04d.ply in place of -");
-    }
-    if args.json {
-        return refuse("--json and -o - both write to standard output: give -o the name of a file");
-    }
-    if is_closed(std::io::stdout()) {
-        return refuse("standard output is closed: redirect it, or give -o the name of a file");
-    }
-    if std::io::stdout().is_terminal() {
-        return refuse("standard output is a terminal: redirect it, or give -o the name of a file");
-    }
-    let scratch = args.scratch.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let folder =
-        tempfile::tempdir_in(&scratch).map_err(|e| Error::io("make a temporary folder in", &scratch, e))?;
-    let file = folder.path().join("surface");
-    let bar = talk.progress();
-    let report = archive.at(args.step.choice()?)?.write_surface(settings, &file, format, &*bar);
-    bar.end();
-    let mut report = with_opening(report?, archive.opening());
-    talk.stages(&report.seconds);
-    let mut bytes = File::open(&file).map_err(|e| Error::io("open", &file, e))?;
-    let mut out = std::io::stdout().lock();
-    std::io::copy(&mut bytes, &mut out)
-        .and_then(|_| out.flush())
-        .map_err(|e| Error::io("write the whole surface to", "standard output", not_wanted(e)))?;
-    report.surfaces.iter_mut().for_each(|s| s.file = "standard output".into());
-    in_words(&report, args.stats).lines().for_each(|line| talk.note(line));
-    note_plateaus(&archive.at(args.step.choice()?)?, settings, talk)?;
-    expect_area("standard output".as_ref(), [&report])
 }
 
 /// The error of a reader that has closed its end: of a report it is none, of a surface it is one.

@@ -5,7 +5,7 @@ use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
-use isospan::pipeline::{Shard, work_shard};
+use isospan::pipeline::{Shard, Shards};
 use std::path::PathBuf;
 
 /// Make a shard of a planned reduction.
@@ -38,7 +38,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     super::expect_planned(&args.archive)?;
     let run = args.machine.run(&args.scratch, talk);
     let bar = talk.progress();
-    let report = work_shard(&args.archive, args.shard.unwrap_or(Shard::ALL), &run, &*bar);
+    let shards = Shards::at(&args.archive).resources(run.resources).progress(&*bar);
+    let report = shards.work(args.shard.unwrap_or(Shard::ALL));
     bar.end();
     let report = report?;
     talk.stages(&report.seconds);

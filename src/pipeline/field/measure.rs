@@ -41,15 +41,15 @@ use std::time::Instant;
 
 /// How a field is measured.
 #[derive(Clone, Debug, Default)]
-pub struct MeasureSettings {
+pub(in crate::pipeline) struct MeasureSettings {
     /// The level of a pyramid; the finest if not given. Samples beyond its last node are outside.
-    pub level: Option<LevelChoice>,
+    pub(in crate::pipeline) level: Option<LevelChoice>,
     /// The number of the step in a series; the first one if not given.
-    pub step: Option<u64>,
+    pub(in crate::pipeline) step: Option<u64>,
     /// A VTI file for the errors of each brick.
-    pub map: Option<PathBuf>,
+    pub(in crate::pipeline) map: Option<PathBuf>,
     /// Threads, memory, scratch folder, and what stops it.
-    pub resources: Resources,
+    pub(in crate::pipeline) resources: Resources,
 }
 
 impl MeasureSettings {
@@ -86,37 +86,16 @@ pub struct MeasureReport {
     pub seconds: f64,
 }
 
-/// Measures an archive against the input that it was made from, or any of the same size.
-///
-/// The field to read is that of the archive, unless the options name one. Void tetrahedra and
-/// missing samples are counted apart.
-///
-/// # Errors
-/// [`Error::BadInput`] for an input of another size, or a damaged archive; [`Error::Budget`] when
-/// the memory does not suffice; those of reading the input and of writing the map.
-pub fn measure(
-    archive: &Path,
-    input: &Path,
-    options: &OpenOptions,
-    settings: &MeasureSettings,
-    progress: &dyn Progress,
-) -> Result<MeasureReport> {
-    measure_source(archive, &StepSource::new(input, options), settings, progress)
-}
-
-/// As [`measure`], against a file or a volume that a program gives.
-///
-/// # Errors
-/// Those of [`measure`].
-pub fn measure_source(
-    archive: &Path,
+/// Measures an archive against a source: see
+/// [`Measurement::run`](crate::pipeline::Measurement::run).
+pub(in crate::pipeline) fn measure(
+    archive: &Arc<OpenArchive>,
     source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
 ) -> Result<MeasureReport> {
     let start = Instant::now();
-    let archive = OpenArchive::open(archive)?;
-    let choice = choice_of(&archive, settings.step, source);
+    let choice = choice_of(archive, settings.step, source);
     let archive = archive.at(choice)?;
     let level = archive.level(settings.level)?;
     let (error, same_source) = against(&archive, source, settings, progress)?;

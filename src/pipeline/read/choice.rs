@@ -4,7 +4,7 @@ use crate::archive::manifest::{Manifest, Step};
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::without_frame;
 use std::collections::BTreeSet;
-use std::ops::Range;
+use std::ops::{Range, RangeFull, RangeInclusive};
 use std::path::Path;
 use std::str::FromStr;
 
@@ -34,6 +34,18 @@ pub struct StepRange {
     pub first: Option<u64>,
     /// The last, included; the archive's last if not given.
     pub last: Option<u64>,
+}
+
+impl From<RangeFull> for StepRange {
+    fn from(_: RangeFull) -> Self {
+        Self::default()
+    }
+}
+
+impl From<RangeInclusive<u64>> for StepRange {
+    fn from(numbers: RangeInclusive<u64>) -> Self {
+        Self { first: Some(*numbers.start()), last: Some(*numbers.end()) }
+    }
 }
 
 impl StepRange {

@@ -26,16 +26,16 @@ use std::time::Instant;
 
 /// What the user chooses for further steps; all else is as it was for the last one.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AppendSettings {
+pub(in crate::pipeline) struct AppendSettings {
     /// A value that means "no data", besides what the file declares; that of the last step if not
     /// given.
-    pub missing: Option<f64>,
+    pub(in crate::pipeline) missing: Option<f64>,
     /// Steps from one keyframe to the next, by number; as for the last step if not given.
-    pub keyframes: Option<u64>,
+    pub(in crate::pipeline) keyframes: Option<u64>,
     /// Whether the field is measured at every sample of the source.
-    pub measure: bool,
+    pub(in crate::pipeline) measure: bool,
     /// Whether a step that the archive has at the same time, or else of the same file, is replaced.
-    pub replace: bool,
+    pub(in crate::pipeline) replace: bool,
 }
 
 impl Default for AppendSettings {
@@ -44,21 +44,9 @@ impl Default for AppendSettings {
     }
 }
 
-/// Adds steps to the archive `out`, in the order of their times; the report is of them. Steps
-/// behind a new one have new numbers; files of the archive stay as they are.
-///
-/// Steps that the archive has already (of the same names, contents, fields and times) are not added
-/// again: so the same call continues a run that was killed at any moment.
-///
-/// The bytes of steps behind all of the archive are those that [`super::reduce_series`] would have
-/// made of all steps at once, with the same settings.
-///
-/// # Errors
-/// Those of [`super::reduce_series`]; [`Error::Usage`] for another step of a time that the archive
-/// has, unless that is to be replaced; [`Error::BadInput`] for a damaged archive, and where
-/// dimensions or geometry, or points or cells, are not the archive's; [`Error::Io`] when another
-/// run has changed the archive meanwhile: the same call then adds the steps at the end.
-pub fn append(
+/// Adds steps to the archive `out`: see
+/// [`Addition::append_to`](crate::pipeline::Addition::append_to).
+pub(in crate::pipeline) fn append(
     sources: &[StepSource],
     settings: &AppendSettings,
     out: &Path,

@@ -50,7 +50,7 @@ use crate::pipeline::plan::Estimate;
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
 pub(super) use advice::look;
 pub use advice::{header_notices, mesh_notices, scan_with_notices};
-pub use append::{AppendSettings, append};
+pub(super) use append::{AppendSettings, append};
 pub use changed::changed_sources;
 pub use copy::{CopiedFile, copy_archive};
 use existing::NewFolders;

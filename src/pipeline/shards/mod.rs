@@ -36,13 +36,119 @@ use crate::pipeline::reduce::{
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 use crate::pipeline::stage::{Stage, StageSeconds};
 use isospan_io::error::{Error, Result};
-use isospan_io::exec::{Progress, Resources};
+use isospan_io::exec::{Progress, Resources, Silent};
 use isospan_io::formats::StepSource;
 use serde::Serialize;
-use status::Inventory;
-pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
+pub use status::{GcReport, StatusReport, collect_garbage};
+use status::{Inventory, shard_status};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+/// A reduction that was planned in shards, at the path of its archive:
+/// [`Reduction::plan_shards`](crate::Reduction::plan_shards) plans one.
+///
+/// ```
+/// use isospan::pipeline::{Committed, Shard, Shards};
+/// use isospan::{Archive, Reduction};
+/// # fn main() -> isospan::Result<()> {
+/// # let folder = tempfile::tempdir().unwrap();
+/// # let path = folder.path().join("protein.isospan");
+/// let plan = Reduction::of("datasets/ironprot.vtk").plan_shards(&path, 2)?;
+///
+/// // Each may be a process of its own, on any machine, in any order, and may be started again.
+/// let shards = Shards::at(&path);
+/// for n in 0..plan.shards {
+///     shards.work(Shard::new(n, plan.shards)?)?;
+/// }
+/// let mut committed = shards.commit()?;
+///
+/// // An error that is not to be exceeded may take several tries.
+/// while let Committed::NextTry(_) = committed {
+///     shards.work(Shard::ALL)?;
+///     committed = shards.commit()?;
+/// }
+/// assert!(Archive::open(&path).is_ok());
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone)]
+pub struct Shards<'a> {
+    archive: PathBuf,
+    run: RunSettings,
+    progress: &'a dyn Progress,
+    cut_into: Option<u64>,
+    quick: bool,
+}
+
+impl Shards<'static> {
+    /// The reduction that was planned for the archive of this path.
+    pub fn at(archive: impl AsRef<Path>) -> Self {
+        let archive = archive.as_ref().to_path_buf();
+        Self { archive, run: RunSettings::default(), progress: &Silent, cut_into: None, quick: false }
+    }
+}
+
+impl Shards<'_> {
+    /// What a run may use of the machine.
+    pub fn resources(mut self, resources: Resources) -> Self {
+        self.run.resources = resources;
+        self
+    }
+
+    /// How many shards [`Shards::status`] cuts the work into; as many as were planned if none.
+    pub fn cut_into(mut self, shards: impl Into<Option<u64>>) -> Self {
+        self.cut_into = shards.into();
+        self
+    }
+
+    /// [`Shards::status`] believes headers, lengths and footers, and does not read the blocks.
+    pub fn quick(mut self, quick: bool) -> Self {
+        self.quick = quick;
+        self
+    }
+
+    /// Shows how far it is.
+    pub fn progress(self, progress: &dyn Progress) -> Shards<'_> {
+        let Self { archive, run, cut_into, quick, .. } = self;
+        Shards { archive, run, progress, cut_into, quick }
+    }
+
+    /// Makes the segments of a shard that are not done yet.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as
+    /// [`Reduction::write`](crate::Reduction::write).
+    pub fn work(&self, shard: Shard) -> Result<WorkReport> {
+        work_shard(&self.archive, shard, &self.run, self.progress)
+    }
+
+    /// Verifies every segment of the plan and publishes the archive: index, then manifest. Deletes
+    /// nothing but what dead processes of this machine have left unfinished. Where a target is
+    /// searched for, it may plan the next try instead.
+    ///
+    /// # Errors
+    /// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
+    pub fn commit(&self) -> Result<Committed> {
+        commit_shards(&self.archive, &self.run, self.progress)
+    }
+
+    /// Looks at all segments of the plan.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when there is no plan, and for a damaged manifest;
+    /// [`Error::Cancelled`].
+    pub fn status(&self) -> Result<StatusReport> {
+        shard_status(&self.archive, self.cut_into, self.quick, &self.run.resources.cancel)
+    }
+
+    /// What a job script needs of the plan, for workers of `threads` threads.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when there is no plan.
+    pub fn needs(&self, threads: usize) -> Result<ShardNeeds> {
+        shard_needs(&self.archive, threads)
+    }
+}
 
 /// What was planned, and what a shard of it needs.
 #[derive(Clone, Debug, Serialize)]
@@ -66,14 +172,8 @@ pub struct PlanReport {
     pub needs: Estimate,
 }
 
-/// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and
-/// writes the plan next to it. With [`RunSettings::replace`] an existing archive and plan are
-/// replaced. Of a target it plans the first try: see [`Committed`].
-///
-/// # Errors
-/// As [`Reduction::write`](crate::Reduction::write); [`Error::Usage`] when there is another plan
-/// already, and for a largest error with points that adapt.
-pub fn plan_shards(
+/// Plans a reduction: see [`Reduction::plan_shards`](crate::Reduction::plan_shards).
+pub(in crate::pipeline) fn plan_shards(
     sources: &[StepSource],
     settings: &ReduceSettings,
     out: &Path,
@@ -157,7 +257,7 @@ impl PlanReport {
 /// What of a plan a job script needs.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
-pub struct Planned {
+pub struct ShardNeeds {
     /// Shards.
     pub shards: u64,
     /// Segments.
@@ -170,18 +270,15 @@ pub struct Planned {
     pub seconds: f64,
 }
 
-/// What was planned, for workers of `threads` threads.
-///
-/// # Errors
-/// [`Error::BadInput`] when there is no plan.
-pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
+/// See [`Shards::needs`].
+fn shard_needs(out: &Path, threads: usize) -> Result<ShardNeeds> {
     let file = PlanFile::read(out)?;
     let mesh = mesh_parts(&file.root(out), &file.plan)?;
     let steps = file.plan.steps.len();
     let resources = Resources::default().with_threads(threads);
     let run = RunSettings { resources, ..RunSettings::default() };
     let need = estimate::need_of(&mesh, Held::default(), steps, u64::MAX, &run);
-    Ok(Planned {
+    Ok(ShardNeeds {
         shards: file.shards,
         segments: Inventory::new(&file.root(out), &file).segments(),
         memory_least: file.memory_least,
@@ -208,17 +305,8 @@ pub struct WorkReport {
     pub seconds: StageSeconds,
 }
 
-/// Makes the segments of a shard that are not done yet.
-///
-/// # Errors
-/// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as
-/// [`Reduction::write`](crate::Reduction::write).
-pub fn work_shard(
-    out: &Path,
-    shard: Shard,
-    run: &RunSettings,
-    progress: &dyn Progress,
-) -> Result<WorkReport> {
+/// See [`Shards::work`].
+fn work_shard(out: &Path, shard: Shard, run: &RunSettings, progress: &dyn Progress) -> Result<WorkReport> {
     let started = Instant::now();
     let file = PlanFile::read(out)?;
     expect_no_other_archive(out, &file)?;
@@ -284,13 +372,8 @@ pub struct NextTry {
     pub next: PlanReport,
 }
 
-/// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes
-/// nothing but what dead processes of this machine have left unfinished. Where a target is searched
-/// for, it may plan the next try instead.
-///
-/// # Errors
-/// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
-pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<Committed> {
+/// See [`Shards::commit`].
+fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<Committed> {
     let started = Instant::now();
     let _lock = reduce::lock_for_writing(out)?;
     let file = PlanFile::read(out)?;

@@ -148,23 +148,19 @@ pub struct StatusReport {
     pub temporary_bytes: u64,
 }
 
-/// Looks at all segments of a plan. `shards` is how many the work is cut into, as many as the plan
-/// says if not given; `quick` believes headers, lengths and footers and does not read the blocks.
-///
-/// # Errors
-/// [`Error::BadInput`] when there is no plan, and for a damaged manifest.
-pub fn shard_status(
+/// See [`Shards::status`](super::Shards::status).
+pub(super) fn shard_status(
     out: &Path,
     shards: Option<u64>,
     quick: bool,
-    cancel: CancelToken,
+    cancel: &CancelToken,
 ) -> Result<StatusReport> {
     let file = PlanFile::read(out)?;
     let root = file.root(out);
     let inventory = Inventory::new(&root, &file);
     let depth = if quick { Depth::Frame } else { Depth::All };
     let run = RunSettings {
-        resources: Resources::default().with_memory(0).with_cancel(cancel),
+        resources: Resources::default().with_memory(0).with_cancel(cancel.clone()),
         ..RunSettings::default()
     };
     let faults = inventory.all_faults(depth, &run, &Silent)?;

@@ -24,11 +24,12 @@ mod worker;
 
 pub(super) use colours::values_on;
 pub(super) use level::level_of;
-pub use parts::SurfacePart;
+pub use parts::{StreamedPart, SurfaceSink};
 pub use plateau::Plateau;
 pub(super) use plateau::plateau_at;
 pub(super) use query::{count, stream_file, stream_surfaces, surfaces_in_memory, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};
 pub(super) use series::{series_files, surfaces_of_steps, write_series};
-pub use settings::{ColourBy, CountReport, OneSurface, SurfaceReport, SurfaceSettings};
+pub(super) use settings::SurfaceSettings;
+pub use settings::{ColourBy, CountReport, OneSurface, SurfaceReport};

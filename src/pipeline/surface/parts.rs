@@ -12,11 +12,36 @@ use crate::surface::weld::SurfaceBuilder;
 use crate::surface::{SurfaceSource, Vertex};
 use isospan_io::error::Result;
 
-/// A part of a surface that is streamed: see
-/// [`Step::stream_surfaces`](crate::pipeline::Step::stream_surfaces).
+/// Takes surfaces that are streamed: see
+/// [`SurfaceQuery::stream`](crate::pipeline::SurfaceQuery::stream). A closure takes parts alone.
+///
+/// Its methods are called on one thread at a time; others wait while a part is taken.
+pub trait SurfaceSink: Send {
+    /// Takes a part of a surface.
+    ///
+    /// # Errors
+    /// Its own; the extraction ends with them.
+    fn part(&mut self, part: &StreamedPart<'_>) -> Result<()>;
+
+    /// Takes a surface as a whole after all its parts, given which isovalue it is of, from 0.
+    ///
+    /// # Errors
+    /// Its own; the extraction ends with them.
+    fn whole(&mut self, _isovalue: usize, _surface: &dyn SurfaceSource) -> Result<()> {
+        Ok(())
+    }
+}
+
+impl<F: FnMut(&StreamedPart<'_>) -> Result<()> + Send> SurfaceSink for F {
+    fn part(&mut self, part: &StreamedPart<'_>) -> Result<()> {
+        self(part)
+    }
+}
+
+/// A part of a surface that is streamed to a [`SurfaceSink`].
 #[non_exhaustive]
-pub struct SurfacePart<'a> {
-    /// Which isovalue of the settings, from 0.
+pub struct StreamedPart<'a> {
+    /// Which isovalue of the query, from 0.
     pub isovalue: usize,
     /// The vertices and triangles that are new. A triangle has numbers of vertices of this part
     /// and of earlier ones.
@@ -38,18 +63,18 @@ pub(super) struct Parts<'a> {
     changes: bool,
     /// Whether parts come before that.
     is_early: bool,
-    each: &'a mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+    sink: &'a mut dyn SurfaceSink,
 }
 
 impl<'a> Parts<'a> {
     pub(super) fn new(
         archive: &StepView,
         settings: &SurfaceSettings,
-        each: &'a mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
+        sink: &'a mut dyn SurfaceSink,
     ) -> Result<Self> {
         let is_early = settings.refine.changes_nothing();
         let changes = !is_early || settings.roi.is_some() || archive.may_have_holes();
-        Ok(Self { to_world: IndexToWorld::of(archive)?, changes, is_early, each })
+        Ok(Self { to_world: IndexToWorld::of(archive)?, changes, is_early, sink })
     }
 
     /// Whether the parts are those of a preview, whose last normals nobody needs.
@@ -62,7 +87,7 @@ impl<'a> Parts<'a> {
         if !self.is_early {
             return Ok(());
         }
-        let Self { to_world, each, changes: is_preview, .. } = self;
+        let Self { to_world, sink, changes: is_preview, .. } = self;
         let is_preview = *is_preview;
         builder.hand_on(|added| {
             let place = |&(number, vertex)| Ok((number, to_world.vertex(&vertex)?));
@@ -72,21 +97,22 @@ impl<'a> Parts<'a> {
                 return Ok(());
             }
             to_world.surface(added, |added| {
-                each(&SurfacePart { isovalue, added, changed: &changed, chunks, is_preview })
+                sink.part(&StreamedPart { isovalue, added, changed: &changed, chunks, is_preview })
             })
         })
     }
 
-    /// Hands on a finished surface in the world, unless its parts were.
+    /// Hands on a finished surface in the world: as a part unless its parts were, and as a whole.
     pub(super) fn take_whole(
         &mut self,
         surface: &dyn SurfaceSource,
         isovalue: usize,
         chunks: u64,
     ) -> Result<()> {
-        if !self.changes {
-            return Ok(());
+        if self.changes {
+            let is_preview = false;
+            self.sink.part(&StreamedPart { isovalue, added: surface, changed: &[], chunks, is_preview })?;
         }
-        (self.each)(&SurfacePart { isovalue, added: surface, changed: &[], chunks, is_preview: false })
+        self.sink.whole(isovalue, surface)
     }
 }

@@ -6,7 +6,7 @@ use super::colours::colours;
 use super::cubes::crossed_cells;
 use super::extract::Extraction;
 use super::level::level_of;
-use super::parts::{Parts, SurfacePart};
+use super::parts::{Parts, SurfaceSink};
 use super::question::{ChunkWork, Question};
 use super::refine::{Means, RefineReport};
 use super::settings::{
@@ -15,7 +15,7 @@ use super::settings::{
 use super::weld::{Extracted, SurfaceStorage};
 use crate::files::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::pipeline::read::{
-    Block, ChunkReader, CornerValues, Cut, LevelChoice, Needed, ReaderMemory, StepView, ValuesMemory, Wanted,
+    Block, ChunkReader, CornerValues, Cut, Needed, ReaderMemory, StepView, ValuesMemory, Wanted,
     expect_in_f32, in_memory, in_world, world_map,
 };
 use crate::pipeline::stage::Stage;
@@ -26,7 +26,7 @@ use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use isospan_io::bytes::remote::{traffic, traffic_since};
 use isospan_io::error::{Error, Result};
-use isospan_io::exec::{CancelToken, Clock, Progress, Resources, Silent, pool};
+use isospan_io::exec::{Clock, Progress, pool};
 use rayon::prelude::*;
 use std::path::Path;
 use std::time::Duration;
@@ -36,15 +36,12 @@ use std::time::Duration;
 pub(in crate::pipeline) fn count(
     archive: &StepView,
     wanted: f64,
-    level: Option<LevelChoice>,
-    cancel: &CancelToken,
+    settings: &SurfaceSettings,
 ) -> Result<CountReport> {
     finite(wanted)?;
     let isovalue = archive.step().plan.source.kept(wanted);
     let read_before = archive.bytes_read();
-    let resources = Resources::default().with_cancel(cancel.clone());
-    let settings = SurfaceSettings { level, resources, ..SurfaceSettings::of(wanted) };
-    let level = level_of(archive, &settings)?;
+    let level = level_of(archive, settings)?;
     let has_spectrum = level == 0 && !archive.is_between();
     let spectrum = if has_spectrum { archive.stored_spectrum()? } else { None };
     let stored = spectrum.as_ref().and_then(|file| file.active(isovalue));
@@ -52,7 +49,7 @@ pub(in crate::pipeline) fn count(
     let active_cells = match stored {
         Some(n) => n,
         None => {
-            let (n, bytes) = decoded_count(archive, level, isovalue, &settings)?;
+            let (n, bytes) = decoded_count(archive, level, isovalue, settings)?;
             bytes_read += bytes;
             n
         }
@@ -83,7 +80,8 @@ fn decoded_count(
             None => count_in_chunk(archive, work, isovalue),
         }
     };
-    let active = pool(0)?.install(|| work.par_iter().map(count).sum::<Result<u64>>())?;
+    let active =
+        pool(settings.resources.threads)?.install(|| work.par_iter().map(count).sum::<Result<u64>>())?;
     Ok((active, index_bytes + archive.bytes_read() - read_before))
 }
 
@@ -103,7 +101,7 @@ fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result
 }
 
 /// Extracts isosurfaces to a file: see
-/// [`Step::write_surface`](crate::pipeline::Step::write_surface).
+/// [`SurfaceQuery::write`](crate::pipeline::SurfaceQuery::write).
 pub(in crate::pipeline) fn write_surfaces(
     archive: &StepView,
     settings: &SurfaceSettings,
@@ -187,6 +185,7 @@ pub(in crate::pipeline) fn stream_file(
     archive: &StepView,
     settings: &SurfaceSettings,
     format: SurfaceFormat,
+    progress: &dyn Progress,
     each: &mut dyn FnMut(&[u8]) -> Result<()>,
 ) -> Result<SurfaceReport> {
     settings.check_colours(format)?;
@@ -194,7 +193,7 @@ pub(in crate::pipeline) fn stream_file(
     let resources = settings.resources.clone().with_scratch(scratch.clone());
     let settings = &SurfaceSettings { resources, ..settings.clone() };
     let storage = SurfaceStorage { scratch: scratch.clone(), reused: vec![] };
-    let made = make(archive, settings, storage, None, &Silent)?;
+    let made = make(archive, settings, storage, None, progress)?;
     let memory_bytes = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
     let beside = BuilderSettings { memory_bytes, scratch };
     let mut origin = [0.0; 3];
@@ -216,17 +215,16 @@ pub(in crate::pipeline) fn stream_file(
 pub(in crate::pipeline) fn stream_surfaces(
     archive: &StepView,
     settings: &SurfaceSettings,
-    part: &mut (dyn FnMut(&SurfacePart<'_>) -> Result<()> + Send),
-    mut whole: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+    progress: &dyn Progress,
+    sink: &mut dyn SurfaceSink,
 ) -> Result<SurfaceReport> {
     let scratch = settings.resources.scratch_folder();
-    let mut parts = Parts::new(archive, settings, part)?;
+    let mut parts = Parts::new(archive, settings, sink)?;
     let storage = SurfaceStorage { scratch, reused: vec![] };
-    let made = make(archive, settings, storage, Some(&mut parts), &Silent)?;
+    let made = make(archive, settings, storage, Some(&mut parts), progress)?;
     for (isovalue, found) in made.surfaces.iter().enumerate() {
         found.in_world(archive, &found.surface, |surface| {
-            parts.take_whole(surface, isovalue, archive.chunks.len())?;
-            whole(surface)
+            parts.take_whole(surface, isovalue, archive.chunks.len())
         })?;
     }
     report_of(archive, settings, &made, Path::new(""))
@@ -412,10 +410,11 @@ fn expect_full_box(archive: &StepView) -> Result<()> {
 pub(in crate::pipeline) fn surfaces_in_memory(
     archive: &StepView,
     settings: &SurfaceSettings,
+    progress: &dyn Progress,
     reused: Vec<TriMesh>,
 ) -> Result<Vec<TriMesh>> {
     let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let made = make(archive, settings, SurfaceStorage { scratch, reused }, None, &Silent)?;
+    let made = make(archive, settings, SurfaceStorage { scratch, reused }, None, progress)?;
     let in_memory = |found: Extracted| match found.is_placed {
         true => found.surface.into_mesh(),
         false => in_memory(archive, found.surface),

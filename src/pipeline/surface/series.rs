@@ -16,7 +16,7 @@ use crate::pipeline::read::{OpenArchive, StepView};
 use crate::surface::TriMesh;
 use isospan_io::bytes::publish::{Unpublished, folder_of};
 use isospan_io::error::{Error, Result};
-use isospan_io::exec::{Progress, Silent};
+use isospan_io::exec::Progress;
 use isospan_io::formats::listed_files;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -70,7 +70,7 @@ pub(in crate::pipeline) fn series_files(
 }
 
 /// Writes isosurfaces of many steps: see
-/// [`Archive::write_series`](crate::pipeline::Archive::write_series).
+/// [`SurfaceQuery::write`](crate::pipeline::SurfaceQuery::write).
 pub(in crate::pipeline) fn write_series(
     archive: &Arc<OpenArchive>,
     steps: Range<usize>,
@@ -128,6 +128,7 @@ pub(in crate::pipeline) fn surfaces_of_steps(
     archive: &Arc<OpenArchive>,
     steps: Range<usize>,
     settings: &SurfaceSettings,
+    progress: &dyn Progress,
     each: &mut EachStep<'_>,
 ) -> Result<()> {
     settings.check()?;
@@ -139,7 +140,7 @@ pub(in crate::pipeline) fn surfaces_of_steps(
         each(step.number(), step.time_or_number(), &mut surfaces)?;
         Ok(surfaces)
     };
-    for_each_step(archive, steps, settings, &scratch, &Silent, &mut hand_out)
+    for_each_step(archive, steps, settings, &scratch, progress, &mut hand_out)
 }
 
 /// What is done with the surfaces of a step; their memory comes back.

@@ -15,23 +15,23 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// How surfaces are extracted.
+/// How surfaces are extracted: see [`SurfaceQuery`](crate::pipeline::SurfaceQuery).
 #[derive(Clone, Debug)]
-pub struct SurfaceSettings {
+pub(in crate::pipeline) struct SurfaceSettings {
     /// The isovalues, each once: a value `>=` it is inside. All are extracted in one pass.
-    pub isovalues: Vec<f64>,
+    pub(in crate::pipeline) isovalues: Vec<f64>,
     /// The box at which the surfaces are cut; the whole domain if not given.
-    pub roi: Option<Roi>,
+    pub(in crate::pipeline) roi: Option<Roi>,
     /// Close the surfaces where the domain ends.
-    pub cap: bool,
+    pub(in crate::pipeline) cap: bool,
     /// What is done to each surface before it is written.
-    pub refine: Refine,
+    pub(in crate::pipeline) refine: Refine,
     /// A field whose values a surface file has at the vertices, with their colours.
-    pub colour_by: Option<ColourBy>,
+    pub(in crate::pipeline) colour_by: Option<ColourBy>,
     /// The level of a pyramid; the finest if not given. Other archives have no levels.
-    pub level: Option<LevelChoice>,
+    pub(in crate::pipeline) level: Option<LevelChoice>,
     /// Threads, memory, scratch folder, and what stops it.
-    pub resources: Resources,
+    pub(in crate::pipeline) resources: Resources,
 }
 
 /// A field that colours surfaces: see [`Step::colours`](crate::pipeline::Step::colours).
@@ -66,13 +66,8 @@ impl Default for SurfaceSettings {
 }
 
 impl SurfaceSettings {
-    /// The default settings for an isovalue.
-    pub fn of(isovalue: impl Into<f64>) -> Self {
-        Self { isovalues: vec![isovalue.into()], ..Self::default() }
-    }
-
     /// The files that surfaces are written to, under a name that may hold `{}`.
-    pub fn files(&self, out: &Path) -> Vec<PathBuf> {
+    pub(in crate::pipeline) fn files(&self, out: &Path) -> Vec<PathBuf> {
         let count = if is_each_alone(out) { self.isovalues.len() } else { 1 };
         self.isovalues.iter().take(count).map(|&isovalue| file_of(out, isovalue)).collect()
     }

@@ -2,17 +2,18 @@
 
 use isospan::archive::manifest::{MANIFEST_NAME, Manifest, pack_manifest};
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use isospan::exec::{Progress, Silent};
-use isospan::formats::surface::{SurfaceFormat, read_surface};
+use isospan::exec::Silent;
+use isospan::formats::surface::read_surface;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, ArchiveCheck, ArchiveSummary, CountReport, ReduceReport, ReduceSettings, RunSettings,
-    SeriesReport, Shard, SpectrumReport, StepChoice, StepRange, SurfacePart, SurfaceReport, SurfaceSettings,
+    self, Addition, Amount, ArchiveCheck, ArchiveSummary, CountReport, Isovalues, Measurement, ReduceReport,
+    ReduceSettings, RunSettings, Shard, Shards, SpectrumReport, StepChoice, StreamedPart, SurfaceQuery,
+    SurfaceReport, SurfaceSink,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
-use isospan::surface::TriMesh;
-use isospan::{Archive, Resources, Result};
+use isospan::surface::{SurfaceSource, TriMesh};
+use isospan::{Archive, Reduction, Resources, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
@@ -185,11 +186,13 @@ pub(crate) fn reduce_in_shards(input: &Path, settings: &ReduceSettings, out: &Pa
 
 pub(crate) fn reduce_series_in_shards(sources: &[StepSource], settings: &ReduceSettings, out: &Path) {
     let run = run(2);
-    pipeline::plan_shards(sources, settings, out, 2, &run, &Silent).unwrap();
+    let reduction = Reduction::of_steps(sources.to_vec()).settings(settings.clone());
+    reduction.resources(run.resources.clone()).plan_shards(out, 2).unwrap();
+    let shards = Shards::at(out).resources(run.resources);
     for shard in [1, 0] {
-        pipeline::work_shard(out, Shard::new(shard, 2).unwrap(), &run, &Silent).unwrap();
+        shards.work(Shard::new(shard, 2).unwrap()).unwrap();
     }
-    pipeline::commit_shards(out, &run, &Silent).unwrap();
+    shards.commit().unwrap();
 }
 
 /// All samples of a step, x fastest.
@@ -200,53 +203,29 @@ pub(crate) fn samples(archive: &Archive, choice: StepChoice) -> Vec<f64> {
 
 /// The error of an archive of one step against its source.
 pub(crate) fn error_of(archive: &Path, input: &Path) -> isospan::measure::FieldError {
-    let settings =
-        pipeline::MeasureSettings { resources: run(2).resources, ..pipeline::MeasureSettings::default() };
-    pipeline::measure(archive, input, &OpenOptions::default(), &settings, &Silent).unwrap().error
+    measurement(archive, input).resources(run(2).resources).run().unwrap().error
+}
+
+/// A measurement of an archive against a file.
+pub(crate) fn measurement(archive: &Path, input: &Path) -> Measurement<'static> {
+    Archive::open(archive).unwrap().measure(input)
+}
+
+/// Steps that are to be added to an archive.
+pub(crate) fn addition(steps: &[StepSource], run: &RunSettings) -> Addition<'static> {
+    let addition = Addition::of_steps(steps.to_vec()).keep_going(run.keep_going);
+    addition.resources(run.resources.clone())
 }
 
 pub(crate) fn surface(archive: &Path, isovalue: impl Into<f64>, out: &Path, threads: usize) -> SurfaceReport {
-    let settings = SurfaceSettings {
-        resources: Resources::default().with_threads(threads),
-        ..SurfaceSettings::of(isovalue)
-    };
-    extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent).unwrap()
+    let isovalue: f64 = isovalue.into();
+    let resources = Resources::default().with_threads(threads);
+    query(archive, isovalue).resources(resources).write(out).unwrap()
 }
 
-/// Writes surfaces as the command line does: the archive is opened for it, and keeps nothing.
-pub(crate) fn extract_surface(
-    archive: &Path,
-    settings: &SurfaceSettings,
-    out: &Path,
-    format: SurfaceFormat,
-    progress: &dyn Progress,
-) -> Result<SurfaceReport> {
-    extract_surface_at(archive, StepChoice::First, settings, out, format, progress)
-}
-
-/// As [`extract_surface`], at a step or a time.
-pub(crate) fn extract_surface_at(
-    archive: &Path,
-    choice: StepChoice,
-    settings: &SurfaceSettings,
-    out: &Path,
-    format: SurfaceFormat,
-    progress: &dyn Progress,
-) -> Result<SurfaceReport> {
-    let step = Archive::open(archive)?.keeping(0).at(choice)?;
-    step.write_surface(settings, out, format, progress)
-}
-
-/// As [`extract_surface`], of many steps.
-pub(crate) fn extract_series(
-    archive: &Path,
-    steps: StepRange,
-    settings: &SurfaceSettings,
-    out: &Path,
-    format: SurfaceFormat,
-    progress: &dyn Progress,
-) -> Result<SeriesReport> {
-    Archive::open(archive)?.keeping(0).write_series(steps, settings, out, format, progress)
+/// A question as the command line asks it: the archive is opened for it, and keeps nothing.
+pub(crate) fn query(archive: &Path, isovalues: impl Into<Isovalues>) -> SurfaceQuery<'static> {
+    Archive::open(archive).unwrap().keeping(0).query(isovalues)
 }
 
 pub(crate) fn check_archive(archive: &Path) -> Result<ArchiveCheck> {
@@ -380,17 +359,35 @@ pub(crate) fn reseal_all(
 
 /// The surfaces of a step whose parts were put together, in place of those of a preview, and the
 /// number of all parts.
-pub(crate) fn streamed(archive: &Archive, settings: &SurfaceSettings) -> (Vec<TriMesh>, usize) {
-    let mut shown = vec![TriMesh::default(); settings.isovalues.len()];
-    let (mut parts, mut chunks, mut whole) = (0, 0, 0);
-    let mut are_previews = vec![false; settings.isovalues.len()];
-    let mut take = |part: &SurfacePart<'_>| {
-        let was_preview = std::mem::replace(&mut are_previews[part.isovalue], part.is_preview);
-        assert!(was_preview || !part.is_preview || shown[part.isovalue] == TriMesh::default());
+pub(crate) fn streamed(query: &SurfaceQuery<'_>) -> (Vec<TriMesh>, usize) {
+    let count = query.isovalues().len();
+    let mut taken = Taken { shown: vec![Default::default(); count], ..Taken::default() };
+    let report = query.stream(&mut taken).unwrap();
+    assert_eq!(report.triangles, taken.whole);
+    assert!(!taken.shown.iter().any(|(_, is_preview)| *is_preview), "surfaces end as they are");
+    (taken.shown.into_iter().map(|(surface, _)| surface).collect(), taken.parts)
+}
+
+/// What a stream has handed on.
+#[derive(Default)]
+struct Taken {
+    /// The surfaces, and whether each is a preview.
+    shown: Vec<(TriMesh, bool)>,
+    parts: usize,
+    chunks: u64,
+    /// Triangles of whole surfaces.
+    whole: u64,
+}
+
+impl SurfaceSink for Taken {
+    fn part(&mut self, part: &StreamedPart<'_>) -> Result<()> {
+        let (surface, is_preview) = &mut self.shown[part.isovalue];
+        let was_preview = std::mem::replace(is_preview, part.is_preview);
+        assert!(was_preview || !part.is_preview || *surface == TriMesh::default());
         if was_preview && !part.is_preview {
-            shown[part.isovalue] = TriMesh::default();
+            *surface = TriMesh::default();
         }
-        let (surface, added) = (&mut shown[part.isovalue], TriMesh::from_source(part.added)?);
+        let added = TriMesh::from_source(part.added)?;
         surface.vertices.extend(added.vertices);
         surface.triangles.extend(added.triangles);
         let count = surface.vertices.len() as u32;
@@ -398,15 +395,13 @@ pub(crate) fn streamed(archive: &Archive, settings: &SurfaceSettings) -> (Vec<Tr
         for &(number, vertex) in part.changed {
             surface.vertices[number as usize] = vertex;
         }
-        assert!(part.chunks >= chunks, "chunks come in order");
-        (parts, chunks) = (parts + 1, part.chunks);
+        assert!(part.chunks >= self.chunks, "chunks come in order");
+        (self.parts, self.chunks) = (self.parts + 1, part.chunks);
         Ok(())
-    };
-    let report = archive.stream_surfaces(settings, &mut take, |surface| {
-        whole += surface.triangle_count();
+    }
+
+    fn whole(&mut self, _: usize, surface: &dyn SurfaceSource) -> Result<()> {
+        self.whole += surface.triangle_count();
         Ok(())
-    });
-    assert_eq!(report.unwrap().triangles, whole);
-    assert!(!are_previews.contains(&true), "surfaces end as they are");
-    (shown, parts)
+    }
 }

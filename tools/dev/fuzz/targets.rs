@@ -14,11 +14,11 @@ use isospan::bytes::IoMode;
 use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;
 use isospan::formats::RawLayout;
-use isospan::formats::surface::{SurfaceFormat, read_surface};
+use isospan::formats::surface::read_surface;
 use isospan::formats::{OpenOptions, StepSource, open_mesh, open_volume};
 use isospan::geom::PointId;
 use isospan::grid::IndexBox;
-use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings};
+use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::volume::chunked::ChunkedVolume;
@@ -317,17 +317,13 @@ impl Archive {
 
     fn ask(&self) -> Result<()> {
         let out = self.copy.with_extension("ply");
-        let settings = SurfaceSettings {
-            resources: Resources::default().with_threads(1),
-            ..SurfaceSettings::of(ISOVALUE)
-        };
-        let capped = SurfaceSettings { cap: true, ..settings.clone() };
         let archive = isospan::Archive::open(&self.copy)?.keeping(0);
+        let query = archive.query(ISOVALUE).resources(Resources::default().with_threads(1));
         let outcomes = [
             archive.check().map(drop),
             archive.count(ISOVALUE).map(drop),
-            archive.write_surface(&settings, &out, SurfaceFormat::Ply, &Silent).map(drop),
-            archive.write_surface(&capped, &out, SurfaceFormat::Ply, &Silent).map(drop),
+            query.write(&out).map(drop),
+            query.clone().cap(true).write(&out).map(drop),
             archive.info().map(drop),
         ];
         outcomes.into_iter().collect()

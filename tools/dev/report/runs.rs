@@ -18,9 +18,7 @@ use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::geom::Lattice;
 use isospan::measure::ErrorSums;
-use isospan::pipeline::{
-    Amount, ReduceReport, ReduceSettings, RunSettings, Stage, SurfaceSettings, reduce_series,
-};
+use isospan::pipeline::{Amount, ReduceReport, ReduceSettings, RunSettings, Stage, reduce_series};
 use isospan::points::{PointSet, PointSpec, SetKind};
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
@@ -321,14 +319,11 @@ impl Lab {
             mesh.push(seconds(&report.seconds, &[Stage::Mesh]));
             sample.push(seconds(&report.seconds, &[Stage::Sample]));
         }
-        let query = SurfaceSettings {
-            resources: Resources::default().with_threads(1),
-            ..SurfaceSettings::of(original.made.isovalue)
-        };
         let file = self.folder.join("timed.ply");
         for _ in 0..self.repeats {
             let open = Archive::open(&archive)?.keeping(0);
-            let found = open.write_surface(&query, &file, SurfaceFormat::Ply, &Silent)?;
+            let query = open.query(original.made.isovalue).resources(Resources::default().with_threads(1));
+            let found = query.write(&file)?;
             extract.push(open.opening().seconds + seconds(&found.seconds, &[Stage::Open, Stage::Extract]));
         }
         if let Some((before, after)) = worked.zip(processor_seconds()) {

@@ -6,21 +6,20 @@ use crate::json::to_python;
 use crate::surface::Surface;
 use crate::volume::{Volume, raised_or};
 use crate::work::run;
-use isospan::Resources;
 use isospan::exec::usable_memory;
 use isospan::formats::samples::SampleFormat;
-use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Corners, ExportSettings, GridSettings, LevelChoice, MeasureSettings, ProbeSettings, Refine,
-    RunSettings, Step, StepChoice, StepRange, SurfaceSettings,
+    self, Corners, ExportSettings, GridSettings, LevelChoice, ProbeSettings, Refine, Roi, RunSettings, Step,
+    StepChoice, StepRange,
 };
 use isospan::surface::edit::{components::ComponentFilter, decimate::Decimation};
+use isospan::{Resources, SurfaceQuery};
 use isospan_cli::commands::grammar;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::str::FromStr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 /// Whether there is an archive of this name.
 #[pyfunction]
@@ -39,10 +38,9 @@ pub(crate) fn keep(object: Py<PyAny>) {
 /// blocks.
 #[pyclass(frozen)]
 pub(crate) struct Archive {
-    path: PathBuf,
     archive: isospan::Archive,
-    here: Arc<Step>,
-    other: Mutex<Option<(StepChoice, Arc<Step>)>>,
+    here: Step,
+    other: Mutex<Option<(StepChoice, Step)>>,
 }
 
 /// A step, by its number or the name of its field, or by both where it has several fields.
@@ -84,7 +82,7 @@ impl Machine {
         }
     }
 
-    fn resources(&self, py: Python<'_>) -> PyResult<Resources> {
+    pub(crate) fn resources(&self, py: Python<'_>) -> PyResult<Resources> {
         let resources = Resources::default().with_threads(self.threads).with_memory(self.memory(py)?);
         Ok(resources.with_scratch(self.scratch.clone()))
     }
@@ -153,16 +151,10 @@ impl Wanted {
         Refine { components, decimate }
     }
 
-    fn settings(&self, py: Python<'_>, machine: &Machine) -> PyResult<SurfaceSettings> {
-        Ok(SurfaceSettings {
-            resources: machine.resources(py)?,
-            isovalues: self.isovalues.clone(),
-            roi: parsed(py, self.roi.as_ref())?,
-            cap: self.cap,
-            refine: self.refine(),
-            level: level_choice(py, &self.level)?,
-            ..SurfaceSettings::default()
-        })
+    /// The question as it is wanted, of a step or of several.
+    fn of<'q, Of>(&self, py: Python<'_>, query: SurfaceQuery<'q, Of>) -> PyResult<SurfaceQuery<'q, Of>> {
+        let (roi, level) = (parsed::<Roi>(py, self.roi.as_ref())?, level_choice(py, &self.level)?);
+        Ok(query.region(roi).cap(self.cap).refine(self.refine()).level(level))
     }
 }
 
@@ -207,14 +199,14 @@ impl Against {
 
 impl Archive {
     /// The archive at a step; at the one that it was opened at, if none is given.
-    fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<Step>> {
+    fn at(&self, py: Python<'_>, when: When) -> PyResult<Step> {
         self.at_field(py, when, None)
     }
 
     /// As [`Archive::at`], of a field that is known.
-    fn at_field(&self, py: Python<'_>, when: When, field: Option<&String>) -> PyResult<Arc<Step>> {
+    fn at_field(&self, py: Python<'_>, when: When, field: Option<&String>) -> PyResult<Step> {
         if when == (None, None) {
-            return Ok(Arc::clone(&self.here));
+            return Ok(self.here.clone());
         }
         let choice = match (choice(py, when)?, field.cloned()) {
             (StepChoice::Number(number), Some(field)) => StepChoice::NumberOf(number, field),
@@ -226,10 +218,10 @@ impl Archive {
             if let Some((known, step)) = &*other
                 && *known == choice
             {
-                return Ok(Arc::clone(step));
+                return Ok(step.clone());
             }
-            let step = Arc::new(self.archive.at(choice.clone())?);
-            *other = Some((choice, Arc::clone(&step)));
+            let step = self.archive.at(choice.clone())?;
+            *other = Some((choice, step.clone()));
             Ok(step)
         })
         .map_err(|e| exception(py, &e))
@@ -243,7 +235,7 @@ impl Archive {
         let choice = choice(py, when)?;
         let open = || isospan::Archive::open(&path).and_then(|a| a.at(choice).map(|step| (a, step)));
         let (archive, here) = py.detach(open).map_err(|e| exception(py, &e))?;
-        Ok(Self { path, archive, here: Arc::new(here), other: Mutex::new(None) })
+        Ok(Self { archive, here, other: Mutex::new(None) })
     }
 
     fn info<'py>(&self, py: Python<'py>, when: When) -> PyResult<Bound<'py, PyAny>> {
@@ -280,9 +272,9 @@ impl Archive {
     fn count(&self, py: Python<'_>, isovalue: f64, level: LevelOf, when: When) -> PyResult<u64> {
         let archive = self.at(py, when)?;
         let level = level_choice(py, &level)?;
-        let report = run(py, None, |cancel, _| match level {
-            None => archive.count_until(isovalue, cancel),
-            Some(level) => archive.count_at(isovalue, level, cancel),
+        let query = archive.query(isovalue).level(level);
+        let report = run(py, None, |cancel, _| {
+            query.resources(Resources::default().with_cancel(cancel.clone())).count()
         })?;
         Ok(report.active_cells)
     }
@@ -296,14 +288,10 @@ impl Archive {
         when: When,
     ) -> PyResult<Vec<Surface>> {
         let archive = self.at(py, when)?;
-        let settings = wanted.settings(py, &machine)?;
-        let meshes = run(py, None, |cancel, _| {
-            let settings = SurfaceSettings {
-                resources: settings.resources.clone().with_cancel(cancel.clone()),
-                ..settings
-            };
-            archive.surfaces(&settings)
-        })?;
+        let query = wanted.of(py, archive.query(&wanted.isovalues))?;
+        let resources = machine.resources(py)?;
+        let meshes =
+            run(py, None, |cancel, _| query.resources(resources.with_cancel(cancel.clone())).meshes())?;
         let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.source());
         let surfaces = meshes.into_iter().zip(&wanted.isovalues);
         Ok(surfaces.map(|(mesh, &isovalue)| Surface::new(mesh, isovalue, &comment)).collect())
@@ -321,13 +309,10 @@ impl Archive {
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let archive = self.at(py, when)?;
-        let settings = wanted.settings(py, &machine)?;
+        let query = wanted.of(py, archive.query(&wanted.isovalues))?;
+        let resources = machine.resources(py)?;
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = SurfaceSettings {
-                resources: settings.resources.clone().with_cancel(cancel.clone()),
-                ..settings
-            };
-            archive.write_surface(&settings, &out, SurfaceFormat::from_path(&out)?, progress)
+            query.resources(resources.with_cancel(cancel.clone())).progress(progress).write(&out)
         })?;
         to_python(py, &report)
     }
@@ -342,15 +327,12 @@ impl Archive {
         steps: Option<String>,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let settings = wanted.settings(py, &machine)?;
         let steps: StepRange = parsed(py, steps.as_ref())?.unwrap_or_default();
+        let steps = self.archive.steps(steps).map_err(|e| exception(py, &e))?;
+        let query = wanted.of(py, steps.query(&wanted.isovalues))?;
+        let resources = machine.resources(py)?;
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = SurfaceSettings {
-                resources: settings.resources.clone().with_cancel(cancel.clone()),
-                ..settings
-            };
-            let format = SurfaceFormat::from_path(&out)?;
-            self.archive.write_series(steps, &settings, &out, format, progress)
+            query.resources(resources.with_cancel(cancel.clone())).progress(progress).write(&out)
         })?;
         to_python(py, &report)
     }
@@ -499,22 +481,18 @@ impl Archive {
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let (resources, level) = (machine.resources(py)?, level_choice(py, &level)?);
-        let settings = MeasureSettings { resources, level, step, map };
         let options = OpenOptions { field, ..OpenOptions::default() };
         let done = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = MeasureSettings {
-                resources: settings.resources.clone().with_cancel(cancel.clone()),
-                ..settings
-            };
+            let resources = resources.with_cancel(cancel.clone());
             let source = match &against {
                 Against::File(path) => StepSource::new(path, &options),
                 Against::Volume(volume) => {
-                    let resources = settings.resources.clone();
-                    let run = RunSettings { resources, ..RunSettings::default() };
+                    let run = RunSettings { resources: resources.clone(), ..RunSettings::default() };
                     volume.get().step(&run, progress)?
                 }
             };
-            pipeline::measure_source(&self.path, &source, &settings, progress)
+            let measurement = self.archive.measure(source).step(step).level(level).map(map);
+            measurement.resources(resources).progress(progress).run()
         });
         to_python(py, &done.map_err(|e| raised_or(e, against.volumes()))?)
     }

@@ -7,8 +7,8 @@ use crate::json::to_python;
 use crate::volume::{Volume, raised_or, steps};
 use crate::work::run;
 use clap::Parser;
-use isospan::Reduction;
-use isospan::pipeline::{self, Committed, RunSettings};
+use isospan::pipeline::{Committed, Shards};
+use isospan::{Reduction, Resources};
 use isospan_cli::commands::progress::Talk;
 use isospan_cli::commands::{self, Cli, Command};
 use pyo3::prelude::*;
@@ -90,7 +90,7 @@ pub(crate) fn append<'py>(
                 steps
             }
         };
-        pipeline::append(&steps, &args.settings(), &args.archive, &run, progress)
+        args.addition(steps, run).progress(progress).append_to(&args.archive)
     });
     to_python(py, &done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?)
 }
@@ -107,7 +107,9 @@ pub(crate) fn plan<'py>(
     let report = run(py, progress.as_ref(), |cancel, progress| {
         let run = args.run_settings(&talk, cancel.clone());
         let (steps, settings) = args.request(&talk)?;
-        pipeline::plan_shards(&steps, &settings, &args.output, shards, &run, progress)
+        let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
+        let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
+        reduction.progress(progress).plan_shards(&args.output, shards)
     })?;
     to_python(py, &report)
 }
@@ -115,7 +117,9 @@ pub(crate) fn plan<'py>(
 /// `isospan status`.
 #[pyfunction]
 pub(crate) fn status(py: Python<'_>, archive: PathBuf) -> PyResult<Bound<'_, PyAny>> {
-    let report = run(py, None, |cancel, _| pipeline::shard_status(&archive, None, false, cancel.clone()))?;
+    let report = run(py, None, |cancel, _| {
+        Shards::at(&archive).resources(Resources::default().with_cancel(cancel.clone())).status()
+    })?;
     to_python(py, &report)
 }
 
@@ -127,11 +131,10 @@ pub(crate) fn work<'py>(
     shard: &str,
     machine: Machine,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let settings = machine.run_settings(py)?;
+    let resources = machine.resources(py)?;
     let report = run(py, None, |cancel, progress| {
-        let settings =
-            RunSettings { resources: settings.resources.clone().with_cancel(cancel.clone()), ..settings };
-        pipeline::work_shard(&archive, shard.parse()?, &settings, progress)
+        let shards = Shards::at(&archive).resources(resources.with_cancel(cancel.clone()));
+        shards.progress(progress).work(shard.parse()?)
     })?;
     to_python(py, &report)
 }
@@ -144,11 +147,10 @@ pub(crate) fn commit<'py>(
     machine: Machine,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let settings = machine.run_settings(py)?;
+    let resources = machine.resources(py)?;
     let report = run(py, progress.as_ref(), |cancel, progress| {
-        let settings =
-            RunSettings { resources: settings.resources.clone().with_cancel(cancel.clone()), ..settings };
-        pipeline::commit_shards(&archive, &settings, progress)
+        let shards = Shards::at(&archive).resources(resources.with_cancel(cancel.clone()));
+        shards.progress(progress).commit()
     })?;
     if let Committed::Archive(report) = &report {
         warn_unmet(py, &archive, report)?;

@@ -5,8 +5,8 @@ use super::super::step::colour_fields;
 use super::plane::{Hull, Shown, Slice};
 use super::{Args, Colours, Job};
 use isospan::exec::Progress;
-use isospan::formats::surface::{SurfaceFormat, load_surface};
-use isospan::pipeline::{LevelChoice, Step, StepChoice, StepSummary, SurfaceSettings, is_archive};
+use isospan::formats::surface::load_surface;
+use isospan::pipeline::{LevelChoice, Step, StepChoice, StepSummary, is_archive};
 use isospan::render::Paint;
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
@@ -178,13 +178,8 @@ impl Input {
         let moment = |(choice, name)| {
             let step = Rc::new(archive.at(choice)?);
             let field = fields.next().unwrap_or_else(|| step.clone());
-            let wanted = SurfaceSettings {
-                isovalues: isovalues.clone(),
-                level: args.level.choice(),
-                resources: resources.clone(),
-                ..SurfaceSettings::default()
-            };
-            let level = wanted.level.map(|_| step.level_of(&wanted)).transpose()?;
+            let query = step.query(&isovalues).level(args.level.choice()).resources(resources.clone());
+            let level = args.level.choice().map(|_| query.chosen_level()).transpose()?;
             Ok(Moment { step, field, level, name })
         };
         let moments = choices.into_iter().map(moment).collect::<Result<_>>()?;
@@ -416,19 +411,15 @@ impl Job<'_> {
         }
         let folder = tempfile::tempdir_in(&self.scratch)
             .map_err(|e| Error::io("make a temporary folder in", &self.scratch, e))?;
-        let settings = SurfaceSettings {
-            resources: Resources::default()
-                .with_threads(self.args.machine.threads)
-                .with_memory(self.memory / 8 * 7)
-                .with_cancel(self.cancel.clone()),
-            isovalues: opened.isovalues.clone(),
-            level: moment.level.map(LevelChoice::Level),
-            ..SurfaceSettings::default()
-        };
-        let report = moment
-            .step
-            .write_surface(&settings, &folder.path().join("surface_{}.ply"), SurfaceFormat::Ply, progress)
-            .map_err(|e| self.whole(e, settings.resources.memory))?;
+        let memory = self.memory / 8 * 7;
+        let resources = Resources::default()
+            .with_threads(self.args.machine.threads)
+            .with_memory(memory)
+            .with_cancel(self.cancel.clone());
+        let level = moment.level.map(LevelChoice::Level);
+        let query = moment.step.query(&opened.isovalues).level(level).resources(resources);
+        let report = query.progress(progress).write(folder.path().join("surface_{}.ply"));
+        let report = report.map_err(|e| self.whole(e, memory))?;
         let several = opened.moments.len() > 1;
         let mut shapes = vec![];
         for (place, (found, &isovalue)) in report.surfaces.iter().zip(&opened.isovalues).enumerate() {

@@ -3,9 +3,8 @@
 use crate::archive::chunked::ChunkSegment;
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::{
-    Adapt, Amount, AppendSettings, Bound, MeasureSettings, ReduceReport, ReduceSettings, RunSettings, Shard,
-    SourceChunks, Target, append, commit_shards, estimate_series, measure, plan_shards, reduce_series,
-    work_folder, work_shard,
+    Adapt, Addition, Amount, Archive, Bound, ReduceReport, ReduceSettings, Reduction, RunSettings, Shard,
+    Shards, SourceChunks, Target, estimate_series, reduce_series, work_folder,
 };
 use isospan_io::exec::{Resources, Silent};
 use isospan_io::formats::{OpenOptions, StepSource};
@@ -237,11 +236,13 @@ fn workers_decode_their_part_alone_and_make_the_same_archive() {
         let whole = inputs.reduce(&[name], &settings, "whole.isospan");
         assert!(whole.chunks > 32, "segments for three workers: {} chunks", whole.chunks);
         let (out, run) = (inputs.path("shards.isospan"), run(&inputs));
-        plan_shards(&[inputs.step(name)], &settings, &out, 3, &run, &Silent).unwrap();
-        let work = |n| work_shard(&out, Shard::new(n, 3).unwrap(), &run, &Silent).unwrap();
+        let reduction = Reduction::of(inputs.step(name)).settings(settings.clone());
+        reduction.resources(run.resources.clone()).plan_shards(&out, 3).unwrap();
+        let shards = Shards::at(&out).resources(run.resources);
+        let work = |n| shards.work(Shard::new(n, 3).unwrap()).unwrap();
         let times: Vec<f64> = (0..3).map(|n| decodes(work(n).source_chunks)).collect();
         assert!(times.iter().all(|t| *t > 0.0) && times.iter().sum::<f64>() < 2.5, "{name}: {times:?}");
-        commit_shards(&out, &run, &Silent).unwrap();
+        shards.commit().unwrap();
         let manifest = |archive: &str| fs::read(inputs.path(archive).join("manifest.zst")).unwrap();
         assert!(manifest("shards.isospan") == manifest("whole.isospan"), "{name}");
         ["shards.isospan", "whole.isospan"].iter().for_each(|a| fs::remove_dir_all(inputs.path(a)).unwrap());
@@ -262,8 +263,8 @@ fn steps_are_read_through_caches_and_so_are_those_that_are_added() {
     inputs.assert_same("plain.isospan", "chunks.isospan");
     inputs.reduce(&["a.zarr", "b.zarr"], &settings, "added.isospan");
     let out = inputs.path("added.isospan");
-    let steps = [inputs.step("a.h5")];
-    let added = append(&steps, &AppendSettings::default(), &out, &inputs.run(), &Silent).unwrap();
+    let addition = Addition::of(inputs.step("a.h5")).resources(inputs.run().resources);
+    let added = addition.append_to(&out).unwrap();
     assert_eq!((added.steps.len(), added.source_chunks.is_some()), (1, true));
     inputs.assert_same("plain.isospan", "added.isospan");
 }
@@ -286,10 +287,9 @@ fn points_that_adapt_targets_and_measure_need_no_copy() {
         assert_eq!((found.error, found.target), (expected.error, expected.target), "{n}");
         inputs.assert_same(&plain, &out);
     }
-    let measuring = MeasureSettings { resources: inputs.run().resources, ..MeasureSettings::default() };
-    let archive = inputs.path("plain0.isospan");
+    let archive = Archive::open(inputs.path("plain0.isospan")).unwrap();
     let against = |name: &str| {
-        measure(&archive, &inputs.path(name), &OpenOptions::default(), &measuring, &Silent).unwrap().error
+        archive.measure(inputs.path(name)).resources(inputs.run().resources).run().unwrap().error
     };
     assert_eq!(against("small.zarr"), against("small.nrrd"));
 }
