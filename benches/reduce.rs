@@ -12,6 +12,7 @@ use isospan::Resources;
 use isospan::exec::{Silent, available_threads};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
+use isospan::points::SetKind;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -46,7 +47,8 @@ fn write_step(folder: &Path, t: u32, noise: f32) -> PathBuf {
 
 /// Reduces steps with some threads; returns the points of the mesh.
 fn reduce_all(steps: &[StepSource], folder: &Path, threads: usize) -> u64 {
-    let settings = ReduceSettings { amount: Amount::Fraction(0.125), ..ReduceSettings::default() };
+    let settings =
+        ReduceSettings { amount: Amount::Fraction(0.125), ..ReduceSettings::exact(SetKind::Hammersley) };
     let run = RunSettings {
         resources: Resources::default().with_threads(threads),
         replace: true,

@@ -165,7 +165,7 @@ fn archive(folder: &Path, turns: f32, points: u64) -> PathBuf {
     let settings = ReduceSettings {
         points: Some(SetKind::Halton),
         amount,
-        values: Values::Sample,
+        values: Some(Values::Sample),
         measure: false,
         ..ReduceSettings::default()
     };

@@ -149,7 +149,7 @@ pub fn features() -> Vec<&'static str> {
 
 #[doc(hidden)]
 pub use isospan_io::{bytes, cells, geom};
-pub use isospan_io::{error, exec, grid, volume};
+pub use isospan_io::{error, exec, grid, setting, volume};
 #[doc(hidden)]
 pub use isospan_mesh::{locate, mesh, raster};
 pub use isospan_mesh::{points, sample};

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The lock is the system's (`flock`), so it ends with its process, however that ends. Linux passes
-//! it on to NFS servers. The file lies next to the archive, since `--force` replaces the archive's
+//! it on to NFS servers. The file lies next to the archive, since `replace` replaces the archive's
 //! folder as a whole. A file system without locks is not protected: there, the user must keep two
 //! writers apart.
 //!

@@ -64,7 +64,7 @@ impl OwnVertices {
         if positions.len() > ExplicitPoints::MOST {
             let expected = format!("at most {} where all are kept", ExplicitPoints::MOST);
             return Err(Error::bad_input(path, "points", expected, positions.len().to_string())
-                .with_help("give a --fraction below 1"));
+                .with_help("give a `fraction` below 1"));
         }
         let mut used = vec![false; positions.len()];
         let volume6 = check_tets(store, settings, path, &mut used)?;
@@ -114,7 +114,7 @@ fn check_tets(store: &CellStore, settings: &StoreSettings, path: &Path, used: &m
         "those that keep their orientation when positions are rounded to 2^-24 of the longest side",
         got,
     )
-    .with_help("a --fraction below 1, such as 0.99, samples the mesh instead of keeping its cells"))
+    .with_help("a `fraction` below 1, such as 0.99, samples the mesh instead of keeping its cells"))
 }
 
 /// The own tetrahedra of a mesh, by bricks.

@@ -326,7 +326,7 @@ fn read_values(
                     let (path, at) =
                         (&mesh.info().path, format!("{}, point {}", mesh.field()?.name, out.len()));
                     return Err(Error::bad_input(path, at, "a finite value", v.to_string()).with_help(
-                        "choose --nan mask (leave a hole there) or --nan VALUE (use a value instead)",
+                        "choose `nan=mask` (leave a hole there) or `nan=VALUE` (use a value instead)",
                     ));
                 }
             })?;

@@ -158,7 +158,7 @@ pub enum ErrorKind {
 /// What a run may have too little of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resource {
-    /// What `--memory` limits.
+    /// What [`Resources::with_memory`](crate::exec::Resources::with_memory) limits.
     Memory,
     /// Space in a folder.
     Disk,
@@ -405,7 +405,7 @@ impl Error {
                 }
                 write!(f, ": the run needs {needs} and has {has}; ")?;
                 if *resource == Resource::Memory {
-                    // The last word can be given to --memory.
+                    // The last word can be given as the memory.
                     write!(f, "give it at least {}MiB", needed.div_ceil(1 << 20))
                 } else {
                     f.write_str("make room, or choose another folder")

@@ -27,6 +27,7 @@ pub mod fixtures;
 pub mod formats;
 pub mod geom;
 pub mod grid;
+pub mod setting;
 pub mod volume;
 
 pub use error::{Error, ErrorKind, Result};

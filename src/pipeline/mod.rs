@@ -63,7 +63,10 @@ pub use reduce::{
 #[doc(hidden)]
 pub use reduce::{changed_sources, estimate_series, reduce_series};
 pub use reduction::Reduction;
-pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target};
+pub use settings::{
+    Adapt, Amount, Bound, CompleteSettings, FieldValue, Focus, InputFacts, NanPolicy, ReduceSettings,
+    RunSettings, SetChoice, Target,
+};
 pub use shards::{
     Committed, GcReport, NextTry, PlanReport, ShardNeeds, Shards, StatusReport, WorkReport, collect_garbage,
 };

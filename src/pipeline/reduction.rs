@@ -4,7 +4,7 @@ use crate::pipeline::field::{MeasureSettings, measure};
 use crate::pipeline::plan::Estimate;
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::reduce::{ReduceReport, estimate_series, reduce_series};
-use crate::pipeline::settings::{Adapt, Amount, ReduceSettings, RunSettings, Target};
+use crate::pipeline::settings::{Amount, Focus, ReduceSettings, RunSettings, Target};
 use crate::pipeline::shards::{PlanReport, plan_shards};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Resources, Silent};
@@ -85,8 +85,14 @@ impl Reduction<'_> {
     }
 
     /// Points that are dense where the field needs them.
-    pub fn adapt(mut self, adapt: Adapt) -> Self {
-        self.settings.adapt = Some(adapt);
+    pub fn adapt(mut self) -> Self {
+        self.settings.adapt = true;
+        self
+    }
+
+    /// Points that are dense where the field needs them, for values in this range alone.
+    pub fn focus(mut self, focus: impl Into<Focus>) -> Self {
+        self.settings.focus = Some(focus.into());
         self
     }
 

@@ -4,9 +4,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{
-    self, Adapt, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Target,
-};
+use isospan::pipeline::{self, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Target};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use std::fs;
@@ -23,7 +21,7 @@ fn ball(x: f64, y: f64, z: f64) -> f64 {
 
 fn adapted(fraction: f64, chunk_points: u64) -> ReduceSettings {
     let even = settings(SetKind::Halton, Amount::Fraction(fraction), chunk_points);
-    ReduceSettings { adapt: Some(Adapt::default()), ..even }
+    ReduceSettings { adapt: true, ..even }
 }
 
 fn rms(archive: &Path) -> f64 {
@@ -38,7 +36,7 @@ fn neither_chunks_nor_threads_show_where_the_density_differs() {
     for values in [Values::Sample, Values::Fit] {
         let mut sets = vec![];
         for chunk_points in [400, 2_500, u64::MAX >> 20] {
-            let settings = ReduceSettings { values, ..adapted(0.06, chunk_points) };
+            let settings = ReduceSettings { values: Some(values), ..adapted(0.06, chunk_points) };
             let out = dir.path().join(format!("{values:?}-{chunk_points}.isospan"));
             let report = reduce(&input, &settings, &out, 2);
             assert!(report.chunks > 3 || chunk_points > 400, "{} chunks", report.chunks);
@@ -112,8 +110,8 @@ fn fewer_points_do_where_the_field_is_flat() {
     let (many, even) = made(&settings(SetKind::Hammersley, Amount::Fraction(1.0 / 16.0), 50_000));
     assert!(error < even && points * 4 < many, "{error} with {points}, {even} with {many}");
     // Only the outer part of the edge is looked at: it is met better, by the same number of points.
-    let focus = Some(Adapt { focus: Some([0.2, 2.0]) });
-    let focused = |s: ReduceSettings| ReduceSettings { adapt: focus, ..s };
+    let focus = Some([0.2, 2.0].into());
+    let focused = |s: ReduceSettings| ReduceSettings { focus, ..s };
     let (near, error_of_all) = made(&focused(adapted(1.0 / 64.0, 50_000)));
     assert!(error_of_all > error, "what is out of focus is paid for: {error_of_all} {error}");
     assert!(near.abs_diff(points) * 3 < points, "{near} {points}");
@@ -130,8 +128,7 @@ fn a_hole_in_the_data_does_not_grow() {
         let _ = fs::remove_dir_all(&out);
         reduce(&input, settings, &out, 2).error.expect("it was measured").measured
     };
-    let [before, after] =
-        [&even, &ReduceSettings { adapt: Some(Adapt::default()), ..even.clone() }].map(measured);
+    let [before, after] = [&even, &ReduceSettings { adapt: true, ..even.clone() }].map(measured);
     assert!(after * 20 > before * 19, "{after} of {before} samples have a value");
 }
 
@@ -146,7 +143,7 @@ fn targets_are_met_by_few_points_and_measured() {
         (Target::Max(Bound::Value(2.0)), Values::Fit),
     ];
     for (n, (target, values)) in targets.into_iter().enumerate() {
-        let settings = ReduceSettings { target: Some(target), values, ..adapted(0.1, 2_500) };
+        let settings = ReduceSettings { target: Some(target), values: Some(values), ..adapted(0.1, 2_500) };
         let outs = [2, 1].map(|threads| dir.path().join(format!("{n}-{threads}.isospan")));
         let reports = [(0, 2), (1, 1)].map(|(i, threads)| reduce(&input, &settings, &outs[i], threads));
         assert_eq!(folder(&outs[0]), folder(&outs[1]), "threads");
@@ -186,7 +183,10 @@ fn a_peak_is_met_where_a_point_a_sample_does_not_do() {
 }
 
 fn settings_of(fraction: f64, values: Values) -> ReduceSettings {
-    ReduceSettings { values, ..settings(SetKind::Hammersley, Amount::Fraction(fraction), 50_000) }
+    ReduceSettings {
+        values: Some(values),
+        ..settings(SetKind::Hammersley, Amount::Fraction(fraction), 50_000)
+    }
 }
 
 #[test]
@@ -223,8 +223,8 @@ fn what_cannot_be_is_a_usage_error() {
         assert!(error.exit_code() == 2 && error.to_string().contains(word), "{error}");
     };
     refused(ReduceSettings { points: Some(SetKind::Regular), ..adapted(0.1, 1_000) }, "halton");
-    let focus = Some(Adapt { focus: Some([3.0, 3.0]) });
-    refused(ReduceSettings { adapt: focus, ..adapted(0.1, 1_000) }, "focus");
+    let focus = Some([3.0, 3.0].into());
+    refused(ReduceSettings { focus, ..adapted(0.1, 1_000) }, "focus");
     let target = Some(Target::Rms(Bound::Value(0.0)));
     refused(ReduceSettings { target, ..adapted(0.1, 1_000) }, "above 0");
 }
@@ -239,8 +239,12 @@ fn spectra_are_added_up_as_chunks_were_measured() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (shared.join("volumes/brain_mr_i16_gzip.nrrd"), dir.path().join("brain.isospan"));
     let target = Some(Target::Rms(Bound::Value(136.43)));
-    let settings =
-        ReduceSettings { target, nan: NanPolicy::Value(0.0), values: Values::Fit, ..adapted(0.1, 250_000) };
+    let settings = ReduceSettings {
+        target,
+        nan: NanPolicy::Value(0.0),
+        values: Some(Values::Fit),
+        ..adapted(0.1, 250_000)
+    };
     let report = reduce(&input, &settings, &out, 2);
     assert!(report.target.unwrap().met && report.points * 9 < 245_800, "{} points", report.points);
     assert!(check_archive(&out).is_ok());

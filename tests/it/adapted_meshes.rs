@@ -4,7 +4,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{self, Adapt, Amount, Bound, ReduceReport, ReduceSettings, RunSettings, Target};
+use isospan::pipeline::{self, Amount, Bound, ReduceReport, ReduceSettings, RunSettings, Target};
 use isospan::points::SetKind;
 use std::fs;
 use std::path::Path;
@@ -19,7 +19,7 @@ fn even(fraction: f64) -> ReduceSettings {
 }
 
 fn adapted(fraction: f64) -> ReduceSettings {
-    ReduceSettings { adapt: Some(Adapt::default()), ..even(fraction) }
+    ReduceSettings { adapt: true, ..even(fraction) }
 }
 
 /// A ball with a bump of its field near one side.
@@ -128,7 +128,7 @@ fn a_target_is_met() {
     reduce(&input, &settings, &again, 1);
     assert_eq!(folder(&again), folder(&dir.path().join("max.isospan")), "threads");
     let first = ReduceSettings { target: None, ..settings.clone() };
-    let even = made(&input, &ReduceSettings { adapt: None, ..first }, "even.isospan");
+    let even = made(&input, &ReduceSettings { adapt: false, ..first }, "even.isospan");
     assert!(even.error.unwrap().max > 0.4, "the even points of the fraction do not do");
     let told = made(&input, &with(Target::Max(Bound::Value(1e-7))), "no.isospan").target.unwrap();
     assert!(!told.met && told.reached > told.bound && told.full_cells.unwrap()[0] > 0, "{told:?}");

@@ -252,7 +252,7 @@ fn another_archive_in_little_memory() {
     write_npy(&ball_file, [40, 36, 32], ball);
     write_npy(&slope_file, [40, 36, 32], |x, y, z| x + 2.0 * y - z);
     let exact = ReduceSettings {
-        values: Values::Sample,
+        values: Some(Values::Sample),
         value_bits: None,
         ..settings(isospan::points::SetKind::Halton, isospan::pipeline::Amount::Fraction(0.5), 4_000)
     };

@@ -61,7 +61,7 @@ fn neither_threads_nor_chunks_show_in_fitted_values() {
         let sampled = settings(kind, Amount::Fraction(0.2), 1_000);
         let mut sets = vec![];
         for chunk_points in [1_000, 4_000, u64::MAX >> 20] {
-            let fit = ReduceSettings { values: Values::Fit, chunk_points, ..sampled.clone() };
+            let fit = ReduceSettings { values: Some(Values::Fit), chunk_points, ..sampled.clone() };
             let out = dir.path().join(format!("{kind}-{chunk_points}.isospan"));
             let report = reduce(&input, &fit, &out, 2);
             let again = dir.path().join("again.isospan");

@@ -11,7 +11,7 @@ use std::path::Path;
 
 fn fitted(fraction: f64) -> ReduceSettings {
     ReduceSettings {
-        values: Values::Fit,
+        values: Some(Values::Fit),
         amount: Amount::Fraction(fraction),
         chunk_points: 600,
         ..ReduceSettings::default()
@@ -53,7 +53,7 @@ fn the_error_falls() {
     for fraction in [0.5, 0.125] {
         let fit = made(&input, &fitted(fraction)).error.unwrap();
         let sampled =
-            made(&input, &ReduceSettings { values: Values::Sample, ..fitted(fraction) }).error.unwrap();
+            made(&input, &ReduceSettings { values: Some(Values::Sample), ..fitted(fraction) }).error.unwrap();
         assert_eq!(fit.measured, sampled.measured, "the same tetrahedra");
         assert!(fit.rms < 0.85 * sampled.rms, "{fraction}: {} {}", fit.rms, sampled.rms);
     }
@@ -159,8 +159,11 @@ fn real_meshes() {
     for (name, field) in [("kit_heart_inflation.vtu", "inflation_mm"), ("fim_activation_196k.vtu", "seed1")] {
         let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
         let rms = [Values::Sample, Values::Fit].map(|values| {
-            let settings =
-                ReduceSettings { values, amount: Amount::Fraction(0.125), ..ReduceSettings::default() };
+            let settings = ReduceSettings {
+                values: Some(values),
+                amount: Amount::Fraction(0.125),
+                ..ReduceSettings::default()
+            };
             let out = dir.path().join(format!("{name}-{values:?}.isospan"));
             let input = data.join("meshes").join(name);
             let report = isospan::pipeline::reduce_series(

@@ -52,6 +52,7 @@ mod reports;
 mod resample;
 mod series;
 mod servers;
+mod settings;
 mod shards;
 mod shared_data;
 mod slurm;

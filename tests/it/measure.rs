@@ -192,7 +192,7 @@ fn the_range_is_that_of_the_source() {
     for values in [Values::Sample, Values::Fit] {
         for chunk_points in [300, 100_000] {
             let base = settings(SetKind::Hammersley, Amount::Fraction(0.05), chunk_points);
-            let settings = ReduceSettings { values, nan: NanPolicy::Mask, ..base };
+            let settings = ReduceSettings { values: Some(values), nan: NanPolicy::Mask, ..base };
             let _ = std::fs::remove_dir_all(&out);
             reduce(&input, &settings, &out, 2);
             let report = measured(&out, &input, 2, None);

@@ -459,7 +459,7 @@ fn as_many_points_are_made_as_are_asked_for() {
             let mut settings = ReduceSettings { amount, ..ReduceSettings::default() };
             if adapt {
                 settings.points = Some(isospan::points::SetKind::Halton);
-                settings.adapt = Some(Default::default());
+                settings.adapt = true;
             }
             let (_, report) = reduced(&input, &settings, "counted.isospan", &run_again());
             let asked = match amount {

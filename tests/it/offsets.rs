@@ -6,7 +6,7 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::{Input, OpenOptions, StepSource, open_input, open_mesh};
-use isospan::pipeline::{self, Adapt, Amount, ExportSettings, NanPolicy, ProbeSettings, ReduceSettings};
+use isospan::pipeline::{self, Amount, ExportSettings, NanPolicy, ProbeSettings, ReduceSettings};
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
@@ -182,9 +182,8 @@ fn every_way_to_make_an_archive_has_the_offset() {
     let settings = ReduceSettings { nan: NanPolicy::Value(PASCAL + 0.5), missing: Some(-999.9), ..quarter() };
     let report = reduce(&out("c.npy"), &settings, &out("c.isospan"), 2);
     assert!(report.range.unwrap()[0] > PASCAL - 5.0 && report.void_points == 0, "{:?}", report.range);
-    let focus = Some([PASCAL - 1.0, PASCAL + 1.0]);
-    let adapt = Some(Adapt { focus });
-    let report = reduce(&out("a.npy"), &ReduceSettings { adapt, ..quarter() }, &out("d.isospan"), 2);
+    let focus = Some([PASCAL - 1.0, PASCAL + 1.0].into());
+    let report = reduce(&out("a.npy"), &ReduceSettings { focus, ..quarter() }, &out("d.isospan"), 2);
     assert!(report.error.unwrap().rms < 0.5);
     // A step that the offset does not suit says what it loses.
     write_pressure(&out("far.npy"), 1e12, 0.0);
@@ -200,7 +199,7 @@ fn whole_numbers_are_exact_where_they_can_be() {
     let out = |name: &str| dir.path().join(name);
     let nearest = ReduceSettings {
         interpolation: Interpolation::Nearest,
-        values: Values::Sample,
+        values: Some(Values::Sample),
         ..settings(SetKind::Regular, Amount::Fraction(1.0), 900)
     };
     let id = |n: usize| (n as u64).wrapping_mul(2_654_435_761) % 5000;
@@ -310,7 +309,8 @@ fn a_mesh_has_an_offset_too() {
         write_mesh(&out(&format!("{name}.vtk")), 10, |_| true, |p| p, field(base));
     }
     for fit in [Values::Sample, Values::Fit] {
-        let settings = ReduceSettings { values: fit, ..settings(SetKind::Halton, Amount::Count(1500), 900) };
+        let settings =
+            ReduceSettings { values: Some(fit), ..settings(SetKind::Halton, Amount::Count(1500), 900) };
         let name = |what: &str| out(&format!("{what}-{fit:?}.isospan"));
         let [report, small] =
             ["a", "small"].map(|what| reduce(&out(&format!("{what}.vtk")), &settings, &name(what), 2));

@@ -538,8 +538,7 @@ fn what_is_asked_for_decides_what_is_kept() {
     assert!(!of(&with(Amount::Fraction(1.5))), "more points than vertices");
     assert!(!of(&ReduceSettings { points: Some(SetKind::Halton), ..whole(1000) }));
     assert!(!of(&ReduceSettings { interpolation: Interpolation::Quadratic, ..whole(1000) }));
-    let adapted =
-        ReduceSettings { points: Some(SetKind::Halton), adapt: Some(Default::default()), ..whole(1000) };
+    let adapted = ReduceSettings { points: Some(SetKind::Halton), adapt: true, ..whole(1000) };
     assert!(!of(&adapted));
 }
 

@@ -273,7 +273,7 @@ fn fitted_values_make_no_surface_far_from_that_of_all_samples() {
     };
     let all = settings(SetKind::Regular, Amount::Fraction(1.0), 250_000);
     let (full, range) = archive("full.isospan", &all);
-    let few = ReduceSettings { values: Values::Fit, ..ReduceSettings::exact(SetKind::Hammersley) };
+    let few = ReduceSettings { values: Some(Values::Fit), ..ReduceSettings::exact(SetKind::Hammersley) };
     let (fitted, of_fitted) = archive("fitted.isospan", &few);
     assert!(range[0] <= of_fitted[0] && of_fitted[1] <= range[1], "{range:?} {of_fitted:?}");
     // At 1200 there is the bright block alone; nothing is below the air.

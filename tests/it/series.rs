@@ -6,7 +6,7 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Adapt, Amount, NanPolicy, ReduceReport, ReduceSettings, Roi, RunSettings, Step, StepChoice,
+    self, Amount, NanPolicy, ReduceReport, ReduceSettings, Roi, RunSettings, Step, StepChoice,
     StepRange,
 };
 use isospan::points::SetKind;
@@ -140,7 +140,7 @@ fn steps_with_holes_are_fitted_as_alone() {
         write_npy(&steps[t].path, DIMS, field);
     }
     let out = |name: &str| dir.path().join(name);
-    let settings = ReduceSettings { nan: NanPolicy::Mask, values: Values::Fit, ..few_points() };
+    let settings = ReduceSettings { nan: NanPolicy::Mask, values: Some(Values::Fit), ..few_points() };
     let report = reduce_all(&steps, &settings, &out("all.isospan"), &run(2));
     let void = report.steps.iter().map(|s| s.void_points > 0).collect::<Vec<_>>();
     assert_eq!((0..10).filter(|&t| void[t]).collect::<Vec<_>>(), [2, 3, 8]);
@@ -413,7 +413,7 @@ fn a_damaged_step_does_not_hurt_others() {
 fn the_same_reduction_makes_what_is_missing() {
     let dir = tempfile::tempdir().unwrap();
     let steps = write_steps(dir.path(), 3);
-    let adapted = ReduceSettings { adapt: Some(Adapt::default()), ..few_points() };
+    let adapted = ReduceSettings { adapt: true, ..few_points() };
     for settings in [few_points(), adapted] {
         let out = dir.path().join("a.isospan");
         reduce_all(&steps, &settings, &out, &RunSettings { replace: true, ..run(2) });

@@ -6,7 +6,7 @@ use isospan::Archive;
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{Input, OpenOptions, open_input};
-use isospan::pipeline::{Adapt, Amount, ExportSettings, ReduceReport, ReduceSettings, Roi, SurfaceQuery};
+use isospan::pipeline::{Amount, ExportSettings, ReduceReport, ReduceSettings, Roi, SurfaceQuery};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
@@ -34,7 +34,7 @@ fn gradient(x: f64, y: f64, z: f64) -> [f64; 3] {
 
 fn adapted(fraction: f64, chunk_points: u64) -> ReduceSettings {
     let even = settings(SetKind::Halton, Amount::Fraction(fraction), chunk_points);
-    ReduceSettings { adapt: Some(Adapt::default()), values: Values::Fit, ..even }
+    ReduceSettings { adapt: true, values: Some(Values::Fit), ..even }
 }
 
 fn made(dir: &Path, chunk_points: u64, threads: usize) -> (PathBuf, ReduceReport) {
@@ -67,7 +67,7 @@ fn it_is_worth_it_and_neither_chunks_nor_threads_nor_shards_show() {
     reduce_in_shards(&input, &adapted(0.125, 400), &parts);
     assert_eq!(folder(&cut), folder(&parts), "shards");
     // Twice as many points, evenly spread, are further off.
-    let even = ReduceSettings { adapt: None, ..adapted(0.25, 50_000) };
+    let even = ReduceSettings { adapt: false, ..adapted(0.25, 50_000) };
     let even = reduce(&input, &even, &dir.path().join("even.isospan"), 2);
     let [error, of_even] = [&report, &even].map(|r| r.error.as_ref().unwrap().rms);
     assert!(error < of_even && report.points < even.points, "{error} {of_even}");

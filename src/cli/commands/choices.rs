@@ -3,12 +3,9 @@
 
 use super::grammar::{self, Range, Size};
 use clap::ValueEnum;
-use isospan::cells::scan::scan_field;
-use isospan::formats::{Input, StepSource, is_mesh};
-use isospan::pipeline::{self, Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target};
-use isospan::points::{SetKind, SetSettings};
+use isospan::pipeline::{Amount, Bound, NanPolicy, ReduceSettings, SetChoice, Target};
+use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
-use isospan::{Error, Result};
 
 /// The choices for one reduction, or for several tries that meet a target.
 #[derive(clap::Args, Debug)]
@@ -23,8 +20,8 @@ pub struct Choices {
 #[derive(clap::Args, Debug)]
 struct Targets {
     /// Keep the RMS error at all samples at or below E, in units of the field or as N% of its
-    /// range. A volume takes one or two tries. Of points the fewest are used, in several tries;
-    /// meshes and --focus imply --adapt [default for volumes: 1%].
+    /// range. A volume takes one or two tries. Of points the fewest are used, in several tries; a
+    /// mesh implies --adapt [default for volumes: 1%].
     #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure"], allow_hyphen_values = true)]
     target_rms: Option<Bound>,
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
@@ -64,8 +61,8 @@ struct PlanChoices {
     /// step of a series of meshes. Uses --points halton.
     #[arg(help_heading = "Points", long)]
     adapt: bool,
-    /// The range of values that matters, for points that adapt. Errors outside LO to HI are
-    /// ignored. 100% is the range of the values of the first step, which is read once more for it.
+    /// The range of values that matters; implies --adapt. Errors outside LO to HI are ignored. 100%
+    /// is the range of the values of the first step, which is read once more for it.
     #[arg(help_heading = "Points", long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
     focus: Option<Range>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
@@ -114,7 +111,7 @@ struct PlanChoices {
     no_measure: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+#[derive(Clone, Copy, Debug, ValueEnum)]
 enum Set {
     /// All samples of a volume, as a wavelet pyramid: the fewest bytes to an error, and coarser
     /// levels. Without a target its RMS error is 1 % of the range.
@@ -143,6 +140,18 @@ enum Vertex {
     Fit,
 }
 
+impl Set {
+    fn kind(self) -> SetKind {
+        match self {
+            Self::Pyramid => SetKind::Pyramid,
+            Self::Hammersley => SetKind::Hammersley,
+            Self::Halton => SetKind::Halton,
+            Self::HyperbolicCross => SetKind::HyperbolicCross,
+            Self::Regular => SetKind::Regular,
+        }
+    }
+}
+
 impl Interp {
     fn interpolation(self) -> Interpolation {
         match self {
@@ -157,15 +166,9 @@ impl Interp {
 }
 
 impl Choices {
-    /// The settings that the flags say.
-    ///
-    /// # Errors
-    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
-    /// is of. A first one that cannot be read may be left out: the next one counts.
-    pub fn settings(&self, steps: &[StepSource]) -> Result<ReduceSettings> {
-        let is_known = |step: &&StepSource| step.is_given() || is_mesh(&step.path, &step.options).is_ok();
-        let first = steps.iter().find(is_known).unwrap_or(&steps[0]);
-        self.plan.settings(first, self.targets.target())
+    /// The settings that the flags say; the library completes them.
+    pub fn settings(&self) -> ReduceSettings {
+        self.plan.settings(self.targets.target())
     }
 
     /// The error or the size that is wanted.
@@ -187,110 +190,28 @@ impl Targets {
 }
 
 impl PlanChoices {
-    /// The settings that the flags say; what a target implies besides, the library adds.
-    fn settings(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
-        let is_of_error = matches!(target, Some(Target::Rms(_) | Target::Max(_)));
-        let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
-        let is_open = matches!(self.points, None | Some(Set::Halton));
-        // A focus says that points adapt, where nothing else must decide that.
-        let adapt = self.adapt || self.focus.is_some() && is_of_error && is_open;
-        if self.focus.is_some() && !adapt {
-            return Err(Error::usage("--focus needs points that adapt: add --adapt"));
-        }
-        let points = match self.points {
-            None if self.shift.is_some() && !adapt && target.is_none() => Some(Set::Hammersley),
-            None if !of_mesh && !adapt => Some(Set::Pyramid),
-            points => points,
-        };
-        let kind = points.map(|points| match points {
-            Set::Hammersley => SetKind::Hammersley,
-            Set::Halton => SetKind::Halton,
-            Set::HyperbolicCross => SetKind::HyperbolicCross,
-            Set::Regular => SetKind::Regular,
-            Set::Pyramid => SetKind::Pyramid,
-        });
-        let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
-        if cross && points != Some(Set::HyperbolicCross) {
-            return Err(Error::usage("--cross-m, --cross-k and --cross-r are for --points hyperbolic-cross"));
-        }
-        if self.shift.is_some() && points != Some(Set::Hammersley) {
-            return Err(Error::usage("--shift is for --points hammersley"));
-        }
-        let interpolation = self.interp.interpolation();
-        if points == Some(Set::Pyramid) {
-            self.check_pyramid()?;
-        }
-        let amount = match (self.count, self.fraction) {
-            (Some(n), _) => Amount::Count(n),
-            (None, fraction) => fraction.map_or(Amount::Usual, Amount::Fraction),
-        };
-        Ok(ReduceSettings {
-            points: kind,
-            set: SetSettings {
-                shift: self.shift.unwrap_or(0.5),
-                m: self.cross_m,
-                k: self.cross_k,
-                r: self.cross_r.unwrap_or([1; 3]),
+    fn settings(&self, target: Option<Target>) -> ReduceSettings {
+        ReduceSettings {
+            points: self.points.map(Set::kind),
+            set: SetChoice { shift: self.shift, m: self.cross_m, k: self.cross_k, r: self.cross_r },
+            amount: match (self.count, self.fraction) {
+                (Some(n), _) => Amount::Count(n),
+                (None, fraction) => fraction.map_or(Amount::Usual, Amount::Fraction),
             },
-            amount,
-            adapt: if adapt { Some(Adapt { focus: self.focus(first)? }) } else { None },
+            adapt: self.adapt,
+            focus: self.focus.map(Range::focus),
             target,
-            interpolation,
-            values: match self.values {
-                Some(Vertex::Sample) => Values::Sample,
-                Some(Vertex::Fit) => Values::Fit,
-                None => Values::usual(interpolation),
-            },
+            interpolation: self.interp.interpolation(),
+            values: self.values.map(|values| match values {
+                Vertex::Sample => Values::Sample,
+                Vertex::Fit => Values::Fit,
+            }),
             nan: self.nan,
             missing: self.missing,
             value_bits: self.value_bits,
             chunk_points: self.chunk_points,
-            measure: !self.no_measure,
             keyframes: self.keyframes,
-            ..ReduceSettings::default()
-        })
-    }
-
-    /// Refuses what asks for points: a pyramid has all samples.
-    fn check_pyramid(&self) -> Result<()> {
-        let asked = [
-            (self.count.is_some(), "--count"),
-            (self.fraction.is_some(), "--fraction"),
-            (self.values.is_some(), "--values"),
-            (self.value_bits.is_some(), "--value-bits"),
-            (!matches!(self.interp, Interp::Linear), "--interp"),
-            (self.chunk_points != ReduceSettings::CHUNK_POINTS, "--chunk-points"),
-        ];
-        match asked.into_iter().find(|asked| asked.0) {
-            None => Ok(()),
-            Some((_, flag)) => Err(Error::usage(format!(
-                "{flag} is for point sets, and a pyramid keeps all samples of a volume: add --points \
-                 hammersley, halton or regular, or leave {flag} out and ask surface for a --level"
-            ))),
+            measure: !self.no_measure,
         }
-    }
-
-    /// The range that matters; percentages refer to the values of a step.
-    fn focus(&self, first: &StepSource) -> Result<Option<[f64; 2]>> {
-        let Some(focus) = self.focus else { return Ok(None) };
-        if !focus.is_of_a_range() {
-            return focus.of(None).map(Some);
-        }
-        if self.missing.is_some() {
-            return Err(Error::usage("a --focus in % does not go with --missing: give the values"));
-        }
-        let range = match first.open()? {
-            Input::Volume(volume) => {
-                let (_, found) = pipeline::scan(volume)?;
-                found.min.zip(found.max)
-            }
-            Input::Mesh(mesh) => {
-                let chosen = mesh.field()?;
-                let field = mesh.info().fields.iter().position(|f| f.name == chosen.name).unwrap_or(0);
-                let found = scan_field(&mesh, field)?;
-                found.min.zip(found.max)
-            }
-        };
-        focus.of(range.map(|(lo, hi)| [lo, hi])).map(Some)
     }
 }

@@ -20,7 +20,8 @@ use super::step::Times;
 use isospan::archive::values::Quantiser;
 use isospan::exec::MOST_THREADS;
 use isospan::formats::raw::SampleType;
-use isospan::pipeline::{Bound, NanPolicy, Roi, Shard, StepRange};
+pub(crate) use isospan::pipeline::FieldValue as Value;
+use isospan::pipeline::{Bound, Focus, NanPolicy, Roi, Shard, StepRange};
 use isospan::render::{ColourMap, Paint, Up, parse_colour};
 use isospan::volume::ScalarType;
 use isospan::volume::units::Unit;
@@ -132,36 +133,6 @@ pub(crate) fn length(text: &str) -> Parsed<Length> {
     expected(found, "a length above 0, as in 0.5, or a share of the domain's diagonal, as in 0.1%")
 }
 
-/// A value of the field, or a place in its range.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Value {
-    At(f64),
-    /// This share of the range above its lower end.
-    Share(f64),
-}
-
-impl Value {
-    /// The value itself.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] for a share of a range that there is not.
-    pub(crate) fn of(self, range: Option<[f64; 2]>) -> Result<f64> {
-        match (self, range) {
-            (Self::At(value), _) => Ok(value),
-            (Self::Share(share), Some([lo, hi])) => Ok(short(lo + share * (hi - lo), hi - lo)),
-            (Self::Share(_), None) => {
-                Err(Error::usage("there is no range to take a percentage of: no point has a value"))
-            }
-        }
-    }
-}
-
-/// A number with the digits of an `f32`, unless that is no place in a range of this length.
-fn short(value: f64, length: f64) -> f64 {
-    let short = (value as f32).to_string().parse().unwrap_or(value);
-    if (short - value).abs() <= 1e-6 * length { short } else { value }
-}
-
 fn value_of(text: &str) -> Option<Value> {
     percent(text).map(Value::Share).or_else(|| finite(text).map(Value::At))
 }
@@ -186,6 +157,12 @@ pub(crate) struct Range {
 }
 
 impl Range {
+    /// The values that matter. An open end is infinite, and refused with the others.
+    pub(crate) fn focus(self) -> Focus {
+        let end = |end: Option<Value>, open| end.unwrap_or(Value::At(open));
+        Focus { low: end(self.low, f64::NEG_INFINITY), high: end(self.high, f64::INFINITY) }
+    }
+
     /// Whether an end is a share of the range of the field.
     pub(crate) fn is_of_a_range(self) -> bool {
         [self.low, self.high].into_iter().flatten().any(|end| matches!(end, Value::Share(_)))

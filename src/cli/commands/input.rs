@@ -92,7 +92,7 @@ impl InputArgs {
         let given = self.endian.map(|endian| matches!(endian, Endian::Big));
         match (given, sample.big_endian) {
             (Some(a), Some(b)) if a != b => {
-                Err(Error::usage("--endian and --type tell different byte orders"))
+                Err(Error::usage("`endian` and `type` tell different byte orders"))
             }
             _ => Ok(given.or(sample.big_endian).unwrap_or(false)),
         }
@@ -107,7 +107,7 @@ impl InputArgs {
                 offset: self.offset.unwrap_or(0),
             }),
             (None, None) => None,
-            _ => return Err(Error::usage("--dims and --type go together")),
+            _ => return Err(Error::usage("`dims` and `type` go together")),
         };
         Ok(OpenOptions {
             field: self.field.clone(),

@@ -141,7 +141,7 @@ pub(crate) fn print_overview(to_stderr: bool) {
 pub(crate) fn completions(args: &CompletionsArgs) -> Result<()> {
     let mut text = vec![];
     clap_complete::generate(args.shell, &mut Cli::command(), "isospan", &mut text);
-    super::print(&String::from_utf8_lossy(&text))
+    super::print_page(&String::from_utf8_lossy(&text))
 }
 
 pub(crate) fn man(args: &ManArgs) -> Result<()> {
@@ -154,7 +154,7 @@ pub(crate) fn man(args: &ManArgs) -> Result<()> {
                 Error::usage(format!("there is no command {name}; isospan --help lists them"))
             })?,
         };
-        return super::print(&page(command)?);
+        return super::print_page(&page(command)?);
     };
     std::fs::create_dir_all(dir).map_err(|e| Error::io("create", dir, e))?;
     [&cli].into_iter().chain(cli.get_subcommands()).try_for_each(|command| {

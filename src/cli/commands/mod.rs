@@ -41,6 +41,7 @@ mod surface;
 pub(crate) mod text;
 #[cfg(feature = "view")]
 mod view;
+mod words;
 mod work;
 
 use clap::error::ErrorKind;
@@ -137,7 +138,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
             error.exit_code()
         }
         Err(error) => {
-            let _ = writeln!(std::io::stderr(), "isospan: error: {error}");
+            print_error(&error.to_string());
             error.exit_code()
         }
     }
@@ -223,11 +224,18 @@ fn is_broken_pipe(error: &isospan::Error) -> bool {
 
 /// Writes an error, one line, to standard error; who closed that does not want it.
 fn print_error(text: &str) {
-    let _ = writeln!(std::io::stderr(), "isospan: error: {}", isospan::error::printable(text));
+    let text = words::in_flags(text);
+    let _ = writeln!(std::io::stderr(), "isospan: error: {}", isospan::error::printable(&text));
 }
 
-/// Writes a result to standard output. Names from files do not steer the terminal.
+/// Writes a result to standard output, its settings as flags. Names from files do not steer the
+/// terminal.
 fn print(text: &str) -> Result<()> {
+    print_page(&words::in_flags(text))
+}
+
+/// Writes what the program says of itself.
+fn print_page(text: &str) -> Result<()> {
     let text = isospan::error::printable(text);
     let mut out = std::io::stdout().lock();
     out.write_all(text.as_bytes())

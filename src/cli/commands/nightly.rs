@@ -240,7 +240,7 @@ fn write(args: &Args, talk: &Talk, steps: Vec<StepSource>, first: bool) -> Resul
     let run = RunSettings { keep_going: true, ..run };
     let bar = talk.progress();
     let report = if first {
-        let settings = args.choices.settings(&steps)?;
+        let settings = args.choices.settings();
         let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
         reduction.keep_going(true).progress(&*bar).write(&args.archive)
     } else {

@@ -7,6 +7,7 @@
 //! `{"event":"try","try":…,"about":…,"last":{"quantity":…,"value":…,"wanted":…}}`.
 
 use super::text;
+use super::words;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use isospan::exec::{Attempt, Progress, Reached, Silent};
@@ -93,9 +94,10 @@ impl Talk {
     }
 }
 
-/// Writes a line; who closed standard error does not want it.
+/// Writes a line, its settings as flags; who closed standard error does not want it.
 fn tell(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{}", isospan::error::printable(line));
+    let line = words::in_flags(line);
+    let _ = writeln!(std::io::stderr(), "{}", isospan::error::printable(&line));
 }
 
 /// No progress, but what the user should know.

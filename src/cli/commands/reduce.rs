@@ -64,7 +64,7 @@ impl Args {
     /// The files that are reduced, and what is made of them.
     pub fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
         let steps = self.steps.all(&self.read, talk)?;
-        let settings = self.choices.settings(&steps)?;
+        let settings = self.choices.settings();
         expect_apart(&self.output, steps.iter().map(|step| &step.path).chain(&self.against))?;
         Ok((steps, settings))
     }

@@ -107,7 +107,7 @@ impl StepInputs {
         };
         let doubt = if self.fields.is_empty() { order_in_doubt(&self.inputs, &steps) } else { None };
         if let (None, Some(doubt)) = (&self.times, doubt) {
-            let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, --times tells the times";
+            let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, `times` tells the times";
             talk.note(&format!("warning: {doubt}: {help}"));
         }
         Ok(steps)
@@ -172,7 +172,7 @@ impl MomentArgs {
                 (Ok(number), Some(field)) => StepChoice::NumberOf(number, field),
                 (Err(_), Some(field)) if field != *step => {
                     return Err(Error::usage(format!(
-                        "--step {step} and --field {field} are two fields: give one of them, or the step by its \
+                        "`step={step}` and `field={field}` are two fields: give one of them, or the step by its \
                          number"
                     )));
                 }
@@ -236,7 +236,7 @@ impl StepArgs {
         if self.names_field() {
             return match fields {
                 [] => self.choice(),
-                _ => Err(Error::usage("--step FIELD is one field: with --fields, give a step by its number")),
+                _ => Err(Error::usage("`step=FIELD` is one field: with `fields`, give a step by its number")),
             };
         }
         let first = fields.first().map(String::as_str).or(archive.fields().first().copied());
@@ -281,11 +281,11 @@ fn at_same_time(archive: &Archive, step: StepChoice, other: &Archive) -> Result<
         return other.at(StepChoice::Time(time));
     }
     let (step, steps) = (archive.at(step)?, other.info()?.steps);
-    let refuse = |text: String| Err(Error::usage(format!("--colour-by {}: {text}", other.path().display())));
+    let refuse = |text: String| Err(Error::usage(format!("`colour_by` {}: {text}", other.path().display())));
     let Some(time) = step.time() else {
         return match steps.iter().find_map(|s| s.time.filter(|_| steps.len() > 1)) {
             Some(time) => refuse(format!(
-                "its steps have times, as {time}, and step {} of {} has none: --time chooses one",
+                "its steps have times, as {time}, and step {} of {} has none: `time` chooses one",
                 step.number(),
                 archive.path().display()
             )),
@@ -339,7 +339,7 @@ impl Times {
                 Self::Regular { start, step } => start + step * n as f64,
                 Self::List(times) if times.len() == count => times[n],
                 Self::List(times) => {
-                    return Err(Error::usage(format!("--times has {} times for {count} steps", times.len())));
+                    return Err(Error::usage(format!("`times` has {} times for {count} steps", times.len())));
                 }
             });
         }
@@ -352,12 +352,12 @@ pub(crate) fn archive_level(options: &OpenOptions) -> Result<u32> {
     let OpenOptions { field, scale, io, .. } = options.clone();
     if *options != (OpenOptions { field, scale, io, ..OpenOptions::default() }) {
         return Err(Error::usage(
-            "an archive tells all of its samples itself: only --field, --fields and --scale choose",
+            "an archive tells all of its samples itself: only `field`, `fields` and `scale` choose",
         ));
     }
     let Some(name) = &options.scale else { return Ok(0) };
     name.parse().map_err(|_| {
-        Error::usage(format!("--scale {name}: the levels of an archive are numbers, 0 is the finest"))
+        Error::usage(format!("`scale={name}`: the levels of an archive are numbers, 0 is the finest"))
     })
 }
 
@@ -373,6 +373,6 @@ mod tests {
         times("10,10.5,...").unwrap().apply(&mut steps).unwrap();
         assert_eq!(steps[2].time, Some(11.0));
         let error = times("1,2").unwrap().apply(&mut steps).unwrap_err();
-        assert_eq!(error.to_string(), "--times has 2 times for 3 steps");
+        assert_eq!(error.to_string(), "`times` has 2 times for 3 steps");
     }
 }

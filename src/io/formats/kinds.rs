@@ -105,10 +105,10 @@ fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
 /// or a volume with a table of values.
 pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if options.values.is_some() {
-        return Err(Error::usage(format!("{} is no mesh: leave out --value-file", path.display())));
+        return Err(Error::usage(format!("{} is no mesh: leave out `value_file`", path.display())));
     }
     if options.jumps {
-        return Err(Error::usage(format!("{} is no mesh: leave out --jumps", path.display())));
+        return Err(Error::usage(format!("{} is no mesh: leave out `jumps`", path.display())));
     }
     if stack::is_pattern(path) {
         options.refuse_channel(path)?;
@@ -124,7 +124,7 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     match (found(&head), &options.raw) {
         (Some(format), Some(_)) => Err(Error::usage(format!(
-            "{} is {}, which tells its own layout: leave out --dims, --type, --endian and --offset",
+            "{} is {}, which tells its own layout: leave out `dims`, `type`, `endian` and `offset`",
             path.display(),
             format.name()
         ))),
@@ -179,7 +179,7 @@ pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
 
 fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
     if options.values.is_some() && !format.has_value_file() {
-        return Err(Error::usage(format!("{} has its own fields: leave out --value-file", path.display())));
+        return Err(Error::usage(format!("{} has its own fields: leave out `value_file`", path.display())));
     }
     options.refuse_geometry(path, "a mesh")?;
     options.refuse_channel(path)?;
@@ -188,7 +188,7 @@ fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<Ce
     match options.jumps {
         false => Ok(mesh),
         true if mesh.field().is_ok_and(|_| !mesh.is_of_cells()) => Err(Error::usage(format!(
-            "{}: a value for each point may always jump between points of one place: leave out --jumps",
+            "{}: a value for each point may always jump between points of one place: leave out `jumps`",
             path.display()
         ))),
         true => Ok(mesh.jumping()),
@@ -236,6 +236,6 @@ fn unknown_kind(head: &Head<'_>) -> Error {
     let shown: Vec<String> = head.bytes.iter().take(8).map(|b| format!("{b:02x}")).collect();
     wrong(
         format!("none of these: it begins with {}", shown.join(" ")),
-        "a headerless file needs --dims and --type; of other compressed files, unpack them first",
+        "a headerless file needs `dims` and `type`; of other compressed files, unpack them first",
     )
 }

@@ -6,7 +6,7 @@
 //! | a pattern, `"step_*.vti"`, `"run_?/out.vtu"` | the files that match, by the numbers in their names |
 //! | `.pvd` (ParaView) | its data sets, with their times |
 //! | `.series` (ParaView, JSON) | its files, with their times |
-//! | a 4-D NIfTI, MetaImage or NRRD file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis; moments of a TIFF file (where there are several: named by `--field`) | its frames, with their times |
+//! | a 4-D NIfTI, MetaImage or NRRD file; a four-dimensional dataset of an HDF5 or NetCDF file; a variable of an Exodus II or EnSight file; a Zarr array with a time axis; moments of a TIFF file (where there are several: named by `field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
 //! A pattern that matches TIFF files is one volume, whose slices they are. The time of a VTK file
@@ -362,7 +362,7 @@ pub fn steps_of_fields(
     options: &OpenOptions,
 ) -> Result<Vec<StepSource>> {
     if let Some(twice) = (1..fields.len()).find(|&n| fields[..n].contains(&fields[n])) {
-        return Err(Error::usage(format!("--fields names {} twice", fields[twice])));
+        return Err(Error::usage(format!("`fields` names {} twice", fields[twice])));
     }
     let mut all: Vec<Vec<StepSource>> = vec![vec![]; fields.len()];
     let mut missing: Vec<Option<Error>> = fields.iter().map(|_| None).collect();
@@ -399,7 +399,7 @@ fn together(mut all: Vec<Vec<StepSource>>, fields: &[String]) -> Result<Vec<Step
     let count = all[0].len();
     if let Some(n) = all.iter().position(|steps| steps.len() != count) {
         return Err(Error::usage(format!(
-            "--fields: {} has {count} steps, {} has {}: each step has all fields",
+            "`fields`: {} has {count} steps, {} has {}: each step has all fields",
             fields[0],
             fields[n],
             all[n].len()

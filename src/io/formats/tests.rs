@@ -192,11 +192,11 @@ fn unknown_kinds_are_told_what_is_read() {
     assert!(open("a.png", b"\x89PNG").to_string().contains("MetaImage"));
     for (name, bytes, kind, help) in [
         ("a.czi", &b"ZISRAWFILE\0"[..], "a Zeiss CZI file", "bfconvert"),
-        ("a.vgl", b"FORMAT\n", "a file of VGStudio", "--dims"),
+        ("a.vgl", b"FORMAT\n", "a file of VGStudio", "`dims`"),
         ("p", b"\nFoamFile\n{", "an OpenFOAM file", "foamToVTK"),
         ("case.foam", b"\n", "an OpenFOAM case", "foamToVTK"),
         ("slice", b"BM\x36\x10\0\0\0\0\0\0\x36\0\0\0", "a BMP picture", "TIFF slices"),
-        ("BM", b"BM and other letters", "none of these", "--dims"),
+        ("BM", b"BM and other letters", "none of these", "`dims`"),
         ("slice", b"RIFF\x10\0\0\0WEBPVP8 ", "a WebP picture", "TIFF slices"),
         (
             "a.xmf",
@@ -206,7 +206,7 @@ fn unknown_kinds_are_told_what_is_read() {
         ),
         ("a.sgy", b"C 1 CLIENT", "SEG-Y", "segyio"),
         ("a.mgz", b"\0\0\0\x01", "FreeSurfer", "mri_convert"),
-        ("a.other", b"what", "none of these: it begins with 77 68 61 74", "--dims"),
+        ("a.other", b"what", "none of these: it begins with 77 68 61 74", "`dims`"),
     ] {
         let line = open(name, bytes).to_string();
         assert!(line.contains(kind) && line.contains(help), "{line}");

@@ -29,7 +29,7 @@
 //!
 //! * A position on a voxel gives that voxel's value, exactly, whatever its neighbours hold.
 //! * A NaN voxel with a weight other than zero makes the value NaN: a void point. One with weight
-//!   zero does not count. An infinite voxel does what arithmetic says; `--nan` treats infinities
+//!   zero does not count. An infinite voxel does what arithmetic says; `nan` treats infinities
 //!   before they come here.
 //! * A value is computed in `f64` by `+ - *` and one `/` by a constant, in an order fixed by the
 //!   position, and rounded to `f32` once: the same bits on every machine, in whichever block the

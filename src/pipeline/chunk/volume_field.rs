@@ -144,7 +144,7 @@ impl GridField {
             "a finite value",
             "NaN, infinity or a missing value",
         )
-        .with_help("choose --nan mask (leave a hole there) or --nan VALUE (use a value instead)")
+        .with_help("choose `nan=mask` (leave a hole there) or `nan=VALUE` (use a value instead)")
     }
 
     /// The samples around a chunk's core: what will be read for it, up to a border.

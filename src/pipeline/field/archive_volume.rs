@@ -69,7 +69,7 @@ pub(in crate::pipeline) fn archive_sources(
     let path = archive.path().display();
     if !archive.is_pyramid() {
         return Err(Error::usage(format!(
-            "{path} has tetrahedra: of archives, only pyramids are read as volumes; isospan probe --grid writes its \
+            "{path} has tetrahedra: of archives, only pyramids are read as volumes; isospan probe `grid` writes its \
              field on a grid"
         )));
     }

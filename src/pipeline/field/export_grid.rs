@@ -344,7 +344,7 @@ fn in_index_space(archive: &StepView, roi: &Roi, resources: &Resources) -> Resul
         Some(WorldBox::Index(roi)) => Ok(roi),
         Some(WorldBox::HalfSpaces(_)) => Err(Error::usage(format!(
             "{}: a box of the world is no box of samples of a curvilinear grid: give the region in numbers of \
-             samples, --roi I0:I1,J0:J1,K0:K1",
+             samples, `roi=I0:I1,J0:J1,K0:K1`",
             archive.path().display()
         ))),
     }

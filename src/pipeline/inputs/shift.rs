@@ -118,7 +118,7 @@ impl Shift {
             let [lo, hi] = found.range.map(|v| v + offset);
             let expected = "values that f32 holds, from 1.2e-38 to 3.4e38 in size";
             return Err(Error::bad_input(path, "values", expected, format!("{lo:e} to {hi:e}")).with_help(
-                "scale the field before; or, where one of these means no data, name it with --missing",
+                "scale the field before; or, where one of these means no data, name it with `missing`",
             ));
         }
         Ok(Self { offset, rounding: found.rounding(whole) })

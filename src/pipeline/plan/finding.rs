@@ -12,7 +12,8 @@ pub struct Notice {
     /// What was found.
     #[serde(flatten)]
     pub finding: Finding,
-    /// The same in words, with the flag that helps, on one line.
+    /// The same in words, with the setting that helps, on one line: see
+    /// [`worded`](isospan_io::setting::worded).
     pub text: String,
 }
 

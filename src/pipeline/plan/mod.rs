@@ -18,7 +18,7 @@ use crate::archive::manifest::{
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};
 use crate::archive::values::Quantiser;
-use crate::pipeline::settings::{Amount, ReduceSettings};
+use crate::pipeline::settings::{Amount, CompleteSettings};
 pub(super) use attachments::Attachments;
 pub(super) use estimate::{
     ERROR_WINDOW, Halo, Held, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares,
@@ -69,19 +69,14 @@ const MOST_CROWD: f64 = 4.0;
 const LARGEST_BRICK_EDGE: u64 = 64;
 
 impl Plan {
-    /// Makes the plan of reducing a volume.
+    /// The plan of reducing a volume, whose files have this fingerprint.
     ///
     /// # Errors
-    /// [`Error::Usage`] for settings that cannot be met; [`Error::Io`] when the source cannot be
-    /// read.
-    pub fn new(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Self> {
-        Self::with_fingerprint(info, settings, fingerprint(&info.files())?)
-    }
-
-    /// As [`Plan::new`], of a volume whose files were hashed already.
-    pub(super) fn with_fingerprint(
+    /// [`Error::Usage`] for settings that cannot be met; [`Error::BadInput`] for a volume without
+    /// extent or place.
+    pub(super) fn of_volume(
         info: &VolumeInfo,
-        settings: &ReduceSettings,
+        settings: &CompleteSettings,
         fingerprint: String,
     ) -> Result<Self> {
         let lattice = Lattice::new(info.dims).map_err(|e| {
@@ -95,9 +90,6 @@ impl Plan {
                 format!("{:?}", info.geometry),
             ));
         }
-        if let Some(adapt) = &settings.adapt {
-            adapt.check(settings)?;
-        }
         let count = count_of(settings, info.dims);
         if !settings.interpolation.is_of_volumes() {
             return Err(Error::usage(format!(
@@ -106,16 +98,15 @@ impl Plan {
                 info.path.display()
             )));
         }
-        let kind = settings.set_of(false);
-        Self::on_lattice(lattice, (kind, count), source_of(info, fingerprint), settings)
+        Self::on_lattice(lattice, count, source_of(info, fingerprint), settings)
     }
 
-    /// A plan for a number of points of a set on a lattice.
+    /// A plan for a number of points on a lattice.
     pub(crate) fn on_lattice(
         lattice: Lattice,
-        (kind, count): (SetKind, u64),
+        count: u64,
         source: Source,
-        settings: &ReduceSettings,
+        settings: &CompleteSettings,
     ) -> Result<Self> {
         if let Some(bits) = settings.value_bits.filter(|bits| !Quantiser::BITS.contains(bits)) {
             let (least, most) = Quantiser::BITS.into_inner();
@@ -123,16 +114,16 @@ impl Plan {
         }
         if settings.values == Values::Fit && settings.interpolation == Interpolation::Nearest {
             return Err(Error::usage(
-                "nearest gives points the very values of samples, and fitting gives them others: choose --values sample, or --interp linear",
+                "nearest gives points the very values of samples, and fitting gives them others: choose `values=sample`, or `interpolation=linear`",
             ));
         }
         if settings.chunk_points < 100 {
             return Err(Error::usage(
-                "a chunk of fewer than 100 points is all halo: give --chunk-points at least 100",
+                "a chunk of fewer than 100 points is all halo: give `chunk_points` at least 100",
             ));
         }
         let samples = lattice.dims.iter().map(|&d| d as f64).product::<f64>();
-        let points = PointSpec::with_count(kind, &lattice, count, &settings.set)?;
+        let points = PointSpec::with_count(settings.points, &lattice, count, &settings.set)?;
         let total = PointSet::new(points, lattice)?.len();
         let edge = libm::cbrt(samples / total as f64 * BRICK_POINTS).round() as u64;
         if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {
@@ -157,7 +148,6 @@ impl Plan {
             stars: settings.values == Values::Fit,
         };
         if mesh.points.kind() == SetKind::Pyramid {
-            check_pyramid(&source, settings)?;
             (mesh.brick_edge, mesh.stars) = ([isospan_wavelet::CHUNK as u64; 3], false);
         }
         Ok(Self {
@@ -296,26 +286,8 @@ fn crowd(bricks: &BrickGrid, listed: &ExplicitPoints) -> f64 {
     squares as f64 / listed.len() as f64
 }
 
-/// Refuses settings that are for points, where all samples are kept.
-fn check_pyramid(source: &Source, settings: &ReduceSettings) -> Result<()> {
-    let others = if source.mesh.is_some() {
-        Some("a mesh: choose a point set")
-    } else if settings.adapt.is_some() {
-        Some("points that adapt")
-    } else if settings.amount != Amount::Usual {
-        Some("a number of points: name a set of them, or ask for a level")
-    } else if settings.value_bits.is_some() {
-        Some("bits of values: give an error that is not to be exceeded")
-    } else if settings.interpolation != Interpolation::Linear {
-        Some("an interpolation: all samples are kept")
-    } else {
-        None
-    };
-    others.map_or(Ok(()), |others| Err(Error::usage(format!("a pyramid does not go with {others}"))))
-}
-
 /// The number of interior points that is wanted of a volume.
-pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
+pub(super) fn count_of(settings: &CompleteSettings, dims: [u64; 3]) -> u64 {
     match settings.amount {
         Amount::Count(n) => n,
         part => part.of(dims.iter().map(|&d| d as f64).product::<f64>()).round().max(1.0) as u64,

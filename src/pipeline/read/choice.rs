@@ -249,7 +249,7 @@ fn run_of(manifest: &Manifest, field: Option<&str>, shown: &Path) -> Result<Rang
             return Ok(0..steps.len());
         }
         return Err(Error::usage(format!(
-            "{}: each step has the fields {}: choose one with --field",
+            "{}: each step has the fields {}: choose one with `field`",
             shown.display(),
             fields()
         )));

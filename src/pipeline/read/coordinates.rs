@@ -138,7 +138,7 @@ pub(in crate::pipeline) fn expect_in_f32(archive: &StepView) -> Result<()> {
     let longest = (0..3).map(|k| hull[1][k] - hull[0][k]).fold(0.0, f64::max);
     let wrong = |what: String| {
         Err(Error::usage(format!(
-            "{}: {what} as f32, which surfaces have: reduce it with another --spacing",
+            "{}: {what} as f32, which surfaces have: reduce it with another `spacing`",
             archive.path().display()
         )))
     };

@@ -28,9 +28,9 @@ impl LevelChoice {
     /// The flag of the command line.
     pub(in crate::pipeline) fn flag(self) -> &'static str {
         match self {
-            Self::Level(_) => "--level",
-            Self::Triangles(_) => "--triangles",
-            Self::Error(_) => "--error",
+            Self::Level(_) => "`level`",
+            Self::Triangles(_) => "`triangles`",
+            Self::Error(_) => "`error`",
         }
     }
 }
@@ -53,7 +53,7 @@ impl StepView {
                 ))),
             },
             LevelChoice::Triangles(_) => Err(Error::usage(
-                "--triangles chooses a level by its surfaces, and here is none: give --level or --error",
+                "`triangles` chooses a level by its surfaces, and here is none: give `level` or `error`",
             )),
             LevelChoice::Error(bound) => self.level_of_error(bound),
         }
@@ -80,18 +80,18 @@ impl StepView {
         let refuse = |why: String| Err(Error::usage(format!("{}: {why}", self.path().display())));
         if self.is_between() {
             return refuse(
-                "--error: errors are those of steps, and this is a moment between two: give --level".into(),
+                "`error`: errors are those of steps, and this is a moment between two: give `level`".into(),
             );
         }
         let (Some(error), Some(wavelet)) = (&step.error, step.plan.wavelet) else {
             return refuse(
-                "--error: no error was measured when the archive was made: give --level, or reduce without --no-measure"
+                "`error`: no error was measured when the archive was made: give `level`, or reduce without `measure=false`"
                     .into(),
             );
         };
         if step.level_rms.len() != pyramid_of(self.manifest.plan.points).map_or(0, |p| p.coarsest()) {
             return refuse(
-                "--error: an earlier version made the archive, without errors of levels: give --level, or reduce again"
+                "`error`: an earlier version made the archive, without errors of levels: give `level`, or reduce again"
                     .into(),
             );
         }

@@ -274,7 +274,7 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
 pub(super) fn report_of(archive: &StepView, nodes: usize) -> Result<SpectrumReport> {
     if archive.is_between() {
         return Err(Error::usage(format!(
-            "{}: the spectrum is known at steps, and not between them: choose one with --step",
+            "{}: the spectrum is known at steps, and not between them: choose one with `step`",
             archive.path().display()
         )));
     }

@@ -10,7 +10,7 @@ use super::meshes::keeps_own;
 use super::report::ReduceReport;
 use crate::pipeline::inputs::{Fill, Scan, Seen, Stretch, Survey, scan, survey_mesh, survey_volume, watched};
 use crate::pipeline::plan::{Estimate, Finding, Notice, count_of};
-use crate::pipeline::settings::{Amount, NanPolicy, ReduceSettings};
+use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy};
 use isospan_io::bytes::place;
 use isospan_io::bytes::remote::is_remote;
 use isospan_io::cells::CellMesh;
@@ -50,9 +50,9 @@ const SMALL: u64 = 256 << 10;
 impl Notice {
     fn of_fill(path: &Path, fill: &Fill, seen: Seen, nan: NanPolicy) -> Self {
         let Fill { value, share, others: [lo, hi] } = *fill;
-        let (v, mask) = (number(value), if nan == NanPolicy::Error { " --nan mask" } else { "" });
+        let (v, mask) = (number(value), if nan == NanPolicy::Error { " `nan=mask`" } else { "" });
         let text = format!(
-            "{} are exactly {v}, far from the others ({} .. {}): if that means \"no data\", give --missing {v}{mask}",
+            "{} are exactly {v}, far from the others ({} .. {}): if that means \"no data\", give `missing={v}`{mask}",
             part(share, seen),
             number(lo),
             number(hi)
@@ -75,7 +75,7 @@ impl Notice {
             3 => String::new(),
             _ => format!(" along {}", named.join(" and ")),
         };
-        let help = if can_be_given { "--spacing X,Y,Z gives another" } else { "write it into the file" };
+        let help = if can_be_given { "`spacing=X,Y,Z` gives another" } else { "write it into the file" };
         let text =
             format!("it does not say how far samples lie apart{along}: a spacing of 1 is assumed; {help}");
         Some(Self::new(&info.path, Finding::AssumedSpacing { axes }, &text))
@@ -84,10 +84,10 @@ impl Notice {
     fn of_stretch(path: &Path, found: &Stretch, nan: NanPolicy) -> Self {
         let Stretch { count, of, value, is_one_value, others } = *found;
         let [lo, hi] = others.map(number);
-        let (v, mask) = (number(value), if nan == NanPolicy::Error { " --nan mask" } else { "" });
+        let (v, mask) = (number(value), if nan == NanPolicy::Error { " `nan=mask`" } else { "" });
         let help = if is_one_value {
             format!(
-                "if {v} means \"no data\", give --missing {v}{mask}; else give errors in units of the field"
+                "if {v} means \"no data\", give `missing={v}`{mask}; else give errors in units of the field"
             )
         } else {
             "give errors in units of the field".into()
@@ -98,7 +98,7 @@ impl Notice {
             (false, _) => "reach",
         };
         let text = format!(
-            "{} of {} samples {verb} {v}, the others {lo} .. {hi}: % and --value-bits count from the whole range; {help}",
+            "{} of {} samples {verb} {v}, the others {lo} .. {hi}: % and `value_bits` count from the whole range; {help}",
             grouped(count),
             grouped(of)
         );
@@ -124,9 +124,9 @@ impl Notice {
     /// That the own vertices of a mesh would be the better archive; `why` says so of the one that
     /// was asked for.
     fn of_own(path: &Path, points: u64, vertices: u64, own: u64, why: &str, rounded: bool) -> Self {
-        let error = if rounded { "no error but that of --value-bits" } else { "no error" };
+        let error = if rounded { "no error but that of `value_bits`" } else { "no error" };
         let text = format!(
-            "{why}: --fraction 1 keeps the mesh itself, with {error}, in about {}",
+            "{why}: `fraction=1` keeps the mesh itself, with {error}, in about {}",
             bytes_text(own, f64::round)
         );
         Self::new(path, Finding::OwnIsBetter { points, vertices, own }, &text)
@@ -134,9 +134,9 @@ impl Notice {
 
     /// The notice that an archive of `archive` bytes is larger than its source, if it is.
     pub(super) fn of_size(path: &Path, archive: u64, size: &SourceSize, target: bool) -> Option<Self> {
-        let help = if target { "a larger error" } else { "fewer points (--fraction)" };
+        let help = if target { "a larger error" } else { "fewer points (`fraction`)" };
         let text = format!(
-            "the archive takes {}, more than its source, {}: {help} or --value-bits makes it smaller",
+            "the archive takes {}, more than its source, {}: {help} or `value_bits` makes it smaller",
             size.in_words(archive),
             size.in_words(size.bytes)
         );
@@ -224,8 +224,8 @@ fn own_bytes(vertices: u64, steps: usize) -> u64 {
 }
 
 /// Whether all vertices of a mesh would be kept with these settings, were they asked for.
-fn could_keep_own(settings: &ReduceSettings) -> bool {
-    keeps_own(&ReduceSettings { amount: Amount::Fraction(1.0), ..settings.clone() }, 0)
+fn could_keep_own(settings: &CompleteSettings) -> bool {
+    keeps_own(&CompleteSettings { amount: Amount::Fraction(1.0), ..settings.clone() }, 0)
 }
 
 /// Looks at the sources of a reduction, and reports what is found before work begins. Where steps
@@ -315,7 +315,7 @@ fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) 
         let others = if found.fills.is_empty() { "all samples" } else { "all other samples" };
         let looked = if seen == Seen::Spread { " that were looked at" } else { "" };
         let text = format!(
-            "{others}{looked} are {}: no isovalue has a surface; is it the right field (--field)?",
+            "{others}{looked} are {}: no isovalue has a surface; is it the right field (`field`)?",
             number(value)
         );
         out.push(Notice::new(path, Finding::Constant { value }, &text));
@@ -323,7 +323,7 @@ fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) 
     out.extend(found.stretch.map(|stretch| Notice::of_stretch(path, &stretch, nan)));
     if let Some((values, range)) = found.labels {
         let text = format!(
-            "the samples have {values} different values ({} .. {}), as labels do: --lossless keeps them; so does --interp nearest at points",
+            "the samples have {values} different values ({} .. {}), as labels do: `lossless=true` keeps them; so does `interpolation=nearest` at points",
             number(range[0]),
             number(range[1])
         );
@@ -338,7 +338,7 @@ fn of_numbers(
     input: &Input,
     source: &StepSource,
     steps: usize,
-    settings: &ReduceSettings,
+    settings: &CompleteSettings,
     size: &SourceSize,
 ) -> Vec<Notice> {
     // With a target, neither is known before it is met.
@@ -364,25 +364,24 @@ fn of_numbers(
     };
     if asked > samples {
         let flag = match settings.amount {
-            Amount::Count(n) => format!("--count {n}"),
-            Amount::Fraction(f) => format!("--fraction {f}"),
+            Amount::Count(n) => format!("`count={n}`"),
+            Amount::Fraction(f) => format!("`fraction={f}`"),
             Amount::Usual => String::from("the default"),
         };
         let [what, help] = match input {
-            Input::Volume(_) => ["samples", "--points regular --fraction 1 has a point at each sample"],
-            Input::Mesh(_) if own => ["vertices", "the mesh itself is kept, as by --fraction 1"],
+            Input::Volume(_) => ["samples", "`points=regular` `fraction=1` has a point at each sample"],
+            Input::Mesh(_) if own => ["vertices", "the mesh itself is kept, as by `fraction=1`"],
             Input::Mesh(_) if could_keep_own(settings) => {
-                ["vertices", "--fraction 1 keeps the mesh itself, with no error"]
+                ["vertices", "`fraction=1` keeps the mesh itself, with no error"]
             }
-            Input::Mesh(_) => ["vertices", "--fraction 1 asks for as many as there are"],
+            Input::Mesh(_) => ["vertices", "`fraction=1` asks for as many as there are"],
         };
         let [asked_text, samples_text] = [asked, samples].map(grouped);
         let text =
             format!("{flag} asks for {asked_text} points, more than its {samples_text} {what}: {help}");
         out.push(Notice::new(path, Finding::MorePoints { points: asked, samples }, &text));
     }
-    let of_mesh = matches!(input, Input::Mesh(_));
-    if settings.set_of(of_mesh) == SetKind::Pyramid {
+    if settings.points == SetKind::Pyramid {
         // Its bytes follow from the samples, and are fewer than those.
         return out;
     }
@@ -422,26 +421,26 @@ fn of_numbers(
 
 /// Flags with which an archive is smaller than its source, as far as the number of points can
 /// achieve that.
-fn smaller(archive: u64, source: u64, settings: &ReduceSettings, rounded: bool) -> String {
-    let bits = if rounded { "" } else { " or --value-bits" };
+fn smaller(archive: u64, source: u64, settings: &CompleteSettings, rounded: bool) -> String {
+    let bits = if rounded { "" } else { " or `value_bits`" };
     let times = archive as f64 / source.max(1) as f64;
     match settings.amount {
         Amount::Usual | Amount::Fraction(_) => {
             let least = times / settings.amount.of(1.0);
             let of = (0..10).map(|k| 1u32 << k).find(|&n| f64::from(n) >= least);
             match of {
-                Some(n) if n > 1 => format!("--fraction 1/{n}{bits}"),
-                _ => format!("a smaller --fraction{bits}"),
+                Some(n) if n > 1 => format!("`fraction=1/{n}`{bits}"),
+                _ => format!("a smaller `fraction`{bits}"),
             }
         }
-        Amount::Count(_) => format!("a smaller --count{bits}"),
+        Amount::Count(_) => format!("a smaller `count`{bits}"),
     }
 }
 
 /// Points of a set, boundary included; what was asked for where the settings are none.
-fn points_of(dims: [u64; 3], asked: u64, settings: &ReduceSettings) -> u64 {
+fn points_of(dims: [u64; 3], asked: u64, settings: &CompleteSettings) -> u64 {
     let points = Lattice::new(dims).and_then(|lattice| {
-        PointSet::new(PointSpec::with_count(settings.set_of(false), &lattice, asked, &settings.set)?, lattice)
+        PointSet::new(PointSpec::with_count(settings.points, &lattice, asked, &settings.set)?, lattice)
     });
     points.map_or(asked, |points| points.len())
 }

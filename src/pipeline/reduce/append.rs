@@ -15,12 +15,13 @@ use super::job::{Basis, Job};
 use super::order::next_files;
 use super::planned::{plan, publish, run as run_plan};
 use super::report::{ReduceReport, SourceChunks};
-use crate::archive::manifest::{MANIFEST_NAME, Manifest, Step};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::pipeline::read::OpenArchive;
-use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings};
+use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy, ReduceSettings, RunSettings};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use isospan_io::formats::{self, OpenOptions, StepSource, without_frame};
+use isospan_mesh::points::SetSettings;
 use std::path::Path;
 use std::time::Instant;
 
@@ -67,7 +68,7 @@ pub(in crate::pipeline) fn append(
     };
     let sources: Vec<_> = (next_files(&archive.manifest)..).zip(sources).collect();
     let run = &RunSettings { replace: settings.replace, ..run.clone() };
-    let settings = settings_like(last, settings)?;
+    let settings = settings_like(&archive.manifest, settings)?;
     let basis = Basis::Archive(&archive);
     let job = Job { sources: &sources, settings: &settings, out, run, progress, basis, keeps_sums: false };
     let notices = look(&job)?.notices;
@@ -106,7 +107,7 @@ fn with_fields(sources: &[StepSource], manifest: &Manifest, field: &str) -> Resu
         }
     }
     match all.is_empty() {
-        true => Err(Error::usage("the steps of the archive have other fields: name these with --fields")),
+        true => Err(Error::usage("the steps of the archive have other fields: name these with `fields`")),
         false => Ok(all),
     }
 }
@@ -123,10 +124,11 @@ fn with_field(source: &StepSource, field: &str) -> StepSource {
     }
 }
 
-/// The settings with which a step was made.
-fn settings_like(step: &Step, settings: &AppendSettings) -> Result<ReduceSettings> {
-    let plan = &step.plan;
-    Ok(ReduceSettings {
+/// The settings with which the last step of an archive was made; where points are was decided then.
+fn settings_like(manifest: &Manifest, settings: &AppendSettings) -> Result<CompleteSettings> {
+    let plan = &manifest.steps.last().expect("an archive that was opened has a step").plan;
+    Ok(CompleteSettings {
+        points: manifest.plan.points.kind(),
         interpolation: plan.interpolation,
         values: plan.values,
         nan: NanPolicy::parse(&plan.nan).ok_or_else(|| {
@@ -137,6 +139,11 @@ fn settings_like(step: &Step, settings: &AppendSettings) -> Result<ReduceSetting
         value_bits: plan.quantiser.map(|q| q.bits),
         keyframes: settings.keyframes.unwrap_or(plan.keyframes),
         measure: settings.measure,
-        ..ReduceSettings::default()
+        set: SetSettings::default(),
+        amount: Amount::Usual,
+        adapt: None,
+        target: None,
+        chunk_points: ReduceSettings::CHUNK_POINTS,
+        step_factor: 1.0,
     })
 }

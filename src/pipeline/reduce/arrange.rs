@@ -87,7 +87,7 @@ impl SeriesPlan {
             let is_number = self.plan.steps[n].time.is_none();
             let why = if is_number { ", its number, because it has no time" } else { "" };
             let error = Error::usage(format!(
-                "times must ascend: step {} is at {a}, step {} at {b}{why} (give them with --times)",
+                "times must ascend: step {} is at {a}, step {} at {b}{why} (give them with `times`)",
                 numbers[0], numbers[1]
             ));
             self.refuse(n, job, error)?;
@@ -176,7 +176,7 @@ impl SeriesPlan {
             let time = plan.time.unwrap_or_else(|| time_in(manifest, found, series));
             if !replaces {
                 return Err(Error::usage(format!(
-                    "{path}: its time, {time}, is that of step {} already, {}: --replace puts it in its place",
+                    "{path}: its time, {time}, is that of step {} already, {}: `replace_steps=true` puts it in its place",
                     found.number(),
                     name_of(&found.plan)
                 )));
@@ -191,7 +191,7 @@ impl SeriesPlan {
             if plan.time.is_none() || behind.is_some() || !time.is_finite() {
                 return Err(Error::usage(format!(
                     "{path}: times must ascend: the last step is at {last}, this one at {time}, \
-                     and not all of these steps have times of their own (give them with --times)"
+                     and not all of these steps have times of their own (give them with `times`)"
                 )));
             }
         }

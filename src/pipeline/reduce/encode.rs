@@ -171,7 +171,7 @@ impl MakeChunks for ChunkMaker<'_> {
         match self.encode(chunk, &mut Workspace::default(), self.shares.all_chunks())? {
             Encoding::Done(encoded) => Ok(encoded),
             Encoding::NeedsRoom { bytes } => Err(Error::memory(
-                format!("chunk {} needs a wide halo; smaller --chunk-points need less", chunk.id.0),
+                format!("chunk {} needs a wide halo; smaller `chunk_points` need less", chunk.id.0),
                 self.shares.memory_for(bytes),
                 self.shares.memory_for(self.shares.all_chunks()),
             )),

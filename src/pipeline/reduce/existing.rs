@@ -4,9 +4,9 @@
 //! ```text
 //!                at the door                     with the plan
 //!  Nothing       make it                         Begun
-//!  Unfinished    go on                           Begun, or another's work: refuse, or empty (--force)
+//!  Unfinished    go on                           Begun, or another's work: refuse, or empty (replace)
 //!  Finished      may it be this one? else        Complete: nothing to do; Begun: files are lost;
-//!                refuse, or replace (--force)    else refuse, or replace (--force)
+//!                refuse, or replace (replace)    else refuse, or replace (replace)
 //!  Foreign       refuse
 //! ```
 //!
@@ -266,7 +266,7 @@ impl Existing {
             Self::Finished(manifest) if plan.is_but_for_units(manifest) => return Ok(State::Begun),
             Self::Finished(manifest) if lacks_files(out, manifest) => {
                 let text = "lacks files, and was not made by this reduction alone; \
-                            choose another name, or --force to replace it";
+                            choose another name, or `replace=true` to replace it";
                 Error::usage(format!("{} {text}", out.display()))
             }
             Self::Finished(_) | Self::Damaged => exists(out),
@@ -403,7 +403,7 @@ fn is_unfinished(out: &Path, file: &Path) -> Error {
     let file = file.strip_prefix(out).unwrap_or(file).display();
     Error::usage(format!(
         "{} holds the unfinished work of another input, or of other settings ({file}): \
-         continue that, choose another name, or --force to start anew",
+         continue that, choose another name, or `replace=true` to start anew",
         out.display()
     ))
 }
@@ -415,5 +415,5 @@ fn foreign(out: &Path) -> Error {
 
 /// There is something of this name.
 pub(super) fn exists(out: &Path) -> Error {
-    Error::usage(format!("{} exists; choose another name, or --force to replace it", out.display()))
+    Error::usage(format!("{} exists; choose another name, or `replace=true` to replace it", out.display()))
 }

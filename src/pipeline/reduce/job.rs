@@ -6,7 +6,7 @@ use super::reuse::Round;
 use super::series::Copies;
 use crate::pipeline::plan::{Estimate, Inputs, Need, Plan, Question, folder_bytes};
 use crate::pipeline::read::OpenArchive;
-use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::settings::{CompleteSettings, RunSettings};
 use isospan_io::error::Result;
 use isospan_io::exec::Progress;
 use isospan_io::formats::StepSource;
@@ -17,7 +17,7 @@ use std::path::Path;
 pub(in crate::pipeline) struct Job<'a> {
     /// The steps, by ascending numbers.
     pub(in crate::pipeline) sources: &'a [(u64, StepSource)],
-    pub(in crate::pipeline) settings: &'a ReduceSettings,
+    pub(in crate::pipeline) settings: &'a CompleteSettings,
     /// The archive's folder.
     pub(in crate::pipeline) out: &'a Path,
     pub(in crate::pipeline) run: &'a RunSettings,

@@ -3,7 +3,7 @@
 use super::job::Job;
 use crate::domain::store::{BadValue, StoreSettings};
 use crate::pipeline::plan::{MOST_SMALL_STEPS_AT_ONCE, free_bytes};
-use crate::pipeline::settings::{NanPolicy, ReduceSettings};
+use crate::pipeline::settings::{CompleteSettings, NanPolicy};
 use isospan_io::cells::CellMesh;
 use isospan_io::error::{Error, Result};
 use isospan_mesh::sample::{Interpolation, Values};
@@ -60,7 +60,7 @@ pub(super) fn check_job(job: &Job<'_>, mesh: &CellMesh) -> Result<()> {
 }
 
 /// Settings that are for volumes are refused.
-fn check_settings(settings: &ReduceSettings, path: &Path) -> Result<()> {
+fn check_settings(settings: &CompleteSettings, path: &Path) -> Result<()> {
     let path = path.display();
     if !settings.interpolation.is_of_meshes() {
         return Err(Error::usage(format!(

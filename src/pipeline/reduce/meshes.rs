@@ -30,7 +30,7 @@ use crate::domain::store::{CellStore, StoreSettings};
 use crate::pipeline::inputs::{MeshChoice, MeshCurves, Shift};
 use crate::pipeline::plan::{Attachments, Inputs, Plan, Watch};
 use crate::pipeline::read::OpenArchive;
-use crate::pipeline::settings::{Amount, ReduceSettings};
+use crate::pipeline::settings::{Amount, CompleteSettings};
 use isospan_io::cells::CellMesh;
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::{Input, StepSource};
@@ -85,8 +85,9 @@ impl Common {
 
     fn other(&self, mesh: &CellMesh, at: &str, expected: &str, got: &str) -> Error {
         let expected = format!("{expected} of {}", self.name);
-        Error::bad_input(&mesh.info().path, at, expected, got)
-            .with_help("the steps of a series share one mesh; --keep-going leaves out those that do not fit")
+        Error::bad_input(&mesh.info().path, at, expected, got).with_help(
+            "the steps of a series share one mesh; `keep_going=true` leaves out those that do not fit",
+        )
     }
 }
 
@@ -212,13 +213,13 @@ fn is_own(job: &Job<'_>, vertices: u64) -> bool {
 
 /// Whether settings ask for a mesh as it is: for all of its vertices, and for no other points or
 /// values.
-pub(super) fn keeps_own(settings: &ReduceSettings, vertices: u64) -> bool {
+pub(super) fn keeps_own(settings: &CompleteSettings, vertices: u64) -> bool {
     let all = match settings.amount {
         Amount::Usual => false,
         Amount::Fraction(f) => f == 1.0,
         Amount::Count(n) => n >= vertices,
     };
-    all && settings.set_of(true) == SetKind::Hammersley
+    all && settings.points == SetKind::Hammersley
         && settings.set == SetSettings::default()
         && settings.interpolation == Interpolation::Linear
         && settings.adapt.is_none()
@@ -262,14 +263,13 @@ fn dense_enough(
         return known(Some(levels), plan);
     }
     let Some(adapt) = &job.settings.adapt else {
-        let (set, kind) = (&job.settings.set, job.settings.set_of(true));
+        let (set, kind) = (&job.settings.set, job.settings.points);
         let (points, boundary) = Search { store, how, path, wanted }.find(store.filled(), |count| {
             let points = PointSpec::with_count(kind, &plan.mesh.lattice, count, set)?;
             Ok((points, None, points))
         })?;
         let count = PointSet::new(points, plan.mesh.lattice)?.interior_len();
-        let spaced =
-            Plan::on_lattice(plan.mesh.lattice, (kind, count), plan.first().source.clone(), job.settings)?;
+        let spaced = Plan::on_lattice(plan.mesh.lattice, count, plan.first().source.clone(), job.settings)?;
         plan.mesh = MeshPlan { points, repeated: plan.mesh.repeated, ..spaced.mesh };
         return Ok((Dense { levels: None, wanted }, boundary));
     };
@@ -380,7 +380,7 @@ impl Search<'_> {
 }
 
 /// Points that the settings ask for, in a mesh of `vertices` vertices.
-fn wanted_of(settings: &ReduceSettings, vertices: u64) -> f64 {
+fn wanted_of(settings: &CompleteSettings, vertices: u64) -> f64 {
     settings.amount.of(vertices as f64)
 }
 
@@ -389,7 +389,7 @@ fn new_plan(
     mesh: &CellMesh,
     store: &CellStore,
     wanted: u64,
-    settings: &ReduceSettings,
+    settings: &CompleteSettings,
     offset: f64,
 ) -> Result<Plan> {
     let (lattice, geometry) = (store.frame.lattice, store.frame.geometry);
@@ -407,16 +407,13 @@ fn new_plan(
         // Each step has its own fingerprint.
         ..source_of(mesh, String::new())?
     };
-    if let Some(adapt) = &settings.adapt {
-        adapt.check(settings)?;
-    }
-    let mut plan = Plan::on_lattice(lattice, (settings.set_of(true), wanted), source, settings)?;
+    let mut plan = Plan::on_lattice(lattice, wanted, source, settings)?;
     plan.mesh.repeated = RepeatedRecord::of(store.firsts.pairs()?);
     Ok(plan)
 }
 
 /// The plan of an archive, and its last step as an example.
-fn continued_plan(archive: &OpenArchive, settings: &ReduceSettings) -> Plan {
+fn continued_plan(archive: &OpenArchive, settings: &CompleteSettings) -> Plan {
     let last = &archive.manifest.steps.last().expect("an archive that was opened has a step").plan;
     let (missing, keyframes) = (settings.finite_missing(), settings.keyframes);
     let step = StepPlan { quantiser: None, base: None, missing, keyframes, ..last.clone() };

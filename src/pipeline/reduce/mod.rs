@@ -46,8 +46,9 @@ mod volume_fields;
 mod volumes;
 mod workers;
 
+use crate::pipeline::inputs::scan;
 use crate::pipeline::plan::Estimate;
-use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use crate::pipeline::settings::{CompleteSettings, Focus, InputFacts, ReduceSettings, RunSettings, Target};
 pub(super) use advice::look;
 pub use advice::{header_notices, mesh_notices, scan_with_notices};
 pub(super) use append::{AppendSettings, append};
@@ -56,9 +57,11 @@ pub use copy::{CopiedFile, copy_archive};
 use existing::NewFolders;
 pub use existing::archive_files;
 pub(super) use existing::{Existing, lock_for_writing, replace_archive, strays, sweep};
-use isospan_io::error::Result;
+use isospan_io::cells::scan::scan_field;
+use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Silent};
-use isospan_io::formats::StepSource;
+use isospan_io::formats::{Input, StepSource};
+use isospan_io::setting::Setting;
 use isospan_mesh::points::SetKind;
 pub(super) use job::{Basis, Job};
 use kept_search::{forget_search, forget_unbegun};
@@ -66,7 +69,7 @@ use plan_file::new_archive;
 pub(super) use plan_file::{Cut, PLANNED_TRY, PlanFile, PlannedSearch, planned_try};
 pub use plan_file::{plan_path, work_folder};
 pub(super) use planned::{Built, Planned, plan, publish, run};
-use planned::{is_mesh, make};
+use planned::{first_input, make};
 pub use report::{ReduceReport, SourceChunks, TargetReport};
 pub(super) use search::TargetSearch;
 pub use series::SkippedStep;
@@ -100,9 +103,8 @@ pub fn reduce_series(
     let _lock = lock_for_writing(out)?;
     let existing = Existing::at(out)?;
     let sources = &numbered(sources);
+    let settings = &complete_settings(sources, settings, run)?;
     let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
-    let settings = &complete_settings(&job)?;
-    let job = Job { settings, ..job };
     existing.refuse_other(&job)?;
     let new_folders = NewFolders::of(out);
     let made = make_series(&job, &existing);
@@ -144,12 +146,48 @@ fn corrected(job: &Job<'_>, existing: &Existing, target: Target) -> Result<Reduc
     })
 }
 
-/// The settings of a job with what they imply.
+/// The settings of a reduction with what they imply for its sources.
 ///
 /// # Errors
-/// Those of opening the first source, whose kind decides the point set.
-pub(super) fn complete_settings(job: &Job<'_>) -> Result<ReduceSettings> {
-    Ok(job.settings.complete(is_mesh(job)?))
+/// Those of [`ReduceSettings::complete`], and of opening the first source, whose kind decides the
+/// point set: one that is left out is followed by the next.
+pub(super) fn complete_settings(
+    sources: &[(u64, StepSource)],
+    settings: &ReduceSettings,
+    run: &RunSettings,
+) -> Result<CompleteSettings> {
+    let first = first_input(sources, run.keep_going)?;
+    let is_mesh = matches!(first, Input::Mesh(_));
+    let range = if settings.focus.is_some_and(Focus::is_of_a_range) {
+        if settings.missing.is_some() {
+            return Err(Error::usage(format!(
+                "a {} in % does not go with {}: give the values",
+                Setting::Focus,
+                Setting::Missing
+            )));
+        }
+        range_of(first)?
+    } else {
+        None
+    };
+    settings.complete(&InputFacts { is_mesh, range })
+}
+
+/// Least and largest value of an input.
+fn range_of(input: Input) -> Result<Option<[f64; 2]>> {
+    let (min, max) = match input {
+        Input::Volume(volume) => {
+            let (_, found) = scan(volume)?;
+            (found.min, found.max)
+        }
+        Input::Mesh(mesh) => {
+            let chosen = mesh.field()?;
+            let field = mesh.info().fields.iter().position(|f| f.name == chosen.name).unwrap_or(0);
+            let found = scan_field(&mesh, field)?;
+            (found.min, found.max)
+        }
+    };
+    Ok(min.zip(max).map(|(lo, hi)| [lo, hi]))
 }
 
 /// Makes an archive next to the finished one of its name, which is whole until then, and puts it
@@ -180,13 +218,12 @@ pub fn estimate_series(
 ) -> Result<Estimate> {
     let existing = Existing::at(out)?;
     let (sources, progress) = (&numbered(sources), &Silent);
+    let settings = &complete_settings(sources, settings, run)?;
     let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
-    let settings = &complete_settings(&job)?;
-    let job = Job { settings, ..job };
     existing.refuse_other(&job)?;
     let looked = look(&job)?;
     let source = looked.size.map(|size| size.bytes);
-    let is_pyramid = settings.points == Some(SetKind::Pyramid);
+    let is_pyramid = settings.points == SetKind::Pyramid;
     let searched = settings.target.filter(|_| !is_pyramid);
     let search = searched.map(|target| TargetSearch::new(settings, target, source)).transpose()?;
     // Of a search, the first try is estimated.

@@ -4,7 +4,7 @@
 //!  tooth.isospan/               the archive: segments as they are done, in the end the manifest
 //!  tooth.isospan.work/          what makes it, and is no part of it
 //!      plan.json                this file
-//!      new.isospan/             the archive, where it replaces a finished one (--force)
+//!      new.isospan/             the archive, where it replaces a finished one (replace)
 //!      planned-1.isospan/ …     a try, where a target is searched for
 //!      slurm/                   job scripts and logs, where Slurm runs it
 //! ```
@@ -23,7 +23,7 @@
 //! A target takes several tries, and each is a plan of its own, one after another:
 //!
 //! ```text
-//!  plan --target-rms ─▶ plan.json (try 1) ─▶ work ─▶ commit ─▶ plan.json (try 2) ─▶ work ─▶ …
+//!  plan of a target ─▶ plan.json (try 1) ─▶ work ─▶ commit ─▶ plan.json (try 2) ─▶ work ─▶ …
 //!                                                      └─ the last one publishes the best try
 //! ```
 //!
@@ -37,7 +37,7 @@ use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::segment::PlanHash;
 use crate::pipeline::plan::{Attachments, Inputs, Plan, RecordedFile, Watch};
-use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::settings::{CompleteSettings, RunSettings};
 use isospan_io::bytes::publish::Unpublished;
 use isospan_io::bytes::{place, read_whole};
 use isospan_io::error::{Error, Result};
@@ -51,7 +51,7 @@ const FORMAT_VERSION: u16 = 3;
 const LARGEST_PLAN: u64 = 1 << 28;
 /// How the names of planned tries begin.
 pub(in crate::pipeline) const PLANNED_TRY: &str = "planned-";
-const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
+const HELP: &str = "the plan was damaged or edited: make it again with isospan plan `replace=true`";
 
 /// The folder of a plan, its job scripts and logs, next to the archive.
 pub fn work_folder(archive: &Path) -> PathBuf {
@@ -92,7 +92,7 @@ pub(in crate::pipeline) struct PlanFile {
     pub(super) files: Vec<RecordedFile>,
     /// Steps that could not be used when the plan was made.
     skipped: Vec<SkippedStep>,
-    pub(in crate::pipeline) settings: ReduceSettings,
+    pub(in crate::pipeline) settings: CompleteSettings,
     pub(in crate::pipeline) plan: Plan,
     pub(in crate::pipeline) mesh_hash: PlanHash,
     pub(in crate::pipeline) steps_hash: PlanHash,
@@ -138,9 +138,13 @@ pub(in crate::pipeline) struct Cut {
 
 impl PlanFile {
     /// The plan of a series, whose sources are at any paths.
-    pub(in crate::pipeline) fn new(settings: &ReduceSettings, series: &SeriesPlan, cut: Cut) -> Result<Self> {
+    pub(in crate::pipeline) fn new(
+        settings: &CompleteSettings,
+        series: &SeriesPlan,
+        cut: Cut,
+    ) -> Result<Self> {
         if settings.missing.is_some_and(|m| !m.is_finite()) {
-            return Err(Error::usage("--missing of a plan is a finite number; NaN is always missing"));
+            return Err(Error::usage("`missing` of a plan is a finite number; NaN is always missing"));
         }
         let SeriesPlan { plan, sources, skipped, watch, .. } = series;
         watch.check()?;
@@ -168,7 +172,7 @@ impl PlanFile {
     pub(in crate::pipeline) fn of_best(
         &self,
         search: PlannedSearch,
-        settings: ReduceSettings,
+        settings: CompleteSettings,
         best: &Manifest,
     ) -> Self {
         let steps = best.steps.iter().map(|step| step.plan.clone()).collect();
@@ -235,7 +239,7 @@ impl PlanFile {
             if found != step.source.fingerprint {
                 let expected = format!("fingerprint {}", step.source.fingerprint);
                 return Err(Error::bad_input(&source.path, "file", expected, found).with_help(
-                    "the file is not what it was when the plan was made: restore it, or plan again with --force",
+                    "the file is not what it was when the plan was made: restore it, or plan again with `replace=true`",
                 ));
             }
         }
@@ -253,7 +257,7 @@ impl PlanFile {
             return match Self::read(archive) {
                 Ok(there) if self.is_alike(&there) => Ok(()),
                 _ => Err(Error::usage(format!(
-                    "{} is another plan; choose another name, or --force to replace it",
+                    "{} is another plan; choose another name, or `replace=true` to replace it",
                     path.display()
                 ))),
             };
@@ -290,7 +294,7 @@ impl PlanFile {
         };
         let bytes = match read_whole(&path, LARGEST_PLAN) {
             Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
-                let help = "make one: isospan plan INPUT -o NAME.isospan --shards N";
+                let help = "make one: isospan plan INPUT -o NAME.isospan `shards=N`";
                 return bad("file", format!("the plan of {}", archive.display()), "nothing".into(), help);
             }
             bytes => bytes.map_err(|e| e.with_help(HELP))?,

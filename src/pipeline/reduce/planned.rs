@@ -18,7 +18,7 @@ use crate::pipeline::settings::RunSettings;
 use crate::pipeline::stage::Stage;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::pool;
-use isospan_io::formats::Input;
+use isospan_io::formats::{Input, StepSource};
 use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
@@ -122,11 +122,16 @@ pub(super) fn is_mesh(job: &Job<'_>) -> Result<bool> {
     if let Some(archive) = job.basis.archive() {
         return Ok(archive.manifest.steps[0].plan.source.mesh.is_some());
     }
+    Ok(matches!(first_input(job.sources, job.run.keep_going)?, Input::Mesh(_)))
+}
+
+/// The first source, or the first that can be opened.
+pub(super) fn first_input(sources: &[(u64, StepSource)], keep_going: bool) -> Result<Input> {
     let mut first_error = None;
-    for (_, source) in job.sources {
+    for (_, source) in sources {
         match source.open() {
-            Err(e) if job.run.keep_going => _ = first_error.get_or_insert(e),
-            other => return other.map(|input| matches!(input, Input::Mesh(_))),
+            Err(e) if keep_going => _ = first_error.get_or_insert(e),
+            other => return other,
         }
     }
     Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
@@ -145,7 +150,7 @@ fn expect_same(planned: &Plan, series: &SeriesPlan) -> Result<()> {
     };
     let path = &series.sources[n].source.path;
     Err(Error::bad_input(path, "fingerprint and header", text(planned), text(&series.plan)).with_help(
-        "the file is not what it was when the plan was made: restore it, or plan again with --force",
+        "the file is not what it was when the plan was made: restore it, or plan again with `replace=true`",
     ))
 }
 

@@ -266,7 +266,7 @@ impl<'a> RangeMaker<'a> {
                     "whole numbers of at most 2^24, which alone are kept without loss",
                     sample.to_string(),
                 )
-                .with_help("give the largest error instead: --target-max"));
+                .with_help("give the largest error instead: `target_max`"));
             }
             numbers[i] = correction.number(*sample, *value, bound);
             *value = correction.correct(*value, numbers[i]);

@@ -9,7 +9,7 @@
 
 use super::report::{ReduceReport, TargetReport};
 use crate::pipeline::plan::{Estimate, SearchEstimate};
-use crate::pipeline::settings::{Amount, ReduceSettings, Target};
+use crate::pipeline::settings::{Amount, CompleteSettings, Target};
 use isospan_io::error::{Error, Result};
 use isospan_mesh::points::SetKind;
 use serde::{Deserialize, Serialize};
@@ -189,8 +189,8 @@ const ENOUGH_TRIES: u32 = 4;
 const MOST_A_SAMPLE: f64 = 4.0;
 
 /// Whether a search is one for a pyramid.
-fn is_pyramid(settings: &ReduceSettings) -> bool {
-    settings.set_of(false) == SetKind::Pyramid
+fn is_pyramid(settings: &CompleteSettings) -> bool {
+    settings.points == SetKind::Pyramid
 }
 
 /// The best try so far.
@@ -199,7 +199,7 @@ struct BestTry {
     number: u32,
     made: Try,
     bytes: u64,
-    settings: ReduceSettings,
+    settings: CompleteSettings,
 }
 
 /// A search between two tries: all that the next try follows from. One process makes all tries, or
@@ -210,7 +210,7 @@ pub(in crate::pipeline) struct TargetSearch {
     /// Bytes of the source, if known.
     source: Option<u64>,
     /// The settings that ask for the target.
-    settings: ReduceSettings,
+    settings: CompleteSettings,
     search: Option<Search>,
     /// Points of the next try; of the first they follow from the settings.
     count: Option<u64>,
@@ -233,7 +233,7 @@ impl TargetSearch {
     /// # Errors
     /// [`Error::Usage`] for a target that cannot be one.
     pub(in crate::pipeline) fn new(
-        settings: &ReduceSettings,
+        settings: &CompleteSettings,
         target: Target,
         source: Option<u64>,
     ) -> Result<Self> {
@@ -288,7 +288,7 @@ impl TargetSearch {
     }
 
     /// The settings of the best try so far.
-    pub(in crate::pipeline) fn best_settings(&self) -> Option<&ReduceSettings> {
+    pub(in crate::pipeline) fn best_settings(&self) -> Option<&CompleteSettings> {
         self.best.as_ref().map(|best| &best.settings)
     }
 
@@ -303,17 +303,17 @@ impl TargetSearch {
     }
 
     /// The settings of the next try.
-    pub(in crate::pipeline) fn next_settings(&self) -> ReduceSettings {
+    pub(in crate::pipeline) fn next_settings(&self) -> CompleteSettings {
         if is_pyramid(&self.settings) {
-            return ReduceSettings { step_factor: self.factor.unwrap_or(1.0), ..self.settings.clone() };
+            return CompleteSettings { step_factor: self.factor.unwrap_or(1.0), ..self.settings.clone() };
         }
         // For adapted points, the number of points that an error asks for is predicted.
         let adapts = self.settings.adapt.is_some();
         let predicted = self.settings.target.filter(|t| adapts && t.bound().is_some());
         let settings = self.settings.clone();
         match self.count {
-            None => ReduceSettings { target: predicted, ..settings },
-            Some(count) => ReduceSettings { target: None, amount: Amount::Count(count), ..settings },
+            None => CompleteSettings { target: predicted, ..settings },
+            Some(count) => CompleteSettings { target: None, amount: Amount::Count(count), ..settings },
         }
     }
 
@@ -338,7 +338,7 @@ impl TargetSearch {
     }
 
     /// Notes a try with a number of points.
-    fn note_points(&mut self, bound: f64, report: &ReduceReport, settings: ReduceSettings) -> Try {
+    fn note_points(&mut self, bound: f64, report: &ReduceReport, settings: CompleteSettings) -> Try {
         let (target, samples) = (self.target, report.samples as f64);
         let is_size = target.bound().is_none();
         let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, samples] };
@@ -369,7 +369,7 @@ impl TargetSearch {
     }
 
     /// Notes a try of a pyramid. Corrections meet a bound of each sample in the first one.
-    fn note_factor(&mut self, bound: f64, report: &ReduceReport, settings: ReduceSettings) -> Try {
+    fn note_factor(&mut self, bound: f64, report: &ReduceReport, settings: CompleteSettings) -> Try {
         let is_size = matches!(self.target, Target::Size(_) | Target::Ratio(_));
         let factor = settings.step_factor;
         let amount = if is_size { factor } else { 1.0 / factor };
@@ -427,7 +427,7 @@ impl TargetSearch {
     }
 
     /// The settings that ask for the target.
-    pub(super) fn settings(&self) -> &ReduceSettings {
+    pub(super) fn settings(&self) -> &CompleteSettings {
         &self.settings
     }
 }

@@ -171,12 +171,12 @@ impl KnownUnits {
                 }
             }
         };
-        same(&mut units.length, self.length.as_ref(), "lengths", "--length-unit")?;
+        same(&mut units.length, self.length.as_ref(), "lengths", "`length_unit`")?;
         if step.time.is_some() {
-            same(&mut units.time, self.time.as_ref(), "times", "--time-unit")?;
+            same(&mut units.time, self.time.as_ref(), "times", "`time_unit`")?;
         }
         let value = self.values.get(without_frame(&step.source.field));
-        same(&mut units.value, value, "values", "--unit")
+        same(&mut units.value, value, "values", "`unit`")
     }
 }
 
@@ -197,7 +197,7 @@ impl FieldOfSeries {
     /// Whether the field that a reader chose is the one of the series.
     ///
     /// # Errors
-    /// [`Error::Usage`] if its name is another one and no `--field` asked for it, or is not that of
+    /// [`Error::Usage`] if its name is another one and no `field` asked for it, or is not that of
     /// one of several fields.
     pub(super) fn check(&self, source: &StepSource, name: &str) -> Result<()> {
         if let Some(part) = source.part().filter(|part| name != part.name && without_frame(name) != part.name)
@@ -210,7 +210,7 @@ impl FieldOfSeries {
             return Ok(());
         }
         Err(Error::usage(format!(
-            "{}: its field is {name}, the field of step {} is {}; if both are meant, say so with --field PATTERN",
+            "{}: its field is {name}, the field of step {} is {}; if both are meant, say so with `field=PATTERN`",
             source.path.display(),
             self.step,
             self.name

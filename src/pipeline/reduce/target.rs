@@ -143,7 +143,7 @@ pub(in crate::pipeline) fn expect_for_fields(job: &Job<'_>, target: Target) -> R
     match target {
         Target::Max(_) if job.settings.adapt.is_some() => Err(Error::usage(
             "a largest error of several fields does not go with points that adapt, as those of a mesh do: \
-             choose --target-rms, or reduce each field by itself",
+             choose `target_rms`, or reduce each field by itself",
         )),
         _ => Ok(()),
     }

@@ -42,7 +42,7 @@ use crate::pipeline::field::{AtVertices, MeasureSettings, reopened_values, store
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Halo, estimate, folder_bytes};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepView, Visit};
-use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use crate::pipeline::settings::{CompleteSettings, RunSettings, Target};
 use isospan_io::cells::CellMesh;
 use isospan_io::error::Result;
 use isospan_io::exec::{Attempt, Reached};
@@ -156,7 +156,7 @@ fn make_try(
         None => None,
     };
     let target_of_first = job.settings.target.filter(|_| round.is_none());
-    let settings = &ReduceSettings { target: target_of_first, ..job.settings.clone() };
+    let settings = &CompleteSettings { target: target_of_first, ..job.settings.clone() };
     let (basis, out) = (round.as_ref().map_or(Basis::New, Basis::Round), &kept.try_path(number));
     // What another plan has left there is no part of the search.
     let run = &RunSettings { replace: true, ..job.run.clone() };

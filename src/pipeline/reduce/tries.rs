@@ -4,7 +4,7 @@ use super::existing::{remove_strays, replace_archive};
 use super::plan_file::work_folder;
 use crate::archive::manifest::Manifest;
 use crate::pipeline::plan::{Attachments, Plan};
-use crate::pipeline::settings::ReduceSettings;
+use crate::pipeline::settings::CompleteSettings;
 use isospan_io::bytes::publish::remove_folder;
 use isospan_io::error::Result;
 use std::fs;
@@ -24,7 +24,7 @@ pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
 const FULL: f64 = 0.9;
 
 /// Puts a try in the place of the archive. One that is there is whole until then.
-pub(super) fn publish(settings: &ReduceSettings, best: &Path, out: &Path) -> Result<()> {
+pub(super) fn publish(settings: &CompleteSettings, best: &Path, out: &Path) -> Result<()> {
     let mut manifest = Manifest::read(best)?;
     manifest.target = Some(settings.hash());
     manifest.write(best)?;

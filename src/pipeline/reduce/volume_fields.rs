@@ -4,7 +4,7 @@ use super::fields::Fields;
 use super::series::{PlannedSource, SeriesPlan};
 use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::inputs::{Reading, Scratch, random_access};
-use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::settings::{CompleteSettings, RunSettings};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use isospan_io::formats::{self, Input, StepSource, UnpackedFrames};
@@ -28,7 +28,7 @@ pub(super) fn shape([x, y, z]: [u64; 3]) -> String {
 
 /// Opens volumes.
 pub(super) struct VolumeFields<'a> {
-    pub(super) settings: &'a ReduceSettings,
+    pub(super) settings: &'a CompleteSettings,
     pub(super) run: &'a RunSettings,
     pub(super) progress: &'a dyn Progress,
     /// Whether small copies are made in memory.
@@ -38,7 +38,7 @@ pub(super) struct VolumeFields<'a> {
 
 impl<'a> VolumeFields<'a> {
     pub(super) fn new(
-        settings: &'a ReduceSettings,
+        settings: &'a CompleteSettings,
         run: &'a RunSettings,
         progress: &'a dyn Progress,
         in_memory: bool,

@@ -11,7 +11,7 @@ use crate::density::Choice;
 use crate::pipeline::inputs::{Errors, Reading, Sampled, Shift, copy_bytes, range_of};
 use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, source_of};
 use crate::pipeline::read::{OpenArchive, coordinate_hash, scale_of};
-use crate::pipeline::settings::{Bound, DEFAULT_ERROR, ReduceSettings, Target};
+use crate::pipeline::settings::{Bound, CompleteSettings, DEFAULT_ERROR, Target};
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::{self, StepSource};
 use isospan_io::grid::Geometry;
@@ -38,7 +38,7 @@ impl Common {
         let bad = |at: &str, expected: String, got: String| {
             let expected = format!("{expected}, as step {} has", self.step);
             Err(Error::bad_input(&info.path, at, expected, got).with_help(
-                "the steps of a series share one mesh; --keep-going leaves out those that do not fit",
+                "the steps of a series share one mesh; `keep_going=true` leaves out those that do not fit",
             ))
         };
         if info.dims != self.dims {
@@ -87,7 +87,7 @@ const MOST_LOOKED_AT: usize = 8;
 /// Plans all steps of a series. Reads headers, and fingerprints.
 ///
 /// Where values are rounded, and for a pyramid, all samples are read, unless that was done before.
-/// With [`ReduceSettings::adapt`] those of some steps are.
+/// With [`CompleteSettings::adapt`] those of some steps are.
 pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<SeriesPlan> {
     let Job { sources, settings, run, .. } = *job;
     let archive = job.basis.archive();
@@ -273,7 +273,7 @@ impl Planner<'_> {
                 common.check(&info, coordinates)?;
             }
             None => {
-                self.plan = Some(Plan::with_fingerprint(&info, self.job.settings, fingerprint.clone())?);
+                self.plan = Some(Plan::of_volume(&info, self.job.settings, fingerprint.clone())?);
                 let (dims, geometry) = (info.dims, info.geometry);
                 let field = FieldOfSeries::new(number, &info.field.name);
                 self.common = Some(Common { step: number, field, dims, geometry, coordinates });
@@ -425,7 +425,7 @@ impl Planner<'_> {
 }
 
 /// How samples are corrected.
-fn correction_of(settings: &ReduceSettings, range: [f64; 2]) -> CorrectionRecord {
+fn correction_of(settings: &CompleteSettings, range: [f64; 2]) -> CorrectionRecord {
     match settings.target {
         // A part of no range is no bound; and a constant has no error.
         Some(Target::Max(Bound::OfRange(_))) if range[0] == range[1] => CorrectionRecord::None,
@@ -436,7 +436,7 @@ fn correction_of(settings: &ReduceSettings, range: [f64; 2]) -> CorrectionRecord
 }
 
 /// The RMS error that a pyramid is made for at first, before corrections.
-fn rms_of(settings: &ReduceSettings, correction: CorrectionRecord, range: [f64; 2]) -> f64 {
+fn rms_of(settings: &CompleteSettings, correction: CorrectionRecord, range: [f64; 2]) -> f64 {
     /// What a bound of each sample asks of the RMS error before corrections.
     const OF_MAX: f64 = 0.75;
     /// Of whole numbers.

@@ -33,7 +33,7 @@ use crate::pipeline::reduce::{
     Basis, Built, Cut, Existing, Job, PLANNED_TRY, PlanFile, Planned as PlannedReduction, PlannedSearch,
     ReduceReport, SourceChunks, TargetReport, TargetSearch, look, numbered, plan_path,
 };
-use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::settings::{CompleteSettings, ReduceSettings, RunSettings};
 use crate::pipeline::stage::{Stage, StageSeconds};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Resources, Silent};
@@ -188,9 +188,8 @@ pub(in crate::pipeline) fn plan_shards(
     let existing = Existing::at(out)?;
     existing.refuse_overwriting(out, run.replace)?;
     let sources = &numbered(sources);
+    let settings = &reduce::complete_settings(sources, settings, run)?;
     let job = Job { sources, settings, out, run, progress, basis: Basis::New, keeps_sums: false };
-    let settings = &reduce::complete_settings(&job)?;
-    let job = Job { settings, ..job };
     let looked = look(&job)?;
     let search = search::begin_search(settings, looked.size.map(|size| size.bytes))?;
     let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
@@ -211,7 +210,7 @@ pub(in crate::pipeline) fn plan_shards(
 /// The plan of a reduction in at most `shards` parts. `replaces` says whether a finished archive
 /// is there.
 fn plan_file(
-    settings: &ReduceSettings,
+    settings: &CompleteSettings,
     planned: &PlannedReduction,
     shards: u64,
     replaces: bool,
@@ -347,7 +346,8 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
     if file.plan.is_of(&Manifest::read(out)?) {
         return Ok(());
     }
-    let text = "holds an archive that was not made by this plan; plan again with --force to replace it";
+    let text =
+        "holds an archive that was not made by this plan; plan again with `replace=true` to replace it";
     Err(Error::usage(format!("{} {text}", out.display())))
 }
 

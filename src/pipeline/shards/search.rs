@@ -6,7 +6,7 @@ use crate::archive::manifest::Manifest;
 use crate::pipeline::reduce::{
     self, Basis, Existing, Job, PLANNED_TRY, PlanFile, PlannedSearch, ReduceReport, TargetSearch, planned_try,
 };
-use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use crate::pipeline::settings::{CompleteSettings, RunSettings, Target};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use std::path::Path;
@@ -16,7 +16,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`Error::Usage`] for a target that shards do not meet.
-pub(super) fn begin_search(settings: &ReduceSettings, source: Option<u64>) -> Result<Option<TargetSearch>> {
+pub(super) fn begin_search(settings: &CompleteSettings, source: Option<u64>) -> Result<Option<TargetSearch>> {
     let Some(target) = settings.target else { return Ok(None) };
     if let (Target::Max(_), true) = (target, settings.adapt.is_some()) {
         return Err(Error::usage(

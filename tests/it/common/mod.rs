@@ -158,7 +158,7 @@ pub(crate) fn ball(x: f64, y: f64, z: f64) -> f64 {
 /// Sampled values, not rounded: those of the field, and of a linear field to the last bit, which
 /// most tests compare with.
 pub(crate) fn settings(points: SetKind, amount: Amount, chunk_points: u64) -> ReduceSettings {
-    ReduceSettings { amount, chunk_points, values: Values::Sample, ..ReduceSettings::exact(points) }
+    ReduceSettings { amount, chunk_points, values: Some(Values::Sample), ..ReduceSettings::exact(points) }
 }
 
 pub(crate) fn run(threads: usize) -> RunSettings {

@@ -16,7 +16,7 @@ use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource, open_volume};
 use isospan::grid::IndexBox;
 use isospan::pipeline::{
-    Adapt, Amount, Bound, NanPolicy, ReduceReport, ReduceSettings, RunSettings, Target, brick, reduce_series,
+    Amount, Bound, NanPolicy, ReduceReport, ReduceSettings, RunSettings, Target, brick, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -149,7 +149,8 @@ impl Volume {
     /// Points all over the volume.
     fn even(&self, count: f64, values: Values) -> Result<Made> {
         let amount = Amount::Count(count.round().max(1.0) as u64);
-        let settings = ReduceSettings { amount, values, ..ReduceSettings::exact(SetKind::Hammersley) };
+        let settings =
+            ReduceSettings { amount, values: Some(values), ..ReduceSettings::exact(SetKind::Hammersley) };
         Ok(self.reduce(settings)?.1)
     }
 
@@ -220,8 +221,8 @@ impl Volume {
 fn dense(values: Values) -> ReduceSettings {
     ReduceSettings {
         points: Some(SetKind::Halton),
-        adapt: Some(Adapt::default()),
-        values,
+        adapt: true,
+        values: Some(values),
         ..ReduceSettings::default()
     }
 }

@@ -19,7 +19,7 @@ use crate::runs::{Lab, Points, distances, is_grid};
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::measure::ErrorSums;
-use isospan::pipeline::{Adapt, Amount, ReduceSettings, RunSettings, reduce_series};
+use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
@@ -104,11 +104,11 @@ impl Way {
     /// How the library is to reduce; `None` of every k-th voxel.
     fn settings(self) -> Option<ReduceSettings> {
         let (points, adapt, values) = match self {
-            Self::Set(points, values) => (points.kind()?, None, values),
-            Self::Adapted(values) => (SetKind::Halton, Some(Adapt::default()), values),
+            Self::Set(points, values) => (points.kind()?, false, values),
+            Self::Adapted(values) => (SetKind::Halton, true, values),
             Self::Voxels => return None,
         };
-        Some(ReduceSettings { adapt, values, ..ReduceSettings::exact(points) })
+        Some(ReduceSettings { adapt, values: Some(values), ..ReduceSettings::exact(points) })
     }
 
     /// Those that a field can be reduced in.

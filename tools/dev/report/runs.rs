@@ -348,7 +348,7 @@ impl Lab {
         ReduceSettings {
             amount: Amount::Count(self.inside(key)),
             interpolation: key.how.interpolation(key.dataset),
-            values: Values::Sample,
+            values: Some(Values::Sample),
             ..ReduceSettings::exact(kind)
         }
     }
@@ -383,7 +383,7 @@ impl Lab {
         } else {
             let settings = ReduceSettings {
                 amount: Amount::Count(inside),
-                values: Values::Sample,
+                values: Some(Values::Sample),
                 measure: false,
                 ..ReduceSettings::default()
             };

@@ -1,6 +1,7 @@
 //! Errors of the library as exceptions: a class for each kind, with what the error knows as
 //! attributes.
 
+use crate::words::in_keywords;
 use isospan::Error;
 use isospan::pipeline::ReduceReport;
 use isospan_cli::commands::reduce::unmet;
@@ -37,11 +38,11 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
         }
         Error::BadInput(bad) => {
             about.set_item("file", &bad.path)?;
-            about.set_item("at", bad.at.to_string())?;
+            about.set_item("at", in_keywords(&bad.at.to_string()))?;
             about.set_item("offset", bad.at.offset())?;
-            about.set_item("expected", &bad.expected)?;
-            about.set_item("got", &bad.got)?;
-            about.set_item("help", &bad.help)?;
+            about.set_item("expected", in_keywords(&bad.expected))?;
+            about.set_item("got", in_keywords(&bad.got))?;
+            about.set_item("help", in_keywords(&bad.help))?;
             "BadInputError"
         }
         Error::Budget { resource, purpose, needed, available } => {
@@ -66,6 +67,7 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
         _ => "Error",
     };
     let class = py.import("isospan._errors")?.getattr(class)?;
-    let made = class.call_method("_of", (error.to_string(), error.exit_code()), Some(&about))?;
+    let made =
+        class.call_method("_of", (in_keywords(&error.to_string()), error.exit_code()), Some(&about))?;
     Ok(PyErr::from_value(made))
 }

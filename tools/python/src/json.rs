@@ -1,6 +1,7 @@
 //! Reports of the library as Python objects, by the way of their JSON: the same names as `--json`
 //! gives.
 
+use crate::words::in_keywords;
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -30,7 +31,11 @@ fn object<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
         Value::Object(entries) => {
             let dict = PyDict::new(py);
             for (name, item) in entries {
-                dict.set_item(name, object(py, item)?)?;
+                match (&**name, item) {
+                    // Of a notice, and of a step that was left out.
+                    ("text" | "reason", Value::String(text)) => dict.set_item(name, in_keywords(text))?,
+                    _ => dict.set_item(name, object(py, item)?)?,
+                }
             }
             dict.into_bound_py_any(py)
         }

@@ -11,6 +11,7 @@ mod json;
 mod reduce;
 mod surface;
 mod volume;
+mod words;
 mod work;
 
 use isospan_cli::commands;

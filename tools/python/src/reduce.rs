@@ -5,6 +5,7 @@ use crate::archive::Machine;
 use crate::errors::{usage, warn_unmet};
 use crate::json::to_python;
 use crate::volume::{Volume, raised_or, steps};
+use crate::words::of_parser;
 use crate::work::run;
 use clap::Parser;
 use isospan::pipeline::{Committed, Shards};
@@ -24,8 +25,8 @@ fn parsed<Args>(
 ) -> PyResult<(Args, Talk)> {
     let quiet = [OsString::from("isospan"), OsString::from("--quiet")];
     let arguments: Vec<OsString> = quiet.into_iter().chain(arguments).collect();
-    let cli =
-        Cli::try_parse_from(&arguments).map_err(|error| usage(py, commands::one_line(&error, &arguments)))?;
+    let cli = Cli::try_parse_from(&arguments)
+        .map_err(|error| usage(py, of_parser(&commands::one_line(&error, &arguments))))?;
     let args = expected(cli.command).ok_or_else(|| usage(py, "this is another command"))?;
     Ok((args, cli.talk))
 }
@@ -54,7 +55,7 @@ pub(crate) fn reduce<'py>(
             Some(volumes) => {
                 let mut steps = steps(volumes, &run, progress)?;
                 args.steps.tell(&mut steps)?;
-                let settings = args.choices.settings(&steps)?;
+                let settings = args.choices.settings();
                 (steps, settings)
             }
         };

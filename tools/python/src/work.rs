@@ -3,6 +3,7 @@
 //! and is raised.
 
 use crate::errors::exception;
+use crate::words::in_keywords;
 use isospan::exec::{Attempt, CancelToken, Progress};
 use pyo3::prelude::*;
 use std::panic::resume_unwind;
@@ -59,7 +60,7 @@ impl Progress for Telephone {
     fn end(&self) {}
 
     fn notice(&self, line: &str) {
-        lock(&self.heard).notices.push(line.to_owned());
+        lock(&self.heard).notices.push(in_keywords(line));
     }
 
     fn attempt(&self, attempt: &Attempt) {

@@ -123,7 +123,7 @@ def test_meshes_without_a_volume_are_refused(tmp_path, tooth):
         ([image, field()], {}, "several of these"),
         (image, {"spacing": (1, 1, 1)}, "give neither"),
         (image, {"dims": (1, 1, 1)}, "for files"),
-        (grids()["vtu"], {"origin": (1, 1, 1)}, "leave out --spacing and --origin"),
+        (grids()["vtu"], {"origin": (1, 1, 1)}, "leave out spacing and origin"),
     ]:
         with pytest.raises(isospan.UsageError, match=message):
             isospan.reduce(mesh, tmp_path / "bad.isospan", **choices)

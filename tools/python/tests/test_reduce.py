@@ -32,6 +32,9 @@ CHOICES = [
     ),
     ({"target_rms": "2%", "focus": (-0.5, 1)}, ["--target-rms=2%", "--focus=-0.5:1"]),
     ({"target_max": 0.2}, ["--target-max=0.2"]),
+    ({"focus": "50%:100%", "fraction": "1/16"}, ["--focus=50%:100%", "--fraction=1/16"]),
+    ({"shift": 0.5}, ["--shift=0.5"]),
+    ({"ratio": 7}, ["--ratio=7"]),
     ({"size": "8KiB", "count": None}, ["--size=8KiB"]),
     ({"points": "pyramid"}, ["--points=pyramid"]),
     ({"points": "pyramid", "target_max": "2%"}, ["--points=pyramid", "--target-max=2%"]),
@@ -101,6 +104,32 @@ def test_targets_have_the_bytes_of_the_program(
     archive = isospan.reduce(source, tmp_path / "s.isospan", **keywords)
     assert archive.target_met
     assert same_files(tmp_path / "p.isospan", tmp_path / "s.isospan", but=())
+
+
+def test_whole_numbers_without_loss_have_the_bytes_of_the_program(program, tmp_path):
+    np.save(tmp_path / "v.npy", np.round(100 * field(shape=(10, 14, 12))).astype(np.int16))
+    program("reduce", tmp_path / "v.npy", "-o", tmp_path / "p.isospan", "--lossless")
+    archive = isospan.reduce(tmp_path / "v.npy", tmp_path / "s.isospan", lossless=True)
+    assert archive.target_met
+    assert same_files(tmp_path / "p.isospan", tmp_path / "s.isospan", but=())
+
+
+def test_messages_name_keywords(volume, tmp_path):
+    out = tmp_path / "a.isospan"
+    refused = [
+        ({"fraction": 0.5}, r'fraction is for point sets.* add points="hammersley"'),
+        ({"points": "regular", "adapt": True}, r'adapt does not go with points="regular"'),
+        ({"fraction": 0.5, "count": 7}, "'fraction' cannot be used with 'count'"),
+        ({"target_rms": 1, "measure": False}, "'target_rms' cannot be used with 'measure=False'"),
+        ({"interp": "nearest", "points": "regular", "values": "fit"}, r'values="sample", or interp="linear"'),
+    ]
+    for keywords, words in refused:
+        with pytest.raises(isospan.UsageError, match=words) as caught:
+            isospan.reduce(volume, out, **keywords)
+        assert "--" not in str(caught.value) and "`" not in str(caught.value)
+    isospan.reduce(volume, out)
+    with pytest.raises(isospan.UsageError, match="or force=True to replace it"):
+        isospan.reduce(volume, out, points="regular")
 
 
 def test_a_target_that_is_not_met_is_a_warning(volume, tmp_path):

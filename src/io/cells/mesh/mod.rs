@@ -128,9 +128,9 @@ impl CellMesh {
         self.field.as_ref().ok_or_else(|| {
             let path = info.path.display();
             Error::usage(if info.fields.is_empty() {
-                format!("{path}: no field; --field x, y or z takes a coordinate as the field")
+                format!("{path}: no field; `field` x, y or z takes a coordinate as the field")
             } else {
-                format!("{path}: {}, and x, y, z; choose one with --field NAME", list(info))
+                format!("{path}: {}, and x, y, z; choose one with `field=NAME`", list(info))
             })
         })
     }

@@ -300,7 +300,7 @@ pub(in crate::formats) fn with_channel<'a>(
     if let Some(field) = &options.field {
         return match field.rsplit_once(":c") {
             Some((_, of_field)) if of_field.split(':').next() != Some(number) => {
-                usage(format!("{field} is another channel than --channel {channel}"))
+                usage(format!("{field} is another channel than `channel={channel}`"))
             }
             Some(_) => Ok(Some(field.clone())),
             None => Ok(Some(format!("{field}:c{number}"))),
@@ -309,10 +309,10 @@ pub(in crate::formats) fn with_channel<'a>(
     let mut arrays: Vec<&str> = parts.filter(|p| p.is_channel()).map(|p| p.array.as_str()).collect();
     arrays.dedup();
     match arrays[..] {
-        [] => usage("no dataset has channels: leave out --channel".into()),
+        [] => usage("no dataset has channels: leave out `channel`".into()),
         [array] => Ok(Some(format!("{array}:c{number}"))),
         _ => {
-            usage(format!("several datasets have channels ({}): choose one with --field", arrays.join(", ")))
+            usage(format!("several datasets have channels ({}): choose one with `field`", arrays.join(", ")))
         }
     }
 }

@@ -84,13 +84,13 @@ impl Entries {
         let labels = channels.map(|c| c.label.as_str()).collect::<Vec<_>>().join(", ");
         let path = path.display();
         let text = match (&options.channel, labels.is_empty()) {
-            (Some(_), true) => format!("{path}: an array without channels: leave out --channel"),
+            (Some(_), true) => format!("{path}: an array without channels: leave out `channel`"),
             (Some(channel), false) => {
                 let field = options.field.as_deref().unwrap_or("it");
                 format!("{path}: {field} has no channel {channel}; its channels: {labels}")
             }
             (None, false) if !self.name_channel() => {
-                format!("{path}: several channels: {labels}; choose one with --channel NAME")
+                format!("{path}: several channels: {labels}; choose one with `channel=NAME`")
             }
             _ => return None,
         };

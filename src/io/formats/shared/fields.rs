@@ -21,7 +21,7 @@ pub fn pick_field(path: &Path, fields: &[FieldInfo], wanted: Option<&str>) -> Re
     match (wanted, &scalar[..]) {
         (None, &[only]) => Ok(only),
         (None, _) => Err(Error::usage(format!(
-            "{}: several fields: {}; choose one with --field NAME, or steps of a series with --field PATTERN",
+            "{}: several fields: {}; choose one with `field=NAME`, or steps of a series with `field=PATTERN`",
             path.display(),
             list_fields(fields)
         ))),

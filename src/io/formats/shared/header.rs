@@ -96,10 +96,10 @@ pub(in crate::formats) fn given_geometry(
     let spacing = options.spacing.unwrap_or(usual.spacing);
     if !spacing.iter().all(|&s| s > 0.0 && s.is_finite()) {
         let [x, y, z] = spacing;
-        return Err(Error::usage(format!("--spacing {x},{y},{z}: every spacing must be a positive number")));
+        return Err(Error::usage(format!("`spacing={x},{y},{z}`: every spacing must be a positive number")));
     }
     let origin = options.origin.unwrap_or(usual.origin);
-    geometry(path, "--spacing and --origin", origin, scaled_axes(spacing))
+    geometry(path, "`spacing` and `origin`", origin, scaled_axes(spacing))
 }
 
 /// Columns of [`geometry`] for axes along x, y, z. A negative spacing flips its axis.

@@ -45,7 +45,7 @@ impl OpenOptions {
         match self.channel {
             None => Ok(()),
             Some(_) => {
-                let text = "it has no channels to choose from: leave out --channel";
+                let text = "it has no channels to choose from: leave out `channel`";
                 Err(Error::usage(format!("{}: {text}", path.display())))
             }
         }
@@ -56,7 +56,7 @@ impl OpenOptions {
         if self.scale.is_none() {
             return Ok(());
         }
-        let text = "it has no levels to choose from: leave out --scale";
+        let text = "it has no levels to choose from: leave out `scale`";
         Err(Error::usage(format!("{}: {text}", path.display())))
     }
 
@@ -73,7 +73,7 @@ impl OpenOptions {
             return Ok(());
         }
         let path = path.display();
-        let help = "leave out --spacing and --origin";
+        let help = "leave out `spacing` and `origin`";
         Err(Error::usage(format!("{path} is {what}, which tells its own spacing and origin: {help}")))
     }
 }

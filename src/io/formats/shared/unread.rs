@@ -59,7 +59,7 @@ const BY_BYTES: [(usize, &[u8], &str, &str); 25] = [
 #[rustfmt::skip]
 const BY_TEXT: [(&[u8], &str, &str); 4] = [
     (b"FoamFile", "an OpenFOAM file", FROM_FOAM),
-    (b"<Xdmf", "an XDMF file", "name the HDF5 file of its arrays with --field, or convert it to .vtu with ParaView"),
+    (b"<Xdmf", "an XDMF file", "name the HDF5 file of its arrays with `field`, or convert it to .vtu with ParaView"),
     (b"<SpimData", "a BigDataViewer project", "name its .h5 file"),
     (b"object 1 class gridpositions", "an OpenDX grid", TO_NPY),
 ];
@@ -67,11 +67,11 @@ const BY_TEXT: [(&[u8], &str, &str); 4] = [
 /// Ends of names, and what has them.
 #[rustfmt::skip]
 const BY_NAME: [(&[&str], &str, &str); 15] = [
-    (&[".vgi", ".vgl", ".vol"], "a file of VGStudio, or a raw volume", "its samples are raw: give --dims and --type"),
+    (&[".vgi", ".vgl", ".vol"], "a file of VGStudio, or a raw volume", "its samples are raw: give `dims` and `type`"),
     (&[".foam", ".openfoam"], "an OpenFOAM case", FROM_FOAM),
     (&[".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz", ".lz4", ".rar"], "a packed file", "unpack it first"),
     (&[".mgz", ".mgh"], "a FreeSurfer volume", "convert it to NIfTI, with mri_convert"),
-    (&[".rpl"], "the description of a Ripple file", "its samples are in a raw file beside it: name that, with --dims and --type"),
+    (&[".rpl"], "the description of a Ripple file", "its samples are in a raw file beside it: name that, with `dims` and `type`"),
     (&[".head", ".brik", ".brik.gz"], "an AFNI volume", "convert it to NIfTI, with 3dAFNItoNIFTI"),
     (&[".par", "2dseq", ".fdf", ".gipl"], "a volume of a scanner's own format", TO_NIFTI),
     (&[".dm3", ".dm4", ".ser", ".mib", ".blo"], "a file of an electron microscope", "convert it to MRC or TIFF, e.g. with rosettasciio"),

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 /// layout of a raw file.
 pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if options.raw.is_some() {
-        let message = "--dims, --type, --endian and --offset tell of one headerless file";
+        let message = "`dims`, `type`, `endian` and `offset` tell of one headerless file";
         return Err(Error::usage(format!("{} stands for several files: {message}", path.display())));
     }
     if stack::is_pattern(path) {

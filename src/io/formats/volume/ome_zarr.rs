@@ -176,9 +176,11 @@ impl ZarrFolder {
         let is_zarr = [".zgroup", ".zarray", "zarr.json"].iter().any(|name| path.join(name).is_file());
         match path.symlink_metadata() {
             Err(_) => {}
-            Ok(_) if !replace => return refuse("it exists; choose another name, or --force to replace it"),
+            Ok(_) if !replace => {
+                return refuse("it exists; choose another name, or `replace=true` to replace it");
+            }
             Ok(about) if about.is_dir() && is_zarr => {}
-            Ok(_) => return refuse("it is there and no Zarr folder, which --force replaces"),
+            Ok(_) => return refuse("it is there and no Zarr folder, which `replace=true` replaces"),
         }
         let replace = replace && path.exists();
         let folder = Self { stage: Stage::begin(path)?, image, replace, bytes: AtomicU64::new(0) };

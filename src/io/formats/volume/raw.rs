@@ -120,8 +120,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 /// The error for a file whose layout must be given.
 pub(in crate::formats) fn no_layout(path: &Path) -> Error {
     Error::usage(format!(
-        "{}: a headerless file: give its layout with --dims X,Y,Z --type TYPE, as in uint16 or float32 \
-         (and, where they differ from the defaults, --endian big, --offset BYTES, --spacing X,Y,Z, --origin X,Y,Z)",
+        "{}: a headerless file: give its layout with `dims=X,Y,Z` `type=TYPE`, as in uint16 or float32 \
+         (and, where they differ from the defaults, `endian=big`, `offset=BYTES`, `spacing=X,Y,Z`, `origin=X,Y,Z`)",
         path.display()
     ))
 }
@@ -134,7 +134,7 @@ fn wrong_length(path: &Path, layout: &RawLayout, needed: u64, got: u64) -> Error
         layout.scalar.name()
     );
     Error::bad_input(path, "length of the file", expected, format!("{got} bytes"))
-        .with_help("give the right --dims, --type and --offset")
+        .with_help("give the right `dims`, `type` and `offset`")
 }
 
 fn has_extension(path: &Path, wanted: &str) -> bool {

@@ -3,7 +3,7 @@
 use crate::archive::chunked::ChunkSegment;
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::{
-    Adapt, Addition, Amount, Archive, Bound, ReduceReport, ReduceSettings, Reduction, RunSettings, Shard,
+    Addition, Amount, Archive, Bound, ReduceReport, ReduceSettings, Reduction, RunSettings, Shard,
     Shards, SourceChunks, Target, estimate_series, reduce_series, work_folder,
 };
 use isospan_io::exec::{Resources, Silent};
@@ -195,7 +195,12 @@ impl Inputs {
 
 fn settings(fraction: f64, values: Values) -> ReduceSettings {
     let amount = Amount::Fraction(fraction);
-    ReduceSettings { amount, chunk_points: 1000, values, ..ReduceSettings::exact(SetKind::Hammersley) }
+    ReduceSettings {
+        amount,
+        chunk_points: 1000,
+        values: Some(values),
+        ..ReduceSettings::exact(SetKind::Hammersley)
+    }
 }
 
 /// How often a chunk was decoded, on average.
@@ -275,7 +280,7 @@ fn points_that_adapt_targets_and_measure_need_no_copy() {
     fs::write(inputs.path("small.nrrd"), nrrd(dims, 1)).unwrap();
     zarr(&inputs.path("small.zarr"), dims, 7, 1);
     let halton = ReduceSettings { points: Some(SetKind::Halton), ..settings(1.0 / 16.0, Values::Sample) };
-    let adapted = ReduceSettings { adapt: Some(Adapt::default()), ..halton };
+    let adapted = ReduceSettings { adapt: true, ..halton };
     let with = |target, like: &ReduceSettings| ReduceSettings { target: Some(target), ..like.clone() };
     let rms = with(Target::Rms(Bound::OfRange(0.02)), &settings(1.0 / 16.0, Values::Fit));
     let max = with(Target::Max(Bound::OfRange(0.02)), &adapted);

@@ -11,8 +11,8 @@ use crate::density::Choice;
 use crate::pipeline::plan::{Attachments, Layout};
 use crate::pipeline::read::{OpenArchive, StepView};
 use crate::pipeline::{
-    Adapt, Bound, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target, commit_shards,
-    reduce_series, work_shard,
+    Bound, CompleteSettings, InputFacts, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target,
+    commit_shards, reduce_series, work_shard,
 };
 use isospan_io::exec::{Progress, Resources, Silent};
 use isospan_io::formats::{OpenOptions, StepSource};
@@ -55,11 +55,15 @@ fn sources(folder: &Path, steps: usize) -> Vec<StepSource> {
 fn settings(values: Values) -> ReduceSettings {
     ReduceSettings {
         points: Some(SetKind::Halton),
-        adapt: Some(Adapt::default()),
-        values,
+        adapt: true,
+        values: Some(values),
         chunk_points: 2_000,
         ..ReduceSettings::default()
     }
+}
+
+fn complete(values: Values) -> CompleteSettings {
+    settings(values).complete(&InputFacts::default()).unwrap()
 }
 
 fn run(threads: usize) -> RunSettings {
@@ -74,7 +78,7 @@ fn make_round(
     out: &Path,
     threads: usize,
 ) -> ReduceReport {
-    let (settings, run) = (&settings(values), &run(threads));
+    let (settings, run) = (&complete(values), &run(threads));
     let (sources, basis) = (&numbered(sources), round.map_or(Basis::New, Basis::Round));
     make(&Job { sources, settings, out, run, progress: &Silent, basis, keeps_sums: true }, &Existing::Nothing)
         .unwrap()
@@ -113,7 +117,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
     let steps = manifest.steps.iter().map(|s| s.plan.clone()).collect();
     let plan = Plan { mesh: manifest.plan.clone(), steps };
     let attachments = Attachments::read(archive, &plan.mesh).unwrap();
-    let settings = settings(values);
+    let settings = complete(values);
     let planned = |source: &StepSource| PlannedSource::in_place(source.clone());
     let series = SeriesPlan {
         plan,

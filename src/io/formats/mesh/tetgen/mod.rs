@@ -20,7 +20,7 @@
 //! first line of one number, the count, is allowed). Vertices count from 1, unless a 0 occurs: a
 //! first pass over the tetrahedra finds that out.
 //!
-//! Values of a field can come from a third file (`--value-file`) with one number for each point;
+//! Values of a field can come from a third file (`value_file`) with one number for each point;
 //! the field has the file's name. Either file of a pair may be named; the other lies next to it.
 //! Everything is read row by row.
 

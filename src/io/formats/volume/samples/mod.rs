@@ -187,12 +187,12 @@ impl SampleFormat {
         if meta.fields.len() > 1 && !self.has_fields() {
             let names: Vec<&str> = meta.fields.iter().map(|field| &*field.name).collect();
             return refuse(format!(
-                "{ending} has one field: choose one of {} with --field",
+                "{ending} has one field: choose one of {} with `field`",
                 names.join(", ")
             ));
         }
         if compress && self == Self::Npy {
-            return refuse("NPY is not compressed: leave out --compress".into());
+            return refuse("NPY is not compressed: leave out `compress`".into());
         }
         if compress && self == Self::Nifti {
             return refuse("compressed NIfTI is called .nii.gz".into());

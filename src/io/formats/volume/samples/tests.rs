@@ -151,7 +151,7 @@ fn other_names_and_endless_grids_are_refused() {
         SampleFile::create(&path, format, &meta, compress, None).map(drop).unwrap_err().to_string()
     };
     assert!(refused("a.vtr", false).contains("write .vti"));
-    assert!(refused("a.npy", true).contains("leave out --compress"));
+    assert!(refused("a.npy", true).contains("leave out `compress`"));
     let file = SampleFile::create(&dir.path().join("a.npy"), SampleFormat::Npy, &meta, false, None).unwrap();
     assert!(file.write(0, &[300.0]).unwrap_err().to_string().contains("300 cannot be written as uint8"));
     assert!(file.write(0, &[f32::NAN]).is_err());

@@ -12,7 +12,7 @@
 //! shard. Groups without OME-Zarr's metadata are listed, or have consolidated metadata. Where a
 //! server denies a file, that is an error, unless the metadata of another version are there.
 //!
-//! The path is the group or an array in it (`image.ome.zarr/1`). In a group, `--field` chooses one
+//! The path is the group or an array in it (`image.ome.zarr/1`). In a group, `field` chooses one
 //! array: by its path, the first part of that, or "scaleN" for level N. Without a choice an
 //! OME-Zarr image gives its first level, which is the full image.
 //!
@@ -622,7 +622,7 @@ impl Wanted {
         let named = Self::named(wanted, options, arrays);
         match (&named, level) {
             (Some(field), Some(level)) if field.array != level => {
-                Err(Error::usage("--field is of another level than --scale: leave out one of them"))
+                Err(Error::usage("`field` is of another level than `scale`: leave out one of them"))
             }
             _ => Ok(named),
         }
@@ -667,7 +667,7 @@ fn level(path: &Path, options: &OpenOptions, image: Option<&Image>, arrays: &Nam
         format!("{name} ({})", shape.join(" x "))
     };
     let levels: Vec<String> = arrays.iter().map(level).collect();
-    let text = format!("there is no level '{scale}'; --scale takes one of {}", levels.join(", "));
+    let text = format!("there is no level '{scale}'; `scale` takes one of {}", levels.join(", "));
     Err(Error::usage(format!("{}: {text}", path.display())))
 }
 

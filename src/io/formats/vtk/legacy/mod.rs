@@ -28,7 +28,7 @@
 //! positions of their samples: `X_COORDINATES 76 float` (Y, Z), or `POINTS 167580 float` with three
 //! numbers a sample.
 //!
-//! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is
+//! **Fields** are the arrays of the point data. Without `field` the one array under `SCALARS` is
 //! read where there is exactly one with one component (VTK's writer puts the active scalars there
 //! and all others under `FIELD`), else the only array with one component. Cell data are samples in
 //! the middles of the cells: one fewer along each axis. They are read where no array of the point
@@ -178,7 +178,7 @@ fn refuse_hidden(source: &Arc<ByteSource>, file: &Scanned) -> Result<()> {
         if found > 0 {
             let (at, got) = (format!("{section}, {GHOSTS}"), format!("{found} of {count}"));
             return Err(Error::bad_input(source.path(), at, "no hidden points or cells", got).with_help(
-                "give the samples there the value NaN (then see --nan), or write what is visible as .vtu",
+                "give the samples there the value NaN (then see `nan`), or write what is visible as .vtu",
             ));
         }
     }

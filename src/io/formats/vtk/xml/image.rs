@@ -150,7 +150,7 @@ fn refuse_hidden(image: &Image) -> Result<()> {
             }
             if found > 0 {
                 return Err(doc.wrong(array, "no hidden points or cells", format!("{found} of {count}")).with_help(
-                    "give the samples there the value NaN (then see --nan), or write what is visible as .vtu",
+                    "give the samples there the value NaN (then see `nan`), or write what is visible as .vtu",
                 ));
             }
         }

@@ -22,7 +22,7 @@
 //! extent is our (0, 0, 0), and its world position includes x0 steps of the spacing. Pieces are
 //! joined; neighbours usually share a layer of samples, which is stored twice.
 //!
-//! **Fields** are the arrays of the point data. Without `--field` the one that the file names as
+//! **Fields** are the arrays of the point data. Without `field` the one that the file names as
 //! its active `Scalars` is read, else the only one with one component.
 //!
 //! **Indices** (`.pvti`, `.pvtr`, `.pvts`) list files of one piece each, which are joined like

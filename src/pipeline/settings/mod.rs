@@ -1,16 +1,21 @@
 //! What a user chooses: what is made ([`ReduceSettings`]), and with which resources
 //! ([`RunSettings`]).
 //!
-//! The first decides every byte of an archive; the second decides none.
+//! The first decides every byte of an archive; the second decides none. What is made of the first
+//! are [`CompleteSettings`]: by the same rules from the command line, from Rust and from Python.
+
+mod complete;
 
 use crate::archive::manifest::{self, KEYFRAMES};
-use crate::archive::segment::PlanHash;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Resources;
 use isospan_mesh::points::{SetKind, SetSettings};
 use isospan_mesh::sample::{Interpolation, Values};
 use serde::{Deserialize, Serialize};
 use std::fmt;
+
+pub(super) use complete::DEFAULT_ERROR;
+pub use complete::{Adapt, CompleteSettings, InputFacts};
 
 /// How many points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -36,39 +41,40 @@ impl Amount {
     }
 }
 
-/// What the user chooses of a reduction.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// What the user chooses of a reduction; what is not said follows from the rest and from the input
+/// ([`ReduceSettings::complete`]).
+#[derive(Clone, Debug, PartialEq)]
 pub struct ReduceSettings {
     /// The point set. By default a pyramid of all samples for a volume, Hammersley's points for a
     /// mesh, and Halton's where points adapt.
     pub points: Option<SetKind>,
     /// Its parameters that do not follow from the amount.
-    pub set: SetSettings,
+    pub set: SetChoice,
     /// The number of interior points for a volume that is no pyramid: a pyramid refuses it. For a
     /// mesh, the number of points with a value, boundary included. A mesh is kept as it is by a
     /// fraction of 1, or a count of its vertices or more: with default points, linear
     /// interpolation, and neither `adapt` nor `target`.
     pub amount: Amount,
     /// Whether points are dense where the field needs them; a Halton set can be. An error as the
-    /// target of a mesh, or of a Halton set, implies it.
-    #[serde(default)]
-    pub adapt: Option<Adapt>,
+    /// target of a mesh, or of a Halton set, implies it, and so does a focus.
+    pub adapt: bool,
+    /// The values that matter where points adapt: what happens above and below does not count.
+    pub focus: Option<Focus>,
     /// The error or the size that is not to be exceeded: the amount follows from it. A target that
     /// cannot be met is no error: the report says so, see
-    /// [`ReduceReport::unmet`](super::ReduceReport::unmet).
-    #[serde(default)]
+    /// [`ReduceReport::unmet`](super::ReduceReport::unmet). A pyramid has an RMS error of 1 % of
+    /// the range by default.
     pub target: Option<Target>,
     /// How values are interpolated between samples.
     pub interpolation: Interpolation,
-    /// Whether values are fitted to the samples, as they are by default; not those of
-    /// [`Interpolation::Nearest`].
-    pub values: Values,
+    /// Whether values are fitted to the samples. By default they are, but for the interpolations
+    /// whose very values are wanted ([`Values::usual`]).
+    pub values: Option<Values>,
     /// What happens to samples that are no numbers.
     pub nan: NanPolicy,
     /// A value that means "no data", besides what the file declares.
     pub missing: Option<f64>,
     /// Bits to which values are rounded, of the range of the source; values are exact without.
-    #[serde(default)]
     pub value_bits: Option<f64>,
     /// Points meshed together.
     pub chunk_points: u64,
@@ -77,74 +83,16 @@ pub struct ReduceSettings {
     pub keyframes: u64,
     /// Whether the field is measured at every sample of the source in the end.
     pub measure: bool,
-    /// How many times coarser the coefficients of a pyramid are than a target seems to ask for: a
-    /// search for a target finds it.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
-    #[doc(hidden)]
-    pub step_factor: f64,
 }
-
-fn one() -> f64 {
-    1.0
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_one(factor: &f64) -> bool {
-    *factor == 1.0
-}
-
-/// The RMS error of a pyramid by default, as a part of the range of the samples.
-pub(super) const DEFAULT_ERROR: f64 = 0.01;
 
 impl ReduceSettings {
-    /// A hash of all of them.
-    pub(super) fn hash(&self) -> PlanHash {
-        PlanHash::of(&serde_json::to_vec(self).expect("settings are plain data"))
-    }
-
     /// Exact values at points of a set, with defaults for all else.
     pub fn exact(points: SetKind) -> Self {
         Self { points: Some(points), ..Self::default() }
     }
 
-    /// The settings with what a target implies. Every door completes them, so that a request has
-    /// the same bytes from the command line, from Rust and from Python.
-    ///
-    /// Without a target, a pyramid has an RMS error of [`DEFAULT_ERROR`]. An error of a mesh, or
-    /// with a Halton set, is met by points that adapt.
-    pub(super) fn complete(&self, of_mesh: bool) -> Self {
-        if self.set_of(of_mesh) == SetKind::Pyramid {
-            let usual = Target::Rms(Bound::OfRange(DEFAULT_ERROR));
-            // An error that is not measured is no target.
-            let target = self.target.or(self.measure.then_some(usual));
-            return Self { points: Some(SetKind::Pyramid), target, values: Values::Sample, ..self.clone() };
-        }
-        let Some(target) = self.target else { return self.clone() };
-        let can_adapt = match self.points {
-            None => of_mesh,
-            Some(points) => points == SetKind::Halton,
-        };
-        let implied = (target.bound().is_some() && can_adapt).then(Adapt::default);
-        let settings = Self { adapt: self.adapt.or(implied), ..self.clone() };
-        Self { points: Some(settings.set_of(of_mesh)), ..settings }
-    }
-
-    /// The point set, for a mesh or for a volume.
-    pub(super) fn set_of(&self, of_mesh: bool) -> SetKind {
-        self.points.unwrap_or(match (self.adapt, of_mesh) {
-            (Some(_), _) => SetKind::Halton,
-            (None, true) => SetKind::Hammersley,
-            (None, false) => SetKind::Pyramid,
-        })
-    }
-
     /// Default of `chunk_points`.
     pub const CHUNK_POINTS: u64 = manifest::CHUNK_POINTS;
-    /// The value that means "no data", as a plan records it: NaN and infinity always do.
-    pub(super) fn finite_missing(&self) -> Option<f64> {
-        self.missing.filter(|m| m.is_finite())
-    }
-
     /// Default of `keyframes`.
     pub const KEYFRAMES: u64 = KEYFRAMES;
 }
@@ -153,50 +101,105 @@ impl Default for ReduceSettings {
     fn default() -> Self {
         Self {
             points: None,
-            set: SetSettings::default(),
+            set: SetChoice::default(),
             amount: Amount::Usual,
-            adapt: None,
+            adapt: false,
+            focus: None,
             target: None,
             interpolation: Interpolation::Linear,
-            values: Values::Fit,
+            values: None,
             nan: NanPolicy::Error,
             missing: None,
             value_bits: None,
             chunk_points: Self::CHUNK_POINTS,
             keyframes: Self::KEYFRAMES,
             measure: true,
-            step_factor: 1.0,
         }
     }
 }
 
-/// What decides where points are dense.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Adapt {
-    /// The values of interest: what happens above and below does not count.
-    pub focus: Option<[f64; 2]>,
+/// Parameters of a point set.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SetChoice {
+    /// Of Hammersley points: the shift t in (k + t)/n; 1/2 by default.
+    pub shift: Option<f64>,
+    /// Of a hyperbolic cross: its level; the one nearest to the count by default.
+    pub m: Option<u32>,
+    /// Of a hyperbolic cross: log2 of the cells of the coarsest grid; by the count as well.
+    pub k: Option<u32>,
+    /// Of a hyperbolic cross: the regularity of the field along x, y and z; 1 by default.
+    pub r: Option<[u32; 3]>,
 }
 
-impl Adapt {
+impl SetChoice {
+    /// All of them.
+    fn complete(self) -> SetSettings {
+        let usual = SetSettings::default();
+        SetSettings {
+            shift: self.shift.unwrap_or(usual.shift),
+            m: self.m,
+            k: self.k,
+            r: self.r.unwrap_or(usual.r),
+        }
+    }
+}
+
+/// The values of the field that matter, from one to another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Focus {
+    /// The lower end.
+    pub low: FieldValue,
+    /// The upper end.
+    pub high: FieldValue,
+}
+
+impl Focus {
+    /// Whether an end is a share of the range of the field.
+    pub(super) fn is_of_a_range(self) -> bool {
+        [self.low, self.high].iter().any(|end| matches!(end, FieldValue::Share(_)))
+    }
+
+    /// Its ends, of a field of this range.
+    fn of(self, range: Option<[f64; 2]>) -> Result<[f64; 2]> {
+        Ok([self.low.of(range)?, self.high.of(range)?])
+    }
+}
+
+impl From<[f64; 2]> for Focus {
+    fn from([low, high]: [f64; 2]) -> Self {
+        Self { low: FieldValue::At(low), high: FieldValue::At(high) }
+    }
+}
+
+/// A value of the field, or a place in its range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FieldValue {
+    /// The value.
+    At(f64),
+    /// This part of the range above its lower end: 0.5 is the middle.
+    Share(f64),
+}
+
+impl FieldValue {
+    /// The value itself, where the field has this range.
+    ///
     /// # Errors
-    /// [`Error::Usage`] for a range that is none, and for a point set that cannot be denser in some
-    /// places.
-    pub(super) fn check(&self, settings: &ReduceSettings) -> Result<()> {
-        if let Some([lo, hi]) = self.focus
-            && !(lo < hi && lo.is_finite() && hi.is_finite())
-        {
-            return Err(Error::usage(format!(
-                "the focus {lo}:{hi} is no range: write two numbers, the smaller one first"
-            )));
+    /// [`Error::Usage`] for a share of a range that there is not.
+    pub fn of(self, range: Option<[f64; 2]>) -> Result<f64> {
+        match (self, range) {
+            (Self::At(value), _) => Ok(value),
+            (Self::Share(share), Some([lo, hi])) => Ok(short(lo + share * (hi - lo), hi - lo)),
+            (Self::Share(_), None) => {
+                Err(Error::usage("there is no range to take a percentage of: no point has a value"))
+            }
         }
-        let points = settings.set_of(false);
-        if points != SetKind::Halton {
-            return Err(Error::usage(format!(
-                "only a halton set can be denser in some places; --adapt does not go with --points {points}"
-            )));
-        }
-        Ok(())
     }
+}
+
+/// A number with the digits of an `f32`, unless that is no place in a range of this length.
+fn short(value: f64, length: f64) -> f64 {
+    let short = (value as f32).to_string().parse().unwrap_or(value);
+    if (short - value).abs() <= 1e-6 * length { short } else { value }
 }
 
 /// What to do with samples that are NaN, infinite, or declared missing.
@@ -271,11 +274,6 @@ impl Bound {
 }
 
 impl Target {
-    /// Whether corrections of single samples meet it, so that nothing is searched for.
-    pub(super) fn is_met_by_corrections(self, settings: &ReduceSettings) -> bool {
-        matches!(self, Self::Max(_) | Self::Lossless) && settings.set_of(false) == SetKind::Pyramid
-    }
-
     /// How large the error may be, if that is what is wanted.
     pub(super) fn bound(self) -> Option<Bound> {
         match self {
@@ -284,14 +282,19 @@ impl Target {
         }
     }
 
+    /// Whether corrections of single samples meet it, so that nothing is searched for.
+    pub(super) fn is_met_by_corrections(self, settings: &CompleteSettings) -> bool {
+        matches!(self, Self::Max(_) | Self::Lossless) && settings.points == SetKind::Pyramid
+    }
+
     /// # Errors
     /// [`Error::Usage`] for a bound that is no positive number, and for settings that cannot meet
     /// it.
-    pub(super) fn check(self, settings: &ReduceSettings) -> Result<()> {
+    pub(super) fn check(self, settings: &CompleteSettings) -> Result<()> {
         let (what, bound) = match self {
             Self::Rms(Bound::Value(v) | Bound::OfRange(v))
             | Self::Max(Bound::Value(v) | Bound::OfRange(v)) => ("an error", v),
-            Self::Lossless if settings.set_of(false) == SetKind::Pyramid => return Ok(()),
+            Self::Lossless if settings.points == SetKind::Pyramid => return Ok(()),
             Self::Lossless => return Err(Error::usage("only a pyramid holds all samples without loss")),
             Self::Size(bytes) => ("a size", bytes as f64),
             Self::Ratio(ratio) => ("a ratio", ratio),
