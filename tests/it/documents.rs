@@ -108,15 +108,25 @@ fn the_book_s_contents_list_every_page() {
     assert_eq!(listed, pages());
 }
 
+/// Expects that a file is what a script writes of what the program says.
+fn expect_written(script: &str, file: &str) {
+    let path = root().join(script);
+    let made = Command::new("bash").arg(path).args([env!("CARGO_BIN_EXE_isospan"), "-"]).output().unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let made = String::from_utf8(made.stdout).unwrap();
+    let written = fs::read_to_string(root().join(file)).unwrap();
+    let differs = made.lines().zip(written.lines()).find(|(made, written)| made != written);
+    assert!(made == written, "run {script}: the program says otherwise, first at {differs:?}");
+}
+
 #[test]
 fn the_page_of_commands_is_what_the_program_says() {
-    let script = root().join("tools/book/commands");
-    let made = Command::new("bash").arg(script).args([env!("CARGO_BIN_EXE_isospan"), "-"]).output().unwrap();
-    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-    let (made, page) = (String::from_utf8(made.stdout).unwrap(), root().join("tools/book/src/commands.md"));
-    let written = fs::read_to_string(page).unwrap();
-    let differs = made.lines().zip(written.lines()).find(|(made, written)| made != written);
-    assert!(made == written, "run tools/book/commands: the program says otherwise, first at {differs:?}");
+    expect_written("tools/book/commands", "tools/book/src/commands.md");
+}
+
+#[test]
+fn keywords_of_python_are_the_flags_of_the_program() {
+    expect_written("tools/python/keywords", "tools/python/python/isospan/_reduce.py");
 }
 
 /// All files of Rust below a folder.

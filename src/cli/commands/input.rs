@@ -22,11 +22,11 @@ pub(crate) struct InputArgs {
     #[arg(help_heading = "Input", long, value_name = "NAME")]
     pub(crate) field: Option<String>,
     /// The channel to read, if a Zarr, HDF5 or TIFF file has several: a label, or a number from 0.
-    #[arg(help_heading = "Input", long, value_name = "NAME")]
+    #[arg(help_heading = "Input", long, value_name = "NAME|N")]
     channel: Option<String>,
     /// The level of an OME-Zarr image, or of an archive, to read: its name, or a number from 0, the
     /// finest [default: 0].
-    #[arg(help_heading = "Input", long, value_name = "NAME", allow_hyphen_values = true)]
+    #[arg(help_heading = "Input", long, value_name = "NAME|N", allow_hyphen_values = true)]
     scale: Option<String>,
     /// A text file with one value per point, for meshes in .node and .ele, or .pts and .tet, files.
     #[arg(help_heading = "Input", long, value_name = "FILE")]

@@ -26,6 +26,9 @@ pub struct ManArgs {
     /// Write isospan.1, isospan-info.1 and so on into this folder instead, over what is there.
     #[arg(long, value_name = "FOLDER")]
     dir: Option<PathBuf>,
+    /// Print the flags of the command as keywords of Python instead.
+    #[arg(long, hide = true, requires = "command")]
+    keywords: bool,
 }
 
 /// The commands, in the order in which they are listed.
@@ -154,6 +157,9 @@ pub(crate) fn man(args: &ManArgs) -> Result<()> {
                 Error::usage(format!("there is no command {name}; isospan --help lists them"))
             })?,
         };
+        if args.keywords {
+            return super::print_page(&super::keywords::of(command));
+        }
         return super::print_page(&page(command)?);
     };
     std::fs::create_dir_all(dir).map_err(|e| Error::io("create", dir, e))?;

@@ -19,6 +19,7 @@ mod heap;
 mod info;
 mod info_mesh;
 mod input;
+mod keywords;
 mod level;
 mod machine;
 mod manual;
