@@ -306,7 +306,7 @@ fn a_reduction_that_was_refused_for_missing_samples_is_no_other_work() {
     let input = dir.path().join("missing.vtk");
     std::fs::write(&input, legacy).unwrap();
     let error = make(&input).expect_err("a sample is missing");
-    assert!(error.to_string().contains("--nan mask"), "{error}");
+    assert!(error.to_string().contains("`nan=mask`"), "{error}");
     let settings = ReduceSettings { nan: NanPolicy::Mask, ..small_chunks() };
     let (archive, run) = (input.with_extension("isospan"), RunSettings::default());
     reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &settings, &archive, &run, &Silent)

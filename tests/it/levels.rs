@@ -193,7 +193,7 @@ fn an_error_chooses_the_coarsest_level_that_has_it() {
     let archive = archive.at(pipeline::StepChoice::Number(1)).unwrap();
     assert!(archive.info().unwrap().pyramid.iter().all(|level| level.rms.is_none()));
     let error = archive.query(0.1).level(LevelChoice::Error(Bound::Value(1.0))).chosen_level().unwrap_err();
-    assert!(error.to_string().contains("--no-measure"), "{error}");
+    assert!(error.to_string().contains("`measure=false`"), "{error}");
     assert!(archive.query(0.1).level(at(1)).mesh().is_ok());
 }
 

@@ -282,7 +282,7 @@ fn missing_samples_are_refused_where_nobody_has_said_what_to_do() {
     let [pyramid, regular] = [SetKind::Pyramid, SetKind::Regular].map(refused);
     for error in [pyramid, regular] {
         assert!(error.contains("NaN, infinity or a missing value"), "{error}");
-        assert!(error.contains("--nan mask"), "{error}");
+        assert!(error.contains("`nan=mask`"), "{error}");
     }
 }
 

@@ -108,7 +108,7 @@ fn a_time_that_is_there_is_refused_or_replaced() {
             other.time = all[n].time;
             let e = append(&[other.clone()], false, &out).unwrap_err();
             let text = e.to_string();
-            assert!(e.exit_code() == 2 && text.contains("--replace"), "{text}");
+            assert!(e.exit_code() == 2 && text.contains("`replace_steps=true`"), "{text}");
             assert!(text.contains(&format!("that of step {n} already")), "{text}");
             let report = append(&[other.clone()], true, &out).unwrap();
             assert_eq!((report.replaced, report.steps[0].number), (vec![n as u64], n as u64));

@@ -692,7 +692,7 @@ fn cells_of_two_pieces_are_averaged_together() {
     assert!(together.components == 1 && apart.components == 2, "{together:?} {apart:?}");
     let plain = [StepSource::new(&plain, &options)];
     let refused = reduce_series(&plain, &whole(100), &out, &again(2), &Silent).unwrap_err();
-    assert!(refused.exit_code() == 2 && refused.to_string().contains("--jumps"), "{refused}");
+    assert!(refused.exit_code() == 2 && refused.to_string().contains("`jumps`"), "{refused}");
 }
 
 #[test]

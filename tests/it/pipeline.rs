@@ -114,7 +114,7 @@ fn holes_are_not_bridged() {
     );
     let error = refused.unwrap_err();
     assert_eq!(error.exit_code(), 5);
-    assert!(error.to_string().contains("--nan mask"), "{error}");
+    assert!(error.to_string().contains("`nan=mask`"), "{error}");
     assert!(!pipeline::is_archive(&out));
     let masked = ReduceSettings { nan: NanPolicy::Mask, ..ReduceSettings::default() };
     let report = reduce(&input, &masked, &out, 2);

@@ -377,7 +377,7 @@ fn between_two_steps_values_are_linear() {
         assert!(e.to_string().contains(text) && e.exit_code() == 2, "{e}");
     }
     let e = open(StepChoice::Time(0.3)).spectrum().unwrap_err();
-    assert!(e.to_string().contains("choose one with --step"));
+    assert!(e.to_string().contains("choose one with `step`"));
 }
 
 /// Damage of a step is found, and is damage of that step and of those that refer to it.
