@@ -61,6 +61,7 @@ mod command {
     }
 
     #[test]
+    #[cfg_attr(not(has_wasm), ignore = "wants the page's WebAssembly: run tools/viewer/wasm")]
     fn a_folder_has_the_page_and_the_archive_and_replaces_nothing_else() {
         let dir = tempfile::tempdir().unwrap();
         let d = dir.path();
@@ -162,6 +163,7 @@ mod others {
     type Way<'a> = (&'a str, &'a dyn Fn(&Path));
 
     #[test]
+    #[cfg_attr(not(has_wasm), ignore = "wants the page's WebAssembly: run tools/viewer/wasm")]
     fn a_folder_that_holds_anything_else_is_refused_by_name() {
         use std::os::unix::fs::symlink;
         let dir = tempfile::tempdir().unwrap();
@@ -221,6 +223,7 @@ mod others {
     }
 
     #[test]
+    #[cfg_attr(not(has_wasm), ignore = "wants the page's WebAssembly: run tools/viewer/wasm")]
     fn an_archive_is_copied_by_its_manifest_alone() {
         use std::os::unix::fs::symlink;
         let dir = tempfile::tempdir().unwrap();
@@ -277,6 +280,7 @@ mod others {
 
     /// Kills at any time: there is a whole folder or none, and the next run leaves nothing else.
     #[test]
+    #[cfg_attr(not(has_wasm), ignore = "wants the page's WebAssembly: run tools/viewer/wasm")]
     fn a_killed_run_leaves_a_whole_folder_or_none() {
         let dir = tempfile::tempdir().unwrap();
         let d = dir.path();

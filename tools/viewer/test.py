@@ -677,6 +677,11 @@ def stopped(page):
 
 def without_a_server(browser, server):
     """The published folder: the same page, the same answers."""
+    # What is wrong with a program is said before what is wrong with a folder.
+    run = subprocess.run([PROGRAM, "publish", *ARCHIVES, "-o", "."], stderr=subprocess.PIPE, text=True)
+    if "without the page's WebAssembly" in run.stderr:
+        print(f"the viewer's page without a server is not tested: {run.stderr.strip()}", file=sys.stderr)
+        return
     with Published() as published:
         wide(browser, published)
         narrow(browser, published)

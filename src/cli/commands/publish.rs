@@ -17,7 +17,7 @@ mod own;
 use super::output::{Force, exists, expect_no_input};
 use super::progress::Talk;
 use super::text;
-use super::view::page;
+use super::view::page::{self, Queries};
 use isospan::archive::lock::WriterLock;
 use isospan::bytes::Stage;
 use isospan::bytes::remote::is_remote;
@@ -67,6 +67,7 @@ struct Report {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let queries = expect_queries(page::QUERIES)?;
     let out = &args.output;
     let names = names_of(&args.archives)?;
     expect_no_input(out, &args.archives)?;
@@ -83,7 +84,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     for (archive, name) in args.archives.iter().zip(&names) {
         folder.copy_archive(archive, name)?;
     }
-    folder.write_page(&names)?;
+    folder.write_page(&names, &queries)?;
     folder.write_list()?;
     if let Some(old) = stage.publish(published.is_some())? {
         published.unwrap_or_default().remove_from(&old, out)?;
@@ -97,6 +98,15 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     talk.note("put the folder on any web server or object store that answers range requests");
     talk.note(&format!("to look at it here: python3 -m http.server --directory {}", out.display()));
     Ok(())
+}
+
+/// The queries, which a program has that was built where they had been made.
+fn expect_queries(queries: Option<Queries>) -> Result<Queries> {
+    queries.ok_or_else(|| {
+        let text = "this program was built without the page's WebAssembly: take one of a release, or run \
+                    tools/viewer/wasm in a clone of the source and build it again";
+        Error::usage(text)
+    })
 }
 
 /// The names that archives have in the folder.
@@ -220,7 +230,7 @@ impl Folder {
         self.write(LIST, &mut text.as_bytes())
     }
 
-    fn write_page(&mut self, names: &[String]) -> Result<()> {
+    fn write_page(&mut self, names: &[String], queries: &Queries) -> Result<()> {
         for (n, file) in page::FILES.iter().enumerate() {
             let mut content =
                 if file.is_gzip { unpacked(file.name, file.content)? } else { file.content.to_vec() };
@@ -229,19 +239,19 @@ impl Folder {
             }
             self.write(file.name, &mut &content[..])?;
         }
-        let licences = unpacked("licences.txt", page::LICENCES_GZ)?;
+        let licences = unpacked("licences.txt", queries.licences_gz)?;
         self.write("licences.txt", &mut &licences[..])?;
         let mut worker = page::WORKER;
         self.write("worker.js", &mut worker)?;
-        let wasm = queries()?;
+        let wasm = unpacked_wasm(queries)?;
         let mut packed = flate2::read::GzEncoder::new(&wasm[..], flate2::Compression::best());
         self.write("isospan.wasm.gz", &mut packed)
     }
 }
 
 /// The queries as WebAssembly.
-fn queries() -> Result<Vec<u8>> {
-    zstd::decode_all(page::WASM_ZST).map_err(|e| Error::io("unpack", "isospan.wasm", e))
+fn unpacked_wasm(queries: &Queries) -> Result<Vec<u8>> {
+    zstd::decode_all(queries.wasm_zst).map_err(|e| Error::io("unpack", "isospan.wasm", e))
 }
 
 /// What was compressed by gzip.
@@ -306,15 +316,27 @@ mod tests {
     }
 
     #[test]
+    fn a_program_without_the_queries_says_where_they_come_from() {
+        let error = expect_queries(None).err().unwrap();
+        let text = error.to_string();
+        assert!(text.contains("tools/viewer/wasm") && text.lines().count() == 1, "{text}");
+        assert_eq!(error.exit_code(), 2);
+        assert_eq!(page::QUERIES.is_some(), cfg!(has_wasm));
+    }
+
+    #[test]
+    #[cfg_attr(not(has_wasm), ignore = "wants the page's WebAssembly: run tools/viewer/wasm")]
     fn the_queries_read_what_this_program_writes() {
-        let file = queries().unwrap();
+        let file = unpacked_wasm(&page::QUERIES.unwrap()).unwrap();
         let format = section(&file).expect("tools/viewer/core names a format");
         assert_eq!(format, FORMAT_VERSION.to_le_bytes(), "run tools/viewer/wasm");
     }
 
     #[test]
+    #[cfg_attr(not(has_wasm), ignore = "wants the page's WebAssembly: run tools/viewer/wasm")]
     fn the_licences_are_those_of_what_is_compiled_in() {
-        let text = String::from_utf8(unpacked("licences.txt", page::LICENCES_GZ).unwrap()).unwrap();
+        let licences = page::QUERIES.unwrap().licences_gz;
+        let text = String::from_utf8(unpacked("licences.txt", licences).unwrap()).unwrap();
         // What both the queries and this program have.
         for name in ["three.js", "zstd-sys ", "serde_json ", "pco ", "glam ", "rayon "] {
             assert!(text.lines().any(|line| line.starts_with(name)), "{name}: run tools/viewer/wasm");

@@ -4,7 +4,7 @@
 //!  browser ─▶ connections: places, seconds ─▶ server: token, host, limits ─▶ answers
 //!     ▲                                                                        │
 //!     └───────────── bytes, streamed ◀── blocking work in a slot ◀─────────────┘
-//!  page: the files of tools/viewer/page, compiled in          archives: those that are open
+//!  page: the files of src/cli/page, compiled in               archives: those that are open
 //! ```
 
 mod connections;

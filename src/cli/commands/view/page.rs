@@ -1,4 +1,4 @@
-//! The files of the page, compiled in: `tools/viewer/page`.
+//! The files of the page, compiled in: `src/cli/page`.
 
 /// A file of the page.
 pub(in crate::commands) struct File {
@@ -17,7 +17,7 @@ macro_rules! file {
         File {
             name: $name,
             kind: concat!($kind, "; charset=utf-8"),
-            content: include_bytes!(concat!("../../../../tools/viewer/page/", $name, $suffix)),
+            content: include_bytes!(concat!("../../page/", $name, $suffix)),
             is_gzip: $is_gzip,
         }
     };
@@ -35,13 +35,26 @@ pub(in crate::commands) const FILES: &[File] = &[
     file!("three.js", "text/javascript", ".gz", true),
 ];
 
-/// What a page without a server has besides: a worker, and what it runs.
-pub(in crate::commands) const WORKER: &[u8] = include_bytes!("../../../../tools/viewer/page/worker.js");
-pub(in crate::commands) const LICENCES_GZ: &[u8] =
-    include_bytes!("../../../../tools/viewer/page/licences.txt.gz");
-/// Compressed by zstd, for a fifth less of the program; a browser unpacks gzip.
-pub(in crate::commands) const WASM_ZST: &[u8] =
-    include_bytes!("../../../../tools/viewer/page/isospan.wasm.zst");
+/// What runs the queries in a page without a server.
+pub(in crate::commands) const WORKER: &[u8] = include_bytes!("../../page/worker.js");
+
+/// The queries of a page without a server.
+#[cfg_attr(not(has_wasm), allow(dead_code, reason = "they were not made"))]
+pub(in crate::commands) struct Queries {
+    /// As WebAssembly, compressed by zstd, for a fifth less of the program; a browser unpacks gzip.
+    pub(in crate::commands) wasm_zst: &'static [u8],
+    /// The licences of what is compiled in, compressed by gzip.
+    pub(in crate::commands) licences_gz: &'static [u8],
+}
+
+/// `None` where `tools/viewer/wasm` had not made them when this program was built: see `build.rs`.
+#[cfg(has_wasm)]
+pub(in crate::commands) const QUERIES: Option<Queries> = Some(Queries {
+    wasm_zst: include_bytes!("../../page/isospan.wasm.zst"),
+    licences_gz: include_bytes!("../../page/licences.txt.gz"),
+});
+#[cfg(not(has_wasm))]
+pub(in crate::commands) const QUERIES: Option<Queries> = None;
 
 #[cfg(test)]
 mod tests {
