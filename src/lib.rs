@@ -7,9 +7,10 @@
 //! There are two kinds of archives. A volume is a **pyramid**: all its samples, as coefficients of
 //! a wavelet transform, with coarser levels. It meets an error that is asked for, 1 % of the range
 //! in the root mean square if none is; marching cubes make its surfaces. Unstructured meshes, and
-//! volumes for which a point set is named, are **points with their tetrahedra**: the field is
-//! sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic cross, and a
-//! regular grid), and the points are joined by their Delaunay tetrahedralization.
+//! volumes for which a point set is named, are **points with their tetrahedra**. The points are a
+//! mesh's own vertices, or those of a quasi-Monte Carlo set ([`points`]: Hammersley, Halton,
+//! hyperbolic cross, regular) at which the field is sampled, joined by their Delaunay
+//! tetrahedralization.
 //!
 //! Cells or tetrahedra are packed into blocks, and these are indexed by the range of their values
 //! in span space. A query reads the blocks that an isovalue crosses and runs marching cubes or
@@ -88,12 +89,15 @@
 //!   samples.
 //! * A pyramid is decoded, and compared with its source, before the archive is published.
 //!   Tetrahedra fill the domain exactly; that is checked before, too, in integers.
+//! * A file that changes while an archive is made of it ends the run, before anything made from the
+//!   change is stored. Length, times and inode of a file tell, or what a server says of it.
 //! * Bytes from a file never cause a panic or an unchecked allocation; errors name the file, the
 //!   place, what was expected and what was found ([`Error`]).
 //!
 //! # Not promised
 //!
-//! * An input that is changed while it is read, without becoming shorter, is not noticed.
+//! * A change of an input that leaves its length, times and inode as they were is not noticed, nor
+//!   is one while a finished archive is measured against its source.
 //! * The check of a surface needs 4 bytes of memory for each of its vertices.
 //! * Values are `f32` inside. Where that would lose what matters of `f64` or wide integer samples,
 //!   they are counted from an offset ([`Step::offset`]), which is added wherever values come out.
@@ -101,13 +105,13 @@
 //!
 //! # Features
 //!
-//! * `cli` (default): the `isospan` program.
-//! * `compare` (default, part of `cli`): distances between surfaces.
+//! * `compare` (default): distances between surfaces.
 //! * `hdf5` (default): HDF5 and NetCDF-4 files, by a pure-Rust reader.
-//! * `remote`: archives in object stores (`s3://…`) and on web servers (`https://…`), read by range
-//!   requests.
+//! * `remote` (default): archives and volumes in object stores (`s3://…`) and on web servers
+//!   (`https://…`), read by ranges.
 //!
 //! The library builds with none of them.
+#![cfg_attr(docsrs, feature(doc_cfg))]
 // What only vector code of x86-64 uses is looked for there.
 #![cfg_attr(not(target_arch = "x86_64"), allow(dead_code, unused_imports, unused_mut))]
 

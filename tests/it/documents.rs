@@ -1,5 +1,6 @@
 //! The documents hang together: links lead somewhere, the book's page of commands is what the
-//! program says of itself, its table of contents has every page, and README stays short.
+//! program says of itself, its table of contents has every page, README and CONTRIBUTING stay short,
+//! and the front pages of the crates list their features.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -7,8 +8,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Documents besides the pages of the book.
-const DOCUMENTS: [&str; 7] = [
+const DOCUMENTS: [&str; 8] = [
     "README.md",
+    ".github/CONTRIBUTING.md",
     "ARCHITECTURE.md",
     "CHANGELOG.md",
     "src/archive/FORMAT.md",
@@ -16,7 +18,6 @@ const DOCUMENTS: [&str; 7] = [
     "benches/README.md",
     "datasets/README.md",
 ];
-const MOST_WORDS_OF_README: usize = 1500;
 
 fn root() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
@@ -169,10 +170,48 @@ fn comments_have_lines_of_100_columns() {
 }
 
 #[test]
-fn readme_is_short() {
-    let words = fs::read_to_string(root().join("README.md")).unwrap().split_whitespace().count();
-    assert!(
-        words <= MOST_WORDS_OF_README,
-        "README.md has {words} words: move what is too much to tools/book"
-    );
+fn readme_and_contributing_are_short() {
+    for (file, most) in [("README.md", 1500), (".github/CONTRIBUTING.md", 600)] {
+        let words = fs::read_to_string(root().join(file)).unwrap().split_whitespace().count();
+        assert!(words <= most, "{file} has {words} words: move what is too much to tools/book");
+    }
+}
+
+/// Features, and whether they are default ones.
+type Features = BTreeMap<String, bool>;
+
+/// Those of a manifest.
+fn declared(manifest: &str) -> Features {
+    let text = fs::read_to_string(root().join(manifest)).unwrap();
+    let (_, table) = text.split_once("\n[features]\n").expect("a table of features");
+    let rows = table.lines().take_while(|line| !line.starts_with('['));
+    let rows: Vec<_> =
+        rows.filter(|line| !line.starts_with('#')).filter_map(|l| l.split_once(" = ")).collect();
+    let (_, default) = rows.iter().find(|(name, _)| *name == "default").expect("default features");
+    let others = rows.iter().filter(|(name, _)| *name != "default");
+    others.map(|(name, _)| ((*name).to_owned(), default.contains(&format!("\"{name}\"")))).collect()
+}
+
+/// Those that a crate's front page lists.
+fn described(page: &str) -> Features {
+    let text = fs::read_to_string(root().join(page)).unwrap();
+    let (_, list) = text.split_once("//! # Features\n").expect("a list of features");
+    let lines = list.lines().take_while(|line| line.starts_with("//!") && !line.starts_with("//! #"));
+    let rows = lines.filter_map(|line| line.strip_prefix("//! * `")?.split_once('`'));
+    rows.map(|(name, text)| (name.to_owned(), text.starts_with(" (default)"))).collect()
+}
+
+#[test]
+fn front_pages_list_the_features() {
+    let crates = [
+        ("Cargo.toml", "src/lib.rs"),
+        ("src/io/Cargo.toml", "src/io/lib.rs"),
+        ("src/cli/Cargo.toml", "src/cli/lib.rs"),
+    ];
+    for (manifest, page) in crates {
+        assert_eq!(described(page), declared(manifest), "{page} (left) and {manifest}");
+    }
+    // The program has all of the library's.
+    let all: Vec<String> = declared("Cargo.toml").into_keys().collect();
+    assert_eq!(isospan::features(), all);
 }
