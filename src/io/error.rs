@@ -179,6 +179,25 @@ impl Error {
         Self::Io { doing: doing.into(), path: path.as_ref().to_path_buf(), source }
     }
 
+    /// The same error once more.
+    pub(crate) fn again(&self) -> Self {
+        match self {
+            Self::Io { doing, path, source } => {
+                Self::io(doing.clone(), path, io::Error::new(source.kind(), source.to_string()))
+            }
+            Self::BadInput(wrong) => Self::BadInput(wrong.clone()),
+            Self::Usage(text) => Self::Usage(text.clone()),
+            &Self::Budget { resource, ref purpose, needed, available } => {
+                Self::Budget { resource, purpose: purpose.clone(), needed, available }
+            }
+            Self::Incomplete { path, missing } => {
+                Self::Incomplete { path: path.clone(), missing: missing.clone() }
+            }
+            Self::Busy { path, writer } => Self::Busy { path: path.clone(), writer: writer.clone() },
+            Self::Cancelled => Self::Cancelled,
+        }
+    }
+
     /// An [`Error::Budget`] of memory, in bytes. `purpose` says what it is for; may be empty.
     pub fn memory(purpose: impl Into<String>, needed: u64, available: u64) -> Self {
         Self::Budget { resource: Resource::Memory, purpose: purpose.into(), needed, available }

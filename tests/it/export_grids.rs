@@ -3,7 +3,7 @@
 use crate::common::*;
 use isospan::exec::{CancelToken, Resources, Silent};
 use isospan::formats::samples::{GridMeta, SampleField, SampleFile, SampleFormat};
-use isospan::formats::{OpenOptions, StepSource, open_coordinates, open_volume, steps_of};
+use isospan::formats::{OpenOptions, StepSource, open_volume, steps_of};
 use isospan::grid::Geometry;
 use isospan::pipeline::{
     self, Bound, GridReport, GridSettings, ProbeSettings, ReduceSettings, StepChoice, Target,
@@ -290,7 +290,7 @@ fn grids_with_coordinates_keep_them() {
 fn positions(path: &Path) -> Vec<f64> {
     use isospan::formats::coordinates::GridCoordinates;
     let info = open_volume(path, &OpenOptions::default()).unwrap().info().clone();
-    match open_coordinates(path, &OpenOptions::default()).unwrap().unwrap() {
+    match StepSource::from(path).coordinates().unwrap().unwrap() {
         GridCoordinates::Axes(axes) => axes.concat(),
         GridCoordinates::Points(mut stream) => {
             let mut all = vec![0.0; 3 * info.dims.iter().product::<u64>() as usize];

@@ -37,6 +37,7 @@ mod missing;
 mod nightly;
 mod notices;
 mod offsets;
+mod opens;
 mod order;
 mod own_meshes;
 mod pictures;

@@ -421,6 +421,34 @@ fn many_chunks_are_asked_for_at_a_time() {
 }
 
 #[test]
+fn metadata_are_asked_for_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_v2(&d.join("v2.zarr"));
+    write_shards(&d.join("shards.zarr"));
+    write_image(&d.join("image.ome.zarr"));
+    let server = Server::of(d);
+    for (name, more) in [
+        ("v2.zarr", &[][..]),
+        ("shards.zarr", &[]),
+        ("image.ome.zarr", &["--channel", "bright"]),
+        ("image.ome.zarr/0", &["--channel", "bright"]),
+    ] {
+        let (url, out) = (server.url(name), format!("{}.isospan", name.replace('/', "-")));
+        let commands = [["info"].as_slice(), &["reduce", "-q", "-o", &out]];
+        for command in commands {
+            server.set(|c| c.requests.clear());
+            ok(d, &[command, &[&url], more].concat());
+            let requests = std::mem::take(&mut server.conduct.lock().unwrap().requests);
+            let is_metadata = |file: &str| file.ends_with(".json") || file.contains("/.z");
+            let again = requests.iter().find(|(file, n)| is_metadata(file) && **n > 1);
+            assert!(again.is_none(), "{name}, {command:?}: {requests:?}");
+            assert!(requests.keys().any(|file| is_metadata(file)));
+        }
+    }
+}
+
+#[test]
 fn groups_are_found_by_their_consolidated_metadata() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();

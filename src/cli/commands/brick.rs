@@ -57,19 +57,21 @@ fn archive_volume(args: &Args) -> Result<VolumeSource> {
     }
 }
 
-pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let of_archive = is_archive(&args.input);
-    if !of_archive && formats::open_coordinates(&args.input, &args.read.options()?)?.is_some() {
-        return Err(isospan::Error::usage(format!(
+/// The samples of a file.
+fn file_volume(args: &Args) -> Result<VolumeSource> {
+    let options = args.read.options()?;
+    let file = formats::open(&args.input, &options)?;
+    if file.coordinates(&options)?.is_some() {
+        return Err(Error::usage(format!(
             "{}: a bricked copy would lose the grid's coordinates; reduce the file itself",
             args.input.display()
         )));
     }
-    let source = if of_archive {
-        archive_volume(args)?
-    } else {
-        formats::open_volume(&args.input, &args.read.options()?)?
-    };
+    file.volume(&options)
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let source = if is_archive(&args.input) { archive_volume(args)? } else { file_volume(args)? };
     expect_no_input(&args.output, source.info().files().iter().chain([&args.input]))?;
     expect_a_file(&args.output)?;
     talk.detail(&args.read.io_text(&args.input));

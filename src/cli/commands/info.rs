@@ -48,7 +48,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
             super::print(&archive_text(path, &summary))
         };
     }
-    let Opened { input, options, steps, shown, several } = open(path, args)?;
+    let Opened { input, step, steps, shown, several } = open(path, args)?;
     let source = match input {
         formats::Input::Volume(source) => source,
         formats::Input::Mesh(mesh) => return super::info_mesh::run(&mesh, !args.no_scan, args.json, talk),
@@ -73,7 +73,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
         }
         return super::print_json("info.volume", &value);
     }
-    let own = formats::open_coordinates(&info.path, &options)?.is_some();
+    let own = step.coordinates()?.is_some();
     let mut out = volume_text(&info, scan.as_ref(), own);
     if let [first, .., last] = &steps[..] {
         let which = if shown == 0 { "the first".into() } else { format!("number {shown}") };
@@ -94,7 +94,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
 /// What is shown of an input.
 struct Opened {
     input: formats::Input,
-    options: OpenOptions,
+    step: StepSource,
     /// The steps in it.
     steps: Vec<StepSource>,
     /// The one that is opened.
@@ -108,17 +108,15 @@ fn open(path: &Path, args: &Args) -> Result<Opened> {
     let steps = formats::steps_of(&[path.to_path_buf()], &options)?;
     let shown = chosen(path, &steps, args.step.choice(None)?)?;
     let step = steps.get(shown).cloned().unwrap_or_else(|| StepSource::new(path, &options));
-    let (mut options, mut several) = (step.options, false);
-    let input = match formats::open_input(&step.path, &options) {
-        Err(error @ Error::Usage(_)) if options.field.is_none() => {
+    match step.open() {
+        Err(error @ Error::Usage(_)) if step.options.field.is_none() => {
             // Any field: the contents of the file are listed, to choose from.
-            options.field = Some("*".into());
-            several = true;
-            formats::open_input(&step.path, &options).map_err(|_| error)?
+            let step = step.with_options(&OpenOptions { field: Some("*".into()), ..step.options.clone() });
+            let input = step.open().map_err(|_| error)?;
+            Ok(Opened { input, step, steps, shown, several: true })
         }
-        opened => opened?,
-    };
-    Ok(Opened { input, options, steps, shown, several })
+        opened => Ok(Opened { input: opened?, step, steps, shown, several: false }),
+    }
 }
 
 /// The place of the step that is asked of an input.

@@ -34,6 +34,8 @@
 mod borrowed;
 pub(crate) mod filesystem;
 mod mmap;
+#[doc(hidden)]
+pub mod opens;
 pub mod paged;
 pub mod place;
 pub mod plain;
@@ -41,6 +43,7 @@ pub mod publish;
 pub mod remote;
 pub mod sorter;
 mod stage;
+pub mod stamp;
 pub mod store;
 
 use crate::error::{Error, Fault, Place, Result};
@@ -475,6 +478,7 @@ fn open_with_data(path: &Path) -> Result<File> {
 /// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe, a socket or a
 /// device.
 pub fn open_regular(path: &Path) -> Result<File> {
+    opens::note(path);
     expect_regular(path, &std::fs::metadata(path).map_err(|e| Error::io("open", path, e))?)?;
     let mut options = File::options();
     options.read(true);

@@ -1,19 +1,18 @@
 //! The formats that are read: one line each. What a file or a folder is follows from its first
-//! bytes or, where they do not show it, from its name.
+//! bytes or, where they do not show it, from its name. What messages say of all formats is made
+//! from the same table.
 
 use crate::bytes::remote::is_remote;
-use crate::cells::CellMesh;
 use crate::error::{Error, Result};
 use crate::formats::mesh::{ensight::EnSight, exodus::Exodus, gmsh::Gmsh, tetgen::Tetgen, vtkhdf::VtkHdf};
-use crate::formats::shared::coordinates::GridCoordinates;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Format, Head};
+use crate::formats::shared::small::SmallFiles;
 use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::formats::volume::{
     amira::Amira,
     bricks::Bricks,
     dicom::Dicom,
-    folder,
     hdf5::Hdf5,
     metaimage::MetaImage,
     mrc::Mrc,
@@ -27,9 +26,8 @@ use crate::formats::volume::{
     zarr::{Zarr, is_in_archive, is_zarr},
 };
 use crate::formats::vtk::{legacy::VtkLegacy, xml::VtkXml};
-use crate::volume::VolumeSource;
-use crate::volume::chunked::refuse_many_chunks;
 use std::path::Path;
+use std::sync::Arc;
 
 /// All formats, in the order in which they are looked for.
 static FORMATS: &[&dyn Format] = &[
@@ -37,27 +35,15 @@ static FORMATS: &[&dyn Format] = &[
     &TiffFile, &Nifti, &Mrc, &MetaImage, &Gmsh, &Tetgen, &EnSight, &Zarr,
 ];
 
-/// What a file holds.
-pub enum Input {
-    /// A structured volume.
-    Volume(VolumeSource),
-    /// An unstructured mesh.
-    Mesh(CellMesh),
+/// The formats of a program and those of this crate, in the order in which they are looked for.
+fn formats(options: &OpenOptions) -> impl Iterator<Item = &dyn Format> {
+    options.formats.formats().chain(FORMATS.iter().copied())
 }
 
-/// The format of a file or a folder; `None` of an unknown one, and where options say that a file is
-/// headerless.
-pub(super) fn format_of(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
-    if options.raw.is_some() || stack::is_pattern(path) {
-        return Ok(None);
-    }
-    Ok(found(&head_of(path, options)?))
-}
-
-fn found(head: &Head<'_>) -> Option<&'static dyn Format> {
-    let by_name = |f: &&dyn Format| !head.is_folder && has_suffix(head.path, f.suffixes());
-    let by_bytes = FORMATS.iter().find(|f| f.is_in(head));
-    by_bytes.or_else(|| FORMATS.iter().find(|f| by_name(f))).copied()
+/// The format of a file or a folder.
+pub(super) fn found<'a>(head: &Head<'_>, options: &'a OpenOptions) -> Option<&'a dyn Format> {
+    let by_name = |f: &&dyn Format| !head.is_folder && has_suffix(head.path, f.about().suffixes);
+    formats(options).find(|f| f.is_in(head)).or_else(|| formats(options).find(by_name))
 }
 
 /// The beginning of a file, or a folder. A server has no folders: what a Zarr array or group has is
@@ -65,167 +51,71 @@ fn found(head: &Head<'_>) -> Option<&'static dyn Format> {
 ///
 /// # Errors
 /// [`Error::BadInput`] for a format that is not read from servers.
-fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
+pub(super) fn head_of<'a>(path: &'a Path, options: &OpenOptions) -> Result<Head<'a>> {
+    let small: Arc<SmallFiles> = Arc::default();
+    let folder = |small| Ok(Head::of_folder(path, options.io, small));
     if !is_remote(path) {
         Unread::refuse_empty(path)?;
-        let is_zarr = options.raw.is_none() && is_in_archive(path)?;
-        return if is_zarr { Ok(Head::of_folder(path)) } else { Head::of(path, options.io) };
+        let is_zarr = options.raw.is_none() && is_in_archive(path, &small)?;
+        return if is_zarr { folder(small) } else { Head::of(path, options.io) };
     }
     if stack::has_wildcard(path) {
         return Err(Error::bad_input(path, "address", "one file, or a Zarr array or group", "a pattern")
             .with_help("patterns are for folders of this machine"));
     }
     let is_called = path.to_str().is_some_and(|p| p.contains(".zarr"));
-    if is_called && options.raw.is_none() && is_zarr(path)? {
-        return Ok(Head::of_folder(path));
+    if is_called && options.raw.is_none() && is_zarr(path, &small)? {
+        return folder(small);
     }
     let head = Head::of(path, options.io);
-    let is_known = head.as_ref().is_ok_and(|head| found(head).is_some());
-    if !is_known && !is_called && options.raw.is_none() && is_zarr(path).is_ok_and(|found| found) {
-        return Ok(Head::of_folder(path));
+    let is_known = head.as_ref().is_ok_and(|head| found(head, options).is_some());
+    if !is_known && !is_called && options.raw.is_none() && is_zarr(path, &small).is_ok_and(|found| found) {
+        return folder(small);
     }
     let head = head?;
-    match found(&head) {
-        Some(format) if !format.is_on_servers() => {
-            let expected = "a volume that is read by ranges (Zarr, HDF5, NetCDF, TIFF, MRC, AmiraMesh, NRRD, NIfTI, \
-                            NPY, NPZ, MetaImage, raw), or a copy on a disk";
-            Err(Error::bad_input(path, "kind of file", expected, format.name())
-                .with_help("copy it to a disk, and name that copy"))
-        }
+    match found(&head, options) {
+        Some(format) if !format.about().on_servers => Err(not_on_servers(path, format.about(), options)),
         _ => Ok(head),
     }
 }
 
-/// Opens a volume of any format that is read: a file, a folder of slices, or a pattern for the
-/// names of slices.
-///
-/// # Errors
-/// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several
-/// fields ask for a choice, when a headerless file comes without its layout, or another with one,
-/// or a volume with a table of values.
-pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    if options.values.is_some() {
-        return Err(Error::usage(format!("{} is no mesh: leave out `value_file`", path.display())));
-    }
-    if options.jumps {
-        return Err(Error::usage(format!("{} is no mesh: leave out `jumps`", path.display())));
-    }
-    if stack::is_pattern(path) {
-        options.refuse_channel(path)?;
-        options.refuse_scale(path)?;
-        return folder::open(path, options);
-    }
-    let head = head_of(path, options)?;
-    if found(&head).is_none_or(|format| !format.has_channels()) {
-        options.refuse_channel(path)?;
-    }
-    if found(&head).is_none_or(|format| !format.has_scales()) {
-        options.refuse_scale(path)?;
-    }
-    match (found(&head), &options.raw) {
-        (Some(format), Some(_)) => Err(Error::usage(format!(
-            "{} is {}, which tells its own layout: leave out `dims`, `type`, `endian` and `offset`",
-            path.display(),
-            format.name()
-        ))),
-        (Some(format), None) => {
-            if format.has_spacing() {
-                options.refuse_geometry(path, format.name())?;
-            }
-            let source = format.volume(path, options)?;
-            if let VolumeSource::Chunked(chunks) = &source {
-                refuse_many_chunks(path, source.info().dims, chunks.chunk_dims())?;
-            }
-            Ok(source)
+fn not_on_servers(path: &Path, about: &About, options: &OpenOptions) -> Error {
+    let there = formats(options).map(Format::about).filter(|about| about.on_servers);
+    let names = names(there.map(|about| about.volumes), &["raw"]).join(", ");
+    let expected = format!("a volume that is read by ranges ({names}), or a copy on a disk");
+    Error::bad_input(path, "kind of file", expected, about.name).with_help("copy it to a disk, and name that copy")
+}
+
+/// The names of lists, each once, and some more.
+fn names(
+    lists: impl Iterator<Item = &'static [&'static str]>,
+    more: &'static [&'static str],
+) -> Vec<&'static str> {
+    let mut all: Vec<&str> = vec![];
+    for name in lists.flatten().chain(more) {
+        if !all.contains(name) {
+            all.push(name);
         }
-        (None, _) if head.is_folder => folder::open(path, options),
-        (None, Some(_)) => raw::open(path, options),
-        (None, None) if has_suffix(path, &[".raw", ".bin", ".dat", ".raw.gz"]) => Err(raw::no_layout(path)),
-        (None, None) => Err(unknown_kind(&head)),
+    }
+    all
+}
+
+/// Names as a sentence lists them.
+fn listed(names: &[&str], word: &str) -> String {
+    match names {
+        [] => String::new(),
+        [only] => (*only).to_owned(),
+        [first @ .., last] => format!("{} {word} {last}", first.join(", ")),
     }
 }
 
-/// Opens a volume or a mesh of any format that is read.
-///
-/// # Errors
-/// Those of [`open_volume`] and [`open_mesh`].
-pub fn open_input(path: &Path, options: &OpenOptions) -> Result<Input> {
-    match mesh_format(path, options)? {
-        Some(format) => Ok(Input::Mesh(open_as(format, path, options)?)),
-        None => Ok(Input::Volume(open_volume(path, options)?)),
-    }
-}
-
-/// Whether a file is a mesh, by its first bytes and its name.
-///
-/// # Errors
-/// [`Error::Io`] when it cannot be read; [`Error::BadInput`] for an empty file.
-pub fn is_mesh(path: &Path, options: &OpenOptions) -> Result<bool> {
-    Ok(mesh_format(path, options)?.is_some())
-}
-
-/// Opens a mesh of any format that is read: VTU, PVTU, VTM, VTKHDF, legacy VTK, Exodus II, EnSight
-/// Gold, Gmsh, TetGen, points and tetrahedra as text.
-///
-/// # Errors
-/// [`Error::BadInput`] for a malformed file or another kind; [`Error::Usage`] when there is no
-/// field of the name wanted.
-pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-    match mesh_format(path, options)? {
-        Some(format) => open_as(format, path, options),
-        None => Err(Error::bad_input(path, "kind of file", "a mesh", "none by name or first bytes")),
-    }
-}
-
-fn open_as(format: &dyn Format, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-    if options.values.is_some() && !format.has_value_file() {
-        return Err(Error::usage(format!("{} has its own fields: leave out `value_file`", path.display())));
-    }
-    options.refuse_geometry(path, "a mesh")?;
-    options.refuse_channel(path)?;
-    options.refuse_scale(path)?;
-    let mesh = format.mesh(path, options)?;
-    match options.jumps {
-        false => Ok(mesh),
-        true if mesh.field().is_ok_and(|_| !mesh.is_of_cells()) => Err(Error::usage(format!(
-            "{}: a value for each point may always jump between points of one place: leave out `jumps`",
-            path.display()
-        ))),
-        true => Ok(mesh.jumping()),
-    }
-}
-
-/// The format of a mesh; `None` of anything else.
-fn mesh_format(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
-    // Folders and patterns for names are volumes, and so are files that are declared headerless,
-    // and what is on a server.
-    if options.raw.is_some() || is_remote(path) || !path.is_file() {
-        return Ok(None);
-    }
-    Unread::refuse_empty(path)?;
-    let head = Head::of(path, options.io)?;
-    Ok(found(&head).filter(|format| format.is_mesh(&head)))
-}
-
-/// The coordinates of a file that [`open_volume`] reads; `None` where its volume has a spacing.
-///
-/// # Errors
-/// As [`open_volume`].
-pub fn open_coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-    format_of(path, options)?.map_or(Ok(None), |format| format.coordinates(path, options))
-}
-
-fn unknown_kind(head: &Head<'_>) -> Error {
+/// The error for a file of no format that is read.
+pub(super) fn unknown_kind(head: &Head<'_>, options: &OpenOptions) -> Error {
     let wrong = |got: String, help: &str| {
-        Error::bad_input(
-            head.path,
-            "kind of file",
-            "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, DICOM, MRC, AmiraMesh, HDF5, NetCDF, VTI, VTR, VTS, \
-             PVTI, PVTR, PVTS, legacy VTK, .bricks, a folder of slices or Zarr) or a mesh (VTU, PVTU, VTM, \
-             VTKHDF, legacy VTK, Exodus II, EnSight Gold, Gmsh, TetGen, .pts and .tet)",
-            got,
-        )
-        .with_help(help)
+        let volumes = names(formats(options).map(|f| f.about().volumes), &["a folder of slices"]);
+        let meshes = names(formats(options).map(|f| f.about().meshes), &[]);
+        let expected = format!("a volume ({}) or a mesh ({})", listed(&volumes, "or"), listed(&meshes, "or"));
+        Error::bad_input(head.path, "kind of file", expected, got).with_help(help)
     };
     if has_suffix(head.path, &[".ply", ".stl", ".obj", ".vtp", ".glb"]) {
         return wrong("a surface".into(), "of surfaces, isospan check tells what is in them");
@@ -238,4 +128,27 @@ fn unknown_kind(head: &Head<'_>) -> Error {
         format!("none of these: it begins with {}", shown.join(" ")),
         "a headerless file needs `dims` and `type`; of other compressed files, unpack them first",
     )
+}
+
+/// The error for a headerless file without its layout, where the name says that it is one.
+pub(super) fn unknown(head: &Head<'_>, options: &OpenOptions) -> Error {
+    match has_suffix(head.path, &[".raw", ".bin", ".dat", ".raw.gz"]) {
+        true => raw::no_layout(head.path),
+        false => unknown_kind(head, options),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_format_is_in_the_table_whole() {
+        for about in FORMATS.iter().map(|format| format.about()) {
+            assert!(about.name.starts_with("a ") || about.name.starts_with("an "), "{}", about.name);
+            assert!(!about.volumes.is_empty() || !about.meshes.is_empty(), "{}", about.name);
+            let is_lower = |suffix: &&str| suffix.starts_with('.') && **suffix == suffix.to_ascii_lowercase();
+            assert!(about.suffixes.iter().all(is_lower), "{}", about.name);
+        }
+    }
 }

@@ -16,6 +16,7 @@
 
 mod kinds;
 mod mesh;
+mod opened;
 #[doc(hidden)]
 pub mod point_list;
 mod series;
@@ -26,15 +27,15 @@ pub mod volume;
 #[doc(hidden)]
 pub mod vtk;
 
-pub use kinds::{Input, is_mesh, open_coordinates, open_input, open_mesh, open_volume};
+pub use opened::{Input, Opened, open, open_input, open_mesh, open_volume};
 pub use series::{
-    FieldOfStep, StepSource, order_in_doubt, packed_frames, sort_by_names, steps_of, steps_of_fields,
-    unpack_frames,
+    FieldOfStep, StepSource, order_in_doubt, sort_by_names, steps_of, steps_of_fields,
 };
 pub use series::{counted_from, listed_files, without_frame};
 pub use shared::coordinates;
-pub use shared::packed::UnpackedFrames;
-pub use shared::{OpenOptions, RawLayout, pick_field};
+pub use shared::format::{About, Dataset, Format, Head, Registry};
+pub use shared::packed::{PackedFrames, UnpackedFrames};
+pub use shared::{Frames, OpenOptions, RawLayout, pick_field};
 pub use volume::brick_map;
 pub use volume::folder::passed_over;
 pub use volume::ome_zarr;

@@ -14,12 +14,13 @@
 
 use crate::bytes::read_whole;
 use crate::bytes::remote::is_remote;
+use crate::bytes::stamp::Stamp;
 use crate::error::{Error, Place, Result};
 use crate::exec::CancelToken;
-use crate::formats::kinds::{Input, format_of, is_mesh, open_input, open_mesh, open_volume};
-use crate::formats::shared::format::Format;
+use crate::formats::opened::{Input, Opened, OpenedFiles};
+use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::header::sibling;
-use crate::formats::shared::packed::{PackedFrames, UnpackedFrames};
+use crate::formats::shared::packed::UnpackedFrames;
 use crate::formats::shared::{Frames, OpenOptions, field_matches, has_suffix, is_pattern};
 use crate::formats::volume::stack::{by_numbers, rise};
 use crate::formats::volume::tiff;
@@ -30,7 +31,6 @@ use crate::volume::{SharedVolume, VolumeInfo, VolumeReader, VolumeSource};
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -57,6 +57,9 @@ pub struct StepSource {
     /// How often the chunks of a source were decoded.
     #[serde(skip)]
     decodes: DecodeCount,
+    /// The files that were opened last, of all steps of a series.
+    #[serde(skip)]
+    files: Arc<OpenedFiles>,
 }
 
 impl PartialEq for StepSource {
@@ -71,7 +74,22 @@ impl StepSource {
     pub fn new(path: &Path, options: &OpenOptions) -> Self {
         let (path, options) = (path.to_path_buf(), options.clone());
         let (part, given, decodes) = (None, None, DecodeCount::default());
-        Self { path, options, time: None, stated: None, part, given, decodes }
+        Self { path, options, time: None, stated: None, part, given, decodes, files: Arc::default() }
+    }
+
+    /// The same file, opened with other options.
+    #[must_use]
+    pub fn with_options(&self, options: &OpenOptions) -> Self {
+        let (part, files) = (self.part.clone(), Arc::clone(&self.files));
+        Self { part, files, ..Self::new(&self.path, options) }
+    }
+
+    /// Steps that hold their open files together: what one has opened, another does not open again.
+    pub fn holding_together(mut steps: Vec<Self>) -> Vec<Self> {
+        if let Some(files) = steps.first().map(|step| Arc::clone(&step.files)) {
+            steps.iter_mut().for_each(|step| step.files = Arc::clone(&files));
+        }
+        steps
     }
 
     /// The same as one of several fields of a step; `moment` counts the steps that have these
@@ -123,12 +141,14 @@ impl StepSource {
 
     /// The same moment in another field of the file.
     pub fn in_field(&self, options: &OpenOptions) -> Self {
-        let part = self.part.clone();
-        let step = Self { stated: self.stated, time: self.time, part, ..Self::new(&self.path, options) };
+        let step = Self { stated: self.stated, time: self.time, ..self.with_options(options) };
         match self.time {
             Some(_) => step,
             // Several fields of a file need not have one time.
-            None => step.at_stated(time_of(&self.path, options).ok().flatten(), None),
+            None => {
+                let time = step.file().and_then(|file| file.time(options)).ok().flatten();
+                step.at_stated(time, None)
+            }
         }
     }
 
@@ -148,7 +168,7 @@ impl StepSource {
     pub fn open(&self) -> Result<Input> {
         match &self.given {
             Some(given) => Ok(Input::Volume(given.source(&self.decodes))),
-            None => Ok(match open_input(&self.path, &self.options)? {
+            None => Ok(match self.file()?.input(&self.options)? {
                 Input::Volume(VolumeSource::Chunked(chunks)) => {
                     Input::Volume(VolumeSource::Chunked(self.decodes.counting(chunks)))
                 }
@@ -157,14 +177,63 @@ impl StepSource {
         }
     }
 
+    /// The file, which is opened if it is not open.
+    fn file(&self) -> Result<Arc<Opened>> {
+        self.files.open(&self.path, &self.options)
+    }
+
+    /// Whether it is a mesh, not a volume. No field of it need be chosen.
+    ///
+    /// # Errors
+    /// Those of [`open`](super::open).
+    pub fn is_mesh(&self) -> Result<bool> {
+        if self.given.is_some() { Ok(false) } else { Ok(self.file()?.is_mesh()) }
+    }
+
+    /// The coordinates of its samples; `None` where the volume has a spacing.
+    ///
+    /// # Errors
+    /// As [`StepSource::open`].
+    pub fn coordinates(&self) -> Result<Option<GridCoordinates>> {
+        if self.given.is_some() { Ok(None) } else { self.file()?.coordinates(&self.options) }
+    }
+
+    /// Bytes of all frames of its file, unpacked, where each frame would be decoded from the
+    /// beginning of the file; `None` of others.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a malformed file.
+    pub fn packed_bytes(&self) -> Result<Option<u64>> {
+        if self.given.is_some() { Ok(None) } else { self.file()?.packed_bytes(&self.options) }
+    }
+
+    /// Unpacks such a file, into a nameless file in `folder`.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a malformed file; when the folder cannot be written.
+    pub fn unpack(&self, folder: &Path, cancel: &CancelToken) -> Result<UnpackedFrames> {
+        self.file()?.unpack(&self.options, folder, cancel)
+    }
+
+    /// Files on servers that were read to open it, and what was said of them then.
+    ///
+    /// # Errors
+    /// Those of [`open`](super::open).
+    pub fn read_from_servers(&self) -> Result<Vec<(PathBuf, Option<Stamp>)>> {
+        if self.given.is_some() || !is_remote(&self.path) {
+            return Ok(vec![]);
+        }
+        Ok(self.file()?.remote_files().map(|(file, stamp)| (file.to_path_buf(), stamp)).collect())
+    }
+
     /// How its time is counted, where its file states that.
     fn counted(&self) -> Option<Counted> {
         if self.stated.is_none() || self.time != self.stated || self.options.units.time.is_some() {
             return None;
         }
-        let unit = open_volume(&self.path, &self.options).ok()?.info().units.time.clone()?;
-        let format = single(&self.path, &self.options).ok()??;
-        let calendar = format.calendar(&self.path, &self.options).ok()?;
+        let file = self.file().ok()?;
+        let unit = file.volume(&self.options).ok()?.info().units.time.clone()?;
+        let calendar = file.calendar(&self.options).ok()?;
         Some(Counted { unit, calendar })
     }
 
@@ -306,10 +375,10 @@ const LARGEST_LIST: u64 = 64 << 20;
 /// [`Error::BadInput`] for a list of files that is malformed, or a pattern without files;
 /// [`Error::Usage`] for a malformed pattern.
 pub fn steps_of(inputs: &[PathBuf], options: &OpenOptions) -> Result<Vec<StepSource>> {
-    let mut steps = vec![];
+    let (mut steps, files) = (vec![], Arc::default());
     for input in inputs {
         for (path, time) in files_of(input)? {
-            steps.extend(steps_in(&path, options, time));
+            steps.extend(steps_in(&path, options, time, &files));
         }
     }
     Ok(counted_alike(steps))
@@ -366,12 +435,13 @@ pub fn steps_of_fields(
     }
     let mut all: Vec<Vec<StepSource>> = vec![vec![]; fields.len()];
     let mut missing: Vec<Option<Error>> = fields.iter().map(|_| None).collect();
+    let files = Arc::default();
     for input in inputs {
         for (path, time) in files_of(input)? {
             let mut is_used = false;
             for ((name, steps), missing) in fields.iter().zip(&mut all).zip(&mut missing) {
                 let options = OpenOptions { field: Some(name.clone()), ..options.clone() };
-                let found = steps_in(&path, &options, time);
+                let found = steps_in(&path, &options, time, &files);
                 match found.first().map_or(Ok(()), |step| expect_field(step, name)) {
                     Ok(()) => steps.extend(found),
                     Err(e) => {
@@ -524,103 +594,42 @@ pub fn order_in_doubt(inputs: &[PathBuf], steps: &[StepSource]) -> Option<String
 
 /// The steps in a file. A file that cannot be opened counts as a step: the error comes when it is
 /// opened.
-fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSource> {
+fn steps_in(
+    path: &Path,
+    options: &OpenOptions,
+    time: Option<f64>,
+    files: &Arc<OpenedFiles>,
+) -> Vec<StepSource> {
+    let step = |options: &OpenOptions| StepSource { files: Arc::clone(files), ..StepSource::new(path, options) };
+    let Ok(file) = files.open(path, options) else { return vec![step(options).at(time)] };
     let pattern = options.field.as_deref().filter(|name| is_pattern(name));
     let fields = match pattern {
-        Some(pattern) => matching_fields(path, options, pattern),
-        None => frames(path, options).map(|f| f.unwrap_or_default()),
+        Some(pattern) => matching_fields(&file, options, pattern),
+        None => file.steps(options),
     };
     match fields {
         Ok(fields) if fields.len() > 1 || fields.len() == 1 && pattern.is_some() => fields
             .into_iter()
             .map(|(name, own)| {
-                let options = OpenOptions { field: Some(name), ..options.clone() };
-                StepSource::new(path, &options).at_stated(own, time)
+                step(&OpenOptions { field: Some(name), ..options.clone() }).at_stated(own, time)
             })
             .collect(),
-        _ => {
-            let step = StepSource::new(path, options);
-            vec![match time {
-                Some(_) => step.at(time),
-                None => step.at_stated(time_of(path, options).ok().flatten(), None),
-            }]
-        }
+        _ => vec![match time {
+            Some(_) => step(options).at(time),
+            None => step(options).at_stated(file.time(options).ok().flatten(), None),
+        }],
     }
 }
 
-/// The time that a file states itself.
-fn time_of(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-    let time = match single(path, options)? {
-        Some(format) => format.time(path, options)?,
-        None => None,
-    };
-    Ok(time.filter(|t| t.is_finite()))
-}
-
-/// The format of one file or folder that has its own layout.
-fn single(path: &Path, options: &OpenOptions) -> Result<Option<&'static dyn Format>> {
-    if is_remote(path) || path.exists() { format_of(path, options) } else { Ok(None) }
-}
-
-/// The frames of a file that is itself a series, or of the array in it that is named; and their
-/// times.
-fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-    single(path, options)?.map_or(Ok(None), |format| format.frames(path, options))
-}
-
-/// The times of fields that are frames, by their names.
-fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-    single(path, options)?.map_or_else(|| Ok(HashMap::new()), |format| format.times(path, options))
-}
-
-/// Bytes of all frames of a file, unpacked, where each frame would be decoded from the beginning of
-/// the file; `None` of other files.
-///
-/// # Errors
-/// [`Error::BadInput`] for a malformed file.
-pub fn packed_frames(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
-    packed(path, options)?.map(|(frames, info)| frames.bytes(&info)).transpose()
-}
-
-/// The steps of such a file, and the description of the first.
-fn packed(path: &Path, options: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
-    single(path, options)?.map_or(Ok(None), |format| format.packed_frames(path, options))
-}
-
-/// Unpacks such a file, into a nameless file in `folder`.
-///
-/// # Errors
-/// [`Error::BadInput`] for a malformed file; when the folder cannot be written.
-pub fn unpack_frames(
-    path: &Path,
-    options: &OpenOptions,
-    folder: &Path,
-    cancel: &CancelToken,
-) -> Result<UnpackedFrames> {
-    let Some((frames, info)) = packed(path, options)? else {
-        return Err(Error::bad_input(path, "file", "the compressed series it was", "another one"));
-    };
-    frames.unpack(info, folder, cancel)
-}
-
 /// The fields with one number a sample whose names match a pattern.
-fn matching_fields(path: &Path, options: &OpenOptions, pattern: &str) -> Result<Frames> {
-    let any = OpenOptions { field: None, ..options.clone() };
-    let mut names: Vec<String> = if is_mesh(path, &any)? {
-        let mesh = open_mesh(path, &any)?;
-        mesh.info().fields.iter().filter(|f| f.components == 1).map(|f| f.name.clone()).collect()
-    } else {
-        // With a pattern, any field that matches is opened.
-        let volume = open_volume(path, options)?;
-        let fields = volume.info().fields.iter();
-        fields.filter(|f| f.components == 1).map(|f| f.name.clone()).collect()
-    };
+fn matching_fields(file: &Opened, options: &OpenOptions, pattern: &str) -> Result<Frames> {
+    let mut names = file.scalar_fields(options)?;
     if names.iter().any(|n| n == pattern) {
         return Ok(vec![]);
     }
     names.retain(|n| field_matches(pattern, n));
     by_numbers(&mut names, Clone::clone);
-    let times = times(path, options)?;
+    let times = file.times(options)?;
     Ok(names.into_iter().map(|n| (n.clone(), times.get(&n).copied())).collect())
 }
 

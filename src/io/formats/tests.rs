@@ -1,6 +1,7 @@
 //! Helpers for the tests of all readers, and tests of the doors.
 
-use super::{OpenOptions, RawLayout, open_volume, packed_frames, pick_field, unpack_frames};
+use super::coordinates::GridCoordinates;
+use super::{OpenOptions, RawLayout, StepSource, open, open_volume, pick_field};
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
@@ -13,6 +14,16 @@ pub(crate) fn shared_data() -> PathBuf {
     PathBuf::from(
         std::env::var_os("ISOSPAN_SHARED_DATA").expect("ISOSPAN_SHARED_DATA names a folder of real data"),
     )
+}
+
+/// Whether a file is a mesh.
+pub(crate) fn is_mesh(path: &Path, options: &OpenOptions) -> Result<bool> {
+    Ok(open(path, options)?.is_mesh())
+}
+
+/// The coordinates of a file.
+pub(crate) fn open_coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+    open(path, options)?.coordinates(options)
 }
 
 /// Writes a file in a temporary folder.
@@ -243,9 +254,9 @@ fn compressed_series_are_unpacked_once() {
     for (name, head) in [("a.nrrd", nrrd), ("a.mha", meta)] {
         let path = write(&dir, name, &[head.as_bytes(), &packed[..]].concat());
         let options = OpenOptions { field: Some("t1".into()), ..OpenOptions::default() };
-        assert_eq!(packed_frames(&path, &options).unwrap(), Some(144), "{name}");
+        assert_eq!(StepSource::new(&path, &options).packed_bytes().unwrap(), Some(144), "{name}");
         let cancel = CancelToken::default();
-        let frames = unpack_frames(&path, &options, dir.path(), &cancel).unwrap();
+        let frames = StepSource::new(&path, &options).unpack(dir.path(), &cancel).unwrap();
         for t in 0..3 {
             let reader = frames.open(&format!("t{t}")).unwrap();
             let (info, values) = read_all(VolumeSource::Random(reader));
@@ -253,10 +264,10 @@ fn compressed_series_are_unpacked_once() {
             assert_eq!((info.field.name, values), (format!("t{t}"), expected), "{name}");
         }
         let longer = [head.as_bytes(), &packed[..packed.len() - 9]].concat();
-        let error = unpack_frames(&write(&dir, name, &longer), &options, dir.path(), &cancel).err().unwrap();
+        let error = StepSource::new(&write(&dir, name, &longer), &options).unpack(dir.path(), &cancel).err().unwrap();
         assert_eq!(error.exit_code(), 5, "{error}");
     }
     let one = nrrd.replace("sizes: 4 3 2 3", "sizes: 4 3 6 1");
     let path = write(&dir, "b.nrrd", &[one.as_bytes(), &packed[..]].concat());
-    assert_eq!(packed_frames(&path, &OpenOptions::default()).unwrap(), None, "of one volume");
+    assert_eq!(StepSource::from(&*path).packed_bytes().unwrap(), None, "of one volume");
 }

@@ -31,7 +31,7 @@ use crate::pipeline::settings::RunSettings;
 use isospan_io::cells::CellMesh;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Resources};
-use isospan_io::formats::{self, Input, OpenOptions, StepSource, without_frame};
+use isospan_io::formats::{Input, OpenOptions, StepSource, without_frame};
 use isospan_io::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -193,13 +193,13 @@ fn against(
 
 /// Opens the input. Where no field of a file is named, the one that the archive names is read.
 fn open_field(archive: &StepView, source: &StepSource) -> Result<Input> {
-    let (input, options) = (&source.path, &source.options);
+    let options = &source.options;
     if source.is_given() || options.field.is_some() {
         return source.open();
     }
     let named = OpenOptions { field: Some(archive.step().plan.source.field.clone()), ..options.clone() };
     // A format without names of fields refuses any, and has one field only.
-    formats::open_input(input, &named).or_else(|_| formats::open_input(input, options))
+    source.with_options(&named).open().or_else(|_| source.with_options(options).open())
 }
 
 fn against_volume(

@@ -11,6 +11,7 @@
 //! each answer is compared with the one before, so the watch sees what has been read since.
 
 use isospan_io::bytes::remote::{self, is_remote};
+use isospan_io::bytes::stamp::Stamp;
 use isospan_io::bytes::{open_regular, place};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::CancelToken;
@@ -20,7 +21,6 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::UNIX_EPOCH;
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
 /// Bytes that are read at a time.
@@ -78,51 +78,6 @@ fn hash_of(files: &[PathBuf], cancel: &CancelToken) -> Result<String> {
         }
     }
     Ok(format!("{:032x}", hash.digest128()))
-}
-
-/// What the file system says about a file: it shows whether its bytes have changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Stamp {
-    len: u64,
-    /// Nanoseconds since 1970; of a file on a server a hash of its ETag.
-    modified: i128,
-    /// Time of change of the inode, which no program can set, in nanoseconds; the inode; the
-    /// device. 0 where the system has none. Of a file on a server, how often it changed.
-    changed: i128,
-    inode: [u64; 2],
-}
-
-impl Stamp {
-    /// The stamp of a file; `None` for a folder, and where there is nothing. A server is asked only
-    /// if it said nothing of the file so far.
-    ///
-    /// # Errors
-    /// When a server fails.
-    fn of(path: &Path) -> Result<Option<Self>> {
-        if is_remote(path) {
-            let remote::Seen { len, tag, changes } = remote::seen(path)?;
-            let (modified, changed) = (i128::from(tag), i128::from(changes));
-            return Ok(len.map(|len| Self { len, modified, changed, inode: [0; 2] }));
-        }
-        Ok(Self::of_local(path))
-    }
-
-    fn of_local(path: &Path) -> Option<Self> {
-        let about = std::fs::metadata(path).ok().filter(|about| !about.is_dir())?;
-        let modified = about.modified().ok().map_or(0, |time| match time.duration_since(UNIX_EPOCH) {
-            Ok(after) => after.as_nanos() as i128,
-            Err(before) => -(before.duration().as_nanos() as i128),
-        });
-        #[cfg(unix)]
-        let (changed, inode) = {
-            use std::os::unix::fs::MetadataExt;
-            let nanoseconds = i128::from(about.ctime()) * 1_000_000_000 + i128::from(about.ctime_nsec());
-            (nanoseconds, [about.dev(), about.ino()])
-        };
-        #[cfg(not(unix))]
-        let (changed, inode) = (0, [0; 2]);
-        Some(Self { len: about.len(), modified, changed, inode })
-    }
 }
 
 /// A file of a planned input: a worker that finds the same length and time of change believes the
@@ -213,7 +168,7 @@ fn unchanged(path: &Path, before: Option<Stamp>) -> Result<()> {
     }
     let bytes = |stamp: Option<Stamp>| stamp.map_or("no file".to_owned(), |s| format!("{} bytes", s.len));
     let got = match (before, now) {
-        (Some(a), Some(b)) if a.inode != b.inode => format!("another file of {}", bytes(now)),
+        (Some(a), Some(b)) if !a.is_of_same_file(&b) => format!("another file of {}", bytes(now)),
         (Some(a), Some(b)) if a.len == b.len => "a file changed since then".to_owned(),
         _ => bytes(now),
     };
@@ -280,7 +235,13 @@ impl<'a> Inputs<'a> {
     ) -> Result<String> {
         match source.given_hash(cancel)? {
             Some(hash) => Ok(hash),
-            None => self.fingerprint(number, files, cancel),
+            None => {
+                // Of these servers have just told.
+                for (file, stamp) in source.read_from_servers()? {
+                    self.watch.0.entry(file).or_insert(stamp);
+                }
+                self.fingerprint(number, files, cancel)
+            }
         }
     }
 

@@ -15,7 +15,7 @@ use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap, nearby_origin, re
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::CancelToken;
 use isospan_io::formats::coordinates::GridCoordinates;
-use isospan_io::formats::{StepSource, open_coordinates};
+use isospan_io::formats::StepSource;
 use isospan_io::grid::Geometry;
 use std::path::Path;
 use xxhash_rust::xxh3::Xxh3;
@@ -28,7 +28,7 @@ pub(in crate::pipeline) fn write_coordinates(
     layout: &Layout,
 ) -> Result<Option<CoordinateRecord>> {
     let input = &source.path;
-    let Some(found) = coordinates_of(source)? else { return Ok(None) };
+    let Some(found) = source.coordinates()? else { return Ok(None) };
     let step = plan.first();
     let (path, hash, dims) = (layout.at(step.number).coordinates(), plan.step_hash(0), step.source.dims);
     let info = match found {
@@ -53,16 +53,11 @@ pub(in crate::pipeline) fn write_coordinates(
     Ok(Some(CoordinateRecord { info, cells }))
 }
 
-/// The coordinates of a source: none of a volume that a program gives.
-fn coordinates_of(source: &StepSource) -> Result<Option<GridCoordinates>> {
-    if source.is_given() { Ok(None) } else { open_coordinates(&source.path, &source.options) }
-}
-
 /// A hash of the coordinates of a source; `None` where it has none of its own.
 pub(in crate::pipeline) fn coordinate_hash(source: &StepSource, dims: [u64; 3]) -> Result<Option<u128>> {
     let mut hash = Xxh3::new();
     let mut add = |numbers: &[f64]| numbers.iter().for_each(|x| hash.update(&x.to_le_bytes()));
-    match coordinates_of(source)? {
+    match source.coordinates()? {
         None => return Ok(None),
         Some(GridCoordinates::Axes(axes)) => axes.iter().for_each(|axis| add(axis)),
         Some(GridCoordinates::Points(mut stream)) => {

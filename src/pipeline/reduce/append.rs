@@ -20,8 +20,7 @@ use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy, ReduceSettings, RunSettings};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
-use isospan_io::formats::{self, OpenOptions, StepSource, without_frame};
-use isospan_mesh::points::SetSettings;
+use isospan_io::formats::{OpenOptions, StepSource, counted_from, without_frame};
 use std::path::Path;
 use std::time::Instant;
 
@@ -63,7 +62,7 @@ pub(in crate::pipeline) fn append(
     let sources = with_fields(sources, &archive.manifest, field)?;
     // Each night's file may count from a date of its own.
     let sources = match &last.plan.source.units.time {
-        Some(unit) => formats::counted_from(sources, unit),
+        Some(unit) => counted_from(sources, unit),
         None => sources,
     };
     let sources: Vec<_> = (next_files(&archive.manifest)..).zip(sources).collect();
@@ -118,7 +117,7 @@ fn with_field(source: &StepSource, field: &str) -> StepSource {
     // In a format without names the reader chooses. Another name is refused when the step is
     // planned.
     let is_named = source.options.field.is_some() || source.is_given();
-    match !is_named && formats::open_input(&source.path, &options).is_ok() {
+    match !is_named && source.with_options(&options).open().is_ok() {
         true => source.in_field(&options),
         false => source.clone(),
     }

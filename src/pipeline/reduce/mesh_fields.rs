@@ -6,6 +6,7 @@
 //! ```
 
 use super::fields::Fields;
+use super::meshes::open_mesh_of;
 use super::series::SeriesPlan;
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;
@@ -16,13 +17,11 @@ use crate::domain::vertices::Vertices;
 use crate::pipeline::chunk::{CellField, CellLocator, Field, OwnField, OwnMesh};
 use crate::pipeline::plan::Plan;
 use crate::pipeline::stage::{Stage, StageSeconds};
-use isospan_io::cells::CellMesh;
 use isospan_io::error::Result;
-use isospan_io::formats::{self, OpenOptions, StepSource};
 use isospan_io::grid::BrickGrid;
 use isospan_mesh::points::ExplicitPoints;
 use isospan_mesh::sample::{Interpolation, Values};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// The points of a mesh that are listed, and what is known of them.
@@ -56,27 +55,6 @@ impl Listed {
     }
 }
 
-/// The file of a mesh that was opened last: its other fields can be read without reading its header
-/// again.
-pub(super) struct LastMesh {
-    source: StepSource,
-    mesh: CellMesh,
-}
-
-impl LastMesh {
-    pub(super) fn new(source: &StepSource, mesh: &CellMesh) -> Self {
-        Self { source: source.clone(), mesh: mesh.clone() }
-    }
-
-    /// The mesh of a source that is another field of this file; `None` of another file.
-    pub(super) fn of(&self, source: &StepSource) -> Option<Result<CellMesh>> {
-        let fieldless = |s: &StepSource| OpenOptions { field: None, ..s.options.clone() };
-        let is_same = self.source.path == source.path && fieldless(&self.source) == fieldless(source);
-        let name = source.options.field.as_ref().filter(|_| is_same)?;
-        Some(self.mesh.with_field(name))
-    }
-}
-
 /// A mesh that was read for the plan of a job.
 pub(super) struct MeshInput {
     pub(super) store: CellStore,
@@ -91,7 +69,7 @@ impl MeshInput {
         let Self { store, listed, settings } = self;
         let laid = Laid::new(listed, &store, plan, &settings)?;
         seconds.push((Stage::Sort, sorting.elapsed().as_secs_f64()));
-        Ok(MeshFields { store, laid, bricks: plan.mesh.bricks(), settings, last: Mutex::default() })
+        Ok(MeshFields { store, laid, bricks: plan.mesh.bricks(), settings })
     }
 }
 
@@ -123,25 +101,11 @@ pub(super) struct MeshFields {
     laid: Laid,
     bricks: BrickGrid,
     settings: StoreSettings,
-    last: Mutex<Option<LastMesh>>,
-}
-
-impl MeshFields {
-    fn open_mesh(&self, source: &StepSource) -> Result<CellMesh> {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        let mesh = match last.as_ref().and_then(|last| last.of(source)) {
-            Some(mesh) => mesh?,
-            None => formats::open_mesh(&source.path, &source.options)?,
-        };
-        *last = Some(LastMesh::new(source, &mesh));
-        Ok(mesh)
-    }
 }
 
 impl Fields for MeshFields {
     fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Field<'a>> {
-        let source = &series.sources[n].source;
-        let mesh = self.open_mesh(source)?;
+        let mesh = open_mesh_of(&series.sources[n].source)?;
         let values = self.store.values_of(&mesh, &self.settings)?;
         let (buckets, boundary, fitted_to) = match &self.laid {
             Laid::Sampled { buckets, boundary, fitted_to } => (buckets, boundary, fitted_to.as_ref()),

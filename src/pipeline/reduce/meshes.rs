@@ -13,7 +13,7 @@
 //! added has them recorded.
 
 use super::job::Job;
-use super::mesh_fields::{LastMesh, Listed, MeshInput};
+use super::mesh_fields::{Listed, MeshInput};
 use super::mesh_store::check_job;
 use super::order::Order;
 use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, is_of_data};
@@ -91,7 +91,7 @@ impl Common {
     }
 }
 
-fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
+pub(super) fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
     match source.open()? {
         Input::Mesh(mesh) => Ok(mesh),
         Input::Volume(_) => {
@@ -450,7 +450,6 @@ fn plan_steps(
             let plan = &archive.manifest.steps[0].plan;
             FieldOfSeries::new(plan.number, &plan.source.field)
         }),
-        last: None,
         template: plan.first().clone(),
         read: ReadMesh {
             path: first.info().path.clone(),
@@ -510,7 +509,6 @@ struct ReadMesh {
 struct StepPlanner<'a> {
     common: Common,
     field: Option<FieldOfSeries>,
-    last: Option<LastMesh>,
     /// What all steps have in common.
     template: StepPlan,
     read: ReadMesh,
@@ -533,11 +531,7 @@ impl StepPlanner<'_> {
     fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
         // Before its head is read.
         self.inputs.watch.add_named(&source.path)?;
-        let mesh = match self.last.as_ref().and_then(|last| last.of(source)) {
-            Some(mesh) => mesh?,
-            None => open_mesh_of(source)?,
-        };
-        self.last = Some(LastMesh::new(source, &mesh));
+        let mesh = open_mesh_of(source)?;
         if self.read.path != mesh.info().path {
             self.common.check_number(&mesh)?;
             let stored = mesh.stored_hash()?;

@@ -201,7 +201,7 @@ fn replace(job: &Job<'_>) -> Result<ReduceReport> {
 
 /// Steps with their numbers.
 pub(super) fn numbered(sources: &[StepSource]) -> Vec<(u64, StepSource)> {
-    (0..).zip(sources.iter().cloned()).collect()
+    (0..).zip(StepSource::holding_together(sources.to_vec())).collect()
 }
 
 /// What a reduction would need, without beginning it: of a search for a target, its first try, and

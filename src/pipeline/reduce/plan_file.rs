@@ -312,7 +312,8 @@ impl PlanFile {
             return bad("version", text(ours), text(found), help);
         }
         check_sum(&bytes, &path, HELP)?;
-        let plan: Self = serde_json::from_slice(&bytes).map_err(json)?;
+        let mut plan: Self = serde_json::from_slice(&bytes).map_err(json)?;
+        plan.sources = StepSource::holding_together(plan.sources);
         let as_many = plan.sources.len() == plan.plan.steps.len() && !plan.sources.is_empty();
         let hashes = (plan.plan.mesh_hash(), plan.plan.steps_hash());
         if hashes != (plan.mesh_hash, plan.steps_hash) || plan.shards == 0 || !as_many {

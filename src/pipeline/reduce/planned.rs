@@ -18,7 +18,6 @@ use crate::pipeline::settings::RunSettings;
 use crate::pipeline::stage::Stage;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::pool;
-use isospan_io::formats::{Input, StepSource};
 use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
@@ -128,10 +127,10 @@ pub(super) fn is_mesh(job: &Job<'_>) -> Result<bool> {
 /// The first source, or the first that can be opened.
 pub(super) fn first_input(sources: &[(u64, StepSource)], keep_going: bool) -> Result<Input> {
     let mut first_error = None;
-    for (_, source) in sources {
-        match source.open() {
-            Err(e) if keep_going => _ = first_error.get_or_insert(e),
-            other => return other,
+    for (_, source) in job.sources {
+        match source.is_mesh() {
+            Err(e) if job.run.keep_going => _ = first_error.get_or_insert(e),
+            known => return known,
         }
     }
     Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))

@@ -7,7 +7,7 @@ use crate::pipeline::inputs::{Reading, Scratch, random_access};
 use crate::pipeline::settings::{CompleteSettings, RunSettings};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
-use isospan_io::formats::{self, Input, StepSource, UnpackedFrames};
+use isospan_io::formats::{Input, StepSource, UnpackedFrames};
 use isospan_io::volume::unpacked::unpack;
 use isospan_io::volume::{VolumeReader, VolumeSource};
 use std::path::PathBuf;
@@ -65,8 +65,8 @@ impl<'a> VolumeFields<'a> {
         }
         // The disk space of the last copy is freed before another one is made.
         *last = None;
-        let (path, options, folder) = (&source.path, &source.options, self.run.resources.scratch_folder());
-        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.resources.cancel)?);
+        let resources = &self.run.resources;
+        let frames = Arc::new(source.unpack(&resources.scratch_folder(), &resources.cancel)?);
         *last = Some((source.path.clone(), Arc::clone(&frames)));
         Ok(frames)
     }

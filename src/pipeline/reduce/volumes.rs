@@ -13,7 +13,7 @@ use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, s
 use crate::pipeline::read::{OpenArchive, coordinate_hash, scale_of};
 use crate::pipeline::settings::{Bound, CompleteSettings, DEFAULT_ERROR, Target};
 use isospan_io::error::{Error, Result};
-use isospan_io::formats::{self, StepSource};
+use isospan_io::formats::StepSource;
 use isospan_io::grid::Geometry;
 use isospan_io::volume::chunked::ChunkShape;
 use isospan_io::volume::{VolumeInfo, VolumeSource};
@@ -157,7 +157,7 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
 fn share_copies(series: &mut SeriesPlan) -> Result<()> {
     let runs = series.sources.chunk_by_mut(|a, b| a.source.path == b.source.path);
     for run in runs.filter(|run| run.len() > 1 && run[0].copied > 0) {
-        if let Some(bytes) = formats::packed_frames(&run[0].source.path, &run[0].source.options)? {
+        if let Some(bytes) = run[0].source.packed_bytes()? {
             run.iter_mut().for_each(|s| (s.copied, s.shared_copy) = (0, bytes));
         }
     }

@@ -4,7 +4,8 @@ use crate::cells::CellMesh;
 use crate::cells::scan::{FieldScan, MeshScan, scan, scan_field};
 use crate::cells::{CellBlock, CellKind};
 use crate::error::Result;
-use crate::formats::{OpenOptions, is_mesh, open_mesh};
+use crate::formats::tests::is_mesh;
+use crate::formats::{OpenOptions, open_mesh};
 use std::path::PathBuf;
 
 /// All points, cells and values of a mesh.

@@ -1,8 +1,17 @@
-//! What isospan knows of a format that it reads.
+//! A format: how its files are found and opened, and what an open one answers.
+//!
+//! ```text
+//!  Head: first bytes, name ─▶ Format::is_in ─▶ Format::open ─▶ Dataset ─▶ volume, mesh, coordinates
+//!                                                                    └──▶ steps, times
+//! ```
+//!
+//! A file is opened and its header parsed once. The [`Dataset`] then answers for all its fields and
+//! steps; options of each question choose among them.
 
 use super::coordinates::GridCoordinates;
 use super::hdf5_head;
 use super::packed::PackedFrames;
+use super::small::SmallFiles;
 use super::stream::Codec;
 use super::{Frames, OpenOptions};
 use crate::bytes::{ByteSource, IoMode};
@@ -10,8 +19,9 @@ use crate::cells::CellMesh;
 use crate::error::{Error, Result};
 use crate::volume::{VolumeInfo, VolumeSource};
 use std::collections::HashMap;
+use std::fmt;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// First bytes of a file that a format is found by.
@@ -26,15 +36,164 @@ pub fn is_hdf5(bytes: &[u8]) -> bool {
     [0, 512, 1024, 2048].into_iter().any(begins)
 }
 
+/// What is known of all files of a format.
+#[derive(Clone, Copy, Debug)]
+pub struct About {
+    /// Its name, with an article: "an NRRD file".
+    pub name: &'static str,
+    /// What lists of formats call its volumes; empty where it has none.
+    pub volumes: &'static [&'static str],
+    /// What lists of formats call its meshes; empty where it has none.
+    pub meshes: &'static [&'static str],
+    /// How names of its files end, in lower case.
+    pub suffixes: &'static [&'static str],
+    /// First bytes of its files: any of these.
+    pub magic: &'static [&'static [u8]],
+    /// Whether it is read from servers: by ranges, or chunk by chunk.
+    pub on_servers: bool,
+    /// Whether its files say where their samples lie. The user may where they do not.
+    pub has_spacing: bool,
+    /// Whether its arrays may have channels, of which the user chooses one.
+    pub has_channels: bool,
+    /// Whether its images may have levels, of which the user chooses one.
+    pub has_scales: bool,
+    /// Whether a mesh has its values in a file of their own.
+    pub has_value_file: bool,
+}
+
+impl About {
+    /// A format of a name, with an article; the rest is to be filled in. Its files say where their
+    /// samples lie.
+    pub const fn named(name: &'static str) -> Self {
+        Self {
+            name,
+            volumes: &[],
+            meshes: &[],
+            suffixes: &[],
+            magic: &[],
+            on_servers: false,
+            has_spacing: true,
+            has_channels: false,
+            has_scales: false,
+            has_value_file: false,
+        }
+    }
+}
+
+/// A format of files or folders. [`OpenOptions::with_format`] adds one to those that are read.
+pub trait Format: Send + Sync {
+    /// What is known of all its files.
+    fn about(&self) -> &About;
+
+    /// Whether a file or a folder is of this format, by what is in it: by default, whether it
+    /// begins with one of [`About::magic`]. A file that no format finds so is found by the end of
+    /// its name.
+    fn is_in(&self, head: &Head<'_>) -> bool {
+        self.about().magic.iter().any(|magic| head.bytes.starts_with(magic))
+    }
+
+    /// Opens a file or a folder, and parses its header.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a malformed one; [`Error::Io`] when it cannot be read.
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>>;
+}
+
+/// A file or a folder that is open. Its volume or its mesh, steps and coordinates are those of the
+/// field that the options of each question choose; [`OpenOptions::io`] is that of the opening.
+pub trait Dataset: Send + Sync {
+    /// Whether it is a mesh, not a volume.
+    fn is_mesh(&self) -> bool {
+        false
+    }
+
+    /// The files of which it has parsed something or which it holds open, beside the one that was
+    /// named. Where one of them has changed, all is opened anew.
+    fn files(&self) -> Vec<PathBuf> {
+        vec![]
+    }
+
+    /// The volume of the field that is wanted. Not asked of a mesh.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for malformed data; [`Error::Usage`] when several fields ask for a
+    /// choice.
+    fn volume(&self, _: &OpenOptions) -> Result<VolumeSource> {
+        Err(Error::usage("the format has meshes alone"))
+    }
+
+    /// The mesh with the field that is wanted. Asked of a mesh alone.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for malformed data; [`Error::Usage`] when there is no field of the name
+    /// wanted.
+    fn mesh(&self, _: &OpenOptions) -> Result<CellMesh> {
+        Err(Error::usage("the format has volumes alone"))
+    }
+
+    /// The coordinates of a volume that has no spacing.
+    ///
+    /// # Errors
+    /// As [`Dataset::volume`].
+    fn coordinates(&self, _: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        Ok(None)
+    }
+
+    /// The steps of a series, or of its field of the name in the options: their fields, and their
+    /// times where these are known. None where there is one volume or mesh.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for malformed data.
+    fn steps(&self, _: &OpenOptions) -> Result<Frames> {
+        Ok(vec![])
+    }
+
+    /// The times of all fields that are steps, by their names.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for malformed data.
+    fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        Ok(HashMap::new())
+    }
+
+    /// The time that is stated for the field that is wanted.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for malformed data.
+    fn time(&self, _: &OpenOptions) -> Result<Option<f64>> {
+        Ok(None)
+    }
+
+    /// The calendar of the times, by CF's name; "" of the usual one.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for malformed data.
+    fn calendar(&self, _: &OpenOptions) -> Result<String> {
+        Ok(String::new())
+    }
+
+    /// The steps where reading one means to unpack those before it, and the description of the
+    /// first.
+    ///
+    /// # Errors
+    /// As [`Dataset::volume`].
+    fn packed_steps(&self, _: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
+        Ok(None)
+    }
+}
+
 /// The beginning of a file, or a folder.
-pub(in crate::formats) struct Head<'a> {
+pub struct Head<'a> {
     /// Where it is.
-    pub(in crate::formats) path: &'a Path,
-    /// Its first bytes; none of a folder.
-    pub(in crate::formats) bytes: Vec<u8>,
+    pub path: &'a Path,
+    /// Its first bytes, 4096 at most; none of a folder.
+    pub bytes: Vec<u8>,
     /// Whether it is a folder; on a server, one with metadata of Zarr.
-    pub(in crate::formats) is_folder: bool,
+    pub is_folder: bool,
+    /// How further files are to be read.
+    pub io: IoMode,
     source: Option<Arc<ByteSource>>,
+    small: Arc<SmallFiles>,
 }
 
 impl<'a> Head<'a> {
@@ -44,12 +203,13 @@ impl<'a> Head<'a> {
     /// [`Error::Io`] when it cannot be read; [`Error::BadInput`] for an empty file.
     pub(in crate::formats) fn of(path: &'a Path, io: IoMode) -> Result<Self> {
         if path.is_dir() {
-            return Ok(Self::of_folder(path));
+            return Ok(Self::of_folder(path, io, Arc::default()));
         }
         let source = ByteSource::open(path, io)?;
         let mut bytes = vec![0; source.len().min(HEAD) as usize];
         source.read_at(0, &mut bytes)?;
-        Ok(Self { path, bytes, is_folder: false, source: Some(Arc::new(source)) })
+        let source = Some(Arc::new(source));
+        Ok(Self { path, bytes, is_folder: false, io, source, small: Arc::default() })
     }
 
     /// Whether it is HDF5.
@@ -58,12 +218,25 @@ impl<'a> Head<'a> {
     }
 
     /// The file, where it is one.
-    pub(in crate::formats) fn source(&self) -> Option<&Arc<ByteSource>> {
+    pub fn source(&self) -> Option<&Arc<ByteSource>> {
         self.source.as_ref()
     }
 
-    pub(in crate::formats) fn of_folder(path: &'a Path) -> Self {
-        Self { path, bytes: vec![], is_folder: true, source: None }
+    /// The file.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a folder.
+    pub fn file(&self) -> Result<&Arc<ByteSource>> {
+        self.source.as_ref().ok_or_else(|| Error::bad_input(self.path, "kind of file", "a file", "a folder"))
+    }
+
+    /// The small files of a folder that were read to find its format.
+    pub(in crate::formats) fn small(&self) -> &Arc<SmallFiles> {
+        &self.small
+    }
+
+    pub(in crate::formats) fn of_folder(path: &'a Path, io: IoMode, small: Arc<SmallFiles>) -> Self {
+        Self { path, bytes: vec![], is_folder: true, io, source: None, small }
     }
 
     /// The first bytes of a gzip file, decoded; fewer where it is damaged, which its own reader
@@ -86,87 +259,32 @@ impl<'a> Head<'a> {
     }
 }
 
-/// A format: how it is found, and what is in it. What a format does not have has a default.
-pub(in crate::formats) trait Format: Sync {
-    /// Its name, with an article.
-    fn name(&self) -> &'static str;
+/// Formats that a program adds to those that are read.
+#[derive(Clone, Default)]
+pub struct Registry(Vec<Arc<dyn Format>>);
 
-    /// How names of its files end, in lower case.
-    fn suffixes(&self) -> &'static [&'static str];
-
-    /// Whether a file or a folder is of this format, by what is in it.
-    fn is_in(&self, _: &Head<'_>) -> bool {
-        false
+impl Registry {
+    /// The same with another format, which is looked for before all others.
+    #[must_use]
+    pub fn with(mut self, format: Arc<dyn Format>) -> Self {
+        self.0.insert(0, format);
+        self
     }
 
-    /// Whether it is read from servers: by ranges, or chunk by chunk.
-    fn is_on_servers(&self) -> bool {
-        false
+    /// The formats, those that were added last first.
+    pub fn formats(&self) -> impl Iterator<Item = &dyn Format> {
+        self.0.iter().map(|format| &**format)
     }
+}
 
-    /// Whether a file of this format is a mesh, not a volume.
-    fn is_mesh(&self, _: &Head<'_>) -> bool {
-        false
+impl PartialEq for Registry {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.len() == other.0.len() && self.0.iter().zip(&other.0).all(|(a, b)| Arc::ptr_eq(a, b))
     }
+}
 
-    /// Whether its files say where their samples lie; the user may where they do not.
-    fn has_spacing(&self) -> bool {
-        true
-    }
-
-    /// Whether its arrays may have channels, of which the user chooses one.
-    fn has_channels(&self) -> bool {
-        false
-    }
-
-    /// Whether its images may have levels, of which the user chooses one.
-    fn has_scales(&self) -> bool {
-        false
-    }
-
-    /// Whether a mesh has its values in a file of their own.
-    fn has_value_file(&self) -> bool {
-        false
-    }
-
-    /// Opens a volume.
-    fn volume(&self, path: &Path, _: &OpenOptions) -> Result<VolumeSource> {
-        Err(Error::bad_input(path, "kind of file", "a volume", self.name()))
-    }
-
-    /// Opens a mesh.
-    fn mesh(&self, path: &Path, _: &OpenOptions) -> Result<CellMesh> {
-        Err(Error::bad_input(path, "kind of file", "a mesh", self.name()))
-    }
-
-    /// The coordinates of a volume that has no spacing.
-    fn coordinates(&self, _: &Path, _: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        Ok(None)
-    }
-
-    /// The time that a file states.
-    fn time(&self, _: &Path, _: &OpenOptions) -> Result<Option<f64>> {
-        Ok(None)
-    }
-
-    /// The calendar of the times that a file states, by CF's name; "" of the usual one.
-    fn calendar(&self, _: &Path, _: &OpenOptions) -> Result<String> {
-        Ok(String::new())
-    }
-
-    /// The steps in a file that is a series, or in its field of the name in the options.
-    fn frames(&self, _: &Path, _: &OpenOptions) -> Result<Option<Frames>> {
-        Ok(None)
-    }
-
-    /// The times of all fields that are steps, by their names.
-    fn times(&self, _: &Path, _: &OpenOptions) -> Result<HashMap<String, f64>> {
-        Ok(HashMap::new())
-    }
-
-    /// The steps of a file where reading one means to unpack those before it, and the description
-    /// of the first.
-    fn packed_frames(&self, _: &Path, _: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
-        Ok(None)
+impl fmt::Debug for Registry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.formats().map(|format| format.about().name)).finish()
     }
 }

@@ -13,13 +13,16 @@ pub(in crate::formats) mod frames;
 pub mod hdf5_head;
 pub(in crate::formats) mod header;
 pub(in crate::formats) mod lengths;
+pub(in crate::formats) mod mesh_file;
 pub(in crate::formats) mod minc;
 pub(in crate::formats) mod numbers;
 mod options;
-pub(in crate::formats) mod packed;
+pub mod packed;
 mod packing;
 pub(in crate::formats) mod ranges;
 pub mod sink;
+pub(in crate::formats) mod recent;
+pub(in crate::formats) mod small;
 pub(in crate::formats) mod stream;
 pub mod text;
 pub(in crate::formats) mod unread;
@@ -32,7 +35,7 @@ pub use options::{OpenOptions, RawLayout};
 use std::collections::HashMap;
 
 /// Fields of a file that are steps, and their times where they are known.
-pub(in crate::formats) type Frames = Vec<(String, Option<f64>)>;
+pub type Frames = Vec<(String, Option<f64>)>;
 
 /// The times of steps that have one, by their names.
 pub(in crate::formats) fn known_times(frames: Frames) -> HashMap<String, f64> {

@@ -1,10 +1,12 @@
 //! How a file is opened.
 
+use super::format::{Format, Registry};
 use crate::bytes::IoMode;
 use crate::error::{Error, Result};
 use crate::volume::units::Units;
 use crate::volume::{Assumed, ScalarType};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// How to open a volume.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -37,9 +39,67 @@ pub struct OpenOptions {
     /// Units that the user names; each counts in place of the file's.
     #[serde(default, skip_serializing_if = "Units::are_unknown")]
     pub units: Units,
+    /// Formats that a program adds to those that are read. They are not written into plans.
+    #[serde(skip)]
+    pub formats: Registry,
 }
 
 impl OpenOptions {
+    /// The same, with a format of the program's own, which is looked for before all others:
+    ///
+    /// ```
+    /// use isospan_io::formats::{About, Dataset, Format, Head, OpenOptions, open_volume};
+    /// use isospan_io::volume::VolumeSource;
+    /// use isospan_io::volume::memory::volume_of;
+    /// use isospan_io::{Error, Result};
+    /// use std::sync::Arc;
+    ///
+    /// /// Files of one line, "BALL 16": the squared distance from the middle of 16³ samples.
+    /// struct Balls;
+    ///
+    /// static ABOUT: About =
+    ///     About { volumes: &["ball"], suffixes: &[".ball"], magic: &[b"BALL"], ..About::named("a ball") };
+    ///
+    /// impl Format for Balls {
+    ///     fn about(&self) -> &About {
+    ///         &ABOUT
+    ///     }
+    ///
+    ///     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+    ///         let text = String::from_utf8_lossy(&head.bytes).into_owned();
+    ///         let number = text.trim_start_matches("BALL").trim().parse();
+    ///         let edge = number.map_err(|_| Error::bad_input(head.path, "line 1", "BALL and a number", text))?;
+    ///         Ok(Box::new(Ball(edge)))
+    ///     }
+    /// }
+    ///
+    /// struct Ball(u64);
+    ///
+    /// impl Dataset for Ball {
+    ///     fn volume(&self, _: &OpenOptions) -> Result<VolumeSource> {
+    ///         let n = self.0;
+    ///         let square = |i: u64| (i as f32 - (n - 1) as f32 / 2.0).powi(2);
+    ///         let value = |i: u64| square(i % n) + square(i / n % n) + square(i / n / n);
+    ///         let samples: Vec<f32> = (0..n * n * n).map(value).collect();
+    ///         Ok(VolumeSource::Random(Box::new(volume_of("ball", [n; 3], samples)?)))
+    ///     }
+    /// }
+    ///
+    /// # fn main() -> Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("a.ball");
+    /// std::fs::write(&path, "BALL 16\n").unwrap();
+    /// let options = OpenOptions::default().with_format(Arc::new(Balls));
+    /// assert_eq!(open_volume(&path, &options)?.info().dims, [16; 3]);
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[must_use]
+    pub fn with_format(mut self, format: Arc<dyn Format>) -> Self {
+        self.formats = self.formats.with(format);
+        self
+    }
+
     /// Refuses a channel for a file that has one alone.
     pub(in crate::formats) fn refuse_channel(&self, path: &Path) -> Result<()> {
         match self.channel {

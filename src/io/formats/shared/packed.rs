@@ -14,7 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Where such volumes are.
-pub(in crate::formats) struct PackedFrames {
+pub struct PackedFrames {
     pub(in crate::formats) source: Arc<ByteSource>,
     pub(in crate::formats) range: Range<u64>,
     pub(in crate::formats) codec: Codec,

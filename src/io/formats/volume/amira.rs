@@ -22,7 +22,7 @@
 use crate::bytes::ByteSource;
 use crate::error::{Error, Place, Result};
 use crate::formats::shared::coordinates::{GridCoordinates, rectilinear, regular};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::{geometry, plain_info, scaled_axes};
 use crate::formats::shared::numbers::to_f64;
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
@@ -31,40 +31,25 @@ use crate::grid::Geometry;
 use crate::volume::strided::{StridedVolume, swap_bytes};
 use crate::volume::{Assumed, FieldInfo, ScalarType, VolumeSource};
 use std::ops::Range;
-use std::path::Path;
 use std::sync::Arc;
 
 /// AmiraMesh.
 pub(in crate::formats) struct Amira;
 
+static ABOUT: About = About {
+    volumes: &["AmiraMesh"],
+    magic: &[b"# AmiraMesh", b"# Avizo"],
+    on_servers: true,
+    ..About::named("an AmiraMesh file")
+};
+
 impl Format for Amira {
-    fn name(&self) -> &'static str {
-        "an AmiraMesh file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[]
-    }
-
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"# AmiraMesh") || head.bytes.starts_with(b"# Avizo")
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
-    }
-
-    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        let file = File::open(path, options)?;
-        let Some(lines) = file.lines()? else { return Ok(None) };
-        match placed(&lines) {
-            Some(_) => Ok(None),
-            None => rectilinear(path, "Coordinates", lines.map(Some), file.dims).map(Some),
-        }
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        Ok(Box::new(File::open(head.file()?)?))
     }
 }
 
@@ -77,37 +62,49 @@ const LABEL: u64 = 64;
 /// Most samples along all axes whose coordinates are read.
 const MOST_COORDINATES: u64 = 1 << 24;
 
-fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let file = File::open(path, options)?;
-    let on_lattice = || file.arrays.iter().filter(|a| a.on == "Lattice");
-    let fields: Vec<FieldInfo> = on_lattice().map(|a| a.field.clone()).collect();
-    let array = on_lattice().nth(pick_field(path, &fields, options.field.as_deref())?).expect("one of them");
-    let format = format!("AmiraMesh ({})", array.packed.as_ref().map_or(file.kind.name(), |p| p.name));
-    let lines = file.lines()?;
-    let assumed = Assumed::in_header([lines.is_none() && file.bounds.is_none(); 3]);
-    let geometry = match lines {
-        Some(lines) => match placed(&lines) {
-            Some([origin, spacing]) => file.geometry(origin, spacing)?,
-            None => file.plain_geometry()?,
-        },
-        None => file.uniform()?,
-    };
-    let scalar = array.field.scalar;
-    sample_bytes(path, file.dims, scalar)?;
-    let mut info = plain_info(path, format, file.dims, scalar, geometry);
-    info.assumed = assumed;
-    (info.field, info.fields) = (array.field.clone(), fields);
-    let (range, big_endian) = (file.bytes_of(array)?, file.kind == Kind::Big);
-    let source = Arc::clone(&file.source);
-    if let Some(packed) = &array.packed {
-        let slabs = ByteSlabs::new(info, &source, range, packed.codec, 0, big_endian, Tail::Nothing)?;
-        return Ok(VolumeSource::Stream(Box::new(slabs)));
+impl Dataset for File {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let path = self.source.path();
+        let on_lattice = || self.arrays.iter().filter(|a| a.on == "Lattice");
+        let fields: Vec<FieldInfo> = on_lattice().map(|a| a.field.clone()).collect();
+        let number = pick_field(path, &fields, options.field.as_deref())?;
+        let array = on_lattice().nth(number).expect("one of them");
+        let format =
+            format!("AmiraMesh ({})", array.packed.as_ref().map_or(self.kind.name(), |p| p.name));
+        let lines = self.lines()?;
+        let assumed = Assumed::in_header([lines.is_none() && self.bounds.is_none(); 3]);
+        let geometry = match lines {
+            Some(lines) => match placed(&lines) {
+                Some([origin, spacing]) => self.geometry(origin, spacing)?,
+                None => self.plain_geometry()?,
+            },
+            None => self.uniform()?,
+        };
+        let scalar = array.field.scalar;
+        sample_bytes(path, self.dims, scalar)?;
+        let mut info = plain_info(path, format, self.dims, scalar, geometry);
+        info.assumed = assumed;
+        (info.field, info.fields) = (array.field.clone(), fields);
+        let (range, big_endian) = (self.bytes_of(array)?, self.kind == Kind::Big);
+        let source = Arc::clone(&self.source);
+        if let Some(packed) = &array.packed {
+            let slabs = ByteSlabs::new(info, &source, range, packed.codec, 0, big_endian, Tail::Nothing)?;
+            return Ok(VolumeSource::Stream(Box::new(slabs)));
+        }
+        if self.kind == Kind::Text {
+            return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, source, range)?)));
+        }
+        let strides = StridedVolume::packed_strides(self.dims, scalar).expect("fewer than 2^63 bytes");
+        Ok(StridedVolume::new(info, source, range.start, big_endian, strides)?.source())
     }
-    if file.kind == Kind::Text {
-        return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, source, range)?)));
+
+    fn coordinates(&self, _: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        let Some(lines) = self.lines()? else { return Ok(None) };
+        match placed(&lines) {
+            Some(_) => Ok(None),
+            None => rectilinear(self.source.path(), "Coordinates", lines.map(Some), self.dims).map(Some),
+        }
     }
-    let strides = StridedVolume::packed_strides(file.dims, scalar).expect("fewer than 2^63 bytes");
-    Ok(StridedVolume::new(info, source, range.start, big_endian, strides)?.source())
 }
 
 /// Origin and spacing of coordinates that are regular along all axes.
@@ -189,9 +186,8 @@ fn words(text: &str) -> Vec<&str> {
 }
 
 impl File {
-    fn open(path: &Path, options: &OpenOptions) -> Result<Self> {
-        let source = Arc::new(ByteSource::open(path, options.io)?);
-        let bytes = source.head_from(0)?;
+    fn open(source: &Arc<ByteSource>) -> Result<Self> {
+        let (path, bytes) = (source.path(), source.head_from(0)?);
         let end = bytes[..bytes.len().min(LONGEST)].windows(END.len()).position(|w| w == END);
         let end = end.ok_or_else(|| {
             Error::bad_input(path, "header", "a line \"# Data section follows\"", "none")
@@ -215,7 +211,7 @@ impl File {
         let end = (end + END.len()) as u64;
         source.check()?;
         let mut file = Self {
-            source: Arc::clone(&source),
+            source: Arc::clone(source),
             kind,
             dims: [0; 3],
             sizes: vec![],
@@ -618,14 +614,14 @@ mod tests {
         };
         let (dir, options) = (tempfile::tempdir().unwrap(), OpenOptions::default());
         let uneven = write(&dir, "a.am", &file([0.0, 1.0, 2.0, 4.0]));
-        match crate::formats::open_coordinates(&uneven, &options).unwrap() {
+        match crate::formats::tests::open_coordinates(&uneven, &options).unwrap() {
             Some(GridCoordinates::Axes([x, y, z])) => {
                 assert_eq!((x, y, z), (vec![0.0, 1.0, 2.0, 4.0], vec![0.0, 2.0, 4.0], vec![5.0, 6.0]));
             }
             _ => panic!("a rectilinear grid"),
         }
         let even = write(&dir, "a.am", &file([1.0, 2.0, 3.0, 4.0]));
-        assert!(crate::formats::open_coordinates(&even, &options).unwrap().is_none());
+        assert!(crate::formats::tests::open_coordinates(&even, &options).unwrap().is_none());
         let place = open_volume(&even, &options).unwrap().info().geometry;
         assert_eq!((place.origin, place.spacing), ([1.0, 0.0, 5.0], [1.0, 2.0, 1.0]));
 

@@ -1,31 +1,39 @@
 //! Our own bricked copies of volumes.
 
 use crate::error::Result;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::{OpenOptions, pick_field};
 use crate::volume::bricked::{self, BrickedVolume};
-use crate::volume::{VolumeReader, VolumeSource};
-use std::path::Path;
+use crate::volume::{SharedVolume, VolumeReader, VolumeSource};
+use std::sync::Arc;
 
 /// A file of bricks.
 pub(in crate::formats) struct Bricks;
 
+static ABOUT: About = About {
+    volumes: &[".bricks"],
+    suffixes: &[".bricks"],
+    magic: &[&bricked::MAGIC],
+    ..About::named("an isospan .bricks file")
+};
+
 impl Format for Bricks {
-    fn name(&self) -> &'static str {
-        "an isospan .bricks file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".bricks"]
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        Ok(Box::new(File(Arc::new(BrickedVolume::of(head.file()?)?))))
     }
+}
 
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(&bricked::MAGIC)
-    }
+struct File(Arc<BrickedVolume>);
 
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        let volume = BrickedVolume::open_with(path, options.io)?;
-        pick_field(path, &volume.info().fields, options.field.as_deref())?;
-        Ok(VolumeSource::Random(Box::new(volume)))
+impl Dataset for File {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let info = self.0.info();
+        pick_field(&info.path, &info.fields, options.field.as_deref())?;
+        let volume: Arc<dyn VolumeReader> = Arc::clone(&self.0) as Arc<dyn VolumeReader>;
+        Ok(VolumeSource::Random(Box::new(SharedVolume(volume))))
     }
 }

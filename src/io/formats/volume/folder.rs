@@ -7,10 +7,11 @@ use super::zarr;
 use crate::bytes::IoMode;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::formats::shared::format::Head;
+use crate::formats::shared::format::{About, Dataset, Head};
+use crate::formats::shared::small::SmallFiles;
 use crate::formats::shared::unread::Unread;
 use crate::formats::shared::{OpenOptions, has_suffix};
-use crate::volume::{VolumeInfo, VolumeSource};
+use crate::volume::VolumeInfo;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
@@ -19,14 +20,14 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`Error::BadInput`] when there is no volume in it, or a malformed one; [`Error::Usage`] for the
 /// layout of a raw file.
-pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<(About, Box<dyn Dataset>)> {
     if options.raw.is_some() {
         let message = "`dims`, `type`, `endian` and `offset` tell of one headerless file";
         return Err(Error::usage(format!("{} stands for several files: {message}", path.display())));
     }
     if stack::is_pattern(path) {
-        if let Some(source) = dicom::open_folder(path, options)? {
-            return Ok(source);
+        if let Some(series) = dicom::open_folder(path, options.io)? {
+            return Ok((dicom::OF_SERIES, series));
         }
         let slices = stack::matching(path)?;
         if let Some(other) = slices.iter().find(|slice| !has_suffix(slice, &tiff::SUFFIXES)) {
@@ -41,11 +42,11 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
             )
             .with_help("other files are volumes, one each: name the one that is meant"));
         }
-        return tiff::open_stack(path, slices, options);
+        return Ok((tiff::OF_STACK, tiff::open_stack(path, slices, options.io)?));
     }
     let slices = stack::in_folder(path, &tiff::SUFFIXES)?;
     if !slices.is_empty() {
-        return tiff::open_stack(path, slices, options);
+        return Ok((tiff::OF_STACK, tiff::open_stack(path, slices, options.io)?));
     }
     if path.join("manifest.zst").is_file() {
         return Err(Error::bad_input(path, "folder", "a volume or a mesh", "an isospan archive"));
@@ -55,8 +56,8 @@ pub(in crate::formats) fn open(path: &Path, options: &OpenOptions) -> Result<Vol
             "the reduce command that began it goes on with it; isospan status tells how far a planned one is",
         ));
     }
-    if let Some(source) = dicom::open_folder(path, options)? {
-        return Ok(source);
+    if let Some(series) = dicom::open_folder(path, options.io)? {
+        return Ok((dicom::OF_SERIES, series));
     }
     let expected = "slices (*.tif), DICOM, or a Zarr array or group";
     Err(match Unread::of_folder(path).or_else(|| unread_in(path)) {
@@ -80,7 +81,7 @@ pub fn passed_over(info: &VolumeInfo) -> Vec<String> {
 }
 
 fn is_zarr(folder: &Path) -> bool {
-    zarr::is_zarr(folder).unwrap_or(true)
+    zarr::is_zarr(folder, &SmallFiles::default()).unwrap_or(true)
 }
 
 /// The kind of the first files of a folder, by their names, that is not read.

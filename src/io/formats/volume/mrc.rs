@@ -32,7 +32,7 @@
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::geometry;
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
 use crate::formats::shared::{OpenOptions, pick_field};
@@ -42,31 +42,39 @@ use crate::volume::units::{Unit, Units};
 use crate::volume::{Assumed, FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 use byteorder::{BE, ByteOrder, LE};
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// An MRC file or a CCP4 map.
 pub(in crate::formats) struct Mrc;
 
-impl Format for Mrc {
-    fn name(&self) -> &'static str {
-        "an MRC or CCP4 map"
-    }
+static ABOUT: About = About {
+    volumes: &["MRC"],
+    suffixes: &[".mrc", ".mrc.gz", ".map", ".map.gz", ".ccp4", ".ccp4.gz", ".rec", ".mrcs"],
+    on_servers: true,
+    ..About::named("an MRC or CCP4 map")
+};
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".mrc", ".mrc.gz", ".map", ".map.gz", ".ccp4", ".ccp4.gz", ".rec", ".mrcs"]
+impl Format for Mrc {
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         has_magic(&head.bytes) || has_magic(&head.unzipped())
     }
 
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let source = Arc::clone(head.file()?);
+        let gzip = head.bytes.starts_with(&[0x1f, 0x8b]);
+        let header = Header::read(&source, gzip)?;
+        let (scalar, [dims, volumes]) = (header.scalar()?, header.dims()?);
+        let count = volumes[2];
+        let fields: Vec<FieldInfo> = match count {
+            1 => vec![FieldInfo { name: "data".into(), scalar, components: 1 }],
+            _ => (0..count).map(|n| FieldInfo { name: format!("v{n}"), scalar, components: 1 }).collect(),
+        };
+        Ok(Box::new(Map { source, gzip, header, dims, fields }))
     }
 }
 
@@ -79,49 +87,49 @@ const HEADER: usize = 1024;
 /// IMOD's stamp.
 const IMOD: i32 = 1_146_047_817;
 
-/// Opens a map.
-///
-/// # Errors
-/// [`Error::BadInput`] when it is malformed, cut short or of a kind that is not read;
-/// [`Error::Usage`] when it is a stack and no volume is chosen.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let mut magic = [0; 2];
-    source.read_at(0, &mut magic[..source.len().min(2) as usize])?;
-    let gzip = magic == [0x1f, 0x8b];
-    let header = Header::read(&source, gzip)?;
-    let (scalar, [dims, volumes]) = (header.scalar()?, header.dims()?);
-    let count = volumes[2];
-    let fields: Vec<FieldInfo> = match count {
-        1 => vec![FieldInfo { name: "data".into(), scalar, components: 1 }],
-        _ => (0..count).map(|n| FieldInfo { name: format!("v{n}"), scalar, components: 1 }).collect(),
-    };
-    let number = pick_field(path, &fields, options.field.as_deref())?;
-    let bytes = sample_bytes(path, dims, scalar)?;
-    let info = VolumeInfo {
-        path: path.to_path_buf(),
-        format: format!("MRC{}", if gzip { " (gzip)" } else { "" }),
-        dims,
-        field: fields[number].clone(),
-        fields,
-        geometry: header.geometry()?,
-        slope: 1.0,
-        intercept: 0.0,
-        missing: None,
-        units: Units::of_length(header.unit()),
-        notes: vec![],
-        data_files: vec![],
-        assumed: Assumed::in_header([header.unit().is_none(); 3]),
-    };
-    let offset = HEADER as u64 + header.extended()? + number as u64 * bytes;
-    if gzip {
-        let tail = if number as u64 + 1 == count { Tail::Nothing } else { Tail::Ignored };
-        let range = 0..source.len();
-        let slabs = ByteSlabs::new(info, &source, range, Codec::Gzip, offset, header.big_endian, tail)?;
-        return Ok(VolumeSource::Stream(Box::new(slabs)));
+/// A map, or a stack of volumes.
+struct Map {
+    source: Arc<ByteSource>,
+    gzip: bool,
+    header: Header,
+    dims: [u64; 3],
+    /// The volumes.
+    fields: Vec<FieldInfo>,
+}
+
+impl Dataset for Map {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (path, header, dims) = (self.source.path(), &self.header, self.dims);
+        let number = pick_field(path, &self.fields, options.field.as_deref())?;
+        let field = self.fields[number].clone();
+        let (scalar, bytes) = (field.scalar, sample_bytes(path, dims, field.scalar)?);
+        let info = VolumeInfo {
+            path: path.to_path_buf(),
+            format: format!("MRC{}", if self.gzip { " (gzip)" } else { "" }),
+            dims,
+            field,
+            fields: self.fields.clone(),
+            geometry: header.geometry()?,
+            slope: 1.0,
+            intercept: 0.0,
+            missing: None,
+            units: Units::of_length(header.unit()),
+            notes: vec![],
+            data_files: vec![],
+            assumed: Assumed::in_header([header.unit().is_none(); 3]),
+        };
+        let offset = HEADER as u64 + header.extended()? + number as u64 * bytes;
+        if self.gzip {
+            let tail = if number + 1 == self.fields.len() { Tail::Nothing } else { Tail::Ignored };
+            let range = 0..self.source.len();
+            let slabs =
+                ByteSlabs::new(info, &self.source, range, Codec::Gzip, offset, header.big_endian, tail)?;
+            return Ok(VolumeSource::Stream(Box::new(slabs)));
+        }
+        let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
+        let source = Arc::clone(&self.source);
+        Ok(StridedVolume::new(info, source, offset, header.big_endian, strides)?.source())
     }
-    let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
-    Ok(StridedVolume::new(info, source, offset, header.big_endian, strides)?.source())
 }
 
 /// The header's bytes, and how to read them.

@@ -19,7 +19,7 @@
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::axes::layout;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{OpenOptions, pick_field};
@@ -32,47 +32,45 @@ use std::sync::Arc;
 /// One array of NumPy.
 pub(in crate::formats) struct Npy;
 
+static ABOUT: About = About {
+    volumes: &["NPY"],
+    suffixes: &[".npy"],
+    magic: &[b"\x93NUMPY"],
+    on_servers: true,
+    has_spacing: false,
+    ..About::named("an NPY file")
+};
+
 impl Format for Npy {
-    fn name(&self) -> &'static str {
-        "an NPY file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".npy"]
-    }
-
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"\x93NUMPY")
-    }
-
-    fn has_spacing(&self) -> bool {
-        false
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let source = Arc::clone(head.file()?);
+        let array = Array::parse(head.path, source.head_from(0)?)?;
+        Ok(Box::new(File { source, array }))
     }
 }
 
-/// Opens an NPY file.
-///
-/// # Errors
-/// [`Error::BadInput`] when it is malformed, cut short or not a three-dimensional array of numbers.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let array = Array::parse(path, source.head_from(0)?)?;
-    let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
-    let geometry = given_geometry(path, options, Geometry::default())?;
-    let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
-    info.assumed = options.assumed([true; 3]);
-    pick_field(path, &info.fields, options.field.as_deref())?;
-    let (at, big) = (array.data_at as u64, array.big_endian);
-    let strides = array.strides(path)?;
-    Ok(StridedVolume::new(info, source, at, big, strides)?.source())
+/// An NPY file.
+struct File {
+    source: Arc<ByteSource>,
+    array: Array,
+}
+
+impl Dataset for File {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (path, array) = (self.source.path(), &self.array);
+        let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
+        let geometry = given_geometry(path, options, Geometry::default())?;
+        let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
+        info.assumed = options.assumed([true; 3]);
+        pick_field(path, &info.fields, options.field.as_deref())?;
+        let (at, big) = (array.data_at as u64, array.big_endian);
+        let strides = array.strides(path)?;
+        Ok(StridedVolume::new(info, Arc::clone(&self.source), at, big, strides)?.source())
+    }
 }
 
 /// What the header of an array says.
@@ -254,7 +252,7 @@ pub(in crate::formats) mod tests {
         }
         // One channel, as ilastik exports it.
         let file = npy(1, "'|u1'", false, "(5, 6, 7, 1)", &(0..210).collect::<Vec<u8>>());
-        let (info, values) = read_all(open(&write(&dir, "a.npy", &file), &OpenOptions::default()).unwrap());
+        let (info, values) = read_all(open_volume(&write(&dir, "a.npy", &file), &OpenOptions::default()).unwrap());
         assert_eq!((info.dims, values), ([7, 6, 5], (0..210).map(|i| i as f32).collect()));
     }
 
@@ -272,7 +270,7 @@ pub(in crate::formats) mod tests {
         ] {
             let file = npy(1, descr, false, "(2L, 2L, 2L)", &vec![0; 8 * bytes]);
             let (info, values) =
-                read_all(open(&write(&dir, "a.npy", &file), &OpenOptions::default()).unwrap());
+                read_all(open_volume(&write(&dir, "a.npy", &file), &OpenOptions::default()).unwrap());
             assert_eq!((info.field.scalar.bytes(), values), (bytes, vec![0.0; 8]));
         }
     }
@@ -297,11 +295,11 @@ pub(in crate::formats) mod tests {
             ("'<u2'", "(2, 3, 5)", "cut short"),
         ] {
             let path = write(&dir, "a.npy", &npy(1, descr, false, shape, &samples(false, false)));
-            let error = open(&path, &OpenOptions::default()).err().expect(shape);
+            let error = open_volume(&path, &OpenOptions::default()).err().expect(shape);
             assert!(error.exit_code() == 5 && error.to_string().contains(message), "{error}");
         }
         let version =
-            open(&write(&dir, "a.npy", &npy(9, "'<u2'", false, "()", &[])), &OpenOptions::default());
+            open_volume(&write(&dir, "a.npy", &npy(9, "'<u2'", false, "()", &[])), &OpenOptions::default());
         assert!(version.err().expect("refused").to_string().contains("9.0"));
     }
 

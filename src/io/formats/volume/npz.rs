@@ -9,7 +9,7 @@
 use super::npy::Array;
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail};
 use crate::formats::shared::zip::{Directory, Stored};
@@ -18,81 +18,79 @@ use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, VolumeSource};
 use std::io::Read;
-use std::path::Path;
 use std::sync::Arc;
 
 /// Several arrays of NumPy.
 pub(in crate::formats) struct Npz;
 
+static ABOUT: About = About {
+    volumes: &["NPZ"],
+    suffixes: &[".npz"],
+    magic: &[b"PK\x03\x04"],
+    on_servers: true,
+    has_spacing: false,
+    ..About::named("an NPZ file")
+};
+
 impl Format for Npz {
-    fn name(&self) -> &'static str {
-        "an NPZ file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".npz"]
-    }
-
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"PK\x03\x04")
-    }
-
-    fn has_spacing(&self) -> bool {
-        false
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let source = Arc::clone(head.file()?);
+        let (mut arrays, mut refused) = (vec![], None);
+        for member in members(&source)? {
+            match member.array(&source) {
+                Ok(array) => arrays.push((member, array)),
+                Err(e) => refused = refused.or(Some(e)),
+            }
+        }
+        if arrays.is_empty() {
+            let none = || Error::bad_input(head.path, "members", "an array (.npy)", "none");
+            return Err(refused.unwrap_or_else(none));
+        }
+        Ok(Box::new(Archive { source, arrays }))
     }
 }
 
-/// Opens an array of an NPZ archive.
-///
-/// # Errors
-/// [`Error::BadInput`] when the archive is malformed or has no array that can be read;
-/// [`Error::Usage`] when it has several and none is chosen.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let (mut arrays, mut refused) = (vec![], None);
-    for member in members(&source)? {
-        match member.array(&source) {
-            Ok(array) => arrays.push((member, array)),
-            Err(e) => refused = refused.or(Some(e)),
+/// An NPZ archive, and the arrays in it that can be read.
+struct Archive {
+    source: Arc<ByteSource>,
+    arrays: Vec<(Member, Array)>,
+}
+
+impl Dataset for Archive {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let path = self.source.path();
+        let field =
+            |(m, a): &(Member, Array)| FieldInfo { name: m.name.clone(), scalar: a.scalar, components: 1 };
+        let fields: Vec<FieldInfo> = self.arrays.iter().map(field).collect();
+        let number = pick_field(path, &fields, options.field.as_deref())?;
+        let (member, array) = &self.arrays[number];
+        let format = if member.stored.deflated { "NPZ (deflated)" } else { "NPZ (stored)" };
+        let geometry = given_geometry(path, options, Geometry::default())?;
+        let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
+        info.assumed = options.assumed([true; 3]);
+        (info.field, info.fields) = (fields[number].clone(), fields);
+        if !member.stored.deflated {
+            let source = member.check_length(array, Arc::clone(&self.source))?;
+            let at = member.stored.bytes.start + array.data_at as u64;
+            let volume = StridedVolume::new(info, source, at, array.big_endian, array.strides(path)?)?;
+            return Ok(volume.source());
         }
+        if array.z_fastest {
+            let expected = "C order in a compressed archive";
+            return Err(Error::bad_input(path, &member.name, expected, "Fortran order")
+                .with_help("unpack it: `unzip` the member, whose .npy file is read in either order"));
+        }
+        let codec = Codec::Deflate { crc32: member.stored.crc32 };
+        let (range, skip) = (member.stored.bytes.clone(), array.data_at as u64);
+        // As NumPy does, what follows an array in its member is passed over.
+        let slabs =
+            ByteSlabs::new(info, &self.source, range, codec, skip, array.big_endian, Tail::Checked)?;
+        Ok(VolumeSource::Stream(Box::new(slabs)))
     }
-    let field = |m: &Member, a: &Array| FieldInfo { name: m.name.clone(), scalar: a.scalar, components: 1 };
-    let fields: Vec<FieldInfo> = arrays.iter().map(|(m, a)| field(m, a)).collect();
-    if fields.is_empty() {
-        let none = || Error::bad_input(path, "members", "an array (.npy)", "none");
-        return Err(refused.unwrap_or_else(none));
-    }
-    let (member, array) = arrays.swap_remove(pick_field(path, &fields, options.field.as_deref())?);
-    let format = if member.stored.deflated { "NPZ (deflated)" } else { "NPZ (stored)" };
-    let geometry = given_geometry(path, options, Geometry::default())?;
-    let mut info = plain_info(path, format, array.dims, array.scalar, geometry);
-    info.assumed = options.assumed([true; 3]);
-    info.field = field(&member, &array);
-    info.fields = fields;
-    if !member.stored.deflated {
-        let source = member.check_length(&array, source)?;
-        let at = member.stored.bytes.start + array.data_at as u64;
-        let volume = StridedVolume::new(info, source, at, array.big_endian, array.strides(path)?)?;
-        return Ok(volume.source());
-    }
-    if array.z_fastest {
-        return Err(Error::bad_input(path, &member.name, "C order in a compressed archive", "Fortran order")
-            .with_help("unpack it: `unzip` the member, whose .npy file is read in either order"));
-    }
-    let codec = Codec::Deflate { crc32: member.stored.crc32 };
-    let skip = array.data_at as u64;
-    // As NumPy does, what follows an array in its member is passed over.
-    let slabs =
-        ByteSlabs::new(info, &source, member.stored.bytes, codec, skip, array.big_endian, Tail::Checked)?;
-    Ok(VolumeSource::Stream(Box::new(slabs)))
 }
 
 /// A member of the archive that is an NPY file.
@@ -177,7 +175,7 @@ mod tests {
             let info = check(&path, &options(None));
             assert_eq!(info.format, if deflate { "NPZ (deflated)" } else { "NPZ (stored)" });
             check(&path, &options(Some("a/vol")));
-            assert_eq!(open(&path, &options(Some("b"))).err().expect("refused").exit_code(), 2);
+            assert_eq!(open_volume(&path, &options(Some("b"))).err().expect("refused").exit_code(), 2);
         }
     }
 
@@ -188,7 +186,7 @@ mod tests {
         let spacing = npy(1, "'<f8'", false, "(3,)", &[0; 24]);
         let both = [("spacing.npy", spacing.clone()), ("a.npy", volume()), ("b.npy", other)];
         let path = write(&dir, "a.npz", &zip(&both, true, false));
-        let error = open(&path, &options(None)).err().expect("two fields").to_string();
+        let error = open_volume(&path, &options(None)).err().expect("two fields").to_string();
         assert!(error.contains("a (uint16), b (float32)"), "{error}");
         check(&path, &options(Some("a")));
         for (members, message) in [
@@ -215,7 +213,7 @@ mod tests {
             check(&write(&dir, "a.npz", &file), &options(None));
             let entry = file.windows(4).position(|w| w == b"PK\x01\x02").unwrap();
             file[entry + 16] ^= 1;
-            let source = open(&write(&dir, "a.npz", &file), &options(None)).unwrap();
+            let source = open_volume(&write(&dir, "a.npz", &file), &options(None)).unwrap();
             let read = crate::formats::tests::try_read_all(source);
             assert_eq!(read.is_err(), deflate, "the checksum is that of all bytes");
         }
@@ -236,7 +234,7 @@ mod tests {
         let mut file = zip(&[("a.npy", volume())], true, false);
         let entry = file.windows(4).position(|w| w == b"PK\x01\x02").unwrap();
         file[entry + 16] ^= 1;
-        let source = open(&write(&dir, "a.npz", &file), &options(None)).unwrap();
+        let source = open_volume(&write(&dir, "a.npz", &file), &options(None)).unwrap();
         let error = crate::formats::tests::try_read_all(source).unwrap_err().to_string();
         assert!(error.contains("CRC-32"), "{error}");
     }

@@ -11,6 +11,7 @@
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
+use crate::formats::shared::format::{About, Dataset, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::stream::{ByteSlabs, Codec, Tail, sample_bytes};
 use crate::formats::shared::{OpenOptions, RawLayout, pick_field};
@@ -81,40 +82,45 @@ fn named(name: &str) -> Option<ScalarType> {
     })
 }
 
-/// Opens a headerless file.
-///
-/// # Errors
-/// [`Error::Usage`] without a layout, or with one that makes no sense; [`Error::BadInput`] when the
-/// file's length is not that of the layout.
-pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let layout = options.raw.as_ref().ok_or_else(|| no_layout(path))?;
-    let geometry = given_geometry(path, options, Geometry::default())?;
-    let needed = sample_bytes(path, layout.dims, layout.scalar)?;
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let gzip = source.len() > 2 && source.slice(0..2)? == [0x1f, 0x8b] && has_extension(path, "gz");
-    let format = if gzip { "raw (gzip)" } else { "raw" };
-    let mut info = plain_info(path, format, layout.dims, layout.scalar, geometry);
-    info.assumed = options.assumed([true; 3]);
-    pick_field(path, &info.fields, options.field.as_deref())?;
-    if gzip {
-        let range = 0..source.len();
-        let slabs = ByteSlabs::new(
-            info,
-            &source,
-            range,
-            Codec::Gzip,
-            layout.offset,
-            layout.big_endian,
-            Tail::Nothing,
-        )?;
-        return Ok(VolumeSource::Stream(Box::new(slabs)));
+/// Headerless files.
+pub(in crate::formats) static ABOUT: About = About {
+    volumes: &["raw"],
+    on_servers: true,
+    has_spacing: false,
+    ..About::named("a headerless file")
+};
+
+/// Opens a headerless file: its layout is asked for with the volume.
+pub(in crate::formats) fn open(head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+    Ok(Box::new(File(Arc::clone(head.file()?))))
+}
+
+struct File(Arc<ByteSource>);
+
+impl Dataset for File {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (source, path) = (&self.0, self.0.path());
+        let layout = options.raw.as_ref().ok_or_else(|| no_layout(path))?;
+        let geometry = given_geometry(path, options, Geometry::default())?;
+        let needed = sample_bytes(path, layout.dims, layout.scalar)?;
+        let gzip = source.len() > 2 && source.slice(0..2)? == [0x1f, 0x8b] && has_extension(path, "gz");
+        let format = if gzip { "raw (gzip)" } else { "raw" };
+        let mut info = plain_info(path, format, layout.dims, layout.scalar, geometry);
+        info.assumed = options.assumed([true; 3]);
+        pick_field(path, &info.fields, options.field.as_deref())?;
+        let (offset, big_endian) = (layout.offset, layout.big_endian);
+        if gzip {
+            let range = 0..source.len();
+            let slabs = ByteSlabs::new(info, source, range, Codec::Gzip, offset, big_endian, Tail::Nothing)?;
+            return Ok(VolumeSource::Stream(Box::new(slabs)));
+        }
+        if offset.checked_add(needed) != Some(source.len()) {
+            return Err(wrong_length(path, layout, needed, source.len()));
+        }
+        let strides =
+            StridedVolume::packed_strides(layout.dims, layout.scalar).expect("fewer than 2^63 bytes");
+        Ok(StridedVolume::new(info, Arc::clone(source), offset, big_endian, strides)?.source())
     }
-    if layout.offset.checked_add(needed) != Some(source.len()) {
-        return Err(wrong_length(path, layout, needed, source.len()));
-    }
-    let strides = StridedVolume::packed_strides(layout.dims, layout.scalar).expect("fewer than 2^63 bytes");
-    let volume = StridedVolume::new(info, source, layout.offset, layout.big_endian, strides)?;
-    Ok(volume.source())
 }
 
 /// The error for a file whose layout must be given.

@@ -211,9 +211,17 @@ impl BrickedVolume {
     /// # Errors
     /// Those of [`BrickedVolume::open`].
     pub fn open_with(path: &Path, io: IoMode) -> Result<Self> {
-        let source = Arc::new(ByteSource::open(path, io)?);
-        let (header, layout) = read_header(&source)?;
-        check_footer(&source, &layout)?;
+        Self::of(&Arc::new(ByteSource::open(path, io)?))
+    }
+
+    /// The bricks of a file that is open.
+    ///
+    /// # Errors
+    /// Those of [`BrickedVolume::open`].
+    pub(crate) fn of(source: &Arc<ByteSource>) -> Result<Self> {
+        let path = source.path();
+        let (header, layout) = read_header(source)?;
+        check_footer(source, &layout)?;
         let info = VolumeInfo {
             path: path.to_path_buf(),
             format: format!("isospan bricks of {} ({})", header.source, header.source_format),
@@ -229,7 +237,7 @@ impl BrickedVolume {
             data_files: vec![],
             assumed: Assumed::default(),
         };
-        Ok(Self { info, source, layout })
+        Ok(Self { info, source: Arc::clone(source), layout })
     }
 
     /// Number of bricks.

@@ -1,6 +1,6 @@
 //! The case file: which files hold the geometry and the variables, and the times of steps.
 
-use crate::bytes::read_whole;
+use crate::bytes::ByteSource;
 use crate::cells::Center;
 use crate::error::{Error, Result};
 use crate::formats::shared::header::sibling;
@@ -76,9 +76,14 @@ impl Case {
     /// # Errors
     /// [`Error::BadInput`] for a malformed file, and for what is not read: other kinds of EnSight,
     /// a geometry that changes, steps in one file.
-    pub(super) fn read(path: &Path) -> Result<Self> {
-        let text = read_whole(path, LARGEST)?;
-        let text = String::from_utf8_lossy(&text).into_owned();
+    pub(super) fn read(source: &ByteSource) -> Result<Self> {
+        let path = source.path();
+        if source.len() > LARGEST {
+            let (expected, got) = (format!("at most {LARGEST} bytes"), format!("{} bytes", source.len()));
+            return Err(Error::bad_input(path, "length", expected, got));
+        }
+        let text = String::from_utf8_lossy(source.slice(0..source.len())?).into_owned();
+        source.check()?;
         let (mut section, mut key) = (String::new(), String::new());
         let (mut kind, mut model, mut variables, mut sets) = (None, None, vec![], Vec::<TimeSet>::new());
         for (number, line) in text.lines().enumerate() {

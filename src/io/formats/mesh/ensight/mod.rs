@@ -37,63 +37,71 @@ use crate::cells::{
     BLOCK, CellBlock, CellField, CellFile, CellKind, CellMesh, CellStream, CellsInfo, Center, NumberStream,
 };
 use crate::error::{Error, Result};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
+use crate::formats::shared::mesh_file::MeshFile;
 use crate::formats::shared::ranges::RangeNumbers;
 use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::volume::ScalarType;
 use case::{Case, Variable};
 use scan::{Encoding, Geometry, Values};
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// EnSight Gold.
 pub(in crate::formats) struct EnSight;
 
+static ABOUT: About =
+    About { meshes: &["EnSight Gold"], suffixes: &[".case", ".encas"], ..About::named("an EnSight case") };
+
 impl Format for EnSight {
-    fn name(&self) -> &'static str {
-        "an EnSight case"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".case", ".encas"]
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let case = Case::read(head.file()?)?;
+        Ok(Box::new(MeshFile::new(Mesh(Arc::new(open(head, case)?)))?))
     }
+}
 
-    fn is_mesh(&self, _: &Head<'_>) -> bool {
+impl Dataset for MeshFile<Mesh> {
+    fn is_mesh(&self) -> bool {
         true
     }
 
-    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-        let shared = open(path, options.io)?;
-        CellMesh::new(Arc::new(Mesh(Arc::new(shared))), options.field.as_deref())
+    fn files(&self) -> Vec<PathBuf> {
+        // The others are opened when they are read.
+        vec![self.file.0.geometry_file.clone()]
     }
 
-    fn time(&self, path: &Path, _: &OpenOptions) -> Result<Option<f64>> {
-        let case = Case::read(path)?;
-        let mut times = case.variables.iter().filter(|v| v.steps.len() == 1).map(|v| v.steps[0].1);
+    fn mesh(&self, options: &OpenOptions) -> Result<CellMesh> {
+        self.of_field(options)
+    }
+
+    fn time(&self, _: &OpenOptions) -> Result<Option<f64>> {
+        let mut times = self.file.0.variables.iter().filter(|v| v.steps.len() == 1).map(|v| v.steps[0].1);
         Ok(times.next().flatten())
     }
 
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        let case = Case::read(path)?;
-        let found = match (&options.field, &case.variables[..]) {
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
+        let found = match (&options.field, &self.file.0.variables[..]) {
             (Some(name), all) => all.iter().find(|v| v.name == *name),
             // The only variable needs no name.
             (None, [only]) => Some(only),
             _ => None,
         };
-        let names =
-            |v: &Variable| (0..v.steps.len()).map(|step| (name_of(v, step), v.steps[step].1)).collect();
-        Ok(Some(found.filter(|v| v.steps.len() > 1).map(names).unwrap_or_default()))
+        Ok(found.filter(|v| v.steps.len() > 1).map(steps_of).unwrap_or_default())
     }
 
-    fn times(&self, path: &Path, _: &OpenOptions) -> Result<HashMap<String, f64>> {
-        let case = Case::read(path)?;
-        let names = |v: &Variable| -> Frames {
-            (0..v.steps.len()).map(|step| (name_of(v, step), v.steps[step].1)).collect()
-        };
-        Ok(known_times(case.variables.iter().flat_map(names).collect()))
+    fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        Ok(known_times(self.file.0.variables.iter().flat_map(steps_of).collect()))
     }
+}
+
+/// The steps of a variable, and their times.
+fn steps_of(variable: &Variable) -> Frames {
+    (0..variable.steps.len()).map(|step| (name_of(variable, step), variable.steps[step].1)).collect()
 }
 
 /// The field of a step of a variable.
@@ -104,8 +112,8 @@ fn name_of(variable: &Variable, step: usize) -> String {
 /// Most fields: steps of all variables.
 const MOST_FIELDS: usize = 1 << 20;
 
-fn open(path: &Path, io: IoMode) -> Result<Shared> {
-    let case = Case::read(path)?;
+fn open(head: &Head<'_>, case: Case) -> Result<Shared> {
+    let (path, io) = (head.path, head.io);
     let source = Arc::new(ByteSource::open(&case.geometry, io)?);
     let geometry = scan::geometry(&source)?;
     let wrong = |expected: &str, got: &str| Error::bad_input(path, "parts and variables", expected, got);
@@ -150,12 +158,14 @@ fn open(path: &Path, io: IoMode) -> Result<Shared> {
             places.push((number, step));
         }
     }
-    Ok(Shared { info, geometry, variables: case.variables, places, io })
+    let geometry_file = case.geometry;
+    Ok(Shared { info, geometry_file, geometry, variables: case.variables, places, io })
 }
 
 /// A mesh, and where its numbers are.
 struct Shared {
     info: CellsInfo,
+    geometry_file: PathBuf,
     geometry: Geometry,
     variables: Vec<Variable>,
     /// The variable and the step of each field.

@@ -1,7 +1,8 @@
 use crate::cells::{CellKind, CellMesh, Center};
 use crate::formats::mesh::tests::{Whole, read_whole, torture_with};
 use crate::formats::tests::write;
-use crate::formats::{OpenOptions, is_mesh, open_mesh, steps_of};
+use crate::formats::tests::is_mesh;
+use crate::formats::{OpenOptions, open_mesh, steps_of};
 use std::path::{Path, PathBuf};
 
 fn golden(name: &str) -> PathBuf {

@@ -25,12 +25,12 @@
 
 mod blocks;
 
-use crate::bytes::ByteSource;
 use crate::cells::{CellField, CellFile, CellMesh, CellStream, CellsInfo, Center, NumberStream};
 use crate::error::{Error, Result};
 use crate::formats::shared::arrays::Arrays;
 use crate::formats::shared::cf::netcdf_fill;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
+use crate::formats::shared::mesh_file::MeshFile;
 use crate::formats::shared::{Frames, OpenOptions, has_suffix, known_times};
 use crate::formats::volume::{hdf5, netcdf};
 use blocks::{Block, Elements, blocks_of};
@@ -44,13 +44,15 @@ pub(in crate::formats) struct Exodus;
 /// Names that say enough of a NetCDF file.
 const SUFFIXES: [&str; 7] = [".exo", ".ex2", ".exii", ".exoii", ".e", ".g", ".gen"];
 
-impl Format for Exodus {
-    fn name(&self) -> &'static str {
-        "an Exodus II file"
-    }
+static ABOUT: About = About {
+    meshes: &["Exodus II"],
+    suffixes: SUFFIXES.split_at(3).0,
+    ..About::named("an Exodus II file")
+};
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &SUFFIXES[..3]
+impl Format for Exodus {
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
@@ -60,35 +62,42 @@ impl Format for Exodus {
         is_classic && (is_called() || names_blocks()) || head.is_hdf5() && is_called()
     }
 
-    fn is_mesh(&self, _: &Head<'_>) -> bool {
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let source = head.file()?;
+        let arrays = if head.is_hdf5() { hdf5::arrays(source, 0)? } else { netcdf::arrays(source)? };
+        Ok(Box::new(MeshFile::new(Mesh(Arc::new(Shared::of(head.path, arrays)?)))?))
+    }
+}
+
+impl Dataset for MeshFile<Mesh> {
+    fn is_mesh(&self) -> bool {
         true
     }
 
-    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-        let file = open(path, options)?;
-        CellMesh::new(Arc::new(Mesh(Arc::new(file))), options.field.as_deref())
+    fn mesh(&self, options: &OpenOptions) -> Result<CellMesh> {
+        self.of_field(options)
     }
 
-    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-        let times = open(path, options)?.times;
+    fn time(&self, _: &OpenOptions) -> Result<Option<f64>> {
+        let times = &self.file.0.times;
         Ok(if times.len() == 1 { times[0] } else { None })
     }
 
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        let file = open(path, options)?;
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
+        let file = &self.file.0;
         let name = match &options.field {
             Some(name) => name,
             // The only variable needs no name.
             None if file.variables.len() == 1 => &file.variables[0].name,
-            None => return Ok(Some(vec![])),
+            None => return Ok(vec![]),
         };
         let is_known = file.times.len() > 1 && file.variables.iter().any(|v| v.name == *name);
         let steps = file.times.iter().enumerate().filter(|_| is_known);
-        Ok(Some(steps.map(|(step, &time)| (format!("{name}:t{step}"), time)).collect()))
+        Ok(steps.map(|(step, &time)| (format!("{name}:t{step}"), time)).collect())
     }
 
-    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        let file = open(path, options)?;
+    fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        let file = &self.file.0;
         let name =
             |(field, place): (&CellField, &Place)| (field.name.clone(), file.times[place.step as usize]);
         Ok(known_times(file.info.fields.iter().zip(&file.places).map(name).collect()))
@@ -125,57 +134,52 @@ struct Place {
     step: u64,
 }
 
-fn open(path: &Path, options: &OpenOptions) -> Result<Shared> {
-    let arrays = if Head::of(path, options.io)?.is_hdf5() {
-        hdf5::arrays(&Arc::new(ByteSource::open(path, options.io)?), 0)?
-    } else {
-        netcdf::arrays(path, options.io)?
-    };
-    let wrong = |at: &str, expected: &str, got: String| Error::bad_input(path, at, expected, got);
-    if let Some(parts) = arrays.dimension("num_procs").filter(|&n| n > 1) {
-        return Err(wrong(
-            "num_procs",
-            "a whole mesh",
-            format!("a part of one that {parts} processes wrote"),
-        )
-        .with_help("join the parts with epu of SEACAS"));
-    }
-    let points = arrays.dimension("num_nodes");
-    let points = points.ok_or_else(|| wrong("num_nodes", "a number of nodes", "none".into()))?;
-    let has_three = match arrays.array("coord")? {
-        Some(array) => array.shape == [3, points],
-        None => {
-            let all = ["coordx", "coordy", "coordz"].map(|name| arrays.array(name));
-            let [x, y, z] = all;
-            [x?, y?, z?].iter().all(|a| a.as_ref().is_some_and(|a| a.shape == [points]))
-        }
-    };
-    if !has_three {
-        let dims = arrays.dimension("num_dim").map_or("others".into(), |n| format!("a mesh of {n} axes"));
-        return Err(wrong("coordinates", &format!("x, y and z of {points} nodes"), dims));
-    }
-    let blocks = blocks_of(path, &*arrays)?;
-    let info = CellsInfo {
-        path: path.to_path_buf(),
-        format: format!("Exodus II in {}", arrays.format()),
-        points,
-        cells: blocks.iter().map(|b| b.elements).sum(),
-        fields: vec![],
-        active: None,
-        data_files: vec![],
-    };
-    let mut file = Shared { info, arrays, blocks, variables: vec![], times: vec![], places: vec![] };
-    for (name, center) in [("name_nod_var", Center::Point), ("name_elem_var", Center::Cell)] {
-        let names = file.arrays.texts(name)?.unwrap_or_default();
-        let variable = |(i, name)| Variable { name, center, number: i as u64 + 1 };
-        file.variables.extend(names.into_iter().enumerate().map(variable));
-    }
-    file.find_steps()?;
-    file.find_fields()?;
-    Ok(file)
-}
-
 impl Shared {
+    fn of(path: &Path, arrays: Arc<dyn Arrays>) -> Result<Self> {
+        let wrong = |at: &str, expected: &str, got: String| Error::bad_input(path, at, expected, got);
+        if let Some(parts) = arrays.dimension("num_procs").filter(|&n| n > 1) {
+            return Err(wrong(
+                "num_procs",
+                "a whole mesh",
+                format!("a part of one that {parts} processes wrote"),
+            )
+            .with_help("join the parts with epu of SEACAS"));
+        }
+        let points = arrays.dimension("num_nodes");
+        let points = points.ok_or_else(|| wrong("num_nodes", "a number of nodes", "none".into()))?;
+        let has_three = match arrays.array("coord")? {
+            Some(array) => array.shape == [3, points],
+            None => {
+                let all = ["coordx", "coordy", "coordz"].map(|name| arrays.array(name));
+                let [x, y, z] = all;
+                [x?, y?, z?].iter().all(|a| a.as_ref().is_some_and(|a| a.shape == [points]))
+            }
+        };
+        if !has_three {
+            let dims = arrays.dimension("num_dim").map_or("others".into(), |n| format!("a mesh of {n} axes"));
+            return Err(wrong("coordinates", &format!("x, y and z of {points} nodes"), dims));
+        }
+        let blocks = blocks_of(path, &*arrays)?;
+        let info = CellsInfo {
+            path: path.to_path_buf(),
+            format: format!("Exodus II in {}", arrays.format()),
+            points,
+            cells: blocks.iter().map(|b| b.elements).sum(),
+            fields: vec![],
+            active: None,
+            data_files: vec![],
+        };
+        let mut file = Self { info, arrays, blocks, variables: vec![], times: vec![], places: vec![] };
+        for (name, center) in [("name_nod_var", Center::Point), ("name_elem_var", Center::Cell)] {
+            let names = file.arrays.texts(name)?.unwrap_or_default();
+            let variable = |(i, name)| Variable { name, center, number: i as u64 + 1 };
+            file.variables.extend(names.into_iter().enumerate().map(variable));
+        }
+        file.find_steps()?;
+        file.find_fields()?;
+        Ok(file)
+    }
+
     fn wrong(&self, at: &str, expected: impl Into<String>, got: impl Into<String>) -> Error {
         Error::bad_input(&self.info.path, at, expected, got)
     }

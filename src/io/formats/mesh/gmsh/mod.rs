@@ -39,39 +39,33 @@ mod file;
 mod scan;
 mod tokens;
 
-use crate::bytes::ByteSource;
-use crate::cells::{CellFile, CellMesh, CellStream, CellsInfo, Center, NumberStream};
+use crate::cells::{CellFile, CellStream, CellsInfo, Center, NumberStream};
 use crate::error::Result;
-use crate::formats::shared::OpenOptions;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
+use crate::formats::shared::mesh_file::{MeshFile, PlainMesh};
 use elements::Elements;
 use file::{DataList, File};
-use std::path::Path;
 use std::sync::Arc;
 use tokens::Tokens;
 
 /// Gmsh.
 pub(in crate::formats) struct Gmsh;
 
+static ABOUT: About = About {
+    meshes: &["Gmsh"],
+    suffixes: &[".msh"],
+    magic: &[b"$MeshFormat"],
+    ..About::named("a Gmsh file")
+};
+
 impl Format for Gmsh {
-    fn name(&self) -> &'static str {
-        "a Gmsh file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".msh"]
-    }
-
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"$MeshFormat")
-    }
-
-    fn is_mesh(&self, _: &Head<'_>) -> bool {
-        true
-    }
-
-    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-        open_mesh(path, options)
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let file = scan::scan(head.file()?)?;
+        Ok(Box::new(PlainMesh(MeshFile::new(Mesh(Arc::new(file)))?)))
     }
 }
 
@@ -80,16 +74,6 @@ pub(crate) const MOST_RUNS: usize = 1 << 20;
 
 /// Numbers of a data list that are gathered at a time.
 const WINDOW: u64 = 1 << 20;
-
-/// Opens the mesh of a `.msh` file.
-///
-/// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another version, tags in too
-/// many runs; [`Error::Usage`](crate::Error::Usage) when there is no field of the name wanted.
-pub(crate) fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-    let file = scan::scan(&Arc::new(ByteSource::open(path, options.io)?))?;
-    CellMesh::new(Arc::new(Mesh(Arc::new(file))), options.field.as_deref())
-}
 
 struct Mesh(Arc<File>);
 

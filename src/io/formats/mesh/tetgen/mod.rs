@@ -24,75 +24,92 @@
 //! the field has the file's name. Either file of a pair may be named; the other lies next to it.
 //! Everything is read row by row.
 
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::cells::{
     BLOCK, CellBlock, CellField, CellFile, CellKind, CellMesh, CellStream, CellsInfo, Center, NumberStream,
 };
 use crate::error::{Error, Result};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
+use crate::formats::shared::mesh_file::MeshFile;
 use crate::formats::shared::text::{place, word};
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::volume::ScalarType;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// TetGen, and points and tetrahedra as text: two files each.
 pub(in crate::formats) struct Tetgen;
 
+static ABOUT: About = About {
+    meshes: &["TetGen", ".pts and .tet"],
+    suffixes: &[".node", ".ele", ".pts", ".tet"],
+    has_value_file: true,
+    ..About::named("a mesh of two text files")
+};
+
 impl Format for Tetgen {
-    fn name(&self) -> &'static str {
-        "a mesh of two text files"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".node", ".ele", ".pts", ".tet"]
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        Ok(Box::new(PairFile { pair: MeshFile::new(Pair::open(head)?)?, io: head.io }))
     }
+}
 
-    fn is_mesh(&self, _: &Head<'_>) -> bool {
+/// A pair of files, which may have a third one with values.
+struct PairFile {
+    pair: MeshFile<Pair>,
+    io: IoMode,
+}
+
+impl Dataset for PairFile {
+    fn is_mesh(&self) -> bool {
         true
     }
 
-    fn has_value_file(&self) -> bool {
-        true
+    fn files(&self) -> Vec<PathBuf> {
+        self.pair.data_files()
     }
 
-    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-        open_mesh(path, options)
+    fn mesh(&self, options: &OpenOptions) -> Result<CellMesh> {
+        let Some(values) = &options.values else { return self.pair.of_field(options) };
+        let mut pair = Pair::clone(&self.pair.file);
+        pair.add_values(&Arc::new(ByteSource::open(values, self.io)?))?;
+        CellMesh::new(Arc::new(pair), options.field.as_deref())
     }
 }
 
 /// More attributes than this are a mistake in the head.
 const MOST_ATTRIBUTES: u64 = 1000;
 
-/// Opens a pair of files, one of which is named.
-///
-/// # Errors
-/// [`Error::BadInput`] for malformed files or when one is missing; [`Error::Usage`] when there is
-/// no field of the name wanted.
-pub(crate) fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-    let tetgen = has_suffix(path, &[".node", ".ele"]);
-    let suffixes = if tetgen { ["node", "ele"] } else { ["pts", "tet"] };
-    let [points, cells] = suffixes.map(|s| path.with_extension(s));
-    for file in [&points, &cells] {
-        if !file.is_file() {
-            let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            return Err(Error::bad_input(
-                path,
-                "the other file of the pair",
-                name,
-                "none of that name beside it",
-            ));
+impl Pair {
+    /// Opens a pair of files, one of which is named.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for malformed files or when one is missing.
+    fn open(head: &Head<'_>) -> Result<Self> {
+        let path = head.path;
+        let tetgen = has_suffix(path, &[".node", ".ele"]);
+        let suffixes = if tetgen { ["node", "ele"] } else { ["pts", "tet"] };
+        let [points, cells] = suffixes.map(|s| path.with_extension(s));
+        for file in [&points, &cells] {
+            if !file.is_file() {
+                let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let at = "the other file of the pair";
+                return Err(Error::bad_input(path, at, name, "none of that name beside it"));
+            }
         }
+        let open = |file: &Path| match file == path {
+            true => head.file().map(Arc::clone),
+            false => Ok(Arc::new(ByteSource::open(file, head.io)?)),
+        };
+        let (points, cells) = (open(&points)?, open(&cells)?);
+        let mut pair =
+            if tetgen { tetgen_pair(path, &points, &cells)? } else { bare_pair(path, &points, &cells)? };
+        pair.info.data_files = vec![points.path().to_path_buf(), cells.path().to_path_buf()];
+        Ok(pair)
     }
-    let open = |path: &Path| Ok(Arc::new(ByteSource::open(path, options.io)?));
-    let (points, cells) = (open(&points)?, open(&cells)?);
-    let mut pair =
-        if tetgen { tetgen_pair(path, &points, &cells)? } else { bare_pair(path, &points, &cells)? };
-    pair.info.data_files = vec![points.path().to_path_buf(), cells.path().to_path_buf()];
-    if let Some(values) = &options.values {
-        pair.add_values(&open(values)?)?;
-    }
-    CellMesh::new(Arc::new(pair), options.field.as_deref())
 }
 
 fn tetgen_pair(path: &Path, points: &Arc<ByteSource>, cells: &Arc<ByteSource>) -> Result<Pair> {
@@ -333,6 +350,7 @@ enum Of {
 }
 
 /// A mesh in two tables.
+#[derive(Clone)]
 struct Pair {
     info: CellsInfo,
     points: Table,

@@ -1,4 +1,5 @@
 use super::*;
+use crate::formats::open_mesh;
 use crate::formats::mesh::tests::{Whole, read_whole, torture_with};
 use crate::formats::tests::write;
 

@@ -6,26 +6,24 @@
 
 use crate::bytes::ByteSource;
 use crate::cells::{
-    BLOCK, CellBlock, CellField, CellFile, CellKind, CellMesh, CellStream, CellsInfo, Center, NumberStream,
+    BLOCK, CellBlock, CellField, CellFile, CellKind, CellStream, CellsInfo, Center, NumberStream,
 };
 use crate::error::{Error, Result};
-use crate::formats::shared::OpenOptions;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{self, About, Format, Head};
+use crate::formats::shared::mesh_file::{MeshFile, PlainMesh};
 use crate::formats::volume::hdf5;
 use crate::formats::vtk::hdf::{Cells, HdfFile, Ids, components};
-use std::path::Path;
 use std::sync::Arc;
 
 /// VTKHDF files of type UnstructuredGrid.
 pub(in crate::formats) struct VtkHdf;
 
-impl Format for VtkHdf {
-    fn name(&self) -> &'static str {
-        "a VTKHDF mesh"
-    }
+static ABOUT: About =
+    About { meshes: &["VTKHDF"], suffixes: &[".vtkhdf"], ..About::named("a VTKHDF mesh") };
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".vtkhdf"]
+impl Format for VtkHdf {
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
@@ -35,13 +33,8 @@ impl Format for VtkHdf {
         kind.as_deref() == Some("UnstructuredGrid")
     }
 
-    fn is_mesh(&self, _: &Head<'_>) -> bool {
-        true
-    }
-
-    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-        let source = Arc::new(ByteSource::open(path, options.io)?);
-        CellMesh::new(Arc::new(open(&source)?), options.field.as_deref())
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn format::Dataset>> {
+        Ok(Box::new(PlainMesh(MeshFile::new(open(head.file()?)?)?)))
     }
 }
 

@@ -1,10 +1,12 @@
 use super::*;
 use crate::formats::mesh::tests::{read_whole, torture};
+use crate::cells::CellMesh;
 use crate::formats::shared::hdf5_head::{Data, Dataset, Group, Value};
+use crate::formats::tests::is_mesh;
 use crate::formats::vtk::hdf;
-use crate::formats::{is_mesh, open_mesh};
+use crate::formats::{OpenOptions, open_mesh};
 use crate::volume::ScalarType;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Two pieces: a tetrahedron; a triangle and a pyramid. h5py wrote it.
 fn golden() -> PathBuf {

@@ -36,8 +36,9 @@ use super::stack;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::Convert;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::plain_info;
+use crate::formats::shared::recent::Recent;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{OpenOptions, has_suffix, pick_field};
 use crate::grid::IndexBox;
@@ -45,7 +46,7 @@ use crate::volume::chunked::ChunkSource;
 use crate::volume::units::{Unit, Units};
 use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
 use file::{DicomFile, Layout};
-use series::Slice;
+use series::Series;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -54,27 +55,30 @@ pub(in crate::formats) struct Dicom;
 
 const SUFFIXES: [&str; 2] = [".dcm", ".ima"];
 
-impl Format for Dicom {
-    fn name(&self) -> &'static str {
-        "a DICOM file"
-    }
+static ABOUT: About =
+    About { volumes: &["DICOM"], suffixes: &SUFFIXES, ..About::named("a DICOM file") };
+/// The slices of a folder or a pattern.
+pub(in crate::formats) static OF_SERIES: About =
+    About { volumes: &["DICOM"], ..About::named("a DICOM series") };
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &SUFFIXES
+impl Format for Dicom {
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         has_magic(&head.bytes)
     }
 
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        let source = Arc::new(ByteSource::open(path, options.io)?);
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let source = Arc::clone(head.file()?);
         let file = DicomFile::read(&source)?;
         if file.frames.len() == 1 {
-            return Err(Error::bad_input(path, "Number of Frames", "frames of a volume", "one slice")
+            return Err(Error::bad_input(head.path, "Number of Frames", "frames of a volume", "one slice")
                 .with_help("name the folder of its series, or a pattern for the slices, in quotes"));
         }
-        open(path, vec![file], Some(source), options)
+        let series = Arc::new(series::of(head.path, vec![file])?);
+        Ok(Box::new(Images { path: head.path.to_path_buf(), series, source: Some(source), io: head.io }))
     }
 }
 
@@ -95,7 +99,7 @@ fn is_dicom(path: &Path) -> Result<bool> {
 /// # Errors
 /// [`Error::BadInput`] for files that are no DICOM but are called so, or are damaged, and for
 /// slices that are not one volume.
-pub(super) fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<VolumeSource>> {
+pub(super) fn open_folder(path: &Path, io: IoMode) -> Result<Option<Box<dyn Dataset>>> {
     let is_pattern = stack::is_pattern(path);
     let (mut files, mut others) = (vec![], vec![]);
     for file in stack::files(path)? {
@@ -115,11 +119,10 @@ pub(super) fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<V
         return Err(Error::bad_input(path, "slices", "DICOM files", got)
             .with_help("fetch the file again, or choose the slices by a pattern, in quotes"));
     }
-    options.refuse_geometry(path, "a DICOM series")?;
     // The index of a medium, reports and plans are no slices; `passed_over` names them.
     let mut images = vec![];
     for file in &files {
-        images.extend(DicomFile::read_image(&ByteSource::open(file, options.io)?)?);
+        images.extend(DicomFile::read_image(&ByteSource::open(file, io)?)?);
     }
     if images.is_empty() {
         let got = format!("{} without samples, as {}", files.len(), files[0].display());
@@ -127,56 +130,63 @@ pub(super) fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<V
             Error::bad_input(path, "slices", "DICOM images", got).with_help("name the folder of the images")
         );
     }
-    open(path, images, None, options).map(Some)
+    let series = Arc::new(series::of(path, images)?);
+    Ok(Some(Box::new(Images { path: path.to_path_buf(), series, source: None, io })))
 }
 
-/// Opens the frames of all files as one volume.
-fn open(
-    path: &Path,
-    files: Vec<DicomFile>,
+/// The frames of all files, as one volume.
+struct Images {
+    /// The file, folder or pattern that was named.
+    path: PathBuf,
+    series: Arc<Series>,
+    /// The file, where there is only one; a series may have more than can be open.
     source: Option<Arc<ByteSource>>,
-    options: &OpenOptions,
-) -> Result<VolumeSource> {
-    let series = series::of(path, files)?;
-    let Layout { columns, rows, bits_stored, .. } = series.layout;
-    let stored = series.layout.scalar();
-    let first = &series.slices[0];
-    let varies = series.slices.iter().any(|s| (s.slope, s.intercept) != (first.slope, first.intercept));
-    let scalar = if varies { ScalarType::F64 } else { stored };
-    let dims = [columns.into(), rows.into(), series.slices.len() as u64];
-    sample_bytes(path, dims, scalar)?;
-    let count = series.paths.len();
-    let files = if source.is_some() { "frames".into() } else { format!("{count} files") };
-    let format = format!("DICOM ({files}, {} of {bits_stored} bits)", stored.name());
-    let mut info = plain_info(path, format, dims, scalar, series.geometry);
-    info.units = Units { value: series.unit, ..Units::of_length(Unit::length("mm")) };
-    pick_field(path, &info.fields, options.field.as_deref())?;
-    let mut convert = None;
-    if varies {
-        let lines = series.slices.iter().map(|s| [s.slope, s.intercept]).collect();
-        let valid = [f64::NEG_INFINITY, f64::INFINITY];
-        convert = Some(Convert {
-            valid,
-            missing: series.layout.padding.into_iter().collect(),
-            lines,
-            slices: [1, dims[2]],
-        });
-    } else {
-        (info.slope, info.intercept, info.missing) = (first.slope, first.intercept, series.layout.padding);
+    io: IoMode,
+}
+
+impl Dataset for Images {
+    fn files(&self) -> Vec<PathBuf> {
+        self.series.paths.clone()
     }
-    if source.is_none() {
-        info.data_files.clone_from(&series.paths);
+
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (path, series) = (&*self.path, &self.series);
+        let Layout { columns, rows, bits_stored, .. } = series.layout;
+        let stored = series.layout.scalar();
+        let first = &series.slices[0];
+        let varies = series.slices.iter().any(|s| (s.slope, s.intercept) != (first.slope, first.intercept));
+        let scalar = if varies { ScalarType::F64 } else { stored };
+        let dims = [columns.into(), rows.into(), series.slices.len() as u64];
+        sample_bytes(path, dims, scalar)?;
+        let is_one = self.source.is_some();
+        let files = if is_one { "frames".into() } else { format!("{} files", series.paths.len()) };
+        let format = format!("DICOM ({files}, {} of {bits_stored} bits)", stored.name());
+        let mut info = plain_info(path, format, dims, scalar, series.geometry);
+        info.units = Units { value: series.unit.clone(), ..Units::of_length(Unit::length("mm")) };
+        pick_field(path, &info.fields, options.field.as_deref())?;
+        let mut convert = None;
+        if varies {
+            let lines = series.slices.iter().map(|s| [s.slope, s.intercept]).collect();
+            let valid = [f64::NEG_INFINITY, f64::INFINITY];
+            let missing = series.layout.padding.into_iter().collect();
+            convert = Some(Convert { valid, missing, lines, slices: [1, dims[2]] });
+        } else {
+            (info.slope, info.intercept, info.missing) =
+                (first.slope, first.intercept, series.layout.padding);
+        }
+        if !is_one {
+            info.data_files.clone_from(&series.paths);
+        }
+        Ok(VolumeSource::Chunked(Arc::new(Rows {
+            rows: (ROWS_BYTES / (dims[0] * 8)).clamp(1, dims[1]),
+            info,
+            series: Arc::clone(series),
+            io: self.io,
+            source: self.source.clone(),
+            files: Recent::default(),
+            convert,
+        })))
     }
-    Ok(VolumeSource::Chunked(Arc::new(Rows {
-        rows: (ROWS_BYTES / (dims[0] * 8)).clamp(1, dims[1]),
-        info,
-        layout: series.layout,
-        slices: series.slices,
-        paths: series.paths,
-        io: options.io,
-        source,
-        convert,
-    })))
 }
 
 /// Bytes of the rows that are decoded together, at most, where one row is not more.
@@ -185,12 +195,12 @@ const ROWS_BYTES: u64 = 256 << 10;
 /// Some rows of a slice each time.
 struct Rows {
     info: VolumeInfo,
-    layout: Layout,
-    slices: Vec<Slice>,
-    paths: Vec<PathBuf>,
+    series: Arc<Series>,
     io: IoMode,
-    /// The file, where there is only one; a series may have more than can be open.
+    /// The file, where there is only one.
     source: Option<Arc<ByteSource>>,
+    /// The files of a series that were read last.
+    files: Recent<ByteSource>,
     /// How stored numbers become values, where that differs between slices.
     convert: Option<Convert>,
     rows: u64,
@@ -214,15 +224,12 @@ impl ChunkSource for Rows {
         let d = self.info.dims;
         let lo = (y * self.rows).min(d[1]);
         let part = IndexBox { lo: [0, lo, z], hi: [d[0], (lo + self.rows).min(d[1]), z + 1] };
-        let slice = &self.slices[z as usize];
-        let size = self.layout.scalar().bytes();
-        let opened;
+        let Series { layout, slices, paths, .. } = &*self.series;
+        let slice = &slices[z as usize];
+        let size = layout.scalar().bytes();
         let source = match &self.source {
-            Some(source) => &**source,
-            None => {
-                opened = ByteSource::open(&self.paths[slice.file], self.io)?;
-                &opened
-            }
+            Some(source) => Arc::clone(source),
+            None => self.files.get(slice.file, || ByteSource::open(&paths[slice.file], self.io))?,
         };
         let mut stored = vec![0; part.len() * size];
         source.read_at(slice.at + lo * d[0] * size as u64, &mut stored)?;
@@ -232,7 +239,7 @@ impl ChunkSource for Rows {
             if slice.big_endian {
                 bytes.reverse();
             }
-            let number = self.layout.number(bytes);
+            let number = layout.number(bytes);
             match &self.convert {
                 Some(convert) => out.extend(convert.value(number as f64, [0, z]).to_le_bytes()),
                 None => out.extend(&number.to_le_bytes()[..size]),

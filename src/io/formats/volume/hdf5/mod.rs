@@ -63,7 +63,7 @@ use crate::formats::shared::cf::{
     kind_of_name, signed_as,
 };
 use crate::formats::shared::coordinates::GridCoordinates;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{self, About, Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::minc;
@@ -95,53 +95,25 @@ use std::sync::Arc;
 /// HDF5 and NetCDF-4.
 pub(in crate::formats) struct Hdf5;
 
+static ABOUT: About = About {
+    volumes: &["HDF5"],
+    on_servers: true,
+    has_spacing: false,
+    has_channels: true,
+    ..About::named("an HDF5 or NetCDF-4 file")
+};
+
 impl Format for Hdf5 {
-    fn name(&self) -> &'static str {
-        "an HDF5 or NetCDF-4 file"
-    }
-
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[]
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         head.is_hdf5()
     }
 
-    fn has_spacing(&self) -> bool {
-        false
-    }
-
-    fn has_channels(&self) -> bool {
-        true
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
-    }
-
-    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        coordinates(path, options)
-    }
-
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        Opened::of(path, options)?.frames(options).map(Some)
-    }
-
-    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-        Opened::of(path, options)?.time(options)
-    }
-
-    fn calendar(&self, path: &Path, options: &OpenOptions) -> Result<String> {
-        Opened::of(path, options)?.calendar(options)
-    }
-
-    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        Ok(Opened::of(path, options)?.times())
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn format::Dataset>> {
+        Ok(Box::new(Opened::of(head.file()?)?))
     }
 }
 
@@ -151,54 +123,73 @@ const MOST_CHUNK: u64 = 256 << 20;
 /// of this size.
 const PIECE: u64 = 128 << 10;
 
-/// Opens a dataset of an HDF5 file.
-///
-/// # Errors
-/// [`Error::BadInput`] when the file is malformed or has no dataset that can be read;
-/// [`Error::Usage`] when it has several and none is chosen.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let mut opened = Opened::of(path, options)?;
-    let Placed { number, fields, field: info, geometry, convert, units, assumed } = opened.pick(options)?;
-    let Opened { source, file, dialect, tree, .. } = opened;
-    let field = &tree.fields[number];
-    let has_place = dialect != Dialect::Plain || field.lines(&tree).iter().any(Option::is_some);
-    if has_place {
-        options.refuse_geometry(path, "a file with coordinates")?;
+impl format::Dataset for Opened {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let Placed { number, fields, field: info, geometry, convert, units, assumed } = self.pick(options)?;
+        let Self { source, file, dialect, tree } = self;
+        let (path, dialect, field) = (source.path(), *dialect, &tree.fields[number]);
+        let has_place = dialect != Dialect::Plain || field.lines(tree).iter().any(Option::is_some);
+        if has_place {
+            options.refuse_geometry(path, "a file with coordinates")?;
+        }
+        let geometry = given_geometry(path, options, geometry)?;
+        let is_netcdf = dialect == Dialect::Plain && is_netcdf(path, file);
+        let format = match tree.axes_of(&field.part.array) {
+            Some(axes) => axes.program,
+            None if is_netcdf => "NetCDF-4",
+            None => dialect.name(),
+        };
+        let mut info = field.volume_info(path, format, info, geometry)?;
+        info.fields = fields;
+        let convert = match dialect {
+            Dialect::Plain => {
+                info.notes.extend(field.lengths(tree).note);
+                info.assumed = options.assumed(field.assumed(path, tree)?);
+                info.units = field.units(tree, file);
+                field.packing(path, is_netcdf)?.into_info(&mut info)
+            }
+            _ => {
+                (info.assumed, info.units) = (assumed, units);
+                convert
+            }
+        };
+        let pieces =
+            |info, convert| Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, file, field, convert)?)));
+        if convert.is_some() {
+            return pieces(info, convert);
+        }
+        if let Some((at, strides)) = field.in_place(path, file)? {
+            let volume = StridedVolume::new(info, Arc::clone(source), at, field.big_endian, strides)?;
+            return Ok(volume.source());
+        }
+        pieces(info, None)
     }
-    let geometry = given_geometry(path, options, geometry)?;
-    let is_netcdf = dialect == Dialect::Plain && is_netcdf(path, &file);
-    let format = match tree.axes_of(&field.part.array) {
-        Some(axes) => axes.program,
-        None if is_netcdf => "NetCDF-4",
-        None => dialect.name(),
-    };
-    let mut info = field.volume_info(path, format, info, geometry)?;
-    info.fields = fields;
-    if dialect == Dialect::Plain {
-        info.notes.extend(field.lengths(&tree).note);
+
+    /// Where the coordinates along one of the axes are not regular.
+    fn coordinates(&self, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        if self.dialect != Dialect::Plain {
+            return Ok(None);
+        }
+        let field = &self.tree.fields[self.pick(options)?.number];
+        let Part { info, world, .. } = &field.part;
+        cf::grid_of(self.source.path(), &info.name, field.lines(&self.tree), *world, field.dims())
     }
-    info.assumed = match dialect {
-        Dialect::Plain => options.assumed(field.assumed(path, &tree)?),
-        _ => assumed,
-    };
-    info.units = match dialect {
-        Dialect::Plain => field.units(&tree, &file),
-        _ => units,
-    };
-    let convert = match dialect {
-        Dialect::Plain => field.packing(path, is_netcdf)?.into_info(&mut info),
-        _ => convert,
-    };
-    let pieces =
-        |info, convert| Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, &file, field, convert)?)));
-    if convert.is_some() {
-        return pieces(info, convert);
+
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
+        self.frames_of(options)
     }
-    if let Some((at, strides)) = field.in_place(path, &file)? {
-        let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
-        return Ok(volume.source());
+
+    fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        Ok(self.all_times())
     }
-    pieces(info, None)
+
+    fn time(&self, options: &OpenOptions) -> Result<Option<f64>> {
+        self.one_time(options)
+    }
+
+    fn calendar(&self, options: &OpenOptions) -> Result<String> {
+        self.calendar_of(options)
+    }
 }
 
 /// Whether a file was written by the library of NetCDF, which says so, or is called that.
@@ -207,43 +198,25 @@ fn is_netcdf(path: &Path, file: &Hdf5File) -> bool {
     has_suffix(path, &[".nc", ".nc4"]) || says_so()
 }
 
-/// The coordinates of a dataset along its axes, where those of one of them are not regular; else
-/// `None`.
-///
-/// # Errors
-/// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
-pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-    let mut opened = Opened::of(path, options)?;
-    if opened.dialect != Dialect::Plain {
-        return Ok(None);
-    }
-    let number = opened.pick(options)?.number;
-    let field = &opened.tree.fields[number];
-    let Part { info, world, .. } = &field.part;
-    cf::grid_of(path, &info.name, field.lines(&opened.tree), *world, field.dims())
-}
-
 /// A file whose datasets were found.
-struct Opened<'a> {
-    path: &'a Path,
+struct Opened {
     source: Arc<ByteSource>,
     file: Hdf5File,
     dialect: Dialect,
     tree: Tree,
 }
 
-impl<'a> Opened<'a> {
-    fn of(path: &'a Path, options: &OpenOptions) -> Result<Self> {
-        let source = Arc::new(ByteSource::open(path, options.io)?);
-        let file = open_file(path, &source)?;
+impl Opened {
+    fn of(source: &Arc<ByteSource>) -> Result<Self> {
+        let (path, file) = (source.path(), open_file(source.path(), source)?);
         let dialect = Dialect::of(path, &file)?;
         let tree = Tree::of(path, &file, dialect)?;
-        Ok(Self { path, source, file, dialect, tree })
+        Ok(Self { source: Arc::clone(source), file, dialect, tree })
     }
 
     /// Picks a field by the file's convention.
-    fn pick(&mut self, options: &OpenOptions) -> Result<Placed> {
-        self.tree.pick(self.path, &self.file, self.dialect, options)
+    fn pick(&self, options: &OpenOptions) -> Result<Placed> {
+        self.tree.pick(self.source.path(), &self.file, self.dialect, options)
     }
 }
 
@@ -445,7 +418,7 @@ impl Tree {
 
     /// Picks a field by the file's convention.
     fn pick(
-        &mut self,
+        &self,
         path: &Path,
         file: &Hdf5File,
         dialect: Dialect,
@@ -495,14 +468,14 @@ impl Tree {
     }
 
     /// Fails with the reason why the wanted dataset, or the only one, cannot be read.
-    fn check_wanted(&mut self, path: &Path, wanted: Option<&str>) -> Result<()> {
+    fn check_wanted(&self, path: &Path, wanted: Option<&str>) -> Result<()> {
         let refused = match wanted {
             Some(wanted) => self.refused.iter().position(|(name, _)| name == wanted),
             None if self.fields.is_empty() && !self.refused.is_empty() => Some(0),
             None => None,
         };
         if let Some(number) = refused {
-            return Err(self.refused.swap_remove(number).1);
+            return Err(self.refused[number].1.again());
         }
         if self.fields.is_empty() {
             return Err(Error::bad_input(path, "datasets", "a dataset with three axes", "none"));

@@ -224,7 +224,7 @@ fn netcdf_places_scales_and_marks_what_is_missing() {
 /// The coordinates of a rectilinear grid.
 fn axes_of(name: &str, field: &str) -> Result<Option<[Vec<f64>; 3]>> {
     let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
-    Ok(crate::formats::open_coordinates(&data(name), &options)?.map(|found| match found {
+    Ok(crate::formats::tests::open_coordinates(&data(name), &options)?.map(|found| match found {
         GridCoordinates::Axes(axes) => axes,
         GridCoordinates::Points(_) => panic!("axes"),
     }))
@@ -251,7 +251,7 @@ fn images_of_vtkhdf_are_placed_and_other_types_refused() {
         ("vtkhdf_mesh.hdf", "VTKHDF file of type 'UnstructuredGrid'; copy it to a disk"),
         ("imaris.ims", "an Imaris file"),
     ] {
-        let error = super::open(&data(name), &OpenOptions::default()).err().expect("refused");
+        let error = open_volume(&data(name), &OpenOptions::default()).err().expect("refused");
         assert_eq!(error.exit_code(), 5);
         assert!(error.to_string().contains(what), "{error}");
     }

@@ -9,13 +9,13 @@ use hdf5_reader::{Dataset, Hdf5File};
 use std::collections::HashMap;
 use std::path::Path;
 
-impl Opened<'_> {
+impl Opened {
     /// The frames of the dataset with four axes that is `wanted`, or of the file's only one, by the
     /// names of their fields, and their times, where the axis of time has coordinates. None of
     /// others.
-    pub(super) fn frames(&self, options: &OpenOptions) -> Result<Frames> {
+    pub(super) fn frames_of(&self, options: &OpenOptions) -> Result<Frames> {
         let tree = &self.tree;
-        let wanted = cf::with_channel(self.path, options, tree.fields.iter().map(|f| &f.part))?;
+        let wanted = cf::with_channel(self.source.path(), options, tree.fields.iter().map(|f| &f.part))?;
         let number = match &wanted {
             Some(name) => tree.first_frame(&self.file, name),
             None => tree.fields.first().filter(|f| f.part.is_frame()).map(|_| 0),
@@ -26,7 +26,7 @@ impl Opened<'_> {
     }
 
     /// The time of the field that is read, or of all of them, where it is one time.
-    pub(super) fn time(&mut self, options: &OpenOptions) -> Result<Option<f64>> {
+    pub(super) fn one_time(&self, options: &OpenOptions) -> Result<Option<f64>> {
         if !matches!(self.dialect, Dialect::Plain | Dialect::Minc) {
             return Ok(None);
         }
@@ -38,7 +38,7 @@ impl Opened<'_> {
     }
 
     /// The calendar of the times of the field that is read; "" where none is named.
-    pub(super) fn calendar(&mut self, options: &OpenOptions) -> Result<String> {
+    pub(super) fn calendar_of(&self, options: &OpenOptions) -> Result<String> {
         let number = self.pick(options)?.number;
         let field = &self.tree.fields[number];
         let of = |time: &Dataset| time.attribute("calendar").ok().and_then(|a| attribute_text(&a));
@@ -53,7 +53,7 @@ impl Opened<'_> {
     }
 
     /// The times of frames by the names of their fields, where their datasets have them.
-    pub(super) fn times(&self) -> HashMap<String, f64> {
+    pub(super) fn all_times(&self) -> HashMap<String, f64> {
         cf::times(self.tree.fields.iter(), |field| self.times_of(field))
     }
 
@@ -64,7 +64,7 @@ impl Opened<'_> {
 
     fn line_of_time(&self, field: &Field, axis: usize) -> Option<Vec<f64>> {
         match self.dialect {
-            Dialect::Minc => dialect::minc_times(self.path, &self.file, field.dataset.shape()[axis]),
+            Dialect::Minc => dialect::minc_times(self.source.path(), &self.file, field.dataset.shape()[axis]),
             _ => field.line(axis, &self.tree),
         }
     }

@@ -29,7 +29,7 @@
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
-use crate::formats::shared::format::Format;
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::frames;
 use crate::formats::shared::header::{Lines, geometry, numbered_files, numbers, open_files, plain_info};
 use crate::formats::shared::packed::PackedFrames;
@@ -40,89 +40,84 @@ use crate::volume::strided::StridedVolume;
 use crate::volume::units::{Unit, Units};
 use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// MetaImage.
 pub(in crate::formats) struct MetaImage;
 
+static ABOUT: About = About {
+    volumes: &["MetaImage"],
+    suffixes: &[".mha", ".mhd"],
+    on_servers: true,
+    ..About::named("a MetaImage file")
+};
+
 impl Format for MetaImage {
-    fn name(&self) -> &'static str {
-        "a MetaImage file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn is_on_servers(&self) -> bool {
-        true
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let source = head.file()?;
+        let header = Header::parse(source)?;
+        let ([dims, [frames, ..]], scalar) = (header.dims()?, header.scalar()?);
+        let bytes = sample_bytes(head.path, [dims[0], dims[1], dims[2].saturating_mul(frames)], scalar)?;
+        let encoding = header.encoding()?;
+        let (parts, start) = header.parts(source, head.io, bytes)?;
+        Ok(Box::new(File { header, dims, frames, scalar, encoding, parts, start }))
+    }
+}
+
+/// A MetaImage file.
+struct File {
+    header: Header,
+    /// Samples along x, y, z.
+    dims: [u64; 3],
+    /// Volumes.
+    frames: u64,
+    scalar: ScalarType,
+    encoding: Encoding,
+    /// The files of the samples, and where these begin in each.
+    parts: Vec<Arc<ByteSource>>,
+    start: u64,
+}
+
+impl Dataset for File {
+    fn files(&self) -> Vec<PathBuf> {
+        self.parts.iter().map(|part| part.path().to_path_buf()).collect()
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".mha", ".mhd"]
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let header = &self.header;
+        let place = if header.is_local()? { "attached" } else { "detached" };
+        let format = format!("MetaImage ({place}, {})", self.encoding.name());
+        let mut info = plain_info(&header.path, format, self.dims, self.scalar, header.geometry()?);
+        info.assumed = Assumed::in_header([header.any(&SPACING).is_none(); 3]);
+        let unit = header.get("DistanceUnits").filter(|unit| ["um", "mm", "cm"].contains(unit));
+        info.units = Units::of_length(unit.and_then(Unit::length));
+        frames::check_last(self.frames, options, |options| self.volume(options))?;
+        let (frame, fields) = frames::choose(&header.path, self.frames, self.scalar, options)?;
+        (info.field, info.fields) = (fields[frame as usize].clone(), fields);
+        self.samples(info, frame)
     }
 
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
-    }
-
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
         // A name is that of one frame.
-        if options.field.is_some() { Ok(None) } else { frames_in(path, options).map(Some) }
+        if options.field.is_some() { Ok(vec![]) } else { self.all_steps(options) }
     }
 
-    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        frames_in(path, options).map(known_times)
+    fn times(&self, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        self.all_steps(options).map(known_times)
     }
 
-    fn packed_frames(
-        &self,
-        path: &Path,
-        options: &OpenOptions,
-    ) -> Result<Option<(PackedFrames, VolumeInfo)>> {
-        let source = Arc::new(ByteSource::open(path, options.io)?);
-        let header = Header::parse(&source)?;
-        let ([_, [count, ..]], encoding) = (header.dims()?, header.encoding()?);
-        if count == 1 || encoding != Encoding::Zlib {
+    fn packed_steps(&self, options: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
+        if self.frames == 1 || self.encoding != Encoding::Zlib {
             return Ok(None);
         }
-        let info = open(path, &frames::first(options))?.info().clone();
-        let bytes = sample_bytes(path, info.dims, info.field.scalar)?.saturating_mul(count);
-        let (parts, start) = header.parts(&source, options.io, bytes)?;
-        Ok(Some((header.packed(header.only(&parts, encoding)?, start, count)?, info)))
+        let info = self.volume(&frames::first(options))?.info().clone();
+        Ok(Some((self.packed(self.only_part()?)?, info)))
     }
-}
-
-/// Opens a MetaImage file.
-///
-/// # Errors
-/// [`Error::BadInput`] when it is malformed, cut short, of a kind that is not read, or its slices
-/// are missing.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let header = Header::parse(&source)?;
-    let ([dims, [frames, ..]], scalar) = (header.dims()?, header.scalar()?);
-    let bytes = sample_bytes(path, [dims[0], dims[1], dims[2].saturating_mul(frames)], scalar)?;
-    let encoding = header.encoding()?;
-    let place = if header.is_local()? { "attached" } else { "detached" };
-    let format = format!("MetaImage ({place}, {})", encoding.name());
-    let mut info = plain_info(path, format, dims, scalar, header.geometry()?);
-    info.assumed = Assumed::in_header([header.any(&SPACING).is_none(); 3]);
-    let unit = header.get("DistanceUnits").filter(|unit| ["um", "mm", "cm"].contains(unit));
-    info.units = Units::of_length(unit.and_then(Unit::length));
-    frames::check_last(frames, options, |options| open(path, options))?;
-    let (frame, fields) = frames::choose(path, frames, scalar, options)?;
-    (info.field, info.fields) = (fields[frame as usize].clone(), fields);
-    let (parts, start) = header.parts(&source, options.io, bytes)?;
-    header.samples(info, parts, start, encoding, [frame, frames])
-}
-
-/// The volumes of a series, by the names of their fields; none where there is one volume.
-fn frames_in(path: &Path, options: &OpenOptions) -> Result<Frames> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let header = Header::parse(&source)?;
-    let [_, [count, ..]] = header.dims()?;
-    let frames = frames::list(count, Some(header.times()?));
-    let any = OpenOptions { field: None, ..options.clone() };
-    frames::check_last(frames.len().max(1) as u64, &any, |options| open(path, options))?;
-    Ok(frames)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,8 +143,8 @@ const OFFSET: [&str; 3] = ["Offset", "Position", "Origin"];
 /// The keys of the spacing.
 const SPACING: [&str; 2] = ["ElementSpacing", "ElementSize"];
 
-struct Header<'a> {
-    path: &'a Path,
+struct Header {
+    path: PathBuf,
     fields: Vec<(String, String)>,
     /// The lines after the header, where it ends with a LIST.
     listed: Vec<String>,
@@ -157,11 +152,11 @@ struct Header<'a> {
     end: u64,
 }
 
-impl<'a> Header<'a> {
-    fn parse(source: &'a ByteSource) -> Result<Self> {
+impl Header {
+    fn parse(source: &ByteSource) -> Result<Self> {
         let path = source.path();
         let mut lines = Lines::new(source.head_from(0)?);
-        let mut header = Self { path, fields: vec![], listed: vec![], end: 0 };
+        let mut header = Self { path: path.to_path_buf(), fields: vec![], listed: vec![], end: 0 };
         while header.get("ElementDataFile").is_none() {
             let at = |n: usize| format!("line {n}");
             let Some(line) = lines.next() else {
@@ -197,7 +192,7 @@ impl<'a> Header<'a> {
     }
 
     fn require(&self, key: &str) -> Result<&str> {
-        self.get(key).ok_or_else(|| Error::bad_input(self.path, "header", format!("a key {key}"), "none"))
+        self.get(key).ok_or_else(|| Error::bad_input(&self.path, "header", format!("a key {key}"), "none"))
     }
 
     fn flag(&self, keys: &[&'static str], default: bool) -> Result<bool> {
@@ -205,20 +200,20 @@ impl<'a> Header<'a> {
         match value.to_ascii_lowercase().as_str() {
             "true" | "t" | "1" | "yes" => Ok(true),
             "false" | "f" | "0" | "no" => Ok(false),
-            _ => Err(Error::bad_input(self.path, key, "True or False", value)),
+            _ => Err(Error::bad_input(&self.path, key, "True or False", value)),
         }
     }
 
     fn integer<T: std::str::FromStr + Copy + Default>(&self, key: &str, default: &str) -> Result<T> {
-        Ok(numbers::<T, 1>(self.path, key, self.get(key).unwrap_or(default))?[0])
+        Ok(numbers::<T, 1>(&self.path, key, self.get(key).unwrap_or(default))?[0])
     }
 
     /// Axes: 3, or 4 of a series.
     fn axes(&self) -> Result<usize> {
-        let [n] = numbers::<u32, 1>(self.path, "NDims", self.require("NDims")?)?;
+        let [n] = numbers::<u32, 1>(&self.path, "NDims", self.require("NDims")?)?;
         match n {
             3 | 4 => Ok(n as usize),
-            _ => Err(Error::bad_input(self.path, "NDims", "3, or 4 for a series", n.to_string())
+            _ => Err(Error::bad_input(&self.path, "NDims", "3, or 4 for a series", n.to_string())
                 .with_help("only volumes are read; cut out one")),
         }
     }
@@ -226,20 +221,20 @@ impl<'a> Header<'a> {
     /// Samples along x, y, z, and volumes.
     fn dims(&self) -> Result<[[u64; 3]; 2]> {
         if let Some(kind) = self.get("ObjectType").filter(|k| !k.eq_ignore_ascii_case("Image")) {
-            return Err(Error::bad_input(self.path, "ObjectType", "Image", kind));
+            return Err(Error::bad_input(&self.path, "ObjectType", "Image", kind));
         }
         let axes = self.axes()?;
         let channels: u32 = self.integer("ElementNumberOfChannels", "1")?;
         if channels != 1 {
-            return Err(Error::bad_input(self.path, "ElementNumberOfChannels", "1", channels.to_string())
+            return Err(Error::bad_input(&self.path, "ElementNumberOfChannels", "1", channels.to_string())
                 .with_help("colours and vectors are not read; write one component to a file of its own"));
         }
         let sizes = self.require("DimSize")?;
         if axes == 3 {
-            return Ok([numbers(self.path, "DimSize", sizes)?, [1; 3]]);
+            return Ok([numbers(&self.path, "DimSize", sizes)?, [1; 3]]);
         }
-        let [x, y, z, frames] = numbers::<u64, 4>(self.path, "DimSize", sizes)?;
-        frames::check_count(self.path, "DimSize", frames)?;
+        let [x, y, z, frames] = numbers::<u64, 4>(&self.path, "DimSize", sizes)?;
+        frames::check_count(&self.path, "DimSize", frames)?;
         Ok([[x, y, z], [frames, 1, 1]])
     }
 
@@ -247,9 +242,9 @@ impl<'a> Header<'a> {
     fn per_axis(&self, keys: &[&'static str], default: f64) -> Result<[f64; 4]> {
         let Some((key, text)) = self.any(keys) else { return Ok([default; 4]) };
         if self.axes()? == 4 {
-            return numbers(self.path, key, text);
+            return numbers(&self.path, key, text);
         }
-        let [x, y, z] = numbers(self.path, key, text)?;
+        let [x, y, z] = numbers(&self.path, key, text)?;
         Ok([x, y, z, default])
     }
 
@@ -267,14 +262,14 @@ impl<'a> Header<'a> {
             return Ok(usual);
         };
         if self.axes()? == 3 {
-            let matrix = numbers::<f64, 9>(self.path, key, text)?;
+            let matrix = numbers::<f64, 9>(&self.path, key, text)?;
             return Ok(std::array::from_fn(|a| std::array::from_fn(|b| matrix[3 * a + b])));
         }
-        let matrix = numbers::<f64, 16>(self.path, key, text)?;
+        let matrix = numbers::<f64, 16>(&self.path, key, text)?;
         let is_apart = (0..3).all(|a| matrix[4 * a + 3] == 0.0 && matrix[12 + a] == 0.0);
         if !is_apart || matrix[15] != 1.0 {
             let expected = "a fourth axis at right angles to those of space (0 0 0 1)";
-            return Err(Error::bad_input(self.path, key, expected, text));
+            return Err(Error::bad_input(&self.path, key, expected, text));
         }
         Ok(std::array::from_fn(|a| std::array::from_fn(|b| matrix[4 * a + b])))
     }
@@ -294,7 +289,7 @@ impl<'a> Header<'a> {
             "MET_DOUBLE" => ScalarType::F64,
             other => {
                 let expected = "MET_CHAR to MET_ULONG_LONG, MET_FLOAT or MET_DOUBLE";
-                return Err(Error::bad_input(self.path, "ElementType", expected, other));
+                return Err(Error::bad_input(&self.path, "ElementType", expected, other));
             }
         })
     }
@@ -308,7 +303,7 @@ impl<'a> Header<'a> {
             (false, false) => Encoding::Text,
             (false, true) => {
                 let expected = "binary data, or no compression";
-                return Err(Error::bad_input(self.path, "CompressedData", expected, "compressed text"));
+                return Err(Error::bad_input(&self.path, "CompressedData", expected, "compressed text"));
             }
         })
     }
@@ -318,7 +313,7 @@ impl<'a> Header<'a> {
         let [o_x, o_y, o_z, _] = self.per_axis(&OFFSET, 0.0)?;
         let (spacing, directions) = ([x, y, z], self.directions()?);
         let columns = std::array::from_fn(|a| directions[a].map(|d| d * spacing[a]));
-        geometry(self.path, "ElementSpacing and TransformMatrix", [o_x, o_y, o_z], columns)
+        geometry(&self.path, "ElementSpacing and TransformMatrix", [o_x, o_y, o_z], columns)
     }
 
     fn is_local(&self) -> Result<bool> {
@@ -352,13 +347,13 @@ impl<'a> Header<'a> {
         {
             let got = format!("{} file(s) for {slices} slices: {value}", names.len());
             let expected = "the same number of whole slices in every file";
-            return Err(Error::bad_input(self.path, "ElementDataFile", expected, got));
+            return Err(Error::bad_input(&self.path, "ElementDataFile", expected, got));
         }
-        open_files(self.path, "ElementDataFile", &names, io)
+        open_files(&self.path, "ElementDataFile", &names, io)
     }
 
     fn pattern(&self, value: &str, words: &[&str]) -> Result<Vec<String>> {
-        numbered_files(self.path, "ElementDataFile", value, words)
+        numbered_files(&self.path, "ElementDataFile", value, words)
     }
 
     /// Where the samples start in each file; `needed` bytes of samples are in each.
@@ -370,7 +365,7 @@ impl<'a> Header<'a> {
             (-1, Encoding::Raw | Encoding::Zlib) => {}
             _ => {
                 return Err(Error::bad_input(
-                    self.path,
+                    &self.path,
                     "HeaderSize",
                     "0 or more, or -1 for binary data",
                     skip.to_string(),
@@ -400,59 +395,8 @@ impl<'a> Header<'a> {
         })
     }
 
-    fn samples(
-        &self,
-        mut info: VolumeInfo,
-        parts: Vec<Arc<ByteSource>>,
-        start: u64,
-        encoding: Encoding,
-        [frame, frames]: [u64; 2],
-    ) -> Result<VolumeSource> {
-        info.data_files = parts.iter().map(|p| p.path().to_path_buf()).collect();
-        if encoding == Encoding::Raw {
-            let strides =
-                StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
-            let slices = [info.dims[2], strides[2] as u64];
-            let (parts, each) = frames::parts_of(self.path, &parts, start, [frame, frames], slices)?;
-            let volume = StridedVolume::stacked_at(info, parts, each, self.big_endian()?, strides)?;
-            return Ok(volume.source());
-        }
-        let part = self.only(&parts, encoding)?;
-        if encoding == Encoding::Zlib {
-            return self.packed(part, start, frames)?.volume(info, frame);
-        }
-        if frames > 1 {
-            let got = "text of several volumes";
-            return Err(Error::bad_input(self.path, "BinaryData", "binary data of a series", got)
-                .with_help("write it again as binary data"));
-        }
-        let slabs = TextSlabs::new(info, Arc::clone(part), start..part.len().max(start))?;
-        Ok(VolumeSource::Stream(Box::new(slabs)))
-    }
-
     fn big_endian(&self) -> Result<bool> {
         self.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)
-    }
-
-    /// The only file of data that is read front to back.
-    fn only<'b>(&self, parts: &'b [Arc<ByteSource>], encoding: Encoding) -> Result<&'b Arc<ByteSource>> {
-        let [part] = parts else {
-            let got = format!("{} files of {} data", parts.len(), encoding.name());
-            let expected = "one file, or several without compression";
-            return Err(Error::bad_input(self.path, "ElementDataFile", expected, got));
-        };
-        Ok(part)
-    }
-
-    /// The volumes of compressed data.
-    fn packed(&self, part: &Arc<ByteSource>, start: u64, frames: u64) -> Result<PackedFrames> {
-        let (source, range) = (Arc::clone(part), start..self.compressed_end(part, start)?);
-        // MetaIO takes a gzip header for a zlib one, too.
-        let start = range.start..range.end.min(range.start.saturating_add(2));
-        let gzip = part.slice(start)?.starts_with(&[0x1f, 0x8b]);
-        let codec = if gzip { Codec::Gzip } else { Codec::Zlib };
-        let (skip, tail, big_endian) = (0, Tail::Nothing, self.big_endian()?);
-        Ok(PackedFrames { source, range, codec, skip, frames, big_endian, tail })
     }
 
     fn compressed_end(&self, part: &ByteSource, start: u64) -> Result<u64> {
@@ -469,6 +413,63 @@ impl<'a> Header<'a> {
             )
             .with_help("the file is cut short")
         })
+    }
+}
+
+impl File {
+    /// The volumes of a series, by the names of their fields; none where there is one volume.
+    fn all_steps(&self, options: &OpenOptions) -> Result<Frames> {
+        let frames = frames::list(self.frames, Some(self.header.times()?));
+        let any = OpenOptions { field: None, ..options.clone() };
+        frames::check_last(frames.len().max(1) as u64, &any, |options| self.volume(options))?;
+        Ok(frames)
+    }
+
+    fn samples(&self, mut info: VolumeInfo, frame: u64) -> Result<VolumeSource> {
+        let (header, frames) = (&self.header, self.frames);
+        info.data_files = self.files();
+        if self.encoding == Encoding::Raw {
+            let strides =
+                StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
+            let slices = [info.dims[2], strides[2] as u64];
+            let (parts, each) =
+                frames::parts_of(&header.path, &self.parts, self.start, [frame, frames], slices)?;
+            let volume = StridedVolume::stacked_at(info, parts, each, header.big_endian()?, strides)?;
+            return Ok(volume.source());
+        }
+        let part = self.only_part()?;
+        if self.encoding == Encoding::Zlib {
+            return self.packed(part)?.volume(info, frame);
+        }
+        if frames > 1 {
+            let got = "text of several volumes";
+            return Err(Error::bad_input(&header.path, "BinaryData", "binary data of a series", got)
+                .with_help("write it again as binary data"));
+        }
+        let slabs = TextSlabs::new(info, Arc::clone(part), self.start..part.len().max(self.start))?;
+        Ok(VolumeSource::Stream(Box::new(slabs)))
+    }
+
+    /// The only file of data that is read front to back.
+    fn only_part(&self) -> Result<&Arc<ByteSource>> {
+        let [part] = &self.parts[..] else {
+            let got = format!("{} files of {} data", self.parts.len(), self.encoding.name());
+            let expected = "one file, or several without compression";
+            return Err(Error::bad_input(&self.header.path, "ElementDataFile", expected, got));
+        };
+        Ok(part)
+    }
+
+    /// The volumes of compressed data.
+    fn packed(&self, part: &Arc<ByteSource>) -> Result<PackedFrames> {
+        let (source, range) =
+            (Arc::clone(part), self.start..self.header.compressed_end(part, self.start)?);
+        // MetaIO takes a gzip header for a zlib one, too.
+        let start = range.start..range.end.min(range.start.saturating_add(2));
+        let gzip = part.slice(start)?.starts_with(&[0x1f, 0x8b]);
+        let codec = if gzip { Codec::Gzip } else { Codec::Zlib };
+        let (skip, tail, big_endian) = (0, Tail::Nothing, self.header.big_endian()?);
+        Ok(PackedFrames { source, range, codec, skip, frames: self.frames, big_endian, tail })
     }
 }
 

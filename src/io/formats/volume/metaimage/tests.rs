@@ -4,6 +4,7 @@ use super::*;
 use crate::formats::open_volume;
 use crate::formats::tests::{ramp, read_all, torture, write};
 use std::io::Write;
+use std::path::Path;
 
 const HEAD: &str = "ObjectType = Image\nNDims = 3\nDimSize = 4 3 2\nElementType = MET_USHORT\n";
 
@@ -69,7 +70,7 @@ fn detached_in_one_file_or_in_slices() {
     let refused = |data: &str| {
         let fields = format!("HeaderSize = 3\nElementDataFile = {data}");
         let error =
-            open(&write(&dir, "a.mhd", &with(&fields, &[])), &OpenOptions::default()).err().expect(data);
+            open_volume(&write(&dir, "a.mhd", &with(&fields, &[])), &OpenOptions::default()).err().expect(data);
         assert_eq!(error.exit_code(), 5);
         error.to_string()
     };
@@ -115,7 +116,7 @@ fn what_is_not_read_is_named() {
     ] {
         assert!(good.contains(from));
         let bytes = [good.replacen(from, &to, 1).as_bytes(), &ramp(false)].concat();
-        let error = open(&write(&dir, "a.mha", &bytes), &OpenOptions::default()).err().expect(&to);
+        let error = open_volume(&write(&dir, "a.mha", &bytes), &OpenOptions::default()).err().expect(&to);
         assert!(error.exit_code() == 5 && error.to_string().contains(message), "{error}");
     }
 }
@@ -138,7 +139,7 @@ fn series(dir: &tempfile::TempDir, fields: &str, data: &[u8]) -> Result<Series> 
     let file = write(dir, "a.mha", &[format!("{SERIES}{fields}").as_bytes(), data].concat());
     let steps = crate::formats::steps_of(&[file], &OpenOptions::default())?;
     let read = |step: &crate::formats::StepSource| {
-        let (info, values) = read_all(open(&step.path, &step.options)?);
+        let (info, values) = read_all(open_volume(&step.path, &step.options)?);
         assert_eq!((info.dims, info.geometry.origin), ([4, 3, 2], [1.0, 2.0, 3.0]));
         assert_eq!(info.geometry.spacing, [2.0, 2.0, 3.0]);
         Ok(values)
@@ -180,6 +181,6 @@ fn a_fourth_axis_that_is_not_read_is_refused() {
         assert!(error.exit_code() == 5 && error.to_string().contains(word), "{error}");
     }
     let five = SERIES.replace("NDims = 4", "NDims = 5") + "ElementDataFile = LOCAL\n";
-    let error = open(&write(&dir, "b.mha", five.as_bytes()), &OpenOptions::default()).err().unwrap();
+    let error = open_volume(&write(&dir, "b.mha", five.as_bytes()), &OpenOptions::default()).err().unwrap();
     assert!(error.to_string().contains("NDims"), "{error}");
 }

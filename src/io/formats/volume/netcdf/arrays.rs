@@ -1,26 +1,24 @@
 //! The variables of a NetCDF-3 file, by their names.
 
 use super::header::{Header, Variable};
-use crate::bytes::{ByteSource, IoMode};
+use crate::bytes::ByteSource;
 use crate::cells::NumberStream;
 use crate::error::{Error, Result};
 use crate::formats::shared::arrays::{ArrayInfo, Arrays, MOST_TEXT, by_name, texts_of};
 use crate::formats::shared::ranges::RangeNumbers;
 use std::collections::HashMap;
-use std::path::Path;
 use std::sync::Arc;
 
 /// Opens the variables of a file.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed header.
-pub(in crate::formats) fn arrays(path: &Path, io: IoMode) -> Result<Arc<dyn Arrays>> {
-    let source = Arc::new(ByteSource::open(path, io)?);
-    let header = Header::parse(path, source.head_from(0)?, source.len())?;
+pub(in crate::formats) fn arrays(source: &Arc<ByteSource>) -> Result<Arc<dyn Arrays>> {
+    let header = Header::parse(source.path(), source.head_from(0)?, source.len())?;
     source.check()?;
     let dims = by_name(header.dims.iter().map(|d| d.name.as_str()));
     let variables = by_name(header.variables.iter().map(|v| v.name.as_str()));
-    Ok(Arc::new(Variables { source, header, dims, variables }))
+    Ok(Arc::new(Variables { source: Arc::clone(source), header, dims, variables }))
 }
 
 struct Variables {

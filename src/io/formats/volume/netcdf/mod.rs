@@ -28,7 +28,7 @@ use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::{self, Convert, Line, MOST_COORDINATES, Part, Rules};
 use crate::formats::shared::coordinates::GridCoordinates;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
 use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::minc;
@@ -50,90 +50,22 @@ use std::sync::Arc;
 /// NetCDF-3.
 pub(in crate::formats) struct NetCdf;
 
+static ABOUT: About = About {
+    volumes: &["NetCDF"],
+    magic: &[b"CDF\x01", b"CDF\x02", b"CDF\x05"],
+    on_servers: true,
+    has_spacing: false,
+    has_channels: true,
+    ..About::named("a NetCDF-3 file")
+};
+
 impl Format for NetCdf {
-    fn name(&self) -> &'static str {
-        "a NetCDF-3 file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[]
-    }
-
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        [1, 2, 5].iter().any(|&version| head.bytes.starts_with(&[b'C', b'D', b'F', version]))
-    }
-
-    fn has_spacing(&self) -> bool {
-        false
-    }
-
-    fn has_channels(&self) -> bool {
-        true
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
-    }
-
-    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        let mut file = File::open(path, options)?;
-        let number = file.pick(options)?;
-        let field = &file.fields[number];
-        if file.dialect == Dialect::Minc {
-            return Ok(None);
-        }
-        let lines = file.lines(field)?;
-        cf::grid_of(path, &field.part.info.name, lines, field.part.world, file.dims(field))
-    }
-
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        let file = File::open(path, options)?;
-        let wanted = cf::with_channel(path, options, file.fields.iter().map(|f| &f.part))?;
-        let first = match &wanted {
-            Some(name) => {
-                let first = format!("{name}:t0");
-                file.fields.iter().find(|f| f.part.is_frame() && f.part.info.name == first)
-            }
-            None => file.fields.first().filter(|f| f.part.is_frame()),
-        };
-        let Some(first) = first else { return Ok(Some(vec![])) };
-        let times = first.part.frames.map_or(Ok(None), |axis| file.times_along(first, axis))?;
-        let parts = file.fields.iter().map(|f| &f.part);
-        Ok(Some(cf::frames(parts, &first.part, wanted.is_some(), times)))
-    }
-
-    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-        let mut file = File::open(path, options)?;
-        if options.field.is_none() {
-            return Ok(cf::common_time(file.fields.iter(), |field| file.time(field).ok().flatten()));
-        }
-        let number = file.pick(options)?;
-        file.time(&file.fields[number])
-    }
-
-    fn calendar(&self, path: &Path, options: &OpenOptions) -> Result<String> {
-        let mut file = File::open(path, options)?;
-        let number = file.pick(options)?;
-        let time = file.time_variable(&file.fields[number]);
-        Ok(time.map_or_else(String::new, |time| time.text("calendar")))
-    }
-
-    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        let file = File::open(path, options)?;
-        let mut failed = Ok(());
-        let of_frames =
-            |field: &Field| field.part.frames.map_or(Ok(None), |axis| file.times_along(field, axis));
-        let times = cf::times(file.fields.iter(), |field| {
-            of_frames(field).unwrap_or_else(|e| {
-                failed = Err(e);
-                None
-            })
-        });
-        failed.map(|()| times)
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        Ok(Box::new(File::open(head.file()?)?))
     }
 }
 
@@ -142,31 +74,79 @@ const MOST_FIELDS: usize = 1 << 20;
 /// Bytes of a piece whose numbers are converted together.
 const PIECE: u64 = 128 << 10;
 
-fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let mut file = File::open(path, options)?;
-    let number = file.pick(options)?;
-    let field = &file.fields[number];
-    if file.dialect == Dialect::Minc {
-        return file.image(field, options);
+impl Dataset for File {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (path, field) = (self.path(), &self.fields[self.pick(options)?]);
+        if self.dialect == Dialect::Minc {
+            return self.image(field, options);
+        }
+        let lines = self.lines(field)?;
+        if lines.iter().any(Option::is_some) {
+            options.refuse_geometry(path, "a file with coordinates")?;
+        }
+        let geometry = cf::placed(path, &lines, field.part.world, [1.0; 3])?;
+        let geometry = given_geometry(path, options, geometry)?;
+        let variable = &self.header.variables[field.variable];
+        let mut info = self.info(field, geometry);
+        info.assumed = options.assumed([0, 1, 2].map(|a| lines[a].is_none()));
+        let convert = variable.packing(path)?.into_info(&mut info);
+        info.units = self.units(field);
+        info.notes.extend(self.lengths(field).note);
+        self.source(field, info, convert)
     }
-    let lines = file.lines(field)?;
-    if lines.iter().any(Option::is_some) {
-        options.refuse_geometry(path, "a file with coordinates")?;
+
+    fn coordinates(&self, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        let field = &self.fields[self.pick(options)?];
+        if self.dialect == Dialect::Minc {
+            return Ok(None);
+        }
+        let lines = self.lines(field)?;
+        cf::grid_of(self.path(), &field.part.info.name, lines, field.part.world, self.dims(field))
     }
-    let geometry = cf::placed(path, &lines, field.part.world, [1.0; 3])?;
-    let geometry = given_geometry(path, options, geometry)?;
-    let variable = &file.header.variables[field.variable];
-    let mut info = file.info(field, geometry);
-    info.assumed = options.assumed([0, 1, 2].map(|a| lines[a].is_none()));
-    let convert = variable.packing(path)?.into_info(&mut info);
-    info.units = file.units(field);
-    info.notes.extend(file.lengths(field).note);
-    file.source(field, info, convert)
+
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
+        let wanted = cf::with_channel(self.path(), options, self.fields.iter().map(|f| &f.part))?;
+        let first = match &wanted {
+            Some(name) => {
+                let first = format!("{name}:t0");
+                self.fields.iter().find(|f| f.part.is_frame() && f.part.info.name == first)
+            }
+            None => self.fields.first().filter(|f| f.part.is_frame()),
+        };
+        let Some(first) = first else { return Ok(vec![]) };
+        let times = first.part.frames.map_or(Ok(None), |axis| self.times_along(first, axis))?;
+        let parts = self.fields.iter().map(|f| &f.part);
+        Ok(cf::frames(parts, &first.part, wanted.is_some(), times))
+    }
+
+    fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        let mut failed = Ok(());
+        let of_frames =
+            |field: &Field| field.part.frames.map_or(Ok(None), |axis| self.times_along(field, axis));
+        let times = cf::times(self.fields.iter(), |field| {
+            of_frames(field).unwrap_or_else(|e| {
+                failed = Err(e);
+                None
+            })
+        });
+        failed.map(|()| times)
+    }
+
+    fn time(&self, options: &OpenOptions) -> Result<Option<f64>> {
+        if options.field.is_none() {
+            return Ok(cf::common_time(self.fields.iter(), |field| self.time_of(field).ok().flatten()));
+        }
+        self.time_of(&self.fields[self.pick(options)?])
+    }
+
+    fn calendar(&self, options: &OpenOptions) -> Result<String> {
+        let time = self.time_variable(&self.fields[self.pick(options)?]);
+        Ok(time.map_or_else(String::new, |time| time.text("calendar")))
+    }
 }
 
 /// A file whose header was read.
-struct File<'a> {
-    path: &'a Path,
+struct File {
     source: Arc<ByteSource>,
     header: Header,
     dialect: Dialect,
@@ -187,13 +167,14 @@ impl AsRef<Part> for Field {
     }
 }
 
-impl<'a> File<'a> {
-    fn open(path: &'a Path, options: &OpenOptions) -> Result<Self> {
-        let source = Arc::new(ByteSource::open(path, options.io)?);
+impl File {
+    fn open(source: &Arc<ByteSource>) -> Result<Self> {
+        let path = source.path();
         let header = Header::parse(path, source.head_from(0)?, source.len())?;
         source.check()?;
         let dialect = Dialect::of(path, &header)?;
-        let mut file = Self { path, source, header, dialect, fields: vec![], refused: vec![] };
+        let source = Arc::clone(source);
+        let mut file = Self { source, header, dialect, fields: vec![], refused: vec![] };
         for (number, variable) in file.header.variables.iter().enumerate() {
             if variable.dims.len() < 3 || !dialect.has_field(&variable.name) {
                 continue;
@@ -213,25 +194,29 @@ impl<'a> File<'a> {
         Ok(file)
     }
 
+    fn path(&self) -> &Path {
+        self.source.path()
+    }
+
     /// The fields of a variable.
     fn parts(&self, variable: &Variable) -> Result<Vec<Part>> {
         let scalar = match self.dialect {
-            Dialect::Plain => variable.scalar(self.path)?,
-            Dialect::Minc => dialect::scalar_of_minc(variable, self.path)?,
+            Dialect::Plain => variable.scalar(self.path())?,
+            Dialect::Minc => dialect::scalar_of_minc(variable, self.path())?,
         };
         let shape = self.header.shape(variable);
         if shape.contains(&0) {
             let got = format!("{shape:?} of them");
-            return Err(Error::bad_input(self.path, &*variable.name, "samples along each axis", got)
+            return Err(Error::bad_input(self.path(), &*variable.name, "samples along each axis", got)
                 .with_help("the file has no records yet, or an empty dimension"));
         }
         if self.dialect == Dialect::Minc {
             let kinds = minc::kinds(&self.header.dim_names(variable), shape.len());
-            return cf::parts_of(self.path, &variable.name, (&shape, &kinds), scalar, Rules::Volumes);
+            return cf::parts_of(self.path(), &variable.name, (&shape, &kinds), scalar, Rules::Volumes);
         }
-        cf::refuse_mesh(&variable.of(self.path), &self.header.dim_names(variable))?;
+        cf::refuse_mesh(&variable.of(self.path()), &self.header.dim_names(variable))?;
         let kinds: Vec<char> = variable.dims.iter().map(|&dim| self.kind(dim)).collect();
-        cf::parts_of(self.path, &variable.name, (&shape, &kinds), scalar, Rules::Plain)
+        cf::parts_of(self.path(), &variable.name, (&shape, &kinds), scalar, Rules::Plain)
     }
 
     /// What a dimension is: see [`cf::kind_of_name`].
@@ -272,12 +257,12 @@ impl<'a> File<'a> {
             let v = self.header.variable(name)?;
             let kind = cf::kind_of_coordinate(name, &v.text("axis"), &v.text("units"));
             let is_one = v.dims.len() <= most_axes && self.header.shape(v).iter().all(|&n| n == 1);
-            (kind == 't' && is_one && v.scalar(self.path).is_ok()).then_some(v)
+            (kind == 't' && is_one && v.scalar(self.path()).is_ok()).then_some(v)
         })
     }
 
     /// The time of a field.
-    fn time(&self, field: &Field) -> Result<Option<f64>> {
+    fn time_of(&self, field: &Field) -> Result<Option<f64>> {
         let variable = &self.header.variables[field.variable];
         let Some(axis) = field.part.time else {
             if self.dialect == Dialect::Minc {
@@ -301,7 +286,7 @@ impl<'a> File<'a> {
 
     fn info(&self, field: &Field, geometry: Geometry) -> VolumeInfo {
         let (scalar, dims) = (field.part.info.scalar, self.dims(field));
-        let mut info = plain_info(self.path, self.header.name(), dims, scalar, geometry);
+        let mut info = plain_info(self.path(), self.header.name(), dims, scalar, geometry);
         info.field = field.part.info.clone();
         info.fields = self.infos();
         info
@@ -319,7 +304,7 @@ impl<'a> File<'a> {
 
     /// The image of a MINC file.
     fn image(&self, field: &Field, options: &OpenOptions) -> Result<VolumeSource> {
-        options.refuse_geometry(self.path, "a MINC file")?;
+        options.refuse_geometry(self.path(), "a MINC file")?;
         let variable = &self.header.variables[field.variable];
         let (axes, shape) = (self.header.dim_names(variable), self.header.shape(variable));
         let Part { info, time, entries, .. } = &field.part;
@@ -335,19 +320,19 @@ impl<'a> File<'a> {
     }
 
     /// The number of the field that is wanted.
-    fn pick(&mut self, options: &OpenOptions) -> Result<usize> {
-        let wanted = cf::with_channel(self.path, options, self.fields.iter().map(|f| &f.part))?;
+    fn pick(&self, options: &OpenOptions) -> Result<usize> {
+        let wanted = cf::with_channel(self.path(), options, self.fields.iter().map(|f| &f.part))?;
         let refused = match &wanted {
             Some(wanted) => self.refused.iter().position(|(name, _)| name == wanted),
             None if self.fields.is_empty() && !self.refused.is_empty() => Some(0),
             None => None,
         };
         match refused {
-            Some(number) => Err(self.refused.swap_remove(number).1),
+            Some(number) => Err(self.refused[number].1.again()),
             None if self.fields.is_empty() => {
-                Err(Error::bad_input(self.path, "variables", "a variable with three axes", "none"))
+                Err(Error::bad_input(self.path(), "variables", "a variable with three axes", "none"))
             }
-            None => pick_field(self.path, &self.infos(), wanted.as_deref()),
+            None => pick_field(self.path(), &self.infos(), wanted.as_deref()),
         }
     }
 
@@ -359,11 +344,11 @@ impl<'a> File<'a> {
     /// Byte of the first sample, and bytes a step along x, y, z.
     fn place(&self, field: &Field) -> Result<(u64, [i64; 3])> {
         let variable = &self.header.variables[field.variable];
-        let steps = self.header.steps(self.path, variable)?;
-        sample_bytes(self.path, self.dims(field), field.part.info.scalar)?;
+        let steps = self.header.steps(self.path(), variable)?;
+        sample_bytes(self.path(), self.dims(field), field.part.info.scalar)?;
         let large = || {
             let got = "a number of more than 63 bits";
-            Error::bad_input(self.path, &*variable.name, "a place in the file", got)
+            Error::bad_input(self.path(), &*variable.name, "a place in the file", got)
                 .with_help("the header is damaged")
         };
         let mut at = variable.begin;
@@ -395,7 +380,7 @@ impl<'a> File<'a> {
         let dim = self.header.variables[field.variable].dims[axis];
         let Some(variable) = self.coordinate(dim) else { return Ok(None) };
         // Names, for example, are no coordinates.
-        let Ok(scalar) = variable.scalar(self.path) else { return Ok(None) };
+        let Ok(scalar) = variable.scalar(self.path()) else { return Ok(None) };
         let count = self.header.size(dim);
         if count > MOST_COORDINATES {
             return Ok(None);
@@ -405,15 +390,15 @@ impl<'a> File<'a> {
 
     /// The numbers of a variable of at most two axes.
     fn small(&self, variable: &Variable) -> Result<Vec<f64>> {
-        let scalar = variable.scalar(self.path)?;
+        let scalar = variable.scalar(self.path())?;
         let size = scalar.bytes() as i64;
         // Not along x: the numbers of records are far apart, and are read each by itself.
         let (mut dims, mut strides) = ([1; 3], [size; 3]);
-        let (shape, steps) = (self.header.shape(variable), self.header.steps(self.path, variable)?);
+        let (shape, steps) = (self.header.shape(variable), self.header.steps(self.path(), variable)?);
         for (axis, (&count, &step)) in shape.iter().rev().zip(steps.iter().rev()).enumerate().take(2) {
             (dims[1 + axis], strides[1 + axis]) = (count, i64::try_from(step).unwrap_or(i64::MAX));
         }
-        let mut info = plain_info(self.path, self.header.name(), dims, scalar, Geometry::default());
+        let mut info = plain_info(self.path(), self.header.name(), dims, scalar, Geometry::default());
         info.field.name.clone_from(&variable.name);
         let reader = StridedVolume::new(info, self.source.clone(), variable.begin, true, strides)?;
         let count = IndexBox::whole(dims).len();
@@ -421,14 +406,14 @@ impl<'a> File<'a> {
         reader.read_stored(IndexBox::whole(dims), &mut bytes)?;
         let mut values = vec![0.0; count];
         to_f64(scalar, &bytes, &mut values);
-        variable.packing(self.path)?.unpack(&mut values);
+        variable.packing(self.path())?.unpack(&mut values);
         Ok(values)
     }
 }
 
-impl minc::Variables for File<'_> {
+impl minc::Variables for File {
     fn path(&self) -> &Path {
-        self.path
+        self.source.path()
     }
 
     fn place(&self, variable: &str) -> String {
@@ -445,7 +430,7 @@ impl minc::Variables for File<'_> {
 
     fn table(&self, variable: &str, most: u64) -> Result<Option<(Vec<u64>, Vec<f64>)>> {
         let found = self.header.variable(variable).ok_or_else(|| {
-            Error::bad_input(self.path, variable, "the values of the ends of the valid range", "none")
+            Error::bad_input(self.path(), variable, "the values of the ends of the valid range", "none")
         })?;
         let shape = self.header.shape(found);
         let count = shape.iter().try_fold(1u64, |n, &d| n.checked_mul(d));

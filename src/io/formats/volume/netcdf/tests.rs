@@ -1,7 +1,8 @@
 use super::*;
 use crate::bytes::IoMode;
 use crate::formats::tests::{read_all, torture, write};
-use crate::formats::{open_coordinates, open_volume, steps_of};
+use crate::formats::tests::open_coordinates;
+use crate::formats::{open_volume, steps_of};
 use std::path::PathBuf;
 
 /// What `tools/make_golden_netcdf.py` wrote.

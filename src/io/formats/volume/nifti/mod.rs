@@ -30,7 +30,7 @@
 
 use crate::bytes::{ByteSource, place};
 use crate::error::{Error, Result};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::frames::{self, fields};
 use crate::formats::shared::header::{geometry, scaled_axes};
 use crate::formats::shared::packed::PackedFrames;
@@ -49,48 +49,120 @@ use std::sync::Arc;
 /// NIfTI-1 and NIfTI-2.
 pub(in crate::formats) struct Nifti;
 
+static ABOUT: About = About {
+    volumes: &["NIfTI"],
+    suffixes: &[".nii", ".nii.gz", ".hdr", ".hdr.gz", ".img", ".img.gz"],
+    on_servers: true,
+    ..About::named("a NIfTI file")
+};
+
 impl Format for Nifti {
-    fn name(&self) -> &'static str {
-        "a NIfTI file"
-    }
-
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".nii", ".nii.gz", ".hdr", ".hdr.gz", ".img", ".img.gz"]
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         has_magic(&head.bytes) || has_magic(&head.unzipped())
     }
 
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
+    /// A file, or a pair by the name of either file.
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let is_data = has_suffix(head.path, &[".img", ".img.gz"]);
+        let source = match is_data {
+            true => Arc::new(ByteSource::open(partner(head.path, "hdr")?, head.io)?),
+            false => Arc::clone(head.file()?),
+        };
+        let header = Header::parse(&source)?;
+        let data = match (header.is_pair()?, is_data) {
+            (false, _) => source,
+            (true, true) => Arc::clone(head.file()?),
+            (true, false) => Arc::new(ByteSource::open(partner(head.path, "img")?, head.io)?),
+        };
+        let offset = header.offset(header.is_pair()?)?;
+        let (path, gzip) = (head.path.to_path_buf(), is_gzip(&data)?);
+        Ok(Box::new(File { path, header, data, gzip, offset }))
+    }
+}
+
+/// A file, or a pair.
+struct File {
+    /// The one that was named.
+    path: PathBuf,
+    header: Header,
+    /// The file of the samples, and where in it, unpacked, they begin.
+    data: Arc<ByteSource>,
+    gzip: bool,
+    offset: u64,
+}
+
+impl Dataset for File {
+    fn files(&self) -> Vec<PathBuf> {
+        vec![self.header.path.clone(), self.data.path().to_path_buf()]
     }
 
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (path, header) = (&*self.path, &self.header);
+        let (scalar, dims, frames) = (header.scalar()?, header.dims()?, header.frames()?);
+        let frame_bytes = sample_bytes(path, dims, scalar)?;
+        check_size(&self.data, self.gzip, self.offset, frames, frame_bytes)?;
+        let fields = fields(frames, scalar);
+        let frame = pick_field(path, &fields, options.field.as_deref())? as u64;
+        let (slope, intercept) = header.scaling()?;
+        let info = VolumeInfo {
+            path: path.to_path_buf(),
+            format: header.format(header.is_pair()?, self.gzip),
+            dims,
+            field: fields[frame as usize].clone(),
+            fields,
+            geometry: header.geometry()?,
+            slope,
+            intercept,
+            missing: None,
+            units: header.units(),
+            notes: header.notes(frames),
+            data_files: vec![self.data.path().to_path_buf()],
+            assumed: Assumed::in_header(header.assumed()),
+        };
+        let data = Arc::clone(&self.data);
+        if self.gzip {
+            return header.packed(data, self.offset)?.volume(info, frame);
+        }
+        let offset = self.offset + frame * frame_bytes;
+        let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
+        let volume = StridedVolume::new(info, data, offset, header.big_endian, strides)?;
+        Ok(volume.source())
+    }
+
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
         // A name is that of one frame.
-        if options.field.is_some() { Ok(None) } else { frames(path, options).map(Some) }
+        if options.field.is_some() { Ok(vec![]) } else { self.all_steps(options) }
     }
 
-    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        let all = OpenOptions { field: None, ..options.clone() };
-        frames(path, &all).map(known_times)
+    fn times(&self, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        self.all_steps(options).map(known_times)
     }
 
-    fn packed_frames(
-        &self,
-        path: &Path,
-        options: &OpenOptions,
-    ) -> Result<Option<(PackedFrames, VolumeInfo)>> {
-        let (header, data, offset) = parts(path, options)?;
-        if header.frames()? == 1 || !is_gzip(&data)? {
+    fn packed_steps(&self, options: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
+        if self.header.frames()? == 1 || !self.gzip {
             return Ok(None);
         }
-        let info = open(path, &frames::first(options))?.info().clone();
-        Ok(Some((header.packed(data, offset)?, info)))
+        let info = self.volume(&frames::first(options))?.info().clone();
+        Ok(Some((self.header.packed(Arc::clone(&self.data), self.offset)?, info)))
+    }
+}
+
+impl File {
+    /// The frames by the names of their fields, and their times: `toffset` and a `pixdim[4]` for
+    /// each. None where there is one volume.
+    fn all_steps(&self, options: &OpenOptions) -> Result<Frames> {
+        let (header, frames) = (&self.header, self.header.frames()?);
+        if frames == 1 {
+            return Ok(vec![]);
+        }
+        // Refuses a header that claims more frames than there are, before they are listed.
+        self.volume(&frames::first(options))?;
+        let times = [header.float(136, 216, 0), header.float(76, 104, 4)];
+        Ok(frames::list(frames, header.spectral_unit().is_none().then_some(times)))
     }
 }
 
@@ -100,77 +172,8 @@ pub(in crate::formats) fn has_magic(head: &[u8]) -> bool {
     is(344, [b"n+1\0", b"ni1\0"]) || is(4, [b"n+2\0", b"ni2\0"])
 }
 
-/// Opens a NIfTI file, or a pair by the name of either file.
-///
-/// # Errors
-/// [`Error::BadInput`] when it is malformed, cut short or of a kind that is not read;
-/// [`Error::Usage`] when it is a time series and no frame is chosen.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let (header, data, offset) = parts(path, options)?;
-    let (scalar, dims, frames) = (header.scalar()?, header.dims()?, header.frames()?);
-    let frame_bytes = sample_bytes(path, dims, scalar)?;
-    let gzip = is_gzip(&data)?;
-    check_size(&data, gzip, offset, frames, frame_bytes)?;
-    let fields = fields(frames, scalar);
-    let frame = pick_field(path, &fields, options.field.as_deref())? as u64;
-    let (slope, intercept) = header.scaling()?;
-    let info = VolumeInfo {
-        path: path.to_path_buf(),
-        format: header.format(header.is_pair()?, gzip),
-        dims,
-        field: fields[frame as usize].clone(),
-        fields,
-        geometry: header.geometry()?,
-        slope,
-        intercept,
-        missing: None,
-        units: header.units(),
-        notes: header.notes(frames),
-        data_files: vec![data.path().to_path_buf()],
-        assumed: Assumed::in_header(header.assumed()),
-    };
-    if gzip {
-        return header.packed(data, offset)?.volume(info, frame);
-    }
-    let offset = offset + frame * frame_bytes;
-    let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
-    let volume = StridedVolume::new(info, data, offset, header.big_endian, strides)?;
-    Ok(volume.source())
-}
-
-/// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]`
-/// for each. None where there is one volume.
-pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
-    let (header, _) = header_of(path, options)?;
-    let frames = header.frames()?;
-    if frames == 1 {
-        return Ok(vec![]);
-    }
-    // Refuses a header that claims more frames than there are, before they are listed.
-    open(path, &frames::first(options))?;
-    let times = [header.float(136, 216, 0), header.float(76, 104, 4)];
-    Ok(frames::list(frames, header.spectral_unit().is_none().then_some(times)))
-}
-
 fn is_gzip(source: &ByteSource) -> Result<bool> {
     Ok(source.slice(0..source.len().min(2))? == [0x1f, 0x8b])
-}
-
-/// The header of a file, or of a pair by the name of either file; and the file that it is in.
-fn header_of(path: &Path, options: &OpenOptions) -> Result<(Header, Arc<ByteSource>)> {
-    let file =
-        if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
-    let source = Arc::new(ByteSource::open(&file, options.io)?);
-    Ok((Header::parse(&source)?, source))
-}
-
-/// The header, the file of the samples, and where in it, unpacked, they begin.
-fn parts(path: &Path, options: &OpenOptions) -> Result<(Header, Arc<ByteSource>, u64)> {
-    let (header, source) = header_of(path, options)?;
-    let pair = header.is_pair()?;
-    let data = if pair { Arc::new(ByteSource::open(partner(path, "img")?, options.io)?) } else { source };
-    let offset = header.offset(pair)?;
-    Ok((header, data, offset))
 }
 
 /// The other file of a pair: `wanted` is "hdr" or "img"; compressed or not.

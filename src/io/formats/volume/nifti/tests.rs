@@ -90,7 +90,7 @@ fn one_file_or_a_pair_compressed_or_not() {
         check(&write(&dir, "a.nii.gz", &gzip(&one)), &format!("NIfTI-{version} (one file, gzip)"));
         let head = Maker::new(v2, big, magic(v2, true), &DIM).bytes;
         let hdr = write(&dir, "b.hdr", &head[..head.len() - 4]);
-        let error = open(&hdr, &OpenOptions::default()).err().expect("no image");
+        let error = open_volume(&hdr, &OpenOptions::default()).err().expect("no image");
         assert!(error.to_string().contains("b.img or b.img.gz"), "{error}");
         let gz = write(&dir, "b.img.gz", &gzip(&ramp(big)));
         check(&hdr, &format!("NIfTI-{version} (header and image, gzip)"));
@@ -114,7 +114,7 @@ fn extensions_and_scaling() {
             check(&write(&dir, "a.nii", &file), if v2 { "NIfTI-2 (one file)" } else { "NIfTI-1 (one file)" });
         assert_eq!((info.slope, info.intercept), (0.5, -3.0));
         m.float(112, 176, 0, 0.0);
-        let info = open(&write(&dir, "a.nii", &m.with(&[1; 64])), &OpenOptions::default()).unwrap();
+        let info = open_volume(&write(&dir, "a.nii", &m.with(&[1; 64])), &OpenOptions::default()).unwrap();
         assert_eq!((info.info().slope, info.info().intercept), (1.0, 0.0));
     }
 }
@@ -144,7 +144,7 @@ fn the_map_to_the_world() {
         let mut m = Maker::new(v2, false, magic(v2, false), &DIM);
         let read = |m: &Maker| {
             let path = write(&dir, "a.nii", &m.with(&ramp(false)));
-            open(&path, &OpenOptions::default()).unwrap().info().geometry
+            open_volume(&path, &OpenOptions::default()).unwrap().info().geometry
         };
         assert_eq!(read(&m).spacing, [1.0; 3]);
         for (i, v) in [-1.0, 2.0, 0.5, 3.0].into_iter().enumerate() {
@@ -175,7 +175,7 @@ fn what_is_not_read_is_named() {
         let mut m = Maker::new(false, false, b"n+1\0", dim);
         change(&mut m);
         let error =
-            open(&write(&dir, "a.nii", &m.with(&ramp(false))), &OpenOptions::default()).err().expect(message);
+            open_volume(&write(&dir, "a.nii", &m.with(&ramp(false))), &OpenOptions::default()).err().expect(message);
         assert!(error.exit_code() == 5 && error.to_string().contains(message), "{error}");
     };
     let same = |_: &mut Maker| ();

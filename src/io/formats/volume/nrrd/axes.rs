@@ -35,8 +35,8 @@ pub(super) struct Axes {
 }
 
 impl Axes {
-    pub(super) fn of(header: &Header<'_>) -> Result<Self> {
-        let path = header.path;
+    pub(super) fn of(header: &Header) -> Result<Self> {
+        let path = &*header.path;
         let [count] = numbers::<u32, 1>(path, "dimension", header.require("dimension")?)?;
         if !(3..=MOST_AXES).contains(&count) {
             return Err(Error::bad_input(path, "dimension", "3, or 4 for a series", count.to_string())
@@ -109,7 +109,7 @@ impl Axes {
     }
 
     /// Sets what the header says of places and units.
-    pub(super) fn describe(&self, header: &Header<'_>, info: &mut VolumeInfo) -> Result<()> {
+    pub(super) fn describe(&self, header: &Header, info: &mut VolumeInfo) -> Result<()> {
         let lengths = self.lengths(header)?;
         info.geometry = self.geometry(header, &lengths)?;
         info.assumed = Assumed::in_header(self.space.map(|axis| header.is_assumed(axis)));
@@ -124,7 +124,7 @@ impl Axes {
     }
 
     /// The volumes by the names of their fields, and their times.
-    pub(super) fn list(&self, header: &Header<'_>) -> Result<Frames> {
+    pub(super) fn list(&self, header: &Header) -> Result<Frames> {
         let Some(axis) = self.series.filter(|_| self.is_time) else {
             return Ok(frames::list(self.frames(), None));
         };
@@ -137,7 +137,7 @@ impl Axes {
     }
 
     /// The units of lengths: those of the space, else of the axes.
-    fn lengths(&self, header: &Header<'_>) -> Result<Lengths> {
+    fn lengths(&self, header: &Header) -> Result<Lengths> {
         let (at, names) = if header.get("space").or(header.get("spacedimension")).is_some() {
             ("space units", header.quoted("spaceunits", header.space_dimension()?))
         } else {
@@ -145,11 +145,11 @@ impl Axes {
             ("units", self.space.iter().filter_map(|&axis| all.get(axis).cloned()).collect())
         };
         let unit = |axis: usize| names.get(axis).and_then(|name: &String| Unit::length(name));
-        Lengths::of_space(header.path, at, std::array::from_fn(unit))
+        Lengths::of_space(&header.path, at, std::array::from_fn(unit))
     }
 
-    fn geometry(&self, header: &Header<'_>, lengths: &Lengths) -> Result<Geometry> {
-        let path = header.path;
+    fn geometry(&self, header: &Header, lengths: &Lengths) -> Result<Geometry> {
+        let path = &*header.path;
         let origin = header.origin()?.map(|(in_space, _)| in_space);
         let in_unit = |origin: [f64; 3], columns: [[f64; 3]; 3]| {
             (lengths.of_vector(origin), columns.map(|column| lengths.of_vector(column)))
@@ -166,7 +166,7 @@ impl Axes {
 
     /// Spacing and first position of each axis from `spacings`, `axis mins`, `axis maxs`; NaN means
     /// unknown there.
-    fn per_axis(&self, header: &Header<'_>) -> Result<([f64; 3], [f64; 3])> {
+    fn per_axis(&self, header: &Header) -> Result<([f64; 3], [f64; 3])> {
         let read = |name: &str, label: &str| -> Result<[f64; 3]> {
             let all = header.per_axis_number(name, label, self.sizes.len())?;
             Ok(self.space.map(|axis| all[axis]))
@@ -194,7 +194,7 @@ impl Axes {
     }
 }
 
-impl Header<'_> {
+impl Header {
     /// What each axis is, for [`layout`], the fastest first.
     fn kinds(&self, sizes: &[u64]) -> Result<Vec<char>> {
         let directions = self.directions(sizes.len())?;
@@ -219,7 +219,7 @@ impl Header<'_> {
             if kind == 's' && has_direction == Some(false) || kind == 't' && has_direction == Some(true) {
                 let got = format!("axis {axis} of kind {}", self.word("kinds", axis));
                 let expected = "a direction for each axis of space, and none for others";
-                return Err(Error::bad_input(self.path, "space directions", expected, got));
+                return Err(Error::bad_input(&self.path, "space directions", expected, got));
             }
             kinds.push(kind);
         }
@@ -238,7 +238,7 @@ impl Header<'_> {
 
     fn components(&self, axis: usize) -> Error {
         let kind = self.word("kinds", axis);
-        Error::bad_input(self.path, "kinds", "axes of space, and of kind time or list", kind)
+        Error::bad_input(&self.path, "kinds", "axes of space, and of kind time or list", kind)
             .with_help("colours and vectors are not read; cut out one component, e.g. with `unu slice`")
     }
 
@@ -258,7 +258,7 @@ impl Header<'_> {
     fn per_axis_number(&self, name: &str, label: &str, count: usize) -> Result<Vec<f64>> {
         let Some(text) = self.get(name) else { return Ok(vec![f64::NAN; count]) };
         let all: Option<Vec<f64>> = text.split_whitespace().map(|n| n.parse().ok()).collect();
-        let wrong = || Error::bad_input(self.path, label, format!("{count} numbers"), text);
+        let wrong = || Error::bad_input(&self.path, label, format!("{count} numbers"), text);
         all.filter(|all| all.len() == count).ok_or_else(wrong)
     }
 }

@@ -32,7 +32,7 @@ mod space;
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::frames;
 use crate::formats::shared::header::{Lines, numbered_files, numbers, open_files, plain_info};
 use crate::formats::shared::packed::PackedFrames;
@@ -44,87 +44,87 @@ use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
 use axes::Axes;
 use std::collections::HashMap;
 use std::io;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// NRRD.
 pub(in crate::formats) struct Nrrd;
 
+static ABOUT: About = About {
+    volumes: &["NRRD"],
+    suffixes: &[".nrrd", ".nhdr"],
+    magic: &[b"NRRD000"],
+    on_servers: true,
+    ..About::named("an NRRD file")
+};
+
 impl Format for Nrrd {
-    fn name(&self) -> &'static str {
-        "an NRRD file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".nrrd", ".nhdr"]
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let source = head.file()?;
+        let header = Header::parse(source)?;
+        let (axes, scalar) = (Axes::of(&header)?, header.scalar()?);
+        let data = header.data(Arc::clone(source), &axes, head.io)?;
+        let encoding = header.encoding()?;
+        Ok(Box::new(File { header, axes, scalar, data, encoding }))
+    }
+}
+
+/// An NRRD file, attached (`.nrrd`) or detached (`.nhdr`).
+struct File {
+    header: Header,
+    axes: Axes,
+    scalar: ScalarType,
+    data: Data,
+    encoding: Encoding,
+}
+
+impl Dataset for File {
+    fn files(&self) -> Vec<PathBuf> {
+        self.data.parts.iter().map(|part| part.path().to_path_buf()).collect()
     }
 
-    fn is_on_servers(&self) -> bool {
-        true
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let Self { header, axes, scalar, data, encoding } = self;
+        let place = if header.get("datafile").is_some() { "detached" } else { "attached" };
+        let format = format!("NRRD ({place}, {})", encoding.name());
+        let mut info = plain_info(&header.path, format, axes.dims(), *scalar, Geometry::default());
+        axes.describe(header, &mut info)?;
+        frames::check_last(axes.frames(), options, |options| self.volume(options))?;
+        let (frame, fields) = frames::choose(&header.path, axes.frames(), *scalar, options)?;
+        (info.field, info.fields) = (fields[frame as usize].clone(), fields);
+        header.samples(info, data, *encoding, axes, frame)
     }
 
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"NRRD000")
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
-    }
-
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
         // A name is that of one frame.
-        if options.field.is_some() { Ok(None) } else { frames_in(path, options).map(Some) }
+        if options.field.is_some() { Ok(vec![]) } else { self.all_steps(options) }
     }
 
-    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        frames_in(path, options).map(known_times)
+    fn times(&self, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+        self.all_steps(options).map(known_times)
     }
 
-    fn packed_frames(
-        &self,
-        path: &Path,
-        options: &OpenOptions,
-    ) -> Result<Option<(PackedFrames, VolumeInfo)>> {
-        let source = Arc::new(ByteSource::open(path, options.io)?);
-        let header = Header::parse(&source)?;
-        let axes = Axes::of(&header)?;
-        if axes.frames() == 1 || header.encoding()? != Encoding::Gzip {
+    fn packed_steps(&self, options: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
+        if self.axes.frames() == 1 || self.encoding != Encoding::Gzip {
             return Ok(None);
         }
-        let info = open(path, &frames::first(options))?.info().clone();
-        let data = header.data(Arc::clone(&source), &axes, options.io)?;
-        Ok(Some((header.packed(&info, &data, &axes)?, info)))
+        let info = self.volume(&frames::first(options))?.info().clone();
+        Ok(Some((self.header.packed(&info, &self.data, &self.axes)?, info)))
     }
 }
 
-/// Opens an NRRD file, attached (`.nrrd`) or detached (`.nhdr`).
-///
-/// # Errors
-/// [`Error::BadInput`] when it is malformed, cut short, or of a kind that is not read.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let header = Header::parse(&source)?;
-    let (axes, scalar) = (Axes::of(&header)?, header.scalar()?);
-    let data = header.data(Arc::clone(&source), &axes, options.io)?;
-    let encoding = header.encoding()?;
-    let place = if header.get("datafile").is_some() { "detached" } else { "attached" };
-    let format = format!("NRRD ({place}, {})", encoding.name());
-    let mut info = plain_info(path, format, axes.dims(), scalar, Geometry::default());
-    axes.describe(&header, &mut info)?;
-    frames::check_last(axes.frames(), options, |options| open(path, options))?;
-    let (frame, fields) = frames::choose(path, axes.frames(), scalar, options)?;
-    (info.field, info.fields) = (fields[frame as usize].clone(), fields);
-    header.samples(info, data, encoding, &axes, frame)
-}
-
-/// The volumes of a series, by the names of their fields; none where there is one volume.
-fn frames_in(path: &Path, options: &OpenOptions) -> Result<Frames> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    let header = Header::parse(&source)?;
-    let frames = Axes::of(&header)?.list(&header)?;
-    let any = OpenOptions { field: None, ..options.clone() };
-    frames::check_last(frames.len().max(1) as u64, &any, |options| open(path, options))?;
-    Ok(frames)
+impl File {
+    /// The volumes of a series, by the names of their fields; none where there is one volume.
+    fn all_steps(&self, options: &OpenOptions) -> Result<Frames> {
+        let frames = self.axes.list(&self.header)?;
+        let any = OpenOptions { field: None, ..options.clone() };
+        frames::check_last(frames.len().max(1) as u64, &any, |options| self.volume(options))?;
+        Ok(frames)
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -152,8 +152,8 @@ struct Data {
 }
 
 /// The header's lines.
-struct Header<'a> {
-    path: &'a Path,
+struct Header {
+    path: PathBuf,
     /// Field names in lower case and without blanks ("spacedirections"), and their values.
     fields: Vec<(String, String)>,
     /// Names that follow a "data file: LIST".
@@ -162,8 +162,8 @@ struct Header<'a> {
     end: u64,
 }
 
-impl<'a> Header<'a> {
-    fn parse(source: &'a ByteSource) -> Result<Self> {
+impl Header {
+    fn parse(source: &ByteSource) -> Result<Self> {
         let path = source.path();
         let mut lines = Lines::new(source.head_from(0)?);
         let magic = lines.next().unwrap_or_default();
@@ -173,7 +173,7 @@ impl<'a> Header<'a> {
         ) {
             return Err(Error::bad_input(path, "first line", "NRRD0001 to NRRD0006", magic));
         }
-        let mut header = Self { path, fields: vec![], listed: vec![], end: 0 };
+        let mut header = Self { path: path.to_path_buf(), fields: vec![], listed: vec![], end: 0 };
         let mut listing = false;
         while let Some(line) = lines.next() {
             if line.is_empty() {
@@ -196,12 +196,12 @@ impl<'a> Header<'a> {
         }
         let at = format!("line {number}");
         let Some((name, value)) = line.split_once(':') else {
-            return Err(Error::bad_input(self.path, at, "\"field: value\" or an empty line", line)
+            return Err(Error::bad_input(&self.path, at, "\"field: value\" or an empty line", line)
                 .with_help("the header must end with an empty line"));
         };
         let name: String = name.to_ascii_lowercase().split_whitespace().collect();
         if self.get(&name).is_some() {
-            return Err(Error::bad_input(self.path, at, "each field once", line));
+            return Err(Error::bad_input(&self.path, at, "each field once", line));
         }
         let listing = name == "datafile" && value.split_whitespace().next() == Some("LIST");
         self.fields.push((name, value.trim().to_string()));
@@ -213,7 +213,7 @@ impl<'a> Header<'a> {
     }
 
     fn require(&self, name: &str) -> Result<&str> {
-        let missing = || Error::bad_input(self.path, "header", format!("a field \"{name}\""), "none");
+        let missing = || Error::bad_input(&self.path, "header", format!("a field \"{name}\""), "none");
         self.get(name).ok_or_else(missing)
     }
 
@@ -243,7 +243,7 @@ impl<'a> Header<'a> {
             "double" => ScalarType::F64,
             _ => {
                 return Err(Error::bad_input(
-                    self.path,
+                    &self.path,
                     "type",
                     "an integer of 8 to 64 bits, float or double",
                     name,
@@ -258,7 +258,7 @@ impl<'a> Header<'a> {
             "raw" => Ok(Encoding::Raw),
             "gzip" | "gz" => Ok(Encoding::Gzip),
             "ascii" | "text" | "txt" => Ok(Encoding::Ascii),
-            _ => Err(Error::bad_input(self.path, "encoding", "raw, gzip or ascii", &*name)
+            _ => Err(Error::bad_input(&self.path, "encoding", "raw, gzip or ascii", &*name)
                 .with_help("write it again with one of these, e.g. `unu save -f nrrd -e gzip`")),
         }
     }
@@ -268,7 +268,7 @@ impl<'a> Header<'a> {
             Some("little") => Ok(false),
             Some("big") => Ok(true),
             None if scalar.bytes() == 1 => Ok(false),
-            got => Err(Error::bad_input(self.path, "endian", "little or big", got.unwrap_or("none"))),
+            got => Err(Error::bad_input(&self.path, "endian", "little or big", got.unwrap_or("none"))),
         }
     }
 
@@ -282,10 +282,10 @@ impl<'a> Header<'a> {
             ["LIST"] => (self.listed.clone(), None),
             ["LIST", dim] => (self.listed.clone(), Some(dim)),
             [pattern, a, b, c, dim] if pattern.contains('%') => {
-                (numbered_files(self.path, "data file", value, &[pattern, a, b, c])?, Some(dim))
+                (numbered_files(&self.path, "data file", value, &[pattern, a, b, c])?, Some(dim))
             }
             [pattern, ..] if words.len() == 4 && pattern.contains('%') => {
-                (numbered_files(self.path, "data file", value, &words)?, None)
+                (numbered_files(&self.path, "data file", value, &words)?, None)
             }
             _ => (vec![value.to_string()], Some("3")),
         };
@@ -297,29 +297,29 @@ impl<'a> Header<'a> {
         {
             let got = format!("{} file(s) for {slices} slices: {value}", names.len());
             return Err(Error::bad_input(
-                self.path,
+                &self.path,
                 "data file",
                 "the same number of whole slices in every file",
                 got,
             ));
         }
-        Ok(Data { parts: open_files(self.path, "data file", &names, io)?, start: 0 })
+        Ok(Data { parts: open_files(&self.path, "data file", &names, io)?, start: 0 })
     }
 
     fn samples(
         &self,
         mut info: VolumeInfo,
-        data: Data,
+        data: &Data,
         encoding: Encoding,
         axes: &Axes,
         frame: u64,
     ) -> Result<VolumeSource> {
         info.data_files = data.parts.iter().map(|p| p.path().to_path_buf()).collect();
         if encoding != Encoding::Raw {
-            self.check_stream(&data, encoding, axes)?;
+            self.check_stream(data, encoding, axes)?;
         }
         if encoding == Encoding::Gzip {
-            return self.packed(&info, &data, axes)?.volume(info, frame);
+            return self.packed(&info, data, axes)?.volume(info, frame);
         }
         let (first, byte_skip) = (&data.parts[0], self.byte_skip()?);
         if encoding == Encoding::Raw {
@@ -330,7 +330,7 @@ impl<'a> Header<'a> {
                     self.last_bytes(first, needed / data.parts.len() as u64)?
                 }
             };
-            return self.mapped(info, &data, offset, axes, frame);
+            return self.mapped(info, data, offset, axes, frame);
         }
         let start = self.skip_lines(first, data.start)?;
         let start = start.saturating_add(u64::try_from(byte_skip).unwrap_or(0));
@@ -341,13 +341,13 @@ impl<'a> Header<'a> {
     /// Bytes of the samples of all volumes.
     fn needed(&self, info: &VolumeInfo, axes: &Axes) -> Result<u64> {
         let [x, y, z] = info.dims;
-        sample_bytes(self.path, [x, y, z.saturating_mul(axes.frames())], info.field.scalar)
+        sample_bytes(&self.path, [x, y, z.saturating_mul(axes.frames())], info.field.scalar)
     }
 
     fn byte_skip(&self) -> Result<i64> {
-        let [skip] = numbers::<i64, 1>(self.path, "byte skip", self.get("byteskip").unwrap_or("0"))?;
+        let [skip] = numbers::<i64, 1>(&self.path, "byte skip", self.get("byteskip").unwrap_or("0"))?;
         if skip < -1 {
-            return Err(Error::bad_input(self.path, "byte skip", "-1, 0 or more", skip.to_string()));
+            return Err(Error::bad_input(&self.path, "byte skip", "-1, 0 or more", skip.to_string()));
         }
         Ok(skip)
     }
@@ -385,7 +385,7 @@ impl<'a> Header<'a> {
             return Ok(volume.source());
         }
         let slices = [info.dims[2], z];
-        let (parts, each) = frames::parts_of(self.path, &data.parts, offset, [frame, axes.frames()], slices)?;
+        let (parts, each) = frames::parts_of(&self.path, &data.parts, offset, [frame, axes.frames()], slices)?;
         Ok(StridedVolume::stacked_at(info, parts, each, big, strides)?.source())
     }
 
@@ -395,13 +395,13 @@ impl<'a> Header<'a> {
         if parts > 1 {
             let got = format!("{parts} files of {} data", encoding.name());
             let expected = "one file, or several with encoding raw";
-            return Err(Error::bad_input(self.path, "data file", expected, got)
+            return Err(Error::bad_input(&self.path, "data file", expected, got)
                 .with_help("join them, e.g. with `unu save -f nrrd -e gzip`"));
         }
         if !axes.are_in_order() || encoding == Encoding::Ascii && axes.frames() > 1 {
             let got = format!("{} data of volumes that are interleaved, or text", encoding.name());
             let expected = "volumes one after the other (their axis the last), or encoding raw";
-            return Err(Error::bad_input(self.path, "encoding", expected, got).with_help(
+            return Err(Error::bad_input(&self.path, "encoding", expected, got).with_help(
                 "write it raw (`unu save -f nrrd -e raw`), or make the axis the last (`unu permute`)",
             ));
         }
@@ -428,7 +428,7 @@ impl<'a> Header<'a> {
 
     /// The byte after the lines to skip.
     fn skip_lines(&self, source: &ByteSource, start: u64) -> Result<u64> {
-        let [count] = numbers::<u64, 1>(self.path, "line skip", self.get("lineskip").unwrap_or("0"))?;
+        let [count] = numbers::<u64, 1>(&self.path, "line skip", self.get("lineskip").unwrap_or("0"))?;
         let rest = source.head_from(start)?;
         let mut at = 0;
         for skipped in 0..count {

@@ -21,7 +21,7 @@ pub(super) struct Directions {
     pub(super) time: Option<(usize, f64)>,
 }
 
-impl Header<'_> {
+impl Header {
     /// The directions of `count` axes, where the header has them.
     ///
     /// # Errors
@@ -37,7 +37,7 @@ impl Header<'_> {
             }
             if in_space != Some([0.0; 3]) || found.time.replace((axis, step)).is_some() {
                 let expected = "one axis along time, at right angles to those of space";
-                return Err(Error::bad_input(self.path, "space directions", expected, text)
+                return Err(Error::bad_input(&self.path, "space directions", expected, text)
                     .with_help("cut out one volume, e.g. with `unu slice`"));
             }
             found.of_axes.push(None);
@@ -62,10 +62,10 @@ impl Header<'_> {
             return Ok(4);
         }
         let Some(text) = self.get("spacedimension") else { return Ok(3) };
-        match numbers::<usize, 1>(self.path, "space dimension", text)? {
+        match numbers::<usize, 1>(&self.path, "space dimension", text)? {
             [known @ (3 | 4)] => Ok(known),
             [other] => {
-                Err(Error::bad_input(self.path, "space dimension", "3, or 4 with time", other.to_string()))
+                Err(Error::bad_input(&self.path, "space dimension", "3, or 4 with time", other.to_string()))
             }
         }
     }
@@ -77,7 +77,7 @@ impl Header<'_> {
         let wrong = || {
             let form = if size == 4 { "(x,y,z,t)" } else { "(x,y,z)" };
             let expected = format!("{count} vector(s) of the form {form}, or none for an axis of no space");
-            Error::bad_input(self.path, at, expected, text)
+            Error::bad_input(&self.path, at, expected, text)
         };
         let (mut vectors, mut rest) = (vec![], text.trim());
         while !rest.is_empty() {

@@ -1,8 +1,10 @@
 //! Tests of the NRRD reader.
 
 use super::*;
+use crate::formats::open_volume;
 use crate::formats::tests::{gzip, ramp, read_all, torture, try_read_all, write};
 use crate::volume::units::Unit;
+use std::path::Path;
 
 const HEAD: &str = "NRRD0004\n# c\ntype: unsigned short\ndimension: 3\nsizes: 4 3 2\nkey:=a: b\n";
 
@@ -18,7 +20,7 @@ fn text() -> Vec<u8> {
 }
 
 fn check(path: &Path, format: &str) -> VolumeInfo {
-    let (info, values) = read_all(open(path, &OpenOptions::default()).unwrap());
+    let (info, values) = read_all(open_volume(path, &OpenOptions::default()).unwrap());
     assert_eq!((info.dims, info.field.scalar), ([4, 3, 2], ScalarType::U16));
     assert_eq!(info.format, format);
     assert_eq!(values, (0..24).map(|i| (1000 + i) as f32).collect::<Vec<_>>());
@@ -47,7 +49,7 @@ fn skips_of_lines_and_bytes() {
     let head = "endian: little\nencoding: gzip\nline skip: 2\n";
     check(&file(with(&format!("{head}byteskip: 3\n"), &gz)), "NRRD (attached, gzip)");
     check(&file(with(&format!("{head}byte skip: -1\n"), &gz)), "NRRD (attached, gzip)");
-    let too_long = open(&file(with(head, &gz)), &OpenOptions::default()).and_then(try_read_all);
+    let too_long = open_volume(&file(with(head, &gz)), &OpenOptions::default()).and_then(try_read_all);
     assert!(too_long.unwrap_err().to_string().contains("more bytes"));
 }
 
@@ -65,7 +67,7 @@ fn detached_in_one_file_or_in_slices() {
         ["none.raw", "s%02d.raw 1 3 1", "s%02d.raw 1 3 2", "LIST\n", "LIST 1\ns01.raw\ns02.raw", "s01.raw"]
     {
         let head = format!("{HEAD}endian: big\nencoding: raw\ndatafile: {data}\n");
-        let error = open(&write(&dir, "a.nhdr", head.as_bytes()), &OpenOptions::default()).err().expect(data);
+        let error = open_volume(&write(&dir, "a.nhdr", head.as_bytes()), &OpenOptions::default()).err().expect(data);
         assert_eq!(error.exit_code(), 5, "{error}");
     }
 }
@@ -114,7 +116,7 @@ fn what_is_not_read_is_named() {
     ] {
         assert!(good.contains(from));
         let bytes = [good.replacen(from, to, 1).as_bytes(), &ramp(false)].concat();
-        let error = open(&write(&dir, "a.nrrd", &bytes), &OpenOptions::default()).err().expect(to);
+        let error = open_volume(&write(&dir, "a.nrrd", &bytes), &OpenOptions::default()).err().expect(to);
         assert!(error.exit_code() == 5 && error.to_string().contains(message), "{error}");
     }
 }
@@ -136,7 +138,7 @@ fn units_of_axes_and_samples() {
     let units = |fields: &str| {
         let file =
             write(&dir, "a.nrrd", &with(&format!("{fields}endian: little\nencoding: raw\n"), &ramp(false)));
-        let units = open(&file, &OpenOptions::default()).unwrap().info().units.clone();
+        let units = open_volume(&file, &OpenOptions::default()).unwrap().info().units.clone();
         [units.value, units.length].map(|unit| unit.map(|unit| unit.to_string()))
     };
     let text = |t: &str| Some(t.to_string());
@@ -155,7 +157,7 @@ fn units_of_single_axes_become_one() {
     let info = |fields: &str| {
         let fields = format!("{fields}endian: little\nencoding: raw\n");
         let file = write(&dir, "a.nrrd", &with(&fields, &ramp(false)));
-        open(&file, &OpenOptions::default()).map(|opened| opened.info().clone())
+        open_volume(&file, &OpenOptions::default()).map(|opened| opened.info().clone())
     };
     let space = "space dimension: 3\nspace directions: (1,0,0) (0,2,0) (0,0,3)\nspace origin: (10,20,30)\n";
     let found = info(&format!("{space}space units: \"mm\" \"mm\" \"um\"\n")).unwrap();
@@ -182,7 +184,7 @@ fn series(fields: &str, data: &[u8]) -> Result<Series> {
     let steps = crate::formats::steps_of(&[file], &OpenOptions::default())?;
     let mut infos = vec![];
     let values = steps.iter().map(|step| {
-        let (info, values) = read_all(open(&step.path, &step.options)?);
+        let (info, values) = read_all(open_volume(&step.path, &step.options)?);
         infos.push(info);
         Ok(values)
     });
@@ -281,6 +283,6 @@ fn axes_that_are_no_space_and_no_series_are_refused() {
     let head =
         "NRRD0005\ntype: uchar\ndimension: 3\nsizes: 4 3 2\nkinds: domain domain time\nencoding: raw\n\n";
     let file = write(&dir, "a.nrrd", &[head.as_bytes(), &data].concat());
-    let error = open(&file, &OpenOptions::default()).err().unwrap().to_string();
+    let error = open_volume(&file, &OpenOptions::default()).err().unwrap().to_string();
     assert!(error.contains("three axes of space") && error.contains("time"), "{error}");
 }

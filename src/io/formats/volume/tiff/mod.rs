@@ -41,8 +41,9 @@ mod times;
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
+use crate::formats::shared::recent::Recent;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::volume::chunked::ChunkSource;
@@ -62,43 +63,29 @@ use std::sync::Arc;
 /// TIFF, one file with a page for each slice.
 pub(in crate::formats) struct TiffFile;
 
+static ABOUT: About = About {
+    volumes: &["TIFF"],
+    suffixes: &SUFFIXES,
+    on_servers: true,
+    has_spacing: false,
+    has_channels: true,
+    ..About::named("a TIFF file")
+};
+/// A stack of files.
+pub(in crate::formats) static OF_STACK: About =
+    About { volumes: &["TIFF"], has_spacing: false, ..About::named("a stack of TIFF files") };
+
 impl Format for TiffFile {
-    fn name(&self) -> &'static str {
-        "a TIFF file"
-    }
-
-    fn is_on_servers(&self) -> bool {
-        true
-    }
-
-    fn suffixes(&self) -> &'static [&'static str] {
-        &SUFFIXES
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         has_magic(&head.bytes)
     }
 
-    fn has_spacing(&self) -> bool {
-        false
-    }
-
-    fn has_channels(&self) -> bool {
-        true
-    }
-
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        let planes = planes_of(path, options)?;
-        Ok(Some(planes.map_or(vec![], |planes| planes.frames(options))))
-    }
-
-    fn times(&self, path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
-        let planes = planes_of(path, options)?;
-        Ok(planes.map_or_else(HashMap::new, |planes| known_times(planes.all_frames())))
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        Ok(Box::new(File::open(head.file()?)?))
     }
 }
 
@@ -108,108 +95,148 @@ pub(in crate::formats) const SUFFIXES: [&str; 4] = [".tif", ".tiff", ".btf", ".t
 /// Bytes decoded at a time, unless a strip or a row of tiles has more.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-/// Opens one file of several pages.
-///
-/// # Errors
-/// [`Error::BadInput`] when it is malformed, of a kind that is not read, or has a single page.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let tiff = Tiff::open(Arc::new(ByteSource::open(path, options.io)?))?;
-    let (mut places, mut pages) = (vec![], None::<(Page, bool)>);
-    for place in tiff.places()? {
-        let page = Page::parse(&tiff, place)?;
-        if page.secondary {
-            continue;
-        }
-        match &mut pages {
-            None => pages = Some((page.clone(), page.in_place().is_some())),
-            Some((first, in_place)) => {
-                let name = format!("page {}", places.len());
-                same_shape(path, &name, first.shape, page.shape)?;
-                *in_place &= page.in_place().is_some();
-            }
-        }
-        places.push(place);
-    }
-    let Some((first, in_place)) = pages else {
-        return Err(tiff.wrong("pages", "a page that is no thumbnail or mask", "none"));
-    };
-    if let Some(planes) = Planes::of(path, &first.description)? {
-        return of_planes(&tiff, &places, &first, in_place, &planes, options);
-    }
-    options.refuse_channel(path)?;
-    let images = images(&first.description);
-    if places.len() == 1 && images > 1 {
-        let info = info(path, "TIFF (ImageJ stack", &tiff, &first, images, options)?;
-        return imagej_stack(&tiff, places[0], &first, images, info, [0, 1]);
-    }
-    if places.len() == 1 {
-        let help = "for a stack of slices name their folder, or a pattern in quotes: \"slice_*.tif\"";
-        return Err(tiff.wrong("pages", "at least 2 slices", "1").with_help(help));
-    }
-    if images > 1 && images != places.len() as u64 {
-        let expected = format!("{images} images, as the description says");
-        return Err(tiff.wrong("pages", &expected, format!("{}", places.len())));
-    }
-    let info = info(path, "TIFF (pages", &tiff, &first, places.len() as u64, options)?;
-    if in_place {
-        mapped(info, &tiff, &places)
-    } else {
-        Ok(chunked(info, &first, Pages::OfFile(tiff, places)))
-    }
-}
-
-/// Opens the pages of one channel and moment.
-fn of_planes(
-    tiff: &Tiff,
-    places: &[u64],
-    first: &Page,
+/// One file of several pages.
+struct File {
+    tiff: Tiff,
+    /// Where the pages are, without thumbnails and masks.
+    places: Vec<u64>,
+    first: Page,
+    /// Whether all are read where they lie.
     in_place: bool,
-    planes: &Planes,
-    options: &OpenOptions,
-) -> Result<VolumeSource> {
-    let path = tiff.source.path();
-    let is_one_page = places.len() == 1 && images(&first.description) == planes.count();
-    if !is_one_page && places.len() as u64 != planes.count() {
-        let got = places.len().to_string();
-        return Err(tiff
-            .wrong("pages", &format!("{} images of {planes}, as the description says", planes.count()), got)
-            .with_help("write each channel and moment to a file of its own"));
-    }
-    if planes.slices < 2 {
-        return Err(tiff.wrong("pages", "at least 2 slices", planes.to_string()));
-    }
-    let scalar = first.shape.scalar;
-    let (field, channel, moment) = planes.choose(path, scalar, options)?;
-    let all = OpenOptions { field: None, ..options.clone() };
-    let kind = if is_one_page { "TIFF (ImageJ stack" } else { "TIFF (pages" };
-    let mut info = info(path, kind, tiff, first, planes.slices, &all)?;
-    (info.field, info.fields) = (field, planes.fields(scalar));
-    info.units.time.clone_from(&planes.times.unit);
-    info.notes.extend(planes.times.notes.iter().cloned());
-    let number = |z| planes.number(channel, z, moment);
-    if is_one_page {
-        return imagej_stack(
-            tiff,
-            places[0],
-            first,
-            planes.count(),
-            info,
-            [number(0), number(1) - number(0)],
-        );
-    }
-    let pages: Vec<u64> = (0..planes.slices).map(|z| places[number(z) as usize]).collect();
-    if in_place {
-        mapped(info, tiff, &pages)
-    } else {
-        Ok(chunked(info, first, Pages::OfFile(tiff.clone(), pages)))
+    /// The channels and moments, where there are several.
+    planes: Option<Planes>,
+}
+
+impl File {
+    fn open(source: &Arc<ByteSource>) -> Result<Self> {
+        let (path, tiff) = (source.path(), Tiff::open(Arc::clone(source))?);
+        let (mut places, mut pages) = (vec![], None::<(Page, bool)>);
+        for place in tiff.places()? {
+            let page = Page::parse(&tiff, place)?;
+            if page.secondary {
+                continue;
+            }
+            match &mut pages {
+                None => pages = Some((page.clone(), page.in_place().is_some())),
+                Some((first, in_place)) => {
+                    let name = format!("page {}", places.len());
+                    same_shape(path, &name, first.shape, page.shape)?;
+                    *in_place &= page.in_place().is_some();
+                }
+            }
+            places.push(place);
+        }
+        let Some((first, in_place)) = pages else {
+            return Err(tiff.wrong("pages", "a page that is no thumbnail or mask", "none"));
+        };
+        let planes = Planes::of(path, &first.description)?;
+        Ok(Self { tiff, places, first, in_place, planes })
     }
 }
 
-/// The channels and moments of a file; none where there is one.
-fn planes_of(path: &Path, options: &OpenOptions) -> Result<Option<Planes>> {
-    let tiff = Tiff::open(Arc::new(ByteSource::open(path, options.io)?))?;
-    let Some(place) = tiff.places()?.first().copied() else { return Ok(None) };
-    Planes::of(path, &Page::parse(&tiff, place)?.description)
+impl Dataset for File {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let Self { tiff, places, first, in_place, planes } = self;
+        if let Some(planes) = planes {
+            return self.of_planes(planes, options);
+        }
+        options.refuse_channel(tiff.source.path())?;
+        let images = images(&first.description);
+        if places.len() == 1 && images > 1 {
+            let info = info("TIFF (ImageJ stack", (tiff, first), images, options)?;
+            return imagej_stack(tiff, places[0], first, images, info, [0, 1]);
+        }
+        if places.len() == 1 {
+            let help = "for a stack of slices name their folder, or a pattern in quotes: \"slice_*.tif\"";
+            return Err(tiff.wrong("pages", "at least 2 slices", "1").with_help(help));
+        }
+        if images > 1 && images != places.len() as u64 {
+            let expected = format!("{images} images, as the description says");
+            return Err(tiff.wrong("pages", &expected, format!("{}", places.len())));
+        }
+        let info = info("TIFF (pages", (tiff, first), places.len() as u64, options)?;
+        if *in_place {
+            mapped(info, tiff, places)
+        } else {
+            Ok(chunked(info, first, Pages::OfFile(tiff.clone(), places.clone())))
+        }
+    }
+
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
+        Ok(self.planes.as_ref().map_or_else(Vec::new, |planes| planes.frames(options)))
+    }
+
+    fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        Ok(self.planes.as_ref().map_or_else(HashMap::new, |planes| known_times(planes.all_frames())))
+    }
+}
+
+impl File {
+    /// The pages of one channel and moment.
+    fn of_planes(&self, planes: &Planes, options: &OpenOptions) -> Result<VolumeSource> {
+        let Self { tiff, places, first, in_place, .. } = self;
+        let is_one_page = places.len() == 1 && images(&first.description) == planes.count();
+        if !is_one_page && places.len() as u64 != planes.count() {
+            let got = places.len().to_string();
+            let expected = format!("{} images of {planes}, as the description says", planes.count());
+            return Err(tiff
+                .wrong("pages", &expected, got)
+                .with_help("write each channel and moment to a file of its own"));
+        }
+        if planes.slices < 2 {
+            return Err(tiff.wrong("pages", "at least 2 slices", planes.to_string()));
+        }
+        let scalar = first.shape.scalar;
+        let (field, channel, moment) = planes.choose(tiff.source.path(), scalar, options)?;
+        let all = OpenOptions { field: None, ..options.clone() };
+        let kind = if is_one_page { "TIFF (ImageJ stack" } else { "TIFF (pages" };
+        let mut info = info(kind, (tiff, first), planes.slices, &all)?;
+        (info.field, info.fields) = (field, planes.fields(scalar));
+        info.units.time.clone_from(&planes.times.unit);
+        info.notes.extend(planes.times.notes.iter().cloned());
+        let number = |z| planes.number(channel, z, moment);
+        if is_one_page {
+            let slices = [number(0), number(1) - number(0)];
+            return imagej_stack(tiff, places[0], first, planes.count(), info, slices);
+        }
+        let pages: Vec<u64> = (0..planes.slices).map(|z| places[number(z) as usize]).collect();
+        if *in_place {
+            mapped(info, tiff, &pages)
+        } else {
+            Ok(chunked(info, first, Pages::OfFile(tiff.clone(), pages)))
+        }
+    }
+}
+
+/// A stack of files, a slice each.
+struct Stack {
+    /// The folder or the pattern that was named.
+    path: PathBuf,
+    files: Vec<PathBuf>,
+    /// The first one, and its page.
+    tiff: Tiff,
+    first: Page,
+    /// Where samples begin in each file, where they are read where they lie.
+    offsets: Option<Vec<u64>>,
+    io: IoMode,
+}
+
+impl Dataset for Stack {
+    fn files(&self) -> Vec<PathBuf> {
+        self.files.clone()
+    }
+
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let count = self.files.len() as u64;
+        let mut info = info_at(&self.path, "TIFF (stack", (&self.tiff, &self.first), count, options)?;
+        info.data_files.clone_from(&self.files);
+        if let Some(offsets) = &self.offsets {
+            let (files, offsets) = (self.files.clone(), offsets.clone());
+            let volume = SliceFiles::new(info, files, offsets, self.tiff.big_endian, self.io);
+            return Ok(VolumeSource::Random(Box::new(volume)));
+        }
+        Ok(chunked(info, &self.first, Pages::Files(self.files.clone(), self.io, Recent::default())))
+    }
 }
 
 /// Opens a stack of files, a slice each; `path` is the folder or the pattern that was named.
@@ -220,19 +247,19 @@ fn planes_of(path: &Path, options: &OpenOptions) -> Result<Option<Planes>> {
 pub(in crate::formats) fn open_stack(
     path: &Path,
     files: Vec<PathBuf>,
-    options: &OpenOptions,
-) -> Result<VolumeSource> {
-    let (mut first, mut in_place) = (None::<(Tiff, Page)>, Some(vec![]));
+    io: IoMode,
+) -> Result<Box<dyn Dataset>> {
+    let (mut first, mut offsets) = (None::<(Tiff, Page)>, Some(vec![]));
     for file in &files {
-        let (tiff, page) = only_page(file, options.io)?;
+        let (tiff, page) = only_page(file, io)?;
         let at = page.in_place();
         if let Some((other, of)) = &first {
             same_shape(file, "slice", of.shape, page.shape)?;
-            in_place = in_place.filter(|_| tiff.big_endian == other.big_endian);
+            offsets = offsets.filter(|_| tiff.big_endian == other.big_endian);
         } else {
             first = Some((tiff, page));
         }
-        in_place = in_place.zip(at).map(|(mut all, at)| {
+        offsets = offsets.zip(at).map(|(mut all, at)| {
             all.push(at);
             all
         });
@@ -240,13 +267,7 @@ pub(in crate::formats) fn open_stack(
     let Some((tiff, first)) = first else {
         return Err(Error::bad_input(path, "slices", "TIFF files", "none"));
     };
-    let mut info = info(path, "TIFF (stack", &tiff, &first, files.len() as u64, options)?;
-    info.data_files.clone_from(&files);
-    if let Some(offsets) = in_place {
-        let volume = SliceFiles::new(info, files, offsets, tiff.big_endian, options.io);
-        return Ok(VolumeSource::Random(Box::new(volume)));
-    }
-    Ok(chunked(info, &first, Pages::Files(files, options.io)))
+    Ok(Box::new(Stack { path: path.to_path_buf(), files, tiff, first, offsets, io }))
 }
 
 /// The page of a slice's file.
@@ -277,11 +298,15 @@ fn same_shape(path: &Path, at: &str, expected: Shape, got: Shape) -> Result<()> 
         .with_help("all slices of a volume have the same size and type"))
 }
 
-fn info(
+/// What a volume of so many slices like a page is.
+fn info(kind: &str, of: (&Tiff, &Page), slices: u64, options: &OpenOptions) -> Result<VolumeInfo> {
+    info_at(of.0.source.path(), kind, of, slices, options)
+}
+
+fn info_at(
     path: &Path,
     kind: &str,
-    tiff: &Tiff,
-    page: &Page,
+    (tiff, page): (&Tiff, &Page),
     slices: u64,
     options: &OpenOptions,
 ) -> Result<VolumeInfo> {
@@ -356,14 +381,15 @@ fn mapped(info: VolumeInfo, tiff: &Tiff, places: &[u64]) -> Result<VolumeSource>
 /// Where the pages of a volume are.
 enum Pages {
     OfFile(Tiff, Vec<u64>),
-    Files(Vec<PathBuf>, IoMode),
+    /// Those that were used last stay open.
+    Files(Vec<PathBuf>, IoMode, Recent<(Tiff, Page)>),
 }
 
 impl Pages {
-    fn page(&self, number: usize) -> Result<(Tiff, Page)> {
+    fn page(&self, number: usize) -> Result<Arc<(Tiff, Page)>> {
         match self {
-            Self::OfFile(tiff, places) => Ok((tiff.clone(), Page::parse(tiff, places[number])?)),
-            Self::Files(files, io) => only_page(&files[number], *io),
+            Self::OfFile(tiff, places) => Ok(Arc::new((tiff.clone(), Page::parse(tiff, places[number])?))),
+            Self::Files(files, io, open) => open.get(number, || only_page(&files[number], *io)),
         }
     }
 }
@@ -403,11 +429,11 @@ impl ChunkSource for PageChunks {
     fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
         out.clear();
         let ([x, y, _], scalar) = (self.info.dims, self.info.field.scalar);
-        let (tiff, page) = self.pages.page(at[2] as usize)?;
+        let (tiff, page) = &*self.pages.page(at[2] as usize)?;
         // A file may have changed since it was opened.
         same_shape(tiff.source.path(), "slice", Shape { dims: [x, y], scalar }, page.shape)?;
         let first = at[1].saturating_mul(self.rows).min(y);
-        page.rows(&tiff, first, first.saturating_add(self.rows).min(y), out)
+        page.rows(tiff, first, first.saturating_add(self.rows).min(y), out)
     }
 }
 

@@ -1,21 +1,14 @@
 //! A stack of uncompressed slices in separate files, read in place.
-//!
-//! A stack may have more files than a process may have open (often 1024). So files are opened when
-//! a slice is first needed, and the most recently used ones stay open. Chunks come in layers along
-//! z: neighbours need the same slices.
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
+use crate::formats::shared::recent::{MOST_OPEN, Recent};
 use crate::grid::IndexBox;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{VolumeInfo, VolumeReader};
-use rustc_hash::FxHashMap;
 use std::ops::Range;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex};
-
-/// The most files that stay open.
-const MOST_OPEN: usize = 400;
+use std::sync::Arc;
 
 /// Slices in files of their own.
 pub(super) struct SliceFiles {
@@ -25,14 +18,7 @@ pub(super) struct SliceFiles {
     offsets: Vec<u64>,
     big_endian: bool,
     io: IoMode,
-    open: Mutex<Open>,
-}
-
-#[derive(Default)]
-struct Open {
-    /// By slice, with the time of last use.
-    slices: FxHashMap<u64, (u64, Arc<StridedVolume>)>,
-    clock: u64,
+    open: Recent<StridedVolume>,
 }
 
 impl SliceFiles {
@@ -43,32 +29,16 @@ impl SliceFiles {
         big_endian: bool,
         io: IoMode,
     ) -> Self {
-        Self { info, files, offsets, big_endian, io, open: Mutex::default() }
+        Self { info, files, offsets, big_endian, io, open: Recent::default() }
     }
 
     fn open(&self, z: u64) -> Result<Arc<StridedVolume>> {
-        let mut open = self.open.lock().expect("no thread panics while it holds the lock");
-        open.clock += 1;
-        let now = open.clock;
-        if let Some((used, slice)) = open.slices.get_mut(&z) {
-            *used = now;
-            return Ok(Arc::clone(slice));
-        }
-        if open.slices.len() >= MOST_OPEN {
-            // Half of them at once, so that the search costs little each.
-            let mut times: Vec<u64> = open.slices.values().map(|(used, _)| *used).collect();
-            times.sort_unstable();
-            let middle = times[times.len() / 2];
-            open.slices.retain(|_, (used, _)| *used > middle);
-        }
-        let slice = Arc::new(self.map(z as usize)?);
-        open.slices.insert(z, (now, Arc::clone(&slice)));
-        Ok(slice)
+        self.open.get(z as usize, || self.map(z as usize))
     }
 
     #[cfg(test)]
     pub(super) fn open_files(&self) -> usize {
-        self.open.lock().expect("no thread panics while it holds the lock").slices.len()
+        self.open.len()
     }
 
     fn map(&self, z: usize) -> Result<StridedVolume> {

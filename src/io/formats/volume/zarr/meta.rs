@@ -3,6 +3,7 @@
 
 use super::codec::Codec;
 use super::store::read_if_there;
+use crate::formats::shared::small::SmallFiles;
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::signed_as;
 use crate::volume::ScalarType;
@@ -58,15 +59,15 @@ struct Key {
 const MOST: u64 = 64 << 20;
 
 /// The JSON of a metadata file, if there is one.
-pub(super) fn json(file: &Path) -> Result<Option<Value>> {
-    let Some(bytes) = read_if_there(file, MOST)? else { return Ok(None) };
+pub(super) fn json(small: &SmallFiles, file: &Path) -> Result<Option<Value>> {
+    let Some(bytes) = small.get(file, || read_if_there(file, MOST))? else { return Ok(None) };
     let value = serde_json::from_slice(&bytes);
     value.map(Some).map_err(|e| Error::bad_input(file, "metadata", "JSON", e.to_string()))
 }
 
 /// The metadata of the array in a folder; `None` where there is no array.
-pub(super) fn array(folder: &Path) -> Result<Option<Array>> {
-    let mut array = stored_array(folder)?;
+pub(super) fn array(small: &SmallFiles, folder: &Path) -> Result<Option<Array>> {
+    let mut array = stored_array(small, folder)?;
     if let Some(array) = &mut array {
         let unsigned = match &array.attributes["_Unsigned"] {
             Value::Bool(is_unsigned) => is_unsigned.to_string(),
@@ -78,16 +79,16 @@ pub(super) fn array(folder: &Path) -> Result<Option<Array>> {
 }
 
 /// The same, with the type of the stored numbers.
-fn stored_array(folder: &Path) -> Result<Option<Array>> {
+fn stored_array(small: &SmallFiles, folder: &Path) -> Result<Option<Array>> {
     let file = folder.join("zarr.json");
-    let of_3 = json(&file);
+    let of_3 = json(small, &file);
     if let Ok(Some(json)) = of_3 {
         let is_array = json["node_type"] == "array";
         return if is_array { Ok(Some(Parser { file: &file, json: &json }.v3(folder)?)) } else { Ok(None) };
     }
     let file = folder.join(".zarray");
     // A server that denies what is not there does not hide an array of version 2.
-    let json = match (json(&file), of_3) {
+    let json = match (json(small, &file), of_3) {
         (Ok(Some(json)), Err(e)) if e.is_denied() => json,
         (found, of_3) => {
             of_3?;
@@ -96,7 +97,7 @@ fn stored_array(folder: &Path) -> Result<Option<Array>> {
         }
     };
     let mut array = Parser { file: &file, json: &json }.v2(folder)?;
-    let attributes = self::json(&folder.join(".zattrs"))?.unwrap_or_default();
+    let attributes = self::json(small, &folder.join(".zattrs"))?.unwrap_or_default();
     array.names = strings(&attributes["_ARRAY_DIMENSIONS"]);
     array.attributes = attributes;
     Ok(Some(array))

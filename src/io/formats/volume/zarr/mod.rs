@@ -54,10 +54,11 @@ use crate::formats::shared::axes::{Layout, layout};
 use crate::formats::shared::cf::{self, Attributes, Convert, Line, MOST_COORDINATES, Numbers, Packing};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::{geometry, given_geometry, plain_info, scaled_axes};
 use crate::formats::shared::lengths::Lengths;
 use crate::formats::shared::numbers::to_f64;
+use crate::formats::shared::small::SmallFiles;
 use crate::formats::shared::stream::sample_bytes;
 use crate::formats::shared::{Frames, OpenOptions, known_times, pick_field};
 use crate::grid::Geometry;
@@ -69,7 +70,7 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
 use meta::Array;
 use serde_json::Value;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -78,63 +79,90 @@ use store::{Part, Zip, folders_in, open_if_there, ranges_if_there};
 /// A folder with a Zarr array or a group of them.
 pub(in crate::formats) struct Zarr;
 
-impl Format for Zarr {
-    fn name(&self) -> &'static str {
-        "a Zarr array or group"
-    }
+static ABOUT: About = About {
+    volumes: &["Zarr"],
+    on_servers: true,
+    has_spacing: false,
+    has_channels: true,
+    has_scales: true,
+    ..About::named("a Zarr array or group")
+};
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[]
+impl Format for Zarr {
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
-        head.is_folder && (is_remote(head.path) || is_zarr(head.path).is_ok_and(|found| found))
+        head.is_folder
+            && (is_remote(head.path) || is_zarr(head.path, head.small()).is_ok_and(|found| found))
     }
 
-    fn is_on_servers(&self) -> bool {
-        true
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let archive = store::held(head.path, head.io)?;
+        let (small, io, numbers) = (Arc::clone(head.small()), head.io, Mutex::default());
+        let store = Store { archive, small, io, numbers };
+        let (image, arrays) = arrays(&store, head.path)?;
+        let fields = fields(&store, image.as_ref(), &arrays)?;
+        let path = head.path.to_path_buf();
+        Ok(Box::new(Group { path, store, image, arrays, fields }))
+    }
+}
+
+/// Where arrays are, and what was read there.
+struct Store {
+    /// The archive that they are in, which stays open.
+    archive: Option<Arc<Zip>>,
+    io: IoMode,
+    /// The metadata.
+    small: Arc<SmallFiles>,
+    /// The numbers of arrays of one axis, by their folders.
+    numbers: Mutex<BTreeMap<PathBuf, Arc<Vec<f64>>>>,
+}
+
+/// An array, or a group of some.
+struct Group {
+    path: PathBuf,
+    store: Store,
+    /// The image that the arrays are levels of.
+    image: Option<Image>,
+    arrays: Named,
+    fields: Vec<Field>,
+}
+
+impl Dataset for Group {
+    fn files(&self) -> Vec<PathBuf> {
+        match store::archive_in(&self.path) {
+            Some((archive, _)) => vec![archive.to_path_buf()],
+            None => self.store.small.paths(),
+        }
     }
 
-    fn has_spacing(&self) -> bool {
-        false
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        self.open(options)
     }
 
-    fn has_channels(&self) -> bool {
-        true
+    fn coordinates(&self, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        self.coordinates_of(options)
     }
 
-    fn has_scales(&self) -> bool {
-        true
+    fn steps(&self, options: &OpenOptions) -> Result<Frames> {
+        self.frames(options)
     }
 
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
+    fn time(&self, options: &OpenOptions) -> Result<Option<f64>> {
+        self.one_time(options)
     }
 
-    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        coordinates(path, options)
-    }
-
-    fn frames(&self, path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
-        frames(path, options).map(Some)
-    }
-
-    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-        time(path, options)
-    }
-
-    fn calendar(&self, path: &Path, options: &OpenOptions) -> Result<String> {
-        let _archive = store::held(path, options.io)?;
-        let (image, arrays) = arrays(path)?;
-        let fields = fields(image.as_ref(), &arrays)?;
-        let field = &fields[choose(path, options, image.as_ref(), &arrays, &fields)?];
-        let array = &arrays[field.array].1;
-        let times = times_of(array, field.frame.map(|frame| frame.axis).or(field.record), options.io);
+    fn calendar(&self, options: &OpenOptions) -> Result<String> {
+        let field = &self.fields[self.choose(options)?];
+        let axis = field.frame.map(|frame| frame.axis).or(field.record);
+        let times = times_of(&self.store, &self.arrays[field.array].1, axis);
         Ok(times.map_or_else(String::new, |times| times.calendar))
     }
 
-    fn times(&self, path: &Path, _: &OpenOptions) -> Result<HashMap<String, f64>> {
-        all_frames(path).map(known_times)
+    fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
+        self.frames_of(|_| true).map(known_times)
     }
 }
 
@@ -153,7 +181,7 @@ const LISTED: u64 = 1 << 20;
 ///
 /// # Errors
 /// When a server fails.
-pub(in crate::formats) fn is_zarr(folder: &Path) -> Result<bool> {
+pub(in crate::formats) fn is_zarr(folder: &Path, small: &SmallFiles) -> Result<bool> {
     if let Some((archive, name)) = store::archive_in(folder) {
         for file in METADATA {
             if store::exists(&folder.join(file))? {
@@ -170,7 +198,7 @@ pub(in crate::formats) fn is_zarr(folder: &Path) -> Result<bool> {
     }
     let mut denied = Ok(false);
     for file in METADATA {
-        match meta::json(&folder.join(file)) {
+        match meta::json(small, &folder.join(file)) {
             Ok(None) => {}
             Ok(Some(_)) => return Ok(true),
             // Another one may be readable: S3 denies what is not there, too.
@@ -182,87 +210,91 @@ pub(in crate::formats) fn is_zarr(folder: &Path) -> Result<bool> {
 }
 
 /// Whether a path on this machine is an array or group in a zip archive.
-pub(in crate::formats) fn is_in_archive(path: &Path) -> Result<bool> {
-    Ok(!is_remote(path) && store::archive_in(path).is_some() && is_zarr(path)?)
+pub(in crate::formats) fn is_in_archive(path: &Path, small: &SmallFiles) -> Result<bool> {
+    Ok(!is_remote(path) && store::archive_in(path).is_some() && is_zarr(path, small)?)
 }
 
 /// Names of metadata: one of them is in each array and group.
 const METADATA: [&str; 4] = ["zarr.json", ".zattrs", ".zarray", ".zgroup"];
 
-/// Opens an array, or one of a group.
-///
-/// # Errors
-/// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several
-/// arrays ask for a choice.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let archive = store::held(path, options.io)?;
-    let (image, arrays) = arrays(path)?;
-    let fields = fields(image.as_ref(), &arrays)?;
-    let number = choose(path, options, image.as_ref(), &arrays, &fields)?;
-    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
-    let Field { info: field, array, axes, fixed, frame, record, .. } =
-        fields.into_iter().nth(number).expect("one of them");
-    let array = arrays.into_iter().nth(array).expect("a field's array").1;
-    let image = match image {
-        Some(image) => Some(image),
-        None => image_around(&array.folder)?,
-    };
-    let time = frame.map(|frame| frame.axis);
-    let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
-    sample_bytes(&array.file, dims, array.scalar)?;
-    check_chunks(&array)?;
-    refuse_many_chunks(&array.file, dims, axes.map(|a| a.map_or(1, |a| array.unit()[a])))?;
-    let lines = lines(&array, axes, options.io)?;
-    if image.is_some() || lines.iter().any(Option::is_some) {
-        options.refuse_geometry(path, "a Zarr array with coordinates")?;
+impl Group {
+    /// The volume of the field that is wanted.
+    fn open(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (path, store) = (&*self.path, &self.store);
+        let field = &self.fields[self.choose(options)?];
+        let Field { array, axes, fixed, frame, record, .. } = field;
+        let (array, axes) = (&self.arrays[*array].1, *axes);
+        let image = self.image_of(array)?;
+        let time = frame.map(|frame| frame.axis);
+        let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
+        sample_bytes(&array.file, dims, array.scalar)?;
+        check_chunks(array)?;
+        refuse_many_chunks(&array.file, dims, axes.map(|a| a.map_or(1, |a| array.unit()[a])))?;
+        let lines = lines(store, array, axes)?;
+        if image.is_some() || lines.iter().any(Option::is_some) {
+            options.refuse_geometry(path, "a Zarr array with coordinates")?;
+        }
+        let geometry = match &image {
+            Some(image) => image.placed(array, axes)?,
+            None => given_geometry(path, options, cf::placed(&array.file, &lines, [0, 1, 2], [1.0; 3])?)?,
+        };
+        let mut info = plain_info(path, format_name(array, image.is_some()), dims, array.scalar, geometry);
+        if image.is_none() {
+            refuse_hyperspy(store, array)?;
+            info.assumed = options.assumed([0, 1, 2].map(|a| lines[a].is_none()));
+        }
+        let convert = packing(array)?.into_info(&mut info);
+        let lengths = match &image {
+            Some(image) => image.lengths(axes)?,
+            None => line_lengths(store, array, axes),
+        };
+        info.notes.extend(lengths.note.clone());
+        info.units = match &image {
+            Some(image) => image.units(array, &lengths, time),
+            None => {
+                let time = times_of(store, array, time.or(*record)).map(|times| times.unit);
+                cf::units(text(array, "units"), &lengths, time)
+            }
+        };
+        info.field = field.info.clone();
+        if convert.is_some() {
+            info.field.scalar = ScalarType::F64;
+        }
+        info.fields = self.fields.iter().map(|f| f.info.clone()).collect();
+        info.data_files = match store::archive_in(path) {
+            Some((archive, _)) => vec![archive.to_path_buf()],
+            None => files(array, fixed),
+        };
+        let archive = store.archive.clone();
+        let chunks = Chunks::new(info, array.clone(), axes, fixed.clone(), store.io);
+        Ok(VolumeSource::Chunked(Arc::new(Chunks { archive, convert, ..chunks })))
     }
-    let geometry = match &image {
-        Some(image) => image.placed(&array, axes)?,
-        None => given_geometry(path, options, cf::placed(&array.file, &lines, [0, 1, 2], [1.0; 3])?)?,
-    };
+
+    /// The image that an array is a level of.
+    fn image_of(&self, array: &Array) -> Result<Option<Image>> {
+        match &self.image {
+            Some(image) => Ok(Some(image.clone())),
+            None => image_around(&self.store, &array.folder),
+        }
+    }
+}
+
+/// The format, as a person would call it.
+fn format_name(array: &Array, of_image: bool) -> String {
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
     let compressor = if compressor.is_empty() { "raw" } else { &compressor };
     let sharded = if array.shard.is_some() { ", shards" } else { "" };
-    let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
-    let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
-    let mut info = plain_info(path, format, dims, array.scalar, geometry);
-    if image.is_none() {
-        refuse_hyperspy(&array)?;
-        info.assumed = options.assumed([0, 1, 2].map(|a| lines[a].is_none()));
-    }
-    let convert = packing(&array)?.into_info(&mut info);
-    let lengths = match &image {
-        Some(image) => image.lengths(axes)?,
-        None => line_lengths(&array, axes),
-    };
-    info.notes.extend(lengths.note.clone());
-    info.units = match &image {
-        Some(image) => image.units(&array, &lengths, time),
-        None => {
-            let time = times_of(&array, time.or(record), options.io).map(|times| times.unit);
-            cf::units(text(&array, "units"), &lengths, time)
-        }
-    };
-    info.field = field;
-    if convert.is_some() {
-        info.field.scalar = ScalarType::F64;
-    }
-    info.fields = infos;
-    info.data_files = match store::archive_in(path) {
-        Some((archive, _)) => vec![archive.to_path_buf()],
-        None => files(&array, &fixed),
-    };
-    let chunks = Chunks { archive, convert, ..Chunks::new(info, array, axes, fixed, options.io) };
-    Ok(VolumeSource::Chunked(Arc::new(chunks)))
+    let kind = if of_image { "OME-Zarr" } else { "Zarr" };
+    format!("{kind} (version {}, {compressor}{sharded})", array.version)
 }
 
 /// Fails for an array of HyperSpy (.zspy), whose axes are groups beside it.
-fn refuse_hyperspy(array: &Array) -> Result<()> {
+fn refuse_hyperspy(store: &Store, array: &Array) -> Result<()> {
     let axis = array.folder.parent().map(|group| group.join("axis-0"));
     let Some(axis) = axis.filter(|axis| !is_remote(axis)) else { return Ok(()) };
-    let of_3 = meta::json(&axis.join("zarr.json"))?.map(|json| json["attributes"].clone());
+    let of_3 = meta::json(&store.small, &axis.join("zarr.json"))?.map(|json| json["attributes"].clone());
     let attributes = match of_3 {
-        None => meta::json(&axis.join(".zattrs"))?,
+        None => meta::json(&store.small, &axis.join(".zattrs"))?,
         found => found,
     };
     if attributes.is_none_or(|attributes| attributes.get("navigate").is_none()) {
@@ -273,62 +305,85 @@ fn refuse_hyperspy(array: &Array) -> Result<()> {
         .with_help("save it as .hspy"))
 }
 
-/// The number of the field that is read.
-fn choose(
-    path: &Path,
-    options: &OpenOptions,
-    image: Option<&Image>,
-    arrays: &Named,
-    fields: &[Field],
-) -> Result<usize> {
-    if let Some(wanted) = Wanted::of(path, options, image, arrays)? {
-        if let Some(number) = fields.iter().position(|f| wanted.is(f)) {
-            return Ok(number);
+impl Group {
+    /// The number of the field that is read.
+    fn choose(&self, options: &OpenOptions) -> Result<usize> {
+        let Self { path, image, arrays, fields, .. } = self;
+        if let Some(wanted) = Wanted::of(path, options, image.as_ref(), arrays)? {
+            if let Some(number) = fields.iter().position(|f| wanted.is(f)) {
+                return Ok(number);
+            }
+            let of_array = fields.iter().filter(|f| f.array == wanted.array);
+            let once = of_array.filter(|f| f.frame.is_none_or(|t| t.number == 0));
+            let channels = once.filter_map(|f| f.channel.as_ref());
+            if let Some(error) = wanted.entries.no_channel(path, options, channels) {
+                return Err(error);
+            }
         }
-        let of_array = fields.iter().filter(|f| f.array == wanted.array);
-        let once = of_array.filter(|f| f.frame.is_none_or(|t| t.number == 0));
-        let channels = once.filter_map(|f| f.channel.as_ref());
-        if let Some(error) = wanted.entries.no_channel(path, options, channels) {
-            return Err(error);
+        let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
+        pick_field(path, &infos, options.field.as_deref())
+    }
+
+    /// The frames of the array that is wanted, or that is read without a choice, by the names of
+    /// their fields, and their times, where OME-Zarr states them. None where there is one volume.
+    fn frames(&self, options: &OpenOptions) -> Result<Frames> {
+        let wanted = Wanted::of(&self.path, options, self.image.as_ref(), &self.arrays)?;
+        let wanted = wanted.filter(|wanted| wanted.entries.frame.is_none());
+        wanted.map_or(Ok(vec![]), |wanted| self.frames_of(|f| wanted.is_series(f)))
+    }
+
+    /// The time of the array that is read, or of all of them, where it is one time. OME-Zarr states
+    /// none for a single frame.
+    fn one_time(&self, options: &OpenOptions) -> Result<Option<f64>> {
+        if self.image.is_some() {
+            return Ok(None);
         }
+        let of_field = |field: &Field| {
+            let axis = field.frame.map(|frame| frame.axis).or(field.record);
+            let times = times_of(&self.store, &self.arrays[field.array].1, axis)?;
+            times.values.get(field.frame.map_or(0, |frame| frame.number) as usize).copied()
+        };
+        if options.field.is_some() {
+            return Ok(of_field(&self.fields[self.choose(options)?]));
+        }
+        let times: Vec<Option<f64>> = self.fields.iter().map(of_field).collect();
+        let is_series = self.fields.iter().any(|field| field.frame.is_some());
+        Ok(common(times).filter(|_| !is_series))
     }
-    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
-    pick_field(path, &infos, options.field.as_deref())
-}
 
-/// The frames of the array that is wanted, or that is read without a choice, by the names of their
-/// fields, and their times, where OME-Zarr states them. None where there is one volume.
-///
-/// # Errors
-/// As [`open`].
-pub(in crate::formats) fn frames(path: &Path, options: &OpenOptions) -> Result<Frames> {
-    let _archive = store::held(path, options.io)?;
-    let (image, arrays) = arrays(path)?;
-    let wanted = Wanted::of(path, options, image.as_ref(), &arrays)?;
-    let wanted = wanted.filter(|wanted| wanted.entries.frame.is_none());
-    wanted.map_or(Ok(vec![]), |wanted| frames_of(image.as_ref(), &arrays, |f| wanted.is_series(f)))
-}
+    fn frames_of(&self, taken: impl Fn(&Field) -> bool) -> Result<Frames> {
+        let mut out = vec![];
+        for field in self.fields.iter().filter(|field| taken(field)) {
+            let Some(frame) = field.frame else { continue };
+            let array = &self.arrays[field.array].1;
+            let time = match self.image_of(array)? {
+                Some(image) => {
+                    let (scale, shift) = image.scale_and_shift(array, frame.axis)?;
+                    Some(shift + scale * frame.number as f64)
+                }
+                None => line(&self.store, array, frame.axis)?
+                    .and_then(|line| line.values.get(frame.number as usize).copied()),
+            };
+            out.push((field.info.name.clone(), time.filter(|t| t.is_finite())));
+        }
+        Ok(out)
+    }
 
-/// The time of the array that is read, or of all of them, where it is one time. OME-Zarr states
-/// none for a single frame.
-fn time(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-    let _archive = store::held(path, options.io)?;
-    let (image, arrays) = arrays(path)?;
-    if image.is_some() {
-        return Ok(None);
+    /// The coordinates along the axes of the array that is read, where those of one of them are not
+    /// regular; else `None`.
+    fn coordinates_of(&self, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        if self.image.is_some() {
+            return Ok(None);
+        }
+        let field = &self.fields[self.choose(options)?];
+        let array = &self.arrays[field.array].1;
+        let lines = lines(&self.store, array, field.axes)?;
+        if image_around(&self.store, &array.folder)?.is_some() {
+            return Ok(None);
+        }
+        let dims = field.axes.map(|a| a.map_or(1, |a| array.shape[a]));
+        cf::grid_of(&self.path, &field.info.name, lines, [0, 1, 2], dims)
     }
-    let fields = fields(None, &arrays)?;
-    let of_field = |field: &Field| {
-        let axis = field.frame.map(|frame| frame.axis).or(field.record);
-        let times = times_of(&arrays[field.array].1, axis, options.io)?;
-        times.values.get(field.frame.map_or(0, |frame| frame.number) as usize).copied()
-    };
-    if options.field.is_some() {
-        return Ok(of_field(&fields[choose(path, options, None, &arrays, &fields)?]));
-    }
-    let times: Vec<Option<f64>> = fields.iter().map(of_field).collect();
-    let is_series = fields.iter().any(|field| field.frame.is_some());
-    Ok(common(times).filter(|_| !is_series))
 }
 
 /// The times of an array.
@@ -340,84 +395,33 @@ struct Times {
 
 /// The times along an axis, else the single one of an array beside it. None where it has no such
 /// coordinates.
-fn times_of(array: &Array, axis: Option<usize>, io: IoMode) -> Option<Times> {
+fn times_of(store: &Store, array: &Array, axis: Option<usize>) -> Option<Times> {
     let times = |own: Array| {
         let [unit, calendar] = ["units", "calendar"].map(|name| text(&own, name).to_owned());
-        Some(Times { values: numbers(own, io).ok()?, unit, calendar })
+        Some(Times { values: numbers(store, own).ok()?.to_vec(), unit, calendar })
     };
     if axis.is_some() {
-        return times(line_array(array, axis?).ok()??);
+        return times(line_array(store, array, axis?).ok()??);
     }
     let group = array.folder.parent()?;
     let names = cf::names_of_time(text(array, "coordinates")).filter(|(name, _)| is_inside(name));
     names.into_iter().find_map(|(name, most_axes)| {
-        let own = meta::array(&group.join(name)).ok()??;
+        let own = meta::array(&store.small, &group.join(name)).ok()??;
         let kind = cf::kind_of_coordinate(name, text(&own, "axis"), text(&own, "units"));
         let is_one = own.shape.len() <= most_axes && own.shape.iter().all(|&n| n == 1);
         if kind == 't' && is_one { times(own) } else { None }
     })
 }
 
-/// The frames of all arrays.
-pub(in crate::formats) fn all_frames(path: &Path) -> Result<Frames> {
-    let _archive = store::held(path, IoMode::Auto)?;
-    let (image, arrays) = arrays(path)?;
-    frames_of(image.as_ref(), &arrays, |_| true)
-}
-
-fn frames_of(image: Option<&Image>, arrays: &Named, taken: impl Fn(&Field) -> bool) -> Result<Frames> {
-    let mut out = vec![];
-    for field in fields(image, arrays)?.into_iter().filter(taken) {
-        let Some(frame) = field.frame else { continue };
-        let array = &arrays[field.array].1;
-        let around = match image {
-            Some(image) => Some(image.clone()),
-            None => image_around(&array.folder)?,
-        };
-        let time = match around {
-            Some(image) => {
-                let (scale, shift) = image.scale_and_shift(array, frame.axis)?;
-                Some(shift + scale * frame.number as f64)
-            }
-            None => line(array, frame.axis, IoMode::Auto)?
-                .and_then(|line| line.values.get(frame.number as usize).copied()),
-        };
-        out.push((field.info.name, time.filter(|t| t.is_finite())));
-    }
-    Ok(out)
-}
-
-/// The coordinates along the axes of the array that is read, where those of one of them are not
-/// regular; else `None`.
-///
-/// # Errors
-/// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
-pub(in crate::formats) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-    let _archive = store::held(path, options.io)?;
-    let (image, arrays) = arrays(path)?;
-    if image.is_some() {
-        return Ok(None);
-    }
-    let fields = fields(None, &arrays)?;
-    let field = &fields[choose(path, options, None, &arrays, &fields)?];
-    let array = &arrays[field.array].1;
-    let lines = lines(array, field.axes, options.io)?;
-    if image_around(&array.folder)?.is_some() {
-        return Ok(None);
-    }
-    let dims = field.axes.map(|a| a.map_or(1, |a| array.shape[a]));
-    cf::grid_of(path, &field.info.name, lines, [0, 1, 2], dims)
-}
-
 /// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
-fn lines(array: &Array, axes: Axes, io: IoMode) -> Result<[Option<Line>; 3]> {
-    let [x, y, z] = axes.map(|axis| axis.map_or(Ok(None), |axis| line(array, axis, io)));
-    Ok(cf::in_one_unit([x?, y?, z?], &line_lengths(array, axes), [0, 1, 2]))
+fn lines(store: &Store, array: &Array, axes: Axes) -> Result<[Option<Line>; 3]> {
+    let [x, y, z] = axes.map(|axis| axis.map_or(Ok(None), |axis| line(store, array, axis)));
+    Ok(cf::in_one_unit([x?, y?, z?], &line_lengths(store, array, axes), [0, 1, 2]))
 }
 
 /// The lengths along x, y, z, by the units of these arrays.
-fn line_lengths(array: &Array, axes: Axes) -> Lengths {
-    cf::lengths(axes.map(|axis| line_unit(array, axis)), [0, 1, 2])
+fn line_lengths(store: &Store, array: &Array, axes: Axes) -> Lengths {
+    cf::lengths(axes.map(|axis| line_unit(store, array, axis)), [0, 1, 2])
 }
 
 /// The numbers of the array of one axis that is named like an axis of an array, and lies next to
@@ -425,30 +429,41 @@ fn line_lengths(array: &Array, axes: Axes) -> Lengths {
 ///
 /// # Errors
 /// When they cannot be read.
-fn line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
-    match try_line(array, axis, io) {
+fn line(store: &Store, array: &Array, axis: usize) -> Result<Option<Line>> {
+    match try_line(store, array, axis) {
         Err(e @ Error::Io { .. }) => Err(e),
         found => Ok(found.ok().flatten()),
     }
 }
 
 /// The array that is named like an axis of an array.
-fn line_array(array: &Array, axis: usize) -> Result<Option<Array>> {
+fn line_array(store: &Store, array: &Array, axis: usize) -> Result<Option<Array>> {
     let names = array.names.as_ref().filter(|n| n.len() == array.shape.len());
     let Some(name) = names.and_then(|n| n.get(axis)).filter(|name| is_inside(name)) else { return Ok(None) };
     let Some(folder) = array.folder.parent().map(|group| group.join(name)) else { return Ok(None) };
-    let own = meta::array(&folder)?;
+    let own = meta::array(&store.small, &folder)?;
     Ok(own.filter(|own| own.shape == [array.shape[axis]] && own.shape[0] <= MOST_COORDINATES))
 }
 
-fn try_line(array: &Array, axis: usize, io: IoMode) -> Result<Option<Line>> {
-    let Some(own) = line_array(array, axis)? else { return Ok(None) };
+fn try_line(store: &Store, array: &Array, axis: usize) -> Result<Option<Line>> {
+    let Some(own) = line_array(store, array, axis)? else { return Ok(None) };
     let single = own.scalar == ScalarType::F32;
-    Ok(Some(Line::new(numbers(own, io)?, single)))
+    Ok(Some(Line::new(numbers(store, own)?.to_vec(), single)))
 }
 
 /// The numbers of an array of at most one axis.
-fn numbers(own: Array, io: IoMode) -> Result<Vec<f64>> {
+fn numbers(store: &Store, own: Array) -> Result<Arc<Vec<f64>>> {
+    let mut known = store.numbers.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(numbers) = known.get(&own.folder) {
+        return Ok(Arc::clone(numbers));
+    }
+    let folder = own.folder.clone();
+    let numbers = Arc::new(read_numbers(own, store.io)?);
+    known.insert(folder, Arc::clone(&numbers));
+    Ok(numbers)
+}
+
+fn read_numbers(own: Array, io: IoMode) -> Result<Vec<f64>> {
     check_chunks(&own)?;
     let packing = packing(&own)?;
     let count = own.shape.first().copied().unwrap_or(1);
@@ -471,8 +486,8 @@ fn text<'a>(array: &'a Array, name: &str) -> &'a str {
 }
 
 /// The unit of the coordinates along an axis.
-fn line_unit(array: &Array, axis: Option<usize>) -> Option<String> {
-    let own = line_array(array, axis?).ok()??;
+fn line_unit(store: &Store, array: &Array, axis: Option<usize>) -> Option<String> {
+    let own = line_array(store, array, axis?).ok()??;
     Some(text(&own, "units").to_owned())
 }
 
@@ -553,19 +568,19 @@ struct Entry {
 }
 
 /// All fields. An array whose axes are not understood is left out, unless it is the only one.
-fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
+fn fields(store: &Store, image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
     let (mut fields, mut refused) = (vec![], None);
     for (number, (name, array)) in arrays.iter().enumerate() {
         let around = match image {
             Some(_) => None,
-            None => image_around(&array.folder)?,
+            None => image_around(store, &array.folder)?,
         };
         let image = image.or(around.as_ref());
         let found = match image {
             None => cf::refuse_mesh(array, array.names.as_deref().unwrap_or_default()),
             Some(_) => Ok(()),
         };
-        let AllAxes { space, time, record, channel } = match found.and_then(|()| axes(array, image)) {
+        let AllAxes { space, time, record, channel } = match found.and_then(|()| axes(store, array, image)) {
             Ok(found) => found,
             Err(e) => {
                 refused = refused.or(Some(e));
@@ -684,8 +699,9 @@ struct Image {
 }
 
 /// The image that a group describes.
-fn image(group: &Path) -> Result<Option<Image>> {
-    let [v3, v2] = match (meta::json(&group.join("zarr.json")), meta::json(&group.join(".zattrs"))) {
+fn image(store: &Store, group: &Path) -> Result<Option<Image>> {
+    let json = |name: &str| meta::json(&store.small, &group.join(name));
+    let [v3, v2] = match (json("zarr.json"), json(".zattrs")) {
         // A server that denies what is not there does not hide a group of version 2.
         (Err(e), Ok(Some(v2))) if e.is_denied() => [None, Some(v2)],
         (Ok(Some(v3)), Err(e)) if e.is_denied() => [Some(v3), None],
@@ -702,10 +718,10 @@ fn image(group: &Path) -> Result<Option<Image>> {
 }
 
 /// The image that an array belongs to: described by a folder above it.
-fn image_around(folder: &Path) -> Result<Option<Image>> {
+fn image_around(store: &Store, folder: &Path) -> Result<Option<Image>> {
     for above in above(folder).take(3) {
-        if (is_remote(above) || is_zarr(above)?)
-            && let Some(image) = image(above)?
+        if (is_remote(above) || is_zarr(above, &store.small)?)
+            && let Some(image) = image(store, above)?
             && image.levels().any(|l| above.join(path_of(l)) == folder)
         {
             return Ok(Some(image));
@@ -799,16 +815,17 @@ impl Image {
 type Named = Vec<(String, Array)>;
 
 /// The arrays that a path offers, and the image that they are levels of.
-fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
-    if let Some(array) = meta::array(path)? {
+fn arrays(store: &Store, path: &Path) -> Result<(Option<Image>, Named)> {
+    let array = |folder: &Path| meta::array(&store.small, folder);
+    if let Some(array) = array(path)? {
         return Ok((None, vec![("data".into(), array)]));
     }
-    if let Some(image) = image(path)? {
+    if let Some(image) = image(store, path)? {
         let mut arrays = vec![];
         for level in image.levels() {
             let name = path_of(level);
-            let array = if is_inside(name) { meta::array(&path.join(name))? } else { None };
-            let array = array.ok_or_else(|| {
+            let found = if is_inside(name) { array(&path.join(name))? } else { None };
+            let array = found.ok_or_else(|| {
                 Error::bad_input(path, "multiscales", format!("an array at {name}"), "none")
                     .with_help("a level of the image is missing; name one that is there")
             })?;
@@ -816,11 +833,11 @@ fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
         }
         return Ok((Some(image), arrays));
     }
-    let mut names = names_in(path)?;
+    let mut names = names_in(store, path)?;
     names.sort();
     let (mut arrays, mut refused) = (vec![], None);
     for name in names {
-        match meta::array(&path.join(&name)) {
+        match array(&path.join(&name)) {
             Ok(Some(array)) if array.shape.len() >= 3 => arrays.push((name, array)),
             Ok(_) => {}
             Err(e) => refused = refused.or(Some(e)),
@@ -834,13 +851,13 @@ fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
 
 /// The names of the folders in a group. A web server lists none: what the group's consolidated
 /// metadata name is there.
-fn names_in(group: &Path) -> Result<Vec<String>> {
+fn names_in(store: &Store, group: &Path) -> Result<Vec<String>> {
     let listed = folders_in(group);
     if listed.is_ok() || !is_remote(group) {
         return listed;
     }
-    let of_3 = meta::json(&group.join("zarr.json"))?.unwrap_or_default();
-    let of_2 = meta::json(&group.join(".zmetadata"))?.unwrap_or_default();
+    let of_3 = meta::json(&store.small, &group.join("zarr.json"))?.unwrap_or_default();
+    let of_2 = meta::json(&store.small, &group.join(".zmetadata"))?.unwrap_or_default();
     let of_3 = of_3["consolidated_metadata"]["metadata"].as_object().map(|all| all.keys());
     let of_2 = of_2["metadata"].as_object().map(|all| all.keys());
     let mut names: Vec<String> = match (of_3, of_2) {
@@ -871,9 +888,9 @@ struct AllAxes {
 
 /// What an axis is, by its name, else by the array of its coordinates where there is one: on a
 /// server it costs requests to look for that.
-fn kind_of(array: &Array, axis: usize, name: &str) -> char {
+fn kind_of(store: &Store, array: &Array, axis: usize, name: &str) -> char {
     match cf::kind_of_name(name) {
-        '?' => line_array(array, axis)
+        '?' => line_array(store, array, axis)
             .ok()
             .flatten()
             .map_or('?', |line| cf::kind_of_coordinate(name, text(&line, "axis"), text(&line, "units"))),
@@ -882,7 +899,7 @@ fn kind_of(array: &Array, axis: usize, name: &str) -> char {
 }
 
 /// What each axis is, for [`layout`].
-fn kinds(array: &Array, image: Option<&Image>, names: Option<&[String]>) -> Vec<char> {
+fn kinds(store: &Store, array: &Array, image: Option<&Image>, names: Option<&[String]>) -> Vec<char> {
     let Some(names) = names else { return vec!['?'; array.shape.len()] };
     let is_called = |name: &str, kind: char| name.eq_ignore_ascii_case(&kind.to_string());
     let kind = |axis: usize| {
@@ -891,7 +908,7 @@ fn kinds(array: &Array, image: Option<&Image>, names: Option<&[String]>) -> Vec<
             Some(Some("time")) => 't',
             Some(Some("channel")) => 'c',
             Some(_) => cf::kind_of_name(name),
-            None => kind_of(array, axis, name),
+            None => kind_of(store, array, axis, name),
         };
         // A name that is as short as this counts before those of coordinates.
         let is_taken = !is_called(name, found) && names.iter().any(|other| is_called(other, found));
@@ -900,7 +917,7 @@ fn kinds(array: &Array, image: Option<&Image>, names: Option<&[String]>) -> Vec<
     (0..names.len()).map(kind).collect()
 }
 
-fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
+fn axes(store: &Store, array: &Array, image: Option<&Image>) -> Result<AllAxes> {
     let rank = array.shape.len();
     let of_image = image.and_then(|i| i.multiscale["axes"].as_array()).map(|axes| {
         axes.iter().map(|a| a["name"].as_str().or(a.as_str()).unwrap_or_default().to_string()).collect()
@@ -909,7 +926,7 @@ fn axes(array: &Array, image: Option<&Image>) -> Result<AllAxes> {
     let first = || image.filter(|_| rank == 5).map(|_| ["t", "c", "z", "y", "x"].map(String::from).into());
     let names: Option<Vec<String>> = of_image.or_else(|| array.names.clone()).filter(|n| n.len() == rank);
     let names = names.or_else(first);
-    let kinds = kinds(array, image, names.as_deref());
+    let kinds = kinds(store, array, image, names.as_deref());
     let count = |axis: Option<usize>| axis.map_or(1, |axis| array.shape[axis]);
     let found = layout(&array.shape, &kinds).ok();
     let is_few = |of: &Layout| {

@@ -2,7 +2,7 @@ use super::*;
 use crate::formats::open_volume;
 use crate::formats::shared::codec::blosc;
 use crate::formats::shared::zip::tests::zip;
-use crate::formats::tests::{gzip, write};
+use crate::formats::tests::{gzip, open_coordinates, write};
 use crate::grid::IndexBox;
 use crate::volume::ScalarType;
 use crate::volume::chunked::step;
@@ -714,6 +714,11 @@ fn an_empty_group_has_no_field() {
 
 /// Frames of an array whose chunks hold two of them: the first of four axes without names, and
 /// OME-Zarr's "t".
+/// The steps of an array, or of the image that it is of.
+fn steps(path: &Path) -> Frames {
+    crate::formats::open(path, &OpenOptions::default()).unwrap().steps(&OpenOptions::default()).unwrap()
+}
+
 #[test]
 fn a_time_axis_gives_frames() {
     let dir = tempfile::tempdir().unwrap();
@@ -758,7 +763,7 @@ fn a_time_axis_gives_frames() {
     for (path, name, times) in
         [(&plain, "data", [None; 3]), (&ome, "0", [Some(10.0), Some(10.5), Some(11.0)])]
     {
-        let found = frames(path, &OpenOptions::default()).unwrap();
+        let found = steps(path);
         let expected_frames: Vec<_> = (0..3).map(|t| (format!("{name}:t{t}"), times[t])).collect();
         assert_eq!(found, expected_frames);
         for t in 0..3u64 {
@@ -777,7 +782,7 @@ fn a_time_axis_gives_frames() {
     {
         let labels = labels.map(|label| json!({ "label": label }));
         put(&ome, ".zattrs", &json!({ "multiscales": axes, "omero": { "channels": labels } }));
-        assert!(frames(&ome, &OpenOptions::default()).unwrap().is_empty());
+        assert!(steps(&ome).is_empty());
         let error = read(&ome, None).unwrap_err().to_string();
         assert!(error.contains(&format!("{}; choose one with `channel`", names.join(", "))), "{error}");
         let options = |field: Option<&str>, channel: Option<&str>| {
@@ -870,14 +875,14 @@ fn arrays_of_xarray_have_coordinates_packing_and_times() {
     let (_, values) = crate::formats::tests::read_all(open_volume(d, &named("temp:t0")).unwrap());
     assert_eq!((values[0], values[1], values[59]), (10.0, 10.5, 39.5));
     assert!(values[7].is_nan(), "the fill value of what is packed");
-    let Some(GridCoordinates::Axes(axes)) = coordinates(d, &named("temp:t1")).unwrap() else {
+    let Some(GridCoordinates::Axes(axes)) = open_coordinates(d, &named("temp:t1")).unwrap() else {
         panic!("axes")
     };
     assert_eq!((&axes[1][..], &axes[2][..]), (&[30.0, 20.0, 10.0, 0.0][..], &[1000.0, 925.0, 700.0][..]));
     assert_eq!(axes[0], [0.0, 1.0, 2.0, 3.0, 4.0]);
     // Regular levels are a spacing.
     array("lev", json!([3]), "<f8", json!(["lev"]), json!({}), doubles(&[10.0, 12.0, 14.0]));
-    assert!(coordinates(d, &named("temp:t1")).unwrap().is_none());
+    assert!(open_coordinates(d, &named("temp:t1")).unwrap().is_none());
     let (info, _) = read(d, Some("temp:t1")).unwrap();
     assert_eq!((info.geometry.spacing, info.geometry.origin), ([1.0, 10.0, 2.0], [0.0, 30.0, 10.0]));
     let units = || {
@@ -920,7 +925,7 @@ fn units_of_single_axes_become_one() {
     let scale = json!([{ "type": "scale", "scale": [3.0, 2.0, 1.0] },
         { "type": "translation", "translation": [30.0, 20.0, 10.0] }]);
     image(dir.path(), ["micrometer", "nanometer", "nanometer"], &scale);
-    let info = open(dir.path(), &OpenOptions::default()).unwrap().info().clone();
+    let info = open_volume(dir.path(), &OpenOptions::default()).unwrap().info().clone();
     assert_eq!(info.geometry.spacing, [1.0, 2.0, 3000.0]);
     assert_eq!(info.geometry.origin, [10.0, 20.0, 30_000.0]);
     assert_eq!(info.units, Units::of_length(Unit::length("nm")));
@@ -945,7 +950,7 @@ fn transformations_that_are_not_read_are_refused() {
         assert!(line.contains("coordinateTransformations") && line.contains(word), "{line}");
     }
     image(dir.path(), ["mm", "mm", "mm"], &json!([{ "type": "identity" }]));
-    assert_eq!(open(dir.path(), &OpenOptions::default()).unwrap().info().geometry.spacing, [1.0; 3]);
+    assert_eq!(open_volume(dir.path(), &OpenOptions::default()).unwrap().info().geometry.spacing, [1.0; 3]);
 }
 
 #[test]

@@ -100,6 +100,13 @@ impl Shared {
 /// An opened grid.
 pub(super) struct Grid(Arc<Shared>);
 
+impl Grid {
+    /// The file, and what was found in it.
+    pub(super) fn scanned(&self) -> (&Arc<ByteSource>, &Scanned) {
+        (&self.0.source, &self.0.file)
+    }
+}
+
 impl CellFile for Grid {
     fn info(&self) -> &CellsInfo {
         &self.0.info

@@ -47,8 +47,9 @@ use crate::error::{Error, Result};
 use crate::formats::shared::OpenOptions;
 use crate::formats::shared::centers::{Middles, Picked, along_axis, first_sample, pick, samples};
 use crate::formats::shared::coordinates::GridCoordinates;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{self, About, Format, Head};
 use crate::formats::shared::header;
+use crate::formats::shared::mesh_file::MeshFile;
 use crate::formats::shared::ranges::RangeNumbers;
 use crate::formats::shared::stream::{TextSlabs, sample_bytes};
 use crate::formats::shared::text::TextNumbers;
@@ -63,98 +64,115 @@ use std::sync::Arc;
 /// Legacy VTK.
 pub(in crate::formats) struct VtkLegacy;
 
+static ABOUT: About = About {
+    volumes: &["legacy VTK"],
+    meshes: &["legacy VTK"],
+    suffixes: &[".vtk"],
+    magic: &[b"# vtk DataFile"],
+    ..About::named("a legacy VTK file")
+};
+
 impl Format for VtkLegacy {
-    fn name(&self) -> &'static str {
-        "a legacy VTK file"
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[".vtk"]
-    }
-
-    fn is_in(&self, head: &Head<'_>) -> bool {
-        head.bytes.starts_with(b"# vtk DataFile")
-    }
-
-    fn is_mesh(&self, head: &Head<'_>) -> bool {
-        is_mesh(&head.bytes)
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
-    }
-
-    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-        open_mesh(path, options)
-    }
-
-    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        coordinates(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
-    }
-
-    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-        time(&Arc::new(ByteSource::open(path, options.io)?))
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn format::Dataset>> {
+        let source = head.file()?;
+        if is_mesh(&head.bytes) {
+            return Ok(Box::new(MeshFile::new(cells::open(source)?)?));
+        }
+        Ok(Box::new(File::open(source)?))
     }
 }
 
-/// Opens the structured points of a legacy VTK file.
-///
-/// # Errors
-/// [`Error::BadInput`] for a malformed file, another kind of dataset, bits;
-/// [`Error::Usage`] when several fields ask for a choice.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    open_source(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
+impl format::Dataset for MeshFile<cells::Grid> {
+    fn is_mesh(&self) -> bool {
+        true
+    }
+
+    fn mesh(&self, options: &OpenOptions) -> Result<CellMesh> {
+        self.of_field(options)
+    }
+
+    fn time(&self, _: &OpenOptions) -> Result<Option<f64>> {
+        let (source, scanned) = self.file.scanned();
+        time(source, scanned)
+    }
 }
 
-fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
-    let path = source.path();
-    let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
-    let Picked { field, center, index, fields } = choose(path, &file, wanted)?;
-    refuse_hidden(source, &file)?;
-    let of_center = arrays_of(&file, center).iter();
-    let mut readable = of_center.filter(|a| a.name != GHOSTS && a.field().is_some());
-    let chosen = readable.nth(index).expect("it was picked among those");
-    let first = match file.dataset {
-        Dataset::StructuredPoints => first_sample(file.dims, center),
-        // The grid's coordinates say where its samples are.
-        _ => [0.0; 3],
-    };
-    let origin = std::array::from_fn(|a| file.origin[a] + first[a] * file.spacing[a]);
-    let info = VolumeInfo {
-        path: path.to_path_buf(),
-        format: format!(
-            "legacy VTK {} ({})",
-            file.dataset.name().to_ascii_lowercase().replace('_', " "),
-            match (file.binary, center) {
-                (true, Center::Point) => "binary",
-                (false, Center::Point) => "ascii",
-                (true, Center::Cell) => "cell data, binary",
-                (false, Center::Cell) => "cell data, ascii",
-            }
-        ),
-        dims: samples(file.dims, center),
-        field,
-        fields,
-        geometry: header::geometry(path, "ORIGIN, SPACING", origin, header::scaled_axes(file.spacing))?,
-        slope: 1.0,
-        intercept: 0.0,
-        missing: None,
-        units: Units::default(),
-        notes: vec![],
-        data_files: vec![],
-        assumed: Assumed::default(),
-    };
-    let data = chosen.data.clone();
-    if !file.binary {
-        let push = file.words_of(&data);
-        let slabs = TextSlabs::new(info, Arc::clone(source), data)?.written(push);
-        return Ok(VolumeSource::Stream(Box::new(slabs)));
+/// Structured points, or a rectilinear or curvilinear grid.
+struct File {
+    source: Arc<ByteSource>,
+    scanned: Scanned,
+}
+
+impl File {
+    fn open(source: &Arc<ByteSource>) -> Result<Self> {
+        let scanned = Scanner::new(source.path(), source.slice(0..source.len())?, &GRIDS)?.scan()?;
+        Ok(Self { source: Arc::clone(source), scanned })
     }
-    sample_bytes(path, info.dims, info.field.scalar)?;
-    let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
-    let strides = strides.expect("the size of the samples was checked");
-    let volume = StridedVolume::new(info, Arc::clone(source), data.start, true, strides)?;
-    Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+impl format::Dataset for File {
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        let (source, file, path) = (&self.source, &self.scanned, self.source.path());
+        let Picked { field, center, index, fields } = choose(path, file, options.field.as_deref())?;
+        refuse_hidden(source, file)?;
+        let of_center = arrays_of(file, center).iter();
+        let mut readable = of_center.filter(|a| a.name != GHOSTS && a.field().is_some());
+        let chosen = readable.nth(index).expect("it was picked among those");
+        let first = match file.dataset {
+            Dataset::StructuredPoints => first_sample(file.dims, center),
+            // The grid's coordinates say where its samples are.
+            _ => [0.0; 3],
+        };
+        let origin = std::array::from_fn(|a| file.origin[a] + first[a] * file.spacing[a]);
+        let info = VolumeInfo {
+            path: path.to_path_buf(),
+            format: format_name(file, center),
+            dims: samples(file.dims, center),
+            field,
+            fields,
+            geometry: header::geometry(path, "ORIGIN, SPACING", origin, header::scaled_axes(file.spacing))?,
+            slope: 1.0,
+            intercept: 0.0,
+            missing: None,
+            units: Units::default(),
+            notes: vec![],
+            data_files: vec![],
+            assumed: Assumed::default(),
+        };
+        let data = chosen.data.clone();
+        if !file.binary {
+            let push = file.words_of(&data);
+            let slabs = TextSlabs::new(info, Arc::clone(source), data)?.written(push);
+            return Ok(VolumeSource::Stream(Box::new(slabs)));
+        }
+        sample_bytes(path, info.dims, info.field.scalar)?;
+        let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
+        let strides = strides.expect("the size of the samples was checked");
+        let volume = StridedVolume::new(info, Arc::clone(source), data.start, true, strides)?;
+        Ok(VolumeSource::Random(Box::new(volume)))
+    }
+
+    fn coordinates(&self, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        coordinates(&self.source, &self.scanned, options.field.as_deref())
+    }
+
+    fn time(&self, _: &OpenOptions) -> Result<Option<f64>> {
+        time(&self.source, &self.scanned)
+    }
+}
+
+fn format_name(file: &Scanned, center: Center) -> String {
+    let how = match (file.binary, center) {
+        (true, Center::Point) => "binary",
+        (false, Center::Point) => "ascii",
+        (true, Center::Cell) => "cell data, binary",
+        (false, Center::Cell) => "cell data, ascii",
+    };
+    format!("legacy VTK {} ({how})", file.dataset.name().to_ascii_lowercase().replace('_', " "))
 }
 
 /// Refuses points and cells that are marked as hidden: what is there would be taken for data.
@@ -204,21 +222,24 @@ fn numbers(source: &Arc<ByteSource>, file: &Scanned, data: &Range<u64>, scalar: 
 /// structured points.
 ///
 /// # Errors
-/// As [`open`].
-pub(crate) fn coordinates(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Option<GridCoordinates>> {
+/// Those of a choice of fields; [`Error::BadInput`] for a malformed file.
+fn coordinates(
+    source: &Arc<ByteSource>,
+    file: &Scanned,
+    wanted: Option<&str>,
+) -> Result<Option<GridCoordinates>> {
     let path = source.path();
-    let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
     if file.dataset == Dataset::StructuredPoints {
         return Ok(None);
     }
-    let center = choose(path, &file, wanted)?.center;
+    let center = choose(path, file, wanted)?.center;
     let part = |array: Option<(u64, &Array)>, keyword: &str, expected: u64| {
         let Some((n, array)) = array.filter(|(n, _)| *n == expected) else {
             let got = array.map_or("none".into(), |(n, _)| n.to_string());
             return Err(Error::bad_input(path, keyword, format!("{expected} for the DIMENSIONS"), got));
         };
         match array.kind {
-            Type::Number(scalar) => Ok((n, numbers(source, &file, &array.data, scalar))),
+            Type::Number(scalar) => Ok((n, numbers(source, file, &array.data, scalar))),
             _ => Err(Error::bad_input(path, keyword, "numbers", "bits or strings")),
         }
     };
@@ -252,23 +273,11 @@ pub(crate) fn coordinates(source: &Arc<ByteSource>, wanted: Option<&str>) -> Res
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file.
-pub(in crate::formats) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> {
-    let all = [GRIDS[0], GRIDS[1], GRIDS[2], Dataset::UnstructuredGrid];
-    let file = Scanner::new(source.path(), source.slice(0..source.len())?, &all)?.scan()?;
+fn time(source: &Arc<ByteSource>, file: &Scanned) -> Result<Option<f64>> {
     let Some(Array { kind: Type::Number(scalar), data, .. }) = &file.time else { return Ok(None) };
     let mut time = [0.0];
-    numbers(source, &file, data, *scalar).fill(&mut time)?;
+    numbers(source, file, data, *scalar).fill(&mut time)?;
     Ok(Some(time[0]))
-}
-
-/// Opens the unstructured grid of a legacy VTK file.
-///
-/// # Errors
-/// [`Error::BadInput`] for a malformed file or another kind of dataset; [`Error::Usage`] when there
-/// is no field of the name wanted.
-pub(crate) fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    CellMesh::new(Arc::new(cells::open(&source)?), options.field.as_deref())
 }
 
 /// Whether the head of a legacy VTK file says that it is an unstructured grid.

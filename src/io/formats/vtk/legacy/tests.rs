@@ -4,6 +4,7 @@ use super::*;
 use crate::cells::CellFile;
 use crate::fixtures::survive;
 use crate::formats::mesh::tests::{read_whole, torture};
+use crate::formats::open_volume;
 use crate::formats::tests::{read_all, try_read_all};
 use crate::formats::vtk::xml::tests::{range, shared};
 
@@ -106,7 +107,9 @@ fn rich(binary: bool) -> Vec<u8> {
 }
 
 fn open_bytes(bytes: &[u8], field: Option<&str>) -> Result<VolumeSource> {
-    open_source(&Arc::new(ByteSource::from_vec("f.vtk", bytes.to_vec())), field)
+    let options = OpenOptions { field: field.map(Into::into), ..OpenOptions::default() };
+    let file = File::open(&Arc::new(ByteSource::from_vec("f.vtk", bytes.to_vec())))?;
+    format::Dataset::volume(&file, &options)
 }
 
 #[test]
@@ -267,9 +270,9 @@ fn cell_data_of_grids_are_samples_in_the_middles() {
     let dir = tempfile::tempdir().unwrap();
     for text in [rectilinear, structured] {
         let path = crate::formats::tests::write(&dir, "a.vtk", text.as_bytes());
-        let (info, values) = read_all(open(&path, &OpenOptions::default()).unwrap());
+        let (info, values) = read_all(open_volume(&path, &OpenOptions::default()).unwrap());
         assert_eq!((info.dims, values), ([3, 2, 1], vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
-        match crate::formats::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap() {
+        match crate::formats::tests::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap() {
             GridCoordinates::Axes(axes) => {
                 assert_eq!(axes, [vec![0.5, 2.5, 6.5], vec![1.0, 3.0], vec![4.0]]);
             }
@@ -342,7 +345,7 @@ fn real_files_have_the_published_dimensions_and_ranges() {
         ("variants/vtkio/volume_complex.vtk", "volume_scalars", [3, 4, 6], ScalarType::I8, (0.0, 50.0)),
     ] {
         let path = shared(name);
-        let (info, values) = read_all(open(&path, &OpenOptions::default()).unwrap());
+        let (info, values) = read_all(open_volume(&path, &OpenOptions::default()).unwrap());
         assert_eq!((info.dims, info.field.scalar, &info.field.name[..]), (dims, scalar, field));
         assert_eq!(range(&values), expected, "{name}");
     }
@@ -359,7 +362,7 @@ fn real_files_that_are_no_volume_are_refused_by_name() {
         if path.extension().is_some_and(|e| e == "vtk")
             && !["volume_complex.vtk", "structured_grid.vtk"].contains(&&name[..])
         {
-            match open(&path, &OpenOptions::default()) {
+            match open_volume(&path, &OpenOptions::default()) {
                 // Data on the cells of grids are samples in their middles.
                 Ok(source) => assert!(name.starts_with("rectilinear") && !source.info().fields.is_empty()),
                 Err(error) => {

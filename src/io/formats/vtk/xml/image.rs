@@ -34,7 +34,7 @@ pub(super) struct Image {
     whole: Extent,
     pub(super) pieces: Vec<Piece>,
     /// The files of an index.
-    files: Vec<PathBuf>,
+    pub(super) files: Vec<PathBuf>,
 }
 
 impl Image {
@@ -75,22 +75,21 @@ impl Image {
     }
 }
 
-pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
-    let image = Image::open(source)?;
+pub(super) fn volume(image: &Image, wanted: Option<&str>) -> Result<VolumeSource> {
     let whole = image.whole;
     let of_first = image.pieces[0].document()?;
     let first = image.pieces[0].element(&of_first)?;
-    let Picked { field, fields, center, .. } = choose(&image, (&of_first, first), wanted)?;
-    refuse_hidden(&image)?;
+    let Picked { field, fields, center, .. } = choose(image, (&of_first, first), wanted)?;
+    refuse_hidden(image)?;
     let how = how_stored(&of_first, arrays(data_of(first, center)).find(|a| name_of(a) == field.name));
     let how = if center == Center::Cell { format!("cell data, {how}") } else { how };
     let count = image.files.len();
     let how = if count > 0 { format!("{count} files, {how}") } else { how };
     let info = VolumeInfo {
-        path: source.path().to_path_buf(),
+        path: image.doc.source.path().to_path_buf(),
         format: format!("VTK XML {} ({how})", image.kind),
         dims: samples(whole.dims, center),
-        geometry: geometry(&image, center)?,
+        geometry: geometry(image, center)?,
         field,
         fields,
         slope: 1.0,
@@ -102,7 +101,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
         assumed: Assumed::default(),
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;
-    let pieces = centred(&image, center)?;
+    let pieces = centred(image, center)?;
     if let [only] = &pieces[..] {
         let doc = only.document()?;
         let element = array(&doc, only, &info.field, center)?;

@@ -34,10 +34,10 @@
 //! their name.
 //!
 //! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space;
-//! [`coordinates`] gives the positions of their samples.
+//! their coordinates are the positions of their samples.
 //!
 //! **Unstructured grids** (`.vtu`, `.pvtu`), and lists of blocks of them (`.vtm`, `.vtpc`,
-//! `.vtpd`), are opened as meshes, by [`open_mesh`].
+//! `.vtpd`), are opened as meshes.
 //!
 //! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64),
 //! `image` (extents, pieces, fields), `grid` (coordinates of rectilinear and curvilinear grids),
@@ -55,31 +55,31 @@ mod pieces_tests;
 #[cfg(test)]
 pub(in crate::formats) mod tests;
 
-use crate::bytes::ByteSource;
 use crate::cells::CellMesh;
 use crate::error::Result;
 use crate::formats::shared::coordinates::GridCoordinates;
-use crate::formats::shared::format::{Format, Head};
+use crate::formats::shared::format::{About, Dataset, Format, Head};
+use crate::formats::shared::mesh_file::MeshFile;
 use crate::formats::shared::{OpenOptions, has_suffix};
 use crate::volume::VolumeSource;
-use head::Document;
 use image::Image;
-use std::path::Path;
-use std::sync::Arc;
+use std::path::PathBuf;
 
 /// VTK XML.
 pub(in crate::formats) struct VtkXml;
 
-impl Format for VtkXml {
-    fn name(&self) -> &'static str {
-        "a VTK XML file"
-    }
+static ABOUT: About = About {
+    volumes: &["VTI", "VTR", "VTS", "PVTI", "PVTR", "PVTS"],
+    meshes: &["VTU", "PVTU", "VTM"],
+    suffixes: &[
+        ".vti", ".vtr", ".vts", ".vtu", ".pvti", ".pvtr", ".pvts", ".pvtu", ".vtm", ".vtmb", ".vtpc", ".vtpd",
+    ],
+    ..About::named("a VTK XML file")
+};
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[
-            ".vti", ".vtr", ".vts", ".vtu", ".pvti", ".pvtr", ".pvts", ".pvtu", ".vtm", ".vtmb", ".vtpc",
-            ".vtpd",
-        ]
+impl Format for VtkXml {
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
@@ -87,75 +87,53 @@ impl Format for VtkXml {
         head.text().starts_with(b"<") && head.bytes.windows(8).any(|tag| tag == b"<VTKFile")
     }
 
-    fn is_mesh(&self, head: &Head<'_>) -> bool {
-        is_mesh(&head.bytes) || has_suffix(head.path, &[".vtu", ".pvtu", ".vtm", ".vtmb", ".vtpc", ".vtpd"])
-    }
-
-    fn volume(&self, path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-        open(path, options)
-    }
-
-    fn mesh(&self, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-        open_mesh(path, options)
-    }
-
-    fn coordinates(&self, path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        coordinates(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
-    }
-
-    fn time(&self, path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
-        time(&Arc::new(ByteSource::open(path, options.io)?))
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        let is_mesh = is_mesh(&head.bytes)
+            || has_suffix(head.path, &[".vtu", ".pvtu", ".vtm", ".vtmb", ".vtpc", ".vtpd"]);
+        match is_mesh {
+            true => Ok(Box::new(MeshFile::new(cells::open(head.file()?, head.io)?)?)),
+            false => Ok(Box::new(Image::open(head.file()?)?)),
+        }
     }
 }
 
-/// Opens the image of a `.vti` file, or the samples of the grid of a `.vtr` or `.vts` file.
-///
-/// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, vectors;
-/// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
-pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    image::open(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
+/// An image (`.vti`), or a rectilinear or curvilinear grid (`.vtr`, `.vts`).
+impl Dataset for Image {
+    fn files(&self) -> Vec<PathBuf> {
+        self.files.clone()
+    }
+
+    fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
+        image::volume(self, options.field.as_deref())
+    }
+
+    fn coordinates(&self, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+        grid::coordinates(self, options.field.as_deref())
+    }
+
+    /// `TimeValue` of its field data, or of those of the first file that an index lists.
+    fn time(&self, _: &OpenOptions) -> Result<Option<f64>> {
+        grid::time(&self.doc)
+    }
 }
 
-/// The coordinates of the samples of a field of a `.vtr` or `.vts` file; `None` of an image.
-///
-/// # Errors
-/// As [`open`].
-pub(crate) fn coordinates(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Option<GridCoordinates>> {
-    grid::coordinates(&Image::open(source)?, wanted)
-}
+/// A mesh (`.vtu`, `.pvtu`), or a list of blocks (`.vtm`).
+impl Dataset for MeshFile<cells::Grid> {
+    fn is_mesh(&self) -> bool {
+        true
+    }
 
-/// The time that a file, or the first one that an index lists, has in its field data as
-/// `TimeValue`.
-///
-/// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file.
-pub(in crate::formats) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> {
-    grid::time(&Document::open_one_of(
-        source,
-        &[
-            "ImageData",
-            "RectilinearGrid",
-            "StructuredGrid",
-            "UnstructuredGrid",
-            "PImageData",
-            "PRectilinearGrid",
-            "PStructuredGrid",
-            "PUnstructuredGrid",
-            "vtkMultiBlockDataSet",
-            "vtkPartitionedDataSetCollection",
-            "vtkPartitionedDataSet",
-        ],
-    )?)
-}
+    fn files(&self) -> Vec<PathBuf> {
+        self.data_files()
+    }
 
-/// Opens the mesh of a `.vtu` or `.pvtu` file, or of a list of blocks.
-///
-/// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file or another VTK type;
-/// [`Error::Usage`](crate::Error::Usage) when there is no field of the name wanted.
-pub(crate) fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
-    CellMesh::new(Arc::new(cells::open(path, options.io)?), options.field.as_deref())
+    fn mesh(&self, options: &OpenOptions) -> Result<CellMesh> {
+        self.of_field(options)
+    }
+
+    fn time(&self, _: &OpenOptions) -> Result<Option<f64>> {
+        grid::time(self.file.document())
+    }
 }
 
 /// Whether the head of a VTK XML file says that it is an unstructured grid, or a list of blocks.

@@ -1,9 +1,9 @@
 //! Indices of VTK (`.pvti`, `.pvtr`, `.pvts`) and the files that they list.
 
 use super::*;
-use crate::formats::tests::{read_all, try_read_all};
-use crate::formats::{open_coordinates, open_volume};
-use std::path::PathBuf;
+use crate::formats::open_volume;
+use crate::formats::tests::{open_coordinates, read_all, try_read_all};
+use std::path::{Path, PathBuf};
 
 /// What `tools/make_golden_pieces.py` let VTK write.
 fn data(name: &str) -> PathBuf {

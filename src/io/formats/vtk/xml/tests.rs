@@ -1,7 +1,9 @@
 //! Tests images in every encoding.
 
 use super::*;
+use crate::bytes::ByteSource;
 use crate::fixtures::{Encoding, Number, every_encoding, survive};
+use crate::formats::open_volume;
 use crate::formats::tests::{read_all, try_read_all};
 use crate::volume::ScalarType;
 
@@ -50,7 +52,8 @@ fn image(encoding: Encoding, pieces: &[[i64; 6]]) -> Vec<u8> {
 const ONE: [[i64; 6]; 1] = [[-1, 3, 2, 5, 0, 2]];
 
 fn open_bytes(bytes: &[u8], field: Option<&str>) -> Result<VolumeSource> {
-    image::open(&Arc::new(ByteSource::from_vec("f.vti", bytes.to_vec())), field)
+    let source = ByteSource::from_vec("f.vti", bytes.to_vec());
+    image::volume(&Image::open(&Arc::new(source))?, field)
 }
 
 #[test]
@@ -227,7 +230,7 @@ fn cell_data_of_grids_are_samples_in_the_middles() {
             );
             let dir = tempfile::tempdir().unwrap();
             let path = crate::formats::tests::write(&dir, "a.vtr", &bytes);
-            let found = crate::formats::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap();
+            let found = crate::formats::tests::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap();
             match found {
                 GridCoordinates::Axes(axes) => {
                     assert_eq!(axes, [vec![0.5, 2.5, 6.5, 12.5], vec![1.0, 3.0, 5.0], vec![4.5, 3.0]])
@@ -437,7 +440,7 @@ fn real_files_have_the_published_dimensions_and_ranges() {
     }
     for (name, dims, scalar, (lo, hi)) in files {
         let path = shared(&name);
-        let (info, values) = read_all(open(&path, &OpenOptions::default()).unwrap());
+        let (info, values) = read_all(open_volume(&path, &OpenOptions::default()).unwrap());
         assert_eq!((info.dims, info.field.scalar), (dims, scalar), "{name}");
         let found = range(&values);
         assert!((found.0 - lo).abs() < 1e-4 && (found.1 - hi).abs() < hi * 5e-6, "{name}: {found:?}");
@@ -455,7 +458,7 @@ fn real_files_that_are_no_scalar_image_are_refused_by_name() {
         ("variants/vtkio/cube.pvtp", "PPolyData"),
     ] {
         let path = shared(name);
-        let error = open(&path, &OpenOptions::default()).err().unwrap();
+        let error = open_volume(&path, &OpenOptions::default()).err().unwrap();
         assert!(error.exit_code() == 5 && error.to_string().contains(says), "{error}");
     }
 }

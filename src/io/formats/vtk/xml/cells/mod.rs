@@ -37,7 +37,7 @@ use crate::error::{Error, Result};
 use crate::formats::shared::header;
 use crate::formats::shared::numbers::{push_ids, to_f64};
 use crate::volume::ScalarType;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use xxhash_rust::xxh3::Xxh3;
 
@@ -50,11 +50,10 @@ const MOST_FILES: usize = 1 << 16;
 /// many.
 const MOST_VERTICES: u64 = 64 * BLOCK as u64;
 
-/// Opens a `.vtu` or `.pvtu` file.
-pub(super) fn open(path: &Path, io: IoMode) -> Result<Grid> {
-    let source = Arc::new(ByteSource::open(path, io)?);
+/// Opens a `.vtu` or `.pvtu` file, or a list of blocks.
+pub(super) fn open(source: &Arc<ByteSource>, io: IoMode) -> Result<Grid> {
     let kinds = [&GRIDS[..], &LISTS].concat();
-    let doc = Arc::new(Document::open_one_of(&source, &kinds)?);
+    let doc = Arc::new(Document::open_one_of(source, &kinds)?);
     let mut found = Found::default();
     match doc.kind {
         "UnstructuredGrid" => list_pieces(&doc, || Place::Open(Arc::clone(&doc)), &mut found.pieces)?,
@@ -63,7 +62,7 @@ pub(super) fn open(path: &Path, io: IoMode) -> Result<Grid> {
     }
     let Found { files, pieces, surfaces } = found;
     let info = describe(&doc, &pieces, files, surfaces)?;
-    Ok(Grid(Arc::new(Shared { info, pieces })))
+    Ok(Grid(Arc::new(Shared { info, doc, pieces })))
 }
 
 /// Types of files that hold grids, or list files of pieces of one.
@@ -267,6 +266,8 @@ fn keep_common(pieces: &[Piece], all: &mut Vec<CellField>) -> Result<usize> {
 
 struct Shared {
     info: CellsInfo,
+    /// The file that was named.
+    doc: Arc<Document>,
     pieces: Vec<Piece>,
 }
 
@@ -274,6 +275,11 @@ struct Shared {
 pub(super) struct Grid(Arc<Shared>);
 
 impl Grid {
+    /// The file that was named.
+    pub(super) fn document(&self) -> &Document {
+        &self.0.doc
+    }
+
     fn numbers(&self, what: What) -> Box<dyn NumberStream> {
         Box::new(Numbers { shared: Arc::clone(&self.0), what, piece: 0, open: None, bytes: vec![] })
     }
