@@ -16,7 +16,7 @@
 //! Reference: Tarjan 1975, "Efficiency of a good but not linear set union algorithm".
 
 use super::column::{Column, ColumnWriter};
-use super::store::StoreSettings;
+use super::settings::StoreSettings;
 use isospan_io::bytes::paged::Paged;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::Result;

@@ -1,7 +1,8 @@
 //! The cells of each brick.
 
 use super::column::{Column, ColumnWriter};
-use super::store::{CellStore, StoreSettings};
+use super::settings::StoreSettings;
+use super::store::CellStore;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;

@@ -28,13 +28,15 @@
 //! stream past once, [`PointGrid`]). If it is a later one, it gets a partner there; if it is an
 //! earlier one, the sample is dropped.
 
-use super::boundary::{Near, OnBoundary, Sample, Spacing, difference, mean, rounded};
 use super::buckets::BATCH;
+use super::near::Near;
+use super::spacing::Spacing;
 use super::store::CellStore;
+use super::wall::{OnBoundary, Sample, mean};
 use isospan_io::error::Result;
-use isospan_io::geom::vec3::{cross, dot};
+use isospan_io::geom::vec3::{cross, difference, dot};
 use isospan_io::geom::{Lattice, LatticePos};
-use isospan_mesh::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine};
+use isospan_mesh::locate::{CellBatch, CellHit, FINE_BITS, FinePos, PointGrid, fine, rounded};
 
 /// Boundaries touch within this many mean distances.
 const TOUCH: f64 = 0.5;

@@ -10,14 +10,13 @@
 //! Edges of the boundary's triangles are sorted, so the two triangles of an edge follow each other;
 //! then edges along a space-filling curve, and their ends by vertex. Sorting is external.
 
-use super::boundary::difference;
 use super::column::{Column, ColumnWriter};
-use super::store::StoreSettings;
+use super::settings::StoreSettings;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;
 use isospan_io::geom::curve::hilbert_key;
-use isospan_io::geom::vec3::{cross, dot};
+use isospan_io::geom::vec3::{cross, difference, dot};
 use isospan_mesh::locate::{FINE_BITS, FinePos};
 
 /// A boundary bends where normals, or edges, are further apart than 40 degrees: the cosine.

@@ -1,7 +1,7 @@
 //! The lattice that a mesh lies in, and the way from the world to it.
 
 use super::column::{Column, ColumnWriter};
-use super::store::StoreSettings;
+use super::settings::StoreSettings;
 use isospan_io::error::{Error, Result};
 use isospan_io::geom::Lattice;
 use isospan_io::grid::Geometry;

@@ -6,7 +6,8 @@
 //! depend on memory.
 
 use super::column::{Column, ColumnWriter};
-use super::store::{CellStore, StoreSettings};
+use super::settings::StoreSettings;
+use super::store::CellStore;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::Result;
 use isospan_io::geom::vec3::{cross, dot};

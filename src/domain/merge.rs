@@ -12,7 +12,7 @@
 //! own values; an archive keeps them for steps to come.
 
 use super::column::{Column, ColumnWriter};
-use super::store::StoreSettings;
+use super::settings::StoreSettings;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::Result;
 use isospan_mesh::locate::FinePos;

@@ -24,7 +24,7 @@
 
 use super::column::{Column, ColumnWriter};
 use super::merge::Firsts;
-use super::store::StoreSettings;
+use super::settings::StoreSettings;
 use bytemuck::Pod;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::cells::polyhedron::{Cut, Faces, bent_corner, cone, distinct};
@@ -71,74 +71,27 @@ impl Added {
         firsts: &Firsts,
         settings: &StoreSettings,
     ) -> Result<Option<Self>> {
-        let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-        let (mut of_cells, mut of_faces) = (ListsWriter::new(settings)?, ListsWriter::new(settings)?);
-        // Whether the face has four vertices; their hash; its number, or that of others.
-        let mut equals: Sorter<[u64; 4]> = Sorter::new(memory, &settings.scratch);
+        let mut met = Met::new(settings)?;
         let (mut cells, mut block) = (mesh.cells()?, CellBlock::default());
-        let (mut cell, mut vertices, mut bytes) = (Polyhedron::default(), vec![], vec![]);
-        let (mut replaced, mut has_quadratic) = (vec![], false);
-        let mut hash = |vertices: &[u64]| {
-            bytes.clear();
-            vertices.iter().for_each(|v: &u64| bytes.extend(v.to_le_bytes()));
-            let hash = xxh3_128(&bytes);
-            [(hash >> 64) as u64, hash as u64]
-        };
+        let (mut cell, mut replaced) = (Polyhedron::default(), vec![]);
         while cells.next_block(&mut block)? {
             settings.cancel.check()?;
             for (kind, numbers) in block.iter() {
                 if let Some(middles) = kind.middles() {
-                    has_quadratic = true;
                     replaced.clear();
                     replaced.extend_from_slice(numbers);
                     firsts.replace(&mut replaced)?;
-                    for (n, (mut around, corners)) in middles.around(&replaced).enumerate() {
-                        if n == middles.faces.len() {
-                            around[..corners].iter_mut().for_each(|v| *v |= CORNER);
-                            of_cells.push(&around)?;
-                        } else if own_middle(&around).is_none() {
-                            vertices.clone_from(&around);
-                            vertices.sort_unstable();
-                            let [high, low] = hash(&vertices);
-                            equals.push([0, high, low, of_faces.len()])?;
-                            around[..corners].iter_mut().for_each(|v| *v |= CORNER);
-                            around.sort_unstable();
-                            of_faces.push(&around)?;
-                        }
-                    }
-                    continue;
-                }
-                if kind != CellKind::Polyhedron {
+                    met.add_quadratic(middles, &replaced)?;
+                } else if kind == CellKind::Polyhedron {
+                    cell.set(numbers, firsts)?;
+                    met.add_polyhedron(&cell, numbers, positions)?;
+                } else {
                     cell.set_sides(kind, numbers, firsts)?;
-                    for face in cell.faces().filter(|face| is_asked(face, positions)) {
-                        distinct(std::iter::once(face), &mut vertices);
-                        let [high, low] = hash(&vertices);
-                        equals.push([1, high, low, OF_OTHERS])?;
-                    }
-                    continue;
-                }
-                cell.set(numbers, firsts)?;
-                distinct(cell.faces(), &mut vertices);
-                if vertices.is_empty() {
-                    // Its points are one, or two.
-                    distinct(Faces::new(numbers), &mut vertices);
-                }
-                of_cells.push(&vertices)?;
-                for face in cell.faces().filter(|face| is_asked(face, positions)) {
-                    distinct(std::iter::once(face), &mut vertices);
-                    let [high, low] = hash(&vertices);
-                    equals.push([u64::from(face.len() == 4), high, low, of_faces.len()])?;
-                    of_faces.push(&vertices)?;
+                    met.add_sides(&cell, positions)?;
                 }
             }
         }
-        if of_cells.len() == 0 && of_faces.len() == 0 && !has_quadratic {
-            return Ok(None);
-        }
-        let own = positions.len() as u64;
-        let (cells, faces) = (of_cells.finish()?, of_faces.finish()?);
-        let (with_vertex, answers) = answers(equals, own + cells.len()?, memory, settings)?;
-        Ok(Some(Self { own, has_quadratic, cells, faces, with_vertex, answers }))
+        met.finish(positions.len() as u64, settings)
     }
 
     /// How many they are.
@@ -193,14 +146,108 @@ impl Added {
     }
 }
 
+/// What the cells of a mesh need, while they are gone through.
+struct Met {
+    /// Of which vertices that of each cell is the mean.
+    cells: ListsWriter,
+    /// The same of each face in question.
+    faces: ListsWriter,
+    /// Of each face in question whether it has four vertices and is no quadratic cell's; their
+    /// hash; its number, or that of others.
+    equals: Sorter<[u64; 4]>,
+    has_quadratic: bool,
+    vertices: Vec<u64>,
+    bytes: Vec<u8>,
+}
+
+impl Met {
+    fn new(settings: &StoreSettings) -> Result<Self> {
+        Ok(Self {
+            cells: ListsWriter::new(settings)?,
+            faces: ListsWriter::new(settings)?,
+            equals: Sorter::new(sorting_memory(settings), &settings.scratch),
+            has_quadratic: false,
+            vertices: vec![],
+            bytes: vec![],
+        })
+    }
+
+    /// Notes a face, whose vertices are listed, under a number.
+    fn add_face(&mut self, has_four: bool, number: u64) -> Result<()> {
+        self.bytes.clear();
+        self.vertices.iter().for_each(|v| self.bytes.extend(v.to_le_bytes()));
+        let hash = xxh3_128(&self.bytes);
+        self.equals.push([u64::from(has_four), (hash >> 64) as u64, hash as u64, number])
+    }
+
+    /// Adds a quadratic cell that lacks vertices.
+    fn add_quadratic(&mut self, middles: &'static Middles, vertices: &[u64]) -> Result<()> {
+        self.has_quadratic = true;
+        for (n, (mut around, corners)) in middles.around(vertices).enumerate() {
+            if n == middles.faces.len() {
+                around[..corners].iter_mut().for_each(|v| *v |= CORNER);
+                self.cells.push(&around)?;
+            } else if own_middle(&around).is_none() {
+                self.vertices.clone_from(&around);
+                self.vertices.sort_unstable();
+                self.add_face(false, self.faces.len())?;
+                around[..corners].iter_mut().for_each(|v| *v |= CORNER);
+                around.sort_unstable();
+                self.faces.push(&around)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the sides of a cell that is no polyhedron.
+    fn add_sides(&mut self, cell: &Polyhedron, positions: &[FinePos]) -> Result<()> {
+        for face in cell.faces().filter(|face| is_asked(face, positions)) {
+            distinct(std::iter::once(face), &mut self.vertices);
+            self.add_face(true, OF_OTHERS)?;
+        }
+        Ok(())
+    }
+
+    /// Adds a polyhedron; `numbers` are its faces as the file has them.
+    fn add_polyhedron(&mut self, cell: &Polyhedron, numbers: &[u64], positions: &[FinePos]) -> Result<()> {
+        distinct(cell.faces(), &mut self.vertices);
+        if self.vertices.is_empty() {
+            // Its points are one, or two.
+            distinct(Faces::new(numbers), &mut self.vertices);
+        }
+        self.cells.push(&self.vertices)?;
+        for face in cell.faces().filter(|face| is_asked(face, positions)) {
+            distinct(std::iter::once(face), &mut self.vertices);
+            self.add_face(face.len() == 4, self.faces.len())?;
+            self.faces.push(&self.vertices)?;
+        }
+        Ok(())
+    }
+
+    /// The vertices that are added to the mesh's `own`; `None` if there are none.
+    fn finish(self, own: u64, settings: &StoreSettings) -> Result<Option<Added>> {
+        if self.cells.len() == 0 && self.faces.len() == 0 && !self.has_quadratic {
+            return Ok(None);
+        }
+        let (cells, faces) = (self.cells.finish()?, self.faces.finish()?);
+        let (with_vertex, answers) = answers(self.equals, own + cells.len()?, settings)?;
+        Ok(Some(Added { own, has_quadratic: self.has_quadratic, cells, faces, with_vertex, answers }))
+    }
+}
+
+/// Bytes for sorting.
+fn sorting_memory(settings: &StoreSettings) -> usize {
+    usize::try_from(settings.memory).unwrap_or(usize::MAX)
+}
+
 /// The vertex of each face in question or how it is cut, and the faces that have a vertex; these
 /// are numbered from `first` on, in the order of the faces.
 fn answers(
     equals: Sorter<[u64; 4]>,
     first: u64,
-    memory: usize,
     settings: &StoreSettings,
 ) -> Result<(Column<u64>, Column<u64>)> {
+    let memory = sorting_memory(settings);
     // The first face of equals, or how it is cut; the face.
     let mut by_first: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
     let (mut sorted, mut group) = (equals.finish()?, vec![]);

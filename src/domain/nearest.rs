@@ -4,8 +4,7 @@
 //! inside (Ericson 2005, "Real-Time Collision Detection", section 5.1.5). All is in `f64` and in
 //! one order of operations, so the bits are the same on every machine.
 
-use super::boundary::difference;
-use isospan_io::geom::vec3::{cross, dot};
+use isospan_io::geom::vec3::{cross, difference, dot};
 use isospan_mesh::locate::FinePos;
 
 /// Weights of the corners of a triangle at its point nearest to `p`, and the square of the distance

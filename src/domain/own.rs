@@ -19,13 +19,14 @@
 //!
 //! Memory: the list, at most [`POINT_BYTES`] a vertex while it is made. The rest is on disk.
 
-use super::boundary::rounded;
 use super::column::{Column, ColumnWriter};
-use super::store::{CellStore, StoreSettings};
+use super::settings::StoreSettings;
+use super::store::CellStore;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::{Error, Result};
 use isospan_io::geom::LatticePos;
 use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::locate::rounded;
 use isospan_mesh::points::ExplicitPoints;
 use isospan_mesh::predicates::signed_volume6;
 use std::path::Path;

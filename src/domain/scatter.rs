@@ -19,12 +19,13 @@
 //! distance); Dey and Levine 2009, "Delaunay meshing of piecewise smooth complexes without
 //! expensive predicates" (features first).
 
-use super::boundary::{OnBoundary, Spacing, Surface, difference, mean, rounded};
+use super::spacing::Spacing;
 use super::store::CellStore;
+use super::wall::{OnBoundary, Surface, mean};
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;
-use isospan_io::geom::vec3::{cross, dot};
-use isospan_mesh::locate::{FINE_BITS, FinePos};
+use isospan_io::geom::vec3::{cross, difference, dot};
+use isospan_mesh::locate::{FINE_BITS, FinePos, rounded};
 use std::collections::HashMap;
 
 /// Samples keep this distance, in mean distances of the points inside.

@@ -7,41 +7,18 @@ use super::frame::{Bounds, Frame};
 use super::identity::{Identity, IdentityHash};
 use super::merge::Firsts;
 use super::middles::{Added, Splitter};
+use super::settings::{BadValue, StoreSettings};
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::cells::average::Replace;
-use isospan_io::cells::{CellBlock, CellKind, CellMesh, split};
+use isospan_io::cells::{CellBlock, CellKind, CellMesh, CellTet, split};
 use isospan_io::error::{Error, Result};
-use isospan_io::exec::CancelToken;
 use isospan_io::geom::LatticePos;
 use isospan_io::geom::curve::hilbert_key;
 use isospan_mesh::locate::{CellBatch, FINE_BITS, FinePos, volume6};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
-
-/// How a value that is no finite number is treated.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum BadValue {
-    Refuse,
-    Void,
-    Use(f32),
-}
-
-/// How a mesh is read.
-#[derive(Clone)]
-pub(crate) struct StoreSettings {
-    /// Bytes for sorting.
-    pub(crate) memory: u64,
-    /// Folder for the files.
-    pub(crate) scratch: PathBuf,
-    pub(crate) bad_value: BadValue,
-    pub(crate) missing: Option<f64>,
-    /// The offset subtracted from all values before they become `f32`; [`BadValue::Use`] is meant
-    /// after that.
-    pub(crate) offset: f64,
-    pub(crate) cancel: CancelToken,
-}
 
 /// What was found in a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -139,28 +116,8 @@ impl CellStore {
         beyond: Option<Bounds>,
         settings: &StoreSettings,
     ) -> Result<ControlFlow<Bounds, Self>> {
-        let (path, mut identity) = (&mesh.info().path, IdentityHash::default());
-        let (world, bounds) = read_points(mesh, settings, &mut identity)?;
-        let bounds = beyond.map_or(bounds, |beyond| bounds.join(&beyond));
-        let frame = Frame::around(path, &bounds, world.get()?.len() as u64)?;
-        let mut positions = ColumnWriter::new(&settings.scratch)?;
-        for &p in world.get()? {
-            positions.push(&frame.fine(p))?;
-        }
-        drop(world);
-        let positions = positions.finish()?;
-        let (firsts, values) = match known {
-            None if !mesh.averages_places() => {
-                let values = read_values(mesh, None, settings)?;
-                (Arc::new(Firsts::new(positions.get()?, Some(values.get()?), settings)?), values)
-            }
-            known => {
-                let new = || Firsts::new(positions.get()?, None, settings).map(Arc::new);
-                let firsts = known.map_or_else(new, Ok)?;
-                let values = read_values(mesh, Some(&firsts), settings)?;
-                (firsts, values)
-            }
-        };
+        let (frame, positions, mut identity) = place_points(mesh, beyond.as_ref(), settings)?;
+        let (firsts, values) = read_known_values(mesh, known, positions.get()?, settings)?;
         let vertices = positions.get()?.len() as u64;
         let look = || Added::new(mesh, positions.get()?, &firsts, settings);
         let added = if beyond.is_some() || mesh.may_have_polyhedra()? { look()? } else { None };
@@ -175,31 +132,21 @@ impl CellStore {
             None => (positions, values),
         };
         let mut sink = TetSink::new(settings)?;
-        let numbered = (&*firsts, added.as_ref());
-        if !read_cells(mesh, positions.get()?, numbered, settings, &mut identity, &mut sink)? {
+        if !sink.read(mesh, positions.get()?, &firsts, added.as_ref(), settings, &mut identity)? {
             let added = Added::new(mesh, positions.get()?, &firsts, settings)?;
             let added = added.expect("a cell that needs vertices was met");
             let all = added.positions(positions.get()?, settings)?;
             return Ok(ControlFlow::Break(frame.beyond(all.get()?)));
         }
-        if sink.census.tetrahedra == 0 {
-            let got =
-                format!("{} cells with a volume, {} of them flat", sink.census.cells, sink.census.degenerate);
-            return Err(Error::bad_input(path, "cells", "at least one tetrahedron", got));
-        }
+        sink.census.vertices = vertices;
+        sink.census.added = added.as_ref().map_or(Ok(0), Added::count)?;
+        sink.census.repeated = firsts.repeated;
+        sink.refuse_none(&mesh.info().path)?;
         let (sink, boundary, body_of) = sink.without_folds(positions.get()?, settings)?;
         let creases = Creases::new(&boundary, positions.get()?, settings)?;
-        let census = MeshCensus {
-            vertices,
-            added: added.as_ref().map_or(Ok(0), Added::count)?,
-            boundary_triangles: boundary.get()?.len() as u64,
-            repeated: firsts.repeated,
-            bodies: body_of.bodies,
-            ..sink.census
-        };
+        let boundary_triangles = boundary.get()?.len() as u64;
+        let census = MeshCensus { boundary_triangles, bodies: body_of.bodies, ..sink.census };
         let (tets, bodies) = body_of.arrange(sink.tets.finish()?, settings)?;
-        let volume6 = sink.volume6;
-        let identity = identity.finish();
         Ok(ControlFlow::Continue(Self {
             frame,
             census,
@@ -211,8 +158,8 @@ impl CellStore {
             creases,
             firsts,
             added,
-            identity,
-            volume6,
+            identity: identity.finish(),
+            volume6: sink.volume6,
         }))
     }
 
@@ -264,6 +211,40 @@ impl CellStore {
         let whole = max.iter().map(|&m| f64::from(m) * f64::from(1u32 << FINE_BITS)).product::<f64>();
         self.volume6 as f64 / (6.0 * whole)
     }
+}
+
+/// The box around a mesh, which also holds `beyond`, and its points on the fine lattice of that.
+fn place_points(
+    mesh: &CellMesh,
+    beyond: Option<&Bounds>,
+    settings: &StoreSettings,
+) -> Result<(Frame, Column<FinePos>, IdentityHash)> {
+    let mut identity = IdentityHash::default();
+    let (world, bounds) = read_points(mesh, settings, &mut identity)?;
+    let bounds = beyond.map_or(bounds, |beyond| bounds.join(beyond));
+    let frame = Frame::around(&mesh.info().path, &bounds, world.get()?.len() as u64)?;
+    let mut positions = ColumnWriter::new(&settings.scratch)?;
+    for &p in world.get()? {
+        positions.push(&frame.fine(p))?;
+    }
+    Ok((frame, positions.finish()?, identity))
+}
+
+/// The values of all points, and which points are one. `known` says which are, if it is given.
+fn read_known_values(
+    mesh: &CellMesh,
+    known: Option<Arc<Firsts>>,
+    positions: &[FinePos],
+    settings: &StoreSettings,
+) -> Result<(Arc<Firsts>, Column<f32>)> {
+    if known.is_none() && !mesh.averages_places() {
+        let values = read_values(mesh, None, settings)?;
+        return Ok((Arc::new(Firsts::new(positions, Some(values.get()?), settings)?), values));
+    }
+    let new = || Firsts::new(positions, None, settings).map(Arc::new);
+    let firsts = known.map_or_else(new, Ok)?;
+    let values = read_values(mesh, Some(&firsts), settings)?;
+    Ok((firsts, values))
 }
 
 fn read_points(
@@ -378,6 +359,60 @@ impl TetSink {
         })
     }
 
+    /// Splits all cells. False if one needs vertices, and what cells add is not known.
+    fn read(
+        &mut self,
+        mesh: &CellMesh,
+        positions: &[FinePos],
+        firsts: &Firsts,
+        added: Option<&Added>,
+        settings: &StoreSettings,
+        identity: &mut IdentityHash,
+    ) -> Result<bool> {
+        let mut splitter = added.map(Splitter::new).transpose()?;
+        let (mut cells, mut block, mut tets) = (mesh.cells()?, CellBlock::default(), vec![]);
+        let mut replaced = vec![];
+        while cells.next_block(&mut block)? {
+            settings.cancel.check()?;
+            identity.add_cells(&block);
+            for (kind, vertices) in block.iter().filter(|(kind, _)| kind.is_solid()) {
+                tets.clear();
+                self.census.cells += 1;
+                if kind == CellKind::Polyhedron {
+                    let splitter = splitter.as_mut().expect("the mesh was looked through for polyhedra");
+                    self.census.degenerate += splitter.split(vertices, positions, firsts, &mut tets)? as u64;
+                    turn_outwards(&mut tets, positions);
+                    tets.iter().try_for_each(|&tet| self.push(tet, positions))?;
+                    continue;
+                }
+                replaced.clear();
+                replaced.extend_from_slice(vertices);
+                firsts.replace(&mut replaced)?;
+                let dropped = match (kind.middles(), &mut splitter) {
+                    (Some(middles), Some(splitter)) => {
+                        splitter.split_quadratic(middles, &replaced, &mut tets)
+                    }
+                    (Some(_), None) => return Ok(false),
+                    (None, _) => split(kind, &replaced, &mut tets),
+                };
+                self.census.degenerate += dropped as u64;
+                tets.iter().try_for_each(|&tet| self.push(tet, positions))?;
+            }
+        }
+        self.census.ghosts = cells.ghosts();
+        Ok(true)
+    }
+
+    /// An error for a mesh without a tetrahedron.
+    fn refuse_none(&self, path: &Path) -> Result<()> {
+        let MeshCensus { cells, degenerate, tetrahedra, .. } = self.census;
+        if tetrahedra > 0 {
+            return Ok(());
+        }
+        let got = format!("{cells} cells with a volume, {degenerate} of them flat");
+        Err(Error::bad_input(path, "cells", "at least one tetrahedron", got))
+    }
+
     fn push(&mut self, mut tet: [u64; 4], positions: &[FinePos]) -> Result<()> {
         let volume = volume6(tet.map(|v| positions[v as usize]));
         if volume == 0 {
@@ -451,49 +486,13 @@ impl TetSink {
     }
 }
 
-/// Splits all cells. False if one needs vertices, and what cells add is not known.
-fn read_cells(
-    mesh: &CellMesh,
-    positions: &[FinePos],
-    (firsts, added): (&Firsts, Option<&Added>),
-    settings: &StoreSettings,
-    identity: &mut IdentityHash,
-    sink: &mut TetSink,
-) -> Result<bool> {
-    let mut splitter = added.map(Splitter::new).transpose()?;
-    let (mut cells, mut block, mut tets) = (mesh.cells()?, CellBlock::default(), vec![]);
-    let mut replaced = vec![];
-    while cells.next_block(&mut block)? {
-        settings.cancel.check()?;
-        identity.add_cells(&block);
-        for (kind, vertices) in block.iter().filter(|(kind, _)| kind.is_solid()) {
-            tets.clear();
-            sink.census.cells += 1;
-            if kind == CellKind::Polyhedron {
-                let splitter = splitter.as_mut().expect("the mesh was looked through for polyhedra");
-                sink.census.degenerate += splitter.split(vertices, positions, firsts, &mut tets)? as u64;
-                // Its faces may be listed as they are seen from inside.
-                let volumes = tets.iter().map(|tet| volume6(tet.map(|v| positions[v as usize])));
-                if volumes.sum::<i128>() < 0 {
-                    tets.iter_mut().for_each(|tet| tet.swap(2, 3));
-                }
-                tets.iter().try_for_each(|&tet| sink.push(tet, positions))?;
-                continue;
-            }
-            replaced.clear();
-            replaced.extend_from_slice(vertices);
-            firsts.replace(&mut replaced)?;
-            let dropped = match (kind.middles(), &mut splitter) {
-                (Some(middles), Some(splitter)) => splitter.split_quadratic(middles, &replaced, &mut tets),
-                (Some(_), None) => return Ok(false),
-                (None, _) => split(kind, &replaced, &mut tets),
-            };
-            sink.census.degenerate += dropped as u64;
-            tets.iter().try_for_each(|&tet| sink.push(tet, positions))?;
-        }
+/// Turns the tetrahedra of a polyhedron over, whose faces may be listed as they are seen from
+/// inside.
+fn turn_outwards(tets: &mut [CellTet], positions: &[FinePos]) {
+    let volumes = tets.iter().map(|tet| volume6(tet.map(|v| positions[v as usize])));
+    if volumes.sum::<i128>() < 0 {
+        tets.iter_mut().for_each(|tet| tet.swap(2, 3));
     }
-    sink.census.ghosts = cells.ghosts();
-    Ok(true)
 }
 
 /// The faces of one tetrahedron only, along a space-filling curve, each with its body; and the body

@@ -6,14 +6,15 @@
 //! paged array while the tetrahedra pass, body after body; then the vertices are sorted by brick,
 //! on disk where memory does not hold them.
 
-use super::boundary::rounded;
 use super::column::{Column, ColumnWriter};
-use super::store::{CellStore, StoreSettings};
+use super::settings::StoreSettings;
+use super::store::CellStore;
 use isospan_io::bytes::paged::Paged;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;
 use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::locate::rounded;
 
 /// Vertices handed out at a time.
 const BATCH: usize = 1 << 15;

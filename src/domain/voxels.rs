@@ -4,7 +4,8 @@
 //! ([`isospan_mesh::locate`]); where there is no cell, the value is no number.
 
 use super::buckets::Buckets;
-use super::store::{CellStore, StoreSettings};
+use super::settings::StoreSettings;
+use super::store::CellStore;
 use isospan_io::error::Result;
 use isospan_io::grid::{BrickGrid, BrickId, IndexBox};
 use isospan_mesh::locate::{CellBatch, CellHit, FinePos, PointGrid, fine, linear};

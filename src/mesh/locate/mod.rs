@@ -47,6 +47,12 @@ pub fn fine(pos: LatticePos) -> FinePos {
     pos.map(|p| i64::from(p) << FINE_BITS)
 }
 
+/// The lattice position nearest to one in fine steps.
+#[inline]
+pub fn rounded(p: FinePos) -> LatticePos {
+    p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
+}
+
 /// Some tetrahedra of a mesh with their vertices.
 #[derive(Clone, Debug, Default)]
 pub struct CellBatch {

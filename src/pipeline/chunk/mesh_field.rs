@@ -4,10 +4,11 @@
 
 use super::cell_locator::{CellLocator, centroid};
 use super::placement::{NO_BODY, Placement, Spot, ValueSource, by_brick, in_bricks};
-use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
+use crate::domain::boundary::BoundarySamples;
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
 use crate::domain::vertices::Vertices;
+use crate::domain::wall::{OnBoundary, Sample};
 use crate::pipeline::read::MeshedChunk;
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;

@@ -1,7 +1,7 @@
 //! Where the vertices of a chunk lie in the data, and their order by bricks.
 
 use super::groups::Groups;
-use crate::domain::boundary::OnBoundary;
+use crate::domain::wall::OnBoundary;
 use crate::pipeline::read::MeshedChunk;
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;

@@ -17,7 +17,8 @@ use super::vertex_errors::{StepErrors, reported_errors};
 use crate::archive::manifest::Source;
 use crate::domain::column::Column;
 use crate::domain::merge::Firsts;
-use crate::domain::store::{BadValue, CellStore, StoreSettings};
+use crate::domain::settings::{BadValue, StoreSettings};
+use crate::domain::store::CellStore;
 use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally};
 use crate::pipeline::chunk::{
     ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of, field_error_within,

@@ -14,14 +14,15 @@
 //! In a series, the values of the first step decide.
 
 use crate::density::{BlockErrors, Choice, ErrorCurves};
-use crate::domain::boundary::rounded;
-use crate::domain::store::{CellStore, StoreSettings};
+use crate::domain::settings::StoreSettings;
+use crate::domain::store::CellStore;
 use crate::domain::voxels::Voxels;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::settings::{Adapt, RunSettings, Target};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::pool;
 use isospan_io::grid::{BrickGrid, BrickId};
+use isospan_mesh::locate::rounded;
 use rayon::prelude::*;
 
 /// Blocks that are measured before their errors are added, in order, for each thread.

@@ -4,8 +4,8 @@ use super::shift::Reading;
 use isospan_io::error::Result;
 use isospan_io::exec::CancelToken;
 use isospan_io::grid::IndexBox;
+use isospan_io::volume::convert::convert_row;
 use isospan_io::volume::shifted::{each_value, may_need_offset, shortest};
-use isospan_io::volume::strided::convert_row;
 use isospan_io::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
 

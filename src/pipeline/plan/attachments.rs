@@ -9,7 +9,7 @@ use crate::archive::tables::{
     write_levels, write_repeated,
 };
 use crate::domain::merge::Firsts;
-use crate::domain::store::StoreSettings;
+use crate::domain::settings::StoreSettings;
 use isospan_io::error::Result;
 use isospan_mesh::points::{ExplicitPoints, Levels, SetKind};
 use std::path::{Path, PathBuf};

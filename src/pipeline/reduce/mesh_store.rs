@@ -1,7 +1,7 @@
 //! How the mesh of a job is read, and the disk that this takes.
 
 use super::job::Job;
-use crate::domain::store::{BadValue, StoreSettings};
+use crate::domain::settings::{BadValue, StoreSettings};
 use crate::pipeline::plan::{MOST_SMALL_STEPS_AT_ONCE, free_bytes};
 use crate::pipeline::settings::{CompleteSettings, NanPolicy};
 use isospan_io::cells::CellMesh;
