@@ -10,7 +10,7 @@ use isospan::archive::values::{BLOCK_VALUES, KnownOfBlock, ValueBlocks, decode_v
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos};
 use isospan::grid::{BrickGrid, BrickId};
-use isospan::mesh::delaunay::Mesher;
+use isospan::mesh::mesher::Mesher;
 use isospan::mesh::tet::Tet;
 use isospan::points::{PointSet, PointSpec, SetKind, SetSettings};
 use std::hint::black_box;

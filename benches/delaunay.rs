@@ -6,7 +6,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use isospan::geom::curve::{Order, hilbert_key};
 use isospan::geom::{LatticeBox, LatticePos};
 use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, Manner, mesh_widening};
-use isospan::mesh::delaunay::Mesher;
+use isospan::mesh::mesher::Mesher;
 use std::collections::BTreeSet;
 use std::hint::black_box;
 use std::time::Duration;

@@ -12,7 +12,7 @@ use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos};
 use isospan::grid::IndexBox;
 use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
-use isospan::mesh::delaunay::Mesher;
+use isospan::mesh::mesher::Mesher;
 use isospan::mesh::tet::Tet;
 use isospan::points::{PointSet, PointSpec};
 use isospan::raster::{BatchScan, SampleGrid, Scanner};

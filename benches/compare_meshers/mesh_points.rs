@@ -15,7 +15,7 @@ use isospan::geom::curve::{Order, hilbert_key};
 use isospan::geom::{Lattice, LatticeBox, LatticePos, PointClass};
 use isospan::grid::{BrickGrid, ChunkGrid};
 use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, Manner, mesh_widening};
-use isospan::mesh::delaunay::Mesher;
+use isospan::mesh::mesher::Mesher;
 use isospan::points::{PointSet, PointSpec, SetKind, SetSettings};
 use std::collections::BTreeSet;
 use std::error::Error;

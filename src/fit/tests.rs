@@ -4,7 +4,7 @@
 use super::*;
 use isospan_io::geom::Lattice;
 use isospan_io::geom::curve::Order;
-use isospan_mesh::mesh::delaunay::Mesher;
+use isospan_mesh::mesh::mesher::Mesher;
 use isospan_mesh::points::{PointSet, PointSpec};
 use isospan_mesh::raster::interpolate;
 use std::convert::Infallible;

@@ -31,7 +31,7 @@ pub struct Summary {
 /// # Errors
 /// A sentence about the first fault.
 pub fn check(positions: &[LatticePos], tets: &[Tet], order: &Order) -> Result<Summary, String> {
-    let mut facets: BTreeMap<[u32; 3], Vec<(usize, usize)>> = BTreeMap::new();
+    let mut facets: BTreeMap<[u32; 3], Vec<Side>> = BTreeMap::new();
     let mut volume6 = 0i128;
     let mut used = vec![false; positions.len()];
     for (t, tet) in tets.iter().enumerate() {
@@ -47,7 +47,7 @@ pub fn check(positions: &[LatticePos], tets: &[Tet], order: &Order) -> Result<Su
             used[tet[i] as usize] = true;
             let mut key = face.map(|k| tet[k]);
             key.sort_unstable();
-            facets.entry(key).or_default().push((t, i));
+            facets.entry(key).or_default().push(Side { tet: t, face: i });
         }
     }
     let (hull_facets, enclosed) = check_facets(positions, tets, &facets, order)?;
@@ -62,17 +62,24 @@ fn volume_of(positions: &[LatticePos], tet: Tet) -> i128 {
     signed_volume6(a, b, c, d)
 }
 
+/// A facet, as a tetrahedron has it: the one across from a corner.
+#[derive(Clone, Copy)]
+struct Side {
+    tet: usize,
+    face: usize,
+}
+
 /// Each facet of one or two tetrahedra; counts the hull's and adds up the volume below it.
 fn check_facets(
     positions: &[LatticePos],
     tets: &[Tet],
-    facets: &BTreeMap<[u32; 3], Vec<(usize, usize)>>,
+    facets: &BTreeMap<[u32; 3], Vec<Side>>,
     order: &Order,
 ) -> Result<(usize, i128), String> {
     let (mut hull, mut enclosed) = (0, 0);
     for (key, sides) in facets {
         match sides[..] {
-            [(t, i)] => {
+            [Side { tet: t, face: i }] => {
                 hull += 1;
                 let [a, b, c] = OUTWARD[i].map(|k| positions[tets[t][k] as usize]);
                 // The cone over the facet from the lattice's origin.
@@ -99,14 +106,14 @@ fn convex(positions: &[LatticePos], tets: &[Tet], t: usize, i: usize) -> Result<
 fn locally_delaunay(
     positions: &[LatticePos],
     tets: &[Tet],
-    (t, i): (usize, usize),
-    (u, j): (usize, usize),
+    here: Side,
+    there: Side,
     order: &Order,
 ) -> Result<(), String> {
-    let (one, other) = (tets[t], tets[u]);
-    let apex = other[j];
+    let (one, other) = (tets[here.tet], tets[there.tet]);
+    let apex = other[there.face];
     let mut mirrored = one;
-    mirrored[i] = apex;
+    mirrored[here.face] = apex;
     if volume_of(positions, mirrored) >= 0 {
         return Err(format!("tetrahedra {one:?} and {other:?} lie on one side of their common facet"));
     }

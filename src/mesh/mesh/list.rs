@@ -4,7 +4,7 @@
 //! records is needed any more, there is room among them for the vertices twice: as they are found,
 //! and in their final order. So a chunk takes 64 bytes a tetrahedron and no more, from its first
 //! point to its last block. Then the memory goes back to the mesher
-//! ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), whose pages need not be asked for again.
+//! ([`Mesher::reuse`](super::mesher::Mesher::reuse)), whose pages need not be asked for again.
 //!
 //! Tetrahedra made star by star are in that order already: a plain list, 16 bytes each. Where the
 //! tetrahedra around the chunk's own are wanted too, they lie behind those:

@@ -3,9 +3,11 @@
 mod certify;
 pub mod check;
 pub mod chunk;
-pub mod delaunay;
+mod delaunay;
 mod late;
 pub mod list;
+pub mod mesher;
 mod owned;
-pub(crate) mod stars;
+mod region;
+mod stars;
 pub mod tet;

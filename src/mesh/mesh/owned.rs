@@ -4,11 +4,11 @@
 //! vertices are packed into the first quarter of the records, which is no longer needed. From there
 //! they go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
 
-use super::delaunay::Mesher;
+use super::delaunay::Kernel;
 use super::list::TetList;
 use super::tet::{Tet, canonical};
 
-/// Records of a mesher. Kept from chunk to chunk, so that its pages are not asked for again.
+/// Records of a kernel. Kept from chunk to chunk, so that its pages are not asked for again.
 #[derive(Debug, Default)]
 pub(super) struct Owned {
     bits: Vec<u64>,
@@ -75,8 +75,8 @@ impl Owned {
     }
 
     /// The owned tetrahedra, as indices into so many positions, the least first in each, ascending
-    /// by that; then those around. They are in the memory of the mesher, which has no mesh then.
-    pub(super) fn take(&mut self, mesher: &mut Mesher, positions: usize) -> TetList {
+    /// by that; then those around. They are in the memory of the kernel, which has no mesh then.
+    pub(super) fn take(&mut self, kernel: &mut Kernel, positions: usize) -> TetList {
         let mut counts = std::mem::take(&mut self.counts);
         counts.clear();
         counts.resize(positions + 1, 0);
@@ -87,9 +87,9 @@ impl Owned {
             t
         };
         let (mut records, packed) = if self.around.iter().all(|&word| word == 0) {
-            mesher.pack(self.iter().map(|id| (id, ())), |(), t| count(t))
+            kernel.pack(self.iter().map(|id| (id, ())), |(), t| count(t))
         } else {
-            mesher.pack(self.iter_all(), |is_around, [a, b, c, d]| {
+            kernel.pack(self.iter_all(), |is_around, [a, b, c, d]| {
                 around += usize::from(is_around);
                 if is_around { [a | AROUND, b, c, d] } else { count([a, b, c, d]) }
             })

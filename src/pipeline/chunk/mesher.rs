@@ -14,8 +14,8 @@ use isospan_io::grid::Chunk;
 use isospan_mesh::mesh::chunk::{
     Border, ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_around, mesh_widening,
 };
-use isospan_mesh::mesh::delaunay::Mesher;
 use isospan_mesh::mesh::list::TetList;
+use isospan_mesh::mesh::mesher::Mesher;
 use isospan_mesh::mesh::tet::Tet;
 use isospan_mesh::points::PointSet;
 use std::collections::HashMap;

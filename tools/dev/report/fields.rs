@@ -11,7 +11,7 @@ use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos, PointClass, PointId, Site};
 use isospan::grid::{Geometry, IndexBox};
 use isospan::locate::{CellBatch, CellHit, FinePos, PointGrid, fine, linear};
-use isospan::mesh::delaunay::Mesher;
+use isospan::mesh::mesher::Mesher;
 use isospan::mesh::tet::Tet;
 use isospan::points::{PointSet, PointSpec};
 use isospan::sample::{Interpolation, VoxelBlock, sample};

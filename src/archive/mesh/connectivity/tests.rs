@@ -8,7 +8,7 @@ use crate::archive::wire::Malformed;
 use isospan_io::geom::Lattice;
 use isospan_io::geom::curve::{Order, hilbert_key};
 use isospan_io::grid::{BrickGrid, BrickId};
-use isospan_mesh::mesh::delaunay::Mesher;
+use isospan_mesh::mesh::mesher::Mesher;
 use isospan_mesh::mesh::tet::Tet;
 use isospan_mesh::points::{PointSet, PointSpec, SetKind, SetSettings};
 

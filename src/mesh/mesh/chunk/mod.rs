@@ -34,41 +34,15 @@
 //! certification and output order.
 
 use super::certify::Unseen;
-use super::delaunay::Mesher;
+use super::delaunay::Kernel;
 use super::late::{Finding, Late, Outer};
-use super::list::TetList;
+use super::mesher::Mesher;
 use super::owned::{Owned, each_bit};
+pub use super::region::{Border, ChunkMesh, ChunkRegion};
 use super::tet::Tet;
 use isospan_io::error::{Error, Result};
 use isospan_io::geom::curve::Order;
 use isospan_io::geom::{Lattice, LatticeBox, LatticePos};
-
-/// The boxes of a chunk; all half-open.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ChunkRegion {
-    /// The part of the domain that the chunk owns.
-    pub core: LatticeBox,
-    /// Core and inner halo, clipped to the domain: the points that are inserted at once. Those
-    /// further out are inserted where a tetrahedron needs them.
-    pub near: LatticeBox,
-    /// Core and halo, clipped to the domain: where the chunk knows all points.
-    pub region: LatticeBox,
-    /// The whole domain: no point lies outside it.
-    pub domain: LatticeBox,
-}
-
-/// The tetrahedra of a chunk.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ChunkMesh {
-    /// Owned tetrahedra: vertex numbers are indices into the chunk's positions, positively
-    /// oriented, least number first; ascending by that. Behind them, where they were asked for,
-    /// those around, positively oriented.
-    pub tets: TetList,
-    /// For each position: whether another chunk may own a tetrahedron at it. Only an edge between
-    /// two shared vertices can also occur in another chunk. Positions outside the core are always
-    /// shared.
-    pub shared: Vec<bool>,
-}
 
 /// The result of meshing a chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -86,7 +60,7 @@ pub enum ChunkOutcome {
 /// How a chunk is meshed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Manner {
-    /// Also the tetrahedra around those owned ([`TetList::around`]), so that all tetrahedra at each
+    /// Also the tetrahedra around those owned ([`TetList::around`](super::list::TetList::around)), so that all tetrahedra at each
     /// vertex of an owned one are known. That takes a wider halo, by one tetrahedron and its
     /// sphere.
     pub around: bool,
@@ -94,16 +68,6 @@ pub struct Manner {
     /// those of the core come first: then the chunk is meshed star by star, to the same mesh in
     /// less time.
     pub even: bool,
-}
-
-/// The border between the tetrahedra that a chunk owns and those of others, in numbers of its
-/// positions.
-#[derive(Clone, Copy, Debug)]
-pub struct Border<'a> {
-    /// Its tetrahedra with three such points or more; there may be others.
-    pub tets: &'a [Tet],
-    /// For each position, whether one of its tetrahedra has it and one of others may.
-    pub points: &'a [bool],
 }
 
 /// Gives a wider region: appends the positions between the old one and the new one, and returns
@@ -142,15 +106,14 @@ pub fn mesh_widening(
 ) -> Result<ChunkOutcome> {
     let (mut boxes, mut first) = (*boxes, check(boxes, positions)?);
     if manner.even {
-        let mut room = std::mem::take(&mut mesher.stars);
-        let mesh = room.mesh(mesher, &boxes, positions, order, manner.around);
-        mesher.stars = room;
+        let mesh = mesher.stars.mesh(&mut mesher.kernel, &boxes, positions, order, manner.around);
         if let Some(mesh) = mesh? {
             return Ok(ChunkOutcome::Done(mesh));
         }
     }
-    mesher.delaunay_of_first(positions, first, order)?;
-    while mesher.is_empty() && boxes.near != boxes.domain {
+    let kernel = &mut mesher.kernel;
+    kernel.delaunay_of_first(positions, first, order)?;
+    while kernel.is_empty() && boxes.near != boxes.domain {
         // The inner points span no volume: nothing to add the others to.
         if boxes.near == boxes.region {
             // No tetrahedron shows what the core's points are joined to.
@@ -163,18 +126,18 @@ pub fn mesh_widening(
             }
         }
         (boxes.near, first) = (boxes.region, positions.len());
-        mesher.delaunay(positions, order)?;
+        kernel.delaunay(positions, order)?;
     }
     let mut owned = std::mem::take(&mut mesher.owned);
-    owned.clear(mesher.records());
-    let mut sorter = Sorter::new(mesher, boxes, positions, owned, manner.around, first, widen);
-    let mut uncertified = sorter.run(mesher);
+    owned.clear(kernel.records());
+    let mut sorter = Sorter::new(kernel, boxes, positions, owned, manner.around, first, widen);
+    let mut uncertified = sorter.run(kernel);
     if manner.around && matches!(uncertified, Ok(0)) {
-        uncertified = sorter.run_around(mesher);
+        uncertified = sorter.run_around(kernel);
     }
     let Sorter { mut owned, shared, .. } = sorter;
     let outcome = uncertified.map(|n| match n {
-        0 => ChunkOutcome::Done(ChunkMesh { tets: owned.take(mesher, shared.len()), shared }),
+        0 => ChunkOutcome::Done(ChunkMesh { tets: owned.take(kernel, shared.len()), shared }),
         uncertified => ChunkOutcome::WidenHalo { uncertified },
     });
     mesher.owned = owned;
@@ -196,10 +159,7 @@ pub fn mesh_around(
     border: Border<'_>,
 ) -> Result<Option<Vec<Tet>>> {
     check(boxes, positions)?;
-    let mut room = std::mem::take(&mut mesher.stars);
-    let around = room.around(mesher, boxes, positions, order, border);
-    mesher.stars = room;
-    around
+    mesher.stars.around(&mut mesher.kernel, boxes, positions, order, border)
 }
 
 /// The positions from `first` on, which are not inserted.
@@ -225,15 +185,6 @@ impl ChunkRegion {
             None => Ok(true),
         }
     }
-
-    fn check(&self) -> Result<()> {
-        let nested = |inner: &LatticeBox, outer: &LatticeBox| inner.intersect(outer) == *inner;
-        let Self { core, near, region, domain } = self;
-        if nested(core, near) && nested(near, region) && nested(region, domain) {
-            return Ok(());
-        }
-        Err(Error::usage(format!("the boxes of a chunk are not nested: {self:?}")))
-    }
 }
 
 /// The number of positions that are inserted at once.
@@ -250,20 +201,20 @@ fn check(boxes: &ChunkRegion, positions: &[LatticePos]) -> Result<usize> {
     }
 }
 
-/// Sorts the mesher's records into owned, foreign and doubtful ones.
+/// Sorts the kernel's records into owned, foreign and doubtful ones.
 struct Sorter<'a> {
     boxes: ChunkRegion,
     positions: &'a mut Vec<LatticePos>,
     /// What lies outside the points inserted at once.
     close: Unseen,
-    /// For each vertex of the mesher, whether it lies in the core; infinity does not.
+    /// For each vertex of the kernel, whether it lies in the core; infinity does not.
     in_core: Vec<bool>,
     owned: Owned,
     shared: Vec<bool>,
     /// Records to be looked at again, and whether each record is among them.
     doubtful: Vec<u32>,
     waits: Vec<bool>,
-    /// For each vertex of the mesher, whether an owned tetrahedron has it. Empty if those around
+    /// For each vertex of the kernel, whether an owned tetrahedron has it. Empty if those around
     /// are not asked for.
     used: Vec<bool>,
     /// Whether those around are looked for: the owned ones are known.
@@ -277,7 +228,7 @@ struct Sorter<'a> {
 
 impl<'a> Sorter<'a> {
     fn new(
-        mesher: &Mesher,
+        kernel: &Kernel,
         boxes: ChunkRegion,
         positions: &'a mut Vec<LatticePos>,
         owned: Owned,
@@ -287,9 +238,9 @@ impl<'a> Sorter<'a> {
     ) -> Self {
         let shared: Vec<bool> = positions.iter().map(|p| !boxes.core.contains(*p)).collect();
         let in_core =
-            std::iter::once(false).chain(mesher.sources().iter().map(|&s| !shared[s as usize])).collect();
+            std::iter::once(false).chain(kernel.sources().iter().map(|&s| !shared[s as usize])).collect();
         Self {
-            close: Unseen::new(boxes.near, boxes.domain, mesher.local()),
+            close: Unseen::new(boxes.near, boxes.domain, kernel.local()),
             boxes,
             positions,
             in_core,
@@ -297,7 +248,7 @@ impl<'a> Sorter<'a> {
             shared,
             doubtful: vec![],
             waits: vec![],
-            used: vec![false; if stars { mesher.sources().len() + 1 } else { 0 }],
+            used: vec![false; if stars { kernel.sources().len() + 1 } else { 0 }],
             looks_around: false,
             first,
             late: None,
@@ -307,53 +258,53 @@ impl<'a> Sorter<'a> {
 
     /// Sorts all records; then inserts what the doubtful ones ask for, until none is left. Returns
     /// how many cannot be certified.
-    fn run(&mut self, mesher: &mut Mesher) -> Result<u64> {
-        for first in (0..mesher.records()).step_by(u64::BITS as usize) {
+    fn run(&mut self, kernel: &mut Kernel) -> Result<u64> {
+        for first in (0..kernel.records()).step_by(u64::BITS as usize) {
             let mut inner = 0u64;
-            for id in first..mesher.records().min(first + u64::BITS) {
-                let Some((v, sphere)) = mesher.record(id) else { continue };
+            for id in first..kernel.records().min(first + u64::BITS) {
+                let Some((v, sphere)) = kernel.record(id) else { continue };
                 let core = v.map(|v| self.in_core[v as usize]);
                 // The usual cases: nothing of the core's, and nothing but that and certified.
                 if core[0] & core[1] & core[2] & core[3] && self.close.quickly(sphere) {
                     inner |= 1 << (id - first);
                     self.use_corners(v);
                 } else if core[0] | core[1] | core[2] | core[3] {
-                    self.first_look(mesher, id);
+                    self.first_look(kernel, id);
                 }
             }
             self.owned.insert_word(first, inner);
         }
-        self.settle(mesher)
+        self.settle(kernel)
     }
 
     /// Looks at the tetrahedra around those owned. All of the owned ones are certified, so nothing
     /// that is inserted for their neighbours touches them.
-    fn run_around(&mut self, mesher: &mut Mesher) -> Result<u64> {
+    fn run_around(&mut self, kernel: &mut Kernel) -> Result<u64> {
         self.looks_around = true;
-        for first in (0..mesher.records()).step_by(u64::BITS as usize) {
-            for bit in each_bit(self.owned.others(first)).take_while(|bit| first + bit < mesher.records()) {
-                self.first_look(mesher, first + bit);
+        for first in (0..kernel.records()).step_by(u64::BITS as usize) {
+            for bit in each_bit(self.owned.others(first)).take_while(|bit| first + bit < kernel.records()) {
+                self.first_look(kernel, first + bit);
             }
         }
-        self.settle(mesher)
+        self.settle(kernel)
     }
 
     #[inline]
-    fn first_look(&mut self, mesher: &Mesher, id: u32) {
-        if !matches!(self.look(mesher, id, None), Finding::Certified) {
+    fn first_look(&mut self, kernel: &Kernel, id: u32) {
+        if !matches!(self.look(kernel, id, None), Finding::Certified) {
             self.doubtful.push(id);
         }
     }
 
     /// Looks at the doubtful records until none is left, with the points at hand that are not
     /// inserted.
-    fn settle(&mut self, mesher: &mut Mesher) -> Result<u64> {
+    fn settle(&mut self, kernel: &mut Kernel) -> Result<u64> {
         if self.doubtful.is_empty() {
             return Ok(0);
         }
         let mut late = match self.late.take() {
             Some(late) => late,
-            None => self.look_from(mesher, outer(self.positions, self.first).collect()),
+            None => self.look_from(kernel, outer(self.positions, self.first).collect()),
         };
         self.waits.clear();
         let (mut wanted, mut uncovered) = (vec![], vec![]);
@@ -362,14 +313,14 @@ impl<'a> Sorter<'a> {
                 if let Some(waits) = self.waits.get_mut(id as usize) {
                     *waits = false;
                 }
-                match self.look(mesher, id, Some(&late)) {
+                match self.look(kernel, id, Some(&late)) {
                     Finding::Certified => {}
                     Finding::Uncovered => uncovered.push(id),
                     Finding::Holds(point) => wanted.push((point, id)),
                 }
             }
             if !wanted.is_empty() {
-                self.add(mesher, &mut late, &mut wanted)?;
+                self.add(kernel, &mut late, &mut wanted)?;
                 continue;
             }
             if uncovered.is_empty() {
@@ -381,7 +332,7 @@ impl<'a> Sorter<'a> {
             }
             let mut out = late.points();
             out.extend(outer(self.positions, known));
-            late = self.look_from(mesher, out);
+            late = self.look_from(kernel, out);
             self.shared.resize(self.positions.len(), true);
             self.doubtful.append(&mut uncovered);
         }
@@ -391,24 +342,24 @@ impl<'a> Sorter<'a> {
 
     /// Inserts points, each with a record that asks for it. Those that are new are to be looked at,
     /// and those that asked, for a point may just touch a sphere.
-    fn add(&mut self, mesher: &mut Mesher, late: &mut Late, wanted: &mut Vec<(Outer, u32)>) -> Result<()> {
+    fn add(&mut self, kernel: &mut Kernel, late: &mut Late, wanted: &mut Vec<(Outer, u32)>) -> Result<()> {
         self.look_again(wanted.iter().map(|(_, asking)| *asking));
         // Neighbours one after the other, each once.
-        wanted.sort_unstable_by_key(|(point, id)| (mesher.key(point.at), point.at, point.index, *id));
+        wanted.sort_unstable_by_key(|(point, id)| (kernel.key(point.at), point.at, point.index, *id));
         wanted.dedup_by_key(|(point, _)| point.at);
         for (point, asking) in wanted.drain(..) {
-            if !mesher.has_room(point.at) {
-                mesher.make_room(self.positions)?;
-                *late = self.look_from(mesher, late.points());
+            if !kernel.has_room(point.at) {
+                kernel.make_room(self.positions)?;
+                *late = self.look_from(kernel, late.points());
             }
             late.take(point.at);
-            self.look_again(mesher.add(point.at, point.index, asking)?.iter().copied());
+            self.look_again(kernel.add(point.at, point.index, asking)?.iter().copied());
             self.in_core.push(false);
             if !self.used.is_empty() {
                 self.used.push(false);
             }
         }
-        self.owned.grow(mesher.records());
+        self.owned.grow(kernel.records());
         Ok(())
     }
 
@@ -424,20 +375,20 @@ impl<'a> Sorter<'a> {
         }
     }
 
-    /// Gets ready to look at spheres in the coordinates that the mesher has now; `out` are the
+    /// Gets ready to look at spheres in the coordinates that the kernel has now; `out` are the
     /// positions that are not inserted.
-    fn look_from(&mut self, mesher: &Mesher, out: Vec<Outer>) -> Late {
-        let (ChunkRegion { near, region, domain, .. }, local) = (self.boxes, mesher.local());
+    fn look_from(&mut self, kernel: &Kernel, out: Vec<Outer>) -> Late {
+        let (ChunkRegion { near, region, domain, .. }, local) = (self.boxes, kernel.local());
         self.close = Unseen::new(near, domain, local);
         Late::new(out, region, domain, local)
     }
 
     #[inline]
-    fn look(&mut self, mesher: &Mesher, id: u32, late: Option<&Late>) -> Finding {
+    fn look(&mut self, kernel: &Kernel, id: u32, late: Option<&Late>) -> Finding {
         if self.looks_around {
-            self.look_around(mesher, id, late)
+            self.look_around(kernel, id, late)
         } else {
-            self.look_at_core(mesher, id, late)
+            self.look_at_core(kernel, id, late)
         }
     }
 
@@ -450,40 +401,40 @@ impl<'a> Sorter<'a> {
     }
 
     #[inline]
-    fn look_around(&mut self, mesher: &Mesher, id: u32, late: Option<&Late>) -> Finding {
-        let Some((v, sphere)) = mesher.record(id) else { return Finding::Certified };
+    fn look_around(&mut self, kernel: &Kernel, id: u32, late: Option<&Late>) -> Finding {
+        let Some((v, sphere)) = kernel.record(id) else { return Finding::Certified };
         if self.owned.has(id) || v.iter().all(|&v| !self.used[v as usize]) {
             return Finding::Certified;
         }
         if let Some(k) = v.iter().position(|&v| v == 0) {
-            return self.look_beyond(mesher, super::delaunay::face(k).map(|i| v[i]), late);
+            return self.look_beyond(kernel, super::delaunay::face(k).map(|i| v[i]), late);
         }
-        let found = self.look_in(mesher, v, sphere, late);
+        let found = self.look_in(kernel, v, sphere, late);
         if matches!(found, Finding::Certified) {
             self.owned.insert_around(id);
         }
         found
     }
 
-    fn look_at_core(&mut self, mesher: &Mesher, id: u32, late: Option<&Late>) -> Finding {
-        let Some((v, sphere)) = mesher.record(id) else { return Finding::Certified };
+    fn look_at_core(&mut self, kernel: &Kernel, id: u32, late: Option<&Late>) -> Finding {
+        let Some((v, sphere)) = kernel.record(id) else { return Finding::Certified };
         let core = v.map(|v| self.in_core[v as usize]);
         if core == [false; 4] {
             return Finding::Certified;
         }
         if let Some(k) = v.iter().position(|&v| v == 0) {
-            return self.look_beyond(mesher, super::delaunay::face(k).map(|i| v[i]), late);
+            return self.look_beyond(kernel, super::delaunay::face(k).map(|i| v[i]), late);
         }
-        let found = self.look_in(mesher, v, sphere, late);
+        let found = self.look_in(kernel, v, sphere, late);
         if !matches!(found, Finding::Certified) {
             return found;
         }
-        if core == [true; 4] || self.is_owned(mesher, v, core) {
+        if core == [true; 4] || self.is_owned(kernel, v, core) {
             self.owned.insert(id);
             self.use_corners(v);
         } else {
             // Points outside the core are shared already.
-            v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);
+            v.iter().for_each(|&v| self.shared[kernel.source(v) as usize] = true);
         }
         Finding::Certified
     }
@@ -491,31 +442,31 @@ impl<'a> Sorter<'a> {
     /// Looks for a point in a tetrahedron's sphere that is not inserted; without `late`, an
     /// uncertain case counts as uncovered.
     #[inline]
-    fn look_in(&self, mesher: &Mesher, v: [u32; 4], sphere: &[f64; 4], late: Option<&Late>) -> Finding {
+    fn look_in(&self, kernel: &Kernel, v: [u32; 4], sphere: &[f64; 4], late: Option<&Late>) -> Finding {
         if self.close.quickly(sphere) {
             return Finding::Certified;
         }
         late.map_or(Finding::Uncovered, |late| {
-            late.look_in(&self.close, || v.map(|v| self.at(mesher, v)), sphere)
+            late.look_in(&self.close, || v.map(|v| self.at(kernel, v)), sphere)
         })
     }
 
     /// What lies beyond a hull facet at a core vertex: it must be one of the whole mesh.
-    fn look_beyond(&self, mesher: &Mesher, facet: [u32; 3], late: Option<&Late>) -> Finding {
-        let facet = facet.map(|v| self.at(mesher, v));
+    fn look_beyond(&self, kernel: &Kernel, facet: [u32; 3], late: Option<&Late>) -> Finding {
+        let facet = facet.map(|v| self.at(kernel, v));
         if self.close.spares_beyond(facet) {
             return Finding::Certified;
         }
         late.map_or(Finding::Uncovered, |late| late.look_beyond(facet))
     }
 
-    fn at(&self, mesher: &Mesher, vertex: u32) -> LatticePos {
-        self.positions[mesher.source(vertex) as usize]
+    fn at(&self, kernel: &Kernel, vertex: u32) -> LatticePos {
+        self.positions[kernel.source(vertex) as usize]
     }
 
     /// Whether the least vertex lies in the core.
-    fn is_owned(&self, mesher: &Mesher, v: [u32; 4], core: [bool; 4]) -> bool {
-        let least = (0..4).min_by_key(|&i| self.at(mesher, v[i]));
+    fn is_owned(&self, kernel: &Kernel, v: [u32; 4], core: [bool; 4]) -> bool {
+        let least = (0..4).min_by_key(|&i| self.at(kernel, v[i]));
         least.is_some_and(|i| core[i])
     }
 }

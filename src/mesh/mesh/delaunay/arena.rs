@@ -257,7 +257,7 @@ pub(super) struct Arena {
     pub(super) star: Star,
     /// Buffers that the wide path uses in place of `local` and `star`.
     #[cfg(target_arch = "x86_64")]
-    pub(super) wide: Box<super::wide::Scratch>,
+    pub(super) wide: Box<super::scratch::Scratch>,
 }
 
 /// The new tetrahedra of an insertion before they are written, one entry a boundary facet.
@@ -295,7 +295,7 @@ impl Default for Arena {
             local: Vec::new(),
             star: Star::default(),
             #[cfg(target_arch = "x86_64")]
-            wide: super::wide::Scratch::boxed(),
+            wide: super::scratch::Scratch::boxed(),
         }
     }
 }

@@ -48,7 +48,7 @@
 //!
 //! Expected time is O(n log n) with small constants (a cavity has about 20 tetrahedra), worst case
 //! O(n²) tetrahedra for points on curves. Memory: 64 bytes a tetrahedron, 16 bytes and a sort key
-//! (32 bytes) a point; it is kept in the [`Mesher`] and reused, which makes about 75 bytes a
+//! (32 bytes) a point; it is kept in the [`Kernel`] and reused, which makes about 75 bytes a
 //! tetrahedron. The sites of a chunk come on top: some 80 in all.
 
 mod arena;
@@ -56,13 +56,13 @@ mod exact;
 mod pages;
 mod plain;
 #[cfg(target_arch = "x86_64")]
+mod scratch;
+#[cfg(target_arch = "x86_64")]
 mod simd;
 #[cfg(target_arch = "x86_64")]
 mod wide;
 
 use crate::mesh::certify::Local;
-use crate::mesh::list::{Memory, TetList};
-use crate::mesh::owned::Owned;
 use crate::mesh::tet::Tet;
 use crate::predicates::orient3d;
 pub(super) use arena::Tetra;
@@ -101,37 +101,23 @@ impl Default for Path {
     }
 }
 
-/// The reusable memory of one worker, and the mesh that was last built in it.
+/// Inserts points, and has the mesh that was last made of them.
 #[derive(Debug, Default)]
-pub struct Mesher {
+pub(super) struct Kernel {
     arena: Arena,
     path: Path,
     /// Input index of each vertex: in insertion order, then those added late.
     source: Vec<u32>,
     sorted: Vec<(u64, u32)>,
     spare: Vec<(u64, u32)>,
-    /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each
-    /// chunk.
-    pub(super) owned: Owned,
-    pub(super) stars: crate::mesh::stars::Stars,
 }
 
-impl Mesher {
-    /// An empty worker.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Gives back the memory in which the tetrahedra of a chunk are: the next will be meshed in it.
-    pub fn reuse(&mut self, tets: TetList) {
-        match tets.into_memory() {
-            Memory::Among(records, _) => {
-                if records.capacity() > self.arena.tets.capacity() {
-                    (self.arena.tets, self.arena.free) = (records, vec![]);
-                    self.arena.tets.clear();
-                }
-            }
-            Memory::Listed(tets) => self.stars.reuse(tets),
+impl Kernel {
+    /// Takes records that are no longer needed: the next mesh is made in their memory.
+    pub(super) fn reuse(&mut self, records: Vec<Tetra>) {
+        if records.capacity() > self.arena.tets.capacity() {
+            (self.arena.tets, self.arena.free) = (records, vec![]);
+            self.arena.tets.clear();
         }
     }
 
@@ -141,14 +127,14 @@ impl Mesher {
     /// # Errors
     /// [`Error::Usage`] for a coordinate above 2^24, an order finer than [`Order::MOST_BITS`], or
     /// more points or tetrahedra than 2^30 records hold.
-    pub fn delaunay(&mut self, positions: &[LatticePos], order: &Order) -> Result<()> {
+    pub(super) fn delaunay(&mut self, positions: &[LatticePos], order: &Order) -> Result<()> {
         self.delaunay_of_first(positions, positions.len(), order)
     }
 
-    /// Tetrahedralizes the first `count` positions; of the others, [`Mesher::add`] may add some.
+    /// Tetrahedralizes the first `count` positions; of the others, [`Kernel::add`] may add some.
     ///
     /// # Errors
-    /// As [`Mesher::delaunay`].
+    /// As [`Kernel::delaunay`].
     pub(super) fn delaunay_of_first(
         &mut self,
         positions: &[LatticePos],
@@ -164,14 +150,14 @@ impl Mesher {
     }
 
     /// Adds a position to a mesh that has tetrahedra, `index` its number among the input positions;
-    /// it is not in the mesh yet, and [`Mesher::has_room`] for it. `near` is a record, best one
+    /// it is not in the mesh yet, and [`Kernel::has_room`] for it. `near` is a record, best one
     /// that it ends. Returns the new records.
     ///
     /// The result is the tetrahedralization of all of them: the tie rule is that of the positions,
     /// whenever they come.
     ///
     /// # Errors
-    /// [`Error::Usage`] as [`Mesher::delaunay`].
+    /// [`Error::Usage`] as [`Kernel::delaunay`].
     pub(super) fn add(&mut self, position: LatticePos, index: u32, near: u32) -> Result<&[u32]> {
         let arena = &mut self.arena;
         arena.in_order = false;
@@ -198,7 +184,7 @@ impl Mesher {
         self.arena.order.key(position)
     }
 
-    /// Whether [`Mesher::add`] can add a position.
+    /// Whether [`Kernel::add`] can add a position.
     pub(super) fn has_room(&self, position: LatticePos) -> bool {
         self.arena.frame.has(position)
     }
@@ -207,7 +193,7 @@ impl Mesher {
     /// were.
     ///
     /// # Errors
-    /// [`Error::Usage`] as [`Mesher::delaunay`].
+    /// [`Error::Usage`] as [`Kernel::delaunay`].
     pub(super) fn make_room(&mut self, positions: &[LatticePos]) -> Result<()> {
         check(positions, &self.arena.order)?;
         // Other coordinates, and other spheres for the same tetrahedra.
@@ -228,7 +214,7 @@ impl Mesher {
 
     /// Calls `f` with each tetrahedron: vertex numbers are indices into the `positions` last
     /// meshed. The order of calls and the starting vertex of each are not specified.
-    pub fn for_each_tet(&self, mut f: impl FnMut(Tet)) {
+    pub(super) fn for_each_tet(&self, mut f: impl FnMut(Tet)) {
         for t in &self.arena.tets {
             if !t.is_dead() && !t.v.contains(&INFINITE) {
                 f(t.v.map(|v| self.source[v as usize - 1]));
@@ -238,7 +224,7 @@ impl Mesher {
 
     /// Packs the vertices of some records, ascending, where the records were, four rows each. They
     /// are input indices, turned by `turn`, which also gets what is noted of each record. Returns
-    /// the memory of the records, and the number of packed rows; the mesher has no mesh then.
+    /// the memory of the records, and the number of packed rows; the kernel has no mesh then.
     pub(super) fn pack<T>(
         &mut self,
         kept: impl Iterator<Item = (u32, T)>,

@@ -100,10 +100,10 @@ fn tets(positions: &[LatticePos]) -> Vec<Tet> {
 }
 
 fn tets_by(path: Path, positions: &[LatticePos]) -> Vec<Tet> {
-    let mut mesher = Mesher { path, ..Mesher::default() };
-    mesher.delaunay(positions, &order_of(positions)).unwrap();
+    let mut kernel = Kernel { path, ..Kernel::default() };
+    kernel.delaunay(positions, &order_of(positions)).unwrap();
     let mut all = vec![];
-    mesher.for_each_tet(|t| all.push(t));
+    kernel.for_each_tet(|t| all.push(t));
     all
 }
 
@@ -275,20 +275,20 @@ fn the_result_is_a_function_of_the_set() {
 
 #[test]
 fn bad_input_is_refused() {
-    let mut mesher = Mesher::new();
+    let mut kernel = Kernel::default();
     let off = [[0, 0, FULL + 1], [1, 2, 3]];
-    assert!(mesher.delaunay(&off, &Order { bits: 5 }).unwrap_err().to_string().contains("off the lattice"));
-    assert!(mesher.delaunay(&off[1..], &Order { bits: 21 }).is_err());
-    mesher.for_each_tet(|_| panic!("a refused set has no tetrahedra"));
+    assert!(kernel.delaunay(&off, &Order { bits: 5 }).unwrap_err().to_string().contains("off the lattice"));
+    assert!(kernel.delaunay(&off[1..], &Order { bits: 21 }).is_err());
+    kernel.for_each_tet(|_| panic!("a refused set has no tetrahedra"));
 }
 
 #[test]
 fn an_arena_is_reused_without_a_trace() {
-    let mut mesher = Mesher::new();
+    let mut kernel = Kernel::default();
     for p in [hammersley(2000), random(500, 9, 12), vec![[1, 2, 3]], grid(7, 2), hammersley(100)] {
-        mesher.delaunay(&p, &order_of(&p)).unwrap();
+        kernel.delaunay(&p, &order_of(&p)).unwrap();
         let mut all = vec![];
-        mesher.for_each_tet(|t| all.push(t));
+        kernel.for_each_tet(|t| all.push(t));
         assert_eq!(as_set(&p, &all), as_set(&p, &tets(&p)));
     }
 }

@@ -18,53 +18,12 @@
 //! Powers and spheres only filter here too, within the same bounds: the tetrahedra are the same.
 #![allow(unsafe_code)]
 
-use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG, Margin};
+use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG, Margin, Tetra};
+use super::scratch::{FACETS, FEW, LOG2_ROW, PADDED, Scratch, VERTICES};
 use super::simd::codes;
 use crate::simd::may_use_all;
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
-
-/// Most vertices of a cavity's boundary here, and its facets.
-const VERTICES: usize = 32;
-const FACETS: usize = 2 * VERTICES - 4;
-const LOG2_ROW: u32 = 5;
-/// Vertices that fit half the registers.
-const FEW: usize = 16;
-/// Facets are worked on eight at a time.
-const PADDED: usize = FACETS + 8;
-
-/// Data passed between the steps of an insertion.
-#[derive(Debug)]
-#[repr(C, align(64))]
-pub(super) struct Scratch {
-    /// Vertices relative to the new point and their squared lengths, an array an axis, by local
-    /// number.
-    relative: [[f64; VERTICES]; 4],
-    /// Local numbers of the first, second and third corners of the facets.
-    corner: [[u32; PADDED]; 3],
-    /// Corners, and the code of what lies across.
-    facet: [[u32; 4]; PADDED],
-    /// Record number of the new tetrahedron.
-    id: [u32; PADDED],
-    /// Vertices by local number.
-    vertices: [u32; 3 * FACETS + 8],
-    /// `[from << LOG2_ROW | to]` of a directed edge: the code of the face that holds it. With room
-    /// for three numbers a facet, so that no boundary, closed or not, leads outside.
-    edges: [u32; (3 * FACETS + 1) << LOG2_ROW],
-}
-
-impl Scratch {
-    pub(super) fn boxed() -> Box<Self> {
-        Box::new(Self {
-            relative: [[0.0; VERTICES]; 4],
-            corner: [[0; PADDED]; 3],
-            facet: [[0; 4]; PADDED],
-            id: [0; PADDED],
-            vertices: [0; 3 * FACETS + 8],
-            edges: [0; (3 * FACETS + 1) << LOG2_ROW],
-        })
-    }
-}
 
 /// Whether this machine can run [`insert`].
 pub(super) fn is_available() -> bool {
@@ -116,6 +75,23 @@ fn sum_across([a, b, c, d]: [__m512d; 4]) -> __m512d {
     let ab = _mm512_add_pd(_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
     let cd = _mm512_add_pd(_mm512_unpacklo_pd(c, d), _mm512_unpackhi_pd(c, d));
     _mm512_add_pd(_mm512_permutex2var_pd(ab, low, cd), _mm512_permutex2var_pd(ab, high, cd))
+}
+
+/// Writes eight spheres, given as columns, to the records of these numbers.
+///
+/// # Safety
+/// Eight numbers of records lie at `ids`, all of them at `tets`.
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
+unsafe fn store_spheres(tets: *mut Tetra, ids: *const u32, columns: [__m512d; 4]) {
+    for (k, two) in transpose(columns).into_iter().enumerate() {
+        // SAFETY: the caller's promise; a sphere is 32 aligned bytes.
+        unsafe {
+            let sphere = |k: usize| (*tets.add(*ids.add(k) as usize)).sphere.as_mut_ptr();
+            _mm256_store_pd(sphere(k), _mm512_castpd512_pd256(two));
+            _mm256_store_pd(sphere(k + 4), _mm512_extractf64x4_pd::<1>(two));
+        }
+    }
 }
 
 /// `a·b - c·d`; exact for differences of lattice coordinates.
@@ -409,11 +385,7 @@ impl Arena {
             next.map_or([f64::NAN; 3], |next| self.points[next as usize].f64s()).map(|c| _mm512_set1_pd(c));
         let below = _mm512_set1_pd(-self.margin.e);
         let scratch = &mut *self.wide;
-        // Places up to a multiple of eight repeat the last facet.
-        for k in count..count.next_multiple_of(8) {
-            scratch.id[k] = scratch.id[count - 1];
-            scratch.corner.iter_mut().for_each(|c| c[k] = c[count - 1]);
-        }
+        scratch.repeat_last(count);
         // SAFETY: four times eight doubles a row.
         let table = scratch
             .relative
@@ -449,19 +421,14 @@ impl Arena {
             let real = ((1u32 << (count - start).min(8)) - 1) as u8;
             let seeds = _mm512_cmp_pd_mask::<_CMP_LT_OQ>(power, below) & real;
             // SAFETY: the cavity is empty and has room for PADDED; eight ids lie at `start`, record
-            // numbers below the length of `tets`; a sphere is 32 aligned bytes.
+            // numbers below the length of `tets`.
             unsafe {
-                let ids = _mm256_loadu_si256(scratch.id.as_ptr().add(start).cast());
+                let ids = scratch.id.as_ptr().add(start);
                 let at = self.cavity.as_mut_ptr().add(seeds_len);
-                _mm256_storeu_si256(at.cast(), _mm256_maskz_compress_epi32(seeds, ids));
+                let packed = _mm256_maskz_compress_epi32(seeds, _mm256_loadu_si256(ids.cast()));
+                _mm256_storeu_si256(at.cast(), packed);
                 seeds_len += seeds.count_ones() as usize;
-                for (k, two) in transpose([c[0], c[1], c[2], r2]).into_iter().enumerate() {
-                    let sphere = |k: usize| {
-                        (*tets.add(*scratch.id.get_unchecked(start + k) as usize)).sphere.as_mut_ptr()
-                    };
-                    _mm256_store_pd(sphere(k), _mm512_castpd512_pd256(two));
-                    _mm256_store_pd(sphere(k + 4), _mm512_extractf64x4_pd::<1>(two));
-                }
+                store_spheres(tets, ids, [c[0], c[1], c[2], r2]);
             }
         }
         // SAFETY: that many were written.

@@ -6,9 +6,9 @@
 
 use super::machine::Vectors;
 use super::{Chunk, END, Stars, Waiting};
-use crate::mesh::chunk::{Border, ChunkRegion};
-use crate::mesh::delaunay::{self, Mesher};
+use crate::mesh::delaunay::{self, Kernel};
 use crate::mesh::owned::sort_around;
+use crate::mesh::region::{Border, ChunkRegion};
 use crate::mesh::tet::Tet;
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;
@@ -19,23 +19,23 @@ impl Stars {
     /// to find them.
     ///
     /// # Errors
-    /// As [`Mesher::delaunay`].
+    /// As [`Kernel::delaunay`].
     pub(in crate::mesh) fn around(
         &mut self,
-        mesher: &mut Mesher,
+        kernel: &mut Kernel,
         boxes: &ChunkRegion,
         positions: &[LatticePos],
         order: &Order,
         border: Border<'_>,
     ) -> Result<Option<Vec<Tet>>> {
-        self.around_with(Vectors::found(), mesher, boxes, positions, order, border)
+        self.around_with(Vectors::found(), kernel, boxes, positions, order, border)
     }
 
     /// As [`Stars::around`], with these vectors.
     pub(super) fn around_with(
         &mut self,
         vectors: Vectors,
-        mesher: &mut Mesher,
+        kernel: &mut Kernel,
         boxes: &ChunkRegion,
         positions: &[LatticePos],
         order: &Order,
@@ -57,7 +57,7 @@ impl Stars {
             }
         }
         let mut around = vec![];
-        if !chunk.close_used(self, mesher, 0, &mut around)? {
+        if !chunk.close_used(self, kernel, 0, &mut around)? {
             return Ok(None);
         }
         sort_around(&mut around);
@@ -71,7 +71,7 @@ impl Chunk<'_> {
     pub(super) fn add_around(
         &mut self,
         room: &mut Stars,
-        mesher: &mut Mesher,
+        kernel: &mut Kernel,
         foreign: Vec<Tet>,
     ) -> Result<bool> {
         let mut used = vec![false; self.positions.len()];
@@ -96,7 +96,7 @@ impl Chunk<'_> {
         self.used = used;
         loose.into_iter().for_each(|face| self.wait_for(room, face));
         let mut tets = std::mem::take(&mut room.tets);
-        let done = self.close_used(room, mesher, self.core, &mut tets)?;
+        let done = self.close_used(room, kernel, self.core, &mut tets)?;
         room.tets = tets;
         sort_around(&mut room.tets[own..]);
         Ok(done)
@@ -107,13 +107,13 @@ impl Chunk<'_> {
     fn close_used(
         &mut self,
         room: &mut Stars,
-        mesher: &mut Mesher,
+        kernel: &mut Kernel,
         first: usize,
         tets: &mut Vec<Tet>,
     ) -> Result<bool> {
         for p in first as u32..self.positions.len() as u32 {
             if self.used[p as usize] {
-                if !self.close(room, mesher, p)? {
+                if !self.close(room, kernel, p)? {
                     return Ok(false);
                 }
                 tets.extend_from_slice(&room.star);

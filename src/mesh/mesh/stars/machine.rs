@@ -1,11 +1,12 @@
 //! Which vectors a machine has, and the code that is compiled for each.
 #![allow(unsafe_code)]
 
+use super::batch::Batch;
 use super::wide::{Neighbourhood, View};
 use super::{Grid, Star};
 #[cfg(target_arch = "x86_64")]
-use crate::simd::{Avx2, Avx512, F32x8, F32x16, F64x4, F64x8, may_use_all};
-use crate::simd::{F32s, F64s, Plain, Vec4x2};
+use crate::simd::{Avx2, Avx512, F32x8, F32x16, may_use_all};
+use crate::simd::{Floats, Vec4x2};
 
 /// The vectors that a machine has.
 #[derive(Clone, Copy, Debug)]
@@ -31,30 +32,25 @@ impl Vectors {
         let [wide, narrow] = [None, None];
         [wide, narrow, Some(Self::Plain(AnyMachine))]
     }
-}
 
-/// Lanes of `f32`, and half as many of `f64`.
-pub(super) trait Batch: F32s {
-    type Doubles: F64s<Token = Self::Token>;
-    /// Whether there are registers for the points nearby.
-    const HOLDS: bool;
-}
-
-impl Batch for Vec4x2 {
-    type Doubles = Plain<f64, 4>;
-    const HOLDS: bool = false;
-}
-
-#[cfg(target_arch = "x86_64")]
-impl Batch for F32x8 {
-    type Doubles = F64x4;
-    const HOLDS: bool = false;
-}
-
-#[cfg(target_arch = "x86_64")]
-impl Batch for F32x16 {
-    type Doubles = F64x8;
-    const HOLDS: bool = true;
+    /// [`Neighbourhood::star`].
+    #[inline]
+    pub(super) fn star(
+        self,
+        near: &mut Neighbourhood,
+        grid: &Grid,
+        rows: &[[u32; 2]],
+        view: &View,
+        is_outer: impl Fn([u32; 3]) -> bool,
+    ) -> Star {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Wide(wide) => near.star(wide, grid, rows, view, is_outer),
+            #[cfg(target_arch = "x86_64")]
+            Self::Narrow(narrow) => near.star(narrow, grid, rows, view, is_outer),
+            Self::Plain(plain) => near.star(plain, grid, rows, view, is_outer),
+        }
+    }
 }
 
 /// A machine that has some: code that is compiled for them.
@@ -179,4 +175,35 @@ machine! {
     Wide(Avx512), F32x16,
     compiled for "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt",
     also "LZCNT" = "lzcnt", "POPCNT" = "popcnt", "AVX512DQ" = "avx512dq"
+}
+
+impl Neighbourhood {
+    /// Closes the star of point `p` among those within the reach.
+    fn star<M: Machine>(
+        &mut self,
+        machine: M,
+        grid: &Grid,
+        rows: &[[u32; 2]],
+        view: &View,
+        is_outer: impl Fn([u32; 3]) -> bool,
+    ) -> Star {
+        if !machine.gather(self, grid, rows, view.at, view.reach) {
+            return Star::Doubtful;
+        }
+        // With AVX-512, at most 8.
+        let star = match self.batches(M::Batch::LANES) {
+            0..=2 => machine.close::<2>(self, view, is_outer),
+            3 => machine.close::<3>(self, view, is_outer),
+            4 => machine.close::<4>(self, view, is_outer),
+            5 => machine.close::<5>(self, view, is_outer),
+            6 => machine.close::<6>(self, view, is_outer),
+            7 | 8 => machine.close::<8>(self, view, is_outer),
+            9..=12 => machine.close::<12>(self, view, is_outer),
+            _ => machine.close::<16>(self, view, is_outer),
+        };
+        if !matches!(star, Star::Whole) {
+            self.close_gates();
+        }
+        star
+    }
 }

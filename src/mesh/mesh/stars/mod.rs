@@ -43,14 +43,15 @@
 //! lattice, the chunk is left to insertion altogether. The outcome is the same.
 
 mod around;
+mod batch;
 mod grid;
 mod machine;
 mod wide;
 
 use super::certify::Unseen;
-use super::chunk::{ChunkMesh, ChunkRegion};
-use super::delaunay::{self, Mesher};
+use super::delaunay::{self, Kernel};
 use super::list::TetList;
+use super::region::{ChunkMesh, ChunkRegion};
 use super::tet::Tet;
 use grid::Grid;
 use isospan_io::error::Result;
@@ -136,34 +137,47 @@ impl Stars {
         }
     }
 
+    /// Makes gates of the faces that wait for a point.
+    #[inline]
+    fn open_gates(&mut self, p: u32) {
+        self.near.gates.clear();
+        let mut next = self.first[p as usize];
+        while next < END {
+            let face = self.waiting[next as usize];
+            self.near.gates.push(face.others);
+            self.free.push(next);
+            next = face.next;
+        }
+    }
+
     /// The mesh of a chunk of evenly spread points, those of the core first; `None` where insertion
     /// is to make it. With `around`, also the tetrahedra around those owned.
     ///
     /// # Errors
-    /// As [`Mesher::delaunay`].
+    /// As [`Kernel::delaunay`].
     pub(super) fn mesh(
         &mut self,
-        mesher: &mut Mesher,
+        kernel: &mut Kernel,
         boxes: &ChunkRegion,
         positions: &[LatticePos],
         order: &Order,
         around: bool,
     ) -> Result<Option<ChunkMesh>> {
-        self.mesh_with(Vectors::found(), mesher, boxes, positions, order, around)
+        self.mesh_with(Vectors::found(), kernel, boxes, positions, order, around)
     }
 
     /// As [`Stars::mesh`], with these vectors.
     fn mesh_with(
         &mut self,
         vectors: Vectors,
-        mesher: &mut Mesher,
+        kernel: &mut Kernel,
         boxes: &ChunkRegion,
         positions: &[LatticePos],
         order: &Order,
         around: bool,
     ) -> Result<Option<ChunkMesh>> {
         match self.begin(vectors, boxes, positions, order) {
-            Some(chunk) => chunk.mesh(self, mesher, around),
+            Some(chunk) => chunk.mesh(self, kernel, around),
             None => Ok(None),
         }
     }
@@ -235,14 +249,14 @@ struct Chunk<'a> {
 }
 
 impl Chunk<'_> {
-    fn mesh(mut self, room: &mut Stars, mesher: &mut Mesher, around: bool) -> Result<Option<ChunkMesh>> {
+    fn mesh(mut self, room: &mut Stars, kernel: &mut Kernel, around: bool) -> Result<Option<ChunkMesh>> {
         room.tets.clear();
         delaunay::reserve(&mut room.tets, 7 * self.core);
         let mut shared: Vec<bool> = vec![false; self.core];
         shared.resize(self.positions.len(), true);
         let mut foreign = vec![];
         for p in 0..self.core as u32 {
-            if !self.close(room, mesher, p)? {
+            if !self.close(room, kernel, p)? {
                 return Ok(None);
             }
             let Stars { tets, star, .. } = room;
@@ -259,7 +273,7 @@ impl Chunk<'_> {
             self.wait(room, around);
         }
         let own = room.tets.len();
-        if around && !self.add_around(room, mesher, foreign)? {
+        if around && !self.add_around(room, kernel, foreign)? {
             return Ok(None);
         }
         let mut tets = TetList::from(std::mem::take(&mut room.tets));
@@ -319,34 +333,18 @@ impl Chunk<'_> {
     }
 
     /// Makes the new tetrahedra at a point; false where that cannot be.
-    fn close(&mut self, room: &mut Stars, mesher: &mut Mesher, p: u32) -> Result<bool> {
+    fn close(&mut self, room: &mut Stars, kernel: &mut Kernel, p: u32) -> Result<bool> {
         let at = self.positions[p as usize];
         room.star.clear();
-        let Stars { grid, near, first, waiting, free, star, slow, .. } = room;
-        let mut next = first[p as usize];
-        if next == END {
+        if room.first[p as usize] == END {
             // All its tetrahedra are known.
             return Ok(true);
         }
-        let is_new = next == NEW;
-        near.gates.clear();
-        while next < END {
-            let face = waiting[next as usize];
-            near.gates.push(face.others);
-            free.push(next);
-            next = face.next;
-        }
+        let is_new = room.first[p as usize] == NEW;
+        room.open_gates(p);
+        let Stars { grid, near, star, slow, .. } = room;
         let cell = grid.cell(&at);
-        let ends = |a: usize| [self.boxes.domain.lo[a], self.boxes.domain.hi[a] - 1];
-        let mut view = View {
-            p,
-            at: std::array::from_fn(|a| grid.local(&at, a)),
-            is_new,
-            reach: 0.0,
-            domain: std::array::from_fn(|a| {
-                ends(a).map(|end| (f64::from(end) - f64::from(at[a])) * f64::from(grid.scale))
-            }),
-        };
+        let mut view = self.view(grid, p, is_new);
         for (n, reach) in REACHES.into_iter().enumerate() {
             let d = reach * self.spacing;
             if !self.knows(at, d) {
@@ -358,15 +356,7 @@ impl Chunk<'_> {
                 self.cell = if n == 0 { cell } else { [usize::MAX; 3] };
             }
             view.reach = (d * f64::from(grid.scale)) as f32;
-            let is_outer = |face| self.is_outer(face);
-            let end = match self.vectors {
-                #[cfg(target_arch = "x86_64")]
-                Vectors::Wide(wide) => near.star(wide, grid, &self.rows, &view, is_outer),
-                #[cfg(target_arch = "x86_64")]
-                Vectors::Narrow(narrow) => near.star(narrow, grid, &self.rows, &view, is_outer),
-                Vectors::Plain(plain) => near.star(plain, grid, &self.rows, &view, is_outer),
-            };
-            match end {
+            match self.vectors.star(near, grid, &self.rows, &view, |face| self.is_outer(face)) {
                 Star::Whole => {
                     near.tets(p, star);
                     return Ok(true);
@@ -379,7 +369,22 @@ impl Chunk<'_> {
         if slow.stars > slow.patience.0 + p as usize / SLOW.1 {
             return Ok(false);
         }
-        self.close_slowly(grid, slow, star, mesher, p)
+        self.close_slowly(grid, slow, star, kernel, p)
+    }
+
+    /// How a point looks around, without a reach.
+    fn view(&self, grid: &Grid, p: u32, is_new: bool) -> View {
+        let at = self.positions[p as usize];
+        let ends = |a: usize| [self.boxes.domain.lo[a], self.boxes.domain.hi[a] - 1];
+        View {
+            p,
+            at: std::array::from_fn(|a| grid.local(&at, a)),
+            is_new,
+            reach: 0.0,
+            domain: std::array::from_fn(|a| {
+                ends(a).map(|end| (f64::from(end) - f64::from(at[a])) * f64::from(grid.scale))
+            }),
+        }
     }
 
     /// Whether all points within `d` of a position are at hand.
@@ -414,7 +419,7 @@ impl Chunk<'_> {
         grid: &Grid,
         slow: &mut Slow,
         star: &mut Vec<Tet>,
-        mesher: &mut Mesher,
+        kernel: &mut Kernel,
         p: u32,
     ) -> Result<bool> {
         let ChunkRegion { region, domain, .. } = self.boxes;
@@ -434,8 +439,8 @@ impl Chunk<'_> {
             slow.numbers.sort_unstable();
             slow.positions.clear();
             slow.positions.extend(slow.numbers.iter().map(|&v| self.positions[v as usize]));
-            mesher.delaunay(&slow.positions, self.order)?;
-            if self.take_star(&Unseen::new(around, *domain, mesher.local()), slow, star, mesher, p) {
+            kernel.delaunay(&slow.positions, self.order)?;
+            if self.take_star(&Unseen::new(around, *domain, kernel.local()), slow, star, kernel, p) {
                 return Ok(true);
             }
             if around == *region {
@@ -445,15 +450,15 @@ impl Chunk<'_> {
         }
     }
 
-    /// Takes the new tetrahedra at a point from the mesher's mesh; false where one of the star is
+    /// Takes the new tetrahedra at a point from the kernel's mesh; false where one of the star is
     /// not certified.
-    fn take_star(&self, unseen: &Unseen, slow: &Slow, star: &mut Vec<Tet>, mesher: &Mesher, p: u32) -> bool {
+    fn take_star(&self, unseen: &Unseen, slow: &Slow, star: &mut Vec<Tet>, kernel: &Kernel, p: u32) -> bool {
         star.clear();
         let mut any = false;
-        for id in 0..mesher.records() {
-            let Some((v, sphere)) = mesher.record(id) else { continue };
+        for id in 0..kernel.records() {
+            let Some((v, sphere)) = kernel.record(id) else { continue };
             // Infinity is vertex 0.
-            let ids = v.map(|v| if v == 0 { None } else { Some(slow.numbers[mesher.source(v) as usize]) });
+            let ids = v.map(|v| if v == 0 { None } else { Some(slow.numbers[kernel.source(v) as usize]) });
             let Some(place) = ids.iter().position(|&v| v == Some(p)) else { continue };
             any = true;
             let at = |v: Option<u32>| v.map(|v| self.positions[v as usize]);

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::mesh::chunk::{Border, ChunkOutcome, Manner, mesh_widening};
+use crate::mesh::mesher::Mesher;
 use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
 use isospan_io::geom::{Lattice, Site};
 use proptest::prelude::*;
@@ -46,8 +47,8 @@ fn around_again(
     let border = Border { tets: &mesh.tets, points: &points };
     let mut stars = Stars::default();
     stars.slow.patience = Patience(200);
-    let mut mesher = Mesher::new();
-    let mut around = |vectors| stars.around_with(vectors, &mut mesher, boxes, &local, order, border).unwrap();
+    let mut kernel = Kernel::default();
+    let mut around = |vectors| stars.around_with(vectors, &mut kernel, boxes, &local, order, border).unwrap();
     Vectors::all().into_iter().flatten().map(&mut around).collect()
 }
 
@@ -59,18 +60,18 @@ fn both(
     around: bool,
 ) -> (Vec<Option<ChunkMesh>>, Option<ChunkMesh>) {
     let mut local = local(boxes, all);
-    let mut mesher = Mesher::new();
+    let mut kernel = Kernel::default();
     let mut stars = Stars::default();
     stars.slow.patience = Patience(200);
     let mut meshed = vec![];
     for vectors in Vectors::all().into_iter().flatten() {
-        meshed.push(stars.mesh_with(vectors, &mut mesher, boxes, &local, order, around).unwrap());
+        meshed.push(stars.mesh_with(vectors, &mut kernel, boxes, &local, order, around).unwrap());
     }
     // Each vector does the same.
     assert!(meshed.windows(2).all(|two| two[0] == two[1]));
     let manner = Manner { around, even: false };
     let mut widen = |_: &mut Vec<LatticePos>| Ok(None);
-    match mesh_widening(&mut mesher, boxes, &mut local, order, manner, &mut widen).unwrap() {
+    match mesh_widening(&mut Mesher::new(), boxes, &mut local, order, manner, &mut widen).unwrap() {
         ChunkOutcome::Done(mesh) => (meshed, Some(mesh)),
         ChunkOutcome::WidenHalo { .. } => (meshed, None),
     }
@@ -147,7 +148,8 @@ fn a_lattice_is_left_to_insertion() {
     let all = positions_in(&set, &domain);
     let whole = ChunkRegion { core: domain, near: domain, region: domain, domain };
     let mut stars = Stars::default();
-    let found = stars.mesh(&mut Mesher::new(), &whole, &all, &Order::for_count(set.len()), false).unwrap();
+    let found =
+        stars.mesh(&mut Kernel::default(), &whole, &all, &Order::for_count(set.len()), false).unwrap();
     assert!(found.is_none());
     assert!(stars.slow.stars > SLOW.0, "{}", stars.slow.stars);
 }

@@ -35,11 +35,12 @@
 //! 2^-12)·D², as it is computed: with an error of at most 2√3·D·e ≤ 2^-13·D², where KD² < 2^33·det.
 //! The list has all points with |q| ≤ (1 - 2^-21)·D.
 
-use super::machine::{Batch, Machine};
+use super::batch::Batch;
 use super::{Grid, LANES, Star};
 use crate::mesh::tet::Tet;
 use crate::simd::{Compress, F64s, Floats, Lanes, four, three};
 use glam::DVec3;
+use isospan_io::geom::vec3::cross;
 
 /// The most points that are looked at, the one itself included.
 const MOST: usize = 128;
@@ -117,33 +118,14 @@ impl Default for Box<Neighbourhood> {
 }
 
 impl Neighbourhood {
-    /// Closes the star of point `p` among those within the reach.
-    pub(super) fn star<M: Machine>(
-        &mut self,
-        machine: M,
-        grid: &Grid,
-        rows: &[[u32; 2]],
-        view: &View,
-        is_outer: impl Fn([u32; 3]) -> bool,
-    ) -> Star {
-        if !machine.gather(self, grid, rows, view.at, view.reach) {
-            return Star::Doubtful;
-        }
-        // With AVX-512, at most 8.
-        let star = match self.count.div_ceil(M::Batch::LANES) {
-            0..=2 => machine.close::<2>(self, view, is_outer),
-            3 => machine.close::<3>(self, view, is_outer),
-            4 => machine.close::<4>(self, view, is_outer),
-            5 => machine.close::<5>(self, view, is_outer),
-            6 => machine.close::<6>(self, view, is_outer),
-            7 | 8 => machine.close::<8>(self, view, is_outer),
-            9..=12 => machine.close::<12>(self, view, is_outer),
-            _ => machine.close::<16>(self, view, is_outer),
-        };
-        if !matches!(star, Star::Whole) {
-            self.open.fill(0);
-        }
-        star
+    /// How many vectors of so many lanes the listed points fill.
+    pub(super) fn batches(&self, lanes: usize) -> usize {
+        self.count.div_ceil(lanes)
+    }
+
+    /// Closes all gates, where a star was given up.
+    pub(super) fn close_gates(&mut self) {
+        self.open.fill(0);
     }
 
     /// Lists the points within `reach` of `p`, itself included; false if they are too many. `rows`
@@ -309,18 +291,12 @@ impl Neighbourhood {
                 continue;
             }
             let (a, b) = (gate >> LOG2_MOST & PLACE, gate & PLACE);
-            let [ax, ay, az, aa] = [0, 1, 2, 3].map(|k| self.at[k][a]);
-            let [bx, by, bz, bb] = [0, 1, 2, 3].map(|k| self.at[k][b]);
-            // n = b×a points to where the apex is; the circle's centre is m/2|n|².
-            let [nx, ny, nz] = [by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax];
-            let nn = nx * nx + ny * ny + nz * nz;
-            let [cx, cy, cz] = [ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx];
-            let [ex, ey, ez] = [ny * bz - nz * by, nz * bx - nx * bz, nx * by - ny * bx];
-            let m = [bb * cx + aa * ex, bb * cy + aa * ey, bb * cz + aa * ez];
+            let [at_a, at_b] = [a, b].map(|place| [0, 1, 2, 3].map(|k| self.at[k][place]));
+            let ([nx, ny, nz, nn], m) = circle(at_a, at_b);
             let [mx, my, mz] = three(|k| B::splat(token, m[k]));
             let [nx, ny, nz, nn] = four(|k| B::splat(token, [nx, ny, nz, nn][k]));
             // The largest value that rounding may make of 0.
-            let least = B::splat(token, 5e-7 * view.reach * (aa * bb).sqrt());
+            let least = B::splat(token, 5e-7 * view.reach * (at_a[3] * at_b[3]).sqrt());
             let (mut best, mut all) = (infinite, [infinite; N]);
             for (i, all) in all.iter_mut().enumerate() {
                 let [x, y, z, square] = self.batch(token, &held, i);
@@ -349,16 +325,21 @@ impl Neighbourhood {
             }
             self.toggle(a, c, &mut tail);
             self.toggle(c, b, &mut tail);
-            self.found[count] = [b as u32, a as u32, c as u32];
-            let apex = [0, 1, 2].map(|k| self.at[k][c]);
-            for (corner, at) in self.corners.iter_mut().zip([[bx, by, bz], [ax, ay, az], apex].as_flattened())
-            {
-                corner[count] = *at;
-            }
+            self.note(count, [b, a, c]);
             count += 1;
         }
         self.triangles = count;
         true
+    }
+
+    /// Notes the n-th new triangle, by places.
+    #[inline(always)]
+    fn note(&mut self, n: usize, places: [usize; 3]) {
+        self.found[n] = places.map(|place| place as u32);
+        let at = places.map(|place| [0, 1, 2].map(|k| self.at[k][place]));
+        for (corner, at) in self.corners.iter_mut().zip(at.as_flattened()) {
+            corner[n] = *at;
+        }
     }
 
     /// The points nearby, where there are registers for them.
@@ -485,14 +466,16 @@ impl Neighbourhood {
     }
 }
 
+/// The circle through the point and the corners a and b of a gate, given with their squared
+/// lengths: its normal n = b×a, which points to where the apex is, with |n|²; and m, which over
+/// 2|n|² is its centre.
 #[inline(always)]
-fn minor<W: F64s>(a: [W; 3], b: [W; 3], i: usize, j: usize) -> W {
-    a[i] * b[j] - a[j] * b[i]
-}
-
-#[inline(always)]
-fn cross<W: F64s>(a: [W; 3], b: [W; 3]) -> [W; 3] {
-    [minor(a, b, 1, 2), minor(a, b, 2, 0), minor(a, b, 0, 1)]
+fn circle([ax, ay, az, aa]: [f32; 4], [bx, by, bz, bb]: [f32; 4]) -> ([f32; 4], [f32; 3]) {
+    let [nx, ny, nz] = [by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax];
+    let nn = nx * nx + ny * ny + nz * nz;
+    let [cx, cy, cz] = [ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx];
+    let [ex, ey, ez] = [ny * bz - nz * by, nz * bx - nx * bz, nx * by - ny * bx];
+    ([nx, ny, nz, nn], [bb * cx + aa * ex, bb * cy + aa * ey, bb * cz + aa * ez])
 }
 
 #[inline(always)]

@@ -18,7 +18,7 @@ use super::bisect::refine;
 use super::tets::{TetMesh, dot};
 use isospan::Result;
 use isospan::geom::curve::Order;
-use isospan::mesh::delaunay::Mesher;
+use isospan::mesh::mesher::Mesher;
 use std::f64::consts::PI;
 
 /// An ellipsoid along the axes, in millimetres.
