@@ -9,7 +9,7 @@
 //! not count. Where several points lie in one place, as those of pieces do at their common border,
 //! the first of them stands for all, and the others have no mean of their own.
 
-use super::mesh::{CellBlocks, Part, Tuples};
+use super::blocks::{CellBlocks, Part, Tuples};
 use super::polyhedron::{Faces, distinct};
 use super::{BLOCK, CellBlock, CellFile, CellKind};
 use crate::error::Result;

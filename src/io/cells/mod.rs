@@ -23,6 +23,7 @@
 //! counted once. See [`average`](mod@average) for how that is done in bounded memory.
 
 pub mod average;
+mod blocks;
 pub mod kind;
 mod order;
 pub mod orient;
@@ -30,13 +31,17 @@ pub mod polyhedron;
 pub mod quadratic;
 pub mod scan;
 pub mod split;
+mod star;
+mod survey;
 
 mod mesh;
 
+pub use blocks::{CellBlocks, Part, PointBlocks};
 pub use kind::CellKind;
-pub use mesh::{CellBlocks, CellMesh, ChosenField, Part, PointBlocks, StoredBlocks, ValueBlocks};
+pub use mesh::{CellMesh, ChosenField, StoredBlocks, ValueBlocks};
 pub use orient::{Orientation, orient};
-pub use split::{CellTet, split};
+pub use split::split;
+pub use star::CellTet;
 
 use crate::error::Result;
 use crate::volume::ScalarType;

@@ -25,7 +25,7 @@
 //! triangles, as of wedges and pyramids.
 
 use super::kind::{CellKind, HEXAHEDRON, PYRAMID, Shape, WEDGE};
-use super::split::{CellTet, star};
+use super::star::{CellTet, star};
 
 /// The vertices that a quadratic cell lacks in its middle.
 #[derive(Debug)]

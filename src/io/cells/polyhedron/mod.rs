@@ -29,7 +29,7 @@
 //! be: their tetrahedra are turned over, and are treated as those of other kinds.
 
 use super::orient::{Orientation, orient};
-use super::split::{CellTet, drop_collapsed};
+use super::star::{CellTet, drop_collapsed};
 
 /// A corner is straight if the sine of the turn there is less than this: one degree.
 const STRAIGHT: f64 = 0.0175;
