@@ -1,6 +1,6 @@
 //! Building an index of more entries than memory holds.
 //!
-//! The tree is that of [`super::build`], and so are its bytes: which half an entry falls in is a
+//! The tree is that of [`super::subtree`], and so are its bytes: which half an entry falls in is a
 //! matter of a total order, not of the algorithm. A subtree that fits in memory is built there. A
 //! larger one is cut in two on disk:
 //!
@@ -19,8 +19,8 @@
 //! Disk: two files of 24 bytes an entry, without a name (where the system allows), so that nothing
 //! is left behind.
 
-use super::build::{Axis, split, write_subtree};
 use super::page::{Bounds, LEAF_ENTRIES, PAGE_LEVELS, encode_inner, split_sizes};
+use super::subtree::{Axis, split, write_subtree};
 use super::{Entry, RECORD, record};
 use crate::archive::segment::SegmentWriter;
 use byteorder::{ByteOrder, LE};

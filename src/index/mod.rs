@@ -31,6 +31,7 @@ pub mod build;
 mod external;
 pub(crate) mod page;
 pub mod query;
+mod subtree;
 
 use crate::archive::chunked::BlockRange;
 pub use build::{BuildSettings, IndexBuilder};

@@ -1,7 +1,7 @@
 //! Sums over chunks.
 
 use super::design::{Design, Limits};
-use super::measure::{ChunkPart, Measured};
+use super::part::{ChunkPart, Measured};
 use super::{Knot, Spectrum};
 
 /// Adds up the parts of all chunks.

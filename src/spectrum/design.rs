@@ -17,6 +17,9 @@ const FEWEST_KNOTS: u64 = 48;
 pub(crate) const MOST_LEVELS: u64 = 8192;
 const FEWEST_LEVELS: u64 = 256;
 
+/// How many knots are at or below a void value: more than there are.
+pub(super) const VOID: u8 = u8::MAX;
+
 impl Limits {
     /// For a mesh of about `points` points: a spectrum is about a hundredth of a step's bytes.
     pub fn of_mesh(points: u64) -> Self {

@@ -1,7 +1,7 @@
 //! The vertices of a chunk at some steps, with what is known of them, interleaved.
 
 use super::design::{Design, Limits};
-use super::measure::{ChunkPart, Vertices};
+use super::part::{ChunkPart, Vertices};
 use super::sums::{Ends, Sums};
 use isospan_io::exec::will_read;
 use isospan_mesh::mesh::tet::Tet;

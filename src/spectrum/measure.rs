@@ -12,43 +12,14 @@
 //! Each number of a step is made by the same operations, with anything else in the vector: so it
 //! does not show with which steps it was measured.
 
-use super::design::{Design, Limits};
+use super::design::Limits;
 use super::lanes::{Alone, LANES, LaneBuffers, Lanes, Together, ends_of};
+use super::part::{ChunkPart, Vertices};
 use super::tetra::{BATCH, Ladder, PiecesOf, Shapes};
 use isospan_mesh::mesh::tet::Tet;
 use isospan_mesh::simd::{Avx2, Avx512, F64s, F64x4s, F64xN, Plain, four, with_avx512, with_vectors};
 #[cfg(target_arch = "x86_64")]
 use isospan_mesh::simd::{F64x4, F64x8, Pair};
-
-/// What the tetrahedra of a chunk contribute to a spectrum: the spectrum of the chunk.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ChunkPart {
-    pub(super) tetrahedra: u64,
-    pub(super) volume: f64,
-    /// `None` if every tetrahedron is void.
-    pub(super) measured: Option<Measured>,
-}
-
-/// The spectrum of tetrahedra that are not void.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Measured {
-    pub(super) design: Design,
-    /// At each knot: active tetrahedra; area, volume inside, gradient times area.
-    pub(super) active: Vec<u64>,
-    pub(super) sums: Vec<[f64; 3]>,
-    /// Active tetrahedra at each level.
-    pub(super) levels: Vec<u64>,
-}
-
-/// The values of a chunk's vertices at a step.
-#[derive(Clone, Copy, Debug)]
-pub struct Vertices<'a> {
-    /// NaN is void.
-    pub values: &'a [f32],
-    /// Least and largest value of the tetrahedra that are not void; the first above the second
-    /// where all are.
-    pub range: [f32; 2],
-}
 
 /// The vectors that are used.
 #[derive(Clone, Copy)]
@@ -136,9 +107,9 @@ impl Cells<'_> {
             shapes.look::<W>(four, self.places, tets);
             for steps in &mut *lanes {
                 match steps {
-                    Lanes::One(steps) => pieces_of.measure_one::<S, K>((eight, knots), &shapes, steps, tets),
+                    Lanes::One(steps) => pieces_of.measure_one::<S, K>(eight, knots, &shapes, steps, tets),
                     Lanes::Eight(steps) => {
-                        pieces_of.measure::<S, K>((eight, knots), &shapes, steps, tets, next)
+                        pieces_of.measure::<S, K>(eight, knots, &shapes, steps, tets, next)
                     }
                 }
             }
@@ -164,7 +135,8 @@ impl PieceBuffers {
     #[inline(always)]
     fn measure<S: F64xN<8>, K: F64s>(
         &mut self,
-        (token, knots): (S::Token, K::Token),
+        token: S::Token,
+        knots: K::Token,
         shapes: &Shapes,
         steps: &mut Together,
         tets: &[Tet],
@@ -220,7 +192,8 @@ impl PieceBuffers {
     #[inline(always)]
     fn measure_one<S: F64xN<8>, K: F64s>(
         &mut self,
-        (token, knots): (S::Token, K::Token),
+        token: S::Token,
+        knots: K::Token,
         shapes: &Shapes,
         steps: &mut Alone,
         tets: &[Tet],

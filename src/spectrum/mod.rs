@@ -62,8 +62,7 @@ pub use cubes::CellShapes;
 pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};
 pub use lanes::LaneBuffers;
-pub use measure::{ChunkPart, Vertices};
-pub use part::Digits;
+pub use part::{ChunkPart, Digits, Vertices};
 pub use store::SpectrumFile;
 
 #[cfg(test)]

@@ -1,9 +1,38 @@
-//! The spectrum of a chunk, or of a step, as the bytes of a block: see `FORMAT.md`.
+//! The spectrum of a chunk, or of a step, and its bytes in a block: see `FORMAT.md`.
 
 use super::design::{Design, Limits};
-use super::measure::{ChunkPart, Measured};
 use crate::archive::Malformed;
 use crate::archive::wire::{Cursor, put_varint, to_zstd, unzstd};
+
+/// What the tetrahedra of a chunk contribute to a spectrum: the spectrum of the chunk.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChunkPart {
+    pub(super) tetrahedra: u64,
+    pub(super) volume: f64,
+    /// `None` if every tetrahedron is void.
+    pub(super) measured: Option<Measured>,
+}
+
+/// The spectrum of tetrahedra that are not void.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Measured {
+    pub(super) design: Design,
+    /// At each knot: active tetrahedra; area, volume inside, gradient times area.
+    pub(super) active: Vec<u64>,
+    pub(super) sums: Vec<[f64; 3]>,
+    /// Active tetrahedra at each level.
+    pub(super) levels: Vec<u64>,
+}
+
+/// The values of a chunk's vertices at a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Vertices<'a> {
+    /// NaN is void.
+    pub values: &'a [f32],
+    /// Least and largest value of the tetrahedra that are not void; the first above the second
+    /// where all are.
+    pub range: [f32; 2],
+}
 
 /// The most tetrahedra that a reader takes.
 const MOST_TETRAHEDRA: u64 = 1 << 50;

@@ -3,7 +3,7 @@
 use super::Spectrum;
 use super::builder::SpectrumBuilder;
 use super::design::Limits;
-use super::measure::ChunkPart;
+use super::part::ChunkPart;
 use super::part::Digits;
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan_io::error::{Error, Result};

@@ -10,14 +10,11 @@
 //! Only when all have been counted it is asked where the corners lie among the isovalues; a vertex
 //! has some two dozen tetrahedra.
 
-use super::design::{Design, MOST_KNOTS};
+use super::design::{Design, MOST_KNOTS, VOID};
 use super::grid::{BinaryPlaces, Places};
-use super::measure::{ChunkPart, Measured};
+use super::part::{ChunkPart, Measured};
 use super::tetra::{Cut, KNOTS, Pieces, PiecesOf};
 use isospan_mesh::simd::F64s;
-
-/// How many knots are at or below a void value: more than there are.
-pub(super) const VOID: u8 = u8::MAX;
 
 const CUTS: usize = MOST_KNOTS as usize;
 const _: () = assert!(CUTS.is_power_of_two() && CUTS < VOID as usize);

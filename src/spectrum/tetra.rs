@@ -20,8 +20,8 @@
 //! The six quotients of a tetrahedron cost one division: each is the product of what is not its own
 //! over the product of all six, which is between 2^-894 and 2^774.
 
-use super::design::Design;
-use super::sums::VOID;
+use super::design::{Design, VOID};
+use isospan_io::geom::vec3::cross;
 use isospan_mesh::mesh::tet::Tet;
 use isospan_mesh::simd::{F64s, F64x4s, F64xN, four, sorted, three};
 
@@ -257,12 +257,6 @@ impl<W: F64xN<8>> Shape<W> {
 
 /// The least difference of two `f32`.
 const LEAST: f64 = f64::from_bits((1023 - 149) << 52);
-
-#[inline(always)]
-fn cross<W: F64s>(u: [W; 3], v: [W; 3]) -> [W; 3] {
-    let ([ux, uy, uz], [vx, vy, vz]) = (u, v);
-    [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]
-}
 
 #[inline(always)]
 fn dot<W: F64s>(u: [W; 3], v: [W; 3]) -> W {

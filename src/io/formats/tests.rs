@@ -5,7 +5,7 @@ use super::{OpenOptions, RawLayout, StepSource, open, open_volume, pick_field};
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource, strided::convert_row};
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource, convert::convert_row};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 

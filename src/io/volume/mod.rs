@@ -8,6 +8,7 @@
 pub(crate) mod ahead;
 pub mod bricked;
 pub mod chunked;
+pub mod convert;
 pub(crate) mod dates;
 pub mod memory;
 pub mod shifted;

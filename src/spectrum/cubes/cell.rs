@@ -8,6 +8,7 @@
 //! once: the segments close to loops by themselves. A loop of n edges is a fan of n - 2 triangles,
 //! none of which lies in a face of the cell.
 
+use isospan_io::geom::vec3::{cross, dot, minus};
 use std::sync::LazyLock;
 
 /// A place, or a direction, in the unit cube.
@@ -82,11 +83,11 @@ pub(super) fn cut(values: &[f64; 8], world: &World, cases: &Cases) -> Cut {
         from += edges.len();
         let first = crossing(edges[0], &along);
         let second = crossing(edges[1], &along);
-        let (mut sum, mut before) = (add(first, second), sub(second, first));
+        let (mut sum, mut before) = (add(first, second), minus(second, first));
         let mut area = 0.0;
         for &edge in &edges[2..] {
             let place = crossing(edge, &along);
-            let side = sub(place, first);
+            let side = minus(place, first);
             let normal = cross(before, side).map(|s| s * 0.5);
             area += world.area(normal);
             thrice += dot(first, normal);
@@ -260,21 +261,6 @@ fn gradient(f: &[f64; 8], place: Place) -> Place {
 #[inline(always)]
 fn add(a: Place, b: Place) -> Place {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
-}
-
-#[inline(always)]
-fn sub(a: Place, b: Place) -> Place {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-#[inline(always)]
-fn dot(a: Place, b: Place) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-#[inline(always)]
-fn cross(u: Place, v: Place) -> Place {
-    [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
 }
 
 #[cfg(test)]

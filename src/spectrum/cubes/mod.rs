@@ -27,7 +27,7 @@ mod tests;
 use super::design::{Design, Limits};
 use super::grid::{BinaryPlaces, Places};
 use super::lanes::NOTHING;
-use super::measure::{ChunkPart, Measured};
+use super::part::{ChunkPart, Measured};
 use super::sums::counts;
 use cell::{CASES, Cut, World, cut};
 use isospan_mesh::simd::with_vectors;

@@ -36,7 +36,7 @@ mod build;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Fault, Result};
 use crate::grid::{Geometry, IndexBox};
-use crate::volume::strided::convert_row;
+use crate::volume::convert::convert_row;
 use crate::volume::units::Units;
 use crate::volume::{Assumed, FieldInfo, SlabStream, VolumeInfo, VolumeReader};
 use byteorder::{ByteOrder, LE};

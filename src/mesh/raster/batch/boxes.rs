@@ -5,6 +5,7 @@ use crate::mesh::tet::Tet;
 use crate::raster::Scanner;
 use crate::simd::{F32x16s, Lanes, U32x16s, four, three};
 use isospan_io::geom::LatticePos;
+use isospan_io::geom::vec3::{cross, dot};
 
 /// The error of the filter, in M³: see the module above.
 const ERROR: f32 = 1024.0 / (1u32 << 24) as f32;
@@ -193,15 +194,4 @@ fn between<F: F32x16s>(a: &[F::U32s; 3], b: &[F::U32s; 3]) -> [F; 3] {
         #[inline(always)]
         |k| F::from_i32(b[k] - a[k]),
     )
-}
-
-#[inline(always)]
-fn cross<F: F32x16s>(u: [F; 3], v: [F; 3]) -> [F; 3] {
-    let ([a, b, c], [x, y, z]) = (u, v);
-    [b * z - c * y, c * x - a * z, a * y - b * x]
-}
-
-#[inline(always)]
-fn dot<F: F32x16s>(u: [F; 3], v: [F; 3]) -> F {
-    u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 }

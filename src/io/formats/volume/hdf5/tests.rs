@@ -31,7 +31,7 @@ fn values(source: VolumeSource) -> Vec<f32> {
             while let Some(slab) = stream.next_slab(&mut bytes).unwrap() {
                 let mut part = vec![0.0; slab.len()];
                 let (scalar, missing) = (info.field.scalar, info.missing);
-                crate::volume::strided::convert_row(
+                crate::volume::convert::convert_row(
                     &bytes,
                     scalar,
                     false,

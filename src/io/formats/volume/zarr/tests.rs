@@ -6,7 +6,7 @@ use crate::formats::tests::{gzip, open_coordinates, write};
 use crate::grid::IndexBox;
 use crate::volume::ScalarType;
 use crate::volume::chunked::step;
-use crate::volume::strided::convert_row;
+use crate::volume::convert::convert_row;
 use base64::prelude::{BASE64_STANDARD, Engine};
 use serde_json::json;
 use std::fs;
