@@ -5,10 +5,11 @@
 //! a vertex has the value of its own body, for the field may jump there. The archive does not say
 //! which body a tetrahedron is of. It is found from the mesh ([`CellLocator::bodies_of`]).
 
-use super::probe_points::{Find, Outside, PointBodies, each_value_of};
+use super::point_search::{Find, Lists, Outside, PointBodies, each_value};
 use super::vertex_errors::on_lattice;
 use crate::domain::buckets::Buckets;
-use crate::domain::store::{CellStore, StoreSettings};
+use crate::domain::settings::StoreSettings;
+use crate::domain::store::CellStore;
 use crate::domain::vertices::{VertexBodies, vertex_bodies};
 use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::read::StepView;
@@ -88,19 +89,13 @@ impl<'a> AtVertices<'a> {
             outside: Outside::All,
             bodies: cells.as_ref().map(|cells| PointBodies { of_points: &of_points, cells }),
             surface: None,
+            progress,
+            stage: "measure",
         };
         let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
-        each_value_of(
-            self.archive,
-            self.steps,
-            placed,
-            &find,
-            progress,
-            "measure",
-            |n, values, is_inside| {
-                each(first + u64::from(n), on_lattice(positions[n as usize]), values, is_inside);
-            },
-        )?;
+        each_value(self.archive, Lists::OfSteps(self.steps), placed, &find, |n, values, is_inside| {
+            each(first + u64::from(n), on_lattice(positions[n as usize]), values, is_inside);
+        })?;
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ use crate::pipeline::read::{
     Blocks, Cut, DecodedChunk, Frontier, IndexToWorld, Roi, RoiSpace, StepView, Visit,
 };
 use crate::pipeline::stage::{Stage, StageSeconds};
-use crate::tets::{ChunkTets, TetBuilder};
+use crate::tets::{ChunkTets, StoredTets, TetBuilder};
 use isospan_io::bytes::publish::folder_of;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Resources, pool};
@@ -132,26 +132,13 @@ fn export_fields(
         ));
     }
     let read_before = archive.bytes_read();
-    let source = &archive.step().plan.source;
-    let log2_steps = archive.manifest.plan.lattice.log2_steps;
-    let cut =
-        settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, log2_steps, [0.0; 3])).transpose()?;
-    let mut index_bytes = 0;
-    let range = settings.range.map(|range| range.map(|v| source.kept(v)));
-    let blocks = match range {
-        None => Blocks::All,
-        Some([lo, hi]) => {
-            let index = archive.ranges()?;
-            let entries = index.query_values(lo, hi)?;
-            index_bytes = index.bytes_read();
-            Blocks::Some(entries)
-        }
-    };
+    let wanted = Wanted::of(archive, others, settings)?;
+    let (blocks, index_bytes) = wanted.blocks(archive)?;
     let fixed = estimate::BASE + blocks.bytes() + if settings.compress { PACKING_BYTES } else { 0 };
     let rest = settings.resources.memory.saturating_sub(fixed);
     let share = |memory: u64| memory.saturating_sub(fixed) / 4 * 3;
     let mut visit = Visit::new(archive, blocks, &settings.resources, share)?;
-    if let Some(cut) = &cut {
+    if let Some(cut) = &wanted.cut {
         visit.confine(|region| cut.may_touch_box(region))?;
     }
     let extra = visit.most_vertices() * 4 * others.len() as u64;
@@ -159,27 +146,16 @@ fn export_fields(
     let scratch = settings.resources.scratch.clone().unwrap_or_else(|| folder_of(out).to_path_buf());
     let mut join = Join::new(&visit, others, settings, rest / 8, &scratch);
     progress.begin("export", visit.chunks.len() as u64, "chunks");
-    let wanted = Wanted { range, corners: settings.corners, cut: cut.as_ref(), others };
-    visit.each(extra, progress, |id, chunk| wanted.of(id, chunk), |n, chosen| join.push(n, &chosen))?;
+    visit.each(extra, progress, |id, chunk| wanted.select(id, chunk), |n, chosen| join.push(n, &chosen))?;
     let (void_tetrahedra, mesh) = (join.void, join.builder.finish());
     let read = start.elapsed();
 
     let start = Instant::now();
-    let place = IndexToWorld::of(archive)?;
-    let lattice = archive.manifest.plan.lattice;
-    let threads = settings.compress.then(|| pool(settings.resources.threads)).transpose()?;
-    let meta = TetMeta {
-        place: &|p| place.world(lattice.to_index_space(p)),
-        mirrors: place.mirrors(),
-        fields: std::iter::once(archive).chain(others).map(field_of).collect(),
-        comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
-        compress: threads.as_ref(),
-    };
-    let file_bytes = write_tetrahedra(&mesh, out, format, &meta)?;
+    let (fields, file_bytes) = write_mesh(archive, others, settings, &mesh, out, format)?;
     // Of the mesh, the archive counts the bytes of all.
     let bytes_of_others = others.iter().map(StepView::value_bytes_read).sum::<u64>();
     Ok(ExportReport {
-        fields: meta.fields.into_iter().map(|field| field.name).collect(),
+        fields,
         points: mesh.point_count(),
         tetrahedra: mesh.tet_count(),
         archive_tetrahedra: archive.manifest.counts.tetrahedra,
@@ -190,6 +166,29 @@ fn export_fields(
         file_bytes,
         seconds: vec![(Stage::Join, read.as_secs_f64()), (Stage::Write, start.elapsed().as_secs_f64())],
     })
+}
+
+/// Writes the joined tetrahedra. Returns the names of their fields and the bytes of the file.
+fn write_mesh(
+    archive: &StepView,
+    others: &[StepView],
+    settings: &ExportSettings,
+    mesh: &StoredTets,
+    out: &Path,
+    format: TetFormat,
+) -> Result<(Vec<String>, u64)> {
+    let (place, lattice) = (IndexToWorld::of(archive)?, archive.manifest.plan.lattice);
+    let path = &archive.step().plan.source.path;
+    let threads = settings.compress.then(|| pool(settings.resources.threads)).transpose()?;
+    let meta = TetMeta {
+        place: &|p| place.world(lattice.to_index_space(p)),
+        mirrors: place.mirrors(),
+        fields: std::iter::once(archive).chain(others).map(field_of).collect(),
+        comment: format!("isospan {}: reduced tetrahedra of {path}", env!("CARGO_PKG_VERSION")),
+        compress: threads.as_ref(),
+    };
+    let bytes = write_tetrahedra(mesh, out, format, &meta)?;
+    Ok((meta.fields.into_iter().map(|field| field.name).collect(), bytes))
 }
 
 /// A field, as a file states it: by the name that it has in the archive.
@@ -210,17 +209,38 @@ struct Selected {
 struct Wanted<'a> {
     range: Option<[f32; 2]>,
     corners: Corners,
-    cut: Option<&'a Cut>,
+    cut: Option<Cut>,
     others: &'a [StepView],
 }
 
-impl Wanted<'_> {
-    fn of(&self, id: ChunkId, mut chunk: DecodedChunk) -> Result<Selected> {
+impl<'a> Wanted<'a> {
+    fn of(archive: &StepView, others: &'a [StepView], settings: &ExportSettings) -> Result<Self> {
+        let source = &archive.step().plan.source;
+        let log2_steps = archive.manifest.plan.lattice.log2_steps;
+        let cut = |roi: Roi| roi.cut(&source.geometry, source.dims, log2_steps, [0.0; 3]);
+        Ok(Self {
+            range: settings.range.map(|range| range.map(|v| source.kept(v))),
+            corners: settings.corners,
+            cut: settings.roi.map(cut).transpose()?,
+            others,
+        })
+    }
+
+    /// The blocks that may have such tetrahedra, and the bytes of the index that were read.
+    fn blocks(&self, archive: &StepView) -> Result<(Blocks, u64)> {
+        let Some([lo, hi]) = self.range else { return Ok((Blocks::All, 0)) };
+        let index = archive.ranges()?;
+        let entries = index.query_values(lo, hi)?;
+        Ok((Blocks::Some(entries), index.bytes_read()))
+    }
+
+    /// The tetrahedra of a chunk that are wanted.
+    fn select(&self, id: ChunkId, mut chunk: DecodedChunk) -> Result<Selected> {
         let mut void = 0;
         let has_all = |values: &[f32], tet: &Tet| tet.iter().all(|&v| !values[v as usize].is_nan());
         let (values, positions) = (&chunk.values, &chunk.positions);
         chunk.tets.retain(|tet: &Tet| {
-            if self.cut.is_some_and(|cut| !cut.touches(&tet.map(|v| positions[v as usize]))) {
+            if self.cut.as_ref().is_some_and(|cut| !cut.touches(&tet.map(|v| positions[v as usize]))) {
                 return false;
             }
             let Some(range) = self.range else { return true };

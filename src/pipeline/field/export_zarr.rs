@@ -67,20 +67,9 @@ pub(in crate::pipeline) fn export_zarr(
     })?;
     let about = About::of(moments, &settings.fields, settings.level)?;
     let finest = &grids[0];
-    let samples = finest.dims().into_iter().fold(1, u64::saturating_mul);
-    let image = ZarrImage {
-        name: out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
-        scalar: about.field.scalar,
-        offset: about.field.offset,
-        units: about.units.clone(),
-        levels: placed,
-        chunk: if samples > LARGE { LARGE_CHUNK } else { CHUNK },
-        times: about.times,
-        channels: if about.channels.len() > 1 { about.channels.clone() } else { vec![] },
-    };
     let notices = about.notices();
-    let writer =
-        Writer { folder: ZarrFolder::create(out, image, replace)?, flips, scalar: about.field.scalar };
+    let folder = ZarrFolder::create(out, about.image(out, placed, finest), replace)?;
+    let writer = Writer { folder, flips, scalar: about.field.scalar, settings, progress };
     let each: u64 = grids.iter().map(|grid| grid.dims().iter().product::<u64>()).sum();
     let parts = (moments.count() * about.channels.len()) as u64;
     progress.begin("export", each.saturating_mul(parts), "samples");
@@ -91,8 +80,7 @@ pub(in crate::pipeline) fn export_zarr(
             let views = Views::of(view, &settings.fields)?;
             for (channel, of_field) in views.all().enumerate() {
                 for (level, grid) in grids.iter().enumerate() {
-                    let at = (level, [n as u64, channel as u64]);
-                    void += writer.write_level(of_field, grid, at, settings, progress)?;
+                    void += writer.write_level(of_field, grid, level, [n as u64, channel as u64])?;
                 }
             }
             bytes_read += view.bytes_read() - before + views.others_read();
@@ -209,6 +197,21 @@ impl About {
         Ok(Self { field, units: units_of_all, times, channels, has_odd_times: has_odd_times && count > 1 })
     }
 
+    /// The image at `out`, with these levels, the finest of which has the samples of a grid.
+    fn image(&self, out: &Path, levels: Vec<ZarrLevel>, finest: &LevelGrid) -> ZarrImage {
+        let samples = finest.dims().into_iter().fold(1, u64::saturating_mul);
+        ZarrImage {
+            name: out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+            scalar: self.field.scalar,
+            offset: self.field.offset,
+            units: self.units.clone(),
+            levels,
+            chunk: if samples > LARGE { LARGE_CHUNK } else { CHUNK },
+            times: self.times,
+            channels: if self.channels.len() > 1 { self.channels.clone() } else { vec![] },
+        }
+    }
+
     /// What the image has no place for, a line each.
     fn notices(&self) -> Vec<String> {
         let mut lines = vec![];
@@ -236,22 +239,18 @@ fn evenly(times: &[Option<f64>]) -> Option<[f64; 2]> {
 }
 
 /// Writes levels.
-struct Writer {
+struct Writer<'a> {
     folder: ZarrFolder,
     flips: [bool; 3],
     scalar: ScalarType,
+    settings: &'a GridSettings,
+    progress: &'a dyn Progress,
 }
 
-impl Writer {
-    /// Writes a level of a field; returns how many samples have no value.
-    fn write_level(
-        &self,
-        view: &StepView,
-        grid: &LevelGrid,
-        (level, at): (usize, [u64; 2]),
-        settings: &GridSettings,
-        progress: &dyn Progress,
-    ) -> Result<u64> {
+impl Writer<'_> {
+    /// Writes a level of a field, of the step and channel `at`; returns how many samples have no
+    /// value.
+    fn write_level(&self, view: &StepView, grid: &LevelGrid, level: usize, at: [u64; 2]) -> Result<u64> {
         let (dims, chunk) = (grid.dims(), self.folder.chunk_dims(level));
         let write = |place: [u64; 3]| {
             let lo: [u64; 3] = std::array::from_fn(|a| place[a] * chunk[a]);
@@ -270,10 +269,10 @@ impl Writer {
                 values.iter_mut().for_each(|v| *v = v.round().clamp(least, most));
             }
             self.folder.write_chunk(level, at, place, &values)?;
-            progress.advance(values.len() as u64);
+            self.progress.advance(values.len() as u64);
             Ok(values.iter().filter(|v| v.is_nan()).count() as u64)
         };
-        grid.each_part(view, chunk, &settings.resources, write)
+        grid.each_part(view, chunk, &self.settings.resources, write)
     }
 }
 

@@ -109,71 +109,123 @@ pub(super) fn values_on_grid(
     progress: &dyn Progress,
     write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
 ) -> Result<Without> {
-    let (dims, [nodes, stride]) = (archive.step().plan.source.dims, nodes_and_stride(archive, level)?);
     if grid.contains(&0) {
         return Err(Error::usage("a grid has at least one sample along each axis"));
     }
-    // From samples of the grid to those of the source; one sample alone lies at the first.
-    let ratio: [f64; 3] = std::array::from_fn(|a| (dims[a] - 1) as f64 / (grid[a] - 1).max(1) as f64);
-    let at = |i: u64, a: usize| {
-        let sample = if i + 1 == grid[a] && i > 0 { (dims[a] - 1) as f64 } else { i as f64 * ratio[a] };
-        sample / stride[a] as f64
-    };
-    // Samples of the grid up to the last node.
-    let ends: [u64; 3] = std::array::from_fn(|a| {
-        let (mut lo, mut hi) = (0, grid[a]);
-        while lo < hi {
-            let middle = lo + (hi - lo) / 2;
-            match at(middle, a) <= (nodes[a] - 1) as f64 * (1.0 + f64::EPSILON) {
-                true => lo = middle + 1,
-                false => hi = middle,
-            }
-        }
-        lo
-    });
-    let edge: [u64; 3] =
-        std::array::from_fn(|a| ((EDGE * stride[a]) as f64 / ratio[a]) as u64).map(|n| n.max(1));
-    let counts: [u64; 3] = std::array::from_fn(|a| grid[a].div_ceil(edge[a]));
-    let total = grid.iter().product();
-    progress.begin("probe", total, "samples");
+    let samples = GridOnLevel::new(archive, level, grid)?;
+    progress.begin("probe", grid.iter().product(), "samples");
     let sample = |n: usize| {
         resources.cancel.check()?;
-        let n = n as u64;
-        let place = [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]];
-        let lo: [u64; 3] = std::array::from_fn(|a| place[a] * edge[a]);
-        let hi: [u64; 3] = std::array::from_fn(|a| (lo[a] + edge[a]).min(grid[a]));
-        let end: [u64; 3] = std::array::from_fn(|a| hi[a].min(ends[a]));
-        let within = IndexBox { lo, hi: end };
-        let window = IndexBox {
-            lo: std::array::from_fn(|a| (at(lo[a], a) as u64).min(nodes[a] - 1)),
-            hi: std::array::from_fn(|a| (at(end[a].max(1) - 1, a).ceil() as u64 + 1).min(nodes[a])),
-        };
-        let values = if within.is_empty() { vec![] } else { archive.nodes(level, &window)? };
-        let mut found = Without { void: 0, outside: IndexBox { lo, hi }.len() as u64 };
-        let mut row = Vec::with_capacity((hi[0] - lo[0]) as usize);
-        for z in lo[2]..hi[2] {
-            for y in lo[1]..hi[1] {
-                row.clear();
-                if !within.is_empty() && y < end[1] && z < end[2] {
-                    let value = |x| trilinear(&values, &window, [at(x, 0), at(y, 1), at(z, 2)]);
-                    row.extend((lo[0]..end[0]).map(value));
-                    found.outside -= row.len() as u64;
-                    found.void += row.iter().filter(|v| v.is_nan()).count() as u64;
-                }
-                row.resize((hi[0] - lo[0]) as usize, f32::NAN);
-                write((z * grid[1] + y) * grid[0] + lo[0], &row)?;
-            }
-        }
-        progress.advance((0..3).map(|a| hi[a] - lo[a]).product());
+        let part = samples.part(n as u64);
+        let found = samples.write(archive, &part, &write)?;
+        progress.advance(part.len() as u64);
         Ok(found)
     };
     let (threads, mut all) = (archive.pools.lend(threads(resources))?, Without::default());
-    in_order(&vec![0; counts.iter().product::<u64>() as usize], 0, &threads, sample, |_, found| {
+    in_order(&vec![0; samples.parts() as usize], 0, &threads, sample, |_, found| {
         all.void += found.void;
         all.outside += found.outside;
         Ok(())
     })?;
     Ok(all)
+}
+
+/// The samples of a grid that spans the domain, among the nodes of a level.
+struct GridOnLevel {
+    level: usize,
+    grid: [u64; 3],
+    /// Samples of the source.
+    dims: [u64; 3],
+    nodes: [u64; 3],
+    stride: [u64; 3],
+    /// Samples of the source from one of the grid to the next.
+    ratio: [f64; 3],
+    /// Samples of the grid up to the last node.
+    ends: [u64; 3],
+    /// Samples of the grid along the edges of a part.
+    edge: [u64; 3],
+}
+
+impl GridOnLevel {
+    fn new(archive: &StepView, level: usize, grid: [u64; 3]) -> Result<Self> {
+        let (dims, [nodes, stride]) = (archive.step().plan.source.dims, nodes_and_stride(archive, level)?);
+        let ratio: [f64; 3] = std::array::from_fn(|a| (dims[a] - 1) as f64 / (grid[a] - 1).max(1) as f64);
+        let edge = std::array::from_fn(|a| (((EDGE * stride[a]) as f64 / ratio[a]) as u64).max(1));
+        let new = Self { level, grid, dims, nodes, stride, ratio, ends: [0; 3], edge };
+        let ends = std::array::from_fn(|a| new.end(a));
+        Ok(Self { ends, ..new })
+    }
+
+    /// Where the i-th sample along an axis is among the nodes; one sample alone lies at the first.
+    fn at(&self, i: u64, a: usize) -> f64 {
+        let is_last = i + 1 == self.grid[a] && i > 0;
+        let sample = if is_last { (self.dims[a] - 1) as f64 } else { i as f64 * self.ratio[a] };
+        sample / self.stride[a] as f64
+    }
+
+    /// The number of samples along an axis up to the last node.
+    fn end(&self, a: usize) -> u64 {
+        let last = (self.nodes[a] - 1) as f64 * (1.0 + f64::EPSILON);
+        let (mut lo, mut hi) = (0, self.grid[a]);
+        while lo < hi {
+            let middle = lo + (hi - lo) / 2;
+            match self.at(middle, a) <= last {
+                true => lo = middle + 1,
+                false => hi = middle,
+            }
+        }
+        lo
+    }
+
+    /// Parts along each axis.
+    fn counts(&self) -> [u64; 3] {
+        std::array::from_fn(|a| self.grid[a].div_ceil(self.edge[a]))
+    }
+
+    fn parts(&self) -> u64 {
+        self.counts().iter().product()
+    }
+
+    /// The samples of the n-th part.
+    fn part(&self, n: u64) -> IndexBox {
+        let counts = self.counts();
+        let place = [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]];
+        let lo: [u64; 3] = std::array::from_fn(|a| place[a] * self.edge[a]);
+        IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + self.edge[a]).min(self.grid[a])) }
+    }
+
+    /// Hands the values of a part to `write`, row by row.
+    fn write(
+        &self,
+        archive: &StepView,
+        part: &IndexBox,
+        write: impl Fn(u64, &[f32]) -> Result<()>,
+    ) -> Result<Without> {
+        let IndexBox { lo, hi } = *part;
+        let end: [u64; 3] = std::array::from_fn(|a| hi[a].min(self.ends[a]));
+        let within = IndexBox { lo, hi: end };
+        let window = IndexBox {
+            lo: std::array::from_fn(|a| (self.at(lo[a], a) as u64).min(self.nodes[a] - 1)),
+            hi: std::array::from_fn(|a| (self.at(end[a].max(1) - 1, a).ceil() as u64 + 1).min(self.nodes[a])),
+        };
+        let values = if within.is_empty() { vec![] } else { archive.nodes(self.level, &window)? };
+        let mut found = Without { void: 0, outside: part.len() as u64 };
+        let mut row = Vec::with_capacity((hi[0] - lo[0]) as usize);
+        for z in lo[2]..hi[2] {
+            for y in lo[1]..hi[1] {
+                row.clear();
+                if !within.is_empty() && y < end[1] && z < end[2] {
+                    let at = |x| [self.at(x, 0), self.at(y, 1), self.at(z, 2)];
+                    row.extend((lo[0]..end[0]).map(|x| trilinear(&values, &window, at(x))));
+                    found.outside -= row.len() as u64;
+                    found.void += row.iter().filter(|v| v.is_nan()).count() as u64;
+                }
+                row.resize((hi[0] - lo[0]) as usize, f32::NAN);
+                write((z * self.grid[1] + y) * self.grid[0] + lo[0], &row)?;
+            }
+        }
+        Ok(found)
+    }
 }
 
 /// The errors of a level at all samples up to its last node, in parts in order. `originals` reads

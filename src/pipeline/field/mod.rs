@@ -11,6 +11,7 @@ mod levels;
 mod measure;
 mod nearest;
 mod own_errors;
+mod point_search;
 mod probe_grid;
 mod probe_points;
 mod vertex_errors;

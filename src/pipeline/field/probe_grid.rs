@@ -14,7 +14,7 @@
 //! on one thread, chunk by chunk.
 
 use super::export_grid::pool_of;
-use super::levels::values_on_grid;
+use super::levels::{Without, values_on_grid};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{Blocks, DecodedChunk, LevelChoice, StepView, Visit};
 use isospan_io::error::{Error, Result};
@@ -91,48 +91,43 @@ pub(in crate::pipeline) fn probe_grid(
         ..GridMeta::even(dims, geometry, SampleField::floats(&source.field, source.offset))
     };
     let samples = meta.samples()?;
-    let publish = |file: SampleFile| {
-        let threads = Threads::new(settings.resources.threads)?;
-        file.publish(pool_of(&threads), &settings.resources.cancel)
-    };
-    let scratch = settings.resources.scratch.as_deref();
-    if archive.is_pyramid() {
-        let file = SampleFile::create(out, format, &meta, false, scratch)?;
+    let create = || SampleFile::create(out, format, &meta, false, settings.resources.scratch.as_deref());
+    let (file, found) = if archive.is_pyramid() {
+        let file = create()?;
         let write = |first, run: &[f32]| file.write(first, run);
-        let without = values_on_grid(archive, level, dims, &settings.resources, progress, write)?;
-        return Ok(ProbeReport {
-            samples,
-            void: without.void,
-            outside: without.outside,
-            level: Some(level),
-            chunks_read: archive.chunks.len(),
-            bytes_read: archive.bytes_read() - read_before,
-            file_bytes: publish(file)?,
-            notices: format.notices(&meta),
-            seconds: start.elapsed().as_secs_f64(),
-            ..ProbeReport::default()
-        });
-    }
-    let mut scan = GridScan::new(archive, dims, settings)?;
-    let file = SampleFile::create(out, format, &meta, false, scratch)?;
-    if scan.has_gaps {
-        let blank = vec![f32::NAN; BLANK.min(samples) as usize];
-        for first in (0..samples).step_by(BLANK as usize) {
-            file.write(first, &blank[..BLANK.min(samples - first) as usize])?;
+        let Without { void, outside } =
+            values_on_grid(archive, level, dims, &settings.resources, progress, write)?;
+        let (level, chunks_read) = (Some(level), archive.chunks.len());
+        (file, ProbeReport { void, outside, level, chunks_read, ..ProbeReport::default() })
+    } else {
+        let mut scan = GridScan::new(archive, dims, settings)?;
+        let file = create()?;
+        if scan.has_gaps {
+            write_blank(&file, samples)?;
         }
-    }
-    let void = scan.run(samples, progress, |first, run| file.write(first, run))?;
+        let void = scan.run(samples, progress, |first, run| file.write(first, run))?;
+        let chunks_read = scan.visit.chunks.len() as u64;
+        (file, ProbeReport { void, chunks_read, ..ProbeReport::default() })
+    };
+    let (threads, bytes_read) =
+        (Threads::new(settings.resources.threads)?, archive.bytes_read() - read_before);
     Ok(ProbeReport {
         samples,
-        void,
-        outside: 0,
-        level: None,
-        chunks_read: scan.visit.chunks.len() as u64,
-        bytes_read: archive.bytes_read() - read_before,
-        file_bytes: publish(file)?,
+        bytes_read,
+        file_bytes: file.publish(pool_of(&threads), &settings.resources.cancel)?,
         notices: format.notices(&meta),
         seconds: start.elapsed().as_secs_f64(),
+        ..found
     })
+}
+
+/// Writes samples without a value.
+fn write_blank(file: &SampleFile, samples: u64) -> Result<()> {
+    let blank = vec![f32::NAN; BLANK.min(samples) as usize];
+    for first in (0..samples).step_by(BLANK as usize) {
+        file.write(first, &blank[..BLANK.min(samples - first) as usize])?;
+    }
+    Ok(())
 }
 
 /// The same samples, in memory.

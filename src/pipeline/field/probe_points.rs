@@ -1,35 +1,20 @@
-//! `probe` at points: each point is located exactly, in the chunk that has its tetrahedron.
-//!
-//! The points of a batch are sorted by brick. A chunk's tetrahedra lie in its region, core and
-//! halo, so the points that it may hold are a few runs of that list. Each tetrahedron then looks up
-//! the points in its box ([`PointLocator`]), as in scan conversion, with points in place of
-//! samples. Chunks without a point near them are not read. A list that does not fit in memory is
-//! processed in batches. Each batch reads the archive again where it has points.
-//!
-//! Surfaces are written in `f32`, and rounding moves a vertex on the boundary outside as often as
-//! inside. So a point outside of all tetrahedra takes the value at the nearest place of one
-//! ([`super::nearest`]), if that is within such a rounding. For this, the chunks around the point
-//! are read once more.
+//! `probe` at points: each point is located exactly, in the chunk that has its tetrahedron
+//! ([`super::point_search`]). A list that does not fit in memory is processed in batches. Each
+//! batch reads the archive again where it has points.
 
 use super::levels::values_at_places;
-use super::nearest::{keep, near_places};
+use super::point_search::{Find, Lists, OnSurface, Outside, each_value};
 use super::probe_grid::{ProbeReport, ProbeSettings};
 use crate::archive::manifest::Source;
-use crate::pipeline::chunk::{CellLocator, NO_BODY};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{
-    Blocks, DecodedChunk, StepView, Visit, full_region, index_places, origin_of_volume, samples_of_level,
-};
+use crate::pipeline::read::{StepView, index_places, origin_of_volume, samples_of_level};
 use glam::DVec3;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{CancelToken, Clock, Progress, Resources, Silent};
 use isospan_io::formats::point_list::{PointReader, PointWriter};
 use isospan_io::formats::samples::SampleFile;
-use isospan_io::geom::{Lattice, LatticeBox, LatticePos};
-use isospan_io::grid::{BrickGrid, ChunkId, Geometry};
-use isospan_mesh::mesh::tet::{Tet, is_active, range};
-use isospan_mesh::raster::{PointLocator, interpolate};
-use std::collections::BTreeMap;
+use isospan_io::geom::{Lattice, LatticePos};
+use isospan_io::grid::Geometry;
 use std::path::Path;
 
 /// Bytes for a point of a batch: position, place in the list, value, its copy while a chunk looks
@@ -206,43 +191,6 @@ pub(in crate::pipeline) fn probe_table(
     Ok(report)
 }
 
-/// Points sorted by brick.
-struct Batch<'a> {
-    bricks: &'a BrickGrid,
-    /// Brick, position, number in the list.
-    sorted: Vec<(u64, LatticePos, u32)>,
-}
-
-impl<'a> Batch<'a> {
-    fn new(bricks: &'a BrickGrid, points: impl Iterator<Item = (LatticePos, u32)>) -> Self {
-        let brick = |p: LatticePos| bricks.id(bricks.brick_at(p)).0;
-        let mut sorted: Vec<_> = points.map(|(p, n)| (brick(p), p, n)).collect();
-        sorted.sort_unstable_by_key(|&(brick, _, n)| (brick, n));
-        Self { bricks, sorted }
-    }
-
-    /// One more than the largest number of a point.
-    fn numbers(&self) -> usize {
-        self.sorted.iter().map(|s| s.2 as usize + 1).max().unwrap_or(0)
-    }
-
-    /// The points in a box of the lattice, which is not empty.
-    fn within(&self, region: LatticeBox) -> impl Iterator<Item = (LatticePos, u32)> + '_ {
-        let (lo, hi) = (self.bricks.brick_at(region.lo), self.bricks.brick_at(region.hi.map(|x| x - 1)));
-        let first = self.sorted.partition_point(|s| s.0 < self.bricks.id(lo).0);
-        let rows = (lo[2]..=hi[2]).flat_map(move |z| (lo[1]..=hi[1]).map(move |y| (y, z)));
-        // Few points: looking at all of them is less than looking each row up.
-        let few = self.sorted.len() - first < 64;
-        let all = if few { &self.sorted[first..] } else { &[] };
-        let runs = (!few).then_some(rows).into_iter().flatten().flat_map(move |(y, z)| {
-            let (from, to) = (self.bricks.id([lo[0], y, z]).0, self.bricks.id([hi[0], y, z]).0);
-            let start = self.sorted.partition_point(|s| s.0 < from);
-            self.sorted[start..].iter().take_while(move |s| s.0 <= to)
-        });
-        all.iter().chain(runs).map(|s| (s.1, s.2)).filter(move |s| region.contains(s.0))
-    }
-}
-
 /// Values of the field at points given in world coordinates; fewer than 2^32. NaN where there are
 /// none.
 pub(in crate::pipeline) fn values_at(
@@ -269,9 +217,10 @@ pub(in crate::pipeline) fn values_at(
         return Ok(Probed { values, outside: (points.len() - places.len()) as u64, chunks_read });
     }
     let (placed, outside) = placed(archive, points, &settings.resources.cancel)?;
-    let find = Find { resources: &settings.resources, share, outside, bodies: None, surface: None };
-    let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
-        values[n as usize] = value;
+    let (resources, stage) = (&settings.resources, "probe");
+    let find = Find { resources, share, outside, bodies: None, surface: None, progress, stage };
+    let chunks_read = each_value(archive, Lists::OfView, placed.into_iter(), &find, |n, found_at, _| {
+        values[n as usize] = found_at[0];
         found += 1;
     })?;
     Ok(Probed { values, outside: points.len() as u64 - found, chunks_read })
@@ -345,9 +294,10 @@ pub(in crate::pipeline) fn values_on_surface(
     let (list, of_field) = (list_of(step), list_of(archive.position()));
     let (placed, outside) = placed(archive, vertices, &settings.resources.cancel)?;
     let surface = Some(OnSurface { list, isovalues });
-    let find = Find { resources: &settings.resources, share, outside, bodies: None, surface };
+    let (resources, progress, stage) = (&settings.resources, &Silent, "probe");
+    let find = Find { resources, share, outside, bodies: None, surface, progress, stage };
     let (mut values, mut least) = (vec![f32::NAN; vertices.len()], vec![f32::INFINITY; vertices.len()]);
-    each_value_of(archive, &steps, placed.into_iter(), &find, &Silent, "probe", |n, found, _| {
+    each_value(archive, Lists::OfSteps(&steps), placed.into_iter(), &find, |n, found, _| {
         let n = n as usize;
         let off = (found[list] - isovalues[n]).abs();
         if off < least[n] || least[n] == f32::INFINITY {
@@ -355,223 +305,4 @@ pub(in crate::pipeline) fn values_on_surface(
         }
     })?;
     Ok(values)
-}
-
-/// How points are located.
-pub(super) struct Find<'a> {
-    pub(super) resources: &'a Resources,
-    /// The part of the memory that is for chunks.
-    pub(super) share: &'a (dyn Fn(u64) -> u64 + Sync),
-    /// Which points in no tetrahedron have the value of the nearest place.
-    pub(super) outside: Outside,
-    /// The bodies of a mesh, where a point has the value of its own.
-    pub(super) bodies: Option<PointBodies<'a>>,
-    /// The surfaces of which the points are vertices, where tetrahedra may overlap.
-    pub(super) surface: Option<OnSurface<'a>>,
-}
-
-/// Vertices of surfaces. Only tetrahedra that the surface cuts are a vertex's own.
-pub(super) struct OnSurface<'a> {
-    /// Which list of values has the surface.
-    list: usize,
-    /// The isovalue of each point.
-    isovalues: &'a [f32],
-}
-
-impl OnSurface<'_> {
-    /// Whether the surface of a point cuts a tetrahedron.
-    fn cuts(&self, tet: &Tet, lists: &[Vec<f32>], point: u32) -> bool {
-        range(tet.map(|v| lists[self.list][v as usize]))
-            .is_some_and(|(least, largest)| is_active(least, largest, self.isovalues[point as usize]))
-    }
-}
-
-/// The bodies that points lie in, for a mesh of several bodies. They touch or overlap, and a vertex
-/// next to such a place has the value of the body that it belongs to.
-pub(super) struct PointBodies<'a> {
-    /// That of each point, by its number; [`NO_BODY`] of one without.
-    pub(super) of_points: &'a [u64],
-    /// Tells the bodies of tetrahedra.
-    pub(super) cells: &'a CellLocator<'a>,
-}
-
-/// Bytes that finding the bodies of a chunk's tetrahedra takes, for each vertex: its place, thrice
-/// while places are sorted by brick, the cell found, and six tetrahedra of eight bytes.
-const BODY: u64 = 240;
-
-/// Points that lie in no tetrahedron.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Outside {
-    /// Those within this many lattice steps of one have a value.
-    Within(u32),
-    /// All have one.
-    All,
-}
-
-/// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside
-/// of all as [`Find`] says. The value is NaN in a tetrahedron with a void corner. Returns the
-/// number of chunks read.
-fn each_value(
-    archive: &StepView,
-    points: impl Iterator<Item = (LatticePos, u32)>,
-    find: &Find<'_>,
-    progress: &dyn Progress,
-    stage: &str,
-    mut each: impl FnMut(u32, f32) + Send,
-) -> Result<u64> {
-    let values = |_, chunk: &mut DecodedChunk| Ok(vec![std::mem::take(&mut chunk.values)]);
-    find_each(archive, points, find, progress, stage, 0, values, |n, values, _| each(n, values[0]))
-}
-
-/// As [`each_value`], at steps given by ascending positions in the manifest: each point is located
-/// once. `each` also gets whether the point is in a tetrahedron.
-pub(super) fn each_value_of(
-    archive: &StepView,
-    steps: &[usize],
-    points: impl Iterator<Item = (LatticePos, u32)>,
-    find: &Find<'_>,
-    progress: &dyn Progress,
-    stage: &str,
-    each: impl FnMut(u32, &[f32], bool) + Send,
-) -> Result<u64> {
-    let values = |id, chunk: &mut DecodedChunk| archive.chunk_values_of(steps, id, chunk.positions.len());
-    let further = steps.len() as u64 - 1;
-    find_each(archive, points, find, progress, stage, further, values, each)
-}
-
-/// Calls `each` with the values at every point that lies in a tetrahedron: one for each list of
-/// values at a chunk's vertices. There are `further` lists after the first.
-#[expect(clippy::too_many_arguments, reason = "two questions, and nothing else, are asked in this way")]
-fn find_each(
-    archive: &StepView,
-    points: impl Iterator<Item = (LatticePos, u32)>,
-    find: &Find<'_>,
-    progress: &dyn Progress,
-    stage: &str,
-    further: u64,
-    values: impl Fn(ChunkId, &mut DecodedChunk) -> Result<Vec<Vec<f32>>> + Sync,
-    mut each: impl FnMut(u32, &[f32], bool) + Send,
-) -> Result<u64> {
-    let far = archive.manifest.plan.lattice.max();
-    let mut batch = Batch::new(archive.chunks.bricks(), points);
-    let mut visit = Visit::new(archive, Blocks::All, find.resources, find.share)?;
-    visit.confine(|region| batch.within(*region).next().is_some())?;
-    let of_vertex = further * size_of::<f32>() as u64 + find.bodies.as_ref().map_or(0, |_| BODY);
-    let extra = of_vertex * visit.most_vertices();
-    visit.check_memory(extra)?;
-    progress.begin(stage, visit.chunks.len() as u64, "chunks");
-    // The body of each tetrahedron of a chunk; none where all count for all points.
-    let bodies_of = |chunk: &DecodedChunk| match &find.bodies {
-        Some(bodies) => bodies.cells.bodies_of(&chunk.positions, &chunk.tets),
-        None => Ok(vec![]),
-    };
-    let is_own = |chunk: &DecodedChunk, lists: &[Vec<f32>], of_tets: &[u64], tet: usize, point: u32| {
-        let same_body = find.bodies.as_ref().is_none_or(|bodies| {
-            let (of_tet, of_point) = (of_tets[tet], bodies.of_points[point as usize]);
-            of_tet == of_point || of_tet == NO_BODY || of_point == NO_BODY
-        });
-        same_body && find.surface.as_ref().is_none_or(|surface| surface.cuts(&chunk.tets[tet], lists, point))
-    };
-    let job = |id, mut chunk: DecodedChunk| {
-        let region = full_region(archive, id)?;
-        let values = values(id, &mut chunk)?;
-        let of_tets = bodies_of(&chunk)?;
-        let points = PointLocator::new(region, far, batch.within(region));
-        Ok(locate(&chunk, &values, &points, |tet, n| is_own(&chunk, &values, &of_tets, tet, n)))
-    };
-    let mut is_found = vec![0u64; batch.numbers().div_ceil(64)];
-    // Values of other bodies, for points that have none of their own.
-    let mut foreign = BTreeMap::<u32, Vec<f32>>::new();
-    visit.each(extra, progress, job, |_, found: FoundPoints| {
-        let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
-        // The own tetrahedra of a mesh may overlap: the first one's value counts, or that nearest
-        // to an isovalue.
-        for (&(n, is_own), at) in found.points.iter().zip(found.values.chunks(lists.max(1))) {
-            if !is_own {
-                foreign.entry(n).or_insert_with(|| at.to_vec());
-                continue;
-            }
-            let (word, bit) = (&mut is_found[n as usize / 64], 1 << (n % 64));
-            if *word & bit == 0 || find.surface.is_some() {
-                *word |= bit;
-                each(n, at, true);
-            }
-        }
-        Ok(())
-    })?;
-    let mut chunks_read = visit.chunks.len() as u64;
-    batch.sorted.retain(|s| is_found[s.2 as usize / 64] >> (s.2 % 64) & 1 == 0);
-    foreign.retain(|&n, _| is_found[n as usize / 64] >> (n % 64) & 1 == 0);
-    drop(is_found);
-    let lattice = archive.manifest.plan.lattice;
-    let whole = far.into_iter().max().unwrap_or(0);
-    let mut reach = match find.outside {
-        Outside::Within(steps) => steps,
-        Outside::All => archive.points.mean_spacing().into_iter().max().unwrap_or(1).max(1),
-    };
-    while !batch.sorted.is_empty() {
-        let around = |region: &LatticeBox| region.grow_within([reach; 3], &lattice.domain());
-        let mut visit = Visit::new(archive, Blocks::All, find.resources, find.share)?;
-        visit.confine(|region| batch.within(around(region)).next().is_some())?;
-        visit.check_memory(extra)?;
-        let job = |id, mut chunk: DecodedChunk| {
-            let region = around(&full_region(archive, id)?);
-            let values = values(id, &mut chunk)?;
-            let of_tets = bodies_of(&chunk)?;
-            let points = PointLocator::new(region, far, batch.within(region));
-            let is_own = |tet, n| is_own(&chunk, &values, &of_tets, tet, n);
-            Ok(near_places(&chunk, &values, &points, is_own, reach, &lattice))
-        };
-        let mut places = BTreeMap::new();
-        visit.each(extra, progress, job, |_, found| {
-            found.into_iter().for_each(|(n, place)| keep(&mut places, n, place));
-            Ok(())
-        })?;
-        chunks_read += visit.chunks.len() as u64;
-        // Places farther than the reach along some axis were not searched.
-        places.retain(|_, place| place.is_within(reach));
-        // A point in a tetrahedron of another body has that one's value if its own body is farther.
-        places.retain(|n, place| !place.is_foreign || !foreign.contains_key(n));
-        places.iter().for_each(|(&n, place)| each(n, &place.values, false));
-        for (&n, values) in foreign.iter().filter(|(n, _)| !places.contains_key(n)) {
-            each(n, values, false);
-        }
-        if find.outside != Outside::All || reach >= whole.saturating_mul(2) {
-            break;
-        }
-        batch.sorted.retain(|s| !places.contains_key(&s.2) && !foreign.contains_key(&s.2));
-        foreign.clear();
-        reach = reach.saturating_mul(2);
-    }
-    Ok(chunks_read)
-}
-
-/// Points of a chunk, each with whether the tetrahedron is of its own body, and the values of all
-/// lists at the first, the second, ….
-#[derive(Default)]
-struct FoundPoints {
-    points: Vec<(u32, bool)>,
-    values: Vec<f32>,
-}
-
-/// The points that lie in tetrahedra of a chunk, and the fields there: NaN in one with a void
-/// corner.
-fn locate(
-    chunk: &DecodedChunk,
-    lists: &[Vec<f32>],
-    points: &PointLocator,
-    is_own: impl Fn(usize, u32) -> bool,
-) -> FoundPoints {
-    let mut found = FoundPoints::default();
-    for (number, tet) in chunk.tets.iter().enumerate() {
-        points.each_in(tet.map(|v| chunk.positions[v as usize]), |n, weights| {
-            found.points.push((n, is_own(number, n)));
-            found.values.extend(lists.iter().map(|values| {
-                let corners = tet.map(|v| values[v as usize]);
-                let void = corners.iter().any(|v| v.is_nan());
-                if void { f32::NAN } else { interpolate(weights, corners) }
-            }));
-        });
-    }
-    found
 }
