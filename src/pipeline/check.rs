@@ -122,12 +122,11 @@ fn check_step(
     cancel: &CancelToken,
     check: &mut ArchiveCheck,
 ) -> Result<()> {
-    let with_mesh = archive.position() == 0;
-    let mut entries = EntryDigest::default();
     if archive.is_pyramid() {
         return check_pyramid(archive, threads, cancel, check);
     }
-    let mut volume6 = 0i128;
+    let with_mesh = archive.position() == 0;
+    let (mut entries, mut volume6) = (EntryDigest::default(), 0i128);
     let spectrum = archive.stored_spectrum()?;
     let meter = spectrum.as_ref().map(|_| Meter::of_archive(archive));
     let mut measured = spectrum
@@ -166,15 +165,11 @@ fn check_step(
         check_totals(archive, volume6, check)?;
     }
     check_index(archive, entries, check)?;
-    match (spectrum, measured) {
-        (Some(file), Some(measured)) => {
-            file.verify(&measured)?;
-            check.add(file.segment());
-        }
-        _ if entries.count > 0 && archive.step().index.is_some() => {
-            return Err(Error::bad_input(archive.path(), "spectrum", "one, as there are values", "none"));
-        }
-        _ => {}
+    if let Some((file, measured)) = spectrum.zip(measured) {
+        file.verify(&measured)?;
+        check.add(file.segment());
+    } else if entries.count > 0 && archive.step().index.is_some() {
+        return Err(Error::bad_input(archive.path(), "spectrum", "one, as there are values", "none"));
     }
     Ok(())
 }

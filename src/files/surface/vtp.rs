@@ -98,30 +98,13 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta
     let (connectivity, offsets) = (place(lengths[4]), place(lengths[5]));
     let comment: String = meta.lines().iter().map(|line| format!("  {}\n", comment_text(line))).collect();
     let float = if meta.isovalue_bytes() == 4 { "Float32" } else { "Float64" };
-    let isovalues = meta.isovalues();
-    let isovalue = if isovalues.is_empty() {
-        String::new()
-    } else {
-        let list = isovalues.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
-        format!(
-            "    <FieldData>\n      <DataArray type=\"Float64\" Name=\"isovalue\" NumberOfTuples=\"{}\" \
-             format=\"ascii\">{list}</DataArray>\n    </FieldData>\n",
-            isovalues.len()
-        )
-    };
-    let array = |kind: &str, name: &str, components: u32, offset: u64| {
-        format!(
-            "        <DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" \
-             format=\"appended\" offset=\"{offset}\"/>\n"
-        )
-    };
     [
         "<?xml version=\"1.0\"?>\n<!-- isospan surface\n".to_string(),
         comment,
         "-->\n<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" \
          header_type=\"UInt64\">\n  <PolyData>\n"
             .to_string(),
-        isovalue,
+        field_data(&meta.isovalues()),
         format!(
             "    <Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" \
              NumberOfStrips=\"0\" NumberOfPolys=\"{triangles}\">\n"
@@ -148,6 +131,27 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta
         "      </Polys>\n    </Piece>\n  </PolyData>\n  <AppendedData encoding=\"raw\">\n   _".to_string(),
     ]
     .concat()
+}
+
+/// The isovalues, as an array of the whole data set.
+fn field_data(isovalues: &[f64]) -> String {
+    if isovalues.is_empty() {
+        return String::new();
+    }
+    let list = isovalues.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    format!(
+        "    <FieldData>\n      <DataArray type=\"Float64\" Name=\"isovalue\" NumberOfTuples=\"{}\" \
+         format=\"ascii\">{list}</DataArray>\n    </FieldData>\n",
+        isovalues.len()
+    )
+}
+
+/// An array whose numbers are appended.
+fn array(kind: &str, name: &str, components: u32, offset: u64) -> String {
+    format!(
+        "        <DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" \
+         format=\"appended\" offset=\"{offset}\"/>\n"
+    )
 }
 
 /// "--" may not stand in an XML comment.

@@ -139,7 +139,8 @@ impl Packed {
     pub(super) fn of(
         mesh: &StoredTets,
         meta: &TetMeta<'_>,
-        (pool, in_rows): (&rayon::ThreadPool, bool),
+        pool: &rayon::ThreadPool,
+        in_rows: bool,
         arrays: &[Array],
         sink: &Sink<'_>,
     ) -> Result<Self> {

@@ -28,7 +28,7 @@ const OF_MESH: [Array; 4] = [Array::Points, Array::Connectivity, Array::Offsets 
 /// Writes a mesh as VTKHDF.
 pub(super) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) -> Result<()> {
     let arrays: Vec<Array> = OF_MESH.into_iter().chain((0..meta.fields.len()).map(Array::Values)).collect();
-    let packed = meta.compress.map(|pool| Packed::of(mesh, meta, (pool, true), &arrays, sink)).transpose()?;
+    let packed = meta.compress.map(|pool| Packed::of(mesh, meta, pool, true, &arrays, sink)).transpose()?;
     sink.put(&tree(mesh, meta, &arrays, packed.as_ref()).head()?)?;
     for (n, array) in arrays.into_iter().enumerate() {
         match &packed {

@@ -69,7 +69,7 @@ fn put_compressed(
     sink: &mut Sink<'_>,
 ) -> Result<()> {
     let arrays = arrays(meta);
-    let packed = Packed::of(mesh, meta, (pool, false), &arrays, sink)?;
+    let packed = Packed::of(mesh, meta, pool, false, &arrays, sink)?;
     let table = |array: usize| -> Vec<u8> {
         let blocks = &packed.blocks[array];
         let last = blocks.last().map_or(0, |block| block[0] % BLOCK as u64);

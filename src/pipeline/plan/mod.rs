@@ -68,6 +68,32 @@ const MOST_CROWD: f64 = 4.0;
 /// A brick's samples (with a border) are held in memory while its points are interpolated.
 const LARGEST_BRICK_EDGE: u64 = 64;
 
+/// Refuses settings that no input can meet.
+fn check_settings(settings: &CompleteSettings) -> Result<()> {
+    if let Some(bits) = settings.value_bits.filter(|bits| !Quantiser::BITS.contains(bits)) {
+        let (least, most) = Quantiser::BITS.into_inner();
+        return Err(Error::usage(format!("values have {least} to {most} bits, not {bits}")));
+    }
+    if settings.values == Values::Fit && settings.interpolation == Interpolation::Nearest {
+        return Err(Error::usage(
+            "nearest gives points the very values of samples, and fitting gives them others: choose `values=sample`, or `interpolation=linear`",
+        ));
+    }
+    if settings.chunk_points < 100 {
+        return Err(Error::usage(
+            "a chunk of fewer than 100 points is all halo: give `chunk_points` at least 100",
+        ));
+    }
+    if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {
+        return Err(Error::usage(format!(
+            "every 1st to {}th step can be a keyframe, not every {}th",
+            LONGEST_CHAIN + 1,
+            settings.keyframes
+        )));
+    }
+    Ok(())
+}
+
 impl Plan {
     /// The plan of reducing a volume, whose files have this fingerprint.
     ///
@@ -108,31 +134,11 @@ impl Plan {
         source: Source,
         settings: &CompleteSettings,
     ) -> Result<Self> {
-        if let Some(bits) = settings.value_bits.filter(|bits| !Quantiser::BITS.contains(bits)) {
-            let (least, most) = Quantiser::BITS.into_inner();
-            return Err(Error::usage(format!("values have {least} to {most} bits, not {bits}")));
-        }
-        if settings.values == Values::Fit && settings.interpolation == Interpolation::Nearest {
-            return Err(Error::usage(
-                "nearest gives points the very values of samples, and fitting gives them others: choose `values=sample`, or `interpolation=linear`",
-            ));
-        }
-        if settings.chunk_points < 100 {
-            return Err(Error::usage(
-                "a chunk of fewer than 100 points is all halo: give `chunk_points` at least 100",
-            ));
-        }
+        check_settings(settings)?;
         let samples = lattice.dims.iter().map(|&d| d as f64).product::<f64>();
         let points = PointSpec::with_count(settings.points, &lattice, count, &settings.set)?;
         let total = PointSet::new(points, lattice)?.len();
         let edge = libm::cbrt(samples / total as f64 * BRICK_POINTS).round() as u64;
-        if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {
-            return Err(Error::usage(format!(
-                "every 1st to {}th step can be a keyframe, not every {}th",
-                LONGEST_CHAIN + 1,
-                settings.keyframes
-            )));
-        }
         let mut mesh = MeshPlan {
             lattice,
             points,
@@ -150,23 +156,21 @@ impl Plan {
         if mesh.points.kind() == SetKind::Pyramid {
             (mesh.brick_edge, mesh.stars) = ([isospan_wavelet::CHUNK as u64; 3], false);
         }
-        Ok(Self {
-            mesh,
-            steps: vec![StepPlan {
-                number: 0,
-                time: None,
-                source,
-                interpolation: settings.interpolation,
-                values: settings.values,
-                nan: settings.nan.to_string(),
-                missing: settings.finite_missing(),
-                quantiser: None,
-                wavelet: None,
-                keyframes: settings.keyframes,
-                measured: false,
-                base: None,
-            }],
-        })
+        let step = StepPlan {
+            number: 0,
+            time: None,
+            source,
+            interpolation: settings.interpolation,
+            values: settings.values,
+            nan: settings.nan.to_string(),
+            missing: settings.finite_missing(),
+            quantiser: None,
+            wavelet: None,
+            keyframes: settings.keyframes,
+            measured: false,
+            base: None,
+        };
+        Ok(Self { mesh, steps: vec![step] })
     }
 
     /// Makes the points denser in some places than in others: n of them at level 0 in the whole

@@ -145,7 +145,7 @@ impl<'a> ChunkReader<'a> {
     ) -> Result<bool> {
         out.tets.clear();
         let (bytes, head) = self.read(number)?;
-        let is_wanted = self.decode(number, (&bytes, &head), wanted, out);
+        let is_wanted = self.decode(number, &bytes, &head, wanted, out);
         out.bytes = bytes.len() as u64;
         self.bytes = bytes;
         if !is_wanted? {
@@ -229,7 +229,8 @@ impl<'a> ChunkReader<'a> {
     fn decode(
         &mut self,
         number: u32,
-        (bytes, head): (&[u8], &BlockHead),
+        bytes: &[u8],
+        head: &BlockHead,
         wanted: &Wanted<'_>,
         out: &mut Block,
     ) -> Result<bool> {

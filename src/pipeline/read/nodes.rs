@@ -37,7 +37,7 @@ impl StepView {
         })?;
         let most = self.cache.most();
         let of_tiles = if self.is_base { CACHE_OF_BASE } else { most.max(LEAST_CACHE) };
-        let made = PyramidStep::new(pyramid, (scale, correction), [of_tiles, most]);
+        let made = PyramidStep::new(pyramid, scale, correction, [of_tiles, most]);
         Ok(self.pyramid.get_or_init(|| made))
     }
 

@@ -55,7 +55,8 @@ impl PyramidStep {
     /// A step, of which about so many bytes of tiles and of nodes are cached.
     pub(super) fn new(
         pyramid: Pyramid,
-        (scale, correction): (Scale, Correction),
+        scale: Scale,
+        correction: Correction,
         [of_tiles, of_nodes]: [usize; 2],
     ) -> Self {
         Self {

@@ -193,7 +193,8 @@ impl Patch {
         token: W::Token,
         at: &[Corner],
         edges: &[u16],
-        (isovalue, world): (f32, &WorldMap),
+        isovalue: f32,
+        world: &WorldMap,
         out: &mut Vec<Vertex>,
     ) {
         for four in edges.chunks(4) {

@@ -8,6 +8,7 @@
 
 use crate::pyramid::{Box3, Pyramid};
 use crate::vectors::with_vectors;
+use std::ops::Range;
 
 /// The taps of an axis that was split once, twice, …, six times or more: of a node, and of those
 /// that are one, two and three beside it.
@@ -82,6 +83,13 @@ fn filter(values: &[f32], from: &Box3, to: &Box3, axis: usize, line: &Line, spli
     )
 }
 
+/// The nodes of a row whose neighbours lie in a row too, none of them reflected.
+fn unreflected(width: usize, around: impl Fn(usize) -> [usize; 7]) -> Range<usize> {
+    let is_plain = |x: &usize| around(*x).windows(2).all(|pair| pair[0] + 1 == pair[1]);
+    let first = (0..width).find(is_plain).unwrap_or(width);
+    first..(first..width).rev().find(is_plain).map_or(first, |last| last + 1)
+}
+
 #[inline(always)]
 fn filter_plainly(
     values: &[f32],
@@ -106,18 +114,7 @@ fn filter_plainly(
     };
     let mut found = vec![0.0; to.len()];
     let mut rows = found.chunks_exact_mut(width.max(1));
-    // Nodes of a row whose neighbours lie in a row too, none of them reflected.
-    let inner = match axis {
-        0 => {
-            let plain = |x: &usize| {
-                let at = around(*x);
-                at.windows(2).all(|pair| pair[0] + 1 == pair[1])
-            };
-            let first = (0..width).find(plain).unwrap_or(width);
-            first..(first..width).rev().find(plain).map_or(first, |last| last + 1)
-        }
-        _ => 0..0,
-    };
+    let inner = if axis == 0 { unreflected(width, around) } else { 0..0 };
     for z in 0..to.size[2] {
         for y in 0..to.size[1] {
             let Some(row) = rows.next() else { break };

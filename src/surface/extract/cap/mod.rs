@@ -66,8 +66,8 @@ impl ChunkSurface {
             }
             for face in FACES {
                 let corners = face.map(|i| tet[i]);
-                if let Some(side) = side_of(corners.map(|v| cells.positions[v as usize]), top) {
-                    self.add_cap(cells, world, corners, side);
+                if let Some((axis, upper)) = side_of(corners.map(|v| cells.positions[v as usize]), top) {
+                    self.add_cap(cells, world, corners, axis, upper);
                 }
             }
         }
@@ -79,7 +79,8 @@ impl ChunkSurface {
         cells: &CellSource<'_>,
         world: &WorldMap,
         corners: [u32; 3],
-        (axis, upper): (usize, bool),
+        axis: usize,
+        upper: bool,
     ) {
         let inside = corners.map(|v| cells.values[v as usize] >= self.isovalue());
         let (mut polygon, mut keys, mut count) = ([0usize; 4], [(PointId(0), PointId(0)); 4], 0);

@@ -250,7 +250,7 @@ impl ChunkSurface {
         world: &WorldMap,
     ) {
         let Joined { vertices, new, alone, first } = &self.joined;
-        patch.append_vertices::<W>(token, at, new, (self.isovalue, world), &mut self.vertices);
+        patch.append_vertices::<W>(token, at, new, self.isovalue, world, &mut self.vertices);
         let vertex = |edge: u16| vertices[usize::from(edge)] as usize;
         for &edge in first {
             self.vertices[vertex(edge)].normal = patch.up(at, edge.into());
