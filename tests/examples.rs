@@ -9,9 +9,7 @@ mod time_series;
 #[path = "../tools/examples/web_server.rs"]
 mod web_server;
 
-use isospan::exec::Silent;
-use isospan::formats::surface::SurfaceFormat;
-use isospan::{Archive, Reduction, SurfaceSettings, TriMesh};
+use isospan::{Archive, Reduction, TriMesh};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -68,7 +66,7 @@ fn a_web_server_streams_the_file_of_a_surface() {
     let (path, file) = (dir.path().join("protein.isospan"), dir.path().join("protein.glb"));
     Reduction::of("datasets/ironprot.vtk").write(&path).unwrap();
     let archive = Archive::open(&path).unwrap();
-    archive.write_surface(&SurfaceSettings::of(128.0), &file, SurfaceFormat::Glb, &Silent).unwrap();
+    archive.query(128.0).write(&file).unwrap();
 
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let listener = runtime.block_on(tokio::net::TcpListener::bind("127.0.0.1:0")).unwrap();

@@ -128,7 +128,7 @@ impl Bodies {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::store::BadValue;
+    use crate::domain::settings::BadValue;
     use isospan_io::exec::CancelToken;
 
     #[test]

@@ -66,7 +66,7 @@ fn of_tet(corners: [FinePos; 4], values: [f64; 4]) -> (f64, [f64; 3]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::store::BadValue;
+    use crate::domain::settings::BadValue;
     use isospan_io::exec::CancelToken;
     use isospan_io::formats::{OpenOptions, open_mesh};
     use isospan_mesh::locate::{

@@ -53,7 +53,7 @@ fn samples_in_memory_give_what_their_file_gives() {
     let ratio = ReduceSettings { target: Some(Target::Ratio(4.0)), ..halton.clone() };
     for (n, settings) in [ReduceSettings::default(), halton, target].iter().enumerate() {
         let [a, b] = ["file", "given"].map(|name| dir.path().join(format!("{name}-{n}.isospan")));
-        pipeline::reduce_series(
+        reduce_series(
             &[StepSource::new(&file, &OpenOptions::default())],
             settings,
             &a,

@@ -6,8 +6,7 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, NanPolicy, ReduceReport, ReduceSettings, Roi, RunSettings, Step, StepChoice,
-    StepRange,
+    self, Amount, NanPolicy, ReduceReport, ReduceSettings, Roi, RunSettings, Step, StepChoice, StepRange,
 };
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};

@@ -11,7 +11,8 @@ use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::{Archive, Error, Resources, SurfaceSettings};
+use isospan::{Archive, Resources};
+use std::io::{self, Write};
 use std::sync::Arc;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -32,24 +33,36 @@ async fn range(State(archive): State<Arc<Archive>>) -> String {
     format!("{:?}\n", archive.value_range())
 }
 
+/// Sends what is written as pieces of an answer.
+struct Pieces(mpsc::Sender<io::Result<Bytes>>);
+
+impl Write for Pieces {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let piece = Ok(Bytes::copy_from_slice(bytes));
+        self.0.blocking_send(piece).map_err(|_| io::ErrorKind::BrokenPipe)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 /// Who goes away ends the extraction: the channel is closed then, and `send` says so.
 async fn surface(State(archive): State<Arc<Archive>>, Query(asked): Query<Question>) -> Response {
     // What is wrong with the question is known before the first byte.
     if let Err(error) = archive.count(asked.isovalue) {
         return (StatusCode::BAD_REQUEST, error.to_string()).into_response();
     }
-    let (send, receive) = mpsc::channel::<std::io::Result<Bytes>>(4);
+    let (send, receive) = mpsc::channel::<io::Result<Bytes>>(4);
     // Extraction computes: it has a thread that may block.
     tokio::task::spawn_blocking(move || {
         let resources = Resources::default().with_memory(256 << 20);
-        let settings = SurfaceSettings { resources, ..SurfaceSettings::of(asked.isovalue) };
-        let mut each = |bytes: &[u8]| {
-            send.blocking_send(Ok(Bytes::copy_from_slice(bytes))).map_err(|_| Error::Cancelled)
-        };
-        let done = archive.stream_surface_file(&settings, SurfaceFormat::Glb, &mut each);
+        let query = archive.query(asked.isovalue).resources(resources);
+        let done = query.write_to(&mut Pieces(send.clone()), SurfaceFormat::Glb);
         if let Err(error) = done {
             // The connection breaks off, so that nobody takes a part for the whole.
-            let _ = send.blocking_send(Err(std::io::Error::other(error.to_string())));
+            let _ = send.blocking_send(Err(io::Error::other(error.to_string())));
         }
     });
     let kind = [(header::CONTENT_TYPE, "model/gltf-binary")];

@@ -3,10 +3,8 @@
 
 use super::grammar::{self, Range, Size};
 use clap::ValueEnum;
-use isospan::cells::scan::scan_field;
-use isospan::formats::{Input, StepSource};
-use isospan::pipeline::{self, Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target};
-use isospan::points::{SetKind, SetSettings};
+use isospan::pipeline::{Amount, Bound, NanPolicy, ReduceSettings, SetChoice, Target};
+use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
 
 /// The choices for one reduction, or for several tries that meet a target.
@@ -168,15 +166,9 @@ impl Interp {
 }
 
 impl Choices {
-    /// The settings that the flags say.
-    ///
-    /// # Errors
-    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
-    /// is of. A first one that cannot be read may be left out: the next one counts.
-    pub fn settings(&self, steps: &[StepSource]) -> Result<ReduceSettings> {
-        let is_known = |step: &&StepSource| step.is_mesh().is_ok();
-        let first = steps.iter().find(is_known).unwrap_or(&steps[0]);
-        self.plan.settings(first, self.targets.target())
+    /// The settings that the flags say; the library completes them.
+    pub fn settings(&self) -> ReduceSettings {
+        self.plan.settings(self.targets.target())
     }
 
     /// The error or the size that is wanted.
@@ -198,50 +190,13 @@ impl Targets {
 }
 
 impl PlanChoices {
-    /// The settings that the flags say; what a target implies besides, the library adds.
-    fn settings(&self, first: &StepSource, target: Option<Target>) -> Result<ReduceSettings> {
-        let is_of_error = matches!(target, Some(Target::Rms(_) | Target::Max(_)));
-        let of_mesh = first.is_mesh()?;
-        let is_open = matches!(self.points, None | Some(Set::Halton));
-        // A focus says that points adapt, where nothing else must decide that.
-        let adapt = self.adapt || self.focus.is_some() && is_of_error && is_open;
-        if self.focus.is_some() && !adapt {
-            return Err(Error::usage("--focus needs points that adapt: add --adapt"));
-        }
-        let points = match self.points {
-            None if self.shift.is_some() && !adapt && target.is_none() => Some(Set::Hammersley),
-            None if !of_mesh && !adapt => Some(Set::Pyramid),
-            points => points,
-        };
-        let kind = points.map(|points| match points {
-            Set::Hammersley => SetKind::Hammersley,
-            Set::Halton => SetKind::Halton,
-            Set::HyperbolicCross => SetKind::HyperbolicCross,
-            Set::Regular => SetKind::Regular,
-            Set::Pyramid => SetKind::Pyramid,
-        });
-        let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
-        if cross && points != Some(Set::HyperbolicCross) {
-            return Err(Error::usage("--cross-m, --cross-k and --cross-r are for --points hyperbolic-cross"));
-        }
-        if self.shift.is_some() && points != Some(Set::Hammersley) {
-            return Err(Error::usage("--shift is for --points hammersley"));
-        }
-        let interpolation = self.interp.interpolation();
-        if points == Some(Set::Pyramid) {
-            self.check_pyramid()?;
-        }
-        let amount = match (self.count, self.fraction) {
-            (Some(n), _) => Amount::Count(n),
-            (None, fraction) => fraction.map_or(Amount::Usual, Amount::Fraction),
-        };
-        Ok(ReduceSettings {
-            points: kind,
-            set: SetSettings {
-                shift: self.shift.unwrap_or(0.5),
-                m: self.cross_m,
-                k: self.cross_k,
-                r: self.cross_r.unwrap_or([1; 3]),
+    fn settings(&self, target: Option<Target>) -> ReduceSettings {
+        ReduceSettings {
+            points: self.points.map(Set::kind),
+            set: SetChoice { shift: self.shift, m: self.cross_m, k: self.cross_k, r: self.cross_r },
+            amount: match (self.count, self.fraction) {
+                (Some(n), _) => Amount::Count(n),
+                (None, fraction) => fraction.map_or(Amount::Usual, Amount::Fraction),
             },
             adapt: self.adapt,
             focus: self.focus.map(Range::focus),

@@ -120,6 +120,7 @@ impl InputArgs {
             values: self.value_file.clone(),
             jumps: self.jumps,
             units: Units::default(),
+            ..OpenOptions::default()
         })
     }
 }

@@ -83,7 +83,8 @@ fn not_on_servers(path: &Path, about: &About, options: &OpenOptions) -> Error {
     let there = formats(options).map(Format::about).filter(|about| about.on_servers);
     let names = names(there.map(|about| about.volumes), &["raw"]).join(", ");
     let expected = format!("a volume that is read by ranges ({names}), or a copy on a disk");
-    Error::bad_input(path, "kind of file", expected, about.name).with_help("copy it to a disk, and name that copy")
+    Error::bad_input(path, "kind of file", expected, about.name)
+        .with_help("copy it to a disk, and name that copy")
 }
 
 /// The names of lists, each once, and some more.

@@ -28,9 +28,7 @@ pub mod volume;
 pub mod vtk;
 
 pub use opened::{Input, Opened, open, open_input, open_mesh, open_volume};
-pub use series::{
-    FieldOfStep, StepSource, order_in_doubt, sort_by_names, steps_of, steps_of_fields,
-};
+pub use series::{FieldOfStep, StepSource, order_in_doubt, sort_by_names, steps_of, steps_of_fields};
 pub use series::{counted_from, listed_files, without_frame};
 pub use shared::coordinates;
 pub use shared::format::{About, Dataset, Format, Head, Registry};

@@ -137,7 +137,10 @@ impl Opened {
             return Err(self.other_kind("a mesh", "a volume"));
         }
         if options.values.is_some() && !self.about.has_value_file {
-            return Err(Error::usage(format!("{} has its own fields: leave out `value_file`", path.display())));
+            return Err(Error::usage(format!(
+                "{} has its own fields: leave out `value_file`",
+                path.display()
+            )));
         }
         options.refuse_geometry(path, "a mesh")?;
         options.refuse_channel(path)?;

@@ -600,7 +600,8 @@ fn steps_in(
     time: Option<f64>,
     files: &Arc<OpenedFiles>,
 ) -> Vec<StepSource> {
-    let step = |options: &OpenOptions| StepSource { files: Arc::clone(files), ..StepSource::new(path, options) };
+    let step =
+        |options: &OpenOptions| StepSource { files: Arc::clone(files), ..StepSource::new(path, options) };
     let Ok(file) = files.open(path, options) else { return vec![step(options).at(time)] };
     let pattern = options.field.as_deref().filter(|name| is_pattern(name));
     let fields = match pattern {

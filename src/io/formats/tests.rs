@@ -264,7 +264,8 @@ fn compressed_series_are_unpacked_once() {
             assert_eq!((info.field.name, values), (format!("t{t}"), expected), "{name}");
         }
         let longer = [head.as_bytes(), &packed[..packed.len() - 9]].concat();
-        let error = StepSource::new(&write(&dir, name, &longer), &options).unpack(dir.path(), &cancel).err().unwrap();
+        let error =
+            StepSource::new(&write(&dir, name, &longer), &options).unpack(dir.path(), &cancel).err().unwrap();
         assert_eq!(error.exit_code(), 5, "{error}");
     }
     let one = nrrd.replace("sizes: 4 3 2 3", "sizes: 4 3 6 1");

@@ -11,6 +11,7 @@
 //! that is read and not mapped is read plane by plane, the samples between two runs included, as
 //! long as these are few.
 
+use super::convert::convert_row;
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::exec::will_read;

@@ -10,7 +10,7 @@ use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{StepView, index_places, origin_of_volume, samples_of_level};
 use glam::DVec3;
 use isospan_io::error::{Error, Result};
-use isospan_io::exec::{CancelToken, Clock, Progress, Resources, Silent};
+use isospan_io::exec::{CancelToken, Clock, Progress, Silent};
 use isospan_io::formats::point_list::{PointReader, PointWriter};
 use isospan_io::formats::samples::SampleFile;
 use isospan_io::geom::{Lattice, LatticePos};

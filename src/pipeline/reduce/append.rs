@@ -21,6 +21,7 @@ use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy, ReduceSetti
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use isospan_io::formats::{OpenOptions, StepSource, counted_from, without_frame};
+use isospan_mesh::points::SetSettings;
 use std::path::Path;
 use std::time::Instant;
 

@@ -69,7 +69,7 @@ use plan_file::new_archive;
 pub(super) use plan_file::{Cut, PLANNED_TRY, PlanFile, PlannedSearch, planned_try};
 pub use plan_file::{plan_path, work_folder};
 pub(super) use planned::{Built, Planned, plan, publish, run};
-use planned::{first_input, make};
+use planned::{first_that_opens, make};
 pub use report::{ReduceReport, SourceChunks, TargetReport};
 pub(super) use search::TargetSearch;
 pub use series::SkippedStep;
@@ -156,7 +156,7 @@ pub(super) fn complete_settings(
     settings: &ReduceSettings,
     run: &RunSettings,
 ) -> Result<CompleteSettings> {
-    let first = first_input(sources, run.keep_going)?;
+    let first = first_that_opens(sources, run.keep_going, StepSource::open)?;
     let is_mesh = matches!(first, Input::Mesh(_));
     let range = if settings.focus.is_some_and(Focus::is_of_a_range) {
         if settings.missing.is_some() {

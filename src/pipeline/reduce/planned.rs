@@ -18,6 +18,7 @@ use crate::pipeline::settings::RunSettings;
 use crate::pipeline::stage::Stage;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::pool;
+use isospan_io::formats::StepSource;
 use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
@@ -121,16 +122,20 @@ pub(super) fn is_mesh(job: &Job<'_>) -> Result<bool> {
     if let Some(archive) = job.basis.archive() {
         return Ok(archive.manifest.steps[0].plan.source.mesh.is_some());
     }
-    Ok(matches!(first_input(job.sources, job.run.keep_going)?, Input::Mesh(_)))
+    first_that_opens(job.sources, job.run.keep_going, StepSource::is_mesh)
 }
 
-/// The first source, or the first that can be opened.
-pub(super) fn first_input(sources: &[(u64, StepSource)], keep_going: bool) -> Result<Input> {
+/// What is found in the first source, or where a run keeps going, in the first that can be opened.
+pub(super) fn first_that_opens<T>(
+    sources: &[(u64, StepSource)],
+    keep_going: bool,
+    open: impl Fn(&StepSource) -> Result<T>,
+) -> Result<T> {
     let mut first_error = None;
-    for (_, source) in job.sources {
-        match source.is_mesh() {
-            Err(e) if job.run.keep_going => _ = first_error.get_or_insert(e),
-            known => return known,
+    for (_, source) in sources {
+        match open(source) {
+            Err(e) if keep_going => _ = first_error.get_or_insert(e),
+            found => return found,
         }
     }
     Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))

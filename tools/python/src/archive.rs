@@ -87,11 +87,6 @@ impl Machine {
         Ok(resources.with_scratch(self.scratch.clone()))
     }
 
-    /// Those of making an archive.
-    pub(crate) fn run_settings(&self, py: Python<'_>) -> PyResult<RunSettings> {
-        Ok(RunSettings { resources: self.resources(py)?, ..RunSettings::default() })
-    }
-
     fn probe(&self, py: Python<'_>, level: &LevelOf) -> PyResult<ProbeSettings> {
         Ok(ProbeSettings { resources: self.resources(py)?, level: level_choice(py, level)? })
     }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::cells::{BLOCK, CellBlock, CellKind, CellStream, NumberStream};
+use crate::cells::{CellBlock, CellKind, CellStream, NumberStream};
 
 /// A mesh in memory.
 pub(crate) struct Memory {

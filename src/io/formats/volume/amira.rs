@@ -69,8 +69,7 @@ impl Dataset for File {
         let fields: Vec<FieldInfo> = on_lattice().map(|a| a.field.clone()).collect();
         let number = pick_field(path, &fields, options.field.as_deref())?;
         let array = on_lattice().nth(number).expect("one of them");
-        let format =
-            format!("AmiraMesh ({})", array.packed.as_ref().map_or(self.kind.name(), |p| p.name));
+        let format = format!("AmiraMesh ({})", array.packed.as_ref().map_or(self.kind.name(), |p| p.name));
         let lines = self.lines()?;
         let assumed = Assumed::in_header([lines.is_none() && self.bounds.is_none(); 3]);
         let geometry = match lines {

@@ -2,8 +2,8 @@
 
 use crate::error::Result;
 use crate::formats::shared::OpenOptions;
-use crate::formats::tests::{read_all, torture, write};
 use crate::formats::tests::open_coordinates;
+use crate::formats::tests::{read_all, torture, write};
 use crate::formats::{open_volume, steps_of};
 use crate::volume::{VolumeInfo, VolumeSource};
 use serde_json::{Value, json};

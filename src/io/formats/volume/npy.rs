@@ -252,7 +252,8 @@ pub(in crate::formats) mod tests {
         }
         // One channel, as ilastik exports it.
         let file = npy(1, "'|u1'", false, "(5, 6, 7, 1)", &(0..210).collect::<Vec<u8>>());
-        let (info, values) = read_all(open_volume(&write(&dir, "a.npy", &file), &OpenOptions::default()).unwrap());
+        let (info, values) =
+            read_all(open_volume(&write(&dir, "a.npy", &file), &OpenOptions::default()).unwrap());
         assert_eq!((info.dims, values), ([7, 6, 5], (0..210).map(|i| i as f32).collect()));
     }
 

@@ -87,8 +87,7 @@ impl Dataset for Archive {
         let codec = Codec::Deflate { crc32: member.stored.crc32 };
         let (range, skip) = (member.stored.bytes.clone(), array.data_at as u64);
         // As NumPy does, what follows an array in its member is passed over.
-        let slabs =
-            ByteSlabs::new(info, &self.source, range, codec, skip, array.big_endian, Tail::Checked)?;
+        let slabs = ByteSlabs::new(info, &self.source, range, codec, skip, array.big_endian, Tail::Checked)?;
         Ok(VolumeSource::Stream(Box::new(slabs)))
     }
 }

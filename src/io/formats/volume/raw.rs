@@ -83,12 +83,8 @@ fn named(name: &str) -> Option<ScalarType> {
 }
 
 /// Headerless files.
-pub(in crate::formats) static ABOUT: About = About {
-    volumes: &["raw"],
-    on_servers: true,
-    has_spacing: false,
-    ..About::named("a headerless file")
-};
+pub(in crate::formats) static ABOUT: About =
+    About { volumes: &["raw"], on_servers: true, has_spacing: false, ..About::named("a headerless file") };
 
 /// Opens a headerless file: its layout is asked for with the volume.
 pub(in crate::formats) fn open(head: &Head<'_>) -> Result<Box<dyn Dataset>> {

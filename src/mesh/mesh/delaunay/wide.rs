@@ -19,7 +19,7 @@
 #![allow(unsafe_code)]
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG, Margin, Tetra};
-use super::scratch::{FACETS, FEW, LOG2_ROW, PADDED, Scratch, VERTICES};
+use super::scratch::{FACETS, FEW, LOG2_ROW, PADDED, VERTICES};
 use super::simd::codes;
 use crate::simd::may_use_all;
 use std::arch::x86_64::*;

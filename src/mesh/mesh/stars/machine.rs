@@ -6,7 +6,7 @@ use super::wide::{Neighbourhood, View};
 use super::{Grid, Star};
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512, F32x8, F32x16, may_use_all};
-use crate::simd::{Floats, Vec4x2};
+use crate::simd::{Lanes, Vec4x2};
 
 /// The vectors that a machine has.
 #[derive(Clone, Copy, Debug)]

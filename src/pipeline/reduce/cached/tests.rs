@@ -3,8 +3,8 @@
 use crate::archive::chunked::ChunkSegment;
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::{
-    Addition, Amount, Archive, Bound, ReduceReport, ReduceSettings, Reduction, RunSettings, Shard,
-    Shards, SourceChunks, Target, estimate_series, reduce_series, work_folder,
+    Addition, Amount, Archive, Bound, ReduceReport, ReduceSettings, Reduction, RunSettings, Shard, Shards,
+    SourceChunks, Target, estimate_series, reduce_series, work_folder,
 };
 use isospan_io::exec::{Resources, Silent};
 use isospan_io::formats::{OpenOptions, StepSource};

@@ -11,8 +11,8 @@ use crate::density::Choice;
 use crate::pipeline::plan::{Attachments, Layout};
 use crate::pipeline::read::{OpenArchive, StepView};
 use crate::pipeline::{
-    Bound, CompleteSettings, InputFacts, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target,
-    commit_shards, reduce_series, work_shard,
+    Bound, CompleteSettings, InputFacts, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Shards,
+    Target, reduce_series,
 };
 use isospan_io::exec::{Progress, Resources, Silent};
 use isospan_io::formats::{OpenOptions, StepSource};
@@ -139,10 +139,11 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
     file.write(out, false).unwrap();
     Layout::new(out, chunks, 0).make_folders().unwrap();
     attachments.write(out, file.mesh_hash).unwrap();
+    let work = Shards::at(out).resources(run(2).resources);
     for shard in 0..shards {
-        work_shard(out, Shard::new(shard, shards).unwrap(), &run(2), &Silent).unwrap();
+        work.work(Shard::new(shard, shards).unwrap()).unwrap();
     }
-    commit_shards(out, &run(2), &Silent).unwrap();
+    work.commit().unwrap();
 }
 
 #[test]

@@ -1,7 +1,7 @@
 use crate::cells::{CellKind, CellMesh, Center};
 use crate::formats::mesh::tests::{Whole, read_whole, torture_with};
-use crate::formats::tests::write;
 use crate::formats::tests::is_mesh;
+use crate::formats::tests::write;
 use crate::formats::{OpenOptions, open_mesh, steps_of};
 use std::path::{Path, PathBuf};
 

@@ -44,11 +44,8 @@ pub(in crate::formats) struct Exodus;
 /// Names that say enough of a NetCDF file.
 const SUFFIXES: [&str; 7] = [".exo", ".ex2", ".exii", ".exoii", ".e", ".g", ".gen"];
 
-static ABOUT: About = About {
-    meshes: &["Exodus II"],
-    suffixes: SUFFIXES.split_at(3).0,
-    ..About::named("an Exodus II file")
-};
+static ABOUT: About =
+    About { meshes: &["Exodus II"], suffixes: SUFFIXES.split_at(3).0, ..About::named("an Exodus II file") };
 
 impl Format for Exodus {
     fn about(&self) -> &About {

@@ -1,8 +1,8 @@
 use crate::cells::quadratic::with_middles;
 use crate::cells::{CellKind, CellMesh, Orientation, orient, split};
 use crate::formats::mesh::tests::{Whole, read_whole, torture};
-use crate::formats::tests::write;
 use crate::formats::tests::is_mesh;
+use crate::formats::tests::write;
 use crate::formats::{OpenOptions, StepSource, open_mesh, open_volume, steps_of};
 use std::path::{Path, PathBuf};
 

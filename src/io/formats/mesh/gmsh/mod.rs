@@ -51,12 +51,8 @@ use tokens::Tokens;
 /// Gmsh.
 pub(in crate::formats) struct Gmsh;
 
-static ABOUT: About = About {
-    meshes: &["Gmsh"],
-    suffixes: &[".msh"],
-    magic: &[b"$MeshFormat"],
-    ..About::named("a Gmsh file")
-};
+static ABOUT: About =
+    About { meshes: &["Gmsh"], suffixes: &[".msh"], magic: &[b"$MeshFormat"], ..About::named("a Gmsh file") };
 
 impl Format for Gmsh {
     fn about(&self) -> &About {

@@ -1,6 +1,6 @@
 use super::*;
-use crate::formats::open_mesh;
 use crate::formats::mesh::tests::{Whole, read_whole, torture_with};
+use crate::formats::open_mesh;
 use crate::formats::tests::write;
 
 const NODES: &str = "# a comment\n5 3 2 1\n1  0 0 0  0.5 7 0\n2 1 0 0  1.5 8 1 # another\n\n3 0 1 0 2.5 9 0\n\

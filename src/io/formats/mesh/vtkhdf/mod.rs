@@ -18,8 +18,7 @@ use std::sync::Arc;
 /// VTKHDF files of type UnstructuredGrid.
 pub(in crate::formats) struct VtkHdf;
 
-static ABOUT: About =
-    About { meshes: &["VTKHDF"], suffixes: &[".vtkhdf"], ..About::named("a VTKHDF mesh") };
+static ABOUT: About = About { meshes: &["VTKHDF"], suffixes: &[".vtkhdf"], ..About::named("a VTKHDF mesh") };
 
 impl Format for VtkHdf {
     fn about(&self) -> &About {

@@ -1,6 +1,6 @@
 use super::*;
-use crate::formats::mesh::tests::{read_whole, torture};
 use crate::cells::CellMesh;
+use crate::formats::mesh::tests::{read_whole, torture};
 use crate::formats::shared::hdf5_head::{Data, Dataset, Group, Value};
 use crate::formats::tests::is_mesh;
 use crate::formats::vtk::hdf;

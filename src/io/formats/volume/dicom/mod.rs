@@ -55,8 +55,7 @@ pub(in crate::formats) struct Dicom;
 
 const SUFFIXES: [&str; 2] = [".dcm", ".ima"];
 
-static ABOUT: About =
-    About { volumes: &["DICOM"], suffixes: &SUFFIXES, ..About::named("a DICOM file") };
+static ABOUT: About = About { volumes: &["DICOM"], suffixes: &SUFFIXES, ..About::named("a DICOM file") };
 /// The slices of a folder or a pattern.
 pub(in crate::formats) static OF_SERIES: About =
     About { volumes: &["DICOM"], ..About::named("a DICOM series") };

@@ -417,13 +417,7 @@ impl Tree {
     }
 
     /// Picks a field by the file's convention.
-    fn pick(
-        &self,
-        path: &Path,
-        file: &Hdf5File,
-        dialect: Dialect,
-        options: &OpenOptions,
-    ) -> Result<Placed> {
+    fn pick(&self, path: &Path, file: &Hdf5File, dialect: Dialect, options: &OpenOptions) -> Result<Placed> {
         let wanted = cf::with_channel(path, options, self.fields.iter().map(|f| &f.part))?;
         let wanted = wanted.map(|name| self.full_name(file, &name));
         if dialect != Dialect::Vtk {

@@ -462,8 +462,7 @@ impl File {
 
     /// The volumes of compressed data.
     fn packed(&self, part: &Arc<ByteSource>) -> Result<PackedFrames> {
-        let (source, range) =
-            (Arc::clone(part), self.start..self.header.compressed_end(part, self.start)?);
+        let (source, range) = (Arc::clone(part), self.start..self.header.compressed_end(part, self.start)?);
         // MetaIO takes a gzip header for a zlib one, too.
         let start = range.start..range.end.min(range.start.saturating_add(2));
         let gzip = part.slice(start)?.starts_with(&[0x1f, 0x8b]);

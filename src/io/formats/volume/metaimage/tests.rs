@@ -69,8 +69,9 @@ fn detached_in_one_file_or_in_slices() {
     }
     let refused = |data: &str| {
         let fields = format!("HeaderSize = 3\nElementDataFile = {data}");
-        let error =
-            open_volume(&write(&dir, "a.mhd", &with(&fields, &[])), &OpenOptions::default()).err().expect(data);
+        let error = open_volume(&write(&dir, "a.mhd", &with(&fields, &[])), &OpenOptions::default())
+            .err()
+            .expect(data);
         assert_eq!(error.exit_code(), 5);
         error.to_string()
     };

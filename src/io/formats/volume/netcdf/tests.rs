@@ -1,7 +1,7 @@
 use super::*;
 use crate::bytes::IoMode;
-use crate::formats::tests::{read_all, torture, write};
 use crate::formats::tests::open_coordinates;
+use crate::formats::tests::{read_all, torture, write};
 use crate::formats::{open_volume, steps_of};
 use std::path::PathBuf;
 

@@ -174,8 +174,9 @@ fn what_is_not_read_is_named() {
     let refused = |change: &dyn Fn(&mut Maker), dim: &[i64], message: &str| {
         let mut m = Maker::new(false, false, b"n+1\0", dim);
         change(&mut m);
-        let error =
-            open_volume(&write(&dir, "a.nii", &m.with(&ramp(false))), &OpenOptions::default()).err().expect(message);
+        let error = open_volume(&write(&dir, "a.nii", &m.with(&ramp(false))), &OpenOptions::default())
+            .err()
+            .expect(message);
         assert!(error.exit_code() == 5 && error.to_string().contains(message), "{error}");
     };
     let same = |_: &mut Maker| ();

@@ -385,7 +385,8 @@ impl Header {
             return Ok(volume.source());
         }
         let slices = [info.dims[2], z];
-        let (parts, each) = frames::parts_of(&self.path, &data.parts, offset, [frame, axes.frames()], slices)?;
+        let (parts, each) =
+            frames::parts_of(&self.path, &data.parts, offset, [frame, axes.frames()], slices)?;
         Ok(StridedVolume::stacked_at(info, parts, each, big, strides)?.source())
     }
 

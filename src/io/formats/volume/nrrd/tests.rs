@@ -67,7 +67,8 @@ fn detached_in_one_file_or_in_slices() {
         ["none.raw", "s%02d.raw 1 3 1", "s%02d.raw 1 3 2", "LIST\n", "LIST 1\ns01.raw\ns02.raw", "s01.raw"]
     {
         let head = format!("{HEAD}endian: big\nencoding: raw\ndatafile: {data}\n");
-        let error = open_volume(&write(&dir, "a.nhdr", head.as_bytes()), &OpenOptions::default()).err().expect(data);
+        let error =
+            open_volume(&write(&dir, "a.nhdr", head.as_bytes()), &OpenOptions::default()).err().expect(data);
         assert_eq!(error.exit_code(), 5, "{error}");
     }
 }

@@ -3,9 +3,9 @@
 
 use super::codec::Codec;
 use super::store::read_if_there;
-use crate::formats::shared::small::SmallFiles;
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::signed_as;
+use crate::formats::shared::small::SmallFiles;
 use crate::volume::ScalarType;
 use serde_json::Value;
 use std::path::{Path, PathBuf};

@@ -94,8 +94,7 @@ impl Format for Zarr {
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
-        head.is_folder
-            && (is_remote(head.path) || is_zarr(head.path, head.small()).is_ok_and(|found| found))
+        head.is_folder && (is_remote(head.path) || is_zarr(head.path, head.small()).is_ok_and(|found| found))
     }
 
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {

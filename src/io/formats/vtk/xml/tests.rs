@@ -6,6 +6,7 @@ use crate::fixtures::{Encoding, Number, every_encoding, survive};
 use crate::formats::open_volume;
 use crate::formats::tests::{read_all, try_read_all};
 use crate::volume::ScalarType;
+use std::sync::Arc;
 
 const WHOLE: &str = "WholeExtent=\"-1 3 2 5 0 2\" Origin=\"1 2 3\" Spacing=\"0.5 2 4\"";
 
@@ -230,7 +231,8 @@ fn cell_data_of_grids_are_samples_in_the_middles() {
             );
             let dir = tempfile::tempdir().unwrap();
             let path = crate::formats::tests::write(&dir, "a.vtr", &bytes);
-            let found = crate::formats::tests::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap();
+            let found =
+                crate::formats::tests::open_coordinates(&path, &OpenOptions::default()).unwrap().unwrap();
             match found {
                 GridCoordinates::Axes(axes) => {
                     assert_eq!(axes, [vec![0.5, 2.5, 6.5, 12.5], vec![1.0, 3.0, 5.0], vec![4.5, 3.0]])
