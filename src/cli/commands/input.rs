@@ -5,7 +5,6 @@ use clap::ValueEnum;
 use isospan::bytes::{ByteSource, IoMode};
 use isospan::formats::raw::SampleType;
 use isospan::formats::{OpenOptions, RawLayout};
-use isospan::volume::units::Units;
 use isospan::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -119,7 +118,6 @@ impl InputArgs {
             io: self.io.mode(),
             values: self.value_file.clone(),
             jumps: self.jumps,
-            units: Units::default(),
             ..OpenOptions::default()
         })
     }

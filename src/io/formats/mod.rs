@@ -1,17 +1,18 @@
 //! Reads other programs' files.
 //!
-//! [`open_volume`] finds the format of a file by its first bytes or, where they do not show it, by
-//! its name (`kinds`: one line a format). It hands the file to that format. Each parses a header,
-//! and checks every number of it against the file's length. Uncompressed samples become a mapped
+//! [`open`] finds the format of a file by its first bytes or, where they do not show it, by its
+//! name (`kinds`: one line a format). It hands the file to that format, which parses the header
+//! once and checks every number of it against the file's length. What is open answers for all its
+//! fields and steps: [`Opened`]. Uncompressed samples become a mapped
 //! [`StridedVolume`](crate::volume::strided::StridedVolume); compressed samples and text become a
-//! stream of slabs.
+//! stream of slabs. A program adds formats of its own: [`OpenOptions::with_format`].
 //!
 //! World coordinates are the file's own: NRRD and MetaImage files usually say
 //! left-posterior-superior, NIfTI right-anterior-superior. They are not converted into one another.
 //!
 //! ```text
-//!  series ─▶ kinds ─▶ mesh ─▶ volume, vtk ─▶ shared
-//!                           point_list ─▶ shared
+//!  series ─▶ opened ─▶ kinds ─▶ mesh ─▶ volume, vtk ─▶ shared
+//!                                       point_list ─▶ shared
 //! ```
 
 mod kinds;

@@ -24,7 +24,7 @@ use crate::pipeline::chunk::{
     ChunkTets, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of, field_error_within,
 };
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
-use crate::pipeline::plan::{Attachments, Halo, MOST_STEPS_AT_ONCE, estimate, fingerprint};
+use crate::pipeline::plan::{Attachments, Halo, Inputs, MOST_STEPS_AT_ONCE, estimate, fingerprint};
 use crate::pipeline::read::{
     Blocks, DecodedChunk, LevelChoice, OpenArchive, StepChoice, StepView, Visit, samples_of_level,
 };
@@ -215,9 +215,9 @@ fn against_volume(
     if recorded.mesh.is_some() || dims != recorded.dims {
         return Err(other_input(&source.path, recorded, format!("a volume of {} samples", triple(dims))));
     }
-    let hash = source
-        .given_hash(&settings.resources.cancel)?
-        .map_or_else(|| fingerprint(&volume.info().files()), Ok)?;
+    // Of a run that has just hashed the same files, they are not read again.
+    let files = volume.info().files();
+    let hash = Inputs::default().of_source(0, source, &files, &settings.resources.cancel)?;
     let same = hash == recorded.fingerprint;
     let resources = &settings.resources;
     let run = RunSettings { resources: resources.clone(), ..RunSettings::default() };

@@ -20,6 +20,7 @@ use isospan_io::geom::Lattice;
 use isospan_io::volume::{Assumed, VolumeInfo, VolumeSource};
 use isospan_mesh::points::{PointSet, PointSpec, SetKind};
 use isospan_mesh::sample::Interpolation;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The most steps of a series that are surveyed, evenly spread; all of them share the samples that
@@ -253,7 +254,7 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
             continue;
         }
         if out.size.is_none() {
-            out.size = size_of(&input, sources);
+            out.size = size_of(&input, source, sources);
             if let Some(size) = out.size.filter(|_| !further) {
                 out.notices.extend(of_numbers(&input, source, sources.len(), settings, &size));
             }
@@ -445,9 +446,15 @@ fn points_of(dims: [u64; 3], asked: u64, settings: &CompleteSettings) -> u64 {
     points.map_or(asked, |points| points.len())
 }
 
-/// The size of all steps; `input` is the one that was opened. `None` where the system, or a server,
-/// does not say.
-fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
+/// The lengths of files of which servers told when they were read.
+fn told_of(source: &StepSource) -> Option<BTreeMap<PathBuf, u64>> {
+    let files = source.read_from_servers().ok()?.into_iter();
+    Some(files.filter_map(|(file, stamp)| Some((file, stamp?.len))).collect())
+}
+
+/// The size of all steps; `input` is the one that was opened, of `source`. `None` where the system,
+/// or a server, does not say.
+fn size_of(input: &Input, source: &StepSource, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
     let steps = sources.len() as u64;
     let mut paths: Vec<PathBuf> = sources.iter().map(|(_, s)| s.path.clone()).collect();
     paths.sort_unstable();
@@ -457,10 +464,13 @@ fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
         Input::Mesh(mesh) => mesh.info().files(),
     };
     // Chunks that are not there take no bytes.
+    let told = told_of(source)?;
     let length = |files: &[PathBuf]| {
-        let lengths = place::lengths(files).ok()?;
-        let on_servers = files.iter().any(|file| is_remote(file));
-        lengths.into_iter().map(|len| len.or(on_servers.then_some(0))).sum::<Option<u64>>()
+        let asked: Vec<PathBuf> = files.iter().filter(|file| !told.contains_key(*file)).cloned().collect();
+        let lengths = place::lengths(&asked).ok()?;
+        let on_servers = asked.iter().any(|file| is_remote(file));
+        let rest = lengths.into_iter().map(|len| len.or(on_servers.then_some(0))).sum::<Option<u64>>()?;
+        Some(rest + files.iter().filter_map(|file| told.get(file)).sum::<u64>())
     };
     let on_disk = if sources.iter().any(|(_, source)| source.is_given()) {
         u64::MAX

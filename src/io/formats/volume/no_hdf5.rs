@@ -2,35 +2,28 @@
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
-use crate::formats::shared::OpenOptions;
 use crate::formats::shared::arrays::Arrays;
-use crate::formats::shared::format::{Format, Head};
-use crate::volume::VolumeSource;
+use crate::formats::shared::format::{About, Dataset, Format, Head};
 use std::path::Path;
 use std::sync::Arc;
 
 /// HDF5 and NetCDF-4.
 pub(in crate::formats) struct Hdf5;
 
-impl Format for Hdf5 {
-    fn name(&self) -> &'static str {
-        "an HDF5 or NetCDF-4 file"
-    }
+/// Lists of what is read do not name it.
+static ABOUT: About = About { has_spacing: false, ..About::named("an HDF5 or NetCDF-4 file") };
 
-    fn suffixes(&self) -> &'static [&'static str] {
-        &[]
+impl Format for Hdf5 {
+    fn about(&self) -> &About {
+        &ABOUT
     }
 
     fn is_in(&self, head: &Head<'_>) -> bool {
         head.is_hdf5()
     }
 
-    fn has_spacing(&self) -> bool {
-        false
-    }
-
-    fn volume(&self, path: &Path, _: &OpenOptions) -> Result<VolumeSource> {
-        Err(not_read(path))
+    fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
+        Err(not_read(head.path))
     }
 }
 

@@ -1,7 +1,7 @@
 //! Tests images in every encoding.
 
 use super::*;
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::fixtures::{Encoding, Number, every_encoding, survive};
 use crate::formats::open_volume;
 use crate::formats::tests::{read_all, try_read_all};
@@ -459,8 +459,8 @@ fn real_files_that_are_no_scalar_image_are_refused_by_name() {
         ("variants/vtkio/polyEx0.vtp", "a surface (.vtp)"),
         ("variants/vtkio/cube.pvtp", "PPolyData"),
     ] {
-        let path = shared(name);
-        let error = open_volume(&path, &OpenOptions::default()).err().unwrap();
+        let source = Arc::new(ByteSource::open(shared(name), IoMode::Auto).unwrap());
+        let error = Image::open(&source).and_then(|image| image::volume(&image, None)).err().unwrap();
         assert!(error.exit_code() == 5 && error.to_string().contains(says), "{error}");
     }
 }
