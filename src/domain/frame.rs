@@ -39,14 +39,14 @@ impl Bounds {
 
 /// A lattice in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Frame {
+pub(crate) struct MeshFrame {
     pub(crate) lattice: Lattice,
     pub(crate) geometry: Geometry,
     /// Fine steps a world unit.
     scale: f64,
 }
 
-impl Frame {
+impl MeshFrame {
     /// The lattice around a mesh of `vertices` vertices: its voxels are about as large as the
     /// vertices lie apart.
     ///

@@ -3,7 +3,7 @@
 use super::bodies::{Bodies, BodyOf, Unions};
 use super::column::{Column, ColumnWriter};
 use super::creases::Creases;
-use super::frame::{Bounds, Frame};
+use super::frame::{Bounds, MeshFrame};
 use super::identity::{Identity, IdentityHash};
 use super::merge::Firsts;
 use super::middles::{Added, Splitter};
@@ -57,7 +57,7 @@ fn is_none(count: &u64) -> bool {
 
 /// A mesh on disk.
 pub(crate) struct CellStore {
-    pub(crate) frame: Frame,
+    pub(crate) frame: MeshFrame,
     pub(crate) census: MeshCensus,
     /// Those of the file's points, then of those that were added.
     pub(crate) positions: Column<FinePos>,
@@ -218,11 +218,11 @@ fn place_points(
     mesh: &CellMesh,
     beyond: Option<&Bounds>,
     settings: &StoreSettings,
-) -> Result<(Frame, Column<FinePos>, IdentityHash)> {
+) -> Result<(MeshFrame, Column<FinePos>, IdentityHash)> {
     let mut identity = IdentityHash::default();
     let (world, bounds) = read_points(mesh, settings, &mut identity)?;
     let bounds = beyond.map_or(bounds, |beyond| bounds.join(beyond));
-    let frame = Frame::around(&mesh.info().path, &bounds, world.get()?.len() as u64)?;
+    let frame = MeshFrame::around(&mesh.info().path, &bounds, world.get()?.len() as u64)?;
     let mut positions = ColumnWriter::new(&settings.scratch)?;
     for &p in world.get()? {
         positions.push(&frame.fine(p))?;

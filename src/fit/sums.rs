@@ -29,7 +29,7 @@ const TOGETHER: usize = 8;
 /// do.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C, packed)]
-struct Vertex<const N: usize> {
+struct FitVertex<const N: usize> {
     /// Interpolated values.
     values: [f32; N],
     /// The least and the largest of the interpolated value and the samples that count.
@@ -45,7 +45,7 @@ struct Vertex<const N: usize> {
 pub(super) struct Sums<'a, const N: usize> {
     /// Steps; there may be fewer than lanes.
     steps: usize,
-    vertices: Lent<'a, Vertex<N>>,
+    vertices: Lent<'a, FitVertex<N>>,
     /// Σ w² of each step, where it is not the same for all.
     apart: Vec<[f64; N]>,
     /// Some samples, interleaved.
@@ -77,7 +77,7 @@ impl<'a> Lanes<'a> {
     }
 
     pub(super) fn words(vertices: usize) -> usize {
-        vertices.saturating_mul(size_of::<Vertex<TOGETHER>>().div_ceil(size_of::<u64>()))
+        vertices.saturating_mul(size_of::<FitVertex<TOGETHER>>().div_ceil(size_of::<u64>()))
     }
 
     pub(super) fn steps(&self) -> usize {
@@ -124,7 +124,7 @@ fn add_eight(sums: &mut Sums<'_, 8>, located: &[Located], samples: &[f32], tets:
 impl<'a, const N: usize> Sums<'a, N> {
     fn new(steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let none =
-            Vertex { values: [0.0; N], least: [0.0; N], largest: [0.0; N], pulls: [0.0; N], weight: 0.0 };
+            FitVertex { values: [0.0; N], least: [0.0; N], largest: [0.0; N], pulls: [0.0; N], weight: 0.0 };
         let mut vertices = room.lend(steps[0].len(), none);
         for (n, vertices) in vertices.chunks_mut(SOME).enumerate() {
             for (lane, values) in steps.iter().enumerate() {
@@ -214,7 +214,7 @@ impl<'a, const N: usize> Sums<'a, N> {
         let mut out: Vec<Vec<f32>> = (0..self.steps).map(|_| Vec::with_capacity(count)).collect();
         for (n, vertices) in self.vertices[..count].chunks(SOME).enumerate() {
             for (lane, out) in out.iter_mut().enumerate() {
-                let fitted = |(v, vertex): (usize, &Vertex<N>)| {
+                let fitted = |(v, vertex): (usize, &FitVertex<N>)| {
                     let weight = self.apart.get(n * SOME + v).map_or(vertex.weight, |weights| weights[lane]);
                     let value = vertex.values[lane];
                     let moved = f64::from(value) + STEP * vertex.pulls[lane] / (PULL + weight);
@@ -237,7 +237,7 @@ impl<'a, const N: usize> Sums<'a, N> {
     fn bits(&self) -> Vec<[u64; 4]> {
         let weight = |v: usize, lane: usize| self.apart.get(v).map_or(self.vertices[v].weight, |w| w[lane]);
         let of = |v: usize| {
-            let Vertex { pulls, least, largest, .. } = self.vertices[v];
+            let FitVertex { pulls, least, largest, .. } = self.vertices[v];
             let bound = |x: f32| u64::from(x.to_bits());
             (0..self.steps).map(move |lane| {
                 let sums = [pulls[lane], weight(v, lane)].map(f64::to_bits);

@@ -4,7 +4,7 @@
 use super::Entry;
 use super::external::Spill;
 use super::page::{Bounds, LEAF_ENTRIES, PAGE_LEVELS};
-use super::subtree::{Axis, write_subtree};
+use super::subtree::{SplitAxis, write_subtree};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan_io::error::Result;
 use std::path::{Path, PathBuf};
@@ -132,7 +132,7 @@ impl IndexBuilder {
         assert!(entries.is_sorted_by(|a, b| a.place() < b.place()), "each block is added once");
         out.push_block(&root_block(self.len, Bounds::of(&entries)))?;
         if !entries.is_empty() {
-            write_subtree(&mut entries, Axis::Min, &mut out)?;
+            write_subtree(&mut entries, SplitAxis::Min, &mut out)?;
         }
         out.finish()
     }

@@ -20,7 +20,7 @@
 //! is left behind.
 
 use super::page::{Bounds, LEAF_ENTRIES, PAGE_LEVELS, encode_inner, split_sizes};
-use super::subtree::{Axis, split, write_subtree};
+use super::subtree::{SplitAxis, split, write_subtree};
 use super::{Entry, RECORD, record};
 use crate::archive::segment::SegmentWriter;
 use byteorder::{ByteOrder, LE};
@@ -85,10 +85,10 @@ impl Spill {
 
     /// Adds entries behind those that are there.
     pub(super) fn append(&mut self, entries: &[Entry]) -> Result<()> {
-        let mut to = Target::new(self.len);
+        let mut to = RecordWriter::new(self.len);
         for e in entries {
             self.bounds.add(e);
-            self.counts[bucket(Axis::Min.key(e), 0)] += 1;
+            self.counts[bucket(SplitAxis::Min.key(e), 0)] += 1;
             to.put(self, 0, e)?;
         }
         to.flush(self, 0)?;
@@ -105,7 +105,7 @@ impl Spill {
     ) -> Result<()> {
         let counts = std::mem::take(&mut self.counts);
         let all = Region { file: 0, first: 0, len: self.len, bounds: self.bounds, counts };
-        Build { spill: self, memory, capacity }.write(all, Axis::Min, out)
+        Build { spill: self, memory, capacity }.write(all, SplitAxis::Min, out)
     }
 
     fn seek(&self, file: usize, record: u64) -> Result<&File> {
@@ -135,12 +135,12 @@ impl Spill {
 }
 
 /// The place to which entries are written, one after the other.
-struct Target {
+struct RecordWriter {
     next: u64,
     buffer: Vec<u8>,
 }
 
-impl Target {
+impl RecordWriter {
     fn new(first: u64) -> Self {
         Self { next: first, buffer: Vec::with_capacity(RECORD * BUFFERED) }
     }
@@ -176,7 +176,7 @@ struct Build {
 
 impl Build {
     /// Writes the page of a region and all pages below it.
-    fn write(&mut self, region: Region, axis: Axis, out: &mut SegmentWriter) -> Result<()> {
+    fn write(&mut self, region: Region, axis: SplitAxis, out: &mut SegmentWriter) -> Result<()> {
         if region.len <= self.capacity as u64 {
             self.load(&region)?;
             return write_subtree(&mut self.memory, axis, out);
@@ -199,7 +199,7 @@ impl Build {
     }
 
     /// Halves a region `levels` times, as [`split`] does, and appends the parts in order.
-    fn split(&mut self, region: Region, axis: Axis, levels: u32, parts: &mut Vec<Region>) -> Result<()> {
+    fn split(&mut self, region: Region, axis: SplitAxis, levels: u32, parts: &mut Vec<Region>) -> Result<()> {
         if levels == 0 || region.len <= LEAF_ENTRIES {
             parts.push(region);
             return Ok(());
@@ -212,7 +212,7 @@ impl Build {
         }
         self.load(&region)?;
         split(&mut self.memory, axis, levels);
-        let mut to = Target::new(region.first);
+        let mut to = RecordWriter::new(region.first);
         self.memory.iter().try_for_each(|e| to.put(&self.spill, region.file, e))?;
         to.flush(&self.spill, region.file)?;
         let mut first = 0;
@@ -232,7 +232,7 @@ impl Build {
 
     /// Copies the smaller half of a region to the front of the same place in the other file, the
     /// larger one behind it.
-    fn halve(&mut self, region: Region, axis: Axis, again: bool) -> Result<[Region; 2]> {
+    fn halve(&mut self, region: Region, axis: SplitAxis, again: bool) -> Result<[Region; 2]> {
         let file = 1 - region.file;
         let smaller = region.len / 2;
         let median = self.key_of_rank(&region, axis, smaller)?;
@@ -242,8 +242,8 @@ impl Build {
             Region { file, first, len, bounds: Bounds::NONE, counts: vec![0; BUCKETS] }
         };
         let mut halves = [half(region.first, smaller), half(region.first + smaller, region.len - smaller)];
-        let mut targets = [Target::new(halves[0].first), Target::new(halves[1].first)];
-        let next = if again { axis.other() } else { Axis::Min };
+        let mut targets = [RecordWriter::new(halves[0].first), RecordWriter::new(halves[1].first)];
+        let next = if again { axis.other() } else { SplitAxis::Min };
         self.spill.for_each(&region, |e| {
             let at = usize::from(axis.key(&e) >= median);
             halves[at].bounds.add(&e);
@@ -258,7 +258,7 @@ impl Build {
     }
 
     /// The key that has `rank` smaller ones in the region.
-    fn key_of_rank(&mut self, region: &Region, axis: Axis, mut rank: u64) -> Result<u128> {
+    fn key_of_rank(&mut self, region: &Region, axis: SplitAxis, mut rank: u64) -> Result<u128> {
         let mut counts = region.counts.clone();
         // The digits of the key that are known.
         let (mut known, mut digits) = (0u128, 0u32);

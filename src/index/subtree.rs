@@ -8,12 +8,12 @@ use std::cmp::Ordering;
 
 /// The value by which entries are split.
 #[derive(Clone, Copy)]
-pub(super) enum Axis {
+pub(super) enum SplitAxis {
     Min,
     Max,
 }
 
-impl Axis {
+impl SplitAxis {
     pub(super) fn other(self) -> Self {
         match self {
             Self::Min => Self::Max,
@@ -41,7 +41,7 @@ impl Axis {
 }
 
 /// Moves the smaller half by `axis` to the front, then goes on in both halves by the other axis.
-pub(super) fn split(entries: &mut [Entry], axis: Axis, levels: u32) {
+pub(super) fn split(entries: &mut [Entry], axis: SplitAxis, levels: u32) {
     if levels == 0 || entries.len() as u64 <= LEAF_ENTRIES {
         return;
     }
@@ -54,7 +54,7 @@ pub(super) fn split(entries: &mut [Entry], axis: Axis, levels: u32) {
 
 /// Writes the page of `entries` and all pages below it. The depth of the recursion is the tree's: 8
 /// bits of n a level.
-pub(super) fn write_subtree(entries: &mut [Entry], axis: Axis, out: &mut SegmentWriter) -> Result<()> {
+pub(super) fn write_subtree(entries: &mut [Entry], axis: SplitAxis, out: &mut SegmentWriter) -> Result<()> {
     if entries.len() as u64 <= LEAF_ENTRIES {
         entries.sort_unstable_by_key(Entry::place);
         out.push_block(&encode_leaf(entries))?;

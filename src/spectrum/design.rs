@@ -1,6 +1,6 @@
 //! At which isovalues a spectrum is measured: grids that follow from the range of the values.
 
-use super::grid::{Family, Grid};
+use super::grid::{Family, IsovalueGrid};
 
 /// How many isovalues a grid may have, at most. The same for all chunks of an archive, lest one be
 /// coarser than the whole.
@@ -36,16 +36,16 @@ pub struct Design {
     /// Least and largest value.
     pub range: [f32; 2],
     /// Isovalues of area, volume and gradient.
-    pub knots: Grid,
+    pub knots: IsovalueGrid,
     /// Isovalues of the number of active tetrahedra alone.
-    pub levels: Grid,
+    pub levels: IsovalueGrid,
 }
 
 impl Design {
     /// For values in `range`.
     pub fn new(range: [f32; 2], limits: Limits) -> Self {
-        let knots = Grid::new(Family::Binary, range, limits.knots);
-        Self { range, knots, levels: Grid::new(Family::Decimal, range, limits.levels) }
+        let knots = IsovalueGrid::new(Family::Binary, range, limits.knots);
+        Self { range, knots, levels: IsovalueGrid::new(Family::Decimal, range, limits.levels) }
     }
 }
 

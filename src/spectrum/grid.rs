@@ -128,7 +128,7 @@ fn power_of_ten(n: i32) -> f64 {
 
 /// All multiples of a step above the least value, up to the largest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Grid {
+pub struct IsovalueGrid {
     /// The step.
     pub step: Step,
     /// Which multiple is the first isovalue.
@@ -137,7 +137,7 @@ pub struct Grid {
     pub count: u32,
 }
 
-impl Grid {
+impl IsovalueGrid {
     /// The isovalues of the finest step that gives at most `most` of them in `lo < v <= hi`, and is
     /// not below the spacing of `f32` there.
     pub(super) fn new(family: Family, [lo, hi]: [f32; 2], most: u32) -> Self {
@@ -195,7 +195,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    pub(super) fn new(grid: &Grid) -> Self {
+    pub(super) fn new(grid: &IsovalueGrid) -> Self {
         Self { values: grid.values(), scale: 1.0 / grid.step.size(), first: grid.first as f64 - 1.0 }
     }
 
@@ -224,7 +224,7 @@ pub(super) struct BinaryPlaces {
 }
 
 impl BinaryPlaces {
-    pub(super) fn new(grid: &Grid) -> Self {
+    pub(super) fn new(grid: &IsovalueGrid) -> Self {
         assert_eq!(grid.step.family, Family::Binary, "only its steps are powers of two");
         let scale = 1.0 / grid.step.size();
         Self { scale, before: grid.first as f64 - 1.0, count: f64::from(grid.count) }
@@ -248,7 +248,7 @@ mod tests {
 
     #[test]
     fn levels_are_what_people_write() {
-        let levels = Grid::new(Family::Decimal, [0.0, 1300.0], 8192);
+        let levels = IsovalueGrid::new(Family::Decimal, [0.0, 1300.0], 8192);
         assert_eq!((levels.step.decimal(), levels.count), ((2, -1), 6500));
         for text in ["600", "0.2", "1299.8", "1300", "17.4"] {
             let v: f32 = text.parse().unwrap();
@@ -258,10 +258,10 @@ mod tests {
             assert_eq!(levels.find(v), None, "{v}");
         }
         // Not finer than the values are.
-        let levels = Grid::new(Family::Decimal, [1e6, 1e6 + 1.0], 8192);
+        let levels = IsovalueGrid::new(Family::Decimal, [1e6, 1e6 + 1.0], 8192);
         assert_eq!((levels.step.decimal(), levels.count), ((2, -1), 5));
-        assert_eq!(Grid::new(Family::Decimal, [3.5, 3.5], 1000).count, 0);
-        let knots = Grid::new(Family::Binary, [0.0, 255.0], 128);
+        assert_eq!(IsovalueGrid::new(Family::Decimal, [3.5, 3.5], 1000).count, 0);
+        let knots = IsovalueGrid::new(Family::Binary, [0.0, 255.0], 128);
         assert_eq!((knots.step.rung, knots.count, knots.value(0)), (1, 127, 2.0));
     }
 
@@ -275,7 +275,7 @@ mod tests {
             let within = |t: f64| ((f64::from(lo) + t * (f64::from(hi) - f64::from(lo))) as f32).clamp(lo, hi);
             let part = [within(c.min(d)), within(c.max(d))];
             for family in FAMILIES {
-                let (all, fine) = (Grid::new(family, [lo, hi], most), Grid::new(family, part, most));
+                let (all, fine) = (IsovalueGrid::new(family, [lo, hi], most), IsovalueGrid::new(family, part, most));
                 prop_assert!(all.count <= most && fine.step.rung <= all.step.rung);
                 let places = Places::new(&fine);
                 if family == Family::Binary {

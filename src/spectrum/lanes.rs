@@ -93,14 +93,14 @@ impl Alone {
 /// A vertex at some steps: as for [`Alone`].
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
-pub(super) struct Vertex {
+pub(super) struct LaneVertex {
     pub(super) values: [f32; LANES],
     pub(super) ends: [i32; LANES],
 }
 
 /// Some interleaved steps. Lanes that have no step are 0.
 pub(super) struct Together {
-    pub(super) vertices: Vec<Vertex>,
+    pub(super) vertices: Vec<LaneVertex>,
     pub(super) designs: [Option<Design>; LANES],
     pub(super) sums: Box<[Sums; LANES]>,
     /// Tetrahedra that are void.
@@ -114,18 +114,18 @@ const SOME: usize = 256;
 /// The memory of interleaved steps, reused from chunk to chunk so that its pages are not asked
 /// for again.
 #[derive(Default)]
-pub struct LaneBuffers(Vec<Vec<Vertex>>);
+pub struct LaneBuffers(Vec<Vec<LaneVertex>>);
 
 impl Together {
     #[inline(always)]
-    fn new(limits: Limits, steps: &[Vertices<'_>], mut vertices: Vec<Vertex>) -> Self {
+    fn new(limits: Limits, steps: &[Vertices<'_>], mut vertices: Vec<LaneVertex>) -> Self {
         let designs = std::array::from_fn(|lane| steps.get(lane).and_then(|step| design(limits, step)));
         let sums: Vec<Sums> =
             designs.iter().map(|design: &Option<Design>| Sums::new(design.as_ref())).collect();
         let sums = sums.into_boxed_slice().try_into().ok().expect("as many as lanes");
-        vertices.resize(steps[0].values.len(), Vertex::default());
+        vertices.resize(steps[0].values.len(), LaneVertex::default());
         for (n, vertices) in vertices.chunks_mut(SOME).enumerate() {
-            vertices.fill(Vertex::default());
+            vertices.fill(LaneVertex::default());
             for (lane, step) in steps.iter().enumerate().filter(|(lane, _)| designs[*lane].is_some()) {
                 let values = &step.values[n * SOME..][..vertices.len()];
                 vertices.iter_mut().zip(values).for_each(|(to, &value)| to.values[lane] = value);
@@ -136,7 +136,7 @@ impl Together {
 
     /// The parts, and the memory.
     #[inline(always)]
-    fn finish(self, tets: u64) -> (Vec<ChunkPart>, Vec<Vertex>) {
+    fn finish(self, tets: u64) -> (Vec<ChunkPart>, Vec<LaneVertex>) {
         let mut all = self.designs.map(|design| design.as_ref().map(Ends::new));
         for vertices in self.vertices.chunks(SOME) {
             for (lane, ends) in all.iter_mut().enumerate() {

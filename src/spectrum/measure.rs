@@ -64,7 +64,7 @@ impl ChunkPart {
         memory: &mut LaneBuffers,
     ) -> Vec<Self> {
         let mut lanes = Lanes::all(limits, steps, memory);
-        let cells = Cells { places, tets };
+        let cells = ChunkCells { places, tets };
         match vectors {
             #[cfg(target_arch = "x86_64")]
             Vectors::Avx512(token) => with_avx512(
@@ -84,12 +84,12 @@ impl ChunkPart {
 }
 
 /// The tetrahedra of a chunk.
-struct Cells<'a> {
+struct ChunkCells<'a> {
     places: &'a [[f64; 4]],
     tets: &'a [Tet],
 }
 
-impl Cells<'_> {
+impl ChunkCells<'_> {
     /// Adds all tetrahedra to the sums: those of all steps for some, then for the next ones.
     #[inline(always)]
     fn add_all<W: F64x4s, S: F64xN<8>, K: F64s>(

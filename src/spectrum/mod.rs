@@ -36,7 +36,7 @@
 //! **Chunk by chunk.** Which isovalues these are depends on the range of all values, which is known
 //! when the last chunk has been made. So each chunk is measured while its tetrahedra and values are
 //! at hand, on grids of its own range, which are finer, or as fine, and hold all isovalues of the
-//! coarser grids of the whole ([`grid`](self::Grid)); a spectrum is put together from those parts
+//! coarser grids of the whole ([`grid`](self::IsovalueGrid)); a spectrum is put together from those parts
 //! ([`ChunkPart`]), which are some thousand bytes each, and not from tetrahedra. An archive that is
 //! finished has the sum alone, and a small one has none: its tetrahedra are summed up again when it
 //! is asked for.
@@ -60,7 +60,7 @@ mod tetra;
 pub use builder::SpectrumBuilder;
 pub use cubes::CellShapes;
 pub use design::{Design, Limits};
-pub use grid::{Family, Grid, Step};
+pub use grid::{Family, IsovalueGrid, Step};
 pub use lanes::LaneBuffers;
 pub use part::{ChunkPart, Digits, Vertices};
 pub use store::SpectrumFile;
@@ -95,7 +95,7 @@ pub struct Spectrum {
     /// Isovalues, ascending.
     pub knots: Vec<Knot>,
     /// Isovalues at which the number of active tetrahedra is stored.
-    pub levels: Grid,
+    pub levels: IsovalueGrid,
 }
 
 #[cfg(test)]

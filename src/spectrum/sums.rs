@@ -13,7 +13,7 @@
 use super::design::{Design, MOST_KNOTS, VOID};
 use super::grid::{BinaryPlaces, Places};
 use super::part::{ChunkPart, Measured};
-use super::tetra::{Cut, KNOTS, Pieces, PiecesOf};
+use super::tetra::{KNOTS, KnotPieces, KnotSums, PiecesOf};
 use isospan_mesh::simd::F64s;
 
 const CUTS: usize = MOST_KNOTS as usize;
@@ -24,7 +24,7 @@ const _: () = assert!(CUTS.is_power_of_two() && CUTS < VOID as usize);
 pub(super) struct Sums {
     /// The sums at the knots from each one on, of tetrahedra whose least value has this many knots
     /// at or below it.
-    cuts: [Cut; CUTS],
+    cuts: [KnotSums; CUTS],
     /// Isovalues, and behind the last one those that would follow.
     knots: [f64; CUTS + KNOTS],
     /// Volume of tetrahedra whose least value has this many knots at or below it; the last is that
@@ -44,7 +44,7 @@ impl Sums {
                 *knot = last;
             }
         }
-        Self { cuts: [Cut::default(); CUTS], knots, whole: [0.0; VOID as usize + 1] }
+        Self { cuts: [KnotSums::default(); CUTS], knots, whole: [0.0; VOID as usize + 1] }
     }
 
     /// Adds a tetrahedron of this volume: one of some.
@@ -58,9 +58,9 @@ impl Sums {
         let from = below % CUTS;
         let knots = self.knots[from..].first_chunk().expect("there are more behind the last");
         let most = of.most(lane);
-        Pieces::<W>::new(token, of, lane).add(token, volume, most, knots, &mut self.cuts[from]);
+        KnotPieces::<W>::new(token, of, lane).add(token, volume, most, knots, &mut self.cuts[from]);
         if of.steep >> lane & 1 != 0 {
-            let pieces = Pieces::<W>::new(token, of, lane);
+            let pieces = KnotPieces::<W>::new(token, of, lane);
             for from in (from + KNOTS..CUTS).step_by(KNOTS) {
                 if self.knots[from] > most {
                     break;

@@ -47,7 +47,7 @@ pub(super) struct Shapes {
 
 /// Those properties of some tetrahedra, or of one in all lanes.
 #[derive(Clone, Copy)]
-pub(super) struct Shape<W> {
+pub(super) struct TetShape<W> {
     normals: [[W; 3]; 3],
     six: W,
     inverse: W,
@@ -83,7 +83,7 @@ impl Shapes {
 
     /// The n-th eight.
     #[inline(always)]
-    pub(super) fn eight<W: F64xN<8>>(&self, token: W::Token, n: usize) -> Shape<W> {
+    pub(super) fn eight<W: F64xN<8>>(&self, token: W::Token, n: usize) -> TetShape<W> {
         self.map(
             #[inline(always)]
             |column| W::load(token, &column.as_flattened()[8 * n..]),
@@ -92,7 +92,7 @@ impl Shapes {
 
     /// The i-th, in all lanes.
     #[inline(always)]
-    pub(super) fn one<W: F64s>(&self, token: W::Token, i: usize) -> Shape<W> {
+    pub(super) fn one<W: F64s>(&self, token: W::Token, i: usize) -> TetShape<W> {
         self.map(
             #[inline(always)]
             |column| W::splat(token, column[i / 4][i % 4]),
@@ -100,9 +100,9 @@ impl Shapes {
     }
 
     #[inline(always)]
-    fn map<W: F64s>(&self, of: impl Fn(&Column) -> W) -> Shape<W> {
+    fn map<W: F64s>(&self, of: impl Fn(&Column) -> W) -> TetShape<W> {
         let [[a, b, c], [d, e, f], [g, h, i]] = &self.normals;
-        Shape {
+        TetShape {
             normals: [[of(a), of(b), of(c)], [of(d), of(e), of(f)], [of(g), of(h), of(i)]],
             six: of(&self.six),
             inverse: of(&self.inverse),
@@ -137,7 +137,7 @@ fn edge<W: F64x4s>(
 }
 
 /// The numbers from which the sums at the knots are made, for some tetrahedra, or for one at some
-/// steps; [`Pieces`] names them.
+/// steps; [`KnotPieces`] names them.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct PiecesOf {
@@ -193,7 +193,7 @@ impl PiecesOf {
     }
 }
 
-impl<W: F64xN<8>> Shape<W> {
+impl<W: F64xN<8>> TetShape<W> {
     /// The pieces of tetrahedra with these corner values, void ones bit by bit.
     #[inline(always)]
     pub(super) fn pieces(
@@ -266,7 +266,7 @@ fn dot<W: F64s>(u: [W; 3], v: [W; 3]) -> W {
 /// Sums at some knots that follow each other.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
-pub(super) struct Cut {
+pub(super) struct KnotSums {
     pub(super) area: [f64; KNOTS],
     /// Volume inside.
     pub(super) inside: [f64; KNOTS],
@@ -275,7 +275,7 @@ pub(super) struct Cut {
 }
 
 /// The numbers of a tetrahedron from which the sums are made, in all lanes.
-pub(super) struct Pieces<W> {
+pub(super) struct KnotPieces<W> {
     f0: W,
     f1: W,
     f3: W,
@@ -290,7 +290,7 @@ pub(super) struct Pieces<W> {
     slope: W,
 }
 
-impl<W: F64s> Pieces<W> {
+impl<W: F64s> KnotPieces<W> {
     /// The pieces of one of them.
     #[inline(always)]
     pub(super) fn new(token: W::Token, of: &PiecesOf, lane: usize) -> Self {
@@ -314,7 +314,14 @@ impl<W: F64s> Pieces<W> {
     /// the first of them is above its least value. At knots outside its range the contribution is
     /// 0.
     #[inline(always)]
-    pub(super) fn add(&self, token: W::Token, volume: f64, most: f64, knots: &[f64; KNOTS], sums: &mut Cut) {
+    pub(super) fn add(
+        &self,
+        token: W::Token,
+        volume: f64,
+        most: f64,
+        knots: &[f64; KNOTS],
+        sums: &mut KnotSums,
+    ) {
         let wide: &[W::Array] = bytemuck::cast_slice(knots);
         let area: &mut [W::Array] = bytemuck::cast_slice_mut(&mut sums.area);
         let inside: &mut [W::Array] = bytemuck::cast_slice_mut(&mut sums.inside);

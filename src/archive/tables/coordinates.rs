@@ -129,10 +129,10 @@ impl WorldPosition {
 pub struct CoordinateMap {
     segment: Segment,
     dims: [u64; 3],
-    grid: Grid,
+    grid: CoordinateGrid,
 }
 
-enum Grid {
+enum CoordinateGrid {
     Axes([Vec<f64>; 3]),
     Points(Mutex<Runs>),
 }
@@ -140,10 +140,10 @@ enum Grid {
 /// Runs that were read last, the latest first.
 #[derive(Default)]
 struct Runs {
-    kept: VecDeque<(u64, Run)>,
+    kept: VecDeque<(u64, PointRun)>,
 }
 
-type Run = Arc<Vec<[f64; 3]>>;
+type PointRun = Arc<Vec<[f64; 3]>>;
 
 impl CoordinateMap {
     /// Opens the coordinates of a grid of `dims` samples.
@@ -168,8 +168,10 @@ impl CoordinateMap {
             .ok_or_else(|| bad("dimensions", format!("{dims:?}")))?;
         let (kind, blocks) = (head[0], segment.block_count());
         let grid = match kind {
-            COORDINATES_AXES if blocks == 4 => Grid::Axes(axes(&segment, dims)?),
-            COORDINATES_POINTS if blocks == 1 + samples.div_ceil(RUN) => Grid::Points(Mutex::default()),
+            COORDINATES_AXES if blocks == 4 => CoordinateGrid::Axes(axes(&segment, dims)?),
+            COORDINATES_POINTS if blocks == 1 + samples.div_ceil(RUN) => {
+                CoordinateGrid::Points(Mutex::default())
+            }
             _ => return Err(bad("kind and blocks", format!("kind {kind}, {blocks} blocks"))),
         };
         Ok(Self { segment, dims, grid })
@@ -188,8 +190,8 @@ impl CoordinateMap {
     /// The tables of x, y and z of a rectilinear grid.
     pub fn axes(&self) -> Option<&[Vec<f64>; 3]> {
         match &self.grid {
-            Grid::Axes(axes) => Some(axes),
-            Grid::Points(_) => None,
+            CoordinateGrid::Axes(axes) => Some(axes),
+            CoordinateGrid::Points(_) => None,
         }
     }
 
@@ -202,12 +204,12 @@ impl CoordinateMap {
                 let (mut next, past) = (row + lo[0], row + hi[0] + 1);
                 while next < past {
                     match &self.grid {
-                        Grid::Axes(axes) => {
+                        CoordinateGrid::Axes(axes) => {
                             let [x, y, z] = [next - row, y, z].map(|n| n as usize);
                             out.push(DVec3::new(axes[0][x], axes[1][y], axes[2][z]));
                             next += 1;
                         }
-                        Grid::Points(runs) => {
+                        CoordinateGrid::Points(runs) => {
                             let (from, to) = (next % RUN, (next % RUN + past - next).min(RUN));
                             self.with_run(runs, next / RUN, |run| {
                                 out.extend(
@@ -255,8 +257,8 @@ impl CoordinateMap {
     /// When the segment cannot be read, or is damaged.
     pub fn sample(&self, at: [u64; 3]) -> Result<[f64; 3]> {
         match &self.grid {
-            Grid::Axes(axes) => Ok(std::array::from_fn(|a| axes[a][at[a] as usize])),
-            Grid::Points(runs) => {
+            CoordinateGrid::Axes(axes) => Ok(std::array::from_fn(|a| axes[a][at[a] as usize])),
+            CoordinateGrid::Points(runs) => {
                 let number = (at[2] * self.dims[1] + at[1]) * self.dims[0] + at[0];
                 Ok(self.point(runs, number)?.to_array())
             }
@@ -267,14 +269,14 @@ impl CoordinateMap {
     fn corners(&self, cell: [u64; 3]) -> Result<[DVec3; 8]> {
         let mut out = [DVec3::ZERO; 8];
         match &self.grid {
-            Grid::Axes(axes) => {
+            CoordinateGrid::Axes(axes) => {
                 for (n, corner) in out.iter_mut().enumerate() {
                     *corner = DVec3::from_array(std::array::from_fn(|a| {
                         axes[a][(cell[a] as usize) + (n >> a & 1)]
                     }));
                 }
             }
-            Grid::Points(runs) => {
+            CoordinateGrid::Points(runs) => {
                 for (row, pair) in out.chunks_exact_mut(2).enumerate() {
                     let (y, z) = (cell[1] + (row as u64 & 1), cell[2] + (row as u64 >> 1));
                     let first = (z * self.dims[1] + y) * self.dims[0] + cell[0];
@@ -314,7 +316,7 @@ impl CoordinateMap {
         Ok(use_it(&runs.kept[0].1))
     }
 
-    fn read_run(&self, number: u64) -> Result<Run> {
+    fn read_run(&self, number: u64) -> Result<PointRun> {
         let mut block = vec![];
         self.segment.block(1 + number, &mut block)?;
         let samples = self.dims.iter().product::<u64>();

@@ -93,7 +93,7 @@ fn header(vertices: u64, triangles: u64, coordinate: &str, meta: &SurfaceMeta) -
 
 /// The type of a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
+enum PlyKind {
     I8,
     U8,
     I16,
@@ -104,7 +104,7 @@ enum Kind {
     F64,
 }
 
-impl Kind {
+impl PlyKind {
     fn from_name(name: &str) -> Option<Self> {
         Some(match name {
             "char" | "int8" => Self::I8,
@@ -151,19 +151,19 @@ impl Kind {
 #[derive(Debug)]
 struct Property {
     name: String,
-    kind: Kind,
-    count: Option<Kind>,
+    kind: PlyKind,
+    count: Option<PlyKind>,
 }
 
 #[derive(Debug)]
-struct Element {
+struct PlyElement {
     name: String,
     rows: u64,
     properties: Vec<Property>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Encoding {
+enum PlyEncoding {
     Ascii,
     Binary { big_endian: bool },
 }
@@ -171,7 +171,7 @@ enum Encoding {
 /// The elements' data, number by number.
 struct Body<'a> {
     words: Words<'a>,
-    encoding: Encoding,
+    encoding: PlyEncoding,
 }
 
 /// Reads a PLY surface.
@@ -216,9 +216,9 @@ pub(in crate::files) fn check_indices(path: &Path, surface: &StoredSurface) -> R
     })
 }
 
-fn read_header(words: &mut Words<'_>) -> Result<(Encoding, Vec<Element>)> {
+fn read_header(words: &mut Words<'_>) -> Result<(PlyEncoding, Vec<PlyElement>)> {
     words.line();
-    let (mut encoding, mut elements) = (None, Vec::<Element>::new());
+    let (mut encoding, mut elements) = (None, Vec::<PlyElement>::new());
     loop {
         let Some(line) = words.line() else {
             return Err(words.wrong("a header that ends with 'end_header'", "the end of the file"));
@@ -228,13 +228,13 @@ fn read_header(words: &mut Words<'_>) -> Result<(Encoding, Vec<Element>)> {
         match parts[..] {
             [] | ["comment" | "obj_info", ..] => {}
             ["format", name, "1.0"] => match name {
-                "ascii" => encoding = Some(Encoding::Ascii),
-                "binary_little_endian" => encoding = Some(Encoding::Binary { big_endian: false }),
-                "binary_big_endian" => encoding = Some(Encoding::Binary { big_endian: true }),
+                "ascii" => encoding = Some(PlyEncoding::Ascii),
+                "binary_little_endian" => encoding = Some(PlyEncoding::Binary { big_endian: false }),
+                "binary_big_endian" => encoding = Some(PlyEncoding::Binary { big_endian: true }),
                 _ => return bad("format ascii, binary_little_endian or binary_big_endian"),
             },
             ["element", name, rows] => match rows.parse() {
-                Ok(rows) => elements.push(Element { name: name.into(), rows, properties: vec![] }),
+                Ok(rows) => elements.push(PlyElement { name: name.into(), rows, properties: vec![] }),
                 Err(_) => return bad("the number of elements"),
             },
             ["property", ref rest @ ..] => match (property(rest), elements.last_mut()) {
@@ -253,10 +253,10 @@ fn read_header(words: &mut Words<'_>) -> Result<(Encoding, Vec<Element>)> {
 fn property(parts: &[&str]) -> Option<Property> {
     match *parts {
         ["list", count, kind, name] => {
-            let count = Kind::from_name(count).filter(|k| k.is_integer())?;
-            Some(Property { name: name.into(), kind: Kind::from_name(kind)?, count: Some(count) })
+            let count = PlyKind::from_name(count).filter(|k| k.is_integer())?;
+            Some(Property { name: name.into(), kind: PlyKind::from_name(kind)?, count: Some(count) })
         }
-        [kind, name] => Some(Property { name: name.into(), kind: Kind::from_name(kind)?, count: None }),
+        [kind, name] => Some(Property { name: name.into(), kind: PlyKind::from_name(kind)?, count: None }),
         _ => None,
     }
 }
@@ -264,10 +264,10 @@ fn property(parts: &[&str]) -> Option<Property> {
 impl Body<'_> {
     /// As many rows as announced can lie in what is left of the file, so that memory may be
     /// reserved for them.
-    fn check_rows(&self, element: &Element) -> Result<()> {
+    fn check_rows(&self, element: &PlyElement) -> Result<()> {
         let bytes = |p: &Property| match self.encoding {
-            Encoding::Ascii => 2, // a digit and a space
-            Encoding::Binary { .. } => p.count.unwrap_or(p.kind).bytes(),
+            PlyEncoding::Ascii => 2, // a digit and a space
+            PlyEncoding::Binary { .. } => p.count.unwrap_or(p.kind).bytes(),
         };
         let least: u64 = element.properties.iter().map(bytes).sum();
         let left = self.words.rest().len() as u64;
@@ -281,29 +281,29 @@ impl Body<'_> {
         Ok(())
     }
 
-    fn number(&mut self, kind: Kind) -> Result<f64> {
+    fn number(&mut self, kind: PlyKind) -> Result<f64> {
         match self.encoding {
-            Encoding::Ascii => self.text_number(kind),
-            Encoding::Binary { big_endian } => self.binary_number(kind, big_endian),
+            PlyEncoding::Ascii => self.text_number(kind),
+            PlyEncoding::Binary { big_endian } => self.binary_number(kind, big_endian),
         }
     }
 
     /// Parsed as its own type: a decimal is rounded once.
-    fn text_number(&mut self, kind: Kind) -> Result<f64> {
+    fn text_number(&mut self, kind: PlyKind) -> Result<f64> {
         let what = "a number of the property's type";
         Ok(match kind {
-            Kind::I8 => self.words.parse::<i8>(what)?.into(),
-            Kind::U8 => self.words.parse::<u8>(what)?.into(),
-            Kind::I16 => self.words.parse::<i16>(what)?.into(),
-            Kind::U16 => self.words.parse::<u16>(what)?.into(),
-            Kind::I32 => self.words.parse::<i32>(what)?.into(),
-            Kind::U32 => self.words.parse::<u32>(what)?.into(),
-            Kind::F32 => self.words.parse::<f32>(what)?.into(),
-            Kind::F64 => self.words.parse::<f64>(what)?,
+            PlyKind::I8 => self.words.parse::<i8>(what)?.into(),
+            PlyKind::U8 => self.words.parse::<u8>(what)?.into(),
+            PlyKind::I16 => self.words.parse::<i16>(what)?.into(),
+            PlyKind::U16 => self.words.parse::<u16>(what)?.into(),
+            PlyKind::I32 => self.words.parse::<i32>(what)?.into(),
+            PlyKind::U32 => self.words.parse::<u32>(what)?.into(),
+            PlyKind::F32 => self.words.parse::<f32>(what)?.into(),
+            PlyKind::F64 => self.words.parse::<f64>(what)?,
         })
     }
 
-    fn binary_number(&mut self, kind: Kind, big_endian: bool) -> Result<f64> {
+    fn binary_number(&mut self, kind: PlyKind, big_endian: bool) -> Result<f64> {
         let Some(stored) = self.words.take(kind.bytes()) else {
             return Err(self.wrong("a number".into(), "the end of the file".into()));
         };
@@ -311,7 +311,7 @@ impl Body<'_> {
     }
 
     /// The length of a list.
-    fn list_len(&mut self, kind: Kind) -> Result<u64> {
+    fn list_len(&mut self, kind: PlyKind) -> Result<u64> {
         let n = self.number(kind)?;
         if n < 0.0 {
             return Err(self.wrong("the length of a list".into(), n.to_string()));
@@ -342,13 +342,13 @@ impl Body<'_> {
     fn wrong(&self, expected: String, got: String) -> Error {
         let error = self.words.wrong(expected, got);
         match self.encoding {
-            Encoding::Binary { .. } => error.placed(Place::byte(self.words.at() as u64)),
+            PlyEncoding::Binary { .. } => error.placed(Place::byte(self.words.at() as u64)),
             _ => error,
         }
     }
 }
 
-fn read_vertices(body: &mut Body<'_>, element: &Element, out: &mut StoredSurface) -> Result<()> {
+fn read_vertices(body: &mut Body<'_>, element: &PlyElement, out: &mut StoredSurface) -> Result<()> {
     let slot = |p: &Property| {
         let names = ["x", "y", "z", "nx", "ny", "nz"];
         names.iter().position(|n| *n == p.name).filter(|_| p.count.is_none())
@@ -374,7 +374,7 @@ fn read_vertices(body: &mut Body<'_>, element: &Element, out: &mut StoredSurface
     Ok(())
 }
 
-fn read_faces(body: &mut Body<'_>, element: &Element, out: &mut StoredSurface) -> Result<()> {
+fn read_faces(body: &mut Body<'_>, element: &PlyElement, out: &mut StoredSurface) -> Result<()> {
     let is_polygon = |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
     let polygon_at = element.properties.iter().position(is_polygon);
     let list = polygon_at
@@ -397,7 +397,7 @@ fn read_faces(body: &mut Body<'_>, element: &Element, out: &mut StoredSurface) -
     Ok(())
 }
 
-fn read_polygon(body: &mut Body<'_>, count: Kind, kind: Kind, out: &mut StoredSurface) -> Result<()> {
+fn read_polygon(body: &mut Body<'_>, count: PlyKind, kind: PlyKind, out: &mut StoredSurface) -> Result<()> {
     let n = body.list_len(count)?;
     if n < 3 {
         return Err(body.wrong("a face of at least 3 vertices".into(), n.to_string()));
@@ -413,7 +413,7 @@ fn read_polygon(body: &mut Body<'_>, count: Kind, kind: Kind, out: &mut StoredSu
     Ok(())
 }
 
-fn skip_rows(body: &mut Body<'_>, element: &Element) -> Result<()> {
+fn skip_rows(body: &mut Body<'_>, element: &PlyElement) -> Result<()> {
     if element.properties.is_empty() {
         return Ok(());
     }

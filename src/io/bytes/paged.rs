@@ -29,14 +29,14 @@ pub struct Paged<T> {
     frame_of: Vec<u32>,
     /// Whether a page is in the file.
     written: Vec<bool>,
-    frames: Vec<Frame<T>>,
+    frames: Vec<PageFrame<T>>,
     hand: usize,
     file: Option<File>,
     scratch: PathBuf,
 }
 
 #[derive(Debug)]
-struct Frame<T> {
+struct PageFrame<T> {
     page: u32,
     needed: bool,
     changed: bool,
@@ -122,7 +122,7 @@ impl<T: Pod> Paged<T> {
         if self.frames.len() < self.most_frames {
             // A short array takes a short page.
             let records = vec![T::zeroed(); PAGE.min(self.len as usize)];
-            self.frames.push(Frame { page: NONE, needed: false, changed: false, records });
+            self.frames.push(PageFrame { page: NONE, needed: false, changed: false, records });
             return Ok(self.frames.len() - 1);
         }
         while std::mem::take(&mut self.frames[self.hand].needed) {

@@ -36,13 +36,13 @@ impl Orders {
 }
 
 /// How far the vertices of a cell lie from the middles of its edges.
-pub(super) struct Placed {
+pub(super) struct PlacedVertices {
     /// For each vertex and edge the square of the distance, in squares of the length of the edge.
     /// Of an edge without length it is 0 in its place.
     squares: Vec<Vec<f64>>,
 }
 
-impl Placed {
+impl PlacedVertices {
     pub(super) fn new(
         edges: &[[u8; 2]],
         corners: &[[f64; 3]],
@@ -75,7 +75,7 @@ const FARTHEST: f64 = 1e6;
 /// Which vertex is on which edge: the sum of the squares of all distances is least, over the
 /// subsets of edges that the first vertices have. So the two sides of a thin curved cell are told
 /// apart, where a vertex of one is nearer to the edge of the other.
-pub(super) fn likeliest(cells: &[Placed], edges: usize) -> Vec<usize> {
+pub(super) fn likeliest(cells: &[PlacedVertices], edges: usize) -> Vec<usize> {
     let cost = |vertex: usize, edge: usize| cells.iter().map(|cell| cell.squares[vertex][edge]).sum::<f64>();
     let cost: Vec<Vec<f64>> = (0..edges).map(|v| (0..edges).map(|e| cost(v, e)).collect()).collect();
     // For each subset the least sum, and the edge of its last vertex.

@@ -10,7 +10,7 @@
 //! vertices decides nothing.
 
 use super::blocks::{CellBlocks, PointBlocks};
-use super::order::{Orders, Placed, likeliest};
+use super::order::{Orders, PlacedVertices, likeliest};
 use super::polyhedron::{Faces, is_folded};
 use super::quadratic::with_middles;
 use super::{CellBlock, CellKind, CellsInfo, Orientation, orient, split};
@@ -127,9 +127,9 @@ impl Sample<'_> {
         let place = |v: &u64| self.place(*v);
         let placed_of = |cell: &&SampledCell| {
             let corners: Vec<[f64; 3]> = cell.vertices[..shape.corners].iter().map(place).collect();
-            Placed::new(shape.edges, &corners, cell.vertices[on_edges.clone()].iter().map(place))
+            PlacedVertices::new(shape.edges, &corners, cell.vertices[on_edges.clone()].iter().map(place))
         };
-        let placed: Vec<Placed> = cells.iter().map(placed_of).collect();
+        let placed: Vec<PlacedVertices> = cells.iter().map(placed_of).collect();
         let edges = likeliest(&placed, shape.edges.len());
         let odd: Vec<usize> = (0..placed.len()).filter(|&c| !placed[c].fits(&edges)).collect();
         let order: Vec<usize> = (0..edges.len()).filter_map(|e| edges.iter().position(|&f| f == e)).collect();

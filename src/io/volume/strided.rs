@@ -123,7 +123,7 @@ impl StridedVolume {
         let row = step(axis).saturating_mul(d[axis]).max(step(next)).max(1);
         let mut piece = [1; 3];
         (piece[axis], piece[next]) = (d[axis], (PIECE / row).clamp(1, d[next]));
-        VolumeSource::Chunked(Arc::new(Pieces { volume: self, piece }))
+        VolumeSource::Chunked(Arc::new(StridedPieces { volume: self, piece }))
     }
 
     /// The steps of samples stored without gaps, x fastest, then y, then z; `None` where they do
@@ -238,12 +238,12 @@ impl StridedVolume {
 }
 
 /// A volume in pieces that are read each by itself.
-struct Pieces {
+struct StridedPieces {
     volume: StridedVolume,
     piece: [u64; 3],
 }
 
-impl ChunkSource for Pieces {
+impl ChunkSource for StridedPieces {
     fn info(&self) -> &VolumeInfo {
         &self.volume.info
     }

@@ -37,13 +37,13 @@ pub(super) struct Late {
     local: Local,
     /// What is unseen even here.
     far: Unseen,
-    grid: Grid,
+    grid: LateGrid,
 }
 
 impl Late {
     /// What is not in `region` is unseen.
     pub(super) fn new(points: Vec<Outer>, region: LatticeBox, domain: LatticeBox, local: Local) -> Self {
-        let grid = Grid::new(&points, region, local);
+        let grid = LateGrid::new(&points, region, local);
         Self { local, far: Unseen::new(region, domain, local), grid }
     }
 
@@ -110,7 +110,7 @@ fn covered(covered: bool) -> Finding {
 }
 
 /// Points by cell.
-struct Grid {
+struct LateGrid {
     lo: [f64; 3],
     cells_per_unit: f64,
     dims: [usize; 3],
@@ -121,7 +121,7 @@ struct Grid {
     points: Vec<Outer>,
 }
 
-impl Grid {
+impl LateGrid {
     fn new(points: &[Outer], region: LatticeBox, local: Local) -> Self {
         let (lo, hi) = (local.coordinates(region.lo), local.coordinates(region.hi));
         let size: [f64; 3] = std::array::from_fn(|k| (hi[k] - lo[k]).max(1.0));

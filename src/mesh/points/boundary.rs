@@ -21,7 +21,7 @@
 //! perpendicular to axis a, side 0 at 0; edge 4a + s + 2t runs along a, s being the side on the
 //! next axis (cyclically), t on the one after.
 
-use super::net::{Axis, Net};
+use super::net::{Net, NetAxis};
 use super::radical_inverse::Base;
 use isospan_io::geom::{LatticeBox, LatticePos, PointClass, PointId, Site};
 
@@ -44,13 +44,13 @@ impl Boundary {
     pub(super) fn new(max: LatticePos, spacing_q16: u64, nested: bool) -> Self {
         let h = u128::from(spacing_q16);
         let rounded = |measure: u128, unit: u128| ((2 * measure + unit) / (2 * unit)) as u64;
-        let line = if nested { Axis::Radical(Base::Two) } else { Axis::Even };
+        let line = if nested { NetAxis::Radical(Base::Two) } else { NetAxis::Even };
         let plane = if nested {
-            [Base::Two, Base::Three].map(Axis::Radical)
+            [Base::Two, Base::Three].map(NetAxis::Radical)
         } else {
-            [Axis::Even, Axis::Radical(Base::Two)]
+            [NetAxis::Even, NetAxis::Radical(Base::Two)]
         };
-        let side = |axis: usize, high: u64| Axis::Fixed(if high == 1 { max[axis] } else { 0 });
+        let side = |axis: usize, high: u64| NetAxis::Fixed(if high == 1 { max[axis] } else { 0 });
         let (mut edges, mut faces) = (vec![], vec![]);
         for a in 0..3 {
             let (u, v) = ((a + 1) % 3, (a + 2) % 3);

@@ -15,7 +15,7 @@ use isospan_io::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Sit
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExplicitPoints {
     positions: Vec<LatticePos>,
-    grid: Cells,
+    grid: PointCells,
     /// Where each cell begins, and the end.
     starts: Vec<u32>,
     /// No other point of a set lies as near as this; 0 leaves all.
@@ -24,7 +24,7 @@ pub struct ExplicitPoints {
 
 /// The coarse grid: cells of 2^shift lattice steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Cells {
+struct PointCells {
     shift: u32,
     dims: [usize; 3],
 }
@@ -39,7 +39,7 @@ fn at_level(length: u32, level: u8) -> u32 {
 /// Points a cell of the domain, about; those that hold any hold more, as points lie on a surface.
 const POINTS_A_CELL: u128 = 4;
 
-impl Cells {
+impl PointCells {
     fn new(lattice: &Lattice, count: usize) -> Self {
         let max = lattice.max();
         let dims = |shift: u32| -> [usize; 3] { max.map(|m| (m >> shift) as usize + 1) };
@@ -89,7 +89,7 @@ impl ExplicitPoints {
         assert!(positions.len() <= Self::MOST, "the caller bounds the list");
         let domain = lattice.domain();
         assert!(positions.iter().all(|&p| domain.contains(p)), "points lie in the domain");
-        let grid = Cells::new(lattice, positions.len());
+        let grid = PointCells::new(lattice, positions.len());
         // Stable: within a cell the order stays that of x, y, z.
         positions.sort_by_key(|&p| grid.number(grid.of(p)));
         let mut starts = vec![0u32; grid.len() + 1];

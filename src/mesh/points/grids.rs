@@ -87,7 +87,7 @@ impl Ticks {
 
 /// A grid of the union.
 #[derive(Clone, Copy, Debug)]
-struct Grid {
+struct GridTicks {
     /// Which ticks of each axis.
     ticks: [usize; 3],
     /// Index of its first point; x runs fastest.
@@ -98,7 +98,7 @@ struct Grid {
 #[derive(Clone, Debug)]
 pub(super) struct Grids {
     ticks: [Vec<Ticks>; 3],
-    grids: Vec<Grid>,
+    grids: Vec<GridTicks>,
     len: u64,
 }
 
@@ -107,7 +107,7 @@ impl Grids {
     fn new(ticks: [Vec<Ticks>; 3], choices: impl IntoIterator<Item = [usize; 3]>) -> Option<Self> {
         let mut all = Self { ticks, grids: vec![], len: 0 };
         for ticks in choices {
-            all.grids.push(Grid { ticks, first: all.len });
+            all.grids.push(GridTicks { ticks, first: all.len });
             let points = (0..3).map(|a| u128::from(all.ticks[a][ticks[a]].count())).product::<u128>();
             all.len =
                 u64::try_from(u128::from(all.len) + points).ok().filter(|&n| n <= super::MOST_POINTS)?;
@@ -156,7 +156,7 @@ impl Grids {
         Some(std::array::from_fn(|a| ticks[a].at(ijk[a])))
     }
 
-    fn ticks_of(&self, grid: &Grid) -> [Ticks; 3] {
+    fn ticks_of(&self, grid: &GridTicks) -> [Ticks; 3] {
         std::array::from_fn(|a| self.ticks[a][grid.ticks[a]])
     }
 

@@ -56,7 +56,7 @@ use graded::Graded;
 use grids::Grids;
 use isospan_io::error::{Error, Result};
 use isospan_io::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site};
-use net::{Axis, Net};
+use net::{Net, NetAxis};
 use radical_inverse::Base;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -332,10 +332,10 @@ impl Interior {
     /// `None` when there are more points than [`MOST_POINTS`].
     fn new(spec: &PointSpec, lattice: &Lattice) -> Option<Self> {
         let max = lattice.max();
-        let [two, three, five] = [Base::Two, Base::Three, Base::Five].map(Axis::Radical);
+        let [two, three, five] = [Base::Two, Base::Three, Base::Five].map(NetAxis::Radical);
         Some(match *spec {
             PointSpec::Hammersley { n, shift } => {
-                Self::Net(Net::new([Axis::Even, two, three], max, 0, n, spec::shift_q32(shift)))
+                Self::Net(Net::new([NetAxis::Even, two, three], max, 0, n, spec::shift_q32(shift)))
             }
             PointSpec::Halton { n } => Self::Net(Net::new([two, three, five], max, 1, n, 0)),
             PointSpec::HyperbolicCross { m, k, r } => Self::Grids(Grids::hyperbolic_cross(m, k, r, lattice)?),

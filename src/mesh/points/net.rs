@@ -31,7 +31,7 @@ use isospan_io::geom::{LatticeBox, LatticePos, PointClass, PointId, Site};
 
 /// What a coordinate of a [`Net`] is, k being the point's number and i = k - first its index.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Axis {
+pub(super) enum NetAxis {
     /// The same position for all points.
     Fixed(u32),
     /// (i + shift)/n.
@@ -43,14 +43,14 @@ pub(super) enum Axis {
 /// The points k = first … first+n-1 on up to three axes.
 #[derive(Clone, Debug)]
 pub(super) struct Net {
-    axes: [Axis; 3],
+    axes: [NetAxis; 3],
     /// Position of coordinate 1 on each axis.
     max: LatticePos,
     first: u64,
     n: u64,
-    /// Shift of [`Axis::Even`] in 2^-32.
+    /// Shift of [`NetAxis::Even`] in 2^-32.
     shift: u32,
-    /// ⌊2^123/n⌋, for [`Axis::Even`].
+    /// ⌊2^123/n⌋, for [`NetAxis::Even`].
     reciprocal: u128,
     class: PointClass,
     /// Index in the class = index in the net · stride + offset.
@@ -63,7 +63,7 @@ const BATCH: usize = 256;
 
 impl Net {
     /// A net of interior points.
-    pub(super) fn new(axes: [Axis; 3], max: LatticePos, first: u64, n: u64, shift: u32) -> Self {
+    pub(super) fn new(axes: [NetAxis; 3], max: LatticePos, first: u64, n: u64, shift: u32) -> Self {
         debug_assert!(n <= super::MOST_POINTS && first <= 1);
         let reciprocal = (1u128 << 123) / u128::from(n.max(1));
         Self { axes, max, first, n, shift, reciprocal, class: PointClass::Interior, stride: 1, offset: 0 }
@@ -84,9 +84,9 @@ impl Net {
         let k = self.first + index;
         (index < self.n).then(|| {
             std::array::from_fn(|a| match self.axes[a] {
-                Axis::Fixed(p) => p,
-                Axis::Even => self.even_position(index, self.max[a]),
-                Axis::Radical(base) => base.position(k, self.max[a]),
+                NetAxis::Fixed(p) => p,
+                NetAxis::Even => self.even_position(index, self.max[a]),
+                NetAxis::Radical(base) => base.position(k, self.max[a]),
             })
         })
     }
@@ -98,7 +98,7 @@ impl Net {
         // n < 2^60; two factors of 25 bits and 16 bits of fraction stay below 2^127.
         let mut count = u128::from(hi - lo) << 16;
         for a in 0..3 {
-            if matches!(self.axes[a], Axis::Radical(_)) {
+            if matches!(self.axes[a], NetAxis::Radical(_)) {
                 count = count * u128::from(b.hi[a] - b.lo[a]) / u128::from(self.max[a] + 1);
             }
         }
@@ -110,8 +110,8 @@ impl Net {
         let mut share = self.n as f64;
         for a in 0..3 {
             match self.axes[a] {
-                Axis::Fixed(p) if !(b.lo[a] <= p && p < b.hi[a]) => return 0.0,
-                Axis::Fixed(_) => {}
+                NetAxis::Fixed(p) if !(b.lo[a] <= p && p < b.hi[a]) => return 0.0,
+                NetAxis::Fixed(_) => {}
                 _ => share *= f64::from(b.hi[a] - b.lo[a]) / f64::from(self.max[a] + 1),
             }
         }
@@ -144,8 +144,8 @@ impl Net {
         let (mut lo, mut hi) = (0, self.n);
         for a in 0..3 {
             match self.axes[a] {
-                Axis::Fixed(p) if !(b.lo[a] <= p && p < b.hi[a]) => return None,
-                Axis::Even => {
+                NetAxis::Fixed(p) if !(b.lo[a] <= p && p < b.hi[a]) => return None,
+                NetAxis::Even => {
                     lo = lo.max(self.first_even(b.lo[a], self.max[a]));
                     hi = hi.min(self.first_even(b.hi[a], self.max[a]));
                 }
@@ -198,8 +198,8 @@ struct Batch<'a> {
 
 impl<'a> Batch<'a> {
     fn new(net: &'a Net, bounds: &LatticeBox, out: &'a mut Vec<Site>) -> Self {
-        let takes = |axis: &Axis| match axis {
-            Axis::Radical(base) => base.takes(net.first + net.n),
+        let takes = |axis: &NetAxis| match axis {
+            NetAxis::Radical(base) => base.takes(net.first + net.n),
             _ => Base::Two.takes(net.first + net.n),
         };
         Self {
@@ -261,11 +261,11 @@ impl<'a> Batch<'a> {
             let max = self.net.max[a];
             let each = pos.iter_mut().zip(numbers);
             match self.net.axes[a] {
-                Axis::Fixed(p) => pos.fill(p),
-                Axis::Even => each.for_each(|(p, k)| *p = self.net.even_position(k - self.net.first, max)),
-                Axis::Radical(Base::Two) => each.for_each(|(p, &k)| *p = Base::Two.position(k, max)),
-                Axis::Radical(Base::Three) => each.for_each(|(p, &k)| *p = Base::Three.position(k, max)),
-                Axis::Radical(Base::Five) => each.for_each(|(p, &k)| *p = Base::Five.position(k, max)),
+                NetAxis::Fixed(p) => pos.fill(p),
+                NetAxis::Even => each.for_each(|(p, k)| *p = self.net.even_position(k - self.net.first, max)),
+                NetAxis::Radical(Base::Two) => each.for_each(|(p, &k)| *p = Base::Two.position(k, max)),
+                NetAxis::Radical(Base::Three) => each.for_each(|(p, &k)| *p = Base::Three.position(k, max)),
+                NetAxis::Radical(Base::Five) => each.for_each(|(p, &k)| *p = Base::Five.position(k, max)),
             }
         }
         self.look_inside();
@@ -279,16 +279,16 @@ impl<'a> Batch<'a> {
         for (a, pos) in self.pos.iter_mut().enumerate() {
             let (max, numbers, pos) = (self.net.max[a], &short[..n], &mut pos[..n]);
             match self.net.axes[a] {
-                Axis::Fixed(p) => pos.fill(p),
-                Axis::Even => {
+                NetAxis::Fixed(p) => pos.fill(p),
+                NetAxis::Even => {
                     let index = |k: u32| u64::from(k) - self.net.first;
                     pos.iter_mut()
                         .zip(numbers)
                         .for_each(|(p, &k)| *p = self.net.even_position(index(k), max));
                 }
-                Axis::Radical(Base::Two) => Base::Two.positions(numbers, max, pos),
-                Axis::Radical(Base::Three) => Base::Three.positions(numbers, max, pos),
-                Axis::Radical(Base::Five) => Base::Five.positions(numbers, max, pos),
+                NetAxis::Radical(Base::Two) => Base::Two.positions(numbers, max, pos),
+                NetAxis::Radical(Base::Three) => Base::Three.positions(numbers, max, pos),
+                NetAxis::Radical(Base::Five) => Base::Five.positions(numbers, max, pos),
             }
         }
         self.look_inside();
@@ -341,7 +341,7 @@ impl Cover {
         let mut choices: [Vec<Digits>; 3] = Default::default();
         for (a, choices) in choices.iter_mut().enumerate() {
             *choices = match net.axes[a] {
-                Axis::Radical(base) => choices_of(base, [b.lo[a], b.hi[a]], net.max[a], net.n)?,
+                NetAxis::Radical(base) => choices_of(base, [b.lo[a], b.hi[a]], net.max[a], net.n)?,
                 _ => vec![Digits { digits: 0, power: 1, from: 0, to: 0 }],
             };
         }
@@ -350,7 +350,7 @@ impl Cover {
         let mut residues: [Vec<u64>; 3] = Default::default();
         for a in 0..3 {
             residues[a] = match net.axes[a] {
-                Axis::Radical(base) => residues_of(base, &best[a], modulus),
+                NetAxis::Radical(base) => residues_of(base, &best[a], modulus),
                 _ => vec![0],
             };
         }
@@ -473,7 +473,13 @@ mod tests {
         for n in [1, 2, 7, 96, 1000] {
             for max in [1, 6, 1000, 3 << 20] {
                 for shift in [0, 1 << 31, u32::MAX] {
-                    let net = Net::new([Axis::Even, Axis::Fixed(0), Axis::Fixed(0)], [max; 3], 0, n, shift);
+                    let net = Net::new(
+                        [NetAxis::Even, NetAxis::Fixed(0), NetAxis::Fixed(0)],
+                        [max; 3],
+                        0,
+                        n,
+                        shift,
+                    );
                     let positions: Vec<u32> = (0..n).map(|i| net.position(i).unwrap()[0]).collect();
                     for (i, &p) in positions.iter().enumerate() {
                         assert_eq!(p, net.exact_even_position(i as u64, max), "{n} {max} {shift} {i}");
@@ -490,7 +496,13 @@ mod tests {
     #[test]
     fn ties_of_even_positions_round_up() {
         // (2i+1)/(2n)·max is half an integer at every third i: the fast path must hand over.
-        let net = Net::new([Axis::Even, Axis::Fixed(0), Axis::Fixed(0)], [1 << 10; 3], 0, 3 << 10, 1 << 31);
+        let net = Net::new(
+            [NetAxis::Even, NetAxis::Fixed(0), NetAxis::Fixed(0)],
+            [1 << 10; 3],
+            0,
+            3 << 10,
+            1 << 31,
+        );
         for i in 0..net.len() {
             assert_eq!(u64::from(net.position(i).unwrap()[0]), (2 * i + 1 + 3) / 6);
         }
@@ -499,9 +511,9 @@ mod tests {
     #[test]
     fn boxes_find_their_points() {
         let max = [1000, 777, 530];
-        let halton = [Base::Two, Base::Three, Base::Five].map(Axis::Radical);
-        let hammersley = [Axis::Even, Axis::Radical(Base::Two), Axis::Radical(Base::Three)];
-        let face = [Axis::Radical(Base::Two), Axis::Fixed(777), Axis::Radical(Base::Three)];
+        let halton = [Base::Two, Base::Three, Base::Five].map(NetAxis::Radical);
+        let hammersley = [NetAxis::Even, NetAxis::Radical(Base::Two), NetAxis::Radical(Base::Three)];
+        let face = [NetAxis::Radical(Base::Two), NetAxis::Fixed(777), NetAxis::Radical(Base::Three)];
         for (axes, first) in [(halton, 1), (hammersley, 0), (face, 1)] {
             for n in [1, 30, 5000] {
                 let net = Net::new(axes, max, first, n, 1 << 31);

@@ -20,7 +20,7 @@
 //! h cancels: differences are taken in voxel units. All weights of an axis are gathered first, one
 //! a voxel of the stencil. On a voxel all weights are zero but its own, which is 1.
 
-use super::{Axis, VoxelBlock, to_f32};
+use super::{SampledAxis, VoxelBlock, to_f32};
 use isospan_io::geom::{Lattice, LatticePos};
 
 /// Voxels an axis of the corrected rule.
@@ -45,7 +45,7 @@ pub(super) fn sample(
     positions: &[LatticePos],
     out: &mut Vec<f32>,
 ) {
-    let axes = Axis::of(lattice);
+    let axes = SampledAxis::of(lattice);
     out.extend(positions.iter().map(|p| value(block, std::array::from_fn(|a| corrected(&axes[a], p[a])))));
 }
 
@@ -56,14 +56,14 @@ pub(super) fn sample_thesis(
     positions: &[LatticePos],
     out: &mut Vec<f32>,
 ) {
-    let axes = Axis::of(lattice);
+    let axes = SampledAxis::of(lattice);
     out.extend(positions.iter().map(|p| value(block, std::array::from_fn(|a| printed(&axes[a], p[a])))));
 }
 
 /// The stencil around a coordinate with the linear weights in it; the cell's place in the stencil;
 /// c and d.
 #[inline]
-fn linear_part<const N: usize>(axis: &Axis, p: u32) -> (Stencil<N>, usize, [f64; 2]) {
+fn linear_part<const N: usize>(axis: &SampledAxis, p: u32) -> (Stencil<N>, usize, [f64; 2]) {
     let cell = axis.cell(p);
     let (first, end) = axis.stencil(cell, N);
     let at = (u64::from(cell) - first) as usize;
@@ -78,7 +78,7 @@ fn linear_part<const N: usize>(axis: &Axis, p: u32) -> (Stencil<N>, usize, [f64;
 
 /// The rule with second differences.
 #[inline]
-fn corrected(axis: &Axis, p: u32) -> Stencil<CUBIC> {
+fn corrected(axis: &SampledAxis, p: u32) -> Stencil<CUBIC> {
     let (mut s, at, [c, d]) = linear_part(axis, p);
     let mut add = |i: usize, w: [f64; 4]| (0..4).for_each(|k| s.weights[k] += [c, d][i] * w[k]);
     match (s.len, at) {
@@ -102,7 +102,7 @@ fn corrected(axis: &Axis, p: u32) -> Stencil<CUBIC> {
 }
 
 /// The rule as printed.
-fn printed(axis: &Axis, p: u32) -> Stencil<THESIS> {
+fn printed(axis: &SampledAxis, p: u32) -> Stencil<THESIS> {
     const FOURTH: [f64; 5] = [0.25, -1.0, 1.5, -1.0, 0.25];
     let (mut s, at, cd) = linear_part::<THESIS>(axis, p);
     if s.len >= 5 {

@@ -110,7 +110,7 @@ impl Interpolation {
         let Some((lo, hi)) = bounds(positions) else { return IndexBox { lo: [0; 3], hi: [0; 3] } };
         // Every rule's first and last voxel grow with the position, so two corners tell the box.
         let span = |a: usize, p: u32| {
-            let axis = Axis::new(lattice, a);
+            let axis = SampledAxis::new(lattice, a);
             match self {
                 Self::Linear => trilinear::span(&axis, p),
                 Self::Cubic => axis.stencil(axis.cell(p), cubic::CUBIC),
@@ -311,7 +311,7 @@ fn bounds(positions: &[LatticePos]) -> Option<(LatticePos, LatticePos)> {
 
 /// One axis of a lattice: from a coordinate to cell and fraction.
 #[derive(Clone, Copy, Debug)]
-struct Axis {
+struct SampledAxis {
     log2_steps: u32,
     /// The last cell: the far face belongs to it.
     last_cell: u32,
@@ -319,7 +319,7 @@ struct Axis {
     step: f64,
 }
 
-impl Axis {
+impl SampledAxis {
     fn new(lattice: &Lattice, axis: usize) -> Self {
         let log2_steps = lattice.log2_steps[axis];
         // A lattice has 2 to 2^24 + 1 samples an axis.

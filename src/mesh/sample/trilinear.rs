@@ -7,12 +7,12 @@
 //! next two levels, some 2^-52, vanish in the rounding to `f32`, since the corners are `f32`
 //! themselves.
 
-use super::{Axis, VoxelBlock, to_f32};
+use super::{SampledAxis, VoxelBlock, to_f32};
 use isospan_io::geom::{Lattice, LatticePos};
 use isospan_io::grid::IndexBox;
 
 /// The voxels needed on one axis: the two of the cell.
-pub(super) fn span(axis: &Axis, p: u32) -> (u64, u64) {
+pub(super) fn span(axis: &SampledAxis, p: u32) -> (u64, u64) {
     let i = u64::from(axis.cell(p));
     (i, i + 2)
 }
@@ -33,7 +33,7 @@ pub(super) fn spots<'a>(
     voxels: &IndexBox,
     positions: &'a [LatticePos],
 ) -> impl ExactSizeIterator<Item = Spot> + use<'a> {
-    let (axes, [_, row, layer]) = (Axis::of(lattice), steps(voxels));
+    let (axes, [_, row, layer]) = (SampledAxis::of(lattice), steps(voxels));
     let lo = voxels.lo.map(|l| l as usize);
     positions.iter().map(
         #[inline(always)]

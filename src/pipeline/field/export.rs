@@ -132,7 +132,7 @@ fn export_fields(
         ));
     }
     let read_before = archive.bytes_read();
-    let wanted = Wanted::of(archive, others, settings)?;
+    let wanted = WantedTets::of(archive, others, settings)?;
     let (blocks, index_bytes) = wanted.blocks(archive)?;
     let fixed = estimate::BASE + blocks.bytes() + if settings.compress { PACKING_BYTES } else { 0 };
     let rest = settings.resources.memory.saturating_sub(fixed);
@@ -206,14 +206,14 @@ struct Selected {
 }
 
 /// Which tetrahedra of a chunk are wanted, with which further fields.
-struct Wanted<'a> {
+struct WantedTets<'a> {
     range: Option<[f32; 2]>,
     corners: Corners,
     cut: Option<Cut>,
     others: &'a [StepView],
 }
 
-impl<'a> Wanted<'a> {
+impl<'a> WantedTets<'a> {
     fn of(archive: &StepView, others: &'a [StepView], settings: &ExportSettings) -> Result<Self> {
         let source = &archive.step().plan.source;
         let log2_steps = archive.manifest.plan.lattice.log2_steps;

@@ -111,7 +111,7 @@ pub(super) fn each_value(
     find: &Find<'_>,
     mut each: impl FnMut(u32, &[f32], bool) + Send,
 ) -> Result<u64> {
-    let batch = Batch::new(archive.chunks.bricks(), points);
+    let batch = PointBatch::new(archive.chunks.bricks(), points);
     let mut search = Search { archive, lists, find, batch, chunks_read: 0 };
     let foreign = search.in_tetrahedra(&mut each)?;
     search.at_nearest_places(foreign, &mut each)?;
@@ -119,13 +119,13 @@ pub(super) fn each_value(
 }
 
 /// Points sorted by brick.
-struct Batch<'a> {
+struct PointBatch<'a> {
     bricks: &'a BrickGrid,
     /// Brick, position, number in the list.
     sorted: Vec<(u64, LatticePos, u32)>,
 }
 
-impl<'a> Batch<'a> {
+impl<'a> PointBatch<'a> {
     fn new(bricks: &'a BrickGrid, points: impl Iterator<Item = (LatticePos, u32)>) -> Self {
         let brick = |p: LatticePos| bricks.id(bricks.brick_at(p)).0;
         let mut sorted: Vec<_> = points.map(|(p, n)| (brick(p), p, n)).collect();
@@ -160,7 +160,7 @@ struct Search<'a> {
     archive: &'a StepView,
     lists: Lists<'a>,
     find: &'a Find<'a>,
-    batch: Batch<'a>,
+    batch: PointBatch<'a>,
     chunks_read: u64,
 }
 

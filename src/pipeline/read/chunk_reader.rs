@@ -35,7 +35,7 @@ const AT_ONCE: u32 = 32;
 
 /// Blocks that follow each other and were read at once.
 #[derive(Default)]
-struct Run {
+struct BlockRun {
     first: u32,
     bytes: Vec<u8>,
     ends: Vec<usize>,
@@ -43,7 +43,7 @@ struct Run {
     expected: Vec<u32>,
 }
 
-impl Run {
+impl BlockRun {
     fn numbers(&self) -> Range<u32> {
         self.first..self.first + self.ends.len() as u32
     }
@@ -75,7 +75,7 @@ pub(in crate::pipeline) struct ChunkReader<'a> {
     blocks: u32,
     /// The heads of blocks, page after page, of pages that were read.
     heads: Vec<Vec<BlockHead>>,
-    run: Run,
+    run: BlockRun,
     bytes: Vec<u8>,
     here: Vec<LatticePos>,
     scratch: TetScratch,
@@ -112,7 +112,7 @@ impl<'a> ChunkReader<'a> {
             corners,
             blocks: header.tet_blocks,
             heads,
-            run: Run::default(),
+            run: BlockRun::default(),
             bytes,
             here,
             scratch,
@@ -188,7 +188,7 @@ impl<'a> ChunkReader<'a> {
         let head = self.head(number as usize)?;
         if !self.run.numbers().contains(&number) {
             let (end, at) = (self.run.next(number).min(self.blocks), self.block_at(number));
-            let Run { first, bytes, ends, .. } = &mut self.run;
+            let BlockRun { first, bytes, ends, .. } = &mut self.run;
             self.mesh.run(self.id, at..at + u64::from(end - number), bytes, ends)?;
             *first = number;
         }

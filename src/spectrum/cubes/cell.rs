@@ -12,7 +12,7 @@ use isospan_io::geom::vec3::{cross, dot, minus};
 use std::sync::LazyLock;
 
 /// A place, or a direction, in the unit cube.
-type Place = [f64; 3];
+type CellPlace = [f64; 3];
 
 /// The shape of a cell in the world.
 #[derive(Clone, Copy)]
@@ -33,7 +33,7 @@ impl World {
 
     /// The area of a piece of this area vector in the unit cube.
     #[inline(always)]
-    fn area(&self, s: Place) -> f64 {
+    fn area(&self, s: CellPlace) -> f64 {
         let [x, y, z] = &self.normals;
         let v = [0, 1, 2].map(|i| s[0] * x[i] + s[1] * y[i] + s[2] * z[i]);
         dot(v, v).sqrt()
@@ -41,7 +41,7 @@ impl World {
 
     /// The length of a gradient.
     #[inline(always)]
-    fn gradient(&self, g: Place) -> f64 {
+    fn gradient(&self, g: CellPlace) -> f64 {
         if self.volume > 0.0 { self.area(g) / self.volume } else { 0.0 }
     }
 }
@@ -230,14 +230,14 @@ const ENDS: [[u8; 2]; 12] =
 
 /// Where the surface crosses an edge, by how far that is from the lower corner.
 #[inline(always)]
-fn crossing(edge: u8, along: &[f64; 12]) -> Place {
+fn crossing(edge: u8, along: &[f64; 12]) -> CellPlace {
     let mut place = STARTS[usize::from(edge)];
     place[usize::from(edge / 4)] = along[usize::from(edge)];
     place
 }
 
 /// The lower corner of each edge.
-const STARTS: [Place; 12] = {
+const STARTS: [CellPlace; 12] = {
     let mut starts = [[0.0; 3]; 12];
     let mut n = 0;
     while n < 36 {
@@ -249,7 +249,7 @@ const STARTS: [Place; 12] = {
 
 /// The gradient of the trilinear field.
 #[inline(always)]
-fn gradient(f: &[f64; 8], place: Place) -> Place {
+fn gradient(f: &[f64; 8], place: CellPlace) -> CellPlace {
     [0, 1, 2].map(|axis| {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let slope = |low: usize| f[low | 1 << axis] - f[low];
@@ -259,7 +259,7 @@ fn gradient(f: &[f64; 8], place: Place) -> Place {
 }
 
 #[inline(always)]
-fn add(a: Place, b: Place) -> Place {
+fn add(a: CellPlace, b: CellPlace) -> CellPlace {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 

@@ -1,6 +1,6 @@
 //! Writes a bricked file from a stream.
 
-use super::{ALIGN, EDGE, Header, Layout, MAGIC, PREFIX, VERSION, footer};
+use super::{ALIGN, BrickedHeader, BrickedLayout, EDGE, MAGIC, PREFIX, VERSION, footer};
 use crate::bytes::publish::Unpublished;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
@@ -30,7 +30,7 @@ pub(super) fn build(
     let info = stream.info().clone();
     let json = serde_json::to_vec(&header_of(&info)).expect("plain numbers and strings are JSON");
     let size = info.field.scalar.bytes();
-    let layout = Layout::new(info.dims, size, json.len() as u64).ok_or_else(|| no_volume(&info))?;
+    let layout = BrickedLayout::new(info.dims, size, json.len() as u64).ok_or_else(|| no_volume(&info))?;
     let temporary = match lasting {
         Lasting::Kept => Unpublished::create(out)?,
         Lasting::Scratch => Unpublished::create_private(out)?,
@@ -59,9 +59,9 @@ pub(super) fn build(
     }
 }
 
-pub(super) fn header_of(info: &VolumeInfo) -> Header {
+pub(super) fn header_of(info: &VolumeInfo) -> BrickedHeader {
     let name = info.path.file_name().map(|n| n.to_string_lossy().into_owned());
-    Header {
+    BrickedHeader {
         dims: info.dims,
         brick_edge: EDGE,
         field: info.field.clone(),
@@ -85,7 +85,7 @@ fn no_volume(info: &VolumeInfo) -> Error {
 struct Bricks<'a> {
     out: PathBuf,
     file: &'a File,
-    layout: Layout,
+    layout: BrickedLayout,
     /// Samples written.
     written: u64,
     /// For each brick the checksum of its first bytes, and how many they are; [`UNORDERED`] when
@@ -99,7 +99,7 @@ struct Bricks<'a> {
 const UNORDERED: u32 = u32::MAX;
 
 impl<'a> Bricks<'a> {
-    fn new(out: &Path, file: &'a File, layout: Layout) -> Result<Self> {
+    fn new(out: &Path, file: &'a File, layout: BrickedLayout) -> Result<Self> {
         file.set_len(layout.file_bytes()).map_err(|e| Error::io("make room for", out, e))?;
         let sums = vec![(0, 0); layout.bricks as usize];
         Ok(Self { out: out.to_path_buf(), file, layout, written: 0, sums, part: vec![] })
@@ -218,7 +218,7 @@ struct Raster {
 }
 
 impl Raster {
-    fn new(layout: &Layout, max_buffer_bytes: usize) -> Self {
+    fn new(layout: &BrickedLayout, max_buffer_bytes: usize) -> Self {
         let row = layout.dims[0] * layout.sample_bytes;
         let fit = (max_buffer_bytes as u64 / row).max(1);
         let whole = |n: u64| if n >= EDGE { n / EDGE * EDGE } else { n };

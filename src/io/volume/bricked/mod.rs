@@ -14,7 +14,7 @@
 //!     12   4  H, bytes of the JSON header
 //!     16   4  CRC32C of the JSON header
 //!     20   4  0
-//!     24   H  JSON header: `Header`
+//!     24   H  JSON header: `BrickedHeader`
 //!  24+H       zeros up to D, the next multiple of 4096
 //!      D      bricks, x fastest; in a brick samples, x fastest: a range of slices of a brick is contiguous
 //!    D+B  4n  CRC32C of each of the n bricks
@@ -59,7 +59,7 @@ const ALIGN: u64 = 4096;
 
 /// The JSON header.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Header {
+struct BrickedHeader {
     dims: [u64; 3],
     /// [`EDGE`]; room for other versions.
     brick_edge: u64,
@@ -77,7 +77,7 @@ struct Header {
 
 /// Sizes and places, all derived from dimensions and sample size.
 #[derive(Clone, Copy, Debug)]
-struct Layout {
+struct BrickedLayout {
     dims: [u64; 3],
     sample_bytes: u64,
     data_at: u64,
@@ -85,7 +85,7 @@ struct Layout {
     bricks: u64,
 }
 
-impl Layout {
+impl BrickedLayout {
     /// `None` for dimensions of 0 or too large for a file.
     fn new(dims: [u64; 3], sample_bytes: usize, header_bytes: u64) -> Option<Self> {
         let sample_bytes = sample_bytes as u64;
@@ -140,7 +140,7 @@ impl Layout {
 pub struct BrickedVolume {
     info: VolumeInfo,
     source: Arc<ByteSource>,
-    layout: Layout,
+    layout: BrickedLayout,
 }
 
 impl BrickedVolume {
@@ -344,7 +344,7 @@ impl VolumeReader for BrickedVolume {
     }
 }
 
-fn read_header(source: &ByteSource) -> Result<(Header, Layout)> {
+fn read_header(source: &ByteSource) -> Result<(BrickedHeader, BrickedLayout)> {
     let path = source.path();
     let prefix = source.slice(0..PREFIX)?;
     if prefix[..8] != MAGIC {
@@ -367,8 +367,8 @@ fn read_header(source: &ByteSource) -> Result<(Header, Layout)> {
         return Err(damaged(path, "header".into(), expected, got));
     }
     let wrong = |got: String| Error::bad_input(path, "header", "a description of a volume", got);
-    let header: Header = serde_json::from_slice(json).map_err(|e| wrong(e.to_string()))?;
-    let layout = Layout::new(header.dims, header.field.scalar.bytes(), length);
+    let header: BrickedHeader = serde_json::from_slice(json).map_err(|e| wrong(e.to_string()))?;
+    let layout = BrickedLayout::new(header.dims, header.field.scalar.bytes(), length);
     let layout = layout.ok_or_else(|| wrong("dimensions of 0 or too large".into()))?;
     if header.brick_edge != EDGE || header.field.components != 1 || !header.geometry.is_valid() {
         return Err(wrong("another brick edge, a vector field or axes that do not span space".into()));
@@ -376,7 +376,7 @@ fn read_header(source: &ByteSource) -> Result<(Header, Layout)> {
     Ok((header, layout))
 }
 
-fn check_footer(source: &ByteSource, layout: &Layout) -> Result<()> {
+fn check_footer(source: &ByteSource, layout: &BrickedLayout) -> Result<()> {
     let (path, len) = (source.path(), source.len());
     if len != layout.file_bytes() {
         let expected = format!("{} bytes", layout.file_bytes());
@@ -395,7 +395,7 @@ fn check_footer(source: &ByteSource, layout: &Layout) -> Result<()> {
 }
 
 /// The bytes of the footer; see the module's head.
-fn footer(layout: &Layout, table_crc: u32, header_crc: u32) -> [u8; FOOTER as usize] {
+fn footer(layout: &BrickedLayout, table_crc: u32, header_crc: u32) -> [u8; FOOTER as usize] {
     let mut bytes = Vec::with_capacity(FOOTER as usize);
     for number in [layout.bricks, layout.data_bytes, layout.file_bytes()] {
         bytes.extend(number.to_le_bytes());

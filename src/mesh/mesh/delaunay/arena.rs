@@ -189,12 +189,12 @@ impl Margin {
 
 /// Shift and scale to small local coordinates.
 #[derive(Debug, Default)]
-pub(super) struct Frame {
+pub(super) struct LocalFrame {
     pub(super) origin: LatticePos,
     pub(super) shift: u32,
 }
 
-impl Frame {
+impl LocalFrame {
     pub(super) fn around(positions: &[LatticePos]) -> Self {
         let origin = positions.iter().fold([u32::MAX; 3], |m, p| std::array::from_fn(|k| m[k].min(p[k])));
         let bits = positions.iter().fold(0, |bits, p| (0..3).fold(bits, |bits, k| bits | (p[k] - origin[k])));
@@ -237,7 +237,7 @@ pub(super) struct Arena {
     /// Dead records below `tets.len()`.
     pub(super) free: Vec<u32>,
     pub(super) margin: Margin,
-    pub(super) frame: Frame,
+    pub(super) frame: LocalFrame,
     pub(super) order: Order,
     /// Whether each new point is later than all points of the mesh.
     pub(super) in_order: bool,
@@ -284,7 +284,7 @@ impl Default for Arena {
             tets: Vec::new(),
             free: Vec::new(),
             margin: Margin::INTEGERS,
-            frame: Frame::default(),
+            frame: LocalFrame::default(),
             order: Order { bits: 1 },
             in_order: false,
             hint: 0,

@@ -66,7 +66,7 @@ use crate::mesh::certify::Local;
 use crate::mesh::tet::Tet;
 use crate::predicates::orient3d;
 pub(super) use arena::Tetra;
-use arena::{Arena, FIRST_TAG, Frame, INFINITE, MOST_TETS, Margin, Point};
+use arena::{Arena, FIRST_TAG, INFINITE, LocalFrame, MOST_TETS, Margin, Point};
 use isospan_io::error::{Error, Result};
 use isospan_io::geom::curve::Order;
 use isospan_io::geom::{Lattice, LatticePos};
@@ -197,7 +197,7 @@ impl Kernel {
     pub(super) fn make_room(&mut self, positions: &[LatticePos]) -> Result<()> {
         check(positions, &self.arena.order)?;
         // Other coordinates, and other spheres for the same tetrahedra.
-        let frame = Frame::around(positions);
+        let frame = LocalFrame::around(positions);
         let points = &mut self.arena.points;
         for (point, &i) in points[1..].iter_mut().zip(&self.source) {
             point.at = frame.point(positions[i as usize]).at;
@@ -291,7 +291,7 @@ impl Kernel {
         self.sorted.dedup_by_key(|e| positions[e.1 as usize]);
         self.source.clear();
         self.source.extend(self.sorted.iter().map(|e| e.1));
-        let frame = Frame::around(positions);
+        let frame = LocalFrame::around(positions);
         let points = &mut self.arena.points;
         points.clear();
         points.push(Point { at: [f32::NAN; 3], tag: 0 });
@@ -419,7 +419,7 @@ fn collinear(a: LatticePos, b: LatticePos, c: LatticePos) -> bool {
 
 /// The margin that suits the points: small against their spacing, and exact spheres where they look
 /// like a lattice.
-fn margin(points: &[Point], frame: &Frame) -> Margin {
+fn margin(points: &[Point], frame: &LocalFrame) -> Margin {
     let finite = &points[1..];
     let (least, most) = finite.iter().fold(([f32::MAX; 3], [0f32; 3]), |(least, most), p| {
         (std::array::from_fn(|k| least[k].min(p.at[k])), std::array::from_fn(|k| most[k].max(p.at[k])))

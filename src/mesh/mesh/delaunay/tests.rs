@@ -320,7 +320,7 @@ proptest! {
 #[test]
 fn a_lattice_is_recognised_wherever_its_origin_is() {
     let points = |positions: &[LatticePos]| -> Vec<Point> {
-        let frame = Frame::around(positions);
+        let frame = LocalFrame::around(positions);
         positions.iter().map(|p| frame.point(*p)).collect()
     };
     let mut some = bcc(12, 1 << 10);

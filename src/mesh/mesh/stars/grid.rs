@@ -8,7 +8,7 @@ const FEW_CELLS: usize = 64;
 
 /// The points of a region by cells, row after row along x.
 #[derive(Debug, Default)]
-pub(super) struct Grid {
+pub(super) struct StarGrid {
     lo: LatticePos,
     /// Cells a lattice step, rounded down.
     pub(super) per_step: f64,
@@ -22,7 +22,7 @@ pub(super) struct Grid {
     pub(super) scale: f32,
 }
 
-impl Grid {
+impl StarGrid {
     /// `side`: of a cell, in lattice steps. False where there would be more cells than points, but
     /// for a few, as in a domain that is much thinner than a cell.
     pub(super) fn fill(

@@ -3,7 +3,7 @@
 
 use super::batch::Batch;
 use super::wide::{Neighbourhood, View};
-use super::{Grid, Star};
+use super::{Star, StarGrid};
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512, F32x8, F32x16, may_use_all};
 use crate::simd::{Lanes, Vec4x2};
@@ -38,7 +38,7 @@ impl Vectors {
     pub(super) fn star(
         self,
         near: &mut Neighbourhood,
-        grid: &Grid,
+        grid: &StarGrid,
         rows: &[[u32; 2]],
         view: &View,
         is_outer: impl Fn([u32; 3]) -> bool,
@@ -60,7 +60,7 @@ pub(super) trait Machine: Copy {
     fn gather(
         self,
         near: &mut Neighbourhood,
-        grid: &Grid,
+        grid: &StarGrid,
         rows: &[[u32; 2]],
         p: [f32; 3],
         reach: f32,
@@ -83,7 +83,7 @@ impl Machine for AnyMachine {
     fn gather(
         self,
         near: &mut Neighbourhood,
-        grid: &Grid,
+        grid: &StarGrid,
         rows: &[[u32; 2]],
         p: [f32; 3],
         reach: f32,
@@ -120,7 +120,7 @@ macro_rules! machine {
             fn gather(
                 self,
                 near: &mut Neighbourhood,
-                grid: &Grid,
+                grid: &StarGrid,
                 rows: &[[u32; 2]],
                 p: [f32; 3],
                 reach: f32,
@@ -129,7 +129,7 @@ macro_rules! machine {
                 fn gather(
                     token: $token,
                     near: &mut Neighbourhood,
-                    grid: &Grid,
+                    grid: &StarGrid,
                     rows: &[[u32; 2]],
                     p: [f32; 3],
                     reach: f32,
@@ -182,7 +182,7 @@ impl Neighbourhood {
     fn star<M: Machine>(
         &mut self,
         machine: M,
-        grid: &Grid,
+        grid: &StarGrid,
         rows: &[[u32; 2]],
         view: &View,
         is_outer: impl Fn([u32; 3]) -> bool,

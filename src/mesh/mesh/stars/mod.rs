@@ -53,7 +53,7 @@ use super::delaunay::{self, Kernel};
 use super::list::TetList;
 use super::region::{ChunkMesh, ChunkRegion};
 use super::tet::Tet;
-use grid::Grid;
+use grid::StarGrid;
 use isospan_io::error::Result;
 use isospan_io::geom::curve::Order;
 use isospan_io::geom::{LatticeBox, LatticePos};
@@ -86,7 +86,7 @@ struct Waiting {
 /// The memory of one worker.
 #[derive(Debug, Default)]
 pub(super) struct Stars {
-    grid: Grid,
+    grid: StarGrid,
     near: Box<Neighbourhood>,
     /// For each point, the first face that waits for it.
     first: Vec<u32>,
@@ -373,7 +373,7 @@ impl Chunk<'_> {
     }
 
     /// How a point looks around, without a reach.
-    fn view(&self, grid: &Grid, p: u32, is_new: bool) -> View {
+    fn view(&self, grid: &StarGrid, p: u32, is_new: bool) -> View {
         let at = self.positions[p as usize];
         let ends = |a: usize| [self.boxes.domain.lo[a], self.boxes.domain.hi[a] - 1];
         View {
@@ -416,7 +416,7 @@ impl Chunk<'_> {
     /// be certified.
     fn close_slowly(
         &self,
-        grid: &Grid,
+        grid: &StarGrid,
         slow: &mut Slow,
         star: &mut Vec<Tet>,
         kernel: &mut Kernel,

@@ -36,7 +36,7 @@
 //! The list has all points with |q| ≤ (1 - 2^-21)·D.
 
 use super::batch::Batch;
-use super::{Grid, LANES, Star};
+use super::{LANES, Star, StarGrid};
 use crate::mesh::tet::Tet;
 use crate::simd::{Compress, F64s, Floats, Lanes, four, three};
 use glam::DVec3;
@@ -134,7 +134,7 @@ impl Neighbourhood {
     pub(super) fn gather<B: Batch>(
         &mut self,
         token: B::Token,
-        grid: &Grid,
+        grid: &StarGrid,
         rows: &[[u32; 2]],
         p: [f32; 3],
         reach: f32,

@@ -38,7 +38,7 @@ const NOTHING: u8 = 62 << 2;
 const KNOWN: u8 = 63 << 2;
 
 /// What is found out about a star.
-pub(in crate::archive::mesh::connectivity) struct Found {
+pub(in crate::archive::mesh::connectivity) struct FoundGate {
     /// For each directed edge, a row of [`PLACES`] for each place that it is from, the side of the
     /// triangle that has it.
     sides: Box<[u8; PLACES * PLACES]>,
@@ -55,7 +55,7 @@ pub(in crate::archive::mesh::connectivity) struct Found {
     places: [u32; ROOM],
 }
 
-impl Default for Found {
+impl Default for FoundGate {
     fn default() -> Self {
         Self {
             sides: Box::new([NOTHING; PLACES * PLACES]),
@@ -74,7 +74,7 @@ fn edge(from: usize, to: usize) -> usize {
     (from * PLACES + to) % (PLACES * PLACES)
 }
 
-impl Found {
+impl FoundGate {
     /// Gives what is known of the link a place, clears the table, and notes the gates that open:
     /// their number. `None` if they are too many, or those of no mesh.
     #[inline(always)]
@@ -222,7 +222,7 @@ impl Truth {
     #[inline(always)]
     fn set_triangles(&mut self, stars: &Stars) -> Option<usize> {
         let (v, link) = (stars.v, &stars.link);
-        let Found { sides, triangles, .. } = &mut self.found;
+        let FoundGate { sides, triangles, .. } = &mut self.found;
         let sides = &mut **sides;
         let (mut n, mut places, mut double) = (0, 0, 0);
         for &[first, a, b, c] in &self.tets[self.rest..] {

@@ -8,7 +8,7 @@ use super::odds::first_odds;
 use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
 use crate::archive::range_coder::{Encoder, Odds};
 use crate::archive::wire::put_varint;
-use even::{Found, Luck};
+use even::{FoundGate, Luck};
 use isospan_io::geom::LatticePos;
 use isospan_mesh::mesh::tet::Tet;
 use std::ops::Range;
@@ -51,7 +51,7 @@ pub(super) struct Truth {
     /// How many are coded.
     pub(super) at: usize,
     /// What was found about the star that was tried last.
-    pub(super) found: Found,
+    pub(super) found: FoundGate,
     pub(super) luck: Luck,
     /// For the test that makes `odds.rs`: of each decision how often, and how often so.
     #[cfg(test)]
@@ -77,7 +77,7 @@ impl Default for Truth {
             ids: vec![],
             coded: vec![],
             at: 0,
-            found: Found::default(),
+            found: FoundGate::default(),
             luck: Luck::default(),
             #[cfg(test)]
             counts: Default::default(),
