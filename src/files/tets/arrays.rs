@@ -42,7 +42,7 @@ impl TetField {
 
 /// An array of a file.
 #[derive(Clone, Copy)]
-pub(super) enum Array {
+pub(super) enum TetArray {
     /// 3 × f64 a point.
     Points,
     /// f32 or f64 a point, of the field of a number: see [`TetField::value_bytes`].
@@ -56,7 +56,7 @@ pub(super) enum Array {
     Types,
 }
 
-impl Array {
+impl TetArray {
     /// Its rows, and the bytes of each.
     pub(super) fn size(self, mesh: &StoredTets, meta: &TetMeta<'_>) -> [u64; 2] {
         let (points, tets) = (mesh.point_count(), mesh.tet_count());
@@ -74,19 +74,19 @@ impl Array {
 pub(super) fn each_part(
     mesh: &StoredTets,
     meta: &TetMeta<'_>,
-    array: Array,
+    array: TetArray,
     put: &mut dyn FnMut(&[u8]) -> Result<()>,
 ) -> Result<()> {
     let (mut bytes, tets) = (Vec::new(), mesh.tet_count());
     match array {
-        Array::Points => mesh.points(&mut |batch| {
+        TetArray::Points => mesh.points(&mut |batch| {
             bytes.clear();
             for &point in batch {
                 (meta.place)(point)?.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
             }
             put(&bytes)
         }),
-        Array::Values(field) => mesh.values(field, &mut |batch| {
+        TetArray::Values(field) => mesh.values(field, &mut |batch| {
             bytes.clear();
             match meta.fields[field].offset {
                 0.0 => batch.iter().for_each(|v| bytes.extend(v.to_le_bytes())),
@@ -94,7 +94,7 @@ pub(super) fn each_part(
             }
             put(&bytes)
         }),
-        Array::Connectivity => mesh.tets(&mut |batch| {
+        TetArray::Connectivity => mesh.tets(&mut |batch| {
             bytes.clear();
             for &[a, b, c, d] in batch {
                 let tet = if meta.mirrors { [a, b, d, c] } else { [a, b, c, d] };
@@ -102,13 +102,13 @@ pub(super) fn each_part(
             }
             put(&bytes)
         }),
-        Array::Offsets { first } => (first..tets + 1).step_by(PART).try_for_each(|first| {
+        TetArray::Offsets { first } => (first..tets + 1).step_by(PART).try_for_each(|first| {
             bytes.clear();
             let here = first..(tets + 1).min(first + PART as u64);
             here.for_each(|n| bytes.extend((4 * n).to_le_bytes()));
             put(&bytes)
         }),
-        Array::Types => (0..tets)
+        TetArray::Types => (0..tets)
             .step_by(PART)
             .try_for_each(|first| put(&[VTK_TETRA; PART][..(tets - first).min(PART as u64) as usize])),
     }
@@ -141,7 +141,7 @@ impl Packed {
         meta: &TetMeta<'_>,
         pool: &rayon::ThreadPool,
         in_rows: bool,
-        arrays: &[Array],
+        arrays: &[TetArray],
         sink: &Sink<'_>,
     ) -> Result<Self> {
         let file = sink.scratch()?.expect("meshes are written to files");
@@ -179,7 +179,7 @@ impl Packed {
 }
 
 /// Rows of an array that are compressed together: 1 of an empty one.
-pub(super) fn block_rows(array: Array, mesh: &StoredTets, meta: &TetMeta<'_>) -> u64 {
+pub(super) fn block_rows(array: TetArray, mesh: &StoredTets, meta: &TetMeta<'_>) -> u64 {
     let [rows, bytes] = array.size(mesh, meta);
     (BLOCK as u64 / bytes).min(rows).max(1)
 }

@@ -14,7 +14,7 @@
 //! Arrays lie in the file as they are, or in chunks that are compressed (zlib). In the name of the
 //! field "_" stands for "/".
 
-use super::arrays::{Array, Packed, TetMeta, block_rows, each_part};
+use super::arrays::{Packed, TetArray, TetMeta, block_rows, each_part};
 use crate::tets::StoredTets;
 use isospan_io::error::Result;
 use isospan_io::formats::shared::hdf5_head::{Data, Dataset, Group};
@@ -23,11 +23,13 @@ use isospan_io::formats::vtk::hdf::{self, active, array_name, count};
 use isospan_io::volume::ScalarType;
 
 /// The arrays of the mesh, in the order of a file's tree; those of the fields follow.
-const OF_MESH: [Array; 4] = [Array::Points, Array::Connectivity, Array::Offsets { first: 0 }, Array::Types];
+const OF_MESH: [TetArray; 4] =
+    [TetArray::Points, TetArray::Connectivity, TetArray::Offsets { first: 0 }, TetArray::Types];
 
 /// Writes a mesh as VTKHDF.
 pub(super) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) -> Result<()> {
-    let arrays: Vec<Array> = OF_MESH.into_iter().chain((0..meta.fields.len()).map(Array::Values)).collect();
+    let arrays: Vec<TetArray> =
+        OF_MESH.into_iter().chain((0..meta.fields.len()).map(TetArray::Values)).collect();
     let packed = meta.compress.map(|pool| Packed::of(mesh, meta, pool, true, &arrays, sink)).transpose()?;
     sink.put(&tree(mesh, meta, &arrays, packed.as_ref()).head()?)?;
     for (n, array) in arrays.into_iter().enumerate() {
@@ -39,7 +41,7 @@ pub(super) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) 
     Ok(())
 }
 
-fn tree(mesh: &StoredTets, meta: &TetMeta<'_>, arrays: &[Array], packed: Option<&Packed>) -> Group {
+fn tree(mesh: &StoredTets, meta: &TetMeta<'_>, arrays: &[TetArray], packed: Option<&Packed>) -> Group {
     let array = |n: usize, scalar: ScalarType| {
         let [rows, row_bytes] = arrays[n].size(mesh, meta);
         let shape = if n == 0 { &[rows, 3][..] } else { &[rows] };

@@ -27,17 +27,17 @@
 //! The compressed lengths are known only at the end, so the streams wait in a nameless file next to
 //! the target until the header is written.
 
-use super::arrays::{Array, BLOCK, Packed, TetField, TetMeta, each_part};
+use super::arrays::{BLOCK, Packed, TetArray, TetField, TetMeta, each_part};
 use crate::tets::StoredTets;
 use isospan_io::error::Result;
 use isospan_io::formats::shared::sink::Sink;
 use isospan_io::formats::shared::text::xml_attribute;
 
 /// The arrays of a file, in order.
-fn arrays(meta: &TetMeta<'_>) -> Vec<Array> {
-    let values = (0..meta.fields.len()).map(Array::Values);
-    let cells = [Array::Connectivity, Array::Offsets { first: 1 }, Array::Types];
-    [Array::Points].into_iter().chain(values).chain(cells).collect()
+fn arrays(meta: &TetMeta<'_>) -> Vec<TetArray> {
+    let values = (0..meta.fields.len()).map(TetArray::Values);
+    let cells = [TetArray::Connectivity, TetArray::Offsets { first: 1 }, TetArray::Types];
+    [TetArray::Points].into_iter().chain(values).chain(cells).collect()
 }
 
 /// Writes a mesh as VTU.
@@ -52,7 +52,7 @@ pub(super) fn write(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) 
 fn put_plain(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink<'_>) -> Result<()> {
     // Fewer than 2^59 points and tetrahedra: no product overflows.
     let arrays = arrays(meta);
-    let length = |array: &Array| array.size(mesh, meta).iter().product::<u64>();
+    let length = |array: &TetArray| array.size(mesh, meta).iter().product::<u64>();
     sink.put(head(mesh, arrays.iter().map(|array| 8 + length(array)), meta).as_bytes())?;
     for array in arrays {
         let length = length(&array);

@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 #[derive(Debug)]
-struct Shared {
+struct BudgetState {
     total: u64,
     used: Mutex<Use>,
     released: Condvar,
@@ -20,12 +20,12 @@ struct Use {
 
 /// A number of bytes that may be in use at one time. Clones share the same budget.
 #[derive(Clone, Debug)]
-pub struct MemoryBudget(Arc<Shared>);
+pub struct MemoryBudget(Arc<BudgetState>);
 
 impl MemoryBudget {
     /// A budget of `total` bytes.
     pub fn new(total: u64) -> Self {
-        Self(Arc::new(Shared { total, used: Mutex::default(), released: Condvar::new() }))
+        Self(Arc::new(BudgetState { total, used: Mutex::default(), released: Condvar::new() }))
     }
 
     /// The budget's size.
@@ -66,7 +66,7 @@ impl MemoryBudget {
 /// Bytes taken from a [`MemoryBudget`]; dropping gives them back.
 #[derive(Debug)]
 pub struct Permit {
-    shared: Arc<Shared>,
+    shared: Arc<BudgetState>,
     bytes: u64,
 }
 
@@ -90,7 +90,7 @@ impl Drop for Permit {
     }
 }
 
-fn give_back(shared: &Shared, bytes: u64) {
+fn give_back(shared: &BudgetState, bytes: u64) {
     shared.used.lock().unwrap_or_else(PoisonError::into_inner).now -= bytes;
     shared.released.notify_all();
 }

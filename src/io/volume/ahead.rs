@@ -29,11 +29,11 @@ pub(super) fn most_ahead(bytes_of_one: u64) -> u64 {
 }
 
 /// The chunks of a source that are decoded ahead.
-pub(super) struct Ahead(Arc<Shared>);
+pub(super) struct Ahead(Arc<AheadWork>);
 
 type Decode = dyn Fn([u64; 3]) -> Decoded + Send + Sync;
 
-struct Shared {
+struct AheadWork {
     decode: Box<Decode>,
     most: usize,
     state: Mutex<State>,
@@ -61,7 +61,7 @@ impl Ahead {
     /// Up to `most` chunks are decoded ahead by `decode`.
     pub(super) fn new(most: u64, decode: impl Fn([u64; 3]) -> Decoded + Send + Sync + 'static) -> Self {
         let (state, changed) = (Mutex::default(), Condvar::new());
-        Self(Arc::new(Shared { decode: Box::new(decode), most: most as usize, state, changed }))
+        Self(Arc::new(AheadWork { decode: Box::new(decode), most: most as usize, state, changed }))
     }
 
     /// The most chunks that are ready or being decoded.
@@ -161,7 +161,7 @@ impl Drop for Ahead {
     }
 }
 
-impl Shared {
+impl AheadWork {
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -43,7 +43,7 @@ pub struct Scanner<'a> {
 }
 
 /// A tetrahedron, and the samples of the window in its bounding box.
-struct Found {
+struct FoundSamples {
     corners: [LatticePos; 4],
     lo: [usize; 3],
     hi: [usize; 3],
@@ -123,7 +123,7 @@ impl<'a> Scanner<'a> {
         let longest = if x > y { x } else { y };
         let longest = if longest > z { longest } else { z };
         let edges = Mat4::from_cols(fb - fa, fc - fa, fd - fa, Vec4::ZERO).transpose();
-        let found = Found {
+        let found = FoundSamples {
             corners,
             lo: from,
             hi: to,
@@ -151,7 +151,7 @@ impl<'a> Scanner<'a> {
     }
 
     #[inline(always)]
-    fn scan<I: Int>(&self, found: &Found, each: impl FnMut(usize, &[[f64; 4]])) {
+    fn scan<I: Int>(&self, found: &FoundSamples, each: impl FnMut(usize, &[[f64; 4]])) {
         let (width, height) = (found.hi[0] - found.lo[0], found.hi[1] - found.lo[1]);
         let exact = Exact::<I, _> { scanner: self, found, planes: None, weights: [[0.0; 4]; RUN], each };
         if width <= 4 && height <= 4 {
@@ -166,7 +166,7 @@ impl<'a> Scanner<'a> {
     /// How far four samples of an axis are from its first in the box. Those behind the last one are
     /// anywhere.
     #[inline(always)]
-    fn offsets(&self, found: &Found, axis: usize, from: usize) -> Vec4 {
+    fn offsets(&self, found: &FoundSamples, axis: usize, from: usize) -> Vec4 {
         if let Some(pitch) = self.pitch {
             let from = from as f32;
             return Vec4::from_array([from, from + 1.0, from + 2.0, from + 3.0]) * pitch[axis];
@@ -176,7 +176,7 @@ impl<'a> Scanner<'a> {
     }
 
     #[inline(always)]
-    fn offset(&self, found: &Found, axis: usize, sample: usize) -> f32 {
+    fn offset(&self, found: &FoundSamples, axis: usize, sample: usize) -> f32 {
         match self.pitch {
             Some(pitch) => (sample - found.lo[axis]) as i32 as f32 * pitch[axis],
             None => (self.axes[axis].position(sample) - found.first[axis]) as f32,
@@ -185,7 +185,7 @@ impl<'a> Scanner<'a> {
 
     /// Boxes of up to 4 by 4 samples a layer: sixteen tests at a time.
     #[inline(always)]
-    fn tiles<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &Found, mut exact: Exact<'_, I, F>) {
+    fn tiles<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &FoundSamples, mut exact: Exact<'_, I, F>) {
         let (width, height) = (found.hi[0] - found.lo[0], found.hi[1] - found.lo[1]);
         let filter = &found.filter;
         let along_x = filter.growth(self.offsets(found, 0, 0));
@@ -214,7 +214,7 @@ impl<'a> Scanner<'a> {
 
     /// Rows of up to 8 samples.
     #[inline(always)]
-    fn rows<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &Found, mut exact: Exact<'_, I, F>) {
+    fn rows<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &FoundSamples, mut exact: Exact<'_, I, F>) {
         let filter = &found.filter;
         let near = filter.growth(self.offsets(found, 0, 0));
         let beyond = filter.growth(self.offsets(found, 0, 4));
@@ -234,7 +234,11 @@ impl<'a> Scanner<'a> {
 
     /// Rows of any length: the ends of the run that can be inside are computed.
     #[inline(never)]
-    fn long_rows<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &Found, mut exact: Exact<'_, I, F>) {
+    fn long_rows<I: Int, F: FnMut(usize, &[[f64; 4]])>(
+        &self,
+        found: &FoundSamples,
+        mut exact: Exact<'_, I, F>,
+    ) {
         let filter = &found.filter;
         let inverse = filter.x.to_array().map(|g| -1.0 / f64::from(g));
         for iz in found.lo[2]..found.hi[2] {
@@ -251,7 +255,13 @@ impl<'a> Scanner<'a> {
 
     /// The samples of a long row that can be inside.
     #[inline(always)]
-    fn span(&self, found: &Found, lambda: [f32; 4], growth: [f32; 4], inverse: &[f64; 4]) -> (usize, usize) {
+    fn span(
+        &self,
+        found: &FoundSamples,
+        lambda: [f32; 4],
+        growth: [f32; 4],
+        inverse: &[f64; 4],
+    ) -> (usize, usize) {
         let (xs, lo, hi) = (&self.axes[0], found.lo[0], found.hi[0]);
         let x = found.first[0];
         let (mut from, mut to) = (0.0f64, f64::from(xs.position(hi - 1) - x));
@@ -351,7 +361,7 @@ fn candidates(row: &[Vec4; 4], growth: &[Vec4; 4]) -> u32 {
 /// The exact part: planes are made when a sample first asks for them.
 struct Exact<'a, I, F> {
     scanner: &'a Scanner<'a>,
-    found: &'a Found,
+    found: &'a FoundSamples,
     planes: Option<(Planes<I>, f64)>,
     weights: [[f64; 4]; RUN],
     each: F,

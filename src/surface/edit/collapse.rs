@@ -165,7 +165,7 @@ struct Queued {
 }
 
 /// The result of a collapse.
-struct Joined {
+struct JoinedEdge {
     /// The vertex that stays; the other goes.
     stays: u32,
     goes: u32,
@@ -284,7 +284,7 @@ impl<'a> Work<'a> {
 
     /// The place to which an edge would collapse; `None` when both ends are fixed, or the cost is
     /// not a number.
-    fn joined(&self, u: u32, v: u32) -> Option<Joined> {
+    fn joined(&self, u: u32, v: u32) -> Option<JoinedEdge> {
         let (u, v) = (u.min(v), u.max(v));
         let sum = self.quadrics[u as usize].plus(&self.quadrics[v as usize]);
         let (stays, goes) = match (self.fixed[u as usize], self.fixed[v as usize]) {
@@ -298,7 +298,7 @@ impl<'a> Work<'a> {
             self.best_place(&sum, self.place(u), self.place(v))
         };
         let cost = sum.at(minus(position.map(f64::from), self.origin));
-        cost.is_finite().then_some(Joined { stays, goes, position, cost })
+        cost.is_finite().then_some(JoinedEdge { stays, goes, position, cost })
     }
 
     /// The place where a quadric is least, unless that is far away; else the best of ends and
@@ -393,8 +393,8 @@ impl<'a> Work<'a> {
         (worst >= LEAST_QUALITY.min(worst_before)).then_some(farthest)
     }
 
-    fn collapse(&mut self, joined: &Joined, opposite: [u32; 2], error: f32) {
-        let Joined { stays, goes, position, .. } = *joined;
+    fn collapse(&mut self, joined: &JoinedEdge, opposite: [u32; 2], error: f32) {
+        let JoinedEdge { stays, goes, position, .. } = *joined;
         let fan = std::mem::take(&mut self.fans[goes as usize]);
         for &t in &fan {
             let triangle = &mut self.patch.triangles[t as usize];

@@ -33,7 +33,7 @@ pub struct ChunkSurface {
     pub(super) shared: Vec<SharedEdge>,
     pub(super) triangles: Vec<[u32; 3]>,
     /// Buffers for the edges of the block that is worked on.
-    pub(super) joined: Joined,
+    pub(super) joined: JoinedBlock,
 }
 
 /// A vertex whose gradient is not yet summed up.
@@ -45,7 +45,7 @@ pub(super) struct OpenVertex {
 
 /// The edges of a patch, in their chunk.
 #[derive(Debug, Default)]
-pub(super) struct Joined {
+pub(super) struct JoinedBlock {
     /// The vertex of each.
     pub(super) vertices: Vec<u32>,
     /// The edges whose vertices are new.

@@ -108,9 +108,9 @@ pub(super) fn check(numbers: &mut [u64]) -> Result<(), Wrong> {
             return Err(("faces that close: each edge in two of them", got));
         };
         match sides.join(f, g, up == also_up) {
-            Joined::First => bodies -= 1,
-            Joined::Again => {}
-            Joined::Otherwise => {
+            JoinedFaces::First => bodies -= 1,
+            JoinedFaces::Again => {}
+            JoinedFaces::Otherwise => {
                 return Err(("faces that are the surface of a body", "a surface with one side".into()));
             }
         }
@@ -135,7 +135,7 @@ struct Sides {
     parents: Vec<(usize, bool)>,
 }
 
-enum Joined {
+enum JoinedFaces {
     First,
     Again,
     /// Against what is known.
@@ -158,15 +158,15 @@ impl Sides {
         (root, turned)
     }
 
-    fn join(&mut self, a: usize, b: usize, turned: bool) -> Joined {
+    fn join(&mut self, a: usize, b: usize, turned: bool) -> JoinedFaces {
         let ((a, a_turned), (b, b_turned)) = (self.of(a), self.of(b));
         let turned = turned ^ a_turned ^ b_turned;
         if a == b {
-            return if turned { Joined::Otherwise } else { Joined::Again };
+            return if turned { JoinedFaces::Otherwise } else { JoinedFaces::Again };
         }
         // The first face is the root of all in the end, and so stays as it is.
         self.parents[a.max(b)] = (a.min(b), turned);
-        Joined::First
+        JoinedFaces::First
     }
 }
 

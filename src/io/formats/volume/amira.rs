@@ -128,7 +128,7 @@ impl Kind {
 }
 
 /// An array that the header declares.
-struct Array {
+struct AmiraArray {
     /// What it is defined on: "Lattice".
     on: String,
     field: FieldInfo,
@@ -150,7 +150,7 @@ struct File {
     dims: [u64; 3],
     /// Names and sizes of what arrays are defined on.
     sizes: Vec<(String, u64)>,
-    arrays: Vec<Array>,
+    arrays: Vec<AmiraArray>,
     bounds: Option<[f64; 6]>,
     coordinates: String,
     matrix: Option<[f64; 16]>,
@@ -340,7 +340,7 @@ impl File {
         let number = number.strip_prefix('@').and_then(|n| n.parse().ok());
         let number = number.ok_or_else(|| self.wrong(name, "a label @NUMBER", label))?;
         let packed = packing.map(|p| self.packed(&field, p)).transpose()?;
-        self.arrays.push(Array { on: on.into(), field, label: number, packed });
+        self.arrays.push(AmiraArray { on: on.into(), field, label: number, packed });
         Ok(next + 1)
     }
 
@@ -363,7 +363,7 @@ impl File {
     }
 
     /// The bytes of an array.
-    fn bytes_of(&self, wanted: &Array) -> Result<Range<u64>> {
+    fn bytes_of(&self, wanted: &AmiraArray) -> Result<Range<u64>> {
         let mut at = self.end;
         loop {
             let (label, start) = self.label_from(at, wanted)?;
@@ -395,7 +395,7 @@ impl File {
     }
 
     /// The label that follows, and the byte after its line.
-    fn label_from(&self, at: u64, wanted: &Array) -> Result<(u64, u64)> {
+    fn label_from(&self, at: u64, wanted: &AmiraArray) -> Result<(u64, u64)> {
         let mut bytes = vec![0; (self.source.len() - at).min(LABEL) as usize];
         self.source.read_at(at, &mut bytes)?;
         let blank = bytes.iter().take_while(|b| b.is_ascii_whitespace()).count();

@@ -67,7 +67,7 @@ impl Format for Mrc {
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
         let source = Arc::clone(head.file()?);
         let gzip = head.bytes.starts_with(&[0x1f, 0x8b]);
-        let header = Header::read(&source, gzip)?;
+        let header = MrcHeader::read(&source, gzip)?;
         let (scalar, [dims, volumes]) = (header.scalar()?, header.dims()?);
         let count = volumes[2];
         let fields: Vec<FieldInfo> = match count {
@@ -91,7 +91,7 @@ const IMOD: i32 = 1_146_047_817;
 struct Map {
     source: Arc<ByteSource>,
     gzip: bool,
-    header: Header,
+    header: MrcHeader,
     dims: [u64; 3],
     /// The volumes.
     fields: Vec<FieldInfo>,
@@ -133,13 +133,13 @@ impl Dataset for Map {
 }
 
 /// The header's bytes, and how to read them.
-struct Header {
+struct MrcHeader {
     path: PathBuf,
     bytes: Vec<u8>,
     big_endian: bool,
 }
 
-impl Header {
+impl MrcHeader {
     fn read(source: &Arc<ByteSource>, gzip: bool) -> Result<Self> {
         let (path, mut bytes) = (source.path().to_path_buf(), vec![]);
         let reader: Box<dyn Read> = if gzip {

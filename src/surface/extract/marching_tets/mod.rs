@@ -79,7 +79,7 @@
 //! to leave every triangle an area.
 
 use super::cells::{CellSource, Sorted, along_edge};
-use super::chunk_surface::{ChunkSurface, Joined, SharedEdge, find_or_open};
+use super::chunk_surface::{ChunkSurface, JoinedBlock, SharedEdge, find_or_open};
 use super::fours::{self, Corner};
 use super::numbered::NumberedBlock;
 use super::patch::{Corners, Patch};
@@ -210,7 +210,7 @@ impl ChunkSurface {
     /// looked for.
     #[inline(always)]
     fn join_edges(&mut self, patch: &Patch, corners: &impl Corners) {
-        let Joined { vertices, new, alone, first } = &mut self.joined;
+        let JoinedBlock { vertices, new, alone, first } = &mut self.joined;
         vertices.clear();
         for list in [&mut *new, &mut *alone, &mut *first] {
             list.clear();
@@ -249,7 +249,7 @@ impl ChunkSurface {
         at: &[Corner],
         world: &WorldMap,
     ) {
-        let Joined { vertices, new, alone, first } = &self.joined;
+        let JoinedBlock { vertices, new, alone, first } = &self.joined;
         patch.append_vertices::<W>(token, at, new, self.isovalue, world, &mut self.vertices);
         let vertex = |edge: u16| vertices[usize::from(edge)] as usize;
         for &edge in first {

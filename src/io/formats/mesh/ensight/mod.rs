@@ -43,7 +43,7 @@ use crate::formats::shared::ranges::RangeNumbers;
 use crate::formats::shared::{Frames, OpenOptions, known_times};
 use crate::volume::ScalarType;
 use case::{Case, Variable};
-use scan::{Encoding, Geometry, Values};
+use scan::{EnsightEncoding, Geometry, Values};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -129,9 +129,9 @@ fn open(head: &Head<'_>, case: Case) -> Result<Shared> {
         return Err(Error::bad_input(source.path(), "parts", "at least one", "none"));
     }
     let encoding = match geometry.encoding {
-        Encoding::Text => "ascii",
-        Encoding::Binary { big_endian: false } => "C binary",
-        Encoding::Binary { big_endian: true } => "C binary, big-endian",
+        EnsightEncoding::Text => "ascii",
+        EnsightEncoding::Binary { big_endian: false } => "C binary",
+        EnsightEncoding::Binary { big_endian: true } => "C binary, big-endian",
     };
     let mut info = CellsInfo {
         path: path.to_path_buf(),

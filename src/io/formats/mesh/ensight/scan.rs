@@ -17,7 +17,7 @@ const MOST_PARTS: usize = 1 << 20;
 
 /// How numbers are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Encoding {
+pub(super) enum EnsightEncoding {
     Text,
     Binary { big_endian: bool },
 }
@@ -27,14 +27,14 @@ pub(super) enum Encoding {
 pub(super) struct Run {
     source: Arc<ByteSource>,
     range: Range<u64>,
-    encoding: Encoding,
+    encoding: EnsightEncoding,
 }
 
 impl Run {
     pub(super) fn open(&self, scalar: ScalarType) -> RangeNumbers {
         match self.encoding {
-            Encoding::Text => RangeNumbers::text(&self.source, self.range.clone(), scalar),
-            Encoding::Binary { big_endian } => {
+            EnsightEncoding::Text => RangeNumbers::text(&self.source, self.range.clone(), scalar),
+            EnsightEncoding::Binary { big_endian } => {
                 RangeNumbers::binary(&self.source, self.range.clone(), scalar, big_endian)
             }
         }
@@ -61,7 +61,7 @@ pub(super) struct Part {
 
 /// A geometry.
 pub(super) struct Geometry {
-    pub(super) encoding: Encoding,
+    pub(super) encoding: EnsightEncoding,
     pub(super) parts: Vec<Part>,
 }
 
@@ -102,10 +102,10 @@ pub(super) fn geometry(source: &Arc<ByteSource>) -> Result<Geometry> {
             .with_help("write it as C binary, or as .vtu, e.g. with ParaView"));
     }
     let is_binary = first.starts_with("c binary");
-    let mut c = Cursor { source, at: 0, encoding: Encoding::Text };
+    let mut c = Cursor { source, at: 0, encoding: EnsightEncoding::Text };
     if is_binary {
         c.line_fits()?;
-        (c.at, c.encoding) = (LINE, Encoding::Binary { big_endian: false });
+        (c.at, c.encoding) = (LINE, EnsightEncoding::Binary { big_endian: false });
     }
     c.description()?;
     c.description()?;
@@ -269,7 +269,7 @@ pub(super) fn values(
 struct Cursor<'a> {
     source: &'a Arc<ByteSource>,
     at: u64,
-    encoding: Encoding,
+    encoding: EnsightEncoding,
 }
 
 impl Cursor<'_> {
@@ -284,13 +284,13 @@ impl Cursor<'_> {
             return Ok(None);
         }
         let line = match self.encoding {
-            Encoding::Text => {
+            EnsightEncoding::Text => {
                 let rest = &self.source.slice(0..self.source.len())?[self.at as usize..];
                 let end = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
                 self.at += (end + 1).min(rest.len()) as u64;
                 rest[..end].to_vec()
             }
-            Encoding::Binary { .. } => {
+            EnsightEncoding::Binary { .. } => {
                 self.line_fits()?;
                 let mut line = vec![0; LINE as usize];
                 self.source.read_at(self.at, &mut line)?;
@@ -315,7 +315,7 @@ impl Cursor<'_> {
     fn optional_text(&mut self) -> Result<Option<String>> {
         loop {
             match self.line()? {
-                Some(line) if line.is_empty() && self.encoding == Encoding::Text => {}
+                Some(line) if line.is_empty() && self.encoding == EnsightEncoding::Text => {}
                 line => return Ok(line),
             }
         }
@@ -336,12 +336,12 @@ impl Cursor<'_> {
     fn skip(&mut self, n: u64) -> Result<Run> {
         let start = self.at;
         match self.encoding {
-            Encoding::Binary { .. } => {
+            EnsightEncoding::Binary { .. } => {
                 let end = n.checked_mul(4).and_then(|bytes| start.checked_add(bytes));
                 let end = end.filter(|&end| end <= self.source.len());
                 self.at = end.ok_or_else(|| self.wrong(format!("{n} numbers"), "the end of the file"))?;
             }
-            Encoding::Text => {
+            EnsightEncoding::Text => {
                 let all = self.source.slice(0..self.source.len())?;
                 let mut words = Words::new(self.source.path(), all, start as usize);
                 for _ in 0..n {
@@ -385,12 +385,12 @@ impl Cursor<'_> {
 
     /// Decides the order of bytes by the number of a part, which is small.
     fn find_byte_order(&mut self) -> Result<()> {
-        if self.encoding == Encoding::Text {
+        if self.encoding == EnsightEncoding::Text {
             return Ok(());
         }
         let at = self.at;
         for big_endian in [false, true] {
-            self.encoding = Encoding::Binary { big_endian };
+            self.encoding = EnsightEncoding::Binary { big_endian };
             let number = self.int();
             self.at = at;
             if number.is_ok_and(|n| (0..1 << 16).contains(&n)) {

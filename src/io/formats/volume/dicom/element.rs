@@ -80,7 +80,7 @@ const MOST_ELEMENTS: usize = 1 << 21;
 
 /// How a data set is written.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Encoding {
+pub(super) struct DicomEncoding {
     pub(super) explicit: bool,
     pub(super) big_endian: bool,
 }
@@ -102,12 +102,12 @@ struct Element {
 pub(super) struct Reader<'a> {
     path: &'a Path,
     bytes: &'a [u8],
-    encoding: Encoding,
+    encoding: DicomEncoding,
     kept: usize,
 }
 
 impl<'a> Reader<'a> {
-    pub(super) fn new(path: &'a Path, bytes: &'a [u8], encoding: Encoding) -> Self {
+    pub(super) fn new(path: &'a Path, bytes: &'a [u8], encoding: DicomEncoding) -> Self {
         Self { path, bytes, encoding, kept: 0 }
     }
 
@@ -167,7 +167,7 @@ impl<'a> Reader<'a> {
             let (usual, kept) = (self.encoding, self.kept);
             if vr == Some(*b"UN") {
                 // What a writer did not know is kept as it came: implicit and little-endian.
-                self.encoding = Encoding { explicit: false, big_endian: false };
+                self.encoding = DicomEncoding { explicit: false, big_endian: false };
             }
             items = self.items(at, stop, end, depth + 1)?;
             self.encoding = usual;

@@ -98,7 +98,7 @@ impl DicomFile {
             return Err(Error::bad_input(path, "byte 128", "'DICM', as in a DICOM file", "other bytes")
                 .with_help("a file without this head is read after dcmconv wrote it again"));
         }
-        let plain = Encoding { explicit: true, big_endian: false };
+        let plain = DicomEncoding { explicit: true, big_endian: false };
         let mut reader = Reader::new(path, bytes, plain);
         let (meta, at) = reader.meta(132)?;
         let syntax = reader.text(&meta, TRANSFER_SYNTAX).unwrap_or_default();
@@ -145,8 +145,8 @@ impl DicomFile {
 }
 
 /// How the data set is written; compressed ones are refused.
-fn encoding(path: &Path, syntax: &str) -> Result<Encoding> {
-    let of = |explicit, big_endian| Ok(Encoding { explicit, big_endian });
+fn encoding(path: &Path, syntax: &str) -> Result<DicomEncoding> {
+    let of = |explicit, big_endian| Ok(DicomEncoding { explicit, big_endian });
     match syntax {
         "1.2.840.10008.1.2" => return of(false, false),
         "1.2.840.10008.1.2.1" => return of(true, false),

@@ -60,7 +60,7 @@ impl Format for MetaImage {
 
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
         let source = head.file()?;
-        let header = Header::parse(source)?;
+        let header = MetaImageHeader::parse(source)?;
         let ([dims, [frames, ..]], scalar) = (header.dims()?, header.scalar()?);
         let bytes = sample_bytes(head.path, [dims[0], dims[1], dims[2].saturating_mul(frames)], scalar)?;
         let encoding = header.encoding()?;
@@ -71,13 +71,13 @@ impl Format for MetaImage {
 
 /// A MetaImage file.
 struct File {
-    header: Header,
+    header: MetaImageHeader,
     /// Samples along x, y, z.
     dims: [u64; 3],
     /// Volumes.
     frames: u64,
     scalar: ScalarType,
-    encoding: Encoding,
+    encoding: MetaImageEncoding,
     /// The files of the samples, and where these begin in each.
     parts: Vec<Arc<ByteSource>>,
     start: u64,
@@ -112,7 +112,7 @@ impl Dataset for File {
     }
 
     fn packed_steps(&self, options: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
-        if self.frames == 1 || self.encoding != Encoding::Zlib {
+        if self.frames == 1 || self.encoding != MetaImageEncoding::Zlib {
             return Ok(None);
         }
         let info = self.volume(&frames::first(options))?.info().clone();
@@ -121,13 +121,13 @@ impl Dataset for File {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Encoding {
+enum MetaImageEncoding {
     Raw,
     Zlib,
     Text,
 }
 
-impl Encoding {
+impl MetaImageEncoding {
     fn name(self) -> &'static str {
         match self {
             Self::Raw => "raw",
@@ -143,7 +143,7 @@ const OFFSET: [&str; 3] = ["Offset", "Position", "Origin"];
 /// The keys of the spacing.
 const SPACING: [&str; 2] = ["ElementSpacing", "ElementSize"];
 
-struct Header {
+struct MetaImageHeader {
     path: PathBuf,
     fields: Vec<(String, String)>,
     /// The lines after the header, where it ends with a LIST.
@@ -152,7 +152,7 @@ struct Header {
     end: u64,
 }
 
-impl Header {
+impl MetaImageHeader {
     fn parse(source: &ByteSource) -> Result<Self> {
         let path = source.path();
         let mut lines = Lines::new(source.head_from(0)?);
@@ -294,13 +294,13 @@ impl Header {
         })
     }
 
-    fn encoding(&self) -> Result<Encoding> {
+    fn encoding(&self) -> Result<MetaImageEncoding> {
         let binary = self.flag(&["BinaryData"], true)?;
         let compressed = self.flag(&["CompressedData"], false)?;
         Ok(match (binary, compressed) {
-            (true, false) => Encoding::Raw,
-            (true, true) => Encoding::Zlib,
-            (false, false) => Encoding::Text,
+            (true, false) => MetaImageEncoding::Raw,
+            (true, true) => MetaImageEncoding::Zlib,
+            (false, false) => MetaImageEncoding::Text,
             (false, true) => {
                 let expected = "binary data, or no compression";
                 return Err(Error::bad_input(&self.path, "CompressedData", expected, "compressed text"));
@@ -357,12 +357,18 @@ impl Header {
     }
 
     /// Where the samples start in each file; `needed` bytes of samples are in each.
-    fn start(&self, parts: &[Arc<ByteSource>], local: bool, encoding: Encoding, needed: u64) -> Result<u64> {
+    fn start(
+        &self,
+        parts: &[Arc<ByteSource>],
+        local: bool,
+        encoding: MetaImageEncoding,
+        needed: u64,
+    ) -> Result<u64> {
         let skip: i64 = self.integer("HeaderSize", "0")?;
         match (skip, encoding) {
             (0, _) if local => return Ok(self.end),
             (0.., _) => return Ok(skip.unsigned_abs()),
-            (-1, Encoding::Raw | Encoding::Zlib) => {}
+            (-1, MetaImageEncoding::Raw | MetaImageEncoding::Zlib) => {}
             _ => {
                 return Err(Error::bad_input(
                     &self.path,
@@ -372,8 +378,11 @@ impl Header {
                 ));
             }
         }
-        let needed =
-            if encoding == Encoding::Raw { needed } else { self.integer("CompressedDataSize", "none")? };
+        let needed = if encoding == MetaImageEncoding::Raw {
+            needed
+        } else {
+            self.integer("CompressedDataSize", "none")?
+        };
         let len = parts[0].len();
         if let Some(odd) = parts.iter().find(|p| p.len() != len) {
             let expected = format!("{len} bytes, as in the first of the data files");
@@ -428,7 +437,7 @@ impl File {
     fn samples(&self, mut info: VolumeInfo, frame: u64) -> Result<VolumeSource> {
         let (header, frames) = (&self.header, self.frames);
         info.data_files = self.files();
-        if self.encoding == Encoding::Raw {
+        if self.encoding == MetaImageEncoding::Raw {
             let strides =
                 StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
             let slices = [info.dims[2], strides[2] as u64];
@@ -438,7 +447,7 @@ impl File {
             return Ok(volume.source());
         }
         let part = self.only_part()?;
-        if self.encoding == Encoding::Zlib {
+        if self.encoding == MetaImageEncoding::Zlib {
             return self.packed(part)?.volume(info, frame);
         }
         if frames > 1 {

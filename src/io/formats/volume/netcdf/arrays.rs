@@ -1,6 +1,6 @@
 //! The variables of a NetCDF-3 file, by their names.
 
-use super::header::{Header, Variable};
+use super::header::{NetcdfHeader, Variable};
 use crate::bytes::ByteSource;
 use crate::cells::NumberStream;
 use crate::error::{Error, Result};
@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// # Errors
 /// [`Error::BadInput`] for a malformed header.
 pub(in crate::formats) fn arrays(source: &Arc<ByteSource>) -> Result<Arc<dyn Arrays>> {
-    let header = Header::parse(source.path(), source.head_from(0)?, source.len())?;
+    let header = NetcdfHeader::parse(source.path(), source.head_from(0)?, source.len())?;
     source.check()?;
     let dims = by_name(header.dims.iter().map(|d| d.name.as_str()));
     let variables = by_name(header.variables.iter().map(|v| v.name.as_str()));
@@ -23,7 +23,7 @@ pub(in crate::formats) fn arrays(source: &Arc<ByteSource>) -> Result<Arc<dyn Arr
 
 struct Variables {
     source: Arc<ByteSource>,
-    header: Header,
+    header: NetcdfHeader,
     dims: HashMap<String, usize>,
     variables: HashMap<String, usize>,
 }

@@ -11,7 +11,7 @@
 //! The refused ones say where samples lie, or that there are none, where a plain reader does not
 //! look, so the result would be wrong.
 
-use super::header::{Header, Variable};
+use super::header::{NetcdfHeader, Variable};
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::{refused_convention, signed_as};
 use crate::volume::ScalarType;
@@ -30,7 +30,7 @@ impl Dialect {
     ///
     /// # Errors
     /// [`Error::BadInput`] for one that is not read.
-    pub(super) fn of(path: &Path, header: &Header) -> Result<Self> {
+    pub(super) fn of(path: &Path, header: &NetcdfHeader) -> Result<Self> {
         let has = |name: &str| header.variable(name).is_some();
         let of_words = ["Conventions", "conventions", "file_format"]
             .iter()

@@ -9,7 +9,7 @@ use byteorder::{BE, ByteOrder};
 use std::path::Path;
 
 /// What a header says.
-pub(super) struct Header {
+pub(super) struct NetcdfHeader {
     version: u8,
     pub(super) dims: Vec<Dim>,
     pub(super) variables: Vec<Variable>,
@@ -122,7 +122,7 @@ const DIMENSIONS: u32 = 10;
 const VARIABLES: u32 = 11;
 const ATTRIBUTES: u32 = 12;
 
-impl Header {
+impl NetcdfHeader {
     /// Parses the header at the start of `bytes`, the beginning of a file of `length` bytes.
     ///
     /// # Errors

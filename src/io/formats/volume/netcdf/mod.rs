@@ -42,7 +42,7 @@ use crate::volume::units::Units;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 pub(in crate::formats) use arrays::arrays;
 use dialect::Dialect;
-use header::{Header, Variable};
+use header::{NetcdfHeader, Variable};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -148,7 +148,7 @@ impl Dataset for File {
 /// A file whose header was read.
 struct File {
     source: Arc<ByteSource>,
-    header: Header,
+    header: NetcdfHeader,
     dialect: Dialect,
     fields: Vec<Field>,
     /// Variables of three axes or more that are not read, and why.
@@ -170,7 +170,7 @@ impl AsRef<Part> for Field {
 impl File {
     fn open(source: &Arc<ByteSource>) -> Result<Self> {
         let path = source.path();
-        let header = Header::parse(path, source.head_from(0)?, source.len())?;
+        let header = NetcdfHeader::parse(path, source.head_from(0)?, source.len())?;
         source.check()?;
         let dialect = Dialect::of(path, &header)?;
         let source = Arc::clone(source);

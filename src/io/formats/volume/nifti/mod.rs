@@ -72,7 +72,7 @@ impl Format for Nifti {
             true => Arc::new(ByteSource::open(partner(head.path, "hdr")?, head.io)?),
             false => Arc::clone(head.file()?),
         };
-        let header = Header::parse(&source)?;
+        let header = NiftiHeader::parse(&source)?;
         let data = match (header.is_pair()?, is_data) {
             (false, _) => source,
             (true, true) => Arc::clone(head.file()?),
@@ -88,7 +88,7 @@ impl Format for Nifti {
 struct File {
     /// The one that was named.
     path: PathBuf,
-    header: Header,
+    header: NiftiHeader,
     /// The file of the samples, and where in it, unpacked, they begin.
     data: Arc<ByteSource>,
     gzip: bool,
@@ -215,7 +215,7 @@ fn check_size(data: &ByteSource, gzip: bool, offset: u64, frames: u64, frame_byt
 }
 
 /// The header's bytes, and how to read them.
-struct Header {
+struct NiftiHeader {
     path: PathBuf,
     bytes: Vec<u8>,
     big_endian: bool,
@@ -223,7 +223,7 @@ struct Header {
     version: u8,
 }
 
-impl Header {
+impl NiftiHeader {
     const BYTES: [usize; 2] = [348, 540];
 
     fn parse(source: &Arc<ByteSource>) -> Result<Self> {

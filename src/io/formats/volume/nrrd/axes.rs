@@ -5,7 +5,7 @@
 //! nothing, an axis without a direction in space is none of space, and a label "time" counts. In a
 //! space with time, the axis along it has volumes, whatever its kind says (see the module `space`).
 
-use super::Header;
+use super::NrrdHeader;
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::kind_of_name;
 use crate::formats::shared::frames;
@@ -35,7 +35,7 @@ pub(super) struct Axes {
 }
 
 impl Axes {
-    pub(super) fn of(header: &Header) -> Result<Self> {
+    pub(super) fn of(header: &NrrdHeader) -> Result<Self> {
         let path = &*header.path;
         let [count] = numbers::<u32, 1>(path, "dimension", header.require("dimension")?)?;
         if !(3..=MOST_AXES).contains(&count) {
@@ -109,7 +109,7 @@ impl Axes {
     }
 
     /// Sets what the header says of places and units.
-    pub(super) fn describe(&self, header: &Header, info: &mut VolumeInfo) -> Result<()> {
+    pub(super) fn describe(&self, header: &NrrdHeader, info: &mut VolumeInfo) -> Result<()> {
         let lengths = self.lengths(header)?;
         info.geometry = self.geometry(header, &lengths)?;
         info.assumed = Assumed::in_header(self.space.map(|axis| header.is_assumed(axis)));
@@ -124,7 +124,7 @@ impl Axes {
     }
 
     /// The volumes by the names of their fields, and their times.
-    pub(super) fn list(&self, header: &Header) -> Result<Frames> {
+    pub(super) fn list(&self, header: &NrrdHeader) -> Result<Frames> {
         let Some(axis) = self.series.filter(|_| self.is_time) else {
             return Ok(frames::list(self.frames(), None));
         };
@@ -137,7 +137,7 @@ impl Axes {
     }
 
     /// The units of lengths: those of the space, else of the axes.
-    fn lengths(&self, header: &Header) -> Result<Lengths> {
+    fn lengths(&self, header: &NrrdHeader) -> Result<Lengths> {
         let (at, names) = if header.get("space").or(header.get("spacedimension")).is_some() {
             ("space units", header.quoted("spaceunits", header.space_dimension()?))
         } else {
@@ -148,7 +148,7 @@ impl Axes {
         Lengths::of_space(&header.path, at, std::array::from_fn(unit))
     }
 
-    fn geometry(&self, header: &Header, lengths: &Lengths) -> Result<Geometry> {
+    fn geometry(&self, header: &NrrdHeader, lengths: &Lengths) -> Result<Geometry> {
         let path = &*header.path;
         let origin = header.origin()?.map(|(in_space, _)| in_space);
         let in_unit = |origin: [f64; 3], columns: [[f64; 3]; 3]| {
@@ -166,7 +166,7 @@ impl Axes {
 
     /// Spacing and first position of each axis from `spacings`, `axis mins`, `axis maxs`; NaN means
     /// unknown there.
-    fn per_axis(&self, header: &Header) -> Result<([f64; 3], [f64; 3])> {
+    fn per_axis(&self, header: &NrrdHeader) -> Result<([f64; 3], [f64; 3])> {
         let read = |name: &str, label: &str| -> Result<[f64; 3]> {
             let all = header.per_axis_number(name, label, self.sizes.len())?;
             Ok(self.space.map(|axis| all[axis]))
@@ -194,7 +194,7 @@ impl Axes {
     }
 }
 
-impl Header {
+impl NrrdHeader {
     /// What each axis is, for [`layout`], the fastest first.
     fn kinds(&self, sizes: &[u64]) -> Result<Vec<char>> {
         let directions = self.directions(sizes.len())?;

@@ -65,7 +65,7 @@ impl Format for Nrrd {
 
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
         let source = head.file()?;
-        let header = Header::parse(source)?;
+        let header = NrrdHeader::parse(source)?;
         let (axes, scalar) = (Axes::of(&header)?, header.scalar()?);
         let data = header.data(Arc::clone(source), &axes, head.io)?;
         let encoding = header.encoding()?;
@@ -75,11 +75,11 @@ impl Format for Nrrd {
 
 /// An NRRD file, attached (`.nrrd`) or detached (`.nhdr`).
 struct File {
-    header: Header,
+    header: NrrdHeader,
     axes: Axes,
     scalar: ScalarType,
     data: Data,
-    encoding: Encoding,
+    encoding: NrrdEncoding,
 }
 
 impl Dataset for File {
@@ -109,7 +109,7 @@ impl Dataset for File {
     }
 
     fn packed_steps(&self, options: &OpenOptions) -> Result<Option<(PackedFrames, VolumeInfo)>> {
-        if self.axes.frames() == 1 || self.encoding != Encoding::Gzip {
+        if self.axes.frames() == 1 || self.encoding != NrrdEncoding::Gzip {
             return Ok(None);
         }
         let info = self.volume(&frames::first(options))?.info().clone();
@@ -128,13 +128,13 @@ impl File {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Encoding {
+enum NrrdEncoding {
     Raw,
     Gzip,
     Ascii,
 }
 
-impl Encoding {
+impl NrrdEncoding {
     fn name(self) -> &'static str {
         match self {
             Self::Raw => "raw",
@@ -152,7 +152,7 @@ struct Data {
 }
 
 /// The header's lines.
-struct Header {
+struct NrrdHeader {
     path: PathBuf,
     /// Field names in lower case and without blanks ("spacedirections"), and their values.
     fields: Vec<(String, String)>,
@@ -162,7 +162,7 @@ struct Header {
     end: u64,
 }
 
-impl Header {
+impl NrrdHeader {
     fn parse(source: &ByteSource) -> Result<Self> {
         let path = source.path();
         let mut lines = Lines::new(source.head_from(0)?);
@@ -252,12 +252,12 @@ impl Header {
         })
     }
 
-    fn encoding(&self) -> Result<Encoding> {
+    fn encoding(&self) -> Result<NrrdEncoding> {
         let name = self.require("encoding")?.to_ascii_lowercase();
         match name.as_str() {
-            "raw" => Ok(Encoding::Raw),
-            "gzip" | "gz" => Ok(Encoding::Gzip),
-            "ascii" | "text" | "txt" => Ok(Encoding::Ascii),
+            "raw" => Ok(NrrdEncoding::Raw),
+            "gzip" | "gz" => Ok(NrrdEncoding::Gzip),
+            "ascii" | "text" | "txt" => Ok(NrrdEncoding::Ascii),
             _ => Err(Error::bad_input(&self.path, "encoding", "raw, gzip or ascii", &*name)
                 .with_help("write it again with one of these, e.g. `unu save -f nrrd -e gzip`")),
         }
@@ -310,19 +310,19 @@ impl Header {
         &self,
         mut info: VolumeInfo,
         data: &Data,
-        encoding: Encoding,
+        encoding: NrrdEncoding,
         axes: &Axes,
         frame: u64,
     ) -> Result<VolumeSource> {
         info.data_files = data.parts.iter().map(|p| p.path().to_path_buf()).collect();
-        if encoding != Encoding::Raw {
+        if encoding != NrrdEncoding::Raw {
             self.check_stream(data, encoding, axes)?;
         }
-        if encoding == Encoding::Gzip {
+        if encoding == NrrdEncoding::Gzip {
             return self.packed(&info, data, axes)?.volume(info, frame);
         }
         let (first, byte_skip) = (&data.parts[0], self.byte_skip()?);
-        if encoding == Encoding::Raw {
+        if encoding == NrrdEncoding::Raw {
             let offset = match u64::try_from(byte_skip) {
                 Ok(skip) => self.skip_lines(first, data.start)?.saturating_add(skip),
                 Err(_) => {
@@ -391,7 +391,7 @@ impl Header {
     }
 
     /// Refuses compressed and text data that cannot be read front to back.
-    fn check_stream(&self, data: &Data, encoding: Encoding, axes: &Axes) -> Result<()> {
+    fn check_stream(&self, data: &Data, encoding: NrrdEncoding, axes: &Axes) -> Result<()> {
         let parts = data.parts.len();
         if parts > 1 {
             let got = format!("{parts} files of {} data", encoding.name());
@@ -399,7 +399,7 @@ impl Header {
             return Err(Error::bad_input(&self.path, "data file", expected, got)
                 .with_help("join them, e.g. with `unu save -f nrrd -e gzip`"));
         }
-        if !axes.are_in_order() || encoding == Encoding::Ascii && axes.frames() > 1 {
+        if !axes.are_in_order() || encoding == NrrdEncoding::Ascii && axes.frames() > 1 {
             let got = format!("{} data of volumes that are interleaved, or text", encoding.name());
             let expected = "volumes one after the other (their axis the last), or encoding raw";
             return Err(Error::bad_input(&self.path, "encoding", expected, got).with_help(

@@ -6,7 +6,7 @@
 //!  space origin: (1,2,3,10)                                       the first volume is at time 10
 //! ```
 
-use super::Header;
+use super::NrrdHeader;
 use crate::error::{Error, Result};
 use crate::formats::shared::header::numbers;
 
@@ -21,7 +21,7 @@ pub(super) struct Directions {
     pub(super) time: Option<(usize, f64)>,
 }
 
-impl Header {
+impl NrrdHeader {
     /// The directions of `count` axes, where the header has them.
     ///
     /// # Errors

@@ -66,7 +66,7 @@ pub(super) fn head(meta: &GridMeta, path: &Path) -> Result<Vec<u8>> {
     geometry.origin = geometry.origin.map(|x| factor * x);
     geometry.spacing = geometry.spacing.map(|x| factor * x);
     let transform = if meta.anatomy == Anatomy::Unknown { ALIGNED } else { SCANNER };
-    let header = Header { meta, kind: datatype(meta.field().scalar)?, geometry, unit: code, transform };
+    let header = NiftiHead { meta, kind: datatype(meta.field().scalar)?, geometry, unit: code, transform };
     if meta.dims.iter().any(|&n| n > i64::MAX as u64) {
         return Err(Error::usage(format!("cannot write {}: too many samples along an axis", path.display())));
     }
@@ -86,7 +86,7 @@ fn is_in_f32(geometry: &Geometry, dims: [u64; 3]) -> bool {
     })
 }
 
-struct Header<'a> {
+struct NiftiHead<'a> {
     meta: &'a GridMeta,
     kind: i16,
     geometry: Geometry,
@@ -94,7 +94,7 @@ struct Header<'a> {
     transform: i32,
 }
 
-impl Header<'_> {
+impl NiftiHead<'_> {
     /// The rows of the map to the world.
     fn rows(&self) -> [[f64; 4]; 3] {
         let axes = self.geometry.axes();

@@ -49,7 +49,7 @@ pub(super) struct Tiff {
 
 /// One entry of a directory.
 #[derive(Clone, Copy, Debug)]
-struct Entry {
+struct IfdEntry {
     tag: u16,
     kind: u16,
     count: u64,
@@ -63,7 +63,7 @@ pub(super) struct Ifd<'a> {
     tiff: &'a Tiff,
     /// Its place, by which messages name it.
     at: u64,
-    entries: Vec<Entry>,
+    entries: Vec<IfdEntry>,
     next: u64,
 }
 
@@ -132,7 +132,7 @@ impl Tiff {
             let inline = start + i as u64 * entry_size + 4 + wide;
             let fits = size_of_kind(kind).is_some_and(|s| s.saturating_mul(count) <= wide);
             let at = if fits { inline } else { field(e, 4 + wide, wide) };
-            entries.push(Entry { tag: field(e, 0, 2) as u16, kind, count, at });
+            entries.push(IfdEntry { tag: field(e, 0, 2) as u16, kind, count, at });
         }
         Ok(Ifd { tiff: self, at, entries, next: self.number(end, wide)? })
     }
@@ -160,13 +160,13 @@ impl Ifd<'_> {
         self.tiff.wrong(&format!("page at byte {}: {what}", self.at), expected, got)
     }
 
-    fn entry(&self, tag: u16) -> Option<&Entry> {
+    fn entry(&self, tag: u16) -> Option<&IfdEntry> {
         self.entries.iter().find(|e| e.tag == tag)
     }
 
     /// The stored bytes of an entry. They are sure to lie in the file, even if the entry's count is
     /// wrong.
-    fn bytes<'b>(&'b self, entry: &Entry, buffer: &'b mut Vec<u8>) -> Result<&'b [u8]> {
+    fn bytes<'b>(&'b self, entry: &IfdEntry, buffer: &'b mut Vec<u8>) -> Result<&'b [u8]> {
         let size = size_of_kind(entry.kind).and_then(|s| s.checked_mul(entry.count));
         let end = size.and_then(|s| entry.at.checked_add(s));
         let end = end.ok_or_else(|| {
@@ -213,7 +213,7 @@ impl Ifd<'_> {
     /// The bytes of an entry; `None` where they do not lie in the file.
     fn bytes_in_file<'b>(
         &'b self,
-        entry: Option<&Entry>,
+        entry: Option<&IfdEntry>,
         buffer: &'b mut Vec<u8>,
     ) -> Result<Option<&'b [u8]>> {
         match entry.map(|e| self.bytes(e, buffer)) {

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// What an array's metadata say.
 #[derive(Clone, Debug)]
-pub(super) struct Array {
+pub(super) struct ZarrArray {
     /// The array's folder.
     pub(super) folder: PathBuf,
     /// The file with the metadata.
@@ -66,7 +66,7 @@ pub(super) fn json(small: &SmallFiles, file: &Path) -> Result<Option<Value>> {
 }
 
 /// The metadata of the array in a folder; `None` where there is no array.
-pub(super) fn array(small: &SmallFiles, folder: &Path) -> Result<Option<Array>> {
+pub(super) fn array(small: &SmallFiles, folder: &Path) -> Result<Option<ZarrArray>> {
     let mut array = stored_array(small, folder)?;
     if let Some(array) = &mut array {
         let unsigned = match &array.attributes["_Unsigned"] {
@@ -79,7 +79,7 @@ pub(super) fn array(small: &SmallFiles, folder: &Path) -> Result<Option<Array>> 
 }
 
 /// The same, with the type of the stored numbers.
-fn stored_array(small: &SmallFiles, folder: &Path) -> Result<Option<Array>> {
+fn stored_array(small: &SmallFiles, folder: &Path) -> Result<Option<ZarrArray>> {
     let file = folder.join("zarr.json");
     let of_3 = json(small, &file);
     if let Ok(Some(json)) = of_3 {
@@ -123,7 +123,7 @@ impl Parser<'_> {
         list.filter(good).ok_or_else(|| self.wrong(at, "a size of at least 1 for each axis", value))
     }
 
-    fn v2(&self, folder: &Path) -> Result<Array> {
+    fn v2(&self, folder: &Path) -> Result<ZarrArray> {
         let json = self.json;
         if json["zarr_format"] != 2 {
             return Err(self.wrong("zarr_format", "2", &json["zarr_format"]));
@@ -154,7 +154,7 @@ impl Parser<'_> {
         let separator = json.get("dimension_separator").unwrap_or(&Value::Null);
         let key = Key { prefix: false, separator: self.separator(separator, '.')? };
         let fill = self.fill(scalar, &json["fill_value"])?;
-        Ok(Array {
+        Ok(ZarrArray {
             folder: folder.into(),
             file: self.file.into(),
             version: 2,
@@ -172,7 +172,7 @@ impl Parser<'_> {
         })
     }
 
-    fn v3(&self, folder: &Path) -> Result<Array> {
+    fn v3(&self, folder: &Path) -> Result<ZarrArray> {
         let json = self.json;
         if json["zarr_format"] != 3 {
             return Err(self.wrong("zarr_format", "3", &json["zarr_format"]));
@@ -201,7 +201,7 @@ impl Parser<'_> {
             _ => return Err(self.wrong("chunk_key_encoding", "default or v2", encoding)),
         };
         let fill = self.fill(scalar, &json["fill_value"])?;
-        let mut array = Array {
+        let mut array = ZarrArray {
             folder: folder.into(),
             file: self.file.into(),
             version: 3,
@@ -232,7 +232,7 @@ impl Parser<'_> {
 
     /// Reads a list of version 3 codecs into `array`: transpositions, then bytes or a shard, then
     /// compressors.
-    fn codecs(&self, list: &Value, array: &mut Array) -> Result<()> {
+    fn codecs(&self, list: &Value, array: &mut ZarrArray) -> Result<()> {
         let rank = array.shape.len();
         let list = list.as_array().ok_or_else(|| self.wrong("codecs", "a list", list))?;
         let mut bytes_seen = false;
@@ -339,7 +339,7 @@ impl Parser<'_> {
     }
 }
 
-impl Array {
+impl ZarrArray {
     /// The file of a chunk (or shard) by its place in the grid.
     pub(super) fn chunk_file(&self, at: &[u64]) -> PathBuf {
         if at.is_empty() {

@@ -68,7 +68,7 @@ use crate::volume::units::{Unit, Units, common};
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
-use meta::Array;
+use meta::ZarrArray;
 use serde_json::Value;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -270,7 +270,7 @@ impl Group {
     }
 
     /// The image that an array is a level of.
-    fn image_of(&self, array: &Array) -> Result<Option<Image>> {
+    fn image_of(&self, array: &ZarrArray) -> Result<Option<Image>> {
         match &self.image {
             Some(image) => Ok(Some(image.clone())),
             None => image_around(&self.store, &array.folder),
@@ -279,7 +279,7 @@ impl Group {
 }
 
 /// The format, as a person would call it.
-fn format_name(array: &Array, of_image: bool) -> String {
+fn format_name(array: &ZarrArray, of_image: bool) -> String {
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
     let compressor = if compressor.is_empty() { "raw" } else { &compressor };
     let sharded = if array.shard.is_some() { ", shards" } else { "" };
@@ -288,7 +288,7 @@ fn format_name(array: &Array, of_image: bool) -> String {
 }
 
 /// Fails for an array of HyperSpy (.zspy), whose axes are groups beside it.
-fn refuse_hyperspy(store: &Store, array: &Array) -> Result<()> {
+fn refuse_hyperspy(store: &Store, array: &ZarrArray) -> Result<()> {
     let axis = array.folder.parent().map(|group| group.join("axis-0"));
     let Some(axis) = axis.filter(|axis| !is_remote(axis)) else { return Ok(()) };
     let of_3 = meta::json(&store.small, &axis.join("zarr.json"))?.map(|json| json["attributes"].clone());
@@ -394,8 +394,8 @@ struct Times {
 
 /// The times along an axis, else the single one of an array beside it. None where it has no such
 /// coordinates.
-fn times_of(store: &Store, array: &Array, axis: Option<usize>) -> Option<Times> {
-    let times = |own: Array| {
+fn times_of(store: &Store, array: &ZarrArray, axis: Option<usize>) -> Option<Times> {
+    let times = |own: ZarrArray| {
         let [unit, calendar] = ["units", "calendar"].map(|name| text(&own, name).to_owned());
         Some(Times { values: numbers(store, own).ok()?.to_vec(), unit, calendar })
     };
@@ -413,13 +413,13 @@ fn times_of(store: &Store, array: &Array, axis: Option<usize>) -> Option<Times> 
 }
 
 /// The coordinates along x, y, z, where arrays next to the array have them, as xarray writes them.
-fn lines(store: &Store, array: &Array, axes: Axes) -> Result<[Option<Line>; 3]> {
+fn lines(store: &Store, array: &ZarrArray, axes: Axes) -> Result<[Option<Line>; 3]> {
     let [x, y, z] = axes.map(|axis| axis.map_or(Ok(None), |axis| line(store, array, axis)));
     Ok(cf::in_one_unit([x?, y?, z?], &line_lengths(store, array, axes), [0, 1, 2]))
 }
 
 /// The lengths along x, y, z, by the units of these arrays.
-fn line_lengths(store: &Store, array: &Array, axes: Axes) -> Lengths {
+fn line_lengths(store: &Store, array: &ZarrArray, axes: Axes) -> Lengths {
     cf::lengths(axes.map(|axis| line_unit(store, array, axis)), [0, 1, 2])
 }
 
@@ -428,7 +428,7 @@ fn line_lengths(store: &Store, array: &Array, axes: Axes) -> Lengths {
 ///
 /// # Errors
 /// When they cannot be read.
-fn line(store: &Store, array: &Array, axis: usize) -> Result<Option<Line>> {
+fn line(store: &Store, array: &ZarrArray, axis: usize) -> Result<Option<Line>> {
     match try_line(store, array, axis) {
         Err(e @ Error::Io { .. }) => Err(e),
         found => Ok(found.ok().flatten()),
@@ -436,7 +436,7 @@ fn line(store: &Store, array: &Array, axis: usize) -> Result<Option<Line>> {
 }
 
 /// The array that is named like an axis of an array.
-fn line_array(store: &Store, array: &Array, axis: usize) -> Result<Option<Array>> {
+fn line_array(store: &Store, array: &ZarrArray, axis: usize) -> Result<Option<ZarrArray>> {
     let names = array.names.as_ref().filter(|n| n.len() == array.shape.len());
     let Some(name) = names.and_then(|n| n.get(axis)).filter(|name| is_inside(name)) else { return Ok(None) };
     let Some(folder) = array.folder.parent().map(|group| group.join(name)) else { return Ok(None) };
@@ -444,14 +444,14 @@ fn line_array(store: &Store, array: &Array, axis: usize) -> Result<Option<Array>
     Ok(own.filter(|own| own.shape == [array.shape[axis]] && own.shape[0] <= MOST_COORDINATES))
 }
 
-fn try_line(store: &Store, array: &Array, axis: usize) -> Result<Option<Line>> {
+fn try_line(store: &Store, array: &ZarrArray, axis: usize) -> Result<Option<Line>> {
     let Some(own) = line_array(store, array, axis)? else { return Ok(None) };
     let single = own.scalar == ScalarType::F32;
     Ok(Some(Line::new(numbers(store, own)?.to_vec(), single)))
 }
 
 /// The numbers of an array of at most one axis.
-fn numbers(store: &Store, own: Array) -> Result<Arc<Vec<f64>>> {
+fn numbers(store: &Store, own: ZarrArray) -> Result<Arc<Vec<f64>>> {
     let mut known = store.numbers.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(numbers) = known.get(&own.folder) {
         return Ok(Arc::clone(numbers));
@@ -462,7 +462,7 @@ fn numbers(store: &Store, own: Array) -> Result<Arc<Vec<f64>>> {
     Ok(numbers)
 }
 
-fn read_numbers(own: Array, io: IoMode) -> Result<Vec<f64>> {
+fn read_numbers(own: ZarrArray, io: IoMode) -> Result<Vec<f64>> {
     check_chunks(&own)?;
     let packing = packing(&own)?;
     let count = own.shape.first().copied().unwrap_or(1);
@@ -480,17 +480,17 @@ fn read_numbers(own: Array, io: IoMode) -> Result<Vec<f64>> {
 }
 
 /// An attribute that is text, else "".
-fn text<'a>(array: &'a Array, name: &str) -> &'a str {
+fn text<'a>(array: &'a ZarrArray, name: &str) -> &'a str {
     array.attributes[name].as_str().unwrap_or_default()
 }
 
 /// The unit of the coordinates along an axis.
-fn line_unit(store: &Store, array: &Array, axis: Option<usize>) -> Option<String> {
+fn line_unit(store: &Store, array: &ZarrArray, axis: Option<usize>) -> Option<String> {
     let own = line_array(store, array, axis?).ok()??;
     Some(text(&own, "units").to_owned())
 }
 
-impl Attributes for Array {
+impl Attributes for ZarrArray {
     fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
         let value = &self.attributes[name];
         let list = match value {
@@ -526,7 +526,7 @@ impl Attributes for Array {
 /// What CF's attributes say about stored numbers. A missing chunk reads as Zarr's own `fill_value`.
 /// This value means "no data" where numbers are packed and no attribute names such a value, as
 /// xarray writes them.
-fn packing(array: &Array) -> Result<Packing> {
+fn packing(array: &ZarrArray) -> Result<Packing> {
     Packing::of(array, array.scalar, |is_packed| {
         let mut fill = [0.0];
         to_f64(array.scalar, &array.fill, &mut fill);
@@ -535,7 +535,7 @@ fn packing(array: &Array) -> Result<Packing> {
 }
 
 /// The file that has the attributes of an array.
-fn attributes_file(array: &Array) -> PathBuf {
+fn attributes_file(array: &ZarrArray) -> PathBuf {
     match array.file.file_name() {
         Some(name) if name == ".zarray" => array.file.with_file_name(".zattrs"),
         _ => array.file.clone(),
@@ -549,11 +549,11 @@ struct Field {
     array: usize,
     axes: Axes,
     channel: Option<Channel>,
-    frame: Option<Entry>,
+    frame: Option<FixedEntry>,
     /// The axis of time, where it has one entry.
     record: Option<usize>,
     /// The entries of both.
-    fixed: Vec<Entry>,
+    fixed: Vec<FixedEntry>,
 }
 
 /// An array's axes along x, y, z.
@@ -561,7 +561,7 @@ type Axes = [Option<usize>; 3];
 
 /// One entry of an axis that is not of space.
 #[derive(Clone, Copy, Debug)]
-struct Entry {
+struct FixedEntry {
     axis: usize,
     number: u64,
 }
@@ -586,8 +586,9 @@ fn fields(store: &Store, image: Option<&Image>, arrays: &Named) -> Result<Vec<Fi
                 continue;
             }
         };
-        let entries = |axis: Option<usize>| -> Vec<Option<Entry>> {
-            let all = |axis: usize| (0..array.shape[axis]).map(move |number| Some(Entry { axis, number }));
+        let entries = |axis: Option<usize>| -> Vec<Option<FixedEntry>> {
+            let all =
+                |axis: usize| (0..array.shape[axis]).map(move |number| Some(FixedEntry { axis, number }));
             axis.map_or_else(|| vec![None], |axis| all(axis).collect())
         };
         let labels = image.map_or(&[][..], |image| &image.channels);
@@ -676,7 +677,7 @@ fn level(path: &Path, options: &OpenOptions, image: Option<&Image>, arrays: &Nam
     if let Some(found) = by_name.or_else(by_number) {
         return Ok(Some(found));
     }
-    let level = |(name, array): &(String, Array)| {
+    let level = |(name, array): &(String, ZarrArray)| {
         let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
         format!("{name} ({})", shape.join(" x "))
     };
@@ -750,7 +751,7 @@ impl Image {
     }
 
     /// The units of the axes, and of values where the array has them.
-    fn units(&self, array: &Array, lengths: &Lengths, time: Option<usize>) -> Units {
+    fn units(&self, array: &ZarrArray, lengths: &Lengths, time: Option<usize>) -> Units {
         Units {
             value: Unit::new(text(array, "units")),
             length: lengths.unit.clone(),
@@ -759,7 +760,7 @@ impl Image {
     }
 
     /// Scale and translation of an array's samples along x, y, z.
-    fn placed(&self, array: &Array, axes: Axes) -> Result<Geometry> {
+    fn placed(&self, array: &ZarrArray, axes: Axes) -> Result<Geometry> {
         let (mut spacing, mut origin) = ([1.0; 3], [0.0; 3]);
         for (a, axis) in axes.into_iter().enumerate() {
             if let Some(axis) = axis {
@@ -772,7 +773,7 @@ impl Image {
     }
 
     /// Scale and translation of an array's entries along one of its axes.
-    fn scale_and_shift(&self, array: &Array, axis: usize) -> Result<(f64, f64)> {
+    fn scale_and_shift(&self, array: &ZarrArray, axis: usize) -> Result<(f64, f64)> {
         let level = self.levels().find(|l| self.group.join(path_of(l)) == array.folder);
         let lists = [level.map(|l| &l[TRANSFORMATIONS]), Some(&self.multiscale[TRANSFORMATIONS])];
         let (mut scale, mut shift) = (1.0, 0.0);
@@ -811,7 +812,7 @@ impl Image {
 }
 
 /// Arrays by name.
-type Named = Vec<(String, Array)>;
+type Named = Vec<(String, ZarrArray)>;
 
 /// The arrays that a path offers, and the image that they are levels of.
 fn arrays(store: &Store, path: &Path) -> Result<(Option<Image>, Named)> {
@@ -887,7 +888,7 @@ struct AllAxes {
 
 /// What an axis is, by its name, else by the array of its coordinates where there is one: on a
 /// server it costs requests to look for that.
-fn kind_of(store: &Store, array: &Array, axis: usize, name: &str) -> char {
+fn kind_of(store: &Store, array: &ZarrArray, axis: usize, name: &str) -> char {
     match cf::kind_of_name(name) {
         '?' => line_array(store, array, axis)
             .ok()
@@ -898,7 +899,7 @@ fn kind_of(store: &Store, array: &Array, axis: usize, name: &str) -> char {
 }
 
 /// What each axis is, for [`layout`].
-fn kinds(store: &Store, array: &Array, image: Option<&Image>, names: Option<&[String]>) -> Vec<char> {
+fn kinds(store: &Store, array: &ZarrArray, image: Option<&Image>, names: Option<&[String]>) -> Vec<char> {
     let Some(names) = names else { return vec!['?'; array.shape.len()] };
     let is_called = |name: &str, kind: char| name.eq_ignore_ascii_case(&kind.to_string());
     let kind = |axis: usize| {
@@ -916,7 +917,7 @@ fn kinds(store: &Store, array: &Array, image: Option<&Image>, names: Option<&[St
     (0..names.len()).map(kind).collect()
 }
 
-fn axes(store: &Store, array: &Array, image: Option<&Image>) -> Result<AllAxes> {
+fn axes(store: &Store, array: &ZarrArray, image: Option<&Image>) -> Result<AllAxes> {
     let rank = array.shape.len();
     let of_image = image.and_then(|i| i.multiscale["axes"].as_array()).map(|axes| {
         axes.iter().map(|a| a["name"].as_str().or(a.as_str()).unwrap_or_default().to_string()).collect()
@@ -948,7 +949,7 @@ fn axes(store: &Store, array: &Array, image: Option<&Image>) -> Result<AllAxes> 
         .with_help("write one channel, or the part that is wanted, to an array of its own; or name its axes"))
 }
 
-fn check_chunks(array: &Array) -> Result<()> {
+fn check_chunks(array: &ZarrArray) -> Result<()> {
     let size = array.scalar.bytes() as u64;
     let bytes = array.unit().iter().try_fold(size, |n, &d| n.checked_mul(d)).filter(|&n| n <= MOST_CHUNK);
     let places = array.shard.as_ref().map_or(Some(1), |s| {
@@ -964,7 +965,7 @@ fn check_chunks(array: &Array) -> Result<()> {
 }
 
 /// The metadata's file and the chunks' files that exist; evenly chosen ones if there are very many.
-fn files(array: &Array, fixed: &[Entry]) -> Vec<PathBuf> {
+fn files(array: &ZarrArray, fixed: &[FixedEntry]) -> Vec<PathBuf> {
     let mut grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
     fixed.iter().for_each(|f| grid[f.axis] = 1);
     let count = grid.iter().fold(1u64, |n, &g| n.saturating_mul(g));
@@ -986,10 +987,10 @@ fn files(array: &Array, fixed: &[Entry]) -> Vec<PathBuf> {
 /// The chunks of an array, or of one of its channels or frames.
 struct Chunks {
     info: VolumeInfo,
-    array: Array,
+    array: ZarrArray,
     axes: Axes,
     /// The entries of the axes of time and channels, if the array has them.
-    fixed: Vec<Entry>,
+    fixed: Vec<FixedEntry>,
     io: IoMode,
     /// The archive that they are in, which stays open.
     #[allow(dead_code, reason = "what counts is that it is there")]
@@ -1004,7 +1005,7 @@ struct Chunks {
 type OpenShard = Option<(Part, Vec<u8>)>;
 
 impl Chunks {
-    fn new(info: VolumeInfo, array: Array, axes: Axes, fixed: Vec<Entry>, io: IoMode) -> Self {
+    fn new(info: VolumeInfo, array: ZarrArray, axes: Axes, fixed: Vec<FixedEntry>, io: IoMode) -> Self {
         Self { info, array, axes, fixed, io, archive: None, convert: None, shards: Mutex::default() }
     }
 
@@ -1014,7 +1015,7 @@ impl Chunks {
     }
 
     /// A place along the array's axes of one along x, y, z, and along others of `of_entry`.
-    fn place(&self, xyz: [u64; 3], of_entry: impl Fn(Entry) -> u64) -> Vec<u64> {
+    fn place(&self, xyz: [u64; 3], of_entry: impl Fn(FixedEntry) -> u64) -> Vec<u64> {
         let mut place = vec![0; self.array.shape.len()];
         for (axis, at) in self.axes.iter().zip(xyz) {
             if let Some(axis) = axis {

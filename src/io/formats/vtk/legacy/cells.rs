@@ -20,7 +20,7 @@
 //! 0 1 2 3  1 2 3 4
 //! ```
 
-use super::scan::{Array, Connectivity, Dataset, Scanned, Scanner, Type};
+use super::scan::{Connectivity, Dataset, LegacyArray, Scanned, Scanner, Type};
 use crate::bytes::ByteSource;
 use crate::cells::{
     BLOCK, CellBlock, CellField, CellFile, CellKind, CellStream, CellsInfo, Center, NumberStream,
@@ -87,7 +87,7 @@ impl Shared {
         Ids::new(self.numbers(data, scalar), count)
     }
 
-    fn array(&self, array: &Array, count: u64) -> Result<Ids> {
+    fn array(&self, array: &LegacyArray, count: u64) -> Result<Ids> {
         match array.kind {
             Type::Number(scalar) if !scalar.is_float() => {
                 Ok(Ids::new(self.numbers(&array.data, scalar), count))

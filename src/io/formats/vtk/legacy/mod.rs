@@ -56,7 +56,7 @@ use crate::formats::shared::text::TextNumbers;
 use crate::volume::strided::StridedVolume;
 use crate::volume::units::Units;
 use crate::volume::{Assumed, ScalarType, VolumeInfo, VolumeSource};
-use scan::{Array, Dataset, Scanned, Scanner, Type};
+use scan::{Dataset, LegacyArray, Scanned, Scanner, Type};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -233,7 +233,7 @@ fn coordinates(
         return Ok(None);
     }
     let center = choose(path, file, wanted)?.center;
-    let part = |array: Option<(u64, &Array)>, keyword: &str, expected: u64| {
+    let part = |array: Option<(u64, &LegacyArray)>, keyword: &str, expected: u64| {
         let Some((n, array)) = array.filter(|(n, _)| *n == expected) else {
             let got = array.map_or("none".into(), |(n, _)| n.to_string());
             return Err(Error::bad_input(path, keyword, format!("{expected} for the DIMENSIONS"), got));
@@ -274,7 +274,7 @@ fn coordinates(
 /// # Errors
 /// [`Error::BadInput`] for a malformed file.
 fn time(source: &Arc<ByteSource>, file: &Scanned) -> Result<Option<f64>> {
-    let Some(Array { kind: Type::Number(scalar), data, .. }) = &file.time else { return Ok(None) };
+    let Some(LegacyArray { kind: Type::Number(scalar), data, .. }) = &file.time else { return Ok(None) };
     let mut time = [0.0];
     numbers(source, file, data, *scalar).fill(&mut time)?;
     Ok(Some(time[0]))
@@ -290,7 +290,7 @@ pub(in crate::formats) fn is_mesh(head: &[u8]) -> bool {
         && words.next() == Some(b"UNSTRUCTURED_GRID")
 }
 
-fn arrays_of(file: &Scanned, center: Center) -> &[Array] {
+fn arrays_of(file: &Scanned, center: Center) -> &[LegacyArray] {
     match center {
         Center::Point => &file.arrays,
         Center::Cell => &file.cell_arrays,
@@ -307,7 +307,7 @@ fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
         Err(Error::bad_input(path, "POINT_DATA", expected, got).with_help(help))
     };
     let fields =
-        |center| arrays_of(file, center).iter().filter(|a| a.name != GHOSTS).filter_map(Array::field);
+        |center| arrays_of(file, center).iter().filter(|a| a.name != GHOSTS).filter_map(LegacyArray::field);
     let of = |center| fields(center).collect::<Vec<_>>();
     let (points, cells) = (of(Center::Point), of(Center::Cell));
     let missing = |name: &str| !points.iter().chain(&cells).any(|f| f.name == name);
@@ -317,7 +317,7 @@ fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
         return refuse("one of bits or strings".into(), "write it as unsigned_char");
     }
     let active = |center| {
-        let active = |a: &&Array| a.is_scalars && a.field().is_some_and(|f| f.components == 1);
+        let active = |a: &&LegacyArray| a.is_scalars && a.field().is_some_and(|f| f.components == 1);
         let mut active = arrays_of(file, center).iter().filter(active);
         active.next().filter(|_| active.next().is_none()).map(|a| &a.name[..])
     };

@@ -43,7 +43,7 @@ impl Type {
 
 /// An array and the bytes where its data lie.
 #[derive(Debug)]
-pub(super) struct Array {
+pub(super) struct LegacyArray {
     pub(super) name: String,
     pub(super) kind: Type,
     pub(super) components: u64,
@@ -52,7 +52,7 @@ pub(super) struct Array {
     pub(super) data: Range<u64>,
 }
 
-impl Array {
+impl LegacyArray {
     /// Its description as a field of a volume; `None` where it has none.
     pub(super) fn field(&self) -> Option<FieldInfo> {
         match self.kind {
@@ -74,20 +74,20 @@ pub(super) struct Scanned {
     pub(super) origin: [f64; 3],
     pub(super) spacing: [f64; 3],
     /// The points of an unstructured or a curvilinear grid.
-    pub(super) points: Option<Array>,
+    pub(super) points: Option<LegacyArray>,
     /// The axes of a rectilinear grid, each with its number of samples.
-    pub(super) axes: [Option<(u64, Array)>; 3],
+    pub(super) axes: [Option<(u64, LegacyArray)>; 3],
     /// Number of those.
     pub(super) point_count: u64,
     pub(super) connectivity: Option<Connectivity>,
     /// VTK's numbers of the kinds of cells, `int` in a binary file, and how many.
     pub(super) types: Option<(u64, Range<u64>)>,
     /// Arrays of the point data.
-    pub(super) arrays: Vec<Array>,
+    pub(super) arrays: Vec<LegacyArray>,
     /// Arrays of the cell data.
-    pub(super) cell_arrays: Vec<Array>,
+    pub(super) cell_arrays: Vec<LegacyArray>,
     /// The array of the field data that is its time.
-    pub(super) time: Option<Array>,
+    pub(super) time: Option<LegacyArray>,
     /// Where arrays of colours begin.
     colors: Vec<u64>,
 }
@@ -139,7 +139,7 @@ pub(super) enum Connectivity {
     Counted { cells: u64, numbers: u64, data: Range<u64> },
     /// Since version 5.1: where each cell's vertices begin, and the end of the last; then the
     /// vertices.
-    Offsets { offsets: u64, offset_array: Array, vertices: u64, vertex_array: Array },
+    Offsets { offsets: u64, offset_array: LegacyArray, vertices: u64, vertex_array: LegacyArray },
 }
 
 impl Connectivity {
@@ -323,9 +323,9 @@ impl<'a> Scanner<'a> {
     }
 
     /// An array that begins here, of numbers.
-    fn place(&mut self, name: &str, kind: Type, components: u64, n: u64) -> Result<Array> {
+    fn place(&mut self, name: &str, kind: Type, components: u64, n: u64) -> Result<LegacyArray> {
         let data = self.data(name, kind, components, n)?;
-        Ok(Array { name: name.into(), kind, components, is_scalars: false, data })
+        Ok(LegacyArray { name: name.into(), kind, components, is_scalars: false, data })
     }
 
     /// Lines up to an empty one.
@@ -454,13 +454,13 @@ impl<'a> Scanner<'a> {
         let data = self.data(&name, kind, components, tuples)?;
         match self.section {
             Section::Points(_) if tuples == n && components > 0 => {
-                self.out.arrays.push(Array { name, kind, components, is_scalars, data });
+                self.out.arrays.push(LegacyArray { name, kind, components, is_scalars, data });
             }
             Section::Cells(_) if tuples == n && components > 0 => {
-                self.out.cell_arrays.push(Array { name, kind, components, is_scalars, data });
+                self.out.cell_arrays.push(LegacyArray { name, kind, components, is_scalars, data });
             }
             Section::File if components == 1 && tuples == 1 && ["TIME", "TimeValue"].contains(&&name[..]) => {
-                self.out.time = Some(Array { name, kind, components, is_scalars, data });
+                self.out.time = Some(LegacyArray { name, kind, components, is_scalars, data });
             }
             _ => {}
         }
