@@ -1,5 +1,6 @@
-//! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output,
-//! progress and errors to standard error; an error is one line; exit codes are those of
+//! The command line: one file a subcommand, each with `Args` and `run`. All share these two names,
+//! as they are read with their module: `reduce::Args`, `reduce::run`. Results go to standard
+//! output, progress and errors to standard error; an error is one line; exit codes are those of
 //! [`isospan::Error::exit_code`], [`TARGET_NOT_MET`] and [`NEXT_TRY`].
 
 pub mod append;
