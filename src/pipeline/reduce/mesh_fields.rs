@@ -6,7 +6,7 @@
 //! ```
 
 use super::fields::Fields;
-use super::meshes::open_mesh_of;
+use super::mesh_store::open_mesh_of;
 use super::series::SeriesPlan;
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;

@@ -6,6 +6,7 @@ use crate::pipeline::plan::{MOST_SMALL_STEPS_AT_ONCE, free_bytes};
 use crate::pipeline::settings::{CompleteSettings, NanPolicy};
 use isospan_io::cells::CellMesh;
 use isospan_io::error::{Error, Result};
+use isospan_io::formats::{Input, StepSource};
 use isospan_mesh::sample::{Interpolation, Values};
 use std::path::Path;
 
@@ -19,6 +20,17 @@ const GRADIENT_BYTES: u64 = 24;
 const GRADIENT_RECORDS: u64 = 2 * 4 * 48;
 /// Of a vertex that values are fitted to: its body, its record by brick, sorted in runs and merged.
 const FITTED_VERTEX: u64 = 8 + 3 * 24;
+
+/// The mesh of a step.
+pub(super) fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
+    match source.open()? {
+        Input::Mesh(mesh) => Ok(mesh),
+        Input::Volume(_) => {
+            let expected = "a mesh, as other steps are";
+            Err(Error::bad_input(&source.path, "kind of file", expected, "a volume"))
+        }
+    }
+}
 
 pub(super) fn store_settings(job: &Job<'_>, offset: f64) -> StoreSettings {
     let (settings, resources) = (job.settings, &job.run.resources);

@@ -14,7 +14,7 @@
 
 use super::job::Job;
 use super::mesh_fields::{Listed, MeshInput};
-use super::mesh_store::check_job;
+use super::mesh_store::{check_job, open_mesh_of};
 use super::order::Order;
 use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, is_of_data};
 use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, StepPlan};
@@ -35,7 +35,7 @@ use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{Amount, CompleteSettings};
 use isospan_io::cells::CellMesh;
 use isospan_io::error::{Error, Result};
-use isospan_io::formats::{Input, StepSource};
+use isospan_io::formats::StepSource;
 use isospan_io::volume::units::Units;
 use isospan_mesh::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
 use isospan_mesh::sample::Interpolation;
@@ -90,16 +90,6 @@ impl Common {
         Error::bad_input(&mesh.info().path, at, expected, got).with_help(
             "the steps of a series share one mesh; `keep_going=true` leaves out those that do not fit",
         )
-    }
-}
-
-pub(super) fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
-    match source.open()? {
-        Input::Mesh(mesh) => Ok(mesh),
-        Input::Volume(_) => {
-            let expected = "a mesh, as other steps are";
-            Err(Error::bad_input(&source.path, "kind of file", expected, "a volume"))
-        }
     }
 }
 
