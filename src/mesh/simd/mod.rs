@@ -165,4 +165,5 @@ macro_rules! on_widest {
         }
     };
 }
-pub use crate::{on_avx2_or_plain, on_widest};
+pub use crate::on_avx2_or_plain;
+pub use crate::on_widest;
