@@ -54,7 +54,7 @@ pub(super) struct Chunks {
     /// Chunks of a group, at most.
     most_together: u64,
     /// The groups that are held, the one used last at the end.
-    groups: Mutex<Vec<(ChunkGroup, Arc<[ChunkEntry]>)>>,
+    groups: Mutex<Vec<(ChunkGroup, Arc<[StoredChunk]>)>>,
 }
 
 /// A box of chunks: its place along all axes, 0 along those of the volume, and its first chunk
@@ -63,7 +63,7 @@ type ChunkGroup = (Vec<u64>, [u64; 3]);
 
 /// A chunk in the file, and its number in its group.
 #[derive(Clone, Copy)]
-struct ChunkEntry {
+struct StoredChunk {
     number: u64,
     address: u64,
     /// Bytes in the file; 0 where they are those of a decoded chunk.
@@ -141,7 +141,7 @@ impl Chunks {
         let product = |n: [u64; 3]| n.into_iter().fold(1, u64::saturating_mul);
         let group = product(self.group_dims());
         let held = product(self.grid()).min(group.saturating_mul(MOST_GROUPS as u64));
-        held.saturating_mul(size_of::<ChunkEntry>() as u64)
+        held.saturating_mul(size_of::<StoredChunk>() as u64)
             .saturating_add(group.saturating_mul(READING_BYTES))
     }
 
@@ -220,7 +220,7 @@ impl Chunks {
     }
 
     /// The bytes of a chunk, as many as its samples take.
-    fn decoded(&self, entry: ChunkEntry) -> Result<Vec<u8>> {
+    fn decoded(&self, entry: StoredChunk) -> Result<Vec<u8>> {
         let expected = self.chunk_bytes();
         let stored = if entry.size == 0 { expected } else { u64::from(entry.size) };
         if stored > 2 * expected + (1 << 16) {
@@ -244,7 +244,7 @@ impl Chunks {
     }
 
     /// Where the chunk lies that is at a place of the grid; `None` where it was never written.
-    fn entry(&self, before: &[u64], at: [u64; 3]) -> Result<Option<ChunkEntry>> {
+    fn entry(&self, before: &[u64], at: [u64; 3]) -> Result<Option<StoredChunk>> {
         let dims = self.group_dims();
         let first: [u64; 3] = std::array::from_fn(|a| at[a] - at[a] % dims[a]);
         let group: ChunkGroup = (before.to_vec(), first);
@@ -265,7 +265,7 @@ impl Chunks {
     }
 
     /// The chunks of a group, by their numbers.
-    fn entries(&self, (before, lo): &ChunkGroup) -> Result<Arc<[ChunkEntry]>> {
+    fn entries(&self, (before, lo): &ChunkGroup) -> Result<Arc<[StoredChunk]>> {
         let (grid, dims) = (self.grid(), self.group_dims());
         let hi: [u64; 3] = std::array::from_fn(|a| (lo[a] + dims[a]).min(grid[a]));
         let place = |of_volume: [u64; 3]| {
@@ -285,7 +285,7 @@ impl Chunks {
             let size = u32::try_from(found.size)
                 .map_err(|_| Error::InvalidData(format!("a chunk of {} bytes", found.size)))?;
             let number = number_in(*lo, dims, at);
-            entries.push(ChunkEntry { number, address: found.address, size, left_out: found.filter_mask });
+            entries.push(StoredChunk { number, address: found.address, size, left_out: found.filter_mask });
         }
         entries.sort_unstable_by_key(|e| e.number);
         if entries.windows(2).any(|e| e[0].number == e[1].number) {
