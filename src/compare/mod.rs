@@ -47,7 +47,7 @@ mod tests;
 
 pub use nearest::{Nearest, NearestPoint, Triangles};
 
-use crate::surface::check::{CheckSettings, SurfaceReport, check_source};
+use crate::surface::check::{CheckSettings, SurfaceCheckReport, check_source};
 use crate::surface::{SurfaceSource, Vertex, vertices_from};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Resources, pool};
@@ -91,9 +91,9 @@ pub struct OneWay {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompareReport {
     /// The first surface by itself: area, volume, Euler number, components.
-    pub a: SurfaceReport,
+    pub a: SurfaceCheckReport,
     /// The second one.
-    pub b: SurfaceReport,
+    pub b: SurfaceCheckReport,
     /// From the first to the second.
     pub a_to_b: OneWay,
     /// From the second to the first.

@@ -2,7 +2,7 @@
 
 use super::design::{Design, Limits};
 use super::part::{ChunkPart, Measured};
-use super::{Knot, Spectrum};
+use super::{Spectrum, SpectrumKnot};
 
 /// Adds up the parts of all chunks.
 #[derive(Clone, Debug)]
@@ -81,7 +81,7 @@ impl SpectrumBuilder {
     /// The spectrum of all chunks.
     pub fn spectrum(&self) -> Spectrum {
         let knots = self.design.knots.values().into_iter().zip(&self.active).zip(&self.sums).map(
-            |((isovalue, &active_cells), &[area, volume, gradient])| Knot {
+            |((isovalue, &active_cells), &[area, volume, gradient])| SpectrumKnot {
                 isovalue,
                 active_cells,
                 area,

@@ -37,14 +37,14 @@ impl Family {
 
 /// A step of a family.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Step {
+pub struct LevelStep {
     /// The family.
     pub family: Family,
     /// Which of its steps: 2^rung, or 10^⌊rung/2⌋, twice that where the rung is odd.
     pub rung: i32,
 }
 
-impl Step {
+impl LevelStep {
     /// The step of a rung; `None` where that is no step between `f32` values.
     pub fn new(family: Family, rung: i32) -> Option<Self> {
         family.rungs().contains(&rung).then_some(Self { family, rung })
@@ -130,7 +130,7 @@ fn power_of_ten(n: i32) -> f64 {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct IsovalueGrid {
     /// The step.
-    pub step: Step,
+    pub step: LevelStep,
     /// Which multiple is the first isovalue.
     pub first: i64,
     /// Number of isovalues.
@@ -144,7 +144,7 @@ impl IsovalueGrid {
         let spacing = f64::from(lo.abs().max(hi.abs())) / f64::from(1u32 << 23);
         let least = ((f64::from(hi) - f64::from(lo)) / f64::from(most.max(1))).max(spacing);
         for rung in family.rungs() {
-            let step = Step { family, rung };
+            let step = LevelStep { family, rung };
             // A little less, for the size is rounded.
             if step.size() < least * (1.0 - 1e-12) {
                 continue;
@@ -154,7 +154,7 @@ impl IsovalueGrid {
                 return Self { step, first, count: (end - first) as u32 };
             }
         }
-        Self { step: Step { family, rung: *family.rungs().end() }, first: 1, count: 0 }
+        Self { step: LevelStep { family, rung: *family.rungs().end() }, first: 1, count: 0 }
     }
 
     /// The n-th isovalue.

@@ -60,7 +60,7 @@ mod tetra;
 pub use builder::SpectrumBuilder;
 pub use cubes::CellShapes;
 pub use design::{Design, Limits};
-pub use grid::{Family, IsovalueGrid, Step};
+pub use grid::{Family, IsovalueGrid, LevelStep};
 pub use lanes::LaneBuffers;
 pub use part::{ChunkPart, Digits, Vertices};
 pub use store::SpectrumFile;
@@ -70,7 +70,7 @@ pub(crate) use design::MOST_LEVELS;
 
 /// The isosurface of one isovalue. Lengths are world units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Knot {
+pub struct SpectrumKnot {
     /// The isovalue.
     pub isovalue: f32,
     /// Cells that the isosurface crosses: tetrahedra, or cubes of a pyramid.
@@ -93,7 +93,7 @@ pub struct Spectrum {
     /// Their volume.
     pub volume: f64,
     /// Isovalues, ascending.
-    pub knots: Vec<Knot>,
+    pub knots: Vec<SpectrumKnot>,
     /// Isovalues at which the number of active tetrahedra is stored.
     pub levels: IsovalueGrid,
 }

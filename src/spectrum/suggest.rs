@@ -12,8 +12,8 @@
 //! and 300; a lung (-500, 200) -7, -525 and -1040. A suggestion is a place to begin at, not an
 //! answer.
 
-use super::grid::{Family, Step};
-use super::{Knot, Spectrum};
+use super::grid::{Family, LevelStep};
+use super::{Spectrum, SpectrumKnot};
 
 /// The most suggestions.
 const MOST: usize = 5;
@@ -24,7 +24,7 @@ const LEAST_STRENGTH: f64 = 0.03;
 
 /// An isovalue, and how much speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Suggestion {
+pub struct SuggestedIsovalue {
     /// The isovalue: a round number next to a knot of the spectrum.
     pub isovalue: f32,
     /// How far it stands out: 1 is the highest possible.
@@ -32,12 +32,15 @@ pub struct Suggestion {
 }
 
 /// Suggests isovalues, the most marked one first.
-pub fn suggest(spectrum: &Spectrum) -> Vec<Suggestion> {
+pub fn suggest(spectrum: &Spectrum) -> Vec<SuggestedIsovalue> {
     let score = scores(spectrum);
     let highest = score.iter().copied().fold(0.0, f64::max);
-    let mut found: Vec<Suggestion> = (0..score.len())
+    let mut found: Vec<SuggestedIsovalue> = (0..score.len())
         .filter(|&i| is_peak(&score, i))
-        .map(|i| Suggestion { isovalue: round_near(spectrum, i), strength: prominence(&score, i) / highest })
+        .map(|i| SuggestedIsovalue {
+            isovalue: round_near(spectrum, i),
+            strength: prominence(&score, i) / highest,
+        })
         .filter(|s| s.strength >= LEAST_STRENGTH)
         .collect();
     found.sort_by(|a, b| b.strength.total_cmp(&a.strength));
@@ -51,7 +54,7 @@ fn round_near(spectrum: &Spectrum, i: usize) -> f32 {
     let at = |i: usize| f64::from(spectrum.knots[i].isovalue);
     let way = if i + 1 < spectrum.knots.len() { at(i + 1) - at(i) } else { at(i) - at(i.saturating_sub(1)) };
     // Finer than `f32` is no number round.
-    let steps = Step::descending(Family::Decimal).take_while(|s| s.size() > at(i).abs() * 1e-7);
+    let steps = LevelStep::descending(Family::Decimal).take_while(|s| s.size() > at(i).abs() * 1e-7);
     let mut candidates = steps.map(|s| s.multiple((at(i) / s.size()).round() as i64));
     let near = candidates.find(|&v| (f64::from(v) - at(i)).abs() <= way / 2.0);
     near.unwrap_or(spectrum.knots[i].isovalue)
@@ -60,11 +63,11 @@ fn round_near(spectrum: &Spectrum, i: usize) -> f32 {
 /// T / √A at each knot, both smoothed; NaN-free.
 fn scores(spectrum: &Spectrum) -> Vec<f64> {
     let knots = &spectrum.knots;
-    let at = |k: &Knot| f64::from(k.isovalue);
+    let at = |k: &SpectrumKnot| f64::from(k.isovalue);
     let width = SMOOTHING * (f64::from(spectrum.range[1]) - f64::from(spectrum.range[0]));
     // Knots are not evenly spread: each stands for the half-way to its neighbours.
     let share = |i: usize| at(&knots[(i + 1).min(knots.len() - 1)]) - at(&knots[i.saturating_sub(1)]);
-    let smoothed = |i: usize, of: fn(&Knot) -> f64| {
+    let smoothed = |i: usize, of: fn(&SpectrumKnot) -> f64| {
         let first = knots.partition_point(|k| at(k) <= at(&knots[i]) - width);
         let near = (first..knots.len()).take_while(|&j| at(&knots[j]) < at(&knots[i]) + width);
         near.map(|j| {
@@ -109,7 +112,7 @@ mod tests {
             let v = f64::from(isovalue);
             let area = 5.0 + 100.0 * bump(v, 200.0) + 200.0 * bump(v, 700.0);
             let mean = 1.0 + 10.0 * bump(v, 200.0) + 10.0 * bump(v, 700.0);
-            Knot { isovalue, active_cells: 1, area, volume: 0.0, gradient: mean * area }
+            SpectrumKnot { isovalue, active_cells: 1, area, volume: 0.0, gradient: mean * area }
         });
         Spectrum {
             range: design.range,

@@ -165,7 +165,7 @@ pub(super) fn triangle_set(mesh: &TriMesh) -> Vec<[[u32; 6]; 3]> {
 }
 
 /// A surface with everything but closedness in order.
-pub(super) fn assert_sound(mesh: &TriMesh) -> super::check::SurfaceReport {
+pub(super) fn assert_sound(mesh: &TriMesh) -> super::check::SurfaceCheckReport {
     let report = super::check::check(mesh);
     assert!(report.is_manifold() && report.is_oriented(), "{report:?}");
     assert_eq!(

@@ -6,7 +6,7 @@
 //! around absurd numbers. Those must end in an error too, soon, and without a huge allocation.
 
 use crate::common::*;
-use isospan::archive::manifest::{MANIFEST_NAME, Manifest, Plan};
+use isospan::archive::manifest::{MANIFEST_NAME, Manifest, MeshPlan};
 use isospan::archive::segment::SegmentKind;
 use isospan::error::{ErrorKind, Fault};
 use isospan::geom::Lattice;
@@ -267,7 +267,7 @@ fn ask(archive: &Path, what: &str) -> bool {
     errors[0].is_some()
 }
 
-type PlanEdit = Box<dyn Fn(&mut Plan)>;
+type PlanEdit = Box<dyn Fn(&mut MeshPlan)>;
 
 #[test]
 fn absurd_manifests_with_good_checksums_are_refused_soon() {
@@ -279,9 +279,9 @@ fn absurd_manifests_with_good_checksums_are_refused_soon() {
         dims[axis] = 16_777_217;
         Lattice::new(dims).unwrap()
     };
-    let set = |points: PointSpec| move |p: &mut Plan| p.points = points;
+    let set = |points: PointSpec| move |p: &mut MeshPlan| p.points = points;
     let on = |lattice: Lattice| {
-        move |p: &mut Plan| (p.lattice, p.brick_edge, p.chunk_target) = (lattice, [1; 3], 1)
+        move |p: &mut MeshPlan| (p.lattice, p.brick_edge, p.chunk_target) = (lattice, [1; 3], 1)
     };
     let plans: Vec<(&str, PlanEdit)> = vec![
         ("2^59 points", Box::new(set(PointSpec::Halton { n: 1 << 59 }))),

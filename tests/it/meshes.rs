@@ -9,7 +9,7 @@ use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings, RunSettings, reduce_series};
 use isospan::sample::Interpolation;
-use isospan::surface::check::{SurfaceReport, check};
+use isospan::surface::check::{SurfaceCheckReport, check};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,7 @@ fn reduced(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings
 }
 
 /// An isosurface and what is to be said of it.
-fn extracted(archive: &Path, isovalue: f32) -> (isospan::surface::TriMesh, SurfaceReport) {
+fn extracted(archive: &Path, isovalue: f32) -> (isospan::surface::TriMesh, SurfaceCheckReport) {
     let out = archive.with_extension("ply");
     surface(archive, isovalue, &out, 2);
     let mesh = read(&out);

@@ -5,7 +5,7 @@ use crate::common::*;
 use isospan::formats::{OpenOptions, StepSource, open_volume};
 use isospan::grid::Geometry;
 use isospan::pipeline::{self, NanPolicy, ReduceSettings};
-use isospan::surface::check::{SurfaceReport, boundary_outside, check};
+use isospan::surface::check::{SurfaceCheckReport, boundary_outside, check};
 use isospan::surface::extract::{ChunkSurface, CubeBench, GridBlock, marching_cubes};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
 use isospan::surface::{TriMesh, WorldMap};
@@ -216,7 +216,7 @@ fn samples(file: &Path) -> Vec<f32> {
 }
 
 /// The surface of the cells between samples, in index space.
-fn surface_of_cells(values: &[f32], grid: [u64; 3], isovalue: f32, caps: bool) -> SurfaceReport {
+fn surface_of_cells(values: &[f32], grid: [u64; 3], isovalue: f32, caps: bool) -> SurfaceCheckReport {
     let block = GridBlock {
         grid,
         stride: [1; 3],

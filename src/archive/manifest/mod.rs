@@ -24,7 +24,7 @@ pub use self::files::{
 };
 pub use self::packed::{MANIFEST_DICTIONARY, pack_manifest};
 pub use self::plan::{
-    BLOCK_TETS, CHUNK_POINTS, Counts, FrameRecord, MOST_UNINDEXED, MOST_UNINDEXED_CHUNKS, OwnRecord, Plan,
+    BLOCK_TETS, CHUNK_POINTS, Counts, FrameRecord, MOST_UNINDEXED, MOST_UNINDEXED_CHUNKS, MeshPlan, OwnRecord,
 };
 
 use self::record::{GeometryRecord, StepRecord};
@@ -167,7 +167,7 @@ pub enum CorrectionRecord {
 /// Everything, besides the plan, that decides the bytes of a step's values and index.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StepPlan {
-    /// Number of the step's files, and of the step, unless that has a [`Step::place`].
+    /// Number of the step's files, and of the step, unless that has a [`StoredStep::place`].
     pub number: u64,
     /// Its time, if the input gives one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -273,7 +273,7 @@ pub struct SegmentRecord {
 /// A finished step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "StepRecord", into = "StepRecord")]
-pub struct Step {
+pub struct StoredStep {
     /// What it was made from, and how.
     pub plan: StepPlan,
     /// Number of the step, where that is not the one of its files: steps are in the order of their
@@ -306,7 +306,7 @@ pub struct Step {
     pub level_rms: Vec<f64>,
 }
 
-impl Step {
+impl StoredStep {
     /// A step of a plan, of which no file is known yet.
     pub fn of(plan: StepPlan) -> Self {
         Self {
@@ -358,8 +358,8 @@ pub struct Manifest {
     /// Version of the program that wrote the archive.
     pub isospan_version: String,
     /// What decides the mesh.
-    pub plan: Plan,
-    /// [`Plan::hash`]; not written, as it follows.
+    pub plan: MeshPlan,
+    /// [`MeshPlan::hash`]; not written, as it follows.
     #[serde(skip)]
     pub plan_hash: PlanHash,
     /// Sizes.
@@ -368,10 +368,10 @@ pub struct Manifest {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub mesh: Vec<SegmentRecord>,
     /// Steps, in order of their numbers; where a step has several fields, field after field.
-    pub steps: Vec<Step>,
+    pub steps: Vec<StoredStep>,
     /// Steps that others have replaced, and that remaining ones refer to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub bases: Vec<Step>,
+    pub bases: Vec<StoredStep>,
     /// XXH3 (128 bits) of the settings, if the archive was made for a wanted error, by several
     /// tries. By this hash the same call knows that it is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -388,7 +388,7 @@ struct Version {
 
 impl Manifest {
     /// A manifest of this version of the program.
-    pub fn new(plan: Plan, counts: Counts, mesh: Vec<SegmentRecord>, steps: Vec<Step>) -> Self {
+    pub fn new(plan: MeshPlan, counts: Counts, mesh: Vec<SegmentRecord>, steps: Vec<StoredStep>) -> Self {
         let manifest = Self {
             format: MANIFEST_FORMAT.into(),
             format_version: FORMAT_VERSION,
@@ -407,7 +407,7 @@ impl Manifest {
 
     /// The same with steps that others have replaced.
     #[must_use]
-    pub fn with_bases(self, bases: Vec<Step>) -> Self {
+    pub fn with_bases(self, bases: Vec<StoredStep>) -> Self {
         Self { bases, ..self }.of_its_format()
     }
 
@@ -606,8 +606,8 @@ pub(crate) mod tests {
     use isospan_io::geom::Lattice;
     use isospan_mesh::points::PointSpec;
 
-    pub(crate) fn plan() -> Plan {
-        Plan {
+    pub(crate) fn plan() -> MeshPlan {
+        MeshPlan {
             lattice: Lattice::new([103, 94, 161]).unwrap(),
             points: PointSpec::Hammersley { n: 1000, shift: 0.5 },
             order_bits: 9,
@@ -660,7 +660,7 @@ pub(crate) mod tests {
     fn example() -> Manifest {
         let info = SegmentInfo { bytes: 1000, blocks: 7, content_hash: u64::MAX - 5 };
         let record = |first_chunk, chunks| SegmentRecord { first_chunk, chunks, info };
-        let step = |number| Step {
+        let step = |number| StoredStep {
             plan: step_plan(number),
             place: None,
             series: None,

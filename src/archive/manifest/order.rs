@@ -9,12 +9,12 @@
 //! A step that is inserted, or that replaces another, has files of new numbers: so the archive
 //! stays whole until a manifest names them.
 
-use super::{CoordinateRecord, LONGEST_CHAIN, Manifest, Step, StepPlan};
+use super::{CoordinateRecord, LONGEST_CHAIN, Manifest, StepPlan, StoredStep};
 use crate::archive::segment::ORDERED_FORMAT;
 use isospan_io::error::{Error, Result};
 use std::path::Path;
 
-impl Step {
+impl StoredStep {
     /// Number of the step in the archive.
     pub fn number(&self) -> u64 {
         self.place.unwrap_or(self.plan.number)
@@ -42,7 +42,7 @@ impl Manifest {
     }
 
     /// All steps, and those that others have replaced behind them.
-    pub fn all_steps(&self) -> impl Iterator<Item = &Step> {
+    pub fn all_steps(&self) -> impl Iterator<Item = &StoredStep> {
         self.steps.iter().chain(&self.bases)
     }
 
@@ -50,7 +50,7 @@ impl Manifest {
     ///
     /// # Panics
     /// When there is none.
-    pub fn step_at(&self, position: usize) -> &Step {
+    pub fn step_at(&self, position: usize) -> &StoredStep {
         self.steps.get(position).unwrap_or_else(|| &self.bases[position - self.steps.len()])
     }
 
@@ -69,7 +69,7 @@ impl Manifest {
     }
 
     /// The steps of each field, by their positions; of all steps where each has one field.
-    pub fn runs(&self) -> impl Iterator<Item = &[Step]> {
+    pub fn runs(&self) -> impl Iterator<Item = &[StoredStep]> {
         self.steps.chunk_by(|a, b| a.series == b.series)
     }
 

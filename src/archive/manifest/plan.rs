@@ -16,7 +16,7 @@ pub const MOST_UNINDEXED_CHUNKS: u64 = 8;
 
 /// Everything that decides the bytes of the mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Plan {
+pub struct MeshPlan {
     /// The lattice of the domain.
     pub lattice: Lattice,
     /// The point set.
@@ -112,7 +112,7 @@ pub struct FrameRecord {
     pub cuts: ChunkCuts,
 }
 
-impl Plan {
+impl MeshPlan {
     /// The hash that mesh segments carry: of the plan as JSON without spaces, members in the order
     /// of this struct.
     pub fn hash(&self) -> PlanHash {
@@ -158,7 +158,7 @@ pub struct Counts {
 impl Counts {
     /// Whether the steps of the mesh of a plan have an index and a spectrum each: see
     /// [`MOST_UNINDEXED`].
-    pub fn is_indexed(&self, plan: &Plan) -> bool {
+    pub fn is_indexed(&self, plan: &MeshPlan) -> bool {
         match plan.is_pyramid() {
             true => self.chunks > MOST_UNINDEXED_CHUNKS,
             false => self.chunks > 1 || self.blocks > MOST_UNINDEXED,

@@ -1,7 +1,7 @@
 //! A step and its error as the manifest has them: what is usual, or follows, is left out. Reports
 //! tell all members of the same types, so they are not written as these are.
 
-use super::{CoordinateRecord, SegmentRecord, Source, Step, StepPlan};
+use super::{CoordinateRecord, SegmentRecord, Source, StepPlan, StoredStep};
 use crate::archive::segment::SegmentInfo;
 use crate::measure::{FieldError, LevelError, PERCENTILES, Percentile, Worst};
 use isospan_io::grid::Geometry;
@@ -60,7 +60,7 @@ pub(super) fn is_usual_geometry(geometry: &Geometry) -> bool {
         && is_usual_direction(&geometry.direction)
 }
 
-/// A [`Step`].
+/// A [`StoredStep`].
 #[derive(Serialize, Deserialize)]
 pub(super) struct StepRecord {
     #[serde(flatten)]
@@ -91,8 +91,8 @@ pub(super) struct StepRecord {
     level_rms: Vec<f64>,
 }
 
-impl From<Step> for StepRecord {
-    fn from(step: Step) -> Self {
+impl From<StoredStep> for StepRecord {
+    fn from(step: StoredStep) -> Self {
         let error = step.error.as_ref().map(|e| ErrorRecord::new(e, &step.plan.source, step.value_range));
         Self {
             plan: step.plan,
@@ -113,7 +113,7 @@ impl From<Step> for StepRecord {
     }
 }
 
-impl TryFrom<StepRecord> for Step {
+impl TryFrom<StepRecord> for StoredStep {
     type Error = String;
 
     fn try_from(record: StepRecord) -> Result<Self, String> {

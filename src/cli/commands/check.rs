@@ -7,7 +7,9 @@ use super::text;
 use isospan::formats::surface::load_surface;
 use isospan::pipeline::{self, ArchiveCheck, ArchiveSummary, Roi, RoiSpace};
 use isospan::surface::SurfaceSource;
-use isospan::surface::check::{CheckSettings, Domain, OpenEdges, SurfaceReport, check_source, check_within};
+use isospan::surface::check::{
+    CheckSettings, Domain, OpenEdges, SurfaceCheckReport, check_source, check_within,
+};
 use isospan::surface::edit::clip::HalfSpace;
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
@@ -145,7 +147,7 @@ fn cuts(roi: &Roi, summary: &ArchiveSummary, origin: [f64; 3]) -> Vec<(HalfSpace
 /// are `f32`.
 const BOUNDARY_TOLERANCE: f64 = 1e-2;
 
-fn defects(r: &SurfaceReport, open: Option<OpenEdges>) -> Vec<String> {
+fn defects(r: &SurfaceCheckReport, open: Option<OpenEdges>) -> Vec<String> {
     let mut list = vec![];
     let mut note = |n: u64, what: &str| {
         if n > 0 {
@@ -164,7 +166,7 @@ fn defects(r: &SurfaceReport, open: Option<OpenEdges>) -> Vec<String> {
     list
 }
 
-fn surface_text(path: &Path, r: &SurfaceReport, open: Option<OpenEdges>) -> String {
+fn surface_text(path: &Path, r: &SurfaceCheckReport, open: Option<OpenEdges>) -> String {
     let mut out = String::new();
     let sound = defects(r, open).is_empty();
     let _ = writeln!(out, "{}: {}", path.display(), if sound { "sound" } else { "NOT SOUND" });

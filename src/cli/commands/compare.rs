@@ -8,7 +8,7 @@ use super::text;
 use isospan::compare::{CompareReport, CompareSettings, compare};
 use isospan::formats::surface::load_surface;
 use isospan::pipeline::{Step, is_archive};
-use isospan::surface::check::{CheckSettings, SurfaceReport};
+use isospan::surface::check::{CheckSettings, SurfaceCheckReport};
 use isospan::surface::weld::StoredSurface;
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
@@ -120,7 +120,7 @@ fn in_words(args: &Args, r: &CompareReport) -> String {
         let _ = writeln!(out, "  {name:<18} {a:>14} {b:>14} {c:>14}");
     };
     row("", ["A".into(), "B".into(), String::new()]);
-    let of = |f: &dyn Fn(&SurfaceReport) -> String| [f(&r.a), f(&r.b), String::new()];
+    let of = |f: &dyn Fn(&SurfaceCheckReport) -> String| [f(&r.a), f(&r.b), String::new()];
     row("triangles", of(&|s| text::count(s.triangles)));
     row("area", of(&|s| value(s.area)));
     row("volume", of(&|s| s.volume.map_or("open".into(), value)));

@@ -19,7 +19,7 @@ use super::progress::Talk;
 use super::text;
 use super::view::page::{self, Queries};
 use isospan::archive::lock::WriterLock;
-use isospan::bytes::Stage;
+use isospan::bytes::StagedFolder;
 use isospan::bytes::remote::is_remote;
 use isospan::exec::CancelToken;
 use isospan::pipeline::copy_archive;
@@ -73,7 +73,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     expect_no_input(out, &args.archives)?;
     expect_place(out)?;
     let _lock = WriterLock::acquire(out)?;
-    let stage = Stage::begin(out)?;
+    let stage = StagedFolder::begin(out)?;
     let published = expect_room(out, args.force)?;
     let mut folder = Folder {
         path: stage.new_folder(),

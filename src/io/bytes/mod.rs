@@ -49,7 +49,7 @@ pub mod store;
 use crate::error::{Error, Fault, Place, Result};
 use borrowed::Borrowed;
 use remote::{RemoteFile, is_remote};
-pub use stage::Stage;
+pub use stage::StagedFolder;
 use std::fmt;
 use std::fs::File;
 use std::io::{self, Read};

@@ -20,12 +20,12 @@ use std::path::{Path, PathBuf};
 
 /// The folder in which another one is made; removed when dropped.
 #[derive(Debug)]
-pub struct Stage {
+pub struct StagedFolder {
     path: PathBuf,
     out: PathBuf,
 }
 
-impl Stage {
+impl StagedFolder {
     /// Begins a folder that is to be called `out`.
     ///
     /// # Errors
@@ -81,7 +81,7 @@ impl Stage {
     }
 }
 
-impl Drop for Stage {
+impl Drop for StagedFolder {
     fn drop(&mut self) {
         let _ = remove_folder(&self.path);
     }
@@ -122,7 +122,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let out = dir.path().join("viewer");
         for text in ["one", "two"] {
-            let stage = Stage::begin(&out).unwrap();
+            let stage = StagedFolder::begin(&out).unwrap();
             fs::create_dir(stage.new_folder().join("a")).unwrap();
             fs::write(stage.new_folder().join("a/file"), text).unwrap();
             let old = stage.publish(text == "two").unwrap();
@@ -132,7 +132,7 @@ mod tests {
             });
         }
         // One that appears meanwhile is not replaced.
-        let stage = Stage::begin(&out).unwrap();
+        let stage = StagedFolder::begin(&out).unwrap();
         assert!(stage.publish(false).is_err());
         drop(stage);
         assert_eq!(names(dir.path()), ["viewer"]);
@@ -154,7 +154,7 @@ mod tests {
         }
         fs::create_dir(dead.join("old")).unwrap();
         fs::write(dead.join("old/file"), "whole").unwrap();
-        drop(Stage::begin(&out).unwrap());
+        drop(StagedFolder::begin(&out).unwrap());
         assert_eq!(fs::read_to_string(out.join("file")).unwrap(), "whole");
         assert!(!dead.exists() && others.iter().all(|other| other.exists()));
     }

@@ -38,7 +38,7 @@ mod mesh;
 
 pub use blocks::{CellBlocks, Part, PointBlocks};
 pub use kind::CellKind;
-pub use mesh::{CellMesh, ChosenField, StoredBlocks, ValueBlocks};
+pub use mesh::{CellMesh, ChosenField, FieldBlocks, StoredBlocks};
 pub use orient::{Orientation, orient};
 pub use split::split;
 pub use star::CellTet;

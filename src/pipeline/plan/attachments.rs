@@ -2,7 +2,7 @@
 //! duplicate vertices of the source. In an archive these are files of their own. The first two are
 //! read before anything else, the last only when a step is added.
 
-use crate::archive::manifest::Plan as MeshPlan;
+use crate::archive::manifest::MeshPlan;
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{
     RepeatedReader, explicit_path, levels_path, read_explicit, read_levels, repeated_path, write_explicit,

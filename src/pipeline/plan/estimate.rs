@@ -22,7 +22,7 @@
 
 use super::finding::Notice;
 use super::{MeshParts, Plan};
-use crate::archive::manifest::{BLOCK_TETS, Plan as MeshPlan};
+use crate::archive::manifest::{BLOCK_TETS, MeshPlan};
 use crate::fit::window_edge;
 use crate::index::BuildSettings;
 use crate::pipeline::settings::{RunSettings, Target};

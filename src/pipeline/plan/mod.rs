@@ -13,7 +13,7 @@ mod layout;
 mod shard;
 
 use crate::archive::manifest::{
-    BLOCK_TETS, FrameRecord, LONGEST_CHAIN, Manifest, OwnRecord, Plan as MeshPlan, Source, StepPlan,
+    BLOCK_TETS, FrameRecord, LONGEST_CHAIN, Manifest, MeshPlan, OwnRecord, Source, StepPlan,
 };
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};

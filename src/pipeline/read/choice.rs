@@ -1,6 +1,6 @@
 //! Which steps of a series a question is about: by number, by time, or a range of them.
 
-use crate::archive::manifest::{Manifest, Step};
+use crate::archive::manifest::{Manifest, StoredStep};
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::without_frame;
 use std::collections::BTreeSet;
@@ -130,10 +130,10 @@ impl Moment {
     pub(super) fn fields(self, manifest: &Manifest) -> Vec<&str> {
         let steps = &manifest.steps;
         if is_of_fields(manifest) {
-            return steps.iter().map(Step::field).collect();
+            return steps.iter().map(StoredStep::field).collect();
         }
         let number = steps[self.step].number();
-        let has_it = |run: &&[Step]| run.iter().any(|step| step.number() == number);
+        let has_it = |run: &&[StoredStep]| run.iter().any(|step| step.number() == number);
         match steps[self.step].series {
             Some(_) => manifest.runs().filter(has_it).map(|run| run[0].field()).collect(),
             None => vec![steps[self.step].field()],
@@ -166,7 +166,7 @@ impl Moment {
     fn of_number(manifest: &Manifest, number: u64, field: Option<&str>, shown: &Path) -> Result<Self> {
         let run = run_of(manifest, field, shown)?;
         let steps = &manifest.steps[run.clone()];
-        let Ok(n) = steps.binary_search_by_key(&number, Step::number) else {
+        let Ok(n) = steps.binary_search_by_key(&number, StoredStep::number) else {
             let text = numbers(steps);
             return Err(Error::usage(format!("{}: no step {number}; it has {text}", shown.display())));
         };
@@ -207,7 +207,7 @@ impl Moment {
 /// Whether the steps of an archive are the fields of one moment.
 pub(in crate::pipeline) fn is_of_fields(manifest: &Manifest) -> bool {
     let steps = &manifest.steps;
-    let is_plain = |s: &Step| {
+    let is_plain = |s: &StoredStep| {
         let field = &s.plan.source.field;
         s.series.is_none() && s.plan.time.is_none() && without_frame(field) == field
     };
@@ -219,12 +219,12 @@ pub(in crate::pipeline) fn is_of_fields(manifest: &Manifest) -> bool {
 }
 
 /// Whether a step has the field of a name, or a frame of it.
-fn has_field(step: &Step, name: &str) -> bool {
+fn has_field(step: &StoredStep, name: &str) -> bool {
     step.field() == name || without_frame(step.field()) == name
 }
 
 /// Refuses steps of which one has not the field that is asked.
-fn expect_field(steps: &[Step], field: Option<&str>, why: &str, shown: &Path) -> Result<()> {
+fn expect_field(steps: &[StoredStep], field: Option<&str>, why: &str, shown: &Path) -> Result<()> {
     let Some(name) = field else { return Ok(()) };
     match steps.iter().find(|step| !has_field(step, name)) {
         Some(other) => Err(Error::usage(format!(
@@ -262,7 +262,7 @@ fn run_of(manifest: &Manifest, field: Option<&str>, shown: &Path) -> Result<Rang
 }
 
 /// The position of the only step with a field of this name.
-fn position_of_field(steps: &[Step], name: &str, shown: &Path) -> Result<usize> {
+fn position_of_field(steps: &[StoredStep], name: &str, shown: &Path) -> Result<usize> {
     let mut found = (0..steps.len()).filter(|&n| steps[n].field() == name);
     match (found.next(), found.count()) {
         (Some(position), 0) => Ok(position),
@@ -272,7 +272,7 @@ fn position_of_field(steps: &[Step], name: &str, shown: &Path) -> Result<usize> 
             more + 1
         ))),
         (None, _) => {
-            let mut fields: Vec<&str> = steps.iter().map(Step::field).collect();
+            let mut fields: Vec<&str> = steps.iter().map(StoredStep::field).collect();
             fields.sort_unstable();
             fields.dedup();
             fields.truncate(20);
@@ -286,8 +286,8 @@ fn position_of_field(steps: &[Step], name: &str, shown: &Path) -> Result<usize> 
 }
 
 /// "steps 0 to 7", "steps 0, 2, 3".
-fn numbers(steps: &[Step]) -> String {
-    let all: Vec<u64> = steps.iter().map(Step::number).collect();
+fn numbers(steps: &[StoredStep]) -> String {
+    let all: Vec<u64> = steps.iter().map(StoredStep::number).collect();
     let (first, last) = (all[0], all[all.len() - 1]);
     if all.len() == 1 {
         format!("step {first}")

@@ -6,7 +6,7 @@ use super::archive::expect_recorded;
 use super::decoded::DecodedChunk;
 use super::step_view::StepView;
 use crate::archive::chunked::BlockRange;
-use crate::archive::manifest::{Plan as MeshPlan, Source};
+use crate::archive::manifest::{MeshPlan, Source};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::CoordinateMap;
 use crate::spectrum::suggest::suggest;
@@ -292,7 +292,7 @@ pub(super) fn report_of(archive: &StepView, nodes: usize) -> Result<SpectrumRepo
         return Ok(none);
     };
     let source = &archive.step().plan.source;
-    let knot = |k: &crate::spectrum::Knot| Knot {
+    let knot = |k: &crate::spectrum::SpectrumKnot| Knot {
         isovalue: source.in_file(k.isovalue),
         active_cells: k.active_cells,
         area: k.area,

@@ -13,7 +13,7 @@ use super::choice::{Moment, StepChoice};
 use super::pools::BufferPool;
 use super::pyramid::PyramidStep;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{BaseStep, Step, StepPlan};
+use crate::archive::manifest::{BaseStep, StepPlan, StoredStep};
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::index::{SpanIndex, index_entries};
 use crate::pipeline::plan::Layout;
@@ -121,7 +121,7 @@ impl StepView {
     }
 
     /// The step, or the one before the moment.
-    pub(in crate::pipeline) fn step(&self) -> &Step {
+    pub(in crate::pipeline) fn step(&self) -> &StoredStep {
         self.manifest.step_at(self.moment.step)
     }
 
@@ -247,7 +247,7 @@ impl StepView {
         if let Some(segment) = open.get(&(number, step)) {
             return Ok(Arc::clone(segment));
         }
-        let Step { plan, values, .. } = self.manifest.step_at(step);
+        let StoredStep { plan, values, .. } = self.manifest.step_at(step);
         let (path, hash) = (self.layout_at(step).values(number), plan.hash(self.manifest.plan_hash));
         let record = values.get(number as usize);
         let segment = Arc::new(self.chunk_segment(&path, SegmentKind::Values, hash, number, record)?);

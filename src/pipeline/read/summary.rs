@@ -3,7 +3,7 @@
 use super::pyramid::pyramid_of;
 use super::spectrum::{FEW_NODES, Suggestion, report_of};
 use super::step_view::StepView;
-use crate::archive::manifest::{Manifest, MeshSource, SegmentRecord, Step};
+use crate::archive::manifest::{Manifest, MeshSource, SegmentRecord, StoredStep};
 use crate::archive::segment::FORMAT_VERSION;
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
@@ -221,7 +221,7 @@ impl StepSummary {
     /// That of the step at a position in a manifest.
     pub(in crate::pipeline) fn of(manifest: &Manifest, position: usize) -> Self {
         let step = &manifest.steps[position];
-        let Step { plan, .. } = step;
+        let StoredStep { plan, .. } = step;
         let base = manifest.base_of(position).map(|base| manifest.step_at(base).number());
         Self {
             number: step.number(),
@@ -290,7 +290,7 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
 }
 
 fn sample_bytes(archive: &StepView) -> Option<u64> {
-    let of_step = |step: &Step| {
+    let of_step = |step: &StoredStep| {
         let source = &step.plan.source;
         let one = source.scalar.bytes() as u64;
         let all = source.dims.iter().try_fold(one, |bytes, &n| bytes.checked_mul(n))?;

@@ -7,7 +7,7 @@ use super::order::{
     series_of, time_in,
 };
 use super::series::{KnownUnits, SeriesPlan, is_of_data};
-use crate::archive::manifest::{Manifest, Step, StepPlan};
+use crate::archive::manifest::{Manifest, StepPlan, StoredStep};
 use crate::pipeline::read::{OpenArchive, is_of_fields};
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::StepSource;
@@ -164,9 +164,10 @@ impl SeriesPlan {
         let (plan, source) = (&self.plan.steps[n], &self.sources[n].source);
         let series = series_of(source);
         let path = source.path.display();
-        let old: Vec<&Step> = manifest.steps.iter().filter(|s| is_of_series(manifest, s, series)).collect();
+        let old: Vec<&StoredStep> =
+            manifest.steps.iter().filter(|s| is_of_series(manifest, s, series)).collect();
         let at_time = |t: f64| old.iter().find(|s| time_in(manifest, s, series) == t).copied();
-        let is_same_file = |s: &&&Step| {
+        let is_same_file = |s: &&&StoredStep| {
             (&s.plan.source.path, &s.plan.source.field) == (&plan.source.path, &plan.source.field)
         };
         let of_file = old.iter().find(is_same_file).copied();
@@ -281,7 +282,7 @@ impl SeriesPlan {
     pub(super) fn replaced(&self, old: Option<&Manifest>) -> Vec<u64> {
         let files: BTreeSet<u64> = self.order.replaced.values().copied().collect();
         let old = old.into_iter().flat_map(|old| &old.steps);
-        old.filter(|step| files.contains(&step.plan.number)).map(Step::number).collect()
+        old.filter(|step| files.contains(&step.plan.number)).map(StoredStep::number).collect()
     }
 
     /// Puts the finished steps of an archive in order: those of an older one, then those of the
@@ -292,7 +293,8 @@ impl SeriesPlan {
         let mut steps = std::mem::take(&mut contents.steps);
         let new = steps.split_off(old.steps.len());
         let mut bases = std::mem::take(&mut contents.bases);
-        let is_replaced = |step: &Step| self.order.replaced.values().any(|files| *files == step.plan.number);
+        let is_replaced =
+            |step: &StoredStep| self.order.replaced.values().any(|files| *files == step.plan.number);
         let mut entries = vec![];
         let has_series = self.sources.iter().any(|from| series_of(&from.source).is_some());
         for step in steps {
@@ -301,7 +303,9 @@ impl SeriesPlan {
             let number = if has_series && is_of_fields(old) { 0 } else { step.number() };
             match is_replaced(&step) {
                 true => bases.push(step),
-                false => entries.push(Entry { time, wish: Some(number), step: Step { series, ..step } }),
+                false => {
+                    entries.push(Entry { time, wish: Some(number), step: StoredStep { series, ..step } })
+                }
             }
         }
         for (n, step) in new.into_iter().enumerate() {
@@ -312,7 +316,7 @@ impl SeriesPlan {
     }
 
     /// The entry of the `n`-th step of the plan.
-    fn entry(&self, n: usize, old: &Manifest, step: Step) -> Entry {
+    fn entry(&self, n: usize, old: &Manifest, step: StoredStep) -> Entry {
         let (number, series) = (step.plan.number, series_of(&self.sources[n].source));
         let replaced = self.order.replaced.get(&number);
         let replaced = replaced.and_then(|files| old.steps.iter().find(|s| s.plan.number == *files));
@@ -329,6 +333,6 @@ impl SeriesPlan {
                 (Some(wish as u64), step.plan.time.unwrap_or(wish))
             }
         };
-        Entry { time, wish, step: Step { series: series.map(str::to_owned), ..step } }
+        Entry { time, wish, step: StoredStep { series: series.map(str::to_owned), ..step } }
     }
 }

@@ -22,7 +22,7 @@ use super::sink::{SegmentFiles, has_mesh, has_values};
 use super::sums::FinishedSteps;
 use super::workers::SegmentMaker;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
+use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, StoredStep};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
 use crate::pipeline::chunk::{Field, Recipe, SampleErrors, Samples};
 use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
@@ -315,9 +315,9 @@ impl<'a> Build<'a> {
         };
         for n in first..wanted.end {
             let layout = self.layout.at(plan.steps[n].number);
-            steps.push(Step {
+            steps.push(StoredStep {
                 values: self.records(source, plan.step_hash(n), SegmentKind::Values, |n| layout.values(n))?,
-                ..Step::of(plan.steps[n].clone())
+                ..StoredStep::of(plan.steps[n].clone())
             });
         }
         if self.old.is_none() {
@@ -349,7 +349,7 @@ impl<'a> Build<'a> {
         for n in chain.into_iter().rev() {
             let (layout, hash) = (self.layout.at(plan.steps[n].number), plan.step_hash(n));
             let values = self.records(source, hash, SegmentKind::Values, |s| layout.values(s))?;
-            steps.push(Step { values, ..Step::of(plan.steps[n].clone()) });
+            steps.push(StoredStep { values, ..StoredStep::of(plan.steps[n].clone()) });
         }
         let counts = Counts { chunks: self.parts.chunks.len(), ..Counts::default() };
         let bases = self.old.map_or(vec![], |old| old.bases.clone());

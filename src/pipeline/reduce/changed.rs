@@ -4,7 +4,7 @@
 //! list with length and time of change of the files: one that has both is not read again.
 
 use super::plan_file::work_folder;
-use crate::archive::manifest::{Manifest, Step};
+use crate::archive::manifest::{Manifest, StoredStep};
 use crate::pipeline::plan::{Inputs, RecordedFile, Watch};
 use isospan_io::bytes::publish::Unpublished;
 use isospan_io::bytes::read_whole;
@@ -50,7 +50,7 @@ pub fn changed_sources(
     for source in sources {
         cancel.check()?;
         let name = source.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let steps: Vec<&Step> = manifest.steps.iter().filter(|s| s.plan.source.path == name).collect();
+        let steps: Vec<&StoredStep> = manifest.steps.iter().filter(|s| s.plan.source.path == name).collect();
         let Some(first) = steps.first() else { continue };
         let made_from: BTreeSet<&str> = steps.iter().map(|s| &*s.plan.source.fingerprint).collect();
         let is_made_from = |found: &str| made_from.len() == 1 && made_from.contains(found);

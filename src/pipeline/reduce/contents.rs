@@ -2,7 +2,7 @@
 //! fill the box.
 
 use crate::archive::chunked::{ChunkSegment, MeshSizes};
-use crate::archive::manifest::{Counts, Manifest, SegmentRecord, Step};
+use crate::archive::manifest::{Counts, Manifest, SegmentRecord, StoredStep};
 use crate::archive::segment::SegmentKind;
 use crate::pipeline::plan::{Layout, MeshParts, Plan};
 use crate::pipeline::read::{bricks_of, chunk_place, pyramid_of};
@@ -15,9 +15,9 @@ use std::path::Path;
 pub(super) struct ArchiveContents {
     pub(super) counts: Counts,
     pub(super) mesh: Vec<SegmentRecord>,
-    pub(super) steps: Vec<Step>,
+    pub(super) steps: Vec<StoredStep>,
     /// Steps that others have replaced.
-    pub(super) bases: Vec<Step>,
+    pub(super) bases: Vec<StoredStep>,
     /// How often halos were widened.
     pub(super) halo_retries: u64,
 }

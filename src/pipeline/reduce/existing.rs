@@ -17,8 +17,8 @@ use super::job::Job;
 use super::plan_file::{new_archive, old_archive, work_folder};
 use crate::archive::lock::WriterLock;
 use crate::archive::manifest::{
-    MANIFEST_NAME, Manifest, Step, coarse_path, coordinates_path, index_path, is_coordinates, mesh_folder,
-    mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, values_segment_path,
+    MANIFEST_NAME, Manifest, StoredStep, coarse_path, coordinates_path, index_path, is_coordinates,
+    mesh_folder, mesh_segment_path, ranges_segment_path, spectrum_path, steps_folder, values_segment_path,
 };
 use crate::archive::segment::{PlanHash, SegmentInfo, segment_plan};
 use crate::pipeline::plan::{Attachments, Layout, Plan};
@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 /// The segments that the manifest of an archive names.
 pub(super) fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, SegmentInfo)> {
     let mesh = (0..).zip(&manifest.mesh).map(|(n, s)| (mesh_segment_path(archive, n), s.info));
-    let of_step = |step: &Step| {
+    let of_step = |step: &StoredStep| {
         let number = step.plan.number;
         let values = (0..).zip(&step.values);
         let values = values.map(|(n, s)| (values_segment_path(archive, number, n), s.info));

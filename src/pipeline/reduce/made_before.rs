@@ -5,7 +5,7 @@ use super::job::Job;
 use super::kept_search::StepInput;
 use super::report::ReduceReport;
 use super::tries::full_cells;
-use crate::archive::manifest::{Manifest, Step};
+use crate::archive::manifest::{Manifest, StoredStep};
 use crate::pipeline::plan::Inputs;
 use crate::pipeline::settings::Target;
 use isospan_io::error::Result;
@@ -43,7 +43,7 @@ pub(super) fn made_before(
     if !is_same {
         return Err(exists(job.out));
     }
-    let has_units = |(step, (_, source)): (&Step, &(u64, StepSource))| {
+    let has_units = |(step, (_, source)): (&StoredStep, &(u64, StepSource))| {
         let units = &step.plan.source.units;
         let mut named = source.options.units.clone().or(units.clone());
         named.time = named.time.filter(|_| step.plan.time.is_some());

@@ -17,7 +17,7 @@ use super::mesh_fields::{Listed, MeshInput};
 use super::mesh_store::{check_job, open_mesh_of};
 use super::order::Order;
 use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, is_of_data};
-use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, StepPlan};
+use crate::archive::manifest::{MeshPlan, MeshSource, OwnRecord, Source, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, RepeatedRecord};
 use crate::archive::values::Quantiser;

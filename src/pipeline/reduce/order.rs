@@ -9,7 +9,7 @@
 //! Steps behind those of the archive come first among further ones, so that their bytes are those
 //! of one reduction. Between two steps, and in the place of one, there are keyframes alone.
 
-use crate::archive::manifest::{BaseStep, Manifest, Step, StepPlan};
+use crate::archive::manifest::{BaseStep, Manifest, StepPlan, StoredStep};
 use crate::archive::segment::PlanHash;
 use crate::pipeline::read::is_of_fields;
 use isospan_io::formats::{StepSource, without_frame};
@@ -62,7 +62,7 @@ pub(super) fn series_of(source: &StepSource) -> Option<&str> {
 }
 
 /// The name of the field of a step of an archive, as steps with several fields have it.
-pub(super) fn series_in(manifest: &Manifest, step: &Step) -> String {
+pub(super) fn series_in(manifest: &Manifest, step: &StoredStep) -> String {
     match &step.series {
         Some(series) => series.clone(),
         None if is_of_fields(manifest) => step.plan.source.field.clone(),
@@ -71,12 +71,12 @@ pub(super) fn series_in(manifest: &Manifest, step: &Step) -> String {
 }
 
 /// Whether a step of an archive is one of a field that further steps have.
-pub(super) fn is_of_series(manifest: &Manifest, step: &Step, series: Option<&str>) -> bool {
+pub(super) fn is_of_series(manifest: &Manifest, step: &StoredStep, series: Option<&str>) -> bool {
     series.is_none_or(|name| series_in(manifest, step) == name)
 }
 
 /// The time of a step of an archive among further ones.
-pub(super) fn time_in(manifest: &Manifest, step: &Step, series: Option<&str>) -> f64 {
+pub(super) fn time_in(manifest: &Manifest, step: &StoredStep, series: Option<&str>) -> f64 {
     // Fields of one moment become the first step of several fields.
     if series.is_some() && is_of_fields(manifest) { 0.0 } else { step.time_or_number() }
 }
@@ -107,7 +107,7 @@ pub(super) struct Entry {
     pub(super) time: f64,
     /// The number that it had, or is to have.
     pub(super) wish: Option<u64>,
-    pub(super) step: Step,
+    pub(super) step: StoredStep,
 }
 
 /// The number of the step behind all of an archive, and that of its files.
@@ -122,7 +122,7 @@ pub(super) fn next_files(manifest: &Manifest) -> u64 {
 }
 
 /// Steps field after field, by time; fields of the same time have the same number.
-pub(super) fn numbered(mut entries: Vec<Entry>) -> Vec<Step> {
+pub(super) fn numbered(mut entries: Vec<Entry>) -> Vec<StoredStep> {
     let mut wishes: Vec<(f64, Option<u64>)> = entries.iter().map(|e| (e.time, e.wish)).collect();
     wishes.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (mut times, mut numbers, mut next) = (vec![], vec![], 0);
@@ -144,13 +144,13 @@ pub(super) fn numbered(mut entries: Vec<Entry>) -> Vec<Step> {
     let place = |entry: Entry| {
         let at = times.partition_point(|time| *time < entry.time);
         let number = numbers[at];
-        Step { place: Some(number).filter(|n| *n != entry.step.plan.number), ..entry.step }
+        StoredStep { place: Some(number).filter(|n| *n != entry.step.plan.number), ..entry.step }
     };
     entries.into_iter().map(place).collect()
 }
 
 /// The steps that others have replaced, as far as their values or coordinates are referred to.
-pub(super) fn needed(steps: &[Step], mut bases: Vec<Step>) -> Vec<Step> {
+pub(super) fn needed(steps: &[StoredStep], mut bases: Vec<StoredStep>) -> Vec<StoredStep> {
     let mut wanted: BTreeSet<u64> =
         steps.iter().filter_map(|step| step.plan.base).map(|b| b.number).collect();
     // A base has a lower number than those that refer to it.
@@ -159,7 +159,7 @@ pub(super) fn needed(steps: &[Step], mut bases: Vec<Step>) -> Vec<Step> {
     for step in bases {
         if wanted.contains(&step.plan.number) || step.coordinates.is_some() {
             wanted.extend(step.plan.base.map(|base| base.number));
-            kept.push(Step {
+            kept.push(StoredStep {
                 index: None,
                 spectrum: None,
                 error: None,

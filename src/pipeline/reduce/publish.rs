@@ -8,7 +8,7 @@ use super::report::ReduceReport;
 use super::series::SeriesPlan;
 use super::sums::{FinishedSteps, StoredSums, summed_error};
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{Manifest, Step, StepPlan};
+use crate::archive::manifest::{Manifest, StepPlan, StoredStep};
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::index::{BuildSettings, IndexBuilder, index_entries};
 use crate::measure::shortest_between;
@@ -41,7 +41,7 @@ impl Build<'_> {
             // Those of a grid that has some go with the first step of the archive.
             let coordinates = segments.coordinates.filter(|_| contents.steps.is_empty());
             let is_indexed = contents.counts.is_indexed(&plan.mesh);
-            contents.steps.push(Step { coordinates, ..self.step(plan, n, is_indexed, &finished)? });
+            contents.steps.push(StoredStep { coordinates, ..self.step(plan, n, is_indexed, &finished)? });
         }
         report.seconds.push((Stage::Commit, committing.elapsed().as_secs_f64()));
         if self.measure {
@@ -78,7 +78,7 @@ impl Build<'_> {
 
     /// The `n`-th step of the plan, without errors. If it is indexed, builds its index, and its
     /// spectrum from what chunks have measured, unless the step is finished.
-    fn step(&self, plan: &Plan, n: usize, is_indexed: bool, finished: &FinishedSteps) -> Result<Step> {
+    fn step(&self, plan: &Plan, n: usize, is_indexed: bool, finished: &FinishedSteps) -> Result<StoredStep> {
         let (step, hash) = (&plan.steps[n], plan.step_hash(n));
         let layout = self.layout.at(step.number);
         let is_pyramid = plan.mesh.points.kind() == SetKind::Pyramid;
@@ -124,7 +124,7 @@ impl Build<'_> {
             true => Some(Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))?.info()),
             false => None,
         };
-        Ok(Step {
+        Ok(StoredStep {
             value_range: (value_range[0] <= value_range[1]).then_some(value_range),
             void_points,
             values,
@@ -132,7 +132,7 @@ impl Build<'_> {
             coarse,
             index: is_indexed.then(|| index.finish(layout.index(), hash)).transpose()?,
             spectrum,
-            ..Step::of(step.clone())
+            ..StoredStep::of(step.clone())
         })
     }
 
@@ -175,7 +175,7 @@ impl Build<'_> {
 
 /// Notes the error of a step, and those of its levels. Of a level of a pyramid the RMS alone is
 /// kept, in few digits: no less than it is, and at most a thousandth more.
-fn note_errors(step: &mut Step, (error, levels): StepErrors) {
+fn note_errors(step: &mut StoredStep, (error, levels): StepErrors) {
     step.error = Some(error);
     match step.plan.wavelet {
         None => step.level_errors = levels,

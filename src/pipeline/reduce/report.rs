@@ -2,7 +2,7 @@
 
 use super::order::next_files;
 use super::series::{SeriesPlan, SkippedStep};
-use crate::archive::manifest::{Manifest, Step};
+use crate::archive::manifest::{Manifest, StoredStep};
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
 use crate::domain::store::MeshCensus;
@@ -156,8 +156,8 @@ impl SourceChunks {
 }
 
 /// The range of the samples of some steps; where no error was measured, of their points.
-fn range_of<'a>(steps: impl Iterator<Item = &'a Step>) -> Option<[f64; 2]> {
-    let of_step = |step: &Step| step.error.as_ref().and_then(|e| e.source_range).or(step.file_range());
+fn range_of<'a>(steps: impl Iterator<Item = &'a StoredStep>) -> Option<[f64; 2]> {
+    let of_step = |step: &StoredStep| step.error.as_ref().and_then(|e| e.source_range).or(step.file_range());
     steps.filter_map(of_step).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
 }
 
@@ -196,7 +196,7 @@ impl ReduceReport {
     ) -> Result<Self> {
         let is_meant = |n: &usize| manifest.steps[*n].plan.number >= first;
         let positions: Vec<usize> = (0..manifest.steps.len()).filter(is_meant).collect();
-        let steps: Vec<&Step> = positions.iter().map(|n| &manifest.steps[*n]).collect();
+        let steps: Vec<&StoredStep> = positions.iter().map(|n| &manifest.steps[*n]).collect();
         let counts = manifest.counts;
         let ranges = steps.iter().filter_map(|step| step.file_range());
         Ok(Self {

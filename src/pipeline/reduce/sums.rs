@@ -9,7 +9,7 @@
 //! that were killed go on. A finished step has its sums, and needs the parts no more.
 
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{Manifest, Step, StepPlan};
+use crate::archive::manifest::{Manifest, StepPlan, StoredStep};
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, decode_errors};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError};
@@ -98,7 +98,7 @@ pub(super) fn summed_error(archive: &StepView) -> Result<(FieldError, Vec<LevelE
 
 /// Steps of a plan that an archive has, with their sums: its manifest and the spectra are there.
 pub(in crate::pipeline) struct FinishedSteps {
-    steps: Vec<Step>,
+    steps: Vec<StoredStep>,
     /// Whether chunks add to a spectrum.
     has_parts: bool,
 }
@@ -107,25 +107,25 @@ impl FinishedSteps {
     /// Those in the folder of a layout.
     pub(in crate::pipeline) fn of(layout: &Layout, plan: &Plan) -> Self {
         let steps = Manifest::read(layout.root()).map_or(vec![], |manifest| manifest.steps);
-        let is_of_plan = |step: &Step| {
+        let is_of_plan = |step: &StoredStep| {
             let found = plan.steps.iter().position(|planned| planned.number == step.plan.number);
             found.is_some_and(|n| plan.step_hash(n) == step.plan.hash(plan.mesh_hash()))
         };
-        let has_spectrum = |step: &Step| {
+        let has_spectrum = |step: &StoredStep| {
             let Some(recorded) = &step.spectrum else { return true };
             let hash = step.plan.hash(plan.mesh_hash());
             let path = layout.at(step.plan.number).spectrum();
             let found = Segment::open(path, SegmentKind::Spectrum, Some(hash));
             found.is_ok_and(|file| file.info() == *recorded && file.verify().is_ok())
         };
-        let has_error = |step: &Step| step.error.is_some() || !step.plan.measured;
-        let finished = |step: &Step| is_of_plan(step) && has_error(step) && has_spectrum(step);
+        let has_error = |step: &StoredStep| step.error.is_some() || !step.plan.measured;
+        let finished = |step: &StoredStep| is_of_plan(step) && has_error(step) && has_spectrum(step);
         let has_parts = !plan.mesh.is_pyramid();
         Self { steps: steps.into_iter().filter(finished).collect(), has_parts }
     }
 
     /// The step of a number.
-    pub(in crate::pipeline) fn get(&self, number: u64) -> Option<&Step> {
+    pub(in crate::pipeline) fn get(&self, number: u64) -> Option<&StoredStep> {
         self.steps.iter().find(|step| step.plan.number == number)
     }
 

@@ -10,7 +10,7 @@ use super::pass::{MOST_STEPS, Pass};
 use super::query::{FinishedSurfaces, make, write_made};
 use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
 use super::weld::SurfaceStorage;
-use crate::archive::manifest::Step;
+use crate::archive::manifest::StoredStep;
 use crate::files::surface::SurfaceFormat;
 use crate::pipeline::read::{OpenArchive, StepView};
 use crate::surface::TriMesh;
@@ -44,7 +44,7 @@ pub struct StepSurfaces {
 #[derive(Clone, Debug, Serialize)]
 #[non_exhaustive]
 pub struct SeriesReport {
-    /// Step by step.
+    /// StoredStep by step.
     pub steps: Vec<StepSurfaces>,
     /// Steps that were skipped.
     pub skipped: u64,
@@ -63,7 +63,7 @@ pub(in crate::pipeline) fn series_files(
     format: SurfaceFormat,
 ) -> Result<Vec<PathBuf>> {
     let place = StepDigits::in_name(out)?;
-    let of_step = |step: &Step| settings.files(&place.name(step.number()));
+    let of_step = |step: &StoredStep| settings.files(&place.name(step.number()));
     let mut files: Vec<PathBuf> = archive.manifest.steps[steps].iter().flat_map(of_step).collect();
     files.extend(settings.files(&place.list(format)));
     Ok(files)

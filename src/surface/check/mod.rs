@@ -47,7 +47,7 @@ use std::path::{Path, PathBuf};
 /// What [`check`] finds. Triangles with a repeated or an absent vertex are counted, and otherwise
 /// ignored.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct SurfaceReport {
+pub struct SurfaceCheckReport {
     /// Vertices of the mesh.
     pub vertices: u64,
     /// Triangles of the mesh, good and bad.
@@ -89,7 +89,7 @@ pub struct SurfaceReport {
     pub bounding_box: Option<[[f64; 3]; 2]>,
 }
 
-impl SurfaceReport {
+impl SurfaceCheckReport {
     /// Every edge has at most two triangles, every vertex one fan, and no triangle is degenerate,
     /// double or out of range.
     pub fn is_manifold(&self) -> bool {
@@ -165,7 +165,7 @@ impl Domain<'_> {
 }
 
 /// Checks a mesh in memory. Any mesh: nothing about it is taken for granted.
-pub fn check(mesh: &TriMesh) -> SurfaceReport {
+pub fn check(mesh: &TriMesh) -> SurfaceCheckReport {
     check_source(mesh, None, &CheckSettings::default())
         .expect("nothing of a mesh in memory is read or written")
         .0
@@ -181,7 +181,7 @@ pub fn check_source(
     source: &dyn SurfaceSource,
     domain: Option<&Domain<'_>>,
     settings: &CheckSettings,
-) -> Result<(SurfaceReport, Option<u64>)> {
+) -> Result<(SurfaceCheckReport, Option<u64>)> {
     let (report, open) =
         check_in(source, domain, &Shares::of(source.vertex_count(), settings)?, &mut |_| Ok(0))?;
     Ok((report, domain.map(|_| open.outside)))
@@ -210,7 +210,7 @@ pub fn check_within(
     domain: &Domain<'_>,
     settings: &CheckSettings,
     at_missing: &mut Explain<'_>,
-) -> Result<(SurfaceReport, OpenEdges)> {
+) -> Result<(SurfaceCheckReport, OpenEdges)> {
     check_in(source, Some(domain), &Shares::of(source.vertex_count(), settings)?, at_missing)
 }
 
@@ -222,11 +222,11 @@ fn check_in(
     domain: Option<&Domain<'_>>,
     shares: &Shares<'_>,
     at_missing: &mut Explain<'_>,
-) -> Result<(SurfaceReport, OpenEdges)> {
-    let mut report = SurfaceReport {
+) -> Result<(SurfaceCheckReport, OpenEdges)> {
+    let mut report = SurfaceCheckReport {
         vertices: source.vertex_count(),
         triangles: source.triangle_count(),
-        ..SurfaceReport::default()
+        ..SurfaceCheckReport::default()
     };
     let positions = positions(source, shares, &mut report)?;
     let mut places = Cached::new(&positions, shares.positions);
@@ -285,7 +285,7 @@ pub(crate) fn zero_area_triangles(source: &dyn SurfaceSource, memory: usize, scr
 /// The boundary edges, each as its triangle runs along it, in the order of their first vertices.
 pub fn boundary_edges(mesh: &TriMesh) -> Vec<[u32; 2]> {
     let (settings, mut report, mut link) =
-        (CheckSettings::default(), SurfaceReport::default(), Link::default());
+        (CheckSettings::default(), SurfaceCheckReport::default(), Link::default());
     let all = "nothing of a mesh in memory is read or written";
     let shares = Shares::of(mesh.vertex_count(), &settings).expect(all);
     let mut arcs = Arcs::new(sorted_arcs(mesh, &shares, &mut report).expect(all)).expect(all);
@@ -369,7 +369,7 @@ fn in_memory(bytes: u64) -> usize {
 fn positions(
     source: &dyn SurfaceSource,
     shares: &Shares<'_>,
-    report: &mut SurfaceReport,
+    report: &mut SurfaceCheckReport,
 ) -> Result<Store<[f32; 3]>> {
     let mut positions = Store::new(shares.positions / 2, shares.scratch);
     source.vertices(&mut |batch| {
@@ -392,7 +392,7 @@ fn is_good([a, b, c]: [u32; 3], vertices: u64) -> bool {
 fn sorted_arcs(
     source: &dyn SurfaceSource,
     shares: &Shares<'_>,
-    report: &mut SurfaceReport,
+    report: &mut SurfaceCheckReport,
 ) -> Result<Sorted<[u32; 3]>> {
     let mut arcs = Sorter::new(shares.arcs, shares.scratch);
     source.triangles(&mut |batch| {
@@ -414,7 +414,7 @@ fn sorted_arcs(
 fn count_vertex(
     v: u32,
     link: &mut Link,
-    report: &mut SurfaceReport,
+    report: &mut SurfaceCheckReport,
     pieces: &mut Pieces,
     rims: &mut Store<[u32; 2]>,
 ) -> Result<()> {
@@ -489,7 +489,7 @@ fn measure(
     source: &dyn SurfaceSource,
     places: &mut Cached<'_, [f32; 3]>,
     ends: Option<[[f32; 3]; 2]>,
-    report: &mut SurfaceReport,
+    report: &mut SurfaceCheckReport,
 ) -> Result<()> {
     let Some([lo, hi]) = ends else {
         return Ok(());

@@ -22,7 +22,7 @@ fn cuboid() -> TriMesh {
 #[test]
 fn a_box_is_in_order() {
     let report = check(&cuboid());
-    let wanted = SurfaceReport {
+    let wanted = SurfaceCheckReport {
         vertices: 8,
         triangles: 12,
         edges: 18,
@@ -31,7 +31,7 @@ fn a_box_is_in_order() {
         area: 10.0,
         volume: Some(2.0),
         bounding_box: Some([[0.0; 3], [2.0, 1.0, 1.0]]),
-        ..SurfaceReport::default()
+        ..SurfaceCheckReport::default()
     };
     assert_eq!(report, wanted);
     assert!(report.is_closed() && report.is_manifold() && report.is_oriented());
@@ -113,7 +113,7 @@ fn two_boxes_are_two_pieces() {
 
 #[test]
 fn nothing_is_nothing() {
-    assert_eq!(check(&TriMesh::default()), SurfaceReport::default());
+    assert_eq!(check(&TriMesh::default()), SurfaceCheckReport::default());
     assert!(boundary_edges(&TriMesh::default()).is_empty());
     let points = check(&mesh(&[[0.0; 3]; 3], &[]));
     assert_eq!((points.unreferenced_vertices, points.components, points.euler), (3, 0, 0));
@@ -162,7 +162,7 @@ impl SurfaceSource for Batches {
 }
 
 /// Shares so small that everything goes to disk and the cache holds one block.
-fn tiny(mesh: &TriMesh, domain: &Domain<'_>) -> (SurfaceReport, Option<u64>) {
+fn tiny(mesh: &TriMesh, domain: &Domain<'_>) -> (SurfaceCheckReport, Option<u64>) {
     let scratch = tempfile::tempdir().unwrap();
     let settings = CheckSettings { scratch: scratch.path().into(), ..CheckSettings::default() };
     let mut shares = Shares::of(mesh.vertex_count(), &settings).unwrap();
@@ -187,7 +187,7 @@ proptest! {
         let geometry = Geometry::default();
         let domain = Domain { geometry: &geometry, dims: [2, 2, 2], cuts: &[], tolerance: 0.5 };
         let whole = check_source(&mesh, Some(&domain), &CheckSettings::default()).unwrap();
-        let comparable = |found: &(SurfaceReport, Option<u64>)| (serde_json::to_string(&found.0).unwrap(), found.1);
+        let comparable = |found: &(SurfaceCheckReport, Option<u64>)| (serde_json::to_string(&found.0).unwrap(), found.1);
         prop_assert_eq!(comparable(&whole), comparable(&tiny(&mesh, &domain)));
         prop_assert_eq!(whole.0.boundary_edges, boundary_edges(&mesh).len() as u64);
     }

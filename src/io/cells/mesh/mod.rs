@@ -172,7 +172,7 @@ impl CellMesh {
     ///
     /// # Errors
     /// Those of [`CellMesh::field`]; when the file cannot be read.
-    pub fn values(&self, memory: u64, is_missing: impl Fn(f64) -> bool + 'static) -> Result<ValueBlocks> {
+    pub fn values(&self, memory: u64, is_missing: impl Fn(f64) -> bool + 'static) -> Result<FieldBlocks> {
         self.values_of_places(memory, is_missing, None)
     }
 
@@ -186,7 +186,7 @@ impl CellMesh {
         memory: u64,
         is_missing: impl Fn(f64) -> bool + 'static,
         replace: Option<Replace>,
-    ) -> Result<ValueBlocks> {
+    ) -> Result<FieldBlocks> {
         let chosen = self.field()?;
         let from = match (chosen.source, chosen.center) {
             (Source::Coordinate(axis), _) => From::Coordinate(self.points()?, axis, vec![]),
@@ -203,7 +203,7 @@ impl CellMesh {
                 From::Tuples(Tuples::new(self.file.field(field)?, components, part, self.info().points))
             }
         };
-        Ok(ValueBlocks(from))
+        Ok(FieldBlocks(from))
     }
 }
 
@@ -280,7 +280,7 @@ fn list(info: &CellsInfo) -> String {
 
 /// The values of a field at points 0, 1, 2, …, block by block. Values may be NaN or infinite, as
 /// the file has them; a point without a cell has NaN where cell data are averaged.
-pub struct ValueBlocks(From);
+pub struct FieldBlocks(From);
 
 enum From {
     Coordinate(PointBlocks, usize, Vec<[f64; 3]>),
@@ -288,7 +288,7 @@ enum From {
     Average(Averages),
 }
 
-impl ValueBlocks {
+impl FieldBlocks {
     /// Puts the next values, at most [`BLOCK`], into `out` (cleared first); `false` after the last.
     ///
     /// # Errors

@@ -13,7 +13,7 @@
 //! The formats: <https://zarr-specs.readthedocs.io/en/latest/v2/v2.0.html>,
 //! <https://ngff.openmicroscopy.org/0.4>.
 
-use crate::bytes::Stage;
+use crate::bytes::StagedFolder;
 use crate::error::{Error, Result};
 use crate::formats::shared::codec::blosc;
 use crate::formats::volume::samples::{numpy_type, push_samples};
@@ -159,7 +159,7 @@ impl ZarrImage {
 
 /// An image while it is written.
 pub struct ZarrFolder {
-    stage: Stage,
+    stage: StagedFolder,
     image: ZarrImage,
     replace: bool,
     bytes: AtomicU64,
@@ -183,7 +183,7 @@ impl ZarrFolder {
             Ok(_) => return refuse("it is there and no Zarr folder, which `replace=true` replaces"),
         }
         let replace = replace && path.exists();
-        let folder = Self { stage: Stage::begin(path)?, image, replace, bytes: AtomicU64::new(0) };
+        let folder = Self { stage: StagedFolder::begin(path)?, image, replace, bytes: AtomicU64::new(0) };
         folder.put(".zgroup", &text(&json!({ "zarr_format": 2 })))?;
         folder.put(".zattrs", &text(&folder.image.attributes()))?;
         for level in 0..folder.image.levels.len() {

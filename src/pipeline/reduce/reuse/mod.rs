@@ -17,7 +17,7 @@
 
 use super::encoded::EncodedChunk;
 use super::sums::StoredSums;
-use crate::archive::manifest::{FrameRecord, Plan as MeshPlan, StepPlan};
+use crate::archive::manifest::{FrameRecord, MeshPlan, StepPlan};
 use crate::density::Choice;
 use crate::pipeline::plan::{Frame, Halo, MeshParts, Plan, estimate};
 use crate::pipeline::read::{StepView, limits};

@@ -1,6 +1,6 @@
 use super::cases::{CASES, share_face};
 use super::*;
-use crate::surface::check::{SurfaceReport, check};
+use crate::surface::check::{SurfaceCheckReport, check};
 use crate::surface::testing::{assert_sound, mirrored, triangle_set};
 use crate::surface::weld::{BuilderSettings, SurfaceBuilder};
 use crate::surface::{TriMesh, Vertex};
@@ -87,7 +87,7 @@ impl Field {
     }
 }
 
-fn closed(mesh: &TriMesh) -> SurfaceReport {
+fn closed(mesh: &TriMesh) -> SurfaceCheckReport {
     let report = assert_sound(mesh);
     assert_eq!(report.boundary_edges, 0, "{report:?}");
     report
