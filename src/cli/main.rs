@@ -1,5 +1,5 @@
 //! The `isospan` program.
 
 fn main() -> std::process::ExitCode {
-    isospan_cli::commands::main(std::env::args_os()).into()
+    isospan_cli::commands::program().into()
 }

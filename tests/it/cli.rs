@@ -412,7 +412,7 @@ fn completions_and_manual() {
     }
     assert_eq!((ok(dir.path(), &["help"]), ok(dir.path(), &["-h"])), (help.clone(), help));
     assert_eq!(ok(dir.path(), &["-V"]).lines().count(), 1);
-    assert!(ok(dir.path(), &["--version"]).contains("\nfeatures: cli"));
+    assert!(ok(dir.path(), &["--version"]).contains("\nfeatures: compare hdf5 remote view"));
 }
 
 /// A legacy VTK image of 6 x 6 x 6 samples with arrays of a value that rises along x, and lines

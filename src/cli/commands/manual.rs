@@ -92,7 +92,9 @@ pub(crate) fn command_of(args: &[OsString]) -> Option<String> {
 
 /// The version, the features and where the program comes from, on several lines.
 pub(crate) fn long_version() -> String {
-    format!("{}\nfeatures: {}", env!("CARGO_PKG_VERSION"), isospan::features().join(" "))
+    let mut features = isospan::features();
+    features.extend(cfg!(feature = "view").then_some("view"));
+    format!("{}\nfeatures: {}", env!("CARGO_PKG_VERSION"), features.join(" "))
 }
 
 /// A group's commands, with what each does.

@@ -53,6 +53,7 @@ use serde::Serialize;
 use std::ffi::OsString;
 use std::io::Write;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Reduce scalar volumes larger than memory to small archives; extract watertight isosurfaces from
 /// them.
@@ -101,6 +102,19 @@ impl Command {
     fn continues(&self) -> bool {
         matches!(self, Self::Reduce(_) | Self::Append(_) | Self::Work(_) | Self::Commit(_) | Self::Nightly(_))
     }
+}
+
+/// Whether this process is the program itself, and not an interpreter of Python.
+static IS_PROGRAM: AtomicBool = AtomicBool::new(false);
+
+fn is_program() -> bool {
+    IS_PROGRAM.load(Ordering::Relaxed)
+}
+
+/// The program itself: runs the command of this process, and returns the exit code.
+pub fn program() -> u8 {
+    IS_PROGRAM.store(true, Ordering::Relaxed);
+    main(std::env::args_os())
 }
 
 /// Runs the program on arguments, the first of which is its name; returns the exit code.

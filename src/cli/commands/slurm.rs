@@ -223,7 +223,7 @@ impl Job {
 pub(super) fn own_command() -> Result<(PathBuf, Vec<OsString>)> {
     let failed = |e: std::io::Error| Error::io("find", "this program", e);
     let mut words = std::env::args_os().skip(1);
-    if env!("CARGO_PKG_NAME") == "isospan" {
+    if super::is_program() {
         return Ok((std::env::current_exe().map_err(failed)?, words.collect()));
     }
     let script = words.next().map(PathBuf::from).filter(|path| path.ends_with("isospan"));

@@ -150,6 +150,7 @@ pub enum Sorted<R> {
 
 impl<R: Pod + Ord> Sorted<R> {
     /// The next record; `None` after the last.
+    #[allow(clippy::should_implement_trait, reason = "it can fail, or lends what it gives")]
     pub fn next(&mut self) -> Result<Option<R>> {
         match self {
             Self::Memory(records) => Ok(records.next()),

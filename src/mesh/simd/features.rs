@@ -31,7 +31,6 @@ macro_rules! may_use_all {
         $crate::simd::may_use(&[$($name),*]) $(&& is_x86_feature_detected!($feature))*
     };
 }
-#[cfg(target_arch = "x86_64")]
 
 /// A token: the machine has AVX2 and FMA, and they may be used.
 #[derive(Clone, Copy, Debug)]

@@ -9,7 +9,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 type Found = Result<Option<Arc<[u8]>>>;
 
 fn again(found: &Found) -> Found {
-    found.as_ref().map(Option::clone).map_err(Error::again)
+    match found {
+        Ok(bytes) => Ok(bytes.clone()),
+        Err(error) => Err(error.again()),
+    }
 }
 
 /// What was read of them: nothing of those that are not there, and the error of those that a server

@@ -34,6 +34,7 @@ impl<'a> Words<'a> {
     }
 
     /// The next word, if there is one.
+    #[allow(clippy::should_implement_trait, reason = "it can fail, or lends what it gives")]
     pub fn next(&mut self) -> Option<&'a [u8]> {
         let (start, end) = word(self.bytes, self.at)?;
         self.at = end;
