@@ -241,7 +241,7 @@ fn appended_steps_have_the_bodies_of_the_first() {
         reduce_series(steps, &settings, &out(name), &run(2), &Silent).unwrap()
     };
     let add =
-        |step: &StepSource, name: &str| addition(std::slice::from_ref(step), &run(1)).append_to(&out(name));
+        |step: &StepSource, name: &str| addition(std::slice::from_ref(step), &run(1)).append_to(out(name));
     for (case, first, bodies) in [("smooth", &smooth[0], 1), ("jump", &jump, 2)] {
         let [all, grown] = ["all", "grown"].map(|kind| format!("{case}-{kind}.isospan"));
         let found = made(&[first.clone(), smooth[1].clone()], &all).mesh.unwrap();

@@ -172,7 +172,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
         reduce(&out("a.npy"), settings, &name("one"), 2);
         reduce_in_shards(&out("a.npy"), settings, &name("shards"));
         assert!(folder(&name("one")) == folder(&name("shards")), "{n}");
-        addition(&[step("b.npy")], &run(2)).append_to(&name("one")).unwrap();
+        addition(&[step("b.npy")], &run(2)).append_to(name("one")).unwrap();
         let steps = [step("a.npy"), step("b.npy")];
         let report = pipeline::reduce_series(&steps, settings, &name("two"), &run(1), &Silent).unwrap();
         assert!(folder(&name("one")) == folder(&name("two")), "{n}");
@@ -187,7 +187,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
     assert!(report.error.unwrap().rms < 0.5);
     // A step that the offset does not suit says what it loses.
     write_pressure(&out("far.npy"), 1e12, 0.0);
-    let report = addition(&[step("far.npy")], &run(2)).append_to(&out("one0.isospan"));
+    let report = addition(&[step("far.npy")], &run(2)).append_to(out("one0.isospan"));
     let report = report.unwrap();
     let lost = report.steps[0].rounding.unwrap();
     assert!(lost > 3.0 && report.error.unwrap().max >= lost, "{lost}");
@@ -325,7 +325,7 @@ fn a_mesh_has_an_offset_too() {
             .map(|(what, base)| area(&Archive::open(name(what)).unwrap().surface(base + 0.5).unwrap()));
         assert!((a - b).abs() < 1e-3 * b && b > 0.1, "{a} {b}");
         let later = StepSource::new(&out("later.vtk"), &OpenOptions::default());
-        let report = addition(&[later], &run(2)).append_to(&name("a")).unwrap();
+        let report = addition(&[later], &run(2)).append_to(name("a")).unwrap();
         let [low, _] = report.range.unwrap();
         assert!((low - lo - 0.5).abs() < 0.2, "{low} {lo}");
         check_archive(&name("a")).unwrap();

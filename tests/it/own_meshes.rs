@@ -430,7 +430,7 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
     reduce_series(&steps[..2], &whole(100), &out("grown.isospan"), &run(1), &Silent).unwrap();
     for step in &steps[2..] {
         let one = std::slice::from_ref(step);
-        let report = addition(one, &run(2)).append_to(&out("grown.isospan")).unwrap();
+        let report = addition(one, &run(2)).append_to(out("grown.isospan")).unwrap();
         assert!(report.own);
     }
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
@@ -449,7 +449,7 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
     let other = dir.path().join("other.vtk");
     write_placed(&other, 9, keep, |p| (closed(p).map(|c| c * c), p[2]));
     let other = StepSource::new(&other, &OpenOptions::default());
-    let e = addition(&[other], &run(2)).append_to(&out("grown.isospan")).unwrap_err();
+    let e = addition(&[other], &run(2)).append_to(out("grown.isospan")).unwrap_err();
     assert_eq!(e.exit_code(), 5, "{e}");
 }
 

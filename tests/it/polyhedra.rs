@@ -489,7 +489,7 @@ fn steps_and_other_fields_of_polyhedra() {
     let out = |name: &str| dir.path().join(name);
     reduce_series(&steps, &whole, &out("all.isospan"), &run(2), &Silent).unwrap();
     reduce_series(&steps[..1], &whole, &out("grown.isospan"), &run(1), &Silent).unwrap();
-    addition(&steps[1..], &run(2)).append_to(&out("grown.isospan")).unwrap();
+    addition(&steps[1..], &run(2)).append_to(out("grown.isospan")).unwrap();
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
     check_archive(&out("grown.isospan")).unwrap();
     let areas: Vec<f64> = (0..3u32)

@@ -299,7 +299,7 @@ fn steps_are_stored_as_what_changes() {
     assert!(folder(&out("shards")) == expected);
     pipeline::reduce_series(&sources[..1], &of(3), &out("grown"), &run(2), &Silent).unwrap();
     for added in [&sources[1..2], &sources[2..6], &sources[6..]] {
-        addition(added, &run(2)).append_to(&out("grown")).unwrap();
+        addition(added, &run(2)).append_to(out("grown")).unwrap();
     }
     assert!(folder(&out("grown")) == expected);
     // A step by itself, and one after another; a box of it, and all.

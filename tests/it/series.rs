@@ -147,7 +147,7 @@ fn steps_with_holes_are_fitted_as_alone() {
     reduce_all(&steps, &settings, &out("small.isospan"), &small);
     assert!(folder(&out("all.isospan")) == folder(&out("small.isospan")));
     reduce_all(&steps[..3], &settings, &out("grown.isospan"), &run(2));
-    addition(&steps[3..], &run(2)).keyframes(3).append_to(&out("grown.isospan")).unwrap();
+    addition(&steps[3..], &run(2)).keyframes(3).append_to(out("grown.isospan")).unwrap();
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
     for number in [1, 2, 3, 8, 9] {
         let _ = fs::remove_dir_all(out("one.isospan"));
@@ -257,14 +257,14 @@ fn appending_to_a_mesh_is_reducing_all_at_once() {
         for cut in cuts.windows(2) {
             let report = addition(&steps[cut[0]..cut[1]], &run(1))
                 .keyframes(3)
-                .append_to(&out("grown.isospan"))
+                .append_to(out("grown.isospan"))
                 .unwrap();
             assert_eq!(report.steps.len(), cut[1] - cut[0]);
         }
         assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")), "{cuts:?}");
         // Once more is not twice.
         let last = &steps[cuts[cuts.len() - 2]..];
-        let report = addition(last, &run(1)).keyframes(3).append_to(&out("grown.isospan")).unwrap();
+        let report = addition(last, &run(1)).keyframes(3).append_to(out("grown.isospan")).unwrap();
         assert!(report.steps.is_empty() && folder(&out("all.isospan")) == folder(&out("grown.isospan")));
         check_archive(&out("grown.isospan")).unwrap();
     };
@@ -329,7 +329,7 @@ fn a_bad_step_costs_itself_alone() {
     let none = pipeline::reduce_series(&steps[1..2], &few_points(), &out("n.isospan"), &keep_going, &Silent);
     assert_eq!(none.unwrap_err().exit_code(), 5);
     // Further steps are refused in the same way.
-    let e = addition(&steps[..1], &run(1)).append_to(&out("a.isospan"));
+    let e = addition(&steps[..1], &run(1)).append_to(out("a.isospan"));
     assert!(e.unwrap_err().to_string().contains("step 6, dimensions: expected 26 x 22 x 20, as step 0 has"));
 }
 
@@ -665,7 +665,7 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     let first = StepSource::new(&vti("a.vti", 0.0), &salt);
     reduce_all(&[first], &few_points(), &out("salt.isospan"), &run(1));
     let next = StepSource::new(&vti("b.vti", 3.0), &OpenOptions::default());
-    let report = addition(&[next], &run(1)).append_to(&out("salt.isospan")).unwrap();
+    let report = addition(&[next], &run(1)).append_to(out("salt.isospan")).unwrap();
     assert_eq!(report.steps[0].field, "salt");
 }
 

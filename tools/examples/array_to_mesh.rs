@@ -1,4 +1,5 @@
 //! From an array in memory to a mesh in memory: `cargo run --example array_to_mesh`.
+#![allow(clippy::print_stdout)]
 
 use isospan::grid::Geometry;
 use isospan::{Archive, Reduction, Result, TriMesh, volume_of};

@@ -2,6 +2,7 @@
 //! samples of 12 bits in three bytes. `cargo run --example custom_volume`.
 //!
 //! Nothing is unpacked on disk, and no more of the file is in memory than a box.
+#![allow(clippy::print_stdout)]
 
 use isospan::grid::IndexBox;
 use isospan::volume::memory::info_of;

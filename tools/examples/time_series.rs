@@ -1,5 +1,6 @@
 //! From the steps of a simulation to one archive, and the surface at any moment:
 //! `cargo run --example time_series`.
+#![allow(clippy::print_stdout)]
 
 use isospan::formats::StepSource;
 use isospan::{Archive, Reduction, Result, StepChoice, volume_of};

@@ -3,6 +3,7 @@
 //!
 //! The archive stays open, so blocks that one question decoded are there for the next. A surface is
 //! streamed: no more of it is in memory than its budget.
+#![allow(clippy::print_stdout)]
 
 use axum::Router;
 use axum::body::{Body, Bytes};
