@@ -1,8 +1,8 @@
 //! Coding and decoding of a chunk's tetrahedra, in tetrahedra a second, and of values, in values a
 //! second.
 //!
-//! `cargo bench --package isospan-benches --bench archive`; names are `encode/SET`, `decode/SET`, `values/encode` and
-//! `values/decode`.
+//! `cargo bench --package isospan-benches --bench archive`; names are `encode/SET`, `decode/SET`,
+//! `values/encode` and `values/decode`.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isospan::archive::mesh::{ChunkEncoder, ChunkVertices, TetBlock, TetScratch};

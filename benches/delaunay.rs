@@ -1,6 +1,7 @@
 //! The Delaunay kernel and the chunk stage, in points a second, with the worker's memory reused.
 //!
-//! `cargo bench --package isospan-benches --bench delaunay`; names are `delaunay/SET/POINTS` and `chunk/SET/POINTS OWNED`.
+//! `cargo bench --package isospan-benches --bench delaunay`; names are `delaunay/SET/POINTS` and
+//! `chunk/SET/POINTS OWNED`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use isospan::geom::curve::{Order, hilbert_key};

@@ -1,5 +1,5 @@
-//! Scan conversion, in samples a second: `cargo bench --package isospan-benches --bench raster`; names are
-//! `raster/SAMPLES A POINT`, `scan/…` and `fit/…`.
+//! Scan conversion, in samples a second: `cargo bench --package isospan-benches --bench raster`;
+//! names are `raster/SAMPLES A POINT`, `scan/…` and `fit/…`.
 //!
 //! Every sample of a volume of 128³ is visited once, with its weights: the tetrahedra of a chunk
 //! one by one (`raster`), or many together (`scan`). Values are also fitted to the samples:

@@ -1,8 +1,8 @@
 //! The whole of `reduce`, in points a second: a volume from the disk to a finished archive, one
 //! thread and all; and steps of a series, in points of all steps a second.
 //!
-//! `cargo bench --package isospan-benches --bench reduce`, about a minute; names are `reduce/FIELD/THREADS` and
-//! `series/STEPS/THREADS`.
+//! `cargo bench --package isospan-benches --bench reduce`, about a minute; names are
+//! `reduce/FIELD/THREADS` and `series/STEPS/THREADS`.
 
 use criterion::measurement::WallTime;
 use criterion::{

@@ -77,8 +77,8 @@
 //! ```
 //!
 //! An [`Archive`] has [`Step`]s, which answer everything that the command line can:
-//! `archive.step(3)?.query(600.0).mesh()?`. A volume of the program need not be in memory: anything that
-//! answers for boxes of samples is one ([`VolumeReader`]).
+//! `archive.step(3)?.query(600.0).mesh()?`. A volume of the program need not be in memory: anything
+//! that answers for boxes of samples is one ([`VolumeReader`]).
 //!
 //! # Guarantees
 //!

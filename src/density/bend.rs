@@ -14,10 +14,10 @@
 //!
 //! Distances are changed by factors of 2, for the whole volume at once: the lattice gets 2 or 4
 //! times the steps a voxel along such an axis
-//! ([`Lattice::stretched`](isospan_io::geom::Lattice::stretched)), and all that is even on it follows.
-//! For a field that is smooth at all distances that is the rule of D'Azevedo and Simpson ("On
-//! optimal interpolation triangle incidences", 1989): a distance goes with the inverse root of the
-//! second difference.
+//! ([`Lattice::stretched`](isospan_io::geom::Lattice::stretched)), and all that is even on it
+//! follows. For a field that is smooth at all distances that is the rule of D'Azevedo and Simpson
+//! ("On optimal interpolation triangle incidences", 1989): a distance goes with the inverse root of
+//! the second difference.
 //!
 //! The cells of a lattice may have any edges: their distances are those of least error on a grid of
 //! quarters of a factor 2.

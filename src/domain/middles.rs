@@ -1,6 +1,6 @@
 //! Vertices that cells need: polyhedra one in the middle of each, and one in the middle of each
-//! face of more than four vertices ([`isospan_io::cells::polyhedron`] has the rule); quadratic cells
-//! those that they lack ([`isospan_io::cells::quadratic`]).
+//! face of more than four vertices ([`isospan_io::cells::polyhedron`] has the rule); quadratic
+//! cells those that they lack ([`isospan_io::cells::quadratic`]).
 //!
 //! Both cells at a face must have the same vertex, and memory need not hold the faces of a mesh. So
 //! a pass over the cells lists the faces in question, and sorting brings equals together:

@@ -11,9 +11,9 @@
 //!  cells ──────────────────────────────────┘                               └─▶ (brick, cell), sorted ─▶ the cells of each brick
 //! ```
 //!
-//! Sorting is external ([`isospan_io::bytes`]). A brick has all cells whose bounding box meets it; a
-//! point is looked for among the cells of its brick, in batches, by [`isospan_mesh::locate`]. Where values
-//! are fitted to those at the mesh's vertices, a brick has these too ([`vertices`]).
+//! Sorting is external ([`isospan_io::bytes`]). A brick has all cells whose bounding box meets it;
+//! a point is looked for among the cells of its brick, in batches, by [`isospan_mesh::locate`].
+//! Where values are fitted to those at the mesh's vertices, a brick has these too ([`vertices`]).
 //!
 //! Some cells add vertices to those of the file before: see [`middles`].
 //!

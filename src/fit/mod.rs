@@ -57,8 +57,8 @@
 //! the bits.
 //!
 //! **Meshes.** The samples of a tetrahedral mesh are its vertices. They lie anywhere, so windows
-//! are bricks, and the tetrahedra look the samples of a brick up ([`isospan_mesh::raster::PointLocator`]);
-//! else all is the same.
+//! are bricks, and the tetrahedra look the samples of a brick up
+//! ([`isospan_mesh::raster::PointLocator`]); else all is the same.
 //!
 //! **What holds.** A constant stays that constant, exactly, since a difference is Σ w (f - s),
 //! added in an order that does not depend on the order of the corners; a linear field stays linear

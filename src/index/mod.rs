@@ -1,11 +1,11 @@
 //! The index: which blocks can an isosurface cross?
 //!
 //! A tetrahedron of values `min` to `max` is active for an isovalue v when `min < v <= max`
-//! ([`isospan_mesh::mesh::tet::is_active`]). Take (min, max) as a point of the plane, the *span space*:
-//! the active ones are those left of v and not below it, a corner of the plane for any v (Livnat,
-//! Shen, Johnson 1996, "A near optimal isosurface extraction algorithm using the span space",
-//! NOISE). We index *blocks* of some hundred tetrahedra, by the range of all their values: an index
-//! over single cells would be larger than the data (Chiang, Silva, Schroeder 1998).
+//! ([`isospan_mesh::mesh::tet::is_active`]). Take (min, max) as a point of the plane, the *span
+//! space*: the active ones are those left of v and not below it, a corner of the plane for any v
+//! (Livnat, Shen, Johnson 1996, "A near optimal isosurface extraction algorithm using the span
+//! space", NOISE). We index *blocks* of some hundred tetrahedra, by the range of all their values:
+//! an index over single cells would be larger than the data (Chiang, Silva, Schroeder 1998).
 //!
 //! ```text
 //!  max │ · active ·│ ·  ·        each · a block; v is the isovalue

@@ -36,10 +36,10 @@
 //! **Chunk by chunk.** Which isovalues these are depends on the range of all values, which is known
 //! when the last chunk has been made. So each chunk is measured while its tetrahedra and values are
 //! at hand, on grids of its own range, which are finer, or as fine, and hold all isovalues of the
-//! coarser grids of the whole ([`grid`](self::IsovalueGrid)); a spectrum is put together from those parts
-//! ([`ChunkPart`]), which are some thousand bytes each, and not from tetrahedra. An archive that is
-//! finished has the sum alone, and a small one has none: its tetrahedra are summed up again when it
-//! is asked for.
+//! coarser grids of the whole ([`grid`](self::IsovalueGrid)); a spectrum is put together from those
+//! parts ([`ChunkPart`]), which are some thousand bytes each, and not from tetrahedra. An archive
+//! that is finished has the sum alone, and a small one has none: its tetrahedra are summed up again
+//! when it is asked for.
 //!
 //! **Determinism.** Integers are added in any order; `f64` sums are made over the tetrahedra of a
 //! chunk in the order in which its blocks decode, and over chunks in their order. A part is a

@@ -13,9 +13,9 @@
 //!   fewer triangles, splits vertices at which it touches itself.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
-//! An edge of the mesh is the pair of its [`isospan_io::geom::PointId`]s, the lower first. Everything
-//! about a surface vertex is a function of its edge, so neither the threads nor the cut into chunks
-//! show in the surface.
+//! An edge of the mesh is the pair of its [`isospan_io::geom::PointId`]s, the lower first.
+//! Everything about a surface vertex is a function of its edge, so neither the threads nor the cut
+//! into chunks show in the surface.
 
 pub mod check;
 pub mod edit;

@@ -1,6 +1,6 @@
 //! The documents hang together: links lead somewhere, the book's page of commands is what the
-//! program says of itself, its table of contents has every page, README and CONTRIBUTING stay short,
-//! and the front pages of the crates list their features.
+//! program says of itself, its table of contents has every page, README and CONTRIBUTING stay
+//! short, and the front pages of the crates list their features.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

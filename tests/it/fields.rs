@@ -341,8 +341,8 @@ fn adapted_points_do_not_depend_on_units() {
 }
 
 /// A page without a server shows each field: the copy has all.
-#[cfg(feature = "view")]
 #[test]
+#[cfg_attr(not(has_wasm), ignore = "wants the page's WebAssembly: run tools/viewer/wasm")]
 fn several_fields_of_a_step_are_published() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();

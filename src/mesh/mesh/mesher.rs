@@ -36,8 +36,8 @@ impl Mesher {
     /// span no volume (fewer than four points, all on one line or plane) have no tetrahedra.
     ///
     /// # Errors
-    /// [`Error::Usage`](isospan_io::error::Error::Usage) for a coordinate above 2^24, an order finer
-    /// than [`Order::MOST_BITS`], or more points or tetrahedra than 2^30 records hold.
+    /// [`Error::Usage`](isospan_io::error::Error::Usage) for a coordinate above 2^24, an order
+    /// finer than [`Order::MOST_BITS`], or more points or tetrahedra than 2^30 records hold.
     pub fn delaunay(&mut self, positions: &[LatticePos], order: &Order) -> Result<()> {
         self.kernel.delaunay(positions, order)
     }

@@ -6,9 +6,9 @@
 //! ```
 //!
 //! The tetrahedra of a block lie together, so the box around a few consecutive blocks is small. Its
-//! samples are read from the source. The scan conversion ([`isospan_mesh::raster`]) visits each sample of
-//! the domain in exactly one tetrahedron. The samples in a tetrahedron and their weights are found
-//! once for all steps that are measured together.
+//! samples are read from the source. The scan conversion ([`isospan_mesh::raster`]) visits each
+//! sample of the domain in exactly one tetrahedron. The samples in a tetrahedron and their weights
+//! are found once for all steps that are measured together.
 
 use super::step_errors::{CompareBuffers, Measured};
 use super::step_lanes::StepLanes;

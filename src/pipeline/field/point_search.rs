@@ -101,9 +101,9 @@ impl Lists<'_> {
     }
 }
 
-/// Calls `each` with the number and the values of every point that lies in a tetrahedron, or outside
-/// of all as [`Find`] says, and whether it lies in one. A value is NaN in a tetrahedron with a void
-/// corner. Each point is located once for all lists. Returns the number of chunks read.
+/// Calls `each` with the number and the values of every point that lies in a tetrahedron, or
+/// outside of all as [`Find`] says, and whether it lies in one. A value is NaN in a tetrahedron
+/// with a void corner. Each point is located once for all lists. Returns the number of chunks read.
 pub(super) fn each_value(
     archive: &StepView,
     lists: Lists<'_>,
@@ -177,8 +177,8 @@ impl<'a> Search<'a> {
         let mut foreign = Foreign::new();
         visit.each(extra, self.find.progress, job, |_, found: FoundPoints| {
             let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
-            // The own tetrahedra of a mesh may overlap: the first one's value counts, or that nearest
-            // to an isovalue.
+            // The own tetrahedra of a mesh may overlap: the first one's value counts, or that
+            // nearest to an isovalue.
             for (&(n, is_own), at) in found.points.iter().zip(found.values.chunks(lists.max(1))) {
                 if !is_own {
                     foreign.entry(n).or_insert_with(|| at.to_vec());
@@ -244,8 +244,8 @@ impl<'a> Search<'a> {
         Ok(places)
     }
 
-    /// A visit of the chunks with points at most `reach` steps from their region, and the bytes that
-    /// a chunk takes besides.
+    /// A visit of the chunks with points at most `reach` steps from their region, and the bytes
+    /// that a chunk takes besides.
     fn visit(&self, reach: u32) -> Result<(Visit<'a>, u64)> {
         let mut visit = Visit::new(self.archive, Blocks::All, self.find.resources, self.find.share)?;
         visit.confine(|region| self.batch.within(self.around(region, reach)).next().is_some())?;

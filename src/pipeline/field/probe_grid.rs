@@ -5,8 +5,8 @@
 //!  chunk ─▶ decode ─▶ box of its tetrahedra, cut into windows ─▶ scan conversion ─▶ runs, each to its place in the file
 //! ```
 //!
-//! Each sample is in exactly one tetrahedron ([`isospan_mesh::raster`]), so each is written exactly once,
-//! by the chunk with that tetrahedron, and chunks need not wait for each other. Memory: some
+//! Each sample is in exactly one tetrahedron ([`isospan_mesh::raster`]), so each is written exactly
+//! once, by the chunk with that tetrahedron, and chunks need not wait for each other. Memory: some
 //! chunks, and a window for each.
 //!
 //! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. One bit for

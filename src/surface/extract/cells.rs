@@ -75,8 +75,8 @@ impl Sides {
     /// The sums of four corners, some of them inside and all others outside, as bits.
     const ACTIVE: u64 = 1 << (1 + 3 * 16) | 1 << (2 + 2 * 16) | 1 << (3 + 16);
 
-    /// Appends the active tetrahedra to `active`: those for which [`isospan_mesh::mesh::tet::is_active`]
-    /// holds.
+    /// Appends the active tetrahedra to `active`: those for which
+    /// [`isospan_mesh::mesh::tet::is_active`] holds.
     ///
     /// # Panics
     /// When a tetrahedron names a corner without a value.

@@ -289,7 +289,8 @@ enum From {
 }
 
 impl FieldBlocks {
-    /// Puts the next values, at most [`BLOCK`], into `out` (cleared first); `false` after the last.
+    /// Puts the next values, at most [`BLOCK`](crate::cells::BLOCK), into `out` (cleared first);
+    /// `false` after the last.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -311,8 +312,8 @@ impl FieldBlocks {
 pub struct StoredBlocks(Tuples);
 
 impl StoredBlocks {
-    /// Puts the next numbers, at most [`BLOCK`], into `out` (cleared first); `false` after the
-    /// last.
+    /// Puts the next numbers, at most [`BLOCK`](crate::cells::BLOCK), into `out` (cleared first);
+    /// `false` after the last.
     ///
     /// # Errors
     /// When the file cannot be read.

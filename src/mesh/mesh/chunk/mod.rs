@@ -60,9 +60,9 @@ pub enum ChunkOutcome {
 /// How a chunk is meshed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Manner {
-    /// Also the tetrahedra around those owned ([`TetList::around`](super::list::TetList::around)), so that all tetrahedra at each
-    /// vertex of an owned one are known. That takes a wider halo, by one tetrahedron and its
-    /// sphere.
+    /// Also the tetrahedra around those owned ([`TetList::around`](super::list::TetList::around)),
+    /// so that all tetrahedra at each vertex of an owned one are known. That takes a wider halo, by
+    /// one tetrahedron and its sphere.
     pub around: bool,
     /// Whether the points are as dense everywhere, no more of them than by chance on a sphere, and
     /// those of the core come first: then the chunk is meshed star by star, to the same mesh in

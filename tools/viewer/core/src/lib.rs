@@ -6,8 +6,8 @@
 //!                  ◀─ fetch(name, range) ◀─ pages of 16 KiB, read ahead, kept ◀─┘
 //! ```
 //!
-//! Addresses and answers are those of the server of `isospan view`. `tools/viewer/wasm` makes the file that the program has. On other machines nobody asks: the
-//! compiler checks what there is.
+//! Addresses and answers are those of the server of `isospan view`. `tools/viewer/wasm` makes the
+//! file that the program has. On other machines nobody asks: the compiler checks what there is.
 #![cfg_attr(not(target_arch = "wasm32"), allow(dead_code))]
 
 #[cfg(target_arch = "wasm32")]
