@@ -10,7 +10,7 @@
 //!
 //! So the order is a **total order of positions** and a function of nothing else: not of the
 //! input's order, not of the chunk. The mesh breaks its ties by this order (see
-//! [`super::predicates`]), which is why chunks that overlap agree.
+//! `isospan_mesh::predicates`), which is why chunks that overlap agree.
 //!
 //! # The Hilbert curve
 //!

@@ -133,7 +133,7 @@ pub enum Values {
     /// The field is interpolated at the vertex.
     Sample,
     /// From there it is moved towards the least squared error over the samples around it, not past
-    /// them ([`crate::fit`]).
+    /// them (`fit`).
     Fit,
 }
 
