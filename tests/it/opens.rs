@@ -111,8 +111,9 @@ fn a_reduction_opens_each_file_once_a_pass() {
         ("a.npy", "a.npy", 2),
         ("chunks.h5", "chunks.h5", 2),
         ("a.zarr", ".zarray", 2),
-        // Hashed, and read for the range, the archive and its error, and for advice.
-        ("a.zarr", "1.0.1", 5),
+        // Hashed, and read for the range and for advice; each try reads it for the archive and for
+        // its error.
+        ("a.zarr", "1.0.1", 9),
         // Parsed besides.
         ("stack", "s05.tif", 6),
     ] {

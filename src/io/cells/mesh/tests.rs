@@ -115,7 +115,7 @@ fn fields_are_components_magnitudes_averages_and_coordinates() {
     none.info.fields.truncate(2);
     none.info.fields.swap_remove(0);
     let mesh = CellMesh::new(Arc::new(none), None).unwrap();
-    assert!(mesh.values(1, |_| false).err().expect("no field").to_string().contains("`field`"));
+    assert!(mesh.values(1, |_| false).err().expect("no field").to_string().contains("`field=NAME`"));
 }
 
 /// Windows of 4096 points must not show in the averages.

@@ -784,7 +784,7 @@ fn a_time_axis_gives_frames() {
         put(&ome, ".zattrs", &json!({ "multiscales": axes, "omero": { "channels": labels } }));
         assert!(steps(&ome).is_empty());
         let error = read(&ome, None).unwrap_err().to_string();
-        assert!(error.contains(&format!("{}; choose one with `channel`", names.join(", "))), "{error}");
+        assert!(error.contains(&format!("{}; choose one with `channel=NAME`", names.join(", "))), "{error}");
         let options = |field: Option<&str>, channel: Option<&str>| {
             let [field, channel] = [field, channel].map(|text| text.map(str::to_owned));
             OpenOptions { field, channel, ..OpenOptions::default() }
