@@ -100,29 +100,21 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
     if let Some(step) = known.or_else(|| job.basis.plan().map(Plan::first)) {
         return Ok(step.source.offset);
     }
-    let mut first_error = None;
-    for (number, source) in job.sources {
-        let shift = open_mesh_of(source).and_then(|mesh| {
-            check_job(job, &mesh)?;
-            let (memory, cancel) = (job.run.resources.memory / 4, &job.run.resources.cancel);
-            Shift::of_mesh(&mesh, None, job.settings.missing, memory, cancel)
-        });
-        match shift.map_err(|e| if job.is_several() { e.at_step(*number) } else { e }) {
-            Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
-                first_error.get_or_insert(e);
-            }
-            other => return Ok(other?.offset),
-        }
-    }
-    Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
+    let (memory, cancel) = (job.run.resources.memory / 4, &job.run.resources.cancel);
+    let shift = first_usable(job, |source| {
+        let mesh = open_mesh_of(source)?;
+        check_job(job, &mesh)?;
+        Shift::of_mesh(&mesh, None, job.settings.missing, memory, cancel)
+    });
+    Ok(shift?.offset)
 }
 
-/// The mesh of a job on disk, of the first source that can be used.
-fn base_of(job: &Job<'_>, how: &StoreSettings, inputs: &mut Inputs<'_>) -> Result<(CellMesh, CellStore)> {
+/// What is found in the first source that can be used. One of several whose data are wrong is
+/// passed over where the run keeps going.
+fn first_usable<T>(job: &Job<'_>, mut find: impl FnMut(&StepSource) -> Result<T>) -> Result<T> {
     let mut first_error = None;
     for (number, source) in job.sources {
-        let at_step = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
-        match base_from(source, job, how, inputs).map_err(at_step) {
+        match find(source).map_err(|e| if job.is_several() { e.at_step(*number) } else { e }) {
             Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
                 first_error.get_or_insert(e);
             }
@@ -132,6 +124,7 @@ fn base_of(job: &Job<'_>, how: &StoreSettings, inputs: &mut Inputs<'_>) -> Resul
     Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
 }
 
+/// The mesh of a job on disk, of a source.
 fn base_from(
     source: &StepSource,
     job: &Job<'_>,
@@ -159,7 +152,7 @@ fn base_from(
 pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInput, SeriesPlan, u64)> {
     let how = &settings;
     let mut inputs = job.basis.inputs();
-    let (mesh, store) = base_of(job, how, &mut inputs)?;
+    let (mesh, store) = first_usable(job, |source| base_from(source, job, how, &mut inputs))?;
     let path = &mesh.info().path;
     let wanted = wanted_of(job.settings, store.census.vertices).round().max(1.0) as u64;
     let own = is_own(job, store.census.vertices);
