@@ -36,10 +36,7 @@ impl StagedFolder {
             remove_folder(&dead)?;
         }
         let path = temporary_name(out)?;
-        let mut builder = fs::DirBuilder::new();
-        #[cfg(unix)]
-        std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-        builder.create(&path).map_err(|e| Error::io("create the folder", &path, e))?;
+        private_folder(&path).map_err(|e| Error::io("create the folder", &path, e))?;
         let stage = Self { path, out: out.to_path_buf() };
         let new = stage.new_folder();
         fs::create_dir(&new).map_err(|e| Error::io("create the folder", new, e))?;
@@ -85,6 +82,17 @@ impl Drop for StagedFolder {
     fn drop(&mut self) {
         let _ = remove_folder(&self.path);
     }
+}
+
+/// Makes a folder that other users cannot read.
+fn private_folder(path: &Path) -> std::io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::DirBuilderExt;
+        fs::DirBuilder::new().mode(0o700).create(path)
+    }
+    #[cfg(not(unix))]
+    fs::create_dir(path)
 }
 
 /// What processes that are no more left of making `out`, on this host.

@@ -263,14 +263,21 @@ pub fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
     Ok(())
 }
 
-/// A system without files has none to read.
+/// Fills `bytes` from `offset` of a file on.
+///
+/// # Errors
+/// Always: this system has no files.
 #[cfg(not(any(unix, windows)))]
-pub(crate) fn read_at(_file: &File, _bytes: &mut [u8], _offset: u64) -> std::io::Result<()> {
+pub fn read_at(_file: &File, _bytes: &mut [u8], _offset: u64) -> std::io::Result<()> {
     Err(std::io::ErrorKind::Unsupported.into())
 }
 
+/// Writes `bytes` at `offset` of a file.
+///
+/// # Errors
+/// Always: this system has no files.
 #[cfg(not(any(unix, windows)))]
-pub(crate) fn write_at(_file: &File, _bytes: &[u8], _offset: u64) -> std::io::Result<()> {
+pub fn write_at(_file: &File, _bytes: &[u8], _offset: u64) -> std::io::Result<()> {
     Err(std::io::ErrorKind::Unsupported.into())
 }
 

@@ -39,9 +39,7 @@ const HAS_FMA: bool = cfg!(any(
 
 #[cfg(target_arch = "x86_64")]
 pub use crate::may_use_all;
-#[cfg(target_arch = "x86_64")]
-pub use features::may_use;
-pub use features::{Avx2, Avx512, with_avx512, with_vectors};
+pub use features::{Avx2, Avx512, may_use, with_avx512, with_vectors};
 pub use lanes::{Compress, F32s, F32x16s, F64s, F64x4s, F64xN, Floats, Lanes, U32x16s};
 pub use pair::Pair;
 pub use plain::Plain;

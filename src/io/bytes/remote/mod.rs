@@ -188,22 +188,27 @@ mod without_client {
     use super::{Result, Seen, refused};
     use std::path::{Path, PathBuf};
 
+    /// Refuses `path`.
     pub fn whole_if_there(path: &Path, _most: u64) -> Result<Option<Vec<u8>>> {
         refused(path)
     }
 
+    /// Refuses `path`.
     pub fn small_if_there(path: &Path, _most: u64) -> Result<Option<Vec<u8>>> {
         refused(path)
     }
 
+    /// Refuses `path`.
     pub fn folders_in(path: &Path) -> Result<Vec<String>> {
         refused(path)
     }
 
+    /// Refuses the first of the paths.
     pub fn look_at(paths: &[PathBuf]) -> Result<()> {
         paths.first().map_or(Ok(()), |path| refused(path))
     }
 
+    /// Refuses `path`.
     pub fn seen(path: &Path) -> Result<Seen> {
         refused(path)
     }

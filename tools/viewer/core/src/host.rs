@@ -48,7 +48,10 @@ mod page {
         pub(crate) safe fn now() -> f64;
     }
 }
-pub(crate) use page::now;
+/// Milliseconds since the page was opened.
+pub(crate) fn now() -> f64 {
+    page::now()
+}
 
 /// Milliseconds between two questions whether the answer is still wanted.
 const PATIENCE: f64 = 30.0;
@@ -123,7 +126,7 @@ thread_local! {
 
 /// Room for the text of the next call, of so many bytes.
 #[unsafe(no_mangle)]
-pub extern "C" fn room(len: usize) -> *mut u8 {
+pub(crate) extern "C" fn room(len: usize) -> *mut u8 {
     STATE.with_borrow_mut(|state| {
         state.text.clear();
         state.text.resize(len, 0);
@@ -133,7 +136,7 @@ pub extern "C" fn room(len: usize) -> *mut u8 {
 
 /// Opens archives beside the page: the text has the name of one in each line.
 #[unsafe(no_mangle)]
-pub extern "C" fn open() -> u32 {
+pub(crate) extern "C" fn open() -> u32 {
     std::panic::set_hook(Box::new(|panic| fail(&panic.to_string())));
     add_host("page", BesidePage);
     STATE.with_borrow_mut(|state| {
@@ -159,7 +162,7 @@ fn grow() {
 
 /// Answers the question whose address is the text.
 #[unsafe(no_mangle)]
-pub extern "C" fn answer() -> u32 {
+pub(crate) extern "C" fn answer() -> u32 {
     ASKED.set((now(), false));
     grow();
     STATE.with_borrow(|state| {
