@@ -78,6 +78,51 @@ impl Case {
     /// a geometry that changes, steps in one file.
     pub(super) fn read(source: &ByteSource) -> Result<Self> {
         let path = source.path();
+        let wrong = |at: &str, expected: &str, got: &str| Error::bad_input(path, at, expected, got);
+        let Sections { kind, model, variables, sets } = Sections::read(source)?;
+        match kind.as_deref() {
+            Some("ensight gold") => {}
+            Some(other) => {
+                return Err(wrong("FORMAT", "type: ensight gold", other)
+                    .with_help("write it as EnSight Gold or .vtu, e.g. with ParaView"));
+            }
+            None => return Err(wrong("FORMAT", "type: ensight gold", "none")),
+        }
+        let model = model.ok_or_else(|| wrong("GEOMETRY", "model: FILE", "none"))?;
+        let mut files = steps_of(path, &model, &model.words[0], &sets)?;
+        if files.len() > 1 {
+            let got = format!("a geometry of {} steps", files.len());
+            return Err(wrong("GEOMETRY", "one geometry for all steps", &got)
+                .with_help("write a case for each step, or .vtu files and a .pvd list of them"));
+        }
+        let geometry = files.pop().ok_or_else(|| wrong("GEOMETRY", "a file", "a time set without steps"))?.0;
+        let variables = variables.into_iter().map(|NamedVariable { named, center, components }| {
+            let steps = steps_of(path, &named, &named.words[1..].join(" "), &sets)?;
+            Ok(Variable { name: named.words[0].clone(), center, components, steps })
+        });
+        Ok(Self { geometry, variables: variables.collect::<Result<_>>()? })
+    }
+}
+
+/// What the sections of a case file say.
+#[derive(Default)]
+struct Sections {
+    kind: Option<String>,
+    model: Option<Named>,
+    variables: Vec<NamedVariable>,
+    sets: Vec<TimeSet>,
+}
+
+/// A variable before its files are found.
+struct NamedVariable {
+    named: Named,
+    center: Center,
+    components: u32,
+}
+
+impl Sections {
+    fn read(source: &ByteSource) -> Result<Self> {
+        let path = source.path();
         if source.len() > LARGEST {
             let (expected, got) = (format!("at most {LARGEST} bytes"), format!("{} bytes", source.len()));
             return Err(Error::bad_input(path, "length", expected, got));
@@ -85,11 +130,9 @@ impl Case {
         let text = String::from_utf8_lossy(source.slice(0..source.len())?).into_owned();
         source.check()?;
         let (mut section, mut key) = (String::new(), String::new());
-        let (mut kind, mut model, mut variables, mut sets) = (None, None, vec![], Vec::<TimeSet>::new());
+        let mut sections = Self::default();
         for (number, line) in text.lines().enumerate() {
             let line = line.split('#').next().unwrap_or_default().trim();
-            let at = || format!("line {}", number + 1);
-            let wrong = |expected: &str, got: &str| Error::bad_input(path, at(), expected, got);
             let is_section = !line.is_empty() && line.chars().all(|c| c.is_ascii_uppercase() || c == '_');
             if is_section {
                 (section, key) = (line.to_string(), String::new());
@@ -107,73 +150,71 @@ impl Case {
             if words.is_empty() {
                 continue;
             }
+            let wrong = |expected: &str, got: &str| {
+                Error::bad_input(path, format!("line {}", number + 1), expected, got)
+            };
             match (section.as_str(), key.as_str()) {
-                ("FORMAT", "type") => kind = Some(words.join(" ").to_ascii_lowercase()),
-                ("GEOMETRY", "model") => model = Some(named(&words, 1, number)),
+                ("FORMAT", "type") => sections.kind = Some(words.join(" ").to_ascii_lowercase()),
+                ("GEOMETRY", "model") => sections.model = Some(named(&words, 1, number)),
                 ("VARIABLE", key) => {
                     if let Some(&(_, center, components)) = KINDS.iter().find(|(name, ..)| *name == key) {
                         let named = named(&words, 2, number);
                         if named.words.len() < 2 {
                             return Err(wrong("a name and a file", values.trim()));
                         }
-                        variables.push((named, center, components));
+                        sections.variables.push(NamedVariable { named, center, components });
                     }
                 }
                 ("TIME", "time set") => {
                     let number = words[0].parse().map_err(|_| wrong("the number of a time set", words[0]))?;
-                    sets.push(TimeSet { number, ..TimeSet::default() });
+                    sections.sets.push(TimeSet { number, ..TimeSet::default() });
                 }
                 ("TIME", key) => {
-                    let Some(set) = sets.last_mut() else { continue };
-                    let whole = |word: &str| word.parse().map_err(|_| wrong("a whole number", word));
-                    match key {
-                        "number of steps" => set.steps = whole(words[0])? as usize,
-                        "filename start number" => set.start = Some(whole(words[0])?),
-                        "filename increment" => set.increment = Some(whole(words[0])?),
-                        "filename numbers" => {
-                            for word in words {
-                                set.numbers.push(whole(word)?);
-                            }
-                        }
-                        "time values" => {
-                            for word in words {
-                                set.times.push(word.parse().map_err(|_| wrong("a time", word))?);
-                            }
-                        }
-                        "filename numbers file" | "time values file" => {
-                            return Err(wrong("numbers in the case file", "a file of them"));
-                        }
-                        _ => {}
-                    }
-                    if set.steps.max(set.numbers.len()).max(set.times.len()) > MOST_STEPS {
-                        return Err(wrong("at most 2^20 steps", "more"));
+                    if let Some(set) = sections.sets.last_mut() {
+                        set.take(key, &words).map_err(|Unfit { expected, got }| wrong(expected, &got))?;
                     }
                 }
                 _ => {}
             }
         }
-        let wrong = |at: &str, expected: &str, got: &str| Error::bad_input(path, at, expected, got);
-        match kind.as_deref() {
-            Some("ensight gold") => {}
-            Some(other) => {
-                return Err(wrong("FORMAT", "type: ensight gold", other)
-                    .with_help("write it as EnSight Gold or .vtu, e.g. with ParaView"));
+        Ok(sections)
+    }
+}
+
+/// Words that are not what a time set wants.
+struct Unfit {
+    expected: &'static str,
+    got: String,
+}
+
+impl TimeSet {
+    /// Takes the words of a key, or of a line that goes on with it.
+    fn take(&mut self, key: &str, words: &[&str]) -> std::result::Result<(), Unfit> {
+        let unfit = |expected: &'static str, got: &str| Unfit { expected, got: got.to_string() };
+        let whole = |word: &str| word.parse().map_err(|_| unfit("a whole number", word));
+        match key {
+            "number of steps" => self.steps = whole(words[0])? as usize,
+            "filename start number" => self.start = Some(whole(words[0])?),
+            "filename increment" => self.increment = Some(whole(words[0])?),
+            "filename numbers" => {
+                for word in words {
+                    self.numbers.push(whole(word)?);
+                }
             }
-            None => return Err(wrong("FORMAT", "type: ensight gold", "none")),
+            "time values" => {
+                for word in words {
+                    self.times.push(word.parse().map_err(|_| unfit("a time", word))?);
+                }
+            }
+            "filename numbers file" | "time values file" => {
+                return Err(unfit("numbers in the case file", "a file of them"));
+            }
+            _ => {}
         }
-        let model = model.ok_or_else(|| wrong("GEOMETRY", "model: FILE", "none"))?;
-        let mut files = steps_of(path, &model, &model.words[0], &sets)?;
-        if files.len() > 1 {
-            let got = format!("a geometry of {} steps", files.len());
-            return Err(wrong("GEOMETRY", "one geometry for all steps", &got)
-                .with_help("write a case for each step, or .vtu files and a .pvd list of them"));
+        if self.steps.max(self.numbers.len()).max(self.times.len()) > MOST_STEPS {
+            return Err(unfit("at most 2^20 steps", "more"));
         }
-        let geometry = files.pop().ok_or_else(|| wrong("GEOMETRY", "a file", "a time set without steps"))?.0;
-        let variables = variables.into_iter().map(|(named, center, components)| {
-            let steps = steps_of(path, &named, &named.words[1..].join(" "), &sets)?;
-            Ok(Variable { name: named.words[0].clone(), center, components, steps })
-        });
-        Ok(Self { geometry, variables: variables.collect::<Result<_>>()? })
+        Ok(())
     }
 }
 

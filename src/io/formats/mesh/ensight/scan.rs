@@ -94,28 +94,7 @@ fn kind_of(name: &str) -> Option<(CellKind, u64)> {
 /// # Errors
 /// [`Error::BadInput`] for a malformed file, structured blocks, elements that are not read.
 pub(super) fn geometry(source: &Arc<ByteSource>) -> Result<Geometry> {
-    let mut head = vec![0; source.len().min(LINE) as usize];
-    source.read_at(0, &mut head)?;
-    let first = String::from_utf8_lossy(&head).to_ascii_lowercase();
-    if first.starts_with("fortran binary") {
-        return Err(Error::bad_input(source.path(), "first line", "C Binary, or text", "Fortran Binary")
-            .with_help("write it as C binary, or as .vtu, e.g. with ParaView"));
-    }
-    let is_binary = first.starts_with("c binary");
-    let mut c = Cursor { source, at: 0, encoding: EnsightEncoding::Text };
-    if is_binary {
-        c.line_fits()?;
-        (c.at, c.encoding) = (LINE, EnsightEncoding::Binary { big_endian: false });
-    }
-    c.description()?;
-    c.description()?;
-    let has_ids = |line: &str| ["given", "ignore"].iter().any(|w| line.to_ascii_lowercase().contains(w));
-    let [nodes, elements] = [c.text("node id …")?, c.text("element id …")?];
-    if !nodes.starts_with("node id") || !elements.starts_with("element id") {
-        let got = format!("'{nodes}' and '{elements}'");
-        return Err(c.wrong("the lines node id … and element id …", got));
-    }
-    let (node_ids, element_ids) = (has_ids(&nodes), has_ids(&elements));
+    let (mut c, ids) = head(source)?;
     let mut parts: Vec<Part> = vec![];
     let mut line = c.optional_text()?;
     if line.as_deref().is_some_and(|l| l.starts_with("extents")) {
@@ -132,62 +111,105 @@ pub(super) fn geometry(source: &Arc<ByteSource>) -> Result<Geometry> {
         if parts.is_empty() {
             c.find_byte_order()?;
         }
-        let number = c.int()?;
-        c.description()?;
-        let section = c.text("coordinates")?;
-        if section.starts_with("block") {
-            return Err(c.wrong("coordinates of an unstructured part", "a structured block").with_help(
-                "write the part as .vts, or as an unstructured part (ParaView: Append Datasets)",
-            ));
-        }
-        if section != "coordinates" {
-            return Err(c.wrong("coordinates", format!("'{section}'")));
-        }
-        let points = c.count()?;
-        if node_ids {
-            c.skip(points)?;
-        }
-        let axes = [c.skip(points)?, c.skip(points)?, c.skip(points)?];
-        let mut part = Part { number, points, axes, groups: vec![] };
+        let mut part = points_of_part(&mut c, ids)?;
         loop {
             line = c.optional_text()?;
             let Some(name) = line.clone().filter(|l| l != "part") else { break };
             if part.groups.len() == MOST_PARTS {
                 return Err(c.wrong("at most 2^20 groups of elements", "more"));
             }
-            let is_polygon = ["nsided", "g_nsided"].contains(&name.as_str());
-            let kind = if is_polygon { Some((CellKind::Flat, 1)) } else { kind_of(&name) };
-            let (kind, count) = kind.ok_or_else(|| {
-                let expected = "tetra4, pyramid5, penta6, hexa8, those of second order, or flat elements";
-                c.wrong(expected, format!("'{name}'")).with_help("convert it to tetrahedra first")
-            })?;
-            let elements = c.count()?;
-            if element_ids {
-                c.skip(elements)?;
-            }
-            let mut nodes = c.skip(elements.saturating_mul(count))?;
-            if is_polygon {
-                // These were the numbers of nodes.
-                let mut counts = nodes.open(ScalarType::I32);
-                let (mut left, mut all, mut some) = (elements, 0u64, vec![]);
-                while left > 0 {
-                    let n = left.min(4096);
-                    some.clear();
-                    counts.read_ids(n as usize, &mut some)?;
-                    all = some.iter().fold(all, |sum, &n| sum.saturating_add(n));
-                    left -= n;
-                }
-                nodes = c.skip(all)?;
-            }
-            part.groups.push(Group { name, kind, elements, nodes });
+            part.groups.push(group(&mut c, ids, name)?);
         }
-        if parts.iter().any(|p| p.number == number) {
-            return Err(c.wrong("parts of different numbers", format!("a second part {number}")));
+        if parts.iter().any(|p| p.number == part.number) {
+            return Err(c.wrong("parts of different numbers", format!("a second part {}", part.number)));
         }
         parts.push(part);
     }
     source.check()?;
     Ok(Geometry { encoding: c.encoding, parts })
+}
+
+/// Whether a file has numbers of its own for nodes and elements.
+#[derive(Clone, Copy)]
+struct Ids {
+    nodes: bool,
+    elements: bool,
+}
+
+/// Reads the lines before the first part.
+fn head(source: &Arc<ByteSource>) -> Result<(Cursor<'_>, Ids)> {
+    let mut head = vec![0; source.len().min(LINE) as usize];
+    source.read_at(0, &mut head)?;
+    let first = String::from_utf8_lossy(&head).to_ascii_lowercase();
+    if first.starts_with("fortran binary") {
+        return Err(Error::bad_input(source.path(), "first line", "C Binary, or text", "Fortran Binary")
+            .with_help("write it as C binary, or as .vtu, e.g. with ParaView"));
+    }
+    let mut c = Cursor { source, at: 0, encoding: EnsightEncoding::Text };
+    if first.starts_with("c binary") {
+        c.line_fits()?;
+        (c.at, c.encoding) = (LINE, EnsightEncoding::Binary { big_endian: false });
+    }
+    c.description()?;
+    c.description()?;
+    let has_ids = |line: &str| ["given", "ignore"].iter().any(|w| line.to_ascii_lowercase().contains(w));
+    let [nodes, elements] = [c.text("node id …")?, c.text("element id …")?];
+    if !nodes.starts_with("node id") || !elements.starts_with("element id") {
+        let got = format!("'{nodes}' and '{elements}'");
+        return Err(c.wrong("the lines node id … and element id …", got));
+    }
+    let ids = Ids { nodes: has_ids(&nodes), elements: has_ids(&elements) };
+    Ok((c, ids))
+}
+
+/// Reads a part up to its first group of elements.
+fn points_of_part(c: &mut Cursor<'_>, ids: Ids) -> Result<Part> {
+    let number = c.int()?;
+    c.description()?;
+    let section = c.text("coordinates")?;
+    if section.starts_with("block") {
+        return Err(c
+            .wrong("coordinates of an unstructured part", "a structured block")
+            .with_help("write the part as .vts, or as an unstructured part (ParaView: Append Datasets)"));
+    }
+    if section != "coordinates" {
+        return Err(c.wrong("coordinates", format!("'{section}'")));
+    }
+    let points = c.count()?;
+    if ids.nodes {
+        c.skip(points)?;
+    }
+    let axes = [c.skip(points)?, c.skip(points)?, c.skip(points)?];
+    Ok(Part { number, points, axes, groups: vec![] })
+}
+
+/// Reads a group of elements of a part.
+fn group(c: &mut Cursor<'_>, ids: Ids, name: String) -> Result<Group> {
+    let is_polygon = ["nsided", "g_nsided"].contains(&name.as_str());
+    let kind = if is_polygon { Some((CellKind::Flat, 1)) } else { kind_of(&name) };
+    let (kind, count) = kind.ok_or_else(|| {
+        let expected = "tetra4, pyramid5, penta6, hexa8, those of second order, or flat elements";
+        c.wrong(expected, format!("'{name}'")).with_help("convert it to tetrahedra first")
+    })?;
+    let elements = c.count()?;
+    if ids.elements {
+        c.skip(elements)?;
+    }
+    let mut nodes = c.skip(elements.saturating_mul(count))?;
+    if is_polygon {
+        // These were the numbers of nodes.
+        let mut counts = nodes.open(ScalarType::I32);
+        let (mut left, mut all, mut some) = (elements, 0u64, vec![]);
+        while left > 0 {
+            let n = left.min(4096);
+            some.clear();
+            counts.read_ids(n as usize, &mut some)?;
+            all = some.iter().fold(all, |sum, &n| sum.saturating_add(n));
+            left -= n;
+        }
+        nodes = c.skip(all)?;
+    }
+    Ok(Group { name, kind, elements, nodes })
 }
 
 /// Numbers of a variable: of all nodes of a part, or of a group of its elements.

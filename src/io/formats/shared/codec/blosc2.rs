@@ -121,18 +121,7 @@ fn chunk(stored: &[u8], limit: usize) -> Decoded<Vec<u8>> {
                 0 | 4 => continue,
                 1 => unshuffle(&now, if setting == 0 { typesize } else { setting.into() }, &mut next),
                 2 => unshuffle_bits(&now, typesize, &mut next),
-                3 => {
-                    // The first block has differences to the element before.
-                    let element = if [2, 4].contains(&typesize) { typesize } else { 1 };
-                    let element = if typesize.is_multiple_of(8) { 8 } else { element };
-                    for at in 0..now.len() {
-                        let before = match number {
-                            0 => at.checked_sub(element).map_or(0, |at| next[at]),
-                            _ => *first.get(at).ok_or("a Blosc 2 block that is too long")?,
-                        };
-                        next[at] = now[at] ^ before;
-                    }
-                }
+                3 => undo_differences(&now, (number > 0).then_some(&first), typesize, &mut next)?,
                 other => return Err(format!("Blosc 2's filter {other}, which is not read")),
             }
             now = next;
@@ -143,6 +132,21 @@ fn chunk(stored: &[u8], limit: usize) -> Decoded<Vec<u8>> {
         }
     }
     Ok(out)
+}
+
+/// Undoes the filter of differences: to the element before in the first block, to the first block
+/// in all others.
+fn undo_differences(now: &[u8], first: Option<&Vec<u8>>, typesize: usize, out: &mut [u8]) -> Decoded<()> {
+    let element = if [2, 4].contains(&typesize) { typesize } else { 1 };
+    let element = if typesize.is_multiple_of(8) { 8 } else { element };
+    for at in 0..now.len() {
+        let before = match first {
+            None => at.checked_sub(element).map_or(0, |at| out[at]),
+            Some(first) => *first.get(at).ok_or("a Blosc 2 block that is too long")?,
+        };
+        out[at] = now[at] ^ before;
+    }
+    Ok(())
 }
 
 fn decode_block(compressor: u8, mut streams: &[u8], splits: usize, out: &mut [u8]) -> Decoded<()> {

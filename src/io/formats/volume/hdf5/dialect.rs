@@ -217,26 +217,8 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
         let got = "a VTKHDF image of several steps";
         return Err(refused(path, at, got, "write each step as .vti, and a .pvd list of them"));
     }
-    let list = |name: &str| root.attribute(name).ok().and_then(|a| attribute_numbers(&a));
-    let wrong = |name: &str, n: usize| {
-        Error::bad_input(path, format!("{at}, {name}"), format!("{n} numbers"), "another number of them")
-    };
-    let bounds = list("WholeExtent").ok_or_else(|| wrong("WholeExtent", 6))?;
-    let whole = <[f64; 6]>::try_from(bounds).map_err(|_| wrong("WholeExtent", 6))?;
-    let fits = whole.iter().all(|b| b.fract() == 0.0 && b.abs() < f64::from(i32::MAX));
-    if !fits || (0..3).any(|a| whole[2 * a + 1] < whole[2 * a]) {
-        let got = format!("{whole:?}");
-        return Err(Error::bad_input(path, "/VTKHDF, WholeExtent", "x0 <= x1 and so on, of 32 bits", got));
-    }
-    let points: [u64; 3] = std::array::from_fn(|a| (whole[2 * a + 1] - whole[2 * a]) as u64 + 1);
-    let origin: [f64; 3] =
-        list("Origin").map_or(Ok([0.0; 3]), |v| v.try_into().map_err(|_| wrong("Origin", 3)))?;
-    let spacing: [f64; 3] =
-        list("Spacing").map_or(Ok([1.0; 3]), |v| v.try_into().map_err(|_| wrong("Spacing", 3)))?;
-    let rows: [f64; 9] = list("Direction")
-        .map_or(Ok([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), |v| {
-            v.try_into().map_err(|_| wrong("Direction", 9))
-        })?;
+    let extent = Extent::read(path, &root)?;
+    refuse_ghosts(path, tree)?;
     let names = |group: &str| -> Vec<(usize, FieldInfo)> {
         let prefix = format!("VTKHDF/{group}/");
         let fields = tree.fields.iter().enumerate();
@@ -247,16 +229,6 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
         named.filter(|(_, f)| f.name != "vtkGhostType").collect()
     };
     let (at_points, at_cells) = (names("PointData"), names("CellData"));
-    for (group, name) in [("PointData", "points"), ("CellData", "cells")] {
-        let ghosts = tree.fields.iter().find(|f| f.part.info.name == format!("VTKHDF/{group}/vtkGhostType"));
-        if ghosts.is_some_and(|f| super::any_nonzero(&f.dataset, f.part.info.scalar)) {
-            let got = format!("hidden or repeated {name}");
-            let help = "blank the samples with NaN, or write them as an unstructured grid (.vtu)";
-            return Err(
-                Error::bad_input(path, format!("{at}/{group}/vtkGhostType"), "zeros", got).with_help(help)
-            );
-        }
-    }
     let infos = |list: &[(usize, FieldInfo)]| list.iter().map(|(_, f)| f.clone()).collect::<Vec<_>>();
     let wanted = wanted.map(|w| {
         ["VTKHDF/PointData/", "VTKHDF/CellData/"].iter().find_map(|p| w.strip_prefix(p)).unwrap_or(w)
@@ -272,19 +244,13 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
             active[usize::from(center == Center::Cell)].as_deref()
         })?;
     let number = if center == Center::Cell { at_cells[index].0 } else { at_points[index].0 };
-    let (expected, got) = (samples(points, center), tree.fields[number].dims());
+    let (expected, got) = (samples(extent.points, center), tree.fields[number].dims());
     if expected != got {
         let [expected, got] = [expected, got].map(|[x, y, z]| format!("{z} x {y} x {x}"));
         let expected = format!("{expected} samples, as WholeExtent tells");
         return Err(Error::bad_input(path, tree.fields[number].part.info.name.clone(), expected, got));
     }
-    let columns: [[f64; 3]; 3] =
-        std::array::from_fn(|a| std::array::from_fn(|i| rows[3 * i + a] * spacing[a]));
-    let first = first_sample(points, center);
-    let first: [f64; 3] = std::array::from_fn(|a| whole[2 * a] + first[a]);
-    let step = |i: usize| -> f64 { (0..3).map(|a| columns[a][i] * first[a]).sum() };
-    let origin = std::array::from_fn(|i| origin[i] + step(i));
-    let geometry = geometry(path, "Origin, Spacing and Direction", origin, columns)?;
+    let geometry = extent.geometry(path, center)?;
     Ok(Placed {
         number,
         fields,
@@ -294,6 +260,77 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
         units: Units::default(),
         assumed: Assumed::default(),
     })
+}
+
+/// Where the points of a VTKHDF image are.
+struct Extent {
+    /// The number of points along each axis.
+    points: [u64; 3],
+    /// The first and the last index along each axis.
+    whole: [f64; 6],
+    origin: [f64; 3],
+    spacing: [f64; 3],
+    /// The matrix `Direction`, row by row.
+    rows: [f64; 9],
+}
+
+impl Extent {
+    fn read(path: &Path, root: &Group) -> Result<Self> {
+        let at = "/VTKHDF";
+        let list = |name: &str| root.attribute(name).ok().and_then(|a| attribute_numbers(&a));
+        let wrong = |name: &str, n: usize| {
+            Error::bad_input(path, format!("{at}, {name}"), format!("{n} numbers"), "another number of them")
+        };
+        let bounds = list("WholeExtent").ok_or_else(|| wrong("WholeExtent", 6))?;
+        let whole = <[f64; 6]>::try_from(bounds).map_err(|_| wrong("WholeExtent", 6))?;
+        let fits = whole.iter().all(|b| b.fract() == 0.0 && b.abs() < f64::from(i32::MAX));
+        if !fits || (0..3).any(|a| whole[2 * a + 1] < whole[2 * a]) {
+            let got = format!("{whole:?}");
+            return Err(Error::bad_input(
+                path,
+                "/VTKHDF, WholeExtent",
+                "x0 <= x1 and so on, of 32 bits",
+                got,
+            ));
+        }
+        let points: [u64; 3] = std::array::from_fn(|a| (whole[2 * a + 1] - whole[2 * a]) as u64 + 1);
+        let origin: [f64; 3] =
+            list("Origin").map_or(Ok([0.0; 3]), |v| v.try_into().map_err(|_| wrong("Origin", 3)))?;
+        let spacing: [f64; 3] =
+            list("Spacing").map_or(Ok([1.0; 3]), |v| v.try_into().map_err(|_| wrong("Spacing", 3)))?;
+        let rows: [f64; 9] = list("Direction")
+            .map_or(Ok([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), |v| {
+                v.try_into().map_err(|_| wrong("Direction", 9))
+            })?;
+        Ok(Self { points, whole, origin, spacing, rows })
+    }
+
+    /// The placement of the samples: of points, or of the middles of cells.
+    fn geometry(&self, path: &Path, center: Center) -> Result<Geometry> {
+        let Self { points, whole, origin, spacing, rows } = *self;
+        let columns: [[f64; 3]; 3] =
+            std::array::from_fn(|a| std::array::from_fn(|i| rows[3 * i + a] * spacing[a]));
+        let first = first_sample(points, center);
+        let first: [f64; 3] = std::array::from_fn(|a| whole[2 * a] + first[a]);
+        let step = |i: usize| -> f64 { (0..3).map(|a| columns[a][i] * first[a]).sum() };
+        let origin = std::array::from_fn(|i| origin[i] + step(i));
+        geometry(path, "Origin, Spacing and Direction", origin, columns)
+    }
+}
+
+/// Refuses an image of which some points or cells are hidden.
+fn refuse_ghosts(path: &Path, tree: &Tree) -> Result<()> {
+    for (group, name) in [("PointData", "points"), ("CellData", "cells")] {
+        let ghosts = tree.fields.iter().find(|f| f.part.info.name == format!("VTKHDF/{group}/vtkGhostType"));
+        if ghosts.is_some_and(|f| super::any_nonzero(&f.dataset, f.part.info.scalar)) {
+            let got = format!("hidden or repeated {name}");
+            let help = "blank the samples with NaN, or write them as an unstructured grid (.vtu)";
+            return Err(
+                Error::bad_input(path, format!("/VTKHDF/{group}/vtkGhostType"), "zeros", got).with_help(help)
+            );
+        }
+    }
+    Ok(())
 }
 
 /// The image of a file of ITK: `Origin`, `Spacing`, and in each row of `Directions` the direction

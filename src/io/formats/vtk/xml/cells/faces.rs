@@ -148,27 +148,7 @@ impl CellFaces {
                 let mut numbers = vec![];
                 faces.read(span, bytes, &mut numbers)?;
                 *at = ends[i];
-                let Some((&count, mut rest)) = numbers.split_first() else {
-                    return wrong("the number of a polyhedron's faces", "none");
-                };
-                for face in 0..count {
-                    let Some((&n, after)) = rest.split_first() else {
-                        return wrong(format!("{} faces", shown(count)), format!("numbers of {face}"));
-                    };
-                    let Some(points) = usize::try_from(n).ok().and_then(|n| after.get(..n)) else {
-                        let expected =
-                            format!("a face of at most {} points, as many as are left", after.len());
-                        return wrong(expected, shown(n));
-                    };
-                    out.push(n);
-                    out.extend_from_slice(points);
-                    rest = &after[points.len()..];
-                }
-                if !rest.is_empty() {
-                    let got = format!("{} more numbers", rest.len());
-                    return wrong(format!("the end of a polyhedron of {count} faces"), got);
-                }
-                Ok(())
+                counted_faces(&numbers, out)
             }
             Self::New { connectivity, offsets, of_cells, at, point, .. } => {
                 let count = span(*at, ends[i], "faces of a polyhedron")?;
@@ -198,6 +178,30 @@ impl CellFaces {
             }
         }
     }
+}
+
+/// Puts the faces of a polyhedron, whose `numbers` begin with that of the faces, into `out`.
+fn counted_faces(numbers: &[u64], out: &mut Vec<u64>) -> Read<()> {
+    let Some((&count, mut rest)) = numbers.split_first() else {
+        return wrong("the number of a polyhedron's faces", "none");
+    };
+    for face in 0..count {
+        let Some((&n, after)) = rest.split_first() else {
+            return wrong(format!("{} faces", shown(count)), format!("numbers of {face}"));
+        };
+        let Some(points) = usize::try_from(n).ok().and_then(|n| after.get(..n)) else {
+            let expected = format!("a face of at most {} points, as many as are left", after.len());
+            return wrong(expected, shown(n));
+        };
+        out.push(n);
+        out.extend_from_slice(points);
+        rest = &after[points.len()..];
+    }
+    if !rest.is_empty() {
+        let got = format!("{} more numbers", rest.len());
+        return wrong(format!("the end of a polyhedron of {count} faces"), got);
+    }
+    Ok(())
 }
 
 /// The length of a span that begins where the one before ended.
