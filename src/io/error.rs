@@ -266,12 +266,12 @@ impl Error {
     /// What kind of error it is.
     ///
     /// ```
-    /// use isospan::error::{ErrorKind, Fault};
-    /// let error = isospan::Reduction::of("nowhere.nrrd").write("nowhere.isospan").unwrap_err();
+    /// use isospan_io::error::ErrorKind;
+    /// use isospan_io::formats::{OpenOptions, open_volume};
+    /// use std::path::Path;
+    /// let error = open_volume(Path::new("nowhere.nrrd"), &OpenOptions::default()).err().unwrap();
     /// assert_eq!(error.kind(), ErrorKind::NotFound);
     /// assert_eq!(error.path().unwrap().to_str(), Some("nowhere.nrrd"));
-    /// let error = isospan::Archive::open("nowhere.isospan").err().unwrap();
-    /// assert_eq!(error.kind(), ErrorKind::BadInput(Fault::Malformed));
     /// ```
     pub fn kind(&self) -> ErrorKind {
         match self {

@@ -33,7 +33,7 @@
 //! let slice = IndexBox { lo: [0, 0, 80], hi: [103, 94, 81] };
 //! let mut samples = vec![0.0; slice.len()];
 //! reader.read_box(slice, &mut samples)?;
-//! assert!(samples.iter().any(|&sample| sample > 1000.0), "enamel is dense");
+//! assert!(samples.iter().any(|&sample| sample > 800.0), "enamel is dense");
 //! # Ok(())
 //! # }
 //! ```

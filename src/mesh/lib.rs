@@ -16,7 +16,7 @@
 //! ```
 //! use isospan_io::geom::Lattice;
 //! use isospan_io::geom::curve::Order;
-//! use isospan_mesh::mesh::delaunay::Mesher;
+//! use isospan_mesh::mesh::mesher::Mesher;
 //! use isospan_mesh::points::{PointSet, PointSpec};
 //! use isospan_mesh::predicates::signed_volume6;
 //!

@@ -15,7 +15,8 @@ use std::path::Path;
 /// # fn main() -> isospan::Result<()> {
 /// # let folder = tempfile::tempdir().unwrap();
 /// # let path = folder.path().join("run.isospan");
-/// let at = |t: f32| volume_of("ramp", [24; 3], (0..24 * 24 * 24).map(|i| (i % 24) as f32 + t).collect());
+/// let ramp = |t: f32| (0..24 * 24 * 24).map(|i| (i % 24) as f32 + t).collect::<Vec<f32>>();
+/// let at = |t: f32| volume_of("ramp", [24; 3], ramp(t));
 /// Reduction::of(at(0.0)?).write(&path)?;
 /// let added = Addition::of(at(1.0)?).append_to(&path)?;
 /// assert_eq!(added.steps[0].number, 1);

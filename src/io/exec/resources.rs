@@ -7,7 +7,7 @@ use std::path::PathBuf;
 /// of what it makes.
 ///
 /// ```
-/// use isospan::Resources;
+/// use isospan_io::exec::Resources;
 /// let small = Resources::default().with_threads(2).with_memory(1 << 30);
 /// assert_eq!((small.threads, small.scratch), (2, None));
 /// ```

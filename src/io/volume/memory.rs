@@ -1,9 +1,9 @@
 //! Volumes that a program has in memory.
 //!
 //! ```
-//! use isospan::volume::memory::volume_of;
+//! use isospan_io::volume::memory::volume_of;
 //!
-//! # fn main() -> isospan::Result<()> {
+//! # fn main() -> isospan_io::Result<()> {
 //! let samples: Vec<f32> = (0..6 * 5 * 4).map(|i| i as f32).collect();
 //! let volume = volume_of("a ramp", [6, 5, 4], samples)?;
 //! # Ok(())

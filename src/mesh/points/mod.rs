@@ -20,15 +20,15 @@
 //! once; where two points round to one position, the lower id stays.
 //!
 //! ```
-//! use isospan::geom::Lattice;
-//! use isospan::points::{PointSet, PointSpec};
+//! use isospan_io::geom::Lattice;
+//! use isospan_mesh::points::{PointSet, PointSpec};
 //!
 //! let lattice = Lattice::new([128, 128, 64])?;
 //! let set = PointSet::new(PointSpec::Hammersley { n: 10_000, shift: 0.5 }, lattice)?;
 //! let mut sites = vec![];
 //! set.sites_in(&lattice.domain(), &mut sites);
 //! assert!(sites.iter().all(|s| set.position(s.id) == Some(s.pos)));
-//! # Ok::<(), isospan::Error>(())
+//! # Ok::<(), isospan_io::Error>(())
 //! ```
 //!
 //! Cost of [`PointSet::sites_in`] for a box of a thousand points: about 10 ns a point to find it,

@@ -35,9 +35,9 @@
 //! small tetrahedra together, sixteen side by side, in a third of that time.
 //!
 //! ```
-//! use isospan::geom::Lattice;
-//! use isospan::grid::IndexBox;
-//! use isospan::raster::{SampleGrid, each_sample, interpolate};
+//! use isospan_io::geom::Lattice;
+//! use isospan_io::grid::IndexBox;
+//! use isospan_mesh::raster::{SampleGrid, each_sample, interpolate};
 //!
 //! let lattice = Lattice::new([9, 9, 9])?;
 //! let grid = SampleGrid::voxels(&lattice);
@@ -50,7 +50,7 @@
 //! // The corner at the origin, with value 0, is its own; the face opposite to it belongs to the next tetrahedron.
 //! assert_eq!(found[0], (0, 0.0));
 //! assert_eq!(found.len(), 4 + 3 + 2 + 1 + 3 + 2 + 1 + 2 + 1 + 1);
-//! # Ok::<(), isospan::Error>(())
+//! # Ok::<(), isospan_io::Error>(())
 //! ```
 
 mod batch;

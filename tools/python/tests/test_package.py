@@ -22,8 +22,9 @@ def test_the_source_distribution_has_the_package_page():
 def test_the_conda_recipe_makes_this_package():
     recipe = yaml.safe_load((HERE / "conda/recipe.yaml").read_text())
     project = toml(HERE / "pyproject.toml")
-    assert recipe["context"]["version"] == toml(HERE / "Cargo.toml")["package"]["version"]
-    assert recipe["context"]["version"] == toml(ROOT / "Cargo.toml")["package"]["version"]
+    assert toml(HERE / "Cargo.toml")["package"]["version"] == {"workspace": True}
+    workspace = toml(ROOT / "Cargo.toml")["workspace"]
+    assert recipe["context"]["version"] == workspace["package"]["version"]
     assert recipe["about"]["license"] == project["project"]["license"]
     assert recipe["about"]["summary"] == project["project"]["description"]
     needed = {line.replace(" ", "") for line in recipe["requirements"]["host"]}

@@ -164,6 +164,11 @@ def test_the_defaults_are_those_of_the_program(program, tmp_path):
     np.save(tmp_path / "v.npy", field())
     expected = program("reduce", tmp_path / "v.npy", "-o", tmp_path / "p.isospan", "--json")
     report = isospan.reduce(tmp_path / "v.npy", tmp_path / "s.isospan").report
+    # Notices name settings as each says them: flags there, keywords here.
+    [told], [here] = expected.pop("notices"), report.pop("notices")
+    assert told.pop("text").endswith("--spacing X,Y,Z gives another")
+    assert here.pop("text").endswith("spacing=(X, Y, Z) gives another")
+    assert here == told
     assert report == {**expected, "seconds": report["seconds"]}
     assert same_files(tmp_path / "p.isospan", tmp_path / "s.isospan", but=())
 

@@ -137,10 +137,16 @@ fn meshes_have_the_manifests_counts_fields_and_ranges() {
 #[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn variants_are_read_right_or_refused_in_a_line() {
     for row in rows().iter().filter(|r| r.file.starts_with("variants/")) {
-        if !row.path.is_file() || !is_mesh(&row.path, &OpenOptions::default()).unwrap() {
+        if !row.path.is_file() {
             continue;
         }
-        match read(row) {
+        // A damaged head is refused before there is a mesh.
+        let opened = match is_mesh(&row.path, &OpenOptions::default()) {
+            Ok(false) => continue,
+            Ok(true) => read(row),
+            Err(e) => Err(e),
+        };
+        match opened {
             Ok((mesh, ..)) => {
                 if let Some(expected) = counts(&row.cells[4]) {
                     assert_eq!((mesh.info().points, mesh.info().cells), expected, "{}", row.file);
