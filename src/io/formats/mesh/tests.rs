@@ -144,6 +144,8 @@ fn variants_are_read_right_or_refused_in_a_line() {
         let opened = match is_mesh(&row.path, &OpenOptions::default()) {
             Ok(false) => continue,
             Ok(true) => read(row),
+            // A file without a header wants to be told its layout.
+            Err(e) if e.exit_code() == 2 => continue,
             Err(e) => Err(e),
         };
         match opened {
