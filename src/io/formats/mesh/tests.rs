@@ -144,8 +144,11 @@ fn variants_are_read_right_or_refused_in_a_line() {
         let opened = match is_mesh(&row.path, &OpenOptions::default()) {
             Ok(false) => continue,
             Ok(true) => read(row),
-            // A file without a header wants to be told its layout.
-            Err(e) if e.exit_code() == 2 => continue,
+            // One of no points and cells may be a volume: shared_data.rs looks at those.
+            Err(e) if counts(&row.cells[4]).is_none() => {
+                assert!(!e.to_string().contains('\n'), "{e}");
+                continue;
+            }
             Err(e) => Err(e),
         };
         match opened {
