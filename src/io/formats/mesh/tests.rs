@@ -161,8 +161,9 @@ fn variants_are_read_right_or_refused_in_a_line() {
                 let line = e.to_string();
                 assert!(e.exit_code() == 5 && !line.contains('\n'), "{line}");
                 let loads = row.cells[12].starts_with("loads");
-                // VTK passes over an array that is too long.
-                let known = line.contains("LZMA") || row.file.ends_with("box_para.vtu");
+                // VTK passes over an array that is too long. It loads surfaces too, which we refuse by name.
+                let known = ["LZMA", "PolyData", "POLYDATA"].iter().any(|word| line.contains(word))
+                    || row.file.ends_with("box_para.vtu");
                 assert!(!loads || known, "refused: {line}");
             }
         }
