@@ -389,7 +389,9 @@ fn outcome(dir: &Path, args: &[String], most: Duration) -> Outcome {
     let (mut memory, place) = (0, format!("/proc/{}/status", child.id()));
     let code = loop {
         let about = fs::read_to_string(&place).unwrap_or_default();
-        let peak = about.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        // For a moment, a process that begins still has the memory and the name of this one.
+        let has_begun = about.lines().next() == Some("Name:\tisospan");
+        let peak = about.lines().filter(|_| has_begun).find_map(|line| line.strip_prefix("VmHWM:"));
         memory =
             memory.max(peak.and_then(|l| l.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0) >> 10);
         match child.try_wait().unwrap() {
