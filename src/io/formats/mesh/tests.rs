@@ -161,8 +161,8 @@ fn variants_are_read_right_or_refused_in_a_line() {
                 let line = e.to_string();
                 assert!(e.exit_code() == 5 && !line.contains('\n'), "{line}");
                 let loads = row.cells[12].starts_with("loads");
-                // VTK passes over an array that is too long, and loads surfaces too. These we refuse
-                // by name.
+                // VTK passes over an array that is too long, and loads surfaces too, which we
+                // refuse by name.
                 let known = ["LZMA", "PolyData", "POLYDATA"].iter().any(|word| line.contains(word))
                     || row.file.ends_with("box_para.vtu");
                 assert!(!loads || known, "refused: {line}");
