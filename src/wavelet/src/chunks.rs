@@ -29,7 +29,7 @@ const BLOCK: usize = 4;
 /// Tiles of one level that are stored together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TileBlock {
-    /// The coarser one of the two levels that the tiles are between.
+    /// The coarser one of the two levels that the tiles are between; 0 of tiles of labels.
     pub level: usize,
     /// The tiles.
     pub tiles: Box3,
@@ -139,10 +139,15 @@ impl Pyramid {
         Box3 { start, size: std::array::from_fn(|a| end(a) - start[a]) }
     }
 
+    /// The tiles of labels of a part or a chunk.
+    pub fn label_tiles(&self, part: &Box3) -> impl Iterator<Item = TileId> + use<> {
+        TileBlock { level: 0, tiles: self.tiles_over(0, part) }.ids()
+    }
+
     /// The tiles of a level over a box of samples that begins and ends between tiles, or where the
     /// array ends.
     fn tiles_over(&self, level: usize, place: &Box3) -> Box3 {
-        let (stride, tiles, dims) = (self.stride(level - 1), self.tiles(level), self.nodes(0));
+        let (stride, tiles, dims) = (self.stride(level.saturating_sub(1)), self.tiles(level), self.nodes(0));
         let start: [usize; 3] = std::array::from_fn(|a| place.start[a] / (TILE * stride[a]));
         let end = |a: usize| match place.end()[a] {
             end if end == dims[a] => tiles[a],
@@ -151,11 +156,13 @@ impl Pyramid {
         Box3 { start, size: std::array::from_fn(|a| end(a) - start[a]) }
     }
 
-    /// The blocks of tiles of a chunk, in the order in which they are stored: coarse ones first.
+    /// The blocks of tiles of a chunk, in the order in which they are stored: coarse ones first. An
+    /// array of labels has tiles of these.
     pub fn blocks(&self, chunk: [usize; 3]) -> Vec<TileBlock> {
         let place = self.chunk(chunk);
         let mut blocks = vec![];
-        for level in (1..=self.details()).rev() {
+        let first = usize::from(!self.has_labels());
+        for level in (first..=self.details()).rev() {
             let all = self.tiles_over(level, &place);
             // A tile of one layer at the end of the array is stored with those before it.
             let counts = all.size.map(|n| (n - 1).max(1).div_ceil(BLOCK));
@@ -183,9 +190,9 @@ impl Pyramid {
         self.blocks(chunk).into_iter().enumerate().find(here).unwrap_or_else(|| panic!("a tile of the chunk"))
     }
 
-    /// The chunk that has a tile of the first levels.
+    /// The chunk that has a tile of the first levels, or of labels.
     pub fn chunk_of(&self, id: TileId) -> [usize; 3] {
-        let (stride, chunks) = (self.stride(id.level - 1), self.chunks());
+        let (stride, chunks) = (self.stride(id.level.saturating_sub(1)), self.chunks());
         std::array::from_fn(|a| (id.at[a] * TILE * stride[a] / CHUNK).min(chunks[a] - 1))
     }
 }

@@ -35,6 +35,11 @@ pub enum Error {
         /// Its index, x fastest.
         index: usize,
     },
+    /// A label is beyond 2^24, up to which `f32` has all whole numbers.
+    Label {
+        /// Its index, x fastest.
+        index: usize,
+    },
     /// A level that the pyramid does not have.
     Level {
         /// The level that was asked for.
@@ -74,6 +79,7 @@ impl fmt::Display for Error {
             Self::NotWhole { index } => {
                 write!(f, "sample {index} is no whole number of at most 2^24: give a bound instead")
             }
+            Self::Label { index } => write!(f, "label {index} is beyond 2^24"),
             Self::Level { level, coarsest } => {
                 write!(f, "there is no level {level}: levels are 0 (the finest) to {coarsest}")
             }

@@ -24,6 +24,8 @@
 //! results are the same bits for any boxes, on any machine: all arithmetic is IEEE 754 or of whole
 //! numbers, in a fixed order. `FORMAT.md` specifies every byte and every rounding.
 //!
+//! Labels, whole numbers that are names, are not transformed: [`encode_labels`] codes a tile of them.
+//!
 //! Where samples are missing, [`fill()`] finds values that cost little, and a [`Mask`] tells where.
 //!
 //! Costs: a transform, its inverse, and coding take about 20 to 60 ns a sample altogether, each
@@ -36,6 +38,7 @@ mod delay;
 mod encode;
 mod error;
 mod fill;
+mod labels;
 pub mod learn;
 mod lengths;
 mod levels;
@@ -58,6 +61,7 @@ pub use delay::{boxes, choose_delay};
 pub use encode::{Accuracy, Sampling, Settings, compress};
 pub use error::{Error, Result};
 pub use fill::fill;
+pub use labels::{MOST_LABEL, decode_labels, encode_labels};
 pub use levels::{Levels, NoTiles, TileSource};
 pub use mask::{Mask, MaskBuilder};
 pub use pyramid::{Band, Box3, GROUP, Pyramid, TILE};

@@ -15,6 +15,8 @@ pub struct Pyramid {
     nodes: Vec<[usize; 3]>,
     /// The axes that are split from level l to level l + 1.
     splits: Vec<[bool; 3]>,
+    /// Whether tiles have labels.
+    of_labels: bool,
 }
 
 /// The coefficients of one level that are high along some of its split axes and low along the rest.
@@ -161,7 +163,17 @@ impl Pyramid {
                 splits.push(split);
             }
         }
-        Self { nodes, splits }
+        Self { nodes, splits, of_labels: false }
+    }
+
+    /// An array of labels, which has one level: there is no mean of two of them.
+    pub fn of_labels(dims: [usize; 3]) -> Self {
+        Self { nodes: vec![dims], splits: vec![], of_labels: true }
+    }
+
+    /// Whether it is one of labels.
+    pub fn has_labels(&self) -> bool {
+        self.of_labels
     }
 
     /// The coarsest level.
@@ -203,9 +215,14 @@ impl Pyramid {
         })
     }
 
-    /// Tiles along each axis between level - 1 and a level.
+    /// Tiles along each axis between level - 1 and a level; of level 0, those of labels.
     pub fn tiles(&self, level: usize) -> [usize; 3] {
-        self.nodes[level - 1].map(|n| n.div_ceil(TILE))
+        self.nodes[level.saturating_sub(1)].map(|n| n.div_ceil(TILE))
+    }
+
+    /// The nodes of a tile of labels.
+    pub fn label_box(&self, tile: [usize; 3]) -> Box3 {
+        Box3 { start: tile.map(|n| TILE * n), size: [TILE; 3] }.cut(&Box3::all(self.nodes[0]))
     }
 
     /// The coefficients of a band that are in a tile.
