@@ -42,6 +42,7 @@ mod tests {
         let constants: &[(&str, u64)] = &[
             ("FORMAT_VERSION", u64::from(segment::FORMAT_VERSION)),
             ("ORDERED_FORMAT", u64::from(segment::ORDERED_FORMAT)),
+            ("LABELS_FORMAT", u64::from(segment::LABELS_FORMAT)),
             ("OLDEST_READER", u64::from(segment::OLDEST_READER)),
             ("OLDEST_FORMAT", u64::from(segment::OLDEST_FORMAT)),
             ("HEADER_BYTES", segment::HEADER_BYTES),

@@ -51,6 +51,8 @@ settings! {
     Interpolation "interpolation",
     Jumps "jumps",
     KeepGoing "keep_going",
+    Keyframes "keyframes",
+    Labels "labels",
     LengthUnit "length_unit",
     Level "level",
     Lossless "lossless",

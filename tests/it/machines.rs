@@ -56,6 +56,7 @@ const COMMANDS: &[&str] = &[
     "reduce step_?.npy -o steps.isospan",
     "reduce zeros.npy -o zeros-default.isospan",
     "reduce hole.npy -o mask.isospan --nan mask",
+    "reduce labels.npy -o labels.isospan --labels",
     "reduce cells.vtk -o cells.isospan --fraction 0.99",
     "reduce cells.vtk -o own.isospan --fraction 1 --chunk-points 100",
     "reduce cells.vtk -o quadratic.isospan --fraction 1/1 --values sample --interp quadratic",
@@ -94,6 +95,7 @@ fn every_machine_writes_these_bytes() {
     write_npy(&d.join("waves.npy"), dims, waves);
     write_npy(&d.join("zeros.npy"), dims, zeros);
     write_npy(&d.join("hole.npy"), dims, hole);
+    write_npy(&d.join("labels.npy"), [40, 28, 70], |x, y, z| (9.0 * waves(x, y, z)).round());
     for step in 0..3 {
         let field = |x, y, z| waves(x, y, z) + 0.1 * f64::from(step) * x;
         write_npy(&d.join(format!("step_{step}.npy")), dims, field);

@@ -27,6 +27,7 @@ mod fuzz_finds;
 mod given;
 mod grids;
 mod io;
+mod label_images;
 mod levels;
 mod liars;
 mod machines;

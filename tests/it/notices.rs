@@ -177,7 +177,7 @@ fn labels_are_pointed_to_nearest() {
     let d = dir.path();
     bytes(&d.join("l.nrrd"), [30, 30, 30], |x, y, z| [0, 7, 3, 200][(x / 15 + 2 * (y / 12) + z / 20).min(3)]);
     let line = "isospan: l.nrrd: the samples have 4 different values (0 .. 200), as labels do: \
-                --lossless keeps them; so does --interp nearest at points";
+                --labels keeps them, in the fewest bytes; so do --lossless, and --interp nearest at points";
     assert_eq!(notices(d, &["info", "l.nrrd"]), [line]);
     assert_eq!(notices(d, &["reduce", "l.nrrd", "-o", "l.isospan", "--dry-run"]), [line]);
     assert_eq!(

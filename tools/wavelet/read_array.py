@@ -98,11 +98,15 @@ def even_odds(rows, columns):
     return [[[32768, 32768] for _ in range(columns)] for _ in range(rows)]
 
 
+def table_of(number):
+    """The lines of numbers of a table of FORMAT.md."""
+    table = FORMAT.read_text(encoding="utf-8").split("```text\n")[number].split("```")[0]
+    return [[int(n) for n in row.split()] for row in table.split("\n") if row]
+
+
 def first_odds():
     """The ten sets that FORMAT.md lists, each as ten lines of numbers."""
-    table = FORMAT.read_text(encoding="utf-8").split("```text\n")[1].split("```")[0]
-    rows = filter(None, table.split("\n"))
-    lines = [[int(n) for n in row.split()] for row in rows]
+    lines = table_of(1)
     return [lines[i : i + 10] for i in range(0, len(lines), 10)]
 
 

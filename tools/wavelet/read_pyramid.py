@@ -15,10 +15,11 @@ from files import expect, manifest_text, ranges_of, refuse, segment_blocks, vari
 from read_array import (
     Array, RangeDecoder, boxes_of, even_odds, fail_unless, read_coarsest, records,
 )
+from read_labels import Tile
 
 VALUES, COARSE, RANGES = 2, 13, 14
 CHUNK, BLOCK, FINE_LEVELS = 256, 4, 3
-KINDS = {"none": 0, "max": 1, "lossless": 2}
+KINDS = {"none": 0, "max": 1, "lossless": 2, "labels": 0}
 NEIGHBOURS = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (-1, 1, 0), (-1, 0, 1), (0, -1, 1)]
 FIRST_ODDS = [400, 6000, 16000, 26000, 39000, 49000, 59000, 65000]
 
@@ -88,7 +89,8 @@ class Pyramid:
         self.archive = Path(archive)
         manifest = json.loads(manifest_text(self.archive))
         points, lattice = manifest["plan"]["points"], manifest["plan"]["lattice"]
-        if points.get("set") != "pyramid":
+        self.labels = None
+        if points.get("set") not in ("pyramid", "labels"):
             refuse(f"{archive}: its points are {points.get('set')}, not a pyramid")
         steps = [s for s in manifest["steps"] if s.get("place", s["number"]) == asked]
         if files is not None:
@@ -101,14 +103,19 @@ class Pyramid:
         self.chunks = self._chunks(points["dims"])
         expect(archive, "chunks", len(self.chunks), manifest["counts"].get("chunks", 1))
         self.ranges = self._segments("ranges", RANGES)
-        self.array = self._array(points["dims"], points["delay"])
+        self.array = self._array(points["dims"], points.get("delay", 3 * [0]))
+        if points["set"] == "labels":
+            self.labels = np.zeros(points["dims"][::-1], np.float32)
+            fail_unless("coarse" not in self.step and "base" not in self.step, "labels have neither")
+            expect(archive, "correction", "labels", self.step["wavelet"]["correction"])
         if base := self.step.get("base"):
             before = Pyramid(archive, files=base["number"])
             expect(archive, "step of coefficients", before.step["wavelet"]["step"], self.step["wavelet"]["step"])
             before.array.level(0)
             self.array.numbers_before = before.array.numbers
         self.missing = np.zeros(points["dims"][::-1], bool)
-        self._read_coarse()
+        if self.labels is None:
+            self._read_coarse()
         for chunk, blocks in zip(self.chunks, self._segments("values", VALUES)):
             self._read_tiles(chunk, blocks)
         for chunk, (corrections, _) in zip(self.chunks, self.ranges):
@@ -146,13 +153,15 @@ class Pyramid:
             most = max(abs(least), abs(largest))
             fail_unless((most + bound) / 2**23 < bound < np.inf, "the bound is none")
             correction, quantum = "max", 2 * (bound - (most + bound) / 2**24)
+        if correction == "labels":
+            return Array(dims, delay, (least, largest), (exponent, 1), (0, 0))
         step = min(wavelet["step"] * 2.0**-exponent, 2.0**60) if least < largest else 1
         fail_unless(step >= 2.0**-22, "the step is too small")
         return Array(dims, delay, (least, largest), (exponent, step), (KINDS[correction], quantum))
 
     def _fine(self):
         """The largest level of which the chunks have the tiles."""
-        return min(FINE_LEVELS, len(self.array.levels) - 1)
+        return min(FINE_LEVELS, len(self.array.levels) - 1) if self.labels is None else 0
 
     def _read_coarse(self):
         """Reads the coarsest level, and the tiles that no chunk has."""
@@ -172,6 +181,10 @@ class Pyramid:
     def _tiles_in(self, chunk, m):
         """The numbers of the tiles of level m that a chunk has along each axis."""
         for axis, samples in enumerate(chunk):
+            if self.labels is not None:
+                # The last chunk along an axis may have a sample of one more tile.
+                yield [t for t in range(-(-self.labels.shape[2 - axis] // 32)) if 32 * t in samples]
+                continue
             stride = 2 ** sum(split[axis] for split in self.array.splits[1:m])
             count = -(-self.array.levels[m - 1][axis] // 32)
             yield [t for t in range(count) if 32 * t * stride in samples]
@@ -179,6 +192,11 @@ class Pyramid:
     def _read_tiles(self, chunk, blocks):
         """Reads the tiles of a chunk."""
         blocks = iter(blocks)
+        for block in [] if self.labels is None else over_axes(list(map(blocks_along, self._tiles_in(chunk, 0)))):
+            tiles = over_axes(block)
+            for tile, data in block_records(tiles, next(blocks)).items():
+                here = self.labels[tuple(slice(32 * n, 32 * n + 32) for n in tile[::-1])]
+                here[:] = Tile(data, here.shape).labels
         for m in range(self._fine(), 0, -1):
             for block in over_axes(list(map(blocks_along, self._tiles_in(chunk, m)))):
                 tiles = [(m, tile) for tile in over_axes(block)]
@@ -211,7 +229,8 @@ class Pyramid:
     def nodes(self, level):
         """The nodes of a level, (z, y, x), less the offset of the source; NaN where one is missing."""
         missing = self.missing[tuple(slice(None, None, s) for s in self.strides(level))]
-        return np.where(missing, np.float32(np.nan), self.array.level(level))
+        known = self.array.level(level) if self.labels is None else self.labels
+        return np.where(missing, np.float32(np.nan), known)
 
     def bricks(self):
         """Of each chunk the ends of its range, told twice, and its bricks.

@@ -30,7 +30,7 @@ pub use self::plan::{
 use self::record::{GeometryRecord, StepRecord};
 use self::record::{is_default, is_one, is_usual_geometry, is_zero, one};
 use crate::archive::segment::{
-    FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, ORDERED_FORMAT, PlanHash, SegmentInfo,
+    FORMAT_VERSION, LABELS_FORMAT, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo,
 };
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
@@ -162,6 +162,15 @@ pub enum CorrectionRecord {
     Max(f64),
     /// Whole numbers are exact.
     Lossless,
+    /// They are labels: nothing is transformed, nor corrected.
+    Labels,
+}
+
+impl CorrectionRecord {
+    /// Whether whole numbers come back as they were.
+    pub fn is_exact(self) -> bool {
+        matches!(self, Self::Lossless | Self::Labels)
+    }
 }
 
 /// Everything, besides the plan, that decides the bytes of a step's values and index.
@@ -492,11 +501,11 @@ impl Manifest {
             ));
         }
         let oldest_reader = version.oldest_reader.unwrap_or(version.format_version);
-        if oldest_reader > ORDERED_FORMAT {
+        if oldest_reader > LABELS_FORMAT {
             return Err(Error::bad_input(
                 path,
                 "format_version",
-                format!("a version that format {ORDERED_FORMAT} programs can read"),
+                format!("a version that format {LABELS_FORMAT} programs can read"),
                 format!("{}, for programs of format {} on", version.format_version, oldest_reader),
             )
             .with_help("use a newer isospan"));
@@ -524,9 +533,16 @@ impl Manifest {
             if self.plan.is_pyramid() {
                 check_tiling(path, "ranges of a step", &step.ranges, self.counts.chunks)?;
             }
-            if [step.plan.wavelet.is_some(), step.coarse.is_some()] != [self.plan.is_pyramid(); 2] {
+            let (is_pyramid, has_labels) = (self.plan.is_pyramid(), self.plan.has_labels());
+            let expected = [is_pyramid, is_pyramid && !has_labels];
+            if [step.plan.wavelet.is_some(), step.coarse.is_some()] != expected {
                 let expected = "a scale and coarse levels, those of a pyramid alone".into();
                 return bad("wavelet and coarse of a step", expected, "others".into());
+            }
+            let of_labels = step.plan.wavelet.is_some_and(|w| w.correction == CorrectionRecord::Labels);
+            if of_labels != has_labels || has_labels && step.plan.base.is_some() {
+                let expected = "labels of a step alone, in an archive of labels".into();
+                return bad("correction and base of a step", expected, "others".into());
             }
         }
         for step in &self.steps {

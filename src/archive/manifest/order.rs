@@ -10,7 +10,7 @@
 //! stays whole until a manifest names them.
 
 use super::{CoordinateRecord, LONGEST_CHAIN, Manifest, StepPlan, StoredStep};
-use crate::archive::segment::ORDERED_FORMAT;
+use crate::archive::segment::{LABELS_FORMAT, ORDERED_FORMAT};
 use isospan_io::error::{Error, Result};
 use std::path::Path;
 
@@ -37,6 +37,9 @@ impl Manifest {
         let is_ordered = self.all_steps().any(|step| step.place.is_some() || step.series.is_some());
         if is_ordered || !self.bases.is_empty() {
             (self.format_version, self.oldest_reader) = (ORDERED_FORMAT, None);
+        }
+        if self.plan.has_labels() {
+            (self.format_version, self.oldest_reader) = (LABELS_FORMAT, None);
         }
         self
     }

@@ -130,9 +130,14 @@ impl MeshPlan {
         BrickGrid::new(self.lattice, self.brick_edge)
     }
 
-    /// Whether all samples are stored, as a wavelet pyramid.
+    /// Whether all samples are stored, as a wavelet pyramid or as labels.
     pub fn is_pyramid(&self) -> bool {
-        matches!(self.points, PointSpec::Pyramid { .. })
+        matches!(self.points, PointSpec::Pyramid { .. } | PointSpec::Labels { .. })
+    }
+
+    /// Whether these are labels, without coarser levels.
+    pub fn has_labels(&self) -> bool {
+        matches!(self.points, PointSpec::Labels { .. })
     }
 
     /// Whether tetrahedra are in files of their own.

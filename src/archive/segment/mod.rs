@@ -37,6 +37,8 @@ pub const END_MAGIC: [u8; 8] = *b"ISOEND\r\n";
 pub const FORMAT_VERSION: u16 = 7;
 /// That of manifests whose steps are in another order than their files, or have several fields.
 pub const ORDERED_FORMAT: u16 = 8;
+/// That of manifests of labels.
+pub const LABELS_FORMAT: u16 = 9;
 /// The oldest program version (in the same numbering) that can read what this program writes.
 pub const OLDEST_READER: u16 = 7;
 /// The oldest version that this program reads.

@@ -38,6 +38,12 @@ struct Targets {
     /// Store all samples of a volume without loss, where they are whole numbers.
     #[arg(help_heading = "Error and size", long, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms", "target_max", "size", "ratio"])]
     lossless: bool,
+    /// Store the samples of a volume as labels: whole numbers that are names, such as those of a
+    /// segmentation. None is changed, none is mixed with another, and there are no coarser levels;
+    /// far fewer bytes than --lossless takes [default for .seg.nrrd, and NIfTI with the intent
+    /// "label"].
+    #[arg(help_heading = "Error and size", long, conflicts_with_all = ["fraction", "count", "target_rms", "target_max", "size", "ratio", "lossless"])]
+    labels: bool,
 }
 
 /// Point set, interpolation, missing values, numbers of points.
@@ -184,8 +190,8 @@ impl Targets {
             Size::Bytes(bytes) => Target::Size(bytes),
             Size::OfSource(share) => Target::Ratio(1.0 / share),
         });
-        let lossless = self.lossless.then_some(Target::Lossless);
-        error.or(size).or(self.ratio.map(Target::Ratio)).or(lossless)
+        let whole = self.lossless.then_some(Target::Lossless).or(self.labels.then_some(Target::Labels));
+        error.or(size).or(self.ratio.map(Target::Ratio)).or(whole)
     }
 }
 

@@ -427,6 +427,7 @@ fn point_set(set: &PointSpec) -> String {
         }
         PointSpec::Regular { counts } => format!("regular, {}", by(counts)),
         PointSpec::Pyramid { dims, .. } => format!("pyramid, {} samples", by(dims)),
+        PointSpec::Labels { dims } => format!("labels, {} samples", by(dims)),
         PointSpec::Own { .. } => "the mesh's own vertices".into(),
     }
 }

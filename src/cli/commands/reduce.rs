@@ -148,8 +148,8 @@ pub(super) fn reached_text(t: &TargetReport) -> String {
         }
         Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Max(_) => format!("at most {} of {} wanted", four(t.reached), four(t.bound)),
-        Target::Lossless if t.met => "no sample is changed".into(),
-        Target::Lossless => format!("samples are changed by at most {}", four(t.reached)),
+        Target::Lossless | Target::Labels if t.met => "no sample is changed".into(),
+        Target::Lossless | Target::Labels => format!("samples are changed by at most {}", four(t.reached)),
         Target::Size(_) | Target::Ratio(_) => {
             let [reached, bound] = [t.reached, t.bound].map(|b| text::bytes(b as u64));
             format!("{reached} of {bound} wanted")
@@ -237,6 +237,11 @@ fn added_line(step: &StepSummary) -> String {
     )
 }
 
+/// Whether samples are kept as labels.
+fn has_labels(report: &ReduceReport) -> bool {
+    report.target.is_some_and(|target| target.target == Target::Labels)
+}
+
 /// A report in words; `is_added`: of steps that were added to an archive.
 fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     let mut out = String::new();
@@ -254,6 +259,7 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     let _ = writeln!(out, "  points      {} of {of} {of_what}{added}", text::count(points));
     let chunks = text::plural(report.chunks, "chunk");
     let _ = match report.tetrahedra {
+        0 if has_labels(report) => writeln!(out, "  labels      of all samples, in {chunks}"),
         0 => writeln!(out, "  pyramid     of all samples, in {chunks}"),
         count => writeln!(out, "  tetrahedra  {} in {chunks}", text::count(count)),
     };

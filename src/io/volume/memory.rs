@@ -69,6 +69,7 @@ pub fn info_of(name: &str, dims: [u64; 3], scalar: ScalarType) -> VolumeInfo {
         notes: vec![],
         data_files: vec![],
         assumed: Assumed::default(),
+        is_labels: false,
     }
 }
 

@@ -181,6 +181,9 @@ pub struct VolumeInfo {
     /// What the geometry assumes, as the file does not say it.
     #[serde(skip)]
     pub assumed: Assumed,
+    /// Whether the file says that its samples are labels: names, and no quantities.
+    #[serde(skip)]
+    pub is_labels: bool,
 }
 
 /// Axes along which nothing says how far samples lie apart: a spacing of 1 is assumed.

@@ -464,6 +464,7 @@ mod tests {
             notes: vec![],
             data_files: vec![],
             assumed: crate::volume::Assumed::default(),
+            is_labels: false,
         }
     }
 

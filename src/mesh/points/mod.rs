@@ -100,7 +100,10 @@ impl PointSet {
         let points = if let PointSpec::Own { n } = spec { n } else { interior.len() };
         let spacing_q16 = mean_spacing_q16(&lattice, points);
         let boundary = match spec {
-            PointSpec::Regular { .. } | PointSpec::Pyramid { .. } | PointSpec::Own { .. } => None,
+            PointSpec::Regular { .. }
+            | PointSpec::Pyramid { .. }
+            | PointSpec::Labels { .. }
+            | PointSpec::Own { .. } => None,
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
             PointSpec::Hammersley { .. } | PointSpec::HyperbolicCross { .. } => {
                 Some(Boundary::new(lattice.max(), spacing_q16, false))
@@ -280,7 +283,9 @@ impl PointSet {
     /// level.
     pub fn mean_spacing(&self) -> [u32; 3] {
         match self.spec {
-            PointSpec::Regular { counts } | PointSpec::Pyramid { dims: counts, .. } => {
+            PointSpec::Regular { counts }
+            | PointSpec::Pyramid { dims: counts, .. }
+            | PointSpec::Labels { dims: counts } => {
                 let max = self.lattice.max();
                 std::array::from_fn(|a| u64::from(max[a]).div_ceil(counts[a] - 1) as u32)
             }
@@ -339,9 +344,9 @@ impl Interior {
             }
             PointSpec::Halton { n } => Self::Net(Net::new([two, three, five], max, 1, n, 0)),
             PointSpec::HyperbolicCross { m, k, r } => Self::Grids(Grids::hyperbolic_cross(m, k, r, lattice)?),
-            PointSpec::Regular { counts } | PointSpec::Pyramid { dims: counts, .. } => {
-                Self::Grids(Grids::regular(counts, lattice)?)
-            }
+            PointSpec::Regular { counts }
+            | PointSpec::Pyramid { dims: counts, .. }
+            | PointSpec::Labels { dims: counts } => Self::Grids(Grids::regular(counts, lattice)?),
             PointSpec::Own { .. } => Self::Nothing,
         })
     }

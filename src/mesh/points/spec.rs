@@ -101,6 +101,11 @@ pub enum PointSpec {
         /// Levels by which the splits of each axis begin later.
         delay: [u8; 3],
     },
+    /// All samples, stored as labels, without coarser levels.
+    Labels {
+        /// Samples along each axis: those of the volume.
+        dims: [u64; 3],
+    },
     /// Listed points alone: the own vertices of a mesh. Several may share a position.
     Own {
         /// Number of points, at least 1 and at most [`ExplicitPoints::MOST`].
@@ -175,7 +180,7 @@ impl PointSpec {
             Self::Halton { .. } => SetKind::Halton,
             Self::HyperbolicCross { .. } => SetKind::HyperbolicCross,
             Self::Regular { .. } => SetKind::Regular,
-            Self::Pyramid { .. } => SetKind::Pyramid,
+            Self::Pyramid { .. } | Self::Labels { .. } => SetKind::Pyramid,
             Self::Own { .. } => SetKind::Own,
         }
     }
@@ -186,7 +191,9 @@ impl PointSpec {
             Self::Hammersley { n, .. } | Self::Halton { n } | Self::Own { n } => u128::from(n),
             Self::HyperbolicCross { m, k, r } => hyperbolic_cross_len(m, k, r),
             Self::Regular { counts } => counts.iter().map(|&c| u128::from(c)).product(),
-            Self::Pyramid { dims, .. } => dims.iter().map(|&d| u128::from(d)).product(),
+            Self::Pyramid { dims, .. } | Self::Labels { dims } => {
+                dims.iter().map(|&d| u128::from(d)).product()
+            }
         }
     }
 
@@ -231,6 +238,9 @@ impl PointSpec {
                     format!("of {dims:?} samples with delays {delay:?}"),
                     &format!("of all samples, with delays of at most {MOST_DELAY}"),
                 );
+            }
+            Self::Labels { dims } if dims != lattice.dims => {
+                return refuse("an array of labels", format!("of {dims:?} samples"), "of all samples");
             }
             Self::Own { n } if n > ExplicitPoints::MOST as u64 => {
                 return refuse(

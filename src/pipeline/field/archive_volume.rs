@@ -102,6 +102,7 @@ fn source_of(view: StepView, level: u32) -> Result<StepSource> {
         units: of.units.clone(),
         fields: vec![field.clone()],
         data_files: vec![view.path().join(MANIFEST_NAME)],
+        is_labels: view.has_labels(),
         field,
         ..info_of(&name, dims, ScalarType::F32)
     };

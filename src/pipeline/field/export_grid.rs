@@ -7,7 +7,6 @@
 //!
 //! Memory: a part for each thread.
 
-use crate::archive::manifest::CorrectionRecord;
 use crate::pipeline::read::{Roi, RoiSpace, StepView, WorldBox, world_box};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Clock, Progress, Resources, Threads, in_order};
@@ -169,9 +168,8 @@ fn meta_of(views: &Views<'_>, dims: [u64; 3]) -> GridMeta {
 pub(super) fn field_of(view: &StepView, level: usize) -> SampleField {
     let step = view.step();
     let (name, source) = (step.field().to_owned(), &step.plan.source);
-    let is_exact = step.plan.wavelet.is_some_and(|w| w.correction == CorrectionRecord::Lossless)
-        && level == 0
-        && !view.is_between();
+    let is_exact =
+        step.plan.wavelet.is_some_and(|w| w.correction.is_exact()) && level == 0 && !view.is_between();
     let floats = SampleField::floats(&name, source.offset);
     let Some([lo, hi]) = step.value_range.filter(|_| is_exact) else { return floats };
     if source.scalar.is_float() || step.void_points > 0 || source.offset.fract() != 0.0 {
@@ -203,6 +201,7 @@ impl LevelGrid {
         roi: Option<&Roi>,
         resources: &Resources,
     ) -> Result<Self> {
+        archive.expect_level_of_labels(level)?;
         let pyramid = &archive.pyramid()?.pyramid;
         if level > pyramid.coarsest() {
             return Err(Error::usage(format!(

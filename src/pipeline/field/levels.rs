@@ -1,5 +1,6 @@
-//! The field of a level of a pyramid between its nodes, which is trilinear; and its errors at the
-//! samples. A level ends at its last node; beyond it there is no value.
+//! The field of a level of a pyramid between its nodes, which is trilinear, or of labels that of
+//! the nearest node; and its errors at the samples. A level ends at its last node; beyond it there
+//! is no value.
 //!
 //! Samples are decoded box after box, some at a time. Points are sorted by box. A box whose points
 //! need no node is not decoded.
@@ -47,6 +48,17 @@ fn trilinear(values: &[f32], window: &IndexBox, at: [f64; 3]) -> f32 {
     sum as f32 + 0.0
 }
 
+/// The value of the node that is nearest to a place in the window: of two, the higher one.
+fn nearest(values: &[f32], window: &IndexBox, at: [f64; 3]) -> f32 {
+    let node = |a: usize| ((at[a] + 0.5).floor().max(0.0) as u64).clamp(window.lo[a], window.hi[a] - 1);
+    values[window.offset([node(0), node(1), node(2)])]
+}
+
+/// How values between nodes follow from these: labels are never mixed.
+fn between(archive: &StepView) -> fn(&[f32], &IndexBox, [f64; 3]) -> f32 {
+    if archive.has_labels() { nearest } else { trilinear }
+}
+
 /// Nodes of a level, and samples from one to the next, along each axis.
 fn nodes_and_stride(archive: &StepView, level: usize) -> Result<[[u64; 3]; 2]> {
     let pyramid = &archive.pyramid()?.pyramid;
@@ -71,7 +83,7 @@ pub(super) fn values_at_places(
         let place: [f64; 3] = at(n);
         by_box.entry([2, 1, 0].map(|a| cell(place[a], a))).or_default().push(n);
     }
-    let boxes: Vec<_> = by_box.into_iter().collect();
+    let (boxes, value_at): (Vec<_>, _) = (by_box.into_iter().collect(), between(archive));
     progress.begin("probe", boxes.len() as u64, "boxes");
     let value = |n: usize| {
         resources.cancel.check()?;
@@ -79,7 +91,7 @@ pub(super) fn values_at_places(
         let lo = [*x, *y, *z].map(|n| n * EDGE);
         let window = IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + EDGE + 1).min(nodes[a])) };
         let values = archive.nodes(level, &window)?;
-        let found = points.iter().map(|&n| (places[n].1, trilinear(&values, &window, at(n))));
+        let found = points.iter().map(|&n| (places[n].1, value_at(&values, &window, at(n))));
         Ok(found.collect::<Vec<(u32, f32)>>())
     };
     let threads = archive.pools.lend(threads(resources))?;
@@ -210,13 +222,13 @@ impl GridOnLevel {
         };
         let values = if within.is_empty() { vec![] } else { archive.nodes(self.level, &window)? };
         let mut found = Without { void: 0, outside: part.len() as u64 };
-        let mut row = Vec::with_capacity((hi[0] - lo[0]) as usize);
+        let (mut row, value_at) = (Vec::with_capacity((hi[0] - lo[0]) as usize), between(archive));
         for z in lo[2]..hi[2] {
             for y in lo[1]..hi[1] {
                 row.clear();
                 if !within.is_empty() && y < end[1] && z < end[2] {
                     let at = |x| [self.at(x, 0), self.at(y, 1), self.at(z, 2)];
-                    row.extend((lo[0]..end[0]).map(|x| trilinear(&values, &window, at(x))));
+                    row.extend((lo[0]..end[0]).map(|x| value_at(&values, &window, at(x))));
                     found.outside -= row.len() as u64;
                     found.void += row.iter().filter(|v| v.is_nan()).count() as u64;
                 }

@@ -12,6 +12,7 @@ use isospan_io::exec::CancelToken;
 use isospan_io::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
 use isospan_io::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use isospan_mesh::simd::with_vectors;
+use isospan_wavelet::MOST_LABEL;
 use std::path::Path;
 
 /// From this on, `f64` has not all whole numbers.
@@ -58,6 +59,34 @@ impl Shift {
             survey(source.into_stream(), missing, offset, cancel)
         };
         Self::chosen(&path, is_whole(field.scalar, slope, intercept), offset, look)
+    }
+
+    /// None: labels are kept as they are.
+    ///
+    /// # Errors
+    /// Those of reading the volume; [`Error::BadInput`] for numbers that `f32` does not hold.
+    pub(in crate::pipeline) fn of_labels(
+        open: impl Fn() -> Result<VolumeSource>,
+        missing: Option<f64>,
+        cancel: &CancelToken,
+    ) -> Result<Self> {
+        let source = open()?;
+        let VolumeInfo { path, slope, intercept, field, .. } = match &source {
+            VolumeSource::Random(reader) => reader.stored_info(),
+            other => other.info().clone(),
+        };
+        if !may_need_offset(field.scalar, slope, intercept) {
+            return Ok(Self::default());
+        }
+        let found = survey(source.into_stream(), missing, 0.0, cancel)?;
+        let [lo, hi] = found.range;
+        if lo > hi || found.rounding(true) == 0.0 && lo.abs().max(hi.abs()) <= MOST_LABEL.into() {
+            return Ok(Self::default());
+        }
+        let expected = format!("labels: whole numbers from -{MOST_LABEL} to {MOST_LABEL}, which f32 holds");
+        Err(Error::bad_input(path, "samples", expected, format!("{lo} to {hi}")).with_help(
+            "number them anew from 0 on, as skimage.segmentation.relabel_sequential and fastremap.renumber do",
+        ))
     }
 
     /// The shift of a field of a mesh.

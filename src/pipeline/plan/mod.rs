@@ -18,7 +18,7 @@ use crate::archive::manifest::{
 use crate::archive::segment::PlanHash;
 use crate::archive::tables::{ExplicitRecord, LevelsRecord};
 use crate::archive::values::Quantiser;
-use crate::pipeline::settings::{Amount, CompleteSettings};
+use crate::pipeline::settings::{Amount, CompleteSettings, Target};
 pub(super) use attachments::Attachments;
 pub(super) use estimate::{
     ERROR_WINDOW, Halo, Held, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares,
@@ -155,6 +155,9 @@ impl Plan {
         };
         if mesh.points.kind() == SetKind::Pyramid {
             (mesh.brick_edge, mesh.stars) = ([isospan_wavelet::CHUNK as u64; 3], false);
+        }
+        if settings.target == Some(Target::Labels) {
+            mesh.points = PointSpec::Labels { dims: lattice.dims };
         }
         let step = StepPlan {
             number: 0,

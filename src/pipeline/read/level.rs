@@ -44,6 +44,9 @@ impl StepView {
     pub(in crate::pipeline) fn level(&self, choice: Option<LevelChoice>) -> Result<usize> {
         let Some(choice) = choice else { return Ok(0) };
         let coarsest = self.coarsest_level(choice)?;
+        if let LevelChoice::Level(level) = choice {
+            self.expect_level_of_labels(level as usize)?;
+        }
         match choice {
             LevelChoice::Level(level) => match usize::try_from(level).ok().filter(|l| *l <= coarsest) {
                 Some(level) => Ok(level),
@@ -134,7 +137,7 @@ impl StepView {
                 let file = self.values_of(step, id)?;
                 let found = lengths(&file, id, 0..file.block_count(id))?;
                 for (block, length) in pyramid.blocks(chunk_place(pyramid, id)).iter().zip(found) {
-                    bytes[..block.level].iter_mut().for_each(|sum| *sum += length);
+                    bytes[..block.level.max(1)].iter_mut().for_each(|sum| *sum += length);
                 }
             }
             if is_corrected {

@@ -20,6 +20,7 @@ mod corners;
 mod damaged;
 mod decoded;
 mod frontier;
+mod labels;
 mod level;
 mod level_field;
 mod nodes;

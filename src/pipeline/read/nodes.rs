@@ -132,6 +132,9 @@ impl StepView {
     /// As [`StepView::nodes`], without corrections, and with values that stand for missing samples.
     pub(in crate::pipeline) fn uncorrected(&self, level: usize, wanted: &IndexBox) -> Result<Vec<f32>> {
         let of = self.pyramid()?;
+        if of.pyramid.has_labels() {
+            return self.labels(of, level, wanted);
+        }
         let levels = Levels { pyramid: &of.pyramid, scale: &of.scale, top: self.coarse(of)?.tiles.top() };
         levels.nodes(level, &box3(wanted), &mut Reader { view: self, of }).map_err(|Found(e)| e)
     }
@@ -220,7 +223,7 @@ impl StepView {
     }
 
     /// A block of tiles, read and taken apart.
-    fn tile_block(
+    pub(super) fn tile_block(
         &self,
         of: &PyramidStep,
         chunk: ChunkId,
@@ -271,7 +274,7 @@ const LEAST_CACHE: usize = 32 << 20;
 /// And those of a base: some parents. There may be many bases.
 const CACHE_OF_BASE: usize = 1 << 20;
 
-fn damaged(path: &Path, block: u64, what: &isospan_wavelet::Error) -> Error {
+pub(super) fn damaged(path: &Path, block: u64, what: &isospan_wavelet::Error) -> Error {
     Error::bad_input(path, format!("block {block}"), "coefficients of this pyramid", what.to_string())
         .with_help("restore the file, or run the same reduction again")
 }

@@ -28,6 +28,8 @@ pub(in crate::pipeline) struct PyramidStep {
     /// Held while these are read, which one thread does.
     pub(super) reading: Mutex<()>,
     pub(super) tiles: Mutex<Recent<TileId, Arc<Tile>>>,
+    /// Tiles of labels, of an archive that has these.
+    pub(super) labels: Mutex<Recent<TileId, Arc<Vec<i32>>>>,
     pub(super) blocks: Mutex<Recent<(u64, usize), Arc<StoredBlock>>>,
     /// The samples of chunks that are missing.
     pub(super) masks: Mutex<Recent<u64, Arc<Mask>>>,
@@ -66,6 +68,7 @@ impl PyramidStep {
             coarse: OnceLock::new(),
             reading: Mutex::default(),
             tiles: Mutex::new(Recent::new(of_tiles)),
+            labels: Mutex::new(Recent::new(of_tiles)),
             blocks: Mutex::new(Recent::new(of_tiles / 8)),
             masks: Mutex::new(Recent::new(of_tiles / 8)),
             windows: Mutex::new(Recent::new(of_nodes)),
@@ -74,7 +77,7 @@ impl PyramidStep {
 
     /// Bytes that are cached now.
     pub(super) fn cached_bytes(&self) -> usize {
-        let of_tiles = lock(&self.tiles).bytes() + lock(&self.blocks).bytes();
+        let of_tiles = lock(&self.tiles).bytes() + lock(&self.blocks).bytes() + lock(&self.labels).bytes();
         of_tiles + lock(&self.masks).bytes() + lock(&self.windows).bytes()
     }
 }
@@ -159,6 +162,7 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 pub(in crate::pipeline) fn pyramid_of(spec: PointSpec) -> Option<Pyramid> {
     match spec {
         PointSpec::Pyramid { dims, delay } => Some(Pyramid::new(dims.map(|n| n as usize), delay)),
+        PointSpec::Labels { dims } => Some(Pyramid::of_labels(dims.map(|n| n as usize))),
         _ => None,
     }
 }
@@ -168,9 +172,14 @@ pub(in crate::pipeline) fn pyramid_of(spec: PointSpec) -> Option<Pyramid> {
 /// # Errors
 /// Those of numbers that no plan has.
 pub(in crate::pipeline) fn scale_of(wavelet: &WaveletRecord) -> isospan_wavelet::Result<(Scale, Correction)> {
-    let scale = Scale::new(wavelet.range, wavelet.step)?;
+    // Labels have no coefficients.
+    let step = match wavelet.correction {
+        CorrectionRecord::Labels => (wavelet.range[1] - wavelet.range[0]).max(1.0),
+        _ => wavelet.step,
+    };
+    let scale = Scale::new(wavelet.range, step)?;
     let correction = match wavelet.correction {
-        CorrectionRecord::None => Correction::None,
+        CorrectionRecord::None | CorrectionRecord::Labels => Correction::None,
         CorrectionRecord::Max(bound) => Correction::within(bound, wavelet.range)?,
         CorrectionRecord::Lossless => Correction::Whole,
     };

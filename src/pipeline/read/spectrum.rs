@@ -195,6 +195,9 @@ impl StepView {
     /// That of a small archive is summed from all its tetrahedra. One chunk at a time takes less
     /// memory than making it did. That of a pyramid is of a level with at most these nodes.
     fn spectrum(&self, nodes: usize) -> Result<Option<(Spectrum, u64)>> {
+        if self.has_labels() {
+            return Ok(None);
+        }
         if self.is_pyramid() {
             return self.spectrum_of_level(nodes);
         }
@@ -267,6 +270,7 @@ impl StepView {
 /// # Errors
 /// [`Error::Usage`] between two steps.
 pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> {
+    archive.expect_values()?;
     report_of(archive, MOST_NODES)
 }
 

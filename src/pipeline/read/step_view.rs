@@ -83,6 +83,12 @@ impl OpenArchive {
     /// The archive at a step, or at a time.
     pub(in crate::pipeline) fn at(self: &Arc<Self>, choice: StepChoice) -> Result<StepView> {
         let moment = Moment::of(&self.manifest, choice, self.path())?;
+        if moment.beyond.is_some() && self.manifest.plan.has_labels() {
+            return Err(Error::usage(format!(
+                "{}: labels are known at steps, and not between them: choose one with `step`",
+                self.path().display()
+            )));
+        }
         Ok(StepView::new(Arc::clone(self), moment))
     }
 }

@@ -10,7 +10,7 @@ use super::meshes::keeps_own;
 use super::report::ReduceReport;
 use crate::pipeline::inputs::{Fill, Scan, Seen, Stretch, Survey, scan, survey_mesh, survey_volume, watched};
 use crate::pipeline::plan::{Estimate, Finding, Notice, count_of};
-use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy};
+use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy, Target};
 use isospan_io::bytes::place;
 use isospan_io::bytes::remote::is_remote;
 use isospan_io::cells::CellMesh;
@@ -279,7 +279,7 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
         for notice in of_survey(&source.path, survey, settings.missing, settings.nan) {
             match notice.finding {
                 Finding::Constant { .. } => constants.push(notice),
-                Finding::Labels { .. } if further || settings.interpolation == Interpolation::Nearest => {}
+                Finding::Labels { .. } if further || keeps_labels(settings) => {}
                 _ if out.notices.iter().any(|n| is_same(&n.finding, &notice.finding)) => {}
                 _ => out.notices.push(notice),
             }
@@ -290,6 +290,11 @@ fn look_at(job: &Job<'_>) -> Result<Looked> {
         out.notices.extend(constants.into_iter().next());
     }
     Ok(out)
+}
+
+/// Whether values are copied and never mixed, as was asked for.
+fn keeps_labels(settings: &CompleteSettings) -> bool {
+    settings.interpolation == Interpolation::Nearest || settings.target == Some(Target::Labels)
 }
 
 /// Whether two notices, of two steps, differ in nothing but the file.
@@ -324,7 +329,7 @@ fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) 
     out.extend(found.stretch.map(|stretch| Notice::of_stretch(path, &stretch, nan)));
     if let Some((values, range)) = found.labels {
         let text = format!(
-            "the samples have {values} different values ({} .. {}), as labels do: `lossless=true` keeps them; so does `interpolation=nearest` at points",
+            "the samples have {values} different values ({} .. {}), as labels do: `labels=true` keeps them, in the fewest bytes; so do `lossless=true`, and `interpolation=nearest` at points",
             number(range[0]),
             number(range[1])
         );

@@ -21,6 +21,7 @@ use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy, ReduceSetti
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use isospan_io::formats::{OpenOptions, StepSource, counted_from, without_frame};
+use isospan_io::setting::Setting;
 use isospan_mesh::points::SetSettings;
 use std::path::Path;
 use std::time::Instant;
@@ -127,6 +128,10 @@ fn with_field(source: &StepSource, field: &str) -> StepSource {
 /// The settings with which the last step of an archive was made; where points are was decided then.
 fn settings_like(manifest: &Manifest, settings: &AppendSettings) -> Result<CompleteSettings> {
     let plan = &manifest.steps.last().expect("an archive that was opened has a step").plan;
+    if manifest.plan.has_labels() && settings.keyframes.is_some() {
+        let keyframes = Setting::Keyframes;
+        return Err(Error::usage(format!("{keyframes} does not go with labels: each step of them is one")));
+    }
     Ok(CompleteSettings {
         points: manifest.plan.points.kind(),
         interpolation: plan.interpolation,

@@ -267,7 +267,7 @@ impl SeriesPlan {
         let (mesh, mut lasts) = (self.plan.mesh_hash(), self.order.lasts.clone());
         for (step, from) in self.plan.steps.iter_mut().zip(&self.sources) {
             step.base = None;
-            if self.order.between.contains(&step.number) {
+            if self.order.between.contains(&step.number) || self.plan.mesh.has_labels() {
                 continue;
             }
             let series = series_of(&from.source);

@@ -24,6 +24,7 @@ mod existing;
 mod fields;
 mod job;
 mod kept_search;
+mod labels;
 mod made_before;
 mod mesh_fields;
 mod mesh_store;
@@ -38,6 +39,7 @@ mod reuse;
 mod search;
 mod series;
 mod sink;
+mod source;
 mod sums;
 mod target;
 mod target_max;
@@ -158,6 +160,7 @@ pub(super) fn complete_settings(
 ) -> Result<CompleteSettings> {
     let first = first_that_opens(sources, run.keep_going, StepSource::open)?;
     let is_mesh = matches!(first, Input::Mesh(_));
+    let is_labels = matches!(&first, Input::Volume(volume) if volume.info().is_labels);
     let range = if settings.focus.is_some_and(Focus::is_of_a_range) {
         if settings.missing.is_some() {
             return Err(Error::usage(format!(
@@ -170,7 +173,7 @@ pub(super) fn complete_settings(
     } else {
         None
     };
-    settings.complete(&InputFacts { is_mesh, range })
+    settings.complete(&InputFacts { is_mesh, is_labels, range })
 }
 
 /// Least and largest value of an input.

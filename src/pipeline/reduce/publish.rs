@@ -120,7 +120,7 @@ impl Build<'_> {
             Some(finished) => finished.spectrum,
             None => Some(sum_spectrum(&layout, step, hash, Design::new(range, limits), limits)?),
         };
-        let coarse = match is_pyramid {
+        let coarse = match is_pyramid && !plan.mesh.has_labels() {
             true => Some(Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))?.info()),
             false => None,
         };

@@ -17,8 +17,10 @@ use super::build::{Build, SegmentSource, Segments};
 use super::coarse::{BaseTiles, Found, make_coarse, mask_of_nodes, too_fine};
 use super::encode::BadSteps;
 use super::encoded::EncodedChunk;
+use super::labels::LabelMaker;
 use super::series::SeriesPlan;
 use super::sink::{SegmentFiles, is_whole};
+use super::source::Work;
 use super::sums::FinishedSteps;
 use super::workers::{MakeChunks, SegmentMaker};
 use crate::archive::chunked::{BlockRange, ValueSummary};
@@ -26,8 +28,8 @@ use crate::archive::manifest::StepPlan;
 use crate::archive::segment::{Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::measure::{BrickErrors, ErrorSums, Squares};
-use crate::pipeline::chunk::{Field, GridField};
-use crate::pipeline::plan::{Shares, part_edge};
+use crate::pipeline::chunk::Field;
+use crate::pipeline::plan::part_edge;
 use crate::pipeline::read::{
     Brick, LevelNodes, StepView, box3, bricks_of, cells_in, index_box, pyramid_of, range_of_cells,
     samples_of_level, scale_of,
@@ -37,55 +39,9 @@ use crate::pipeline::stage::StageTimes;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::CancelToken;
 use isospan_io::grid::{Chunk, IndexBox};
-use isospan_wavelet::{
-    Box3, Correction, Mask, MaskBuilder, Pyramid, Scale, blocks_of, encode_corrections, encode_part, fill,
-};
+use isospan_wavelet::{Box3, Correction, Mask, MaskBuilder, blocks_of, encode_corrections, encode_part};
 use std::collections::HashMap;
-use std::path::Path;
 use std::time::Instant;
-
-/// What is made of a step of a pyramid.
-struct Work<'a> {
-    pyramid: &'a Pyramid,
-    scale: &'a Scale,
-    correction: Correction,
-    field: &'a GridField,
-    /// Notes that the data of the step cannot be used.
-    bad: &'a BadSteps,
-    number: u64,
-    /// The source, as messages name it.
-    path: &'a Path,
-    /// Samples along each axis of the parts of a chunk.
-    edge: usize,
-    shares: Shares,
-    cancel: &'a CancelToken,
-}
-
-impl Work<'_> {
-    fn samples(&self, chunk: &Chunk) -> Box3 {
-        self.pyramid.chunk(chunk.brick_lo.map(|n| n as usize))
-    }
-
-    /// Reads samples; NaN where they are missing.
-    fn read(&self, place: &IndexBox) -> Result<Vec<f32>> {
-        self.read_into(place, vec![])
-    }
-
-    /// As [`Work::read`], in the memory of a vector.
-    fn read_into(&self, place: &IndexBox, mut values: Vec<f32>) -> Result<Vec<f32>> {
-        values.clear();
-        values.resize(place.len(), 0.0);
-        self.bad.note(0, self.number, self.field.read_window(*place, &mut values))?;
-        Ok(values)
-    }
-
-    /// Puts values in the place of the missing samples of a window.
-    fn fill(&self, window: &Box3, samples: &mut [f32]) -> Result<()> {
-        let [min, max] = self.scale.range;
-        let middle = (min / 2.0 + max / 2.0) as f32;
-        fill(self.pyramid.nodes(0), window, samples, middle, |place| self.read(&index_box(place)))
-    }
-}
 
 /// Makes tiles and low coefficients.
 struct DetailMaker<'a> {
@@ -447,8 +403,10 @@ impl Build<'_> {
                 && (!needs_sums || whole(SegmentKind::Sums, layout.sums(s), s))
         });
         let has_values = all.clone().all(|s| whole(SegmentKind::Values, layout.values(s), s));
-        let has_coarse =
-            Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash)).is_ok_and(|s| s.verify().is_ok());
+        let has_labels = plan.mesh.has_labels();
+        let has_coarse = has_labels
+            || Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))
+                .is_ok_and(|s| s.verify().is_ok());
         let before_step = before.take().map(StepView::without_base);
         if has_values && has_coarse && has_ranges {
             return Ok(());
@@ -486,16 +444,27 @@ impl Build<'_> {
             (_, known) => known,
         };
         if !(has_values && has_coarse) {
-            self.progress.begin(&name("transform"), samples, "samples");
-            let files = SegmentFiles::of_details(step.number, hash, &layout);
-            let maker = DetailMaker { work: work(edge), base: base.as_ref() };
-            self.chunks_of_pyramid(&maker, &files, source, series, made)?;
+            let (maker, files): (Box<dyn MakeChunks + '_>, _) = match has_labels {
+                true => {
+                    self.progress.begin(&name("encode"), samples, "samples");
+                    let files = SegmentFiles::of_labels(step.number, hash, &layout);
+                    (Box::new(LabelMaker(work(edge))), files)
+                }
+                false => {
+                    self.progress.begin(&name("transform"), samples, "samples");
+                    let files = SegmentFiles::of_details(step.number, hash, &layout);
+                    (Box::new(DetailMaker { work: work(edge), base: base.as_ref() }), files)
+                }
+            };
+            self.chunks_of_pyramid(&*maker, &files, source, series, made)?;
             // Each worker leaves low coefficients, and the last one makes the levels above.
             if source.segments != all {
                 return Ok(());
             }
-            let memory = self.run.resources.memory;
-            make_coarse(&layout, hash, &pyramid, &scale, base.as_ref(), memory)?;
+            if !has_labels {
+                let memory = self.run.resources.memory;
+                make_coarse(&layout, hash, &pyramid, &scale, base.as_ref(), memory)?;
+            }
         }
         let measured = step.measured;
         self.progress.begin(&name(if measured { "measure" } else { "look" }), samples, "samples");

@@ -129,7 +129,7 @@ impl TargetReport {
     pub(in crate::pipeline) fn reached_of(&self) -> Reached {
         let quantity = match self.target {
             Target::Rms(_) => "RMS error",
-            Target::Max(_) | Target::Lossless => "largest error",
+            Target::Max(_) | Target::Lossless | Target::Labels => "largest error",
             Target::Size(_) | Target::Ratio(_) => "bytes",
         };
         Reached { quantity, value: self.reached, wanted: self.bound }

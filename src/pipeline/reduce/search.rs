@@ -21,7 +21,7 @@ impl Target {
             Self::Rms(bound) | Self::Max(bound) => {
                 Ok(bound.in_units(source_range(report).unwrap_or_default()))
             }
-            Self::Lossless => Ok(0.0),
+            Self::Lossless | Self::Labels => Ok(0.0),
             Self::Size(_) | Self::Ratio(_) => self.bytes(source),
         }
     }
@@ -32,7 +32,7 @@ impl Target {
             (Self::Size(bytes), _) => Ok(bytes as f64),
             (Self::Ratio(ratio), Some(source)) => Ok(source as f64 / ratio),
             (Self::Ratio(_), None) => Err(Error::usage("the bytes of the source are not known: give a size")),
-            (Self::Rms(_) | Self::Max(_) | Self::Lossless, _) => Ok(f64::INFINITY),
+            (Self::Rms(_) | Self::Max(_) | Self::Lossless | Self::Labels, _) => Ok(f64::INFINITY),
         }
     }
 
@@ -45,7 +45,7 @@ impl Target {
     ) -> Result<TargetReport> {
         let bound = self.limit(report, source)?;
         let reached = match self.bound() {
-            None if self != Self::Lossless => report.archive_bytes as f64,
+            None if !self.is_of_each_sample() => report.archive_bytes as f64,
             _ => self.reached(report),
         };
         let met = reached <= bound;
@@ -64,7 +64,7 @@ impl Target {
     /// The error or the size that an archive has; with several steps, that of the worst one.
     fn reached(self, report: &ReduceReport) -> f64 {
         match self {
-            Self::Rms(_) | Self::Max(_) | Self::Lossless => error_of(self, report),
+            Self::Rms(_) | Self::Max(_) | Self::Lossless | Self::Labels => error_of(self, report),
             Self::Size(_) | Self::Ratio(_) => (report.archive_bytes + RECORD) as f64,
         }
     }
@@ -268,7 +268,7 @@ impl TargetSearch {
         let (target, tries) = (self.target, self.about());
         let archive_bytes = match target {
             Target::Size(_) | Target::Ratio(_) => [LEAST_BYTES, target.bytes(self.source)? as u64],
-            Target::Rms(_) | Target::Max(_) | Target::Lossless => {
+            Target::Rms(_) | Target::Max(_) | Target::Lossless | Target::Labels => {
                 let points = samples as f64 / first.points.max(1) as f64;
                 [LEAST_BYTES, (first.archive_bytes as f64 * points.max(1.0)) as u64]
             }
@@ -380,7 +380,7 @@ impl TargetSearch {
         search.tries.push(made);
         let meets = made.reached <= bound;
         let next = match self.target {
-            Target::Max(_) | Target::Lossless => None,
+            target if target.is_of_each_sample() => None,
             _ if search.tries.len() as u32 >= MOST_TRIES => None,
             _ if self.tries >= ENOUGH_TRIES && (meets || self.best.is_some()) => None,
             // A constant has no error, however coarse it is.
@@ -434,7 +434,7 @@ impl TargetSearch {
 
 /// The error of the worst step; of several fields as a part of the range of each.
 pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
-    let which = usize::from(matches!(target, Target::Max(_) | Target::Lossless));
+    let which = usize::from(target.is_of_each_sample());
     if report.of_fields {
         return report.shares.iter().map(|shares| shares[which]).fold(0.0, f64::max);
     }

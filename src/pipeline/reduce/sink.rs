@@ -48,6 +48,11 @@ impl<'a> SegmentFiles<'a> {
         Self { layout, parts: vec![SegmentFile::Values(0, file), SegmentFile::Low(file)], steps: 1 }
     }
 
+    /// The file of the labels of a step.
+    pub(super) fn of_labels(number: u64, hash: PlanHash, layout: &'a Layout) -> Self {
+        Self { layout, parts: vec![SegmentFile::Values(0, (number, hash))], steps: 1 }
+    }
+
     /// The files of the ranges of a step of a pyramid.
     pub(super) fn of_ranges(number: u64, hash: PlanHash, with_sums: bool, layout: &'a Layout) -> Self {
         let file = (number, hash);

@@ -18,7 +18,9 @@ use isospan_io::grid::Geometry;
 use isospan_io::volume::chunked::ChunkShape;
 use isospan_io::volume::{VolumeInfo, VolumeSource};
 use isospan_mesh::points::{PointSpec, SetKind};
-use isospan_wavelet::{Accuracy, Sampling, Scale, Settings, choose_delay, compress};
+use isospan_wavelet::{
+    Accuracy, Box3, Pyramid, Sampling, Scale, Settings, choose_delay, compress, encode_labels,
+};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -325,6 +327,11 @@ impl Planner<'_> {
         self.plan.as_ref().is_some_and(|plan| plan.mesh.points.kind() == SetKind::Pyramid)
     }
 
+    /// Whether samples are kept as labels.
+    fn has_labels(&self) -> bool {
+        self.plan.as_ref().is_some_and(|plan| plan.mesh.has_labels())
+    }
+
     /// Finds out what the coefficients of a step stand for. The first step of a field that is not
     /// constant decides how fine they are, and that of the archive along which axes levels begin
     /// later.
@@ -348,13 +355,14 @@ impl Planner<'_> {
         let is_constant = range[0] == range[1];
         let (known_step, known) = self.wavelets.get(&field).copied().unwrap_or_default();
         let correction = match known {
+            _ if self.has_labels() => CorrectionRecord::Labels,
             CorrectionRecord::None if known_step.is_none() => correction_of(self.job.settings, range),
             known => known,
         };
         let wavelet_step = match known_step {
             Some(step) => step,
             // It has no coefficients. A step that is not constant decides.
-            None if is_constant => 1.0,
+            None if is_constant || correction == CorrectionRecord::Labels => 1.0,
             None => {
                 let bound = rms_of(self.job.settings, correction, range);
                 let refers = self.job.settings.keyframes > 1 && self.job.sources.len() > 1;
@@ -410,6 +418,10 @@ impl Planner<'_> {
         if let Some(plan) = self.job.basis.plan() {
             return Ok(plan.steps.iter().find(|s| s.number == number).map_or_else(Shift::default, Shift::of));
         }
+        let open = || volume_of(source, "the volume it was");
+        if self.has_labels() {
+            return Shift::of_labels(open, self.job.settings.missing, &self.job.run.resources.cancel);
+        }
         // The first of several steps in one packed file stands for all: each costs a decoding, in a
         // stream with all before it.
         let is_packed = !matches!(volume, VolumeSource::Random(_));
@@ -419,7 +431,6 @@ impl Planner<'_> {
             return Ok(Shift { offset, rounding: 0.0 });
         }
         self.looked_into = is_packed.then(|| source.path.clone());
-        let open = || volume_of(source, "the volume it was");
         Shift::of_volume(open, self.offset, self.job.settings.missing, &self.job.run.resources.cancel)
     }
 }
@@ -431,6 +442,7 @@ fn correction_of(settings: &CompleteSettings, range: [f64; 2]) -> CorrectionReco
         Some(Target::Max(Bound::OfRange(_))) if range[0] == range[1] => CorrectionRecord::None,
         Some(Target::Max(bound)) => CorrectionRecord::Max(bound.in_units(range)),
         Some(Target::Lossless) => CorrectionRecord::Lossless,
+        Some(Target::Labels) => CorrectionRecord::Labels,
         _ => CorrectionRecord::None,
     }
 }
@@ -443,7 +455,7 @@ fn rms_of(settings: &CompleteSettings, correction: CorrectionRecord, range: [f64
     const OF_WHOLE: f64 = 0.4;
     match (correction, settings.target) {
         (CorrectionRecord::Max(bound), _) => OF_MAX * bound,
-        (CorrectionRecord::Lossless, _) => OF_WHOLE,
+        (CorrectionRecord::Lossless | CorrectionRecord::Labels, _) => OF_WHOLE,
         (CorrectionRecord::None, Some(Target::Rms(bound))) => bound.in_units(range),
         (CorrectionRecord::None, _) => Bound::OfRange(DEFAULT_ERROR).in_units(range),
     }
@@ -458,12 +470,20 @@ pub(super) fn pyramid_bytes(job: &Job<'_>, plan: &Plan) -> Result<u64> {
     let found = Sampled::of_boxes(volume, &reading, &job.run.resources.cancel)?;
     let range = found.range.unwrap_or_default().map(f64::from);
     let correction = correction_of(settings, range);
+    let all =
+        |bytes: usize, samples: usize| bytes as f64 * step.source.samples() as f64 / samples.max(1) as f64;
+    if correction == CorrectionRecord::Labels {
+        let each = found.boxes.iter().map(|(values, dims)| Ok([label_bytes(values, *dims)?, values.len()]));
+        let sums =
+            each.collect::<Result<Vec<_>>>()?.into_iter().fold([0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        return Ok((all(sums[0], sums[1]) * plan.steps.len() as f64) as u64 + OTHER_FILES);
+    }
     let bound = rms_of(settings, correction, range);
     let chosen = wavelet_of(&found, range, [bound, AIM], None)?;
     let accuracy = match correction {
         CorrectionRecord::None => Accuracy::Step(chosen.step),
         CorrectionRecord::Max(bound) => Accuracy::Max(bound),
-        CorrectionRecord::Lossless => Accuracy::Lossless,
+        CorrectionRecord::Lossless | CorrectionRecord::Labels => Accuracy::Lossless,
     };
     let refused = |e: isospan_wavelet::Error| Error::usage(format!("the error that is asked for: {e}"));
     let (mut bytes, mut samples) = (0, 0);
@@ -472,9 +492,20 @@ pub(super) fn pyramid_bytes(job: &Job<'_>, plan: &Plan) -> Result<u64> {
         bytes += made.map_err(refused)?.len().saturating_sub(HEAD);
         samples += values.len();
     }
-    let all = step.source.samples() as f64 / samples.max(1) as f64;
     let steps = plan.steps.iter().map(|step| if step.base.is_some() { OF_CHANGES } else { 1.0 });
-    Ok((bytes as f64 * all * steps.sum::<f64>()) as u64 + OTHER_FILES)
+    Ok((all(bytes, samples) * steps.sum::<f64>()) as u64 + OTHER_FILES)
+}
+
+/// Bytes of a box of labels.
+fn label_bytes(values: &[f32], dims: [usize; 3]) -> Result<usize> {
+    let (all, mut bytes) = (Pyramid::of_labels(dims), 0);
+    let labels: Vec<i32> = values.iter().map(|v| *v as i32).collect();
+    for id in all.label_tiles(&Box3::all(dims)) {
+        let place = all.label_box(id.at);
+        let made = encode_labels(&Box3::all(dims).values_of(&labels, &place), place.size);
+        bytes += made.map_err(|e| Error::usage(format!("labels: {e}")))?.len();
+    }
+    Ok(bytes)
 }
 
 /// What a step takes that refers to another one, as a part of one that does not.

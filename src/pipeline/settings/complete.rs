@@ -20,6 +20,8 @@ use serde::{Deserialize, Serialize};
 pub struct InputFacts {
     /// Whether it is a mesh, and no volume.
     pub is_mesh: bool,
+    /// Whether its file says that its samples are labels.
+    pub is_labels: bool,
     /// Least and largest value of its first step: for a focus that is a share of them.
     pub range: Option<[f64; 2]>,
 }
@@ -103,6 +105,7 @@ impl ReduceSettings {
     /// * A volume becomes a pyramid of its samples, with an RMS error of 1 % of their range where
     ///   no target is given; or Halton points that adapt; or Hammersley points, where their shift
     ///   is given. A mesh becomes Hammersley points, or Halton points that adapt.
+    /// * A volume whose file says that it has labels is kept as these.
     /// * Values at points are fitted, or sampled where the interpolation wants that.
     ///
     /// # Errors
@@ -116,16 +119,22 @@ impl ReduceSettings {
             self.check_pyramid(input.is_mesh)?;
         }
         let adapt = if adapts { Some(self.adapt_at(points, input.range)?) } else { None };
-        let usual = Target::Rms(Bound::OfRange(DEFAULT_ERROR));
-        // An error that is not measured is no target.
-        let of_pyramid = (is_pyramid && self.measure).then_some(usual);
+        let target = match self.target {
+            None if is_pyramid && input.is_labels => Some(Target::Labels),
+            // An error that is not measured is no target.
+            None if is_pyramid && self.measure => Some(Target::Rms(Bound::OfRange(DEFAULT_ERROR))),
+            given => given,
+        };
+        if target == Some(Target::Labels) {
+            self.check_labels(points)?;
+        }
         let values = if is_pyramid { Some(Values::Sample) } else { self.values };
         Ok(CompleteSettings {
             points,
             set: self.set.complete(),
             amount: self.amount,
             adapt,
-            target: self.target.or(of_pyramid),
+            target,
             interpolation: self.interpolation,
             values: values.unwrap_or_else(|| Values::usual(self.interpolation)),
             nan: self.nan,
@@ -204,6 +213,20 @@ impl ReduceSettings {
                 Setting::Points.of(SetKind::Hammersley),
                 Setting::Level
             ))),
+        }
+    }
+
+    /// Refuses what labels cannot have: they are samples, and each step is alone.
+    fn check_labels(&self, points: SetKind) -> Result<()> {
+        let refuse = |setting: Setting, why: &str| {
+            Err(Error::usage(format!("{setting} does not go with {}: {why}", Setting::Labels)))
+        };
+        match () {
+            () if points != SetKind::Pyramid => refuse(Setting::Points, "labels are those of all samples"),
+            () if self.keyframes != Self::KEYFRAMES => {
+                refuse(Setting::Keyframes, "each step of labels is one")
+            }
+            () => Ok(()),
         }
     }
 

@@ -247,6 +247,9 @@ pub enum Target {
     Max(Bound),
     /// No error of samples that are whole numbers, of a volume.
     Lossless,
+    /// The same of labels, whole numbers that are names: without coarser levels, as there is no
+    /// mean of two of them. A volume has it by default whose file says that it has labels.
+    Labels,
     /// Bytes of the archive.
     Size(u64),
     /// How many times as many bytes the source has: its files or its samples, whichever are less.
@@ -278,13 +281,18 @@ impl Target {
     pub(super) fn bound(self) -> Option<Bound> {
         match self {
             Self::Rms(bound) | Self::Max(bound) => Some(bound),
-            Self::Lossless | Self::Size(_) | Self::Ratio(_) => None,
+            Self::Lossless | Self::Labels | Self::Size(_) | Self::Ratio(_) => None,
         }
+    }
+
+    /// Whether it bounds the error of each sample.
+    pub(super) fn is_of_each_sample(self) -> bool {
+        matches!(self, Self::Max(_) | Self::Lossless | Self::Labels)
     }
 
     /// Whether corrections of single samples meet it, so that nothing is searched for.
     pub(super) fn is_met_by_corrections(self, settings: &CompleteSettings) -> bool {
-        matches!(self, Self::Max(_) | Self::Lossless) && settings.points == SetKind::Pyramid
+        self.is_of_each_sample() && settings.points == SetKind::Pyramid
     }
 
     /// # Errors
@@ -294,8 +302,10 @@ impl Target {
         let (what, bound) = match self {
             Self::Rms(Bound::Value(v) | Bound::OfRange(v))
             | Self::Max(Bound::Value(v) | Bound::OfRange(v)) => ("an error", v),
-            Self::Lossless if settings.points == SetKind::Pyramid => return Ok(()),
-            Self::Lossless => return Err(Error::usage("only a pyramid holds all samples without loss")),
+            Self::Lossless | Self::Labels if settings.points == SetKind::Pyramid => return Ok(()),
+            Self::Lossless | Self::Labels => {
+                return Err(Error::usage("only a pyramid holds all samples without loss"));
+            }
             Self::Size(bytes) => ("a size", bytes as f64),
             Self::Ratio(ratio) => ("a ratio", ratio),
         };

@@ -61,6 +61,9 @@ impl<'a> Inventory<'a> {
         for step in &file.plan.steps {
             let (layout, hash) = (layout.at(step.number), step.hash(file.mesh_hash));
             files.push(wanted(layout.values(segment), SegmentKind::Values, hash));
+            if file.plan.mesh.has_labels() {
+                continue;
+            }
             if file.plan.mesh.is_pyramid() {
                 // Of the low coefficients the coarse levels are made.
                 if Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash)).is_ok() {

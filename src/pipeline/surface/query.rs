@@ -39,6 +39,7 @@ pub(in crate::pipeline) fn count(
     settings: &SurfaceSettings,
 ) -> Result<CountReport> {
     finite(wanted)?;
+    archive.expect_values()?;
     let isovalue = archive.step().plan.source.kept(wanted);
     let read_before = archive.bytes_read();
     let level = level_of(archive, settings)?;
@@ -275,6 +276,7 @@ impl<'a> Prepared<'a> {
         let (start, read_before) = (Clock::start(), archive.bytes_read());
         let values_before = archive.value_bytes_read();
         expect_in_f32(archive)?;
+        archive.expect_values()?;
         let level = level_of(archive, settings)?;
         let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {

@@ -14,7 +14,7 @@
 //! A row begins with one bit where all rows around it have one label: whether it has that, too. So
 //! what is all one label costs next to nothing.
 //!
-//! It takes some 30 ns a node each way, and 100 where labels have few nodes each. See `FORMAT.md`.
+//! It takes 40 to 60 ns a node each way, and 180 where labels have few nodes each. See `FORMAT.md`.
 
 use crate::error::{Error, Result};
 use crate::pyramid::TILE;

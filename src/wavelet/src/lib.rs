@@ -24,7 +24,8 @@
 //! results are the same bits for any boxes, on any machine: all arithmetic is IEEE 754 or of whole
 //! numbers, in a fixed order. `FORMAT.md` specifies every byte and every rounding.
 //!
-//! Labels, whole numbers that are names, are not transformed: [`encode_labels`] codes a tile of them.
+//! Labels, whole numbers that are names, are not transformed: [`encode_labels`] codes a tile of
+//! them.
 //!
 //! Where samples are missing, [`fill()`] finds values that cost little, and a [`Mask`] tells where.
 //!

@@ -129,7 +129,7 @@ proptest! {
         let mut labels = cells(size, places, seed);
         there_and_back(&labels, size);
         let n = labels.len();
-        (0..n).for_each(|i| if noise(i, seed) % 3 == 0 { labels[i] = (noise(i, !seed) % modulo) as i32 - 99 });
+        (0..n).for_each(|i| if noise(i, seed).is_multiple_of(3) { labels[i] = (noise(i, !seed) % modulo) as i32 - 99 });
         there_and_back(&labels, size);
     }
 

@@ -24,7 +24,7 @@ use isospan::surface::check::check;
 use isospan::volume::chunked::ChunkedVolume;
 use isospan::volume::{ScalarType, VolumeReader, VolumeSource};
 use isospan::{Error, Resources, Result};
-use isospan_wavelet::{Box3, Compressed, Mask};
+use isospan_wavelet::{Box3, Compressed, MOST_LABEL, Mask, decode_labels, encode_labels};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -147,6 +147,7 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
         4 => ValueSummary::decode(block).map(drop).map_err(blame),
         5 => decode_flags(block, &mut vec![false; block.len() % 5000]).map_err(blame),
         7 => mask(block),
+        8 => labels(block),
         _ => decode_ids(block, &mut vec![PointId(0); block.len() % 1024]).map_err(blame),
     }
 }
@@ -159,6 +160,14 @@ fn mask(block: &[u8]) -> Result<()> {
     let read = mask.and_then(|mask| mask.each_missing(&place, [1; 3], |_| missing += 1));
     assert!(missing <= place.len(), "a sample is missing twice");
     read.map_err(|e| Error::usage(e.to_string()))
+}
+
+/// A tile of labels, of many sizes.
+fn labels(block: &[u8]) -> Result<()> {
+    let size = [1 + block.len() % 32, 1 + block.len() % 29, 1 + block.len() % 7];
+    let labels = decode_labels(block, size).map_err(|e| Error::usage(e.to_string()))?;
+    assert!(labels.iter().all(|label| label.abs() <= MOST_LABEL), "a label is beyond what f32 holds");
+    Ok(())
 }
 
 fn tetrahedra(block: &[u8]) -> std::result::Result<(), isospan::archive::Malformed> {
@@ -236,6 +245,9 @@ impl Archive {
                 inputs.extend(kinds.iter().map(|&k| [&[k], &block[..]].concat()));
             }
         }
+        let labels: Vec<i32> = (0..6000).map(|i| i * i / 97 % 1300 / 100).collect();
+        let labels = encode_labels(&labels, [20, 30, 10]).map_err(|e| Error::usage(e.to_string()))?;
+        inputs.push([&[8], &labels[..]].concat());
         Ok(inputs)
     }
 

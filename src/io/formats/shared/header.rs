@@ -130,6 +130,7 @@ pub(in crate::formats) fn plain_info(
         notes: vec![],
         data_files: vec![],
         assumed: Assumed::default(),
+        is_labels: false,
     }
 }
 

@@ -117,6 +117,7 @@ impl Dataset for Map {
             notes: vec![],
             data_files: vec![],
             assumed: Assumed::in_header([header.unit().is_none(); 3]),
+            is_labels: false,
         };
         let offset = HEADER as u64 + header.extended()? + number as u64 * bytes;
         if self.gzip {

@@ -236,6 +236,7 @@ impl BrickedVolume {
             notes: vec![],
             data_files: vec![],
             assumed: Assumed::default(),
+            is_labels: false,
         };
         Ok(Self { info, source: Arc::clone(source), layout })
     }

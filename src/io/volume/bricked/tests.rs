@@ -31,6 +31,7 @@ fn boxes(dims: [u64; 3], boxes: Vec<IndexBox>) -> Box<dyn SlabStream> {
         notes: vec![],
         data_files: vec![],
         assumed: crate::volume::Assumed::default(),
+        is_labels: false,
     };
     Box::new(Boxes { info, boxes: boxes.into_iter() })
 }

@@ -99,6 +99,7 @@ def reduce(
     size: int | str | None = None,
     ratio: float | str | None = None,
     lossless: bool = False,
+    labels: bool = False,
     against: PathLike | None = None,
     threads: int = 0,
     memory: int | str | None = None,
@@ -134,8 +135,10 @@ def reduce(
         its range.
     size, ratio: the bytes of the archive, "50MiB", or a share of those of the source, "5%" or
         "1/20"; ratio=20 is size="1/20".
-    lossless: keep the whole numbers of a volume as they are.
-        Without any of these five, a volume has an RMS error of 1 % of its range. Where a target
+    lossless: keep the whole numbers of a volume as they are. labels: the same of a label image,
+        without coarser levels and in far fewer bytes.
+        Without any of these six, a volume has an RMS error of 1 % of its range, or is kept as labels
+        where its file says that it has some. Where a target
         cannot be met, the archive is made all the same: the warning ``isospan.TargetNotMet`` says
         so, and ``archive.target_met`` is False.
     fraction, count: the number of points as a part of the samples (0.125, "1/8", "12.5%"), or

@@ -96,6 +96,7 @@ impl Dataset for File {
         frames::check_last(axes.frames(), options, |options| self.volume(options))?;
         let (frame, fields) = frames::choose(&header.path, axes.frames(), *scalar, options)?;
         (info.field, info.fields) = (fields[frame as usize].clone(), fields);
+        info.is_labels = header.has_segments;
         header.samples(info, data, *encoding, axes, frame)
     }
 
@@ -158,6 +159,8 @@ struct NrrdHeader {
     fields: Vec<(String, String)>,
     /// Names that follow a "data file: LIST".
     listed: Vec<String>,
+    /// Whether it describes segments, as 3D Slicer does for labels.
+    has_segments: bool,
     /// The byte after the header.
     end: u64,
 }
@@ -173,7 +176,8 @@ impl NrrdHeader {
         ) {
             return Err(Error::bad_input(path, "first line", "NRRD0001 to NRRD0006", magic));
         }
-        let mut header = Self { path: path.to_path_buf(), fields: vec![], listed: vec![], end: 0 };
+        let (path, fields, listed) = (path.to_path_buf(), vec![], vec![]);
+        let mut header = Self { path, fields, listed, has_segments: false, end: 0 };
         let mut listing = false;
         while let Some(line) = lines.next() {
             if line.is_empty() {
@@ -192,6 +196,7 @@ impl NrrdHeader {
     /// Takes a line; `true` when the lines after it are names of data files.
     fn take(&mut self, line: &str, number: usize) -> Result<bool> {
         if line.split_once(":=").is_some_and(|(key, _)| !key.contains(": ")) {
+            self.has_segments |= line.starts_with("Segment0_");
             return Ok(false);
         }
         let at = format!("line {number}");

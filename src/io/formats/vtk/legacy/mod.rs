@@ -142,6 +142,7 @@ impl format::Dataset for File {
             notes: vec![],
             data_files: vec![],
             assumed: Assumed::default(),
+            is_labels: false,
         };
         let data = chosen.data.clone();
         if !file.binary {

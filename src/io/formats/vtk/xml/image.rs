@@ -99,6 +99,7 @@ pub(super) fn volume(image: &Image, wanted: Option<&str>) -> Result<VolumeSource
         notes: vec![],
         data_files: image.files.clone(),
         assumed: Assumed::default(),
+        is_labels: false,
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;
     let pieces = centred(image, center)?;
