@@ -133,6 +133,8 @@ pub mod formats {
 #[doc(hidden)]
 pub mod index;
 pub mod measure;
+#[doc(hidden)]
+pub mod phase;
 pub mod pipeline;
 pub mod render;
 #[doc(hidden)]

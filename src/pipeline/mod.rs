@@ -74,6 +74,6 @@ pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};
 pub use steps::Steps;
 pub use surface::{
-    ColourBy, CountReport, OneSurface, Plateau, Refine, RefineReport, SeriesReport, StepSurfaces,
-    StreamedPart, SurfaceReport, SurfaceSink,
+    ColourBy, CountReport, InscribedBall, NumbersReport, OneSurface, PhaseNumbers, Plateau, Refine,
+    RefineReport, SeriesReport, StepSurfaces, StreamedPart, SurfaceReport, SurfaceSink,
 };

@@ -5,9 +5,9 @@ use crate::pipeline::read::{LevelChoice, Roi};
 use crate::pipeline::step::Step;
 use crate::pipeline::steps::Steps;
 use crate::pipeline::surface::{
-    ColourBy, CountReport, Refine, SeriesReport, SurfaceReport, SurfaceSettings, SurfaceSink, count,
-    level_of, series_files, stream_file, stream_surfaces, surfaces_in_memory, surfaces_of_steps,
-    write_series, write_surfaces,
+    ColourBy, CountReport, NumbersReport, Refine, SeriesReport, SurfaceReport, SurfaceSettings, SurfaceSink,
+    count, expect_whole, level_of, numbers, series_files, stream_file, stream_surfaces, surfaces_in_memory,
+    surfaces_of_steps, write_series, write_surfaces,
 };
 use crate::surface::TriMesh;
 use isospan_io::error::{Error, Result};
@@ -23,7 +23,8 @@ use std::path::{Path, PathBuf};
 /// * [`write`](Self::write) makes files, and [`write_to`](Self::write_to) the bytes of one, in
 ///   bounded memory;
 /// * [`stream`](Self::stream) hands on each part as soon as it is there, in bounded memory;
-/// * [`count`](Self::count) says how many cells a surface crosses.
+/// * [`count`](Self::count) says how many cells a surface crosses;
+/// * [`numbers`](Self::numbers) measures it, and the parts of the domain on both sides.
 ///
 /// All isovalues are extracted in one pass, in which each block is decoded once; each surface is
 /// the one that would come out alone. Chunks are extracted in parallel and welded in their order:
@@ -370,6 +371,35 @@ impl SurfaceQuery<'_> {
             return Err(Error::usage("cells are counted in the whole domain: leave the region out"));
         }
         count(&self.of.view, isovalue, &self.settings)
+    }
+
+    /// What the only isovalue makes of the field: area and pieces of its surface, volumes on both
+    /// sides, whether these reach across the domain, and the largest balls in them.
+    ///
+    /// Volumes are those that marching cubes bounds, so both sides together fill the domain. All of
+    /// it is looked at, but for what the index says to lie on one side. The report depends on
+    /// neither threads nor memory; what memory does not hold waits in the scratch folder.
+    ///
+    /// ```
+    /// # use isospan::Archive;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").write(&path)?;
+    /// let found = Archive::open(&path)?.query(100.0).numbers()?;
+    /// assert!(found.area > 0.0 && found.above.volume < found.volume);
+    /// assert_eq!(found.below.percolates, Some([true; 3]));
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`SurfaceQuery::meshes`]; [`Error::Usage`] for several isovalues and for a region.
+    pub fn numbers(&self) -> Result<NumbersReport> {
+        let isovalue = self.only_isovalue("measure each by itself")?;
+        expect_whole(&self.settings)?;
+        let whole = SurfaceSettings { cap: false, refine: Refine::default(), ..self.settings.clone() };
+        numbers(&self.of.view, isovalue, &whole, self.progress)
     }
 
     /// The number of the level of a pyramid that answers; 0 where none is chosen.

@@ -18,6 +18,7 @@
 //! into chunks show in the surface.
 
 pub mod check;
+mod closest;
 pub mod edit;
 pub mod extract;
 mod model;
@@ -26,6 +27,8 @@ mod testing;
 pub mod weld;
 mod world_map;
 
+#[cfg(feature = "compare")]
+pub(crate) use closest::closest;
 #[cfg(feature = "compare")]
 pub(crate) use model::vertices_from;
 pub use model::{Joined, SurfaceSource, TriMesh, Vertex};

@@ -37,6 +37,7 @@ mod meshes;
 mod missing;
 mod nightly;
 mod notices;
+mod numbers;
 mod offsets;
 mod opens;
 mod order;

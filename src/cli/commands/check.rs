@@ -1,7 +1,8 @@
 //! `isospan check`: is an archive whole, is a surface sound?
 
-use super::grammar;
+use super::grammar::{self, Value};
 use super::level::LevelArgs;
+use super::numbers::{self, With};
 use super::progress::Talk;
 use super::text;
 use isospan::formats::surface::load_surface;
@@ -11,7 +12,7 @@ use isospan::surface::check::{
     CheckSettings, Domain, OpenEdges, SurfaceCheckReport, check_source, check_within,
 };
 use isospan::surface::edit::clip::HalfSpace;
-use isospan::{Archive, Error, Result};
+use isospan::{Archive, Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -21,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// oriented manifold; boundary, Euler number, area and volume are printed.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan\n  isospan check part.ply --within scan.isospan --roi 10:90,:,:"
+    after_help = "Examples:\n  isospan check scan.isospan\n  isospan check scan.isospan --isovalue 600\n  isospan check bone.ply --within scan.isospan\n  isospan check part.ply --within scan.isospan --roi 10:90,:,:"
 )]
 pub struct Args {
     /// An archive, also by address (s3://... or https://...), or a surface file: .ply .stl .obj
@@ -35,14 +36,18 @@ pub struct Args {
     /// edges may lie on its faces, too.
     #[arg(long, value_name = "BOX", requires = "within", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
+    /// For an archive: also measure at this isovalue, as count --numbers does. The surface is
+    /// that of the first step.
+    #[arg(long, short = 'i', value_name = "VALUE", allow_hyphen_values = true, value_parser = grammar::value)]
+    isovalue: Option<Value>,
     #[command(flatten)]
     level: LevelArgs,
-    /// For a surface: limit of memory, 4GiB, 500MB or 50% [default: half of what the process may
-    /// use].
+    /// For a surface or an isovalue: limit of memory, 4GiB, 500MB or 50% [default: half of what the
+    /// process may use].
     #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, allow_hyphen_values = true)]
     memory: Option<u64>,
-    /// For a surface: folder for what does not fit in memory [default: the system's temporary
-    /// folder].
+    /// For a surface or an isovalue: folder for what does not fit in memory [default: the system's
+    /// temporary folder].
     #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
     /// Print the report as JSON.
@@ -52,22 +57,10 @@ pub struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(&args.input) {
-        let only = [
-            ("--within", args.within.is_some()),
-            ("--roi", args.roi.is_some()),
-            ("--memory", args.memory.is_some()),
-            ("--scratch", args.scratch.is_some()),
-        ];
-        let levels = args.level.given().map(|(given, flag)| (flag, given));
-        if let Some((flag, _)) = only.into_iter().chain(levels).find(|(_, given)| *given) {
-            return Err(Error::usage(format!("{flag} is for surfaces")));
-        }
-        let report = Archive::open(&args.input)?.check_until(&super::signals::cancel_token())?;
-        return if args.json {
-            super::print_json("check.archive", &report)
-        } else {
-            super::print(&archive_text(&args.input, &report))
-        };
+        return check_archive(args, talk);
+    }
+    if args.isovalue.is_some() {
+        return Err(Error::usage("--isovalue is for archives: the input is a surface"));
     }
     let settings = CheckSettings {
         memory: super::memory(args.memory, talk),
@@ -131,6 +124,35 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     } else {
         error
     })
+}
+
+fn check_archive(args: &Args, talk: &Talk) -> Result<()> {
+    let only = [("--within", args.within.is_some()), ("--roi", args.roi.is_some())];
+    let of_both = [("--memory", args.memory.is_some()), ("--scratch", args.scratch.is_some())];
+    let levels = args.level.given().map(|(given, flag)| (flag, given));
+    let measured = of_both.into_iter().chain(levels).filter(|_| args.isovalue.is_none());
+    if let Some((flag, _)) = only.into_iter().chain(measured).find(|(_, given)| *given) {
+        return Err(Error::usage(format!("{flag} is for surfaces")));
+    }
+    let archive = Archive::open(&args.input)?;
+    let cancel = super::signals::cancel_token();
+    let report = archive.check_until(&cancel)?;
+    let numbers = |isovalue: &Value| {
+        let resources = Resources::default().with_memory(super::memory(args.memory, talk));
+        let resources = resources.with_scratch(args.scratch.clone()).with_cancel(cancel.clone());
+        let isovalue = isovalue.of(archive.value_range())?;
+        numbers::of(&archive, isovalue, args.level.choice(), resources, talk)
+    };
+    let numbers = args.isovalue.as_ref().map(numbers).transpose()?;
+    if args.json {
+        return super::print_json("check.archive", &With { report: &report, numbers });
+    }
+    let mut out = archive_text(&args.input, &report);
+    if let Some(numbers) = &numbers {
+        let words = numbers::in_words(numbers, archive.units());
+        let _ = write!(out, "isovalue {}:\n{words}", numbers.isovalue);
+    }
+    super::print(&out)
 }
 
 /// The planes of a box, and how far a vertex may lie from each.

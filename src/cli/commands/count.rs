@@ -2,6 +2,8 @@
 
 use super::grammar::{self, Value};
 use super::level::LevelArgs;
+use super::numbers::{self, Means, With};
+use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
 use isospan::{Archive, Result};
@@ -13,10 +15,11 @@ use std::path::PathBuf;
 /// Cells are the tetrahedra of points, and the cubes between the samples of a pyramid.
 /// The numbers are exact, and the surfaces are not extracted.
 /// Isovalues with few digits are looked up in the spectrum of a large archive, which takes a few
-/// kilobytes of reading; the JSON output has the number of bytes.
+/// kilobytes of reading; the JSON output has the number of bytes. With --numbers the surface is
+/// extracted and measured, and so are the parts of the domain on both sides of it.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json\n  isospan count scan.isospan -i 600 --level 2"
+    after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json\n  isospan count scan.isospan -i 600 --level 2\n  isospan count scan.isospan -i 600 --numbers"
 )]
 pub struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -33,22 +36,32 @@ pub struct Args {
         value_parser = grammar::value
     )]
     isovalue: Vec<Value>,
+    /// Also measure: area and pieces of the surface; of the parts at or above the isovalue and
+    /// below it the volumes, the pieces, whether one reaches across the domain along x, y, z, and
+    /// the largest ball in them. That takes a pass over the archive.
+    #[arg(long)]
+    numbers: bool,
     #[command(flatten)]
     level: LevelArgs,
     #[command(flatten)]
     step: StepArgs,
+    #[command(flatten)]
+    means: Means,
     /// Print the result as JSON, one object per line.
     #[arg(long)]
     json: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let step = Archive::open(&args.archive)?.at(args.step.choice()?)?;
     args.isovalue.iter().try_for_each(|isovalue| {
         let isovalue = isovalue.of(step.value_range())?;
-        let report = step.query(isovalue).level(args.level.choice()).count()?;
+        let (level, resources) = (args.level.choice(), args.means.resources(talk));
+        let report = step.query(isovalue).level(level).resources(resources.clone()).count()?;
+        let numbers =
+            args.numbers.then(|| numbers::of(&step, isovalue, level, resources, talk)).transpose()?;
         if args.json {
-            return super::print_json("count", &report);
+            return super::print_json("count", &With { report: &report, numbers });
         }
         let mut out = String::new();
         let _ = writeln!(
@@ -65,6 +78,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 .map_or_else(String::new, |level| format!(" of level {level}")),
             text::bytes(report.bytes_read)
         );
+        if let Some(numbers) = &numbers {
+            out += &numbers::in_words(numbers, step.units());
+        }
         super::print(&out)
     })
 }

@@ -26,6 +26,7 @@ mod machine;
 mod manual;
 mod measure;
 mod nightly;
+mod numbers;
 mod output;
 mod plan;
 mod probe;
@@ -184,11 +185,11 @@ fn run(cli: &Cli) -> Result<u8> {
         Command::Append(args) => append::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),
         Command::Compare(args) => compare::run(args, &cli.talk),
-        Command::Count(args) => count::run(args),
+        Command::Count(args) => count::run(args, &cli.talk),
         Command::Export(args) => export::run(args, &cli.talk),
         Command::Probe(args) => probe::run(args, &cli.talk),
         Command::Measure(args) => measure::run(args, &cli.talk),
-        Command::Spectrum(args) => spectrum::run(args),
+        Command::Spectrum(args) => spectrum::run(args, &cli.talk),
         Command::Render(args) => render::run(args, &cli.talk),
         #[cfg(feature = "view")]
         Command::View(args) => view::run(args, &cli.talk),

@@ -1,7 +1,9 @@
 //! `isospan spectrum`: how the isosurface changes with the isovalue.
 
-use super::grammar;
+use super::grammar::{self, Value};
+use super::numbers::{self, Means, With};
 use super::output::Force;
+use super::progress::Talk;
 use super::step::StepArgs;
 use super::{figure, text};
 use isospan::pipeline::{SpectrumReport, StepRange, StepSpectrum};
@@ -17,7 +19,8 @@ use std::path::PathBuf;
 /// volume's world units. For rectilinear and curvilinear grids the edges of tetrahedra count as
 /// straight; surfaces follow the bent grid, so their area and volume differ slightly. Some ten
 /// kilobytes are read. The mean gradient is the mean length of the field's gradient over the
-/// surface. Isovalues worth a look are those whose surface is steep and large.
+/// surface. Isovalues worth a look are those whose surface is steep and large. With --isovalue the
+/// surfaces of some isovalues are extracted and measured besides.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan spectrum scan.isospan --plot scan.svg\n  isospan spectrum run.isospan --all-steps --plot run.png"
@@ -32,6 +35,11 @@ pub struct Args {
     /// As --all-steps, for the steps from one number to another; either end may be omitted.
     #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"], allow_hyphen_values = true)]
     pub steps: Option<StepRange>,
+    /// Also measure at these isovalues: area and pieces of the surface; volumes, pieces,
+    /// percolation and the largest ball on both sides of it. That takes a pass over the archive
+    /// for each.
+    #[arg(long, short = 'i', value_name = "VALUE", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::value, conflicts_with_all = ["all_steps", "steps"])]
+    isovalue: Vec<Value>,
     /// Also draw the curves: .svg or .png.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
@@ -39,12 +47,14 @@ pub struct Args {
     step: StepArgs,
     #[command(flatten)]
     force: Force,
+    #[command(flatten)]
+    means: Means,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
     args.plot.iter().try_for_each(|plot| args.force.check(plot, [&args.archive]))?;
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
@@ -67,7 +77,18 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
         figure::write(&report, (&name, units), file, format)?;
     }
-    if args.json { super::print_json("spectrum", &report) } else { super::print(&table(&report, units)) }
+    let isovalues = args.isovalue.iter().map(|v| v.of(step.value_range())).collect::<Result<Vec<_>>>()?;
+    let found = isovalues.into_iter().map(|v| numbers::of(&step, v, None, args.means.resources(talk), talk));
+    let found = found.collect::<Result<Vec<_>>>()?;
+    if args.json {
+        let numbers = (!found.is_empty()).then_some(found);
+        return super::print_json("spectrum", &With { report: &report, numbers });
+    }
+    let mut out = table(&report, units);
+    for numbers in &found {
+        let _ = write!(out, "isovalue {}:\n{}", numbers.isovalue, numbers::in_words(numbers, units));
+    }
+    super::print(&out)
 }
 
 /// A line for each step: its range, the isovalue of the largest area, and what is worth a look.

@@ -28,7 +28,7 @@ mod workbench;
 pub(crate) use cells::in_order;
 pub use cells::{CellSource, Sides};
 pub use chunk_surface::{ChunkSurface, SharedEdge};
-pub use marching_cubes::{CubeBench, GridBlock, marching_cubes};
+pub use marching_cubes::{CubeBench, GridBlock, marching_cubes, share_inside};
 pub use marching_tets::extract;
 pub(crate) use numbered::NumberedBlock;
 pub(crate) use ordered::Unpacked;

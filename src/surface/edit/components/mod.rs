@@ -31,8 +31,10 @@
 //! Tarjan 1975, "Efficiency of a good but not linear set union algorithm"; path halving: Tarjan,
 //! van Leeuwen 1984.
 
+use crate::surface::closest::closest;
 use crate::surface::model::{SurfaceSource, Vertex, corner_of};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
+use glam::DVec3;
 use isospan_io::bytes::paged::Paged;
 use isospan_io::error::{Error, Result};
 use serde::Serialize;
@@ -103,16 +105,7 @@ pub fn components(
 ) -> Result<(StoredSurface, ComponentReport)> {
     let memory = settings.memory_bytes as u64;
     let paged = |share: u64| memory / 8 * share;
-    let vertices = surface.vertex_count();
-    let mut labels = Paged::<u32>::new(vertices, paged(1), &settings.scratch);
-    join_triangles(&surface, &mut labels)?;
-    let count = number_components(&mut labels)?;
-    let mut records = Paged::<Record>::new(count, paged(2), &settings.scratch);
-    {
-        let mut positions = Paged::<[f32; 3]>::new(vertices, paged(3), &settings.scratch);
-        measure_vertices(&surface, &mut labels, &mut records, &mut positions)?;
-        measure_triangles(&surface, &mut labels, &mut records, &mut positions)?;
-    }
+    let (mut labels, mut records, _) = measured(&surface, settings)?;
     let (mut report, listed, all) =
         choose(&mut records, filter, paged(1)).map_err(|e| e.of_share(paged(1), memory))?;
     for number in listed.into_numbers() {
@@ -123,6 +116,72 @@ pub fn components(
     }
     let settings = BuilderSettings { memory_bytes: paged(1) as usize, scratch: settings.scratch.clone() };
     Ok((copy_kept(&surface, &mut labels, &mut records, &settings)?, report))
+}
+
+/// What [`totals`] finds of a whole surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SurfaceTotals {
+    /// Connected components.
+    pub pieces: u64,
+    /// Those that have no boundary.
+    pub closed_pieces: u64,
+    /// Area.
+    pub area: f64,
+    /// The distance of each of the given places from the surface; infinite where it is empty.
+    pub distances: Vec<f64>,
+}
+
+/// Measures a surface as a whole, and how far it is from some places of the world.
+///
+/// # Errors
+/// [`Error::Io`] for the scratch folder.
+pub fn totals(
+    surface: &StoredSurface,
+    places: &[[f64; 3]],
+    settings: &BuilderSettings,
+) -> Result<SurfaceTotals> {
+    let (_, mut records, mut positions) = measured(surface, settings)?;
+    let mut totals = SurfaceTotals::default();
+    for number in 0..records.len() {
+        let record = records.get(number)?;
+        totals.pieces += u64::from(record.triangles > 0);
+        totals.closed_pieces += u64::from(record.triangles > 0 && record.is_closed());
+        totals.area += record.area;
+    }
+    let origin = surface.origin();
+    let places: Vec<DVec3> =
+        places.iter().map(|p| DVec3::from_array(*p) - DVec3::from_array(origin)).collect();
+    let mut squares = vec![f64::INFINITY; places.len()];
+    if !places.is_empty() {
+        each_triangle(surface, |t| {
+            let mut corners = [DVec3::ZERO; 3];
+            for (corner, v) in corners.iter_mut().zip(t) {
+                *corner = DVec3::from_array(positions.get(u64::from(v))?.map(f64::from));
+            }
+            for (square, &place) in squares.iter_mut().zip(&places) {
+                *square = square.min((closest(place, corners) - place).length_squared());
+            }
+            Ok(())
+        })?;
+    }
+    totals.distances = squares.into_iter().map(f64::sqrt).collect();
+    Ok(totals)
+}
+
+/// The component of each vertex, what was measured of each component, and the positions.
+type Found = (Paged<u32>, Paged<Record>, Paged<[f32; 3]>);
+
+fn measured(surface: &StoredSurface, settings: &BuilderSettings) -> Result<Found> {
+    let paged = |share: u64| settings.memory_bytes as u64 / 8 * share;
+    let vertices = surface.vertex_count();
+    let mut labels = Paged::<u32>::new(vertices, paged(1), &settings.scratch);
+    join_triangles(surface, &mut labels)?;
+    let count = number_components(&mut labels)?;
+    let mut records = Paged::<Record>::new(count, paged(2), &settings.scratch);
+    let mut positions = Paged::<[f32; 3]>::new(vertices, paged(3), &settings.scratch);
+    measure_vertices(surface, &mut labels, &mut records, &mut positions)?;
+    measure_triangles(surface, &mut labels, &mut records, &mut positions)?;
+    Ok((labels, records, positions))
 }
 
 /// A component while it is measured.
@@ -159,7 +218,7 @@ impl Record {
     fn add_triangle(&mut self, t: [u32; 3], corners: [[f32; 3]; 3]) {
         let from_origin = |p: [f32; 3]| {
             let (p, o) = (p.map(f64::from), self.origin.map(f64::from));
-            glam::DVec3::new(p[0] - o[0], p[1] - o[1], p[2] - o[2])
+            DVec3::new(p[0] - o[0], p[1] - o[1], p[2] - o[2])
         };
         let [a, b, c] = corners.map(from_origin);
         let normal2 = (b - a).cross(c - a);

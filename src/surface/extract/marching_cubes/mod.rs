@@ -42,12 +42,15 @@
 mod caps;
 mod cases;
 mod rows;
+mod share;
 mod vertices;
 
 use super::chunk_surface::ChunkSurface;
 use crate::surface::world_map::WorldMap;
 use cases::{CASES, lower_corner};
 use rows::Plane;
+
+pub use share::share_inside;
 
 /// Nodes of a box of a grid, as they are stored: x fastest, NaN where there is no data.
 #[derive(Clone, Copy, Debug)]
