@@ -97,6 +97,15 @@ fn archives_are_compared_by_their_surfaces() {
     let files = report(&["coarse.ply", "fine.ply"]);
     assert_eq!(report(&["coarse.isospan", "fine.isospan", "--isovalue", "0"]), files);
     assert_eq!(report(&["coarse.ply", "fine.isospan", "-i", "0", "--step", "0"]), files);
+    // A picture of both, each coloured by its distance from the other.
+    let drawn = ["compare", "coarse.isospan", "fine.ply", "-i", "0", "--samples", "500"];
+    let told = ok(dir, &[&drawn[..], &["-o", "both.png"]].concat());
+    assert!(told.contains("the largest is from A at"), "{told}");
+    let [width, height] = png_size(&dir.join("both.png"));
+    assert!(width == 1600 && height > 860, "two panels, words and a scale: {width} x {height}");
+    fails(dir, &[&drawn[..], &["-o", "both.png"]].concat(), 2, "--force");
+    fails(dir, &[&drawn[..], &["-o", "both.gif"]].concat(), 2, ".png");
+    fails(dir, &[&drawn[..], &["--level", "1"]].concat(), 2, "pyramid");
     fails(dir, &["compare", "coarse.isospan", "fine.isospan"], 2, "--isovalue");
     fails(dir, &["compare", "coarse.ply", "fine.ply", "-i", "0"], 2, "both inputs are surfaces");
     fails(dir, &["compare", "coarse.ply", "fine.isospan", "-i", "1e9"], 2, "gives no surface");

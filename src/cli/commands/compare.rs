@@ -1,15 +1,17 @@
 //! `isospan compare`: how far are two surfaces apart?
 
 use super::grammar::{self, Value};
+use super::level::LevelArgs;
 use super::machine::Machine;
+use super::output::Force;
 use super::progress::Talk;
+use super::render::BothWays;
 use super::step::StepArgs;
 use super::text;
 use isospan::compare::{CompareReport, CompareSettings, compare};
 use isospan::formats::surface::load_surface;
 use isospan::pipeline::{Step, is_archive};
 use isospan::surface::check::{CheckSettings, SurfaceCheckReport};
-use isospan::surface::weld::StoredSurface;
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,10 +20,11 @@ use std::path::{Path, PathBuf};
 ///
 /// That is distances, deviation of normals, area, volume, Euler number, components.
 /// Both surfaces are sampled evenly by area, always at the same points, and nearest points are
-/// exact. The largest distance also takes all vertices into account.
+/// exact. The largest distance also takes all vertices into account. With --output a picture shows
+/// both side by side, each coloured by its distance from the other.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan compare full.ply reduced.ply\n  isospan compare a.isospan b.isospan --isovalue 600 --json"
+    after_help = "Examples:\n  isospan compare full.ply reduced.ply\n  isospan compare a.isospan b.isospan --isovalue 600 --json\n  isospan compare a.isospan b.isospan -i 600 -o both.png\n  isospan compare scan.isospan scan.ply -i 600 --level 2"
 )]
 pub struct Args {
     /// A surface (.ply .stl .obj .vtp .vtkhdf .glb), or an archive.
@@ -32,11 +35,19 @@ pub struct Args {
     /// to its largest.
     #[arg(long, short = 'i', value_name = "VALUE", allow_hyphen_values = true, value_parser = grammar::value)]
     isovalue: Option<Value>,
+    /// Also draw both surfaces side by side, each coloured by its distance from the other, with a
+    /// scale: a .png.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    #[command(flatten)]
+    level: LevelArgs,
     #[command(flatten)]
     step: StepArgs,
     /// Number of samples on each surface.
     #[arg(long, value_name = "N", default_value = "200000", value_parser = grammar::natural, allow_negative_numbers = true)]
     samples: u64,
+    #[command(flatten)]
+    force: Force,
     #[command(flatten)]
     machine: Machine,
     /// Folder for what does not fit in memory [default: the system's temporary folder].
@@ -48,6 +59,10 @@ pub struct Args {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    if let Some(out) = &args.output {
+        BothWays::check(out)?;
+        args.force.check(out, [&args.a, &args.b])?;
+    }
     let settings = CompareSettings {
         resources: args.machine.resources(args.scratch.clone(), talk),
         samples: args.samples,
@@ -56,12 +71,34 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let check = CheckSettings { memory: settings.resources.memory, scratch };
     let steps = [opened(args, &args.a)?, opened(args, &args.b)?];
     let isovalue = isovalue(args, &steps)?;
-    let surface = |path: &Path, step: &Option<Step>| match step {
-        Some(step) => extracted(path, step, isovalue, &settings, &check, talk),
-        None => load_surface(path, &check),
-    };
-    let (a, b) = (surface(&args.a, &steps[0])?, surface(&args.b, &steps[1])?);
+    if let (Some(_), false) = (args.level.choice(), steps.iter().flatten().any(|s| s.is_pyramid())) {
+        return Err(Error::usage("a level is one of a pyramid: neither input is one"));
+    }
+    let folder = tempfile::tempdir_in(&check.scratch)
+        .map_err(|e| Error::io("make a temporary folder in", &check.scratch, e))?;
+    let mut files = [args.a.clone(), args.b.clone()];
+    for ((file, step), name) in files.iter_mut().zip(&steps).zip(["a.ply", "b.ply"]) {
+        if let Some(step) = step {
+            let out = folder.path().join(name);
+            extract(file, step, (isovalue, &out), args, &settings, talk)?;
+            *file = out;
+        }
+    }
+    let [a, b] = [load_surface(&files[0], &check)?, load_surface(&files[1], &check)?];
     let report = compare(&a, &b, &settings)?;
+    drop([a, b]);
+    if let Some(out) = &args.output {
+        let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let picture = BothWays {
+            surfaces: [&files[0], &files[1]],
+            names: [stem(&args.a), stem(&args.b)],
+            out,
+            memory: settings.resources.memory,
+            threads: settings.resources.threads,
+            scratch: &check.scratch,
+        };
+        picture.draw(talk)?;
+    }
     if args.json { super::print_json("compare", &report) } else { super::print(&in_words(args, &report)) }
 }
 
@@ -82,31 +119,32 @@ fn opened(args: &Args, path: &Path) -> Result<Option<Step>> {
 fn isovalue(args: &Args, steps: &[Option<Step>; 2]) -> Result<f64> {
     match (&args.isovalue, steps.iter().flatten().next()) {
         (Some(isovalue), Some(first)) => isovalue.of(first.value_range()),
-        (None, _) if !args.step.is_given() => Ok(0.0),
-        _ => Err(Error::usage("--isovalue, --step and --time are for archives; both inputs are surfaces")),
+        (None, _) if !args.step.is_given() && args.level.choice().is_none() => Ok(0.0),
+        _ => Err(Error::usage(
+            "--isovalue, --step, --time and levels are for archives; both inputs are surfaces",
+        )),
     }
 }
 
-/// The surface of an archive, by way of a file in the scratch folder.
-fn extracted(
+/// Writes the surface of an archive at an isovalue to a file.
+fn extract(
     path: &Path,
     step: &Step,
-    isovalue: f64,
+    (isovalue, out): (f64, &Path),
+    args: &Args,
     settings: &CompareSettings,
-    check: &CheckSettings,
     talk: &Talk,
-) -> Result<StoredSurface> {
-    let folder = tempfile::tempdir_in(&check.scratch)
-        .map_err(|e| Error::io("make a temporary folder in", &check.scratch, e))?;
-    let resources = settings.resources.clone();
-    let (file, bar) = (folder.path().join("surface.ply"), talk.progress());
-    let report = step.query(isovalue).resources(resources).progress(&*bar).write(&file);
+) -> Result<()> {
+    // Of two archives, one may have no levels.
+    let level = args.level.choice().filter(|_| step.is_pyramid());
+    let (resources, bar) = (settings.resources.clone(), talk.progress());
+    let report = step.query(isovalue).level(level).resources(resources).progress(&*bar).write(out);
     bar.end();
     if report?.triangles == 0 {
         let path = path.display();
         return Err(Error::usage(format!("{path}: the isovalue {isovalue} gives no surface")));
     }
-    load_surface(&file, check)
+    Ok(())
 }
 
 fn value(v: f64) -> String {
@@ -130,8 +168,12 @@ fn in_words(args: &Args, r: &CompareReport) -> String {
     row("largest distance", [r.a_to_b.max, r.b_to_a.max, r.hausdorff].map(value));
     row("mean distance", [r.a_to_b.mean, r.b_to_a.mean, r.mean].map(value));
     row("RMS distance", [r.a_to_b.rms, r.b_to_a.rms, r.rms].map(value));
+    let place = |at: [f64; 3]| at.map(value).join(", ");
+    let places = [r.a_to_b.max_at, r.b_to_a.max_at].map(place);
     let angles = [r.a_to_b.rms_normal_degrees, r.b_to_a.rms_normal_degrees, r.rms_normal_degrees];
     row("RMS normal angle", angles.map(|v| format!("{}°", value(v))));
+    let [from_a, from_b] = places;
+    let _ = writeln!(out, "  the largest is from A at {from_a}; from B at {from_b}");
     let percent = 100.0 * r.hausdorff / r.diagonal;
     let _ = writeln!(
         out,

@@ -17,6 +17,7 @@ use super::output::Force;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
+use clap::Parser as _;
 use film::{Film, Kind, Pace};
 use isospan::compare::{CompareSettings, distances};
 use isospan::exec::{CancelToken, Progress};
@@ -30,6 +31,7 @@ use isospan::{Error, Resources, Result};
 use layout::{Layout, Parts};
 use scene::{Input, Panel, Shape};
 use serde::Serialize;
+use std::ffi::OsString;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -40,7 +42,7 @@ use std::path::{Path, PathBuf};
 /// --distance-to, colours show how far each surface is from another one.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render scan.isospan -i 600,1000 --together --opacity 0.3,1 -o both.png\n  isospan render scan.isospan -i 600 --clip y=50%: --slice y=50% -o cut.png\n  isospan render flow.isospan -i 0.1 --colour-by pressure -o flow.png\n  isospan render scan.isospan -i 600 --turntable 36 -o turn.gif\n  isospan render scan.isospan -i 600 --level 2 -o look.png\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
+    after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render scan.isospan -i 600,1000 --together --opacity 0.3,1 -o both.png\n  isospan render scan.isospan -i 600 --clip y=50%: --slice y=50% -o cut.png\n  isospan render flow.isospan -i 0.1 --colour-by pressure -o flow.png\n  isospan render scan.isospan -i 600 --turntable 36 -o turn.gif\n  isospan render scan.isospan -i 600 --level 2 -o look.png\n  isospan render full.ply small.ply -o two.png --distance-to full.ply\n  isospan render full.ply small.ply -o both.png --distance-to small.ply --distance-to full.ply"
 )]
 pub struct Args {
     /// Surfaces (.ply .stl .obj .vtp .vtkhdf .glb) or archives, these also by address: s3://... or
@@ -146,9 +148,10 @@ pub struct Args {
     /// transparent throws no shadow [default: 1].
     #[arg(long, value_name = "O[,O..]", allow_hyphen_values = true, value_delimiter = ',', value_parser = grammar::opacity)]
     opacity: Vec<f32>,
-    /// Colour each point by its distance from this surface, and draw a scale.
+    /// Colour each point by its distance from this surface, and draw a scale. Given once per panel,
+    /// each has its own.
     #[arg(long, value_name = "SURFACE", conflicts_with_all = ["together", "slice", "steps", "all_steps"])]
-    distance_to: Option<PathBuf>,
+    distance_to: Vec<PathBuf>,
     /// The distance at the end of the scale [default: the 99.5th percentile over the vertices].
     #[arg(long, value_name = "LENGTH", allow_hyphen_values = true, value_parser = grammar::number, requires = "distance_to")]
     distance_max: Option<f64>,
@@ -264,12 +267,7 @@ struct Drawn {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let kind = Kind::of(&args.output)?;
     args.force.check(&args.output, args.inputs.iter().chain(&args.distance_to))?;
-    let memory = args.machine.memory(talk);
-    let (cancel, bar) = (super::signals::cancel_token(), talk.progress());
-    let job = Job { args, memory, scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir), cancel };
-    let drawn = job.draw(kind, &*bar);
-    bar.end();
-    let drawn = drawn?;
+    let drawn = draw(args, kind, talk)?;
     if args.json {
         let report = serde_json::json!({
             "file": args.output,
@@ -281,6 +279,61 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         return super::print_json("render", &report);
     }
     super::print(&in_words(&args.output, &drawn))
+}
+
+fn draw(args: &Args, kind: Kind, talk: &Talk) -> Result<Drawn> {
+    let memory = args.machine.memory(talk);
+    let (cancel, bar) = (super::signals::cancel_token(), talk.progress());
+    let job = Job { args, memory, scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir), cancel };
+    let drawn = job.draw(kind, &*bar);
+    bar.end();
+    drawn
+}
+
+/// A picture of two surfaces side by side, each coloured by its distance from the other.
+pub(crate) struct BothWays<'a> {
+    pub(crate) surfaces: [&'a Path; 2],
+    /// What they are called.
+    pub(crate) names: [String; 2],
+    pub(crate) out: &'a Path,
+    pub(crate) memory: u64,
+    pub(crate) threads: usize,
+    pub(crate) scratch: &'a Path,
+}
+
+/// The flags of a picture, by themselves.
+#[derive(clap::Parser)]
+struct Alone {
+    #[command(flatten)]
+    args: Args,
+}
+
+impl BothWays<'_> {
+    /// Refuses a name that is not one of a picture.
+    pub(crate) fn check(out: &Path) -> Result<()> {
+        match Kind::of(out)? {
+            Kind::Png => Ok(()),
+            _ => {
+                Err(Error::usage(format!("{} is an animation: give a name that ends in .png", out.display())))
+            }
+        }
+    }
+
+    /// Draws it, in place of what is there.
+    pub(crate) fn draw(&self, talk: &Talk) -> Result<()> {
+        let ([a, b], [of_a, of_b]) = (self.surfaces, self.names.each_ref().map(|name| plain(name)));
+        let captions = [format!("{of_a}: distance to {of_b}"), format!("{of_b}: distance to {of_a}")];
+        let mut words: Vec<OsString> = ["render", "--force", "--output"].map(OsString::from).to_vec();
+        words.push(self.out.into());
+        for (target, caption) in [b, a].into_iter().zip(captions) {
+            words.extend(["--distance-to".into(), target.into(), "--caption".into(), caption.into()]);
+        }
+        words.extend(["--memory".into(), self.memory.to_string().into()]);
+        words.extend(["--threads".into(), self.threads.to_string().into()]);
+        words.extend(["--scratch".into(), self.scratch.into(), "--".into(), a.into(), b.into()]);
+        let alone = Alone::try_parse_from(words).map_err(|e| Error::usage(e.to_string()))?;
+        draw(&alone.args, Kind::Png, talk).map(|_| ())
+    }
 }
 
 fn in_words(file: &Path, drawn: &Drawn) -> String {
@@ -349,7 +402,7 @@ impl Job<'_> {
             frames,
             captions: !args.caption.is_empty() || count > 1 || steps_are_frames,
             legends: args.together && args.isovalue.len() > 1 && args.colour_by.is_none(),
-            bar: args.distance_to.is_some() || !args.slice.is_empty() || args.colour_by.is_some(),
+            bar: !args.distance_to.is_empty() || !args.slice.is_empty() || args.colour_by.is_some(),
             scale_bar: args.scale_bar,
         };
         let layout = Layout::new(args, parts)?;
@@ -509,9 +562,17 @@ impl Job<'_> {
 
     /// Measures the distances of all vertices; returns the end of the scale.
     fn measure(&self, panels: &mut [Panel], progress: &dyn Progress) -> Result<Option<f32>> {
-        let Some(target) = &self.args.distance_to else { return Ok(None) };
+        let targets = &self.args.distance_to;
+        if targets.is_empty() {
+            return Ok(None);
+        }
+        if targets.len() > 1 && targets.len() != panels.len() {
+            let (given, wanted) = (targets.len(), panels.len());
+            return Err(Error::usage(format!("{given} surfaces in --distance-to for {wanted} panels")));
+        }
         let check = CheckSettings { memory: self.memory / 4, scratch: self.scratch.clone() };
-        let target = load_surface(target, &check).map_err(|e| self.whole(e, check.memory))?;
+        let load = |n: usize| load_surface(&targets[n], &check).map_err(|e| self.whole(e, check.memory));
+        let mut target = load(0)?;
         let settings = CompareSettings {
             resources: Resources::default()
                 .with_threads(self.args.machine.threads)
@@ -522,8 +583,13 @@ impl Job<'_> {
         };
         progress.begin("distances", panels.len() as u64, "panels");
         let mut end = 0.0f32;
-        for shape in panels.iter_mut().flat_map(|p| &mut p.shapes) {
+        let shapes =
+            panels.iter_mut().enumerate().flat_map(|(n, p)| p.shapes.iter_mut().map(move |s| (n, s)));
+        for (n, shape) in shapes {
             let Some(surface) = &shape.surface else { continue };
+            if n > 0 && targets.len() > 1 {
+                target = load(n)?;
+            }
             shape.values = distances(surface, &target, &settings)
                 .map_err(|e| self.whole(e, settings.resources.memory))?;
             let mut sorted = shape.values.clone();
