@@ -21,7 +21,7 @@
 //!
 //! Cost: for each sample and vertex a walk down the hierarchy, about a microsecond. Memory: both
 //! surfaces, and the hierarchy of one at a time ([`needed`]). The report is the same for any number
-//! of threads.
+//! of threads. For surfaces of any size there is [`apart`].
 //!
 //! ```
 //! use isospan::compare::{CompareSettings, compare};
@@ -41,11 +41,13 @@
 //! ```
 
 mod nearest;
+mod pieces;
 mod samples;
 #[cfg(test)]
 mod tests;
 
 pub use nearest::{Nearest, NearestPoint, Triangles};
+pub use pieces::{Apart, apart};
 
 use crate::surface::check::{CheckSettings, SurfaceCheckReport, check_source};
 use crate::surface::{SurfaceSource, Vertex, vertices_from};

@@ -198,3 +198,26 @@ fn what_cannot_be_compared_is_refused() {
     assert_eq!(refused(&far, 1 << 30), 2);
     assert_eq!(refused(&ball, 1 << 20), 4);
 }
+
+#[test]
+fn distances_in_pieces_are_those_of_the_whole() {
+    let (a, mut b) = (sphere(5), sphere(6));
+    for v in &mut b.vertices {
+        let [x, y, z] = v.position;
+        v.position = [1.2 * x + 0.1, y, 0.9 * z];
+    }
+    let with = |memory, threads| {
+        apart(&a, &b, &Resources::default().with_memory(memory).with_threads(threads)).unwrap().unwrap()
+    };
+    let all = with(1 << 30, 1);
+    // The least pieces: 20 of them.
+    assert_eq!([with(0, 1), with(0, 3)], [all; 2]);
+    let exact = distances(&a, &b, &CompareSettings::default()).unwrap();
+    let largest = exact.iter().copied().fold(0.0, f32::max);
+    assert_eq!(all.max as f32, largest);
+    let sampled = compare(&a, &b, &CompareSettings::default()).unwrap().a_to_b;
+    assert!((all.mean - sampled.mean).abs() < 1e-3 * all.mean, "{all:?} {sampled:?}");
+    assert!((all.rms - sampled.rms).abs() < 1e-3 * all.rms, "{all:?} {sampled:?}");
+    let far = TriMesh::default();
+    assert_eq!(apart(&a, &far, &Resources::default()).unwrap(), None);
+}

@@ -1,8 +1,16 @@
 //! [`Measurement`]: how far the field of an archive is from a source, set up one method at a time.
 
 use crate::pipeline::archive::Archive;
+#[cfg(feature = "compare")]
+use crate::pipeline::field::SourceSamples;
 use crate::pipeline::field::{MeasureReport, MeasureSettings, measure};
+#[cfg(feature = "compare")]
+use crate::pipeline::query::Isovalues;
+#[cfg(feature = "compare")]
+use crate::pipeline::read::StepView;
 use crate::pipeline::read::{LevelChoice, OpenArchive};
+#[cfg(feature = "compare")]
+use crate::pipeline::surface::surface_errors;
 use isospan_io::error::Result;
 use isospan_io::exec::{Progress, Resources, Silent};
 use isospan_io::formats::StepSource;
@@ -29,6 +37,8 @@ pub struct Measurement<'a> {
     open: Arc<OpenArchive>,
     source: StepSource,
     settings: MeasureSettings,
+    #[cfg_attr(not(feature = "compare"), allow(dead_code))]
+    isovalues: Vec<f64>,
     progress: &'a dyn Progress,
 }
 
@@ -40,6 +50,7 @@ impl Archive {
             open: Arc::clone(&self.open),
             source: source.into(),
             settings: MeasureSettings::default(),
+            isovalues: vec![],
             progress: &Silent,
         }
     }
@@ -59,6 +70,28 @@ impl Measurement<'_> {
         self
     }
 
+    /// Isovalues whose surfaces are measured, too: how far each is from marching cubes of the
+    /// samples, in both directions, and how large both are. For volumes.
+    ///
+    /// ```
+    /// # use isospan::{Archive, Reduction};
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// Reduction::of("datasets/ironprot.vtk").write(&path)?;
+    /// let found = Archive::open(&path)?.measure("datasets/ironprot.vtk").isovalues(100.0).run()?;
+    /// let surface = &found.surfaces[0];
+    /// assert!(surface.to_source.unwrap().mean < 0.1, "a tenth of a voxel");
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[cfg(feature = "compare")]
+    #[cfg_attr(docsrs, doc(cfg(feature = "compare")))]
+    pub fn isovalues(mut self, isovalues: impl Into<Isovalues>) -> Self {
+        self.isovalues = isovalues.into().into_vec();
+        self
+    }
+
     /// A VTI file that is written, with the errors of each brick.
     pub fn map(mut self, file: impl Into<Option<PathBuf>>) -> Self {
         self.settings.map = file.into();
@@ -73,8 +106,8 @@ impl Measurement<'_> {
 
     /// Shows how far it is.
     pub fn progress(self, progress: &dyn Progress) -> Measurement<'_> {
-        let Self { open, source, settings, .. } = self;
-        Measurement { open, source, settings, progress }
+        let Self { open, source, settings, isovalues, .. } = self;
+        Measurement { open, source, settings, isovalues, progress }
     }
 
     /// Measures. Void tetrahedra and missing samples are counted apart.
@@ -85,6 +118,17 @@ impl Measurement<'_> {
     /// [`Error::Cancelled`](crate::Error::Cancelled); those of reading the source and of writing
     /// the map.
     pub fn run(&self) -> Result<MeasureReport> {
-        measure(&self.open, &self.source, &self.settings, self.progress)
+        let (open, source, settings, progress) = (&self.open, &self.source, &self.settings, self.progress);
+        #[cfg(feature = "compare")]
+        if !self.isovalues.is_empty() {
+            let mut surfaces = vec![];
+            let mut also = |archive: &StepView, samples: &SourceSamples| {
+                surfaces = surface_errors(archive, samples, &self.isovalues, settings.level, progress)?;
+                Ok(())
+            };
+            let report = measure(open, source, settings, progress, Some(&mut also))?;
+            return Ok(MeasureReport { surfaces, ..report });
+        }
+        measure(open, source, settings, progress, None)
     }
 }

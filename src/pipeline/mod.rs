@@ -46,7 +46,7 @@ pub use archive::{Archive, Opening};
 pub use check::ArchiveCheck;
 pub use field::{
     Corners, ExportReport, ExportSettings, GridReport, GridSettings, MeasureReport, ProbeReport,
-    ProbeSettings,
+    ProbeSettings, SurfaceDistance, SurfaceErrors, SurfaceSize,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
 pub use measurement::Measurement;

@@ -63,6 +63,13 @@ pub struct SurfaceQuery<'a, Of = Step> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Isovalues(Vec<f64>);
 
+impl Isovalues {
+    #[cfg(feature = "compare")]
+    pub(super) fn into_vec(self) -> Vec<f64> {
+        self.0
+    }
+}
+
 macro_rules! number_is_an_isovalue {
     ($($number:ty)*) => {$(
         impl From<$number> for Isovalues {

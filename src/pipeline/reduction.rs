@@ -169,7 +169,7 @@ impl Reduction<'_> {
             let resources = self.run.resources.clone();
             let settings = MeasureSettings { resources, ..MeasureSettings::default() };
             let archive = OpenArchive::open(path)?;
-            report.against = Some(measure(&archive, source, &settings, self.progress)?.error);
+            report.against = Some(measure(&archive, source, &settings, self.progress, None)?.error);
         }
         Ok(report)
     }

@@ -166,3 +166,49 @@ fn three_commands_say_the_same_numbers() {
     let none = says(dir.path(), &["count", "b.isospan", "-i", "7", "--numbers"]);
     assert!(none.contains("0 pieces") && none.contains("100 % of the domain"), "{none}");
 }
+
+#[test]
+fn a_surface_is_measured_against_that_of_the_samples() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("s.npy");
+    write_npy(&input, [70, 140, 40], |x, y, z| ball(x, y, z) + 0.05 * waves(x, y, z));
+    let exact = exact(&input, [1.0, 0.5, 2.0], &dir.path().join("exact.isospan"));
+    let source = || {
+        let options = OpenOptions { spacing: Some([1.0, 0.5, 2.0]), ..OpenOptions::default() };
+        StepSource::new(&input, &options)
+    };
+    // Next to no error: the same triangles, welded in other boxes.
+    let found = exact.measure(source()).isovalues([0.1, 50.0]).run().unwrap();
+    let [same, none] = &found.surfaces[..] else { panic!("{found:?}") };
+    assert_eq!(same.archive.pieces, same.source.pieces);
+    assert!(
+        near(same.archive.area, same.source.area, 1e-4) && same.to_source.unwrap().max < 0.01,
+        "{same:?}"
+    );
+    assert_eq!((none.source.triangles, none.to_source, none.to_archive), (0, None, None));
+    // A coarse one, whatever the threads and memory; distances are those of `compare`.
+    let rough = dir.path().join("rough.isospan");
+    let settings = ReduceSettings {
+        points: Some(SetKind::Pyramid),
+        target: Some(Target::Rms(Bound::OfRange(0.05))),
+        ..ReduceSettings::default()
+    };
+    pipeline::reduce_series(&[source()], &settings, &rough, &run(2), &Silent).unwrap();
+    let rough = Archive::open(&rough).unwrap();
+    let with = |threads, memory| {
+        let resources = Resources::default().with_threads(threads).with_memory(memory);
+        rough.measure(source()).isovalues(0.1).resources(resources).run().unwrap().surfaces.swap_remove(0)
+    };
+    let found = with(1, 1 << 30);
+    assert_eq!(with(3, 64 << 20), found);
+    let [a, b] = ["a.ply", "b.ply"].map(|name| dir.path().join(name));
+    rough.query(0.1).write(&a).unwrap();
+    exact.query(0.1).write(&b).unwrap();
+    let compared =
+        isospan::compare::compare(&read(&a), &read(&b), &isospan::compare::CompareSettings::default())
+            .unwrap();
+    let (to_source, to_archive) = (found.to_source.unwrap(), found.to_archive.unwrap());
+    assert!(to_source.mean > 0.01 && near(to_source.mean, compared.a_to_b.mean, 0.05), "{found:?}");
+    assert!(near(to_archive.rms, compared.b_to_a.rms, 0.05) && to_archive.max <= compared.b_to_a.max + 0.01);
+    assert!(near(found.archive.area, compared.a.area, 1e-6) && found.archive.pieces == compared.a.components);
+}

@@ -172,6 +172,7 @@ fn every_report_is_as_its_schema_says() {
         &["export", "a.isospan", "-o", "a.nrrd", "--level", "1"],
         &["export", "y.isospan", "-o", "y.nrrd", "--level", "1"],
         &["measure", "a.isospan", "--against", "v0.npy", "--map", "map.vti"],
+        &["measure", "a.isospan", "--against", "v0.npy", "-i", "0.1,1e6"],
         &["measure", "m.isospan", "--against", "m.vtk"],
         &["compare", "a.isospan", "y.isospan", "-i", "0.1", "--samples", "500", "--level", "1"],
         &["compare", "a.ply", "a_-0.5.stl", "--samples", "500"],

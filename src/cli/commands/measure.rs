@@ -1,6 +1,6 @@
 //! `isospan measure`: how far is the reduced field from its source?
 
-use super::grammar;
+use super::grammar::{self, Value};
 use super::input::InputArgs;
 use super::level::LevelArgs;
 use super::machine::{InputScratch, Machine};
@@ -9,7 +9,8 @@ use super::progress::Talk;
 use super::text;
 use isospan::formats::StepSource;
 use isospan::measure::FieldError;
-use isospan::pipeline::MeasureReport;
+use isospan::pipeline::{MeasureReport, SurfaceDistance, SurfaceErrors};
+use isospan::volume::units::Units;
 use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -19,10 +20,11 @@ use std::path::{Path, PathBuf};
 /// That is at every sample of a volume, or vertex of a mesh.
 /// An error is the reduced value less the original one. Percentiles are at most 1/16 too large; all
 /// other figures are exact. If f32 cannot hold the samples exactly (see `isospan info`), the
-/// figures include that loss and are upper bounds.
+/// figures include that loss and are upper bounds. With --isovalue surfaces are measured, too:
+/// how far each is from marching cubes of the samples.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan measure scan.isospan --against scan.nrrd\n  isospan measure scan.isospan --against scan.nrrd --map error.vti"
+    after_help = "Examples:\n  isospan measure scan.isospan --against scan.nrrd\n  isospan measure scan.isospan --against scan.nrrd --map error.vti\n  isospan measure scan.isospan --against scan.nrrd --isovalue 600"
 )]
 pub struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -30,6 +32,11 @@ pub struct Args {
     /// The source volume or mesh; a volume also by address.
     #[arg(long, value_name = "INPUT")]
     against: PathBuf,
+    /// Also measure the surfaces of these isovalues against those of the samples, of a volume: area
+    /// and pieces of both; distances of the vertices of each from the other, in world units, and
+    /// where the largest is.
+    #[arg(long, short = 'i', value_name = "VALUE", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::value)]
+    isovalue: Vec<Value>,
     /// Also write an image with a cell for each brick of samples, as .vti: the arrays rms (RMS
     /// error), max (largest error) and samples (how many were measured).
     #[arg(long, value_name = "FILE")]
@@ -61,6 +68,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let archive = Archive::open(&args.archive)?;
     let measurement = archive.measure(StepSource::new(&args.against, &options)).step(args.step);
     let measurement = measurement.level(args.level.choice()).map(args.map.clone());
+    let range = args.step.map_or(Ok(archive.value_range()), |n| Ok(archive.step(n)?.value_range()))?;
+    let isovalues = args.isovalue.iter().map(|v| v.of(range)).collect::<Result<Vec<_>>>()?;
+    let measurement = measurement.isovalues(isovalues);
     let resources = args.machine.resources(args.scratch.scratch.clone(), talk);
     let bar = talk.progress();
     let report = measurement.resources(resources).progress(&*bar).run();
@@ -72,8 +82,47 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.json {
         super::print_json("measure", &report)
     } else {
-        super::print(&report_text(&args.archive, &report))
+        let mut out = report_text(&args.archive, &report);
+        report.surfaces.iter().for_each(|found| out += &surface_text(found, archive.units()));
+        super::print(&out)
     }
+}
+
+/// The errors of a surface in words.
+fn surface_text(found: &SurfaceErrors, units: &Units) -> String {
+    let mut out = format!("surface at {}{}\n", found.isovalue, text::unit(units.value.as_ref()));
+    let value = |v: f64| text::value(text::figures(v, 6));
+    let unit = text::unit(units.length.as_ref());
+    let square = text::unit_to_the(2, units.length.as_ref());
+    for (name, size) in [("archive", &found.archive), ("samples", &found.source)] {
+        let pieces = text::plural(size.pieces, "piece");
+        let closed = text::count(size.closed_pieces);
+        let (area, triangles) = (value(size.area), text::count(size.triangles));
+        let _ = writeln!(
+            out,
+            "  {name:<11} area {area}{square}, {pieces} ({closed} closed), {triangles} triangles"
+        );
+    }
+    let more = 100.0 * (found.archive.area / found.source.area - 1.0);
+    if more.is_finite() {
+        let _ = writeln!(out, "  area        {:+} % of that of the samples", text::figures(more, 3));
+    }
+    let mut line = |name: &str, distance: &Option<SurfaceDistance>| match distance {
+        Some(d) => {
+            let [x, y, z] = d.max_at.map(value);
+            let [mean, rms, max] = [d.mean, d.rms, d.max].map(value);
+            let _ = writeln!(
+                out,
+                "  {name:<11} mean {mean}{unit}, RMS {rms}{unit}, largest {max}{unit} at {x}, {y}, {z}"
+            );
+        }
+        None => {
+            let _ = writeln!(out, "  {name:<11} none: one of the two is empty");
+        }
+    };
+    line("to samples", &found.to_source);
+    line("from them", &found.to_archive);
+    out
 }
 
 /// The figures as a line of a report on an archive.

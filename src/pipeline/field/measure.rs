@@ -13,6 +13,7 @@ use super::at_vertices::AtVertices;
 use super::error_map::{Map, map_bytes};
 use super::levels::errors_of;
 use super::own_errors::own_errors;
+use super::source_samples::{Also, SourceSamples, SurfaceErrors};
 use super::vertex_errors::{StepErrors, reported_errors};
 use crate::archive::manifest::Source;
 use crate::domain::column::Column;
@@ -82,6 +83,9 @@ pub struct MeasureReport {
     pub level: Option<usize>,
     /// Bricks of the map along each axis, if one was written.
     pub map_bricks: Option<[u64; 3]>,
+    /// Surfaces against those of the samples, in the order of the isovalues that were given.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub surfaces: Vec<SurfaceErrors>,
     /// Seconds of wall time.
     #[serde(rename = "wall_seconds")]
     pub seconds: f64,
@@ -94,18 +98,20 @@ pub(in crate::pipeline) fn measure(
     source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
+    also: Option<Also<'_>>,
 ) -> Result<MeasureReport> {
     let start = Instant::now();
     let choice = choice_of(archive, settings.step, source);
     let archive = archive.at(choice)?;
     let level = archive.level(settings.level)?;
-    let (error, same_source) = against(&archive, source, settings, progress)?;
+    let (error, same_source) = against(&archive, source, settings, progress, also)?;
     Ok(MeasureReport {
         error,
         range: archive.step().file_range(),
         same_source,
         level: archive.is_pyramid().then_some(level),
         map_bricks: settings.map.as_ref().map(|_| archive.chunks.bricks().dims()),
+        surfaces: vec![],
         seconds: start.elapsed().as_secs_f64(),
     })
 }
@@ -138,7 +144,8 @@ pub(in crate::pipeline) fn reopened_errors(
             let view = archive.step_at(position);
             match open_field(&view, source)? {
                 Input::Volume(volume) => {
-                    let error = against_volume(&view, volume, source, settings, progress)?.0;
+                    let samples = source_samples(&view, volume, source, settings, progress)?.0;
+                    let error = against_samples(&view, &samples, settings, progress)?;
                     errors.push((error, vec![]));
                 }
                 Input::Mesh(mesh) => {
@@ -185,9 +192,18 @@ fn against(
     source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
+    also: Option<Also<'_>>,
 ) -> Result<(FieldError, bool)> {
     match open_field(archive, source)? {
-        Input::Volume(volume) => against_volume(archive, volume, source, settings, progress),
+        Input::Volume(volume) => {
+            let (samples, same) = source_samples(archive, volume, source, settings, progress)?;
+            let error = against_samples(archive, &samples, settings, progress)?;
+            also.map_or(Ok(()), |also| also(archive, &samples))?;
+            Ok((error, same))
+        }
+        Input::Mesh(_) if also.is_some() => {
+            Err(Error::usage("surfaces are measured against the samples of a volume: the source is a mesh"))
+        }
         Input::Mesh(mesh) => against_mesh(archive, &mesh, &source.path, settings, progress),
     }
 }
@@ -203,13 +219,14 @@ fn open_field(archive: &StepView, source: &StepSource) -> Result<Input> {
     source.with_options(&named).open().or_else(|_| source.with_options(options).open())
 }
 
-fn against_volume(
+/// The samples of a volume that is a step's source, and whether it is the one that was reduced.
+fn source_samples(
     archive: &StepView,
     volume: VolumeSource,
     source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
-) -> Result<(FieldError, bool)> {
+) -> Result<(SourceSamples, bool)> {
     let recorded = &archive.step().plan.source;
     let dims = volume.info().dims;
     if recorded.mesh.is_some() || dims != recorded.dims {
@@ -228,14 +245,24 @@ fn against_volume(
     };
     let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
     let cache = ChunkCache::fitting(&volume, boxes, true, least, &run);
-    let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), &run, progress)?;
+    let (reader, scratch) = random_access(volume, cache.map(|c| c.size), &run, progress)?;
     let held = cache.map_or(0, |c| c.held);
     let resources = resources.clone().with_memory(resources.memory - held);
-    let settings = &MeasureSettings { resources, ..settings.clone() };
     let reading = Reading::of(&archive.step().plan);
     let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
-    let originals = Originals::Volume { reader: &*reader, missing, stand_in };
-    Ok((field_error(archive, &originals, settings, progress)?, same))
+    Ok((SourceSamples { reader, missing, stand_in, resources, _scratch: scratch }, same))
+}
+
+fn against_samples(
+    archive: &StepView,
+    samples: &SourceSamples,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<FieldError> {
+    let settings = &MeasureSettings { resources: samples.resources.clone(), ..settings.clone() };
+    let SourceSamples { reader, missing, stand_in, .. } = samples;
+    let originals = Originals::Volume { reader: &**reader, missing: *missing, stand_in: *stand_in };
+    field_error(archive, &originals, settings, progress)
 }
 
 fn against_mesh(

@@ -14,6 +14,7 @@ mod own_errors;
 mod point_search;
 mod probe_grid;
 mod probe_points;
+mod source_samples;
 mod vertex_errors;
 
 pub(super) use archive_volume::archive_sources;
@@ -29,4 +30,7 @@ pub(super) use measure::{field_errors, reopened_errors, reopened_values, store_s
 pub use probe_grid::{ProbeReport, ProbeSettings};
 pub(super) use probe_grid::{probe_grid, sample_grid};
 pub(super) use probe_points::{edges_at_missing, probe_table, values_at, values_on_surface};
+#[cfg(feature = "compare")]
+pub(super) use source_samples::SourceSamples;
+pub use source_samples::{SurfaceDistance, SurfaceErrors, SurfaceSize};
 pub(super) use vertex_errors::StepErrors;

@@ -7,6 +7,8 @@
 //! [`pass`] answers for several steps together.
 
 mod active;
+#[cfg(feature = "compare")]
+mod against;
 mod colours;
 mod cubes;
 mod extract;
@@ -24,6 +26,8 @@ mod settings;
 mod weld;
 mod worker;
 
+#[cfg(feature = "compare")]
+pub(super) use against::surface_errors;
 pub(super) use colours::values_on;
 pub(super) use level::level_of;
 pub use numbers::{InscribedBall, NumbersReport, PhaseNumbers};
