@@ -28,6 +28,8 @@ pub enum Error {
     BadInput(Box<BadInput>),
     /// Parameters that contradict each other or the input.
     Usage(String),
+    /// A step, a time or a field is asked for that is not there.
+    NoSuch(String),
     /// The run needs more of a resource than it was given.
     Budget {
         /// The resource.
@@ -143,6 +145,8 @@ pub enum ErrorKind {
     BadInput(Fault),
     /// Parameters contradict each other or the input.
     Usage,
+    /// A step, a time or a field is not there.
+    NoSuch,
     /// There is not enough memory.
     Memory,
     /// There is not enough space on a disk.
@@ -187,6 +191,7 @@ impl Error {
             }
             Self::BadInput(wrong) => Self::BadInput(wrong.clone()),
             Self::Usage(text) => Self::Usage(text.clone()),
+            Self::NoSuch(text) => Self::NoSuch(text.clone()),
             &Self::Budget { resource, ref purpose, needed, available } => {
                 Self::Budget { resource, purpose: purpose.clone(), needed, available }
             }
@@ -224,6 +229,11 @@ impl Error {
             got: got.into(),
             help: String::new(),
         }))
+    }
+
+    /// An [`Error::NoSuch`].
+    pub fn no_such(message: impl Into<String>) -> Self {
+        Self::NoSuch(message.into())
     }
 
     /// An [`Error::Usage`].
@@ -280,6 +290,7 @@ impl Error {
             Self::Io { .. } => ErrorKind::Io,
             Self::BadInput(bad) => ErrorKind::BadInput(bad.fault),
             Self::Usage(_) => ErrorKind::Usage,
+            Self::NoSuch(_) => ErrorKind::NoSuch,
             Self::Budget { resource: Resource::Memory, .. } => ErrorKind::Memory,
             Self::Budget { resource: Resource::Disk, .. } => ErrorKind::Disk,
             Self::Incomplete { .. } => ErrorKind::Incomplete,
@@ -293,7 +304,7 @@ impl Error {
         match self {
             Self::BadInput(bad) => Some(&bad.path),
             Self::Io { path, .. } | Self::Incomplete { path, .. } | Self::Busy { path, .. } => Some(path),
-            Self::Usage(_) | Self::Budget { .. } | Self::Cancelled => None,
+            Self::Usage(_) | Self::NoSuch(_) | Self::Budget { .. } | Self::Cancelled => None,
         }
     }
 
@@ -341,7 +352,7 @@ impl Error {
         match self {
             Self::Io { source, .. } if is_full(source) => 4,
             Self::Io { .. } => 1,
-            Self::Usage(_) => 2,
+            Self::Usage(_) | Self::NoSuch(_) => 2,
             Self::Incomplete { .. } => 3,
             Self::Budget { .. } => 4,
             Self::BadInput(_) => 5,
@@ -415,7 +426,7 @@ impl Error {
                 )?;
                 if help.is_empty() { Ok(()) } else { write!(f, "; {}", one_line(help)) }
             }
-            Self::Usage(message) => f.write_str(message),
+            Self::Usage(message) | Self::NoSuch(message) => f.write_str(message),
             Self::Budget { resource, purpose, needed, available } => {
                 let [needs, has] = [bytes_text(*needed, f64::ceil), bytes_text(*available, f64::floor)];
                 write!(f, "not enough {resource}")?;

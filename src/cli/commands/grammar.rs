@@ -20,7 +20,7 @@ use super::step::Times;
 use isospan::archive::values::Quantiser;
 use isospan::exec::MOST_THREADS;
 use isospan::formats::raw::SampleType;
-pub(crate) use isospan::pipeline::FieldValue as Value;
+pub use isospan::pipeline::FieldValue as Value;
 use isospan::pipeline::{Bound, Focus, NanPolicy, Roi, Shard, StepRange};
 use isospan::render::{ColourMap, Paint, Up, parse_colour};
 use isospan::volume::ScalarType;
@@ -101,7 +101,7 @@ pub(crate) fn natural(text: &str) -> Parsed<u64> {
 }
 
 /// A share above 0: `1/8`, `0.125`, `12.5%`, `1`.
-pub(crate) fn share(text: &str) -> Parsed<f64> {
+pub fn share(text: &str) -> Parsed<f64> {
     let value = match text.split_once('/') {
         Some((a, b)) => positive(a).zip(positive(b)).map(|(a, b)| a / b),
         None => percent(text).or_else(|| finite(text)),
@@ -138,7 +138,7 @@ fn value_of(text: &str) -> Option<Value> {
 }
 
 /// A value of the field: `600`, or `50%` of the way from the least value to the largest.
-pub(crate) fn value(text: &str) -> Parsed<Value> {
+pub fn value(text: &str) -> Parsed<Value> {
     let is_inside = |value: &Value| match value {
         Value::At(_) => true,
         Value::Share(share) => (0.0..=1.0).contains(share),

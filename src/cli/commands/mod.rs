@@ -32,9 +32,9 @@ mod plan;
 mod probe;
 pub mod progress;
 #[cfg(feature = "view")]
-mod publish;
+pub mod publish;
 pub mod reduce;
-mod render;
+pub mod render;
 mod signals;
 mod slurm;
 mod spectrum;

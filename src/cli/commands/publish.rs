@@ -56,7 +56,7 @@ pub struct Args {
 
 /// What was written.
 #[derive(Debug, Default, Serialize)]
-struct Report {
+pub struct Report {
     /// The folder.
     folder: PathBuf,
     /// The names of the archives in it.
@@ -67,6 +67,23 @@ struct Report {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let report = publish(args, super::signals::cancel_token())?;
+    if args.json {
+        return super::print_json("publish", &report);
+    }
+    let (files, bytes) = (text::plural(report.files, "file"), text::bytes(report.bytes));
+    let out = args.output.display();
+    super::print(&format!("{out}: {files}, {bytes}\n"))?;
+    talk.note("put the folder on any web server or object store that answers range requests");
+    talk.note(&format!("to look at it here: python3 -m http.server --directory {out}"));
+    Ok(())
+}
+
+/// Writes the folder.
+///
+/// # Errors
+/// Those of the command.
+pub fn publish(args: &Args, cancel: CancelToken) -> Result<Report> {
     let queries = expect_queries(page::QUERIES)?;
     let out = &args.output;
     let names = names_of(&args.archives)?;
@@ -79,7 +96,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         path: stage.new_folder(),
         list: List::default(),
         report: Report { folder: out.clone(), archives: names.clone(), ..Report::default() },
-        cancel: super::signals::cancel_token(),
+        cancel,
     };
     for (archive, name) in args.archives.iter().zip(&names) {
         folder.copy_archive(archive, name)?;
@@ -89,15 +106,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if let Some(old) = stage.publish(published.is_some())? {
         published.unwrap_or_default().remove_from(&old, out)?;
     }
-    let report = folder.report;
-    if args.json {
-        return super::print_json("publish", &report);
-    }
-    let (files, bytes) = (text::plural(report.files, "file"), text::bytes(report.bytes));
-    super::print(&format!("{}: {files}, {bytes}\n", out.display()))?;
-    talk.note("put the folder on any web server or object store that answers range requests");
-    talk.note(&format!("to look at it here: python3 -m http.server --directory {}", out.display()));
-    Ok(())
+    Ok(folder.report)
 }
 
 /// The queries, which a program has that was built where they had been made.

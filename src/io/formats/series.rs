@@ -511,7 +511,7 @@ fn expect_field(step: &StepSource, name: &str) -> Result<()> {
     if found == name || without_frame(&found) == name {
         return Ok(());
     }
-    Err(Error::usage(format!("{}: no field {name}; it has {found}", step.path.display())))
+    Err(Error::no_such(format!("{}: no field {name}; it has {found}", step.path.display())))
 }
 
 /// The field that a frame is one of: "temp" of "temp:t5".

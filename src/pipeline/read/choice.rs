@@ -70,7 +70,7 @@ impl StepRange {
             expect_field(&steps[from..to], field, "steps together are those of one field", shown)?;
             return Ok(run.start + from..run.start + to);
         }
-        Err(Error::usage(format!("{}: no step in that range; it has {}", shown.display(), numbers(steps))))
+        Err(Error::no_such(format!("{}: no step in that range; it has {}", shown.display(), numbers(steps))))
     }
 }
 
@@ -168,10 +168,10 @@ impl Moment {
         let steps = &manifest.steps[run.clone()];
         let Ok(n) = steps.binary_search_by_key(&number, StoredStep::number) else {
             let text = numbers(steps);
-            return Err(Error::usage(format!("{}: no step {number}; it has {text}", shown.display())));
+            return Err(Error::no_such(format!("{}: no step {number}; it has {text}", shown.display())));
         };
         match field.filter(|name| !has_field(&steps[n], name)) {
-            Some(name) => Err(Error::usage(format!(
+            Some(name) => Err(Error::no_such(format!(
                 "{}: step {number} has the field {}, not {name}",
                 shown.display(),
                 steps[n].field()
@@ -194,7 +194,7 @@ impl Moment {
                 let beyond = Some(share).filter(|s| *s > 0.0 && *s < 1.0);
                 at(if share < 1.0 { n - 1 } else { n }, beyond)
             }
-            _ => Err(Error::usage(format!(
+            _ => Err(Error::no_such(format!(
                 "{}: the time {t} is not within {} .. {}",
                 shown.display(),
                 time(0),
@@ -255,7 +255,7 @@ fn run_of(manifest: &Manifest, field: Option<&str>, shown: &Path) -> Result<Rang
         )));
     };
     let Some(start) = steps.iter().position(|step| step.field() == name) else {
-        return Err(Error::usage(format!("{}: no field {name}; it has {}", shown.display(), fields())));
+        return Err(Error::no_such(format!("{}: no field {name}; it has {}", shown.display(), fields())));
     };
     let end = steps[start..].iter().position(|step| step.field() != name);
     Ok(start..end.map_or(steps.len(), |n| start + n))
@@ -276,7 +276,7 @@ fn position_of_field(steps: &[StoredStep], name: &str, shown: &Path) -> Result<u
             fields.sort_unstable();
             fields.dedup();
             fields.truncate(20);
-            Err(Error::usage(format!(
+            Err(Error::no_such(format!(
                 "{}: no step has the field {name}; it has {}",
                 shown.display(),
                 fields.join(", ")

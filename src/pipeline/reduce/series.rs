@@ -203,7 +203,7 @@ impl FieldOfSeries {
         if let Some(part) = source.part().filter(|part| name != part.name && without_frame(name) != part.name)
         {
             let path = source.path.display();
-            return Err(Error::usage(format!("{path}: no field {}; it has {name}", part.name)));
+            return Err(Error::no_such(format!("{path}: no field {}; it has {name}", part.name)));
         }
         let is_chosen = source.options.field.is_some();
         if is_chosen || name == self.name || [name, &self.name[..]].contains(&NAMELESS) {
@@ -220,7 +220,8 @@ impl FieldOfSeries {
 
 /// Whether an error is one of a step's data, and other steps may be better.
 pub(super) fn is_of_data(error: &Error) -> bool {
-    matches!(error, Error::BadInput(_) | Error::Io { .. } | Error::Usage(_)) && error.exit_code() != 4
+    matches!(error, Error::BadInput(_) | Error::Io { .. } | Error::Usage(_) | Error::NoSuch(_))
+        && error.exit_code() != 4
 }
 
 #[cfg(test)]

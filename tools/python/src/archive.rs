@@ -258,6 +258,14 @@ impl Archive {
         Ok(self.at(py, when)?.value_range())
     }
 
+    /// Least and largest value of some steps together; none where no point has a value.
+    fn range_of_steps(&self, py: Python<'_>, steps: Option<String>) -> PyResult<Option<[f64; 2]>> {
+        let steps: StepRange = parsed(py, steps.as_ref())?.unwrap_or_default();
+        let info = py.detach(|| self.archive.info()).map_err(|e| exception(py, &e))?;
+        let ranges = info.steps.into_iter().filter(|s| steps.contains(s.number)).filter_map(|s| s.range);
+        Ok(ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]))
+    }
+
     fn spectrum<'py>(&self, py: Python<'py>, when: When) -> PyResult<Bound<'py, PyAny>> {
         let archive = self.at(py, when)?;
         let report = run(py, None, |_, _| archive.spectrum())?;

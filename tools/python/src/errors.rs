@@ -3,10 +3,12 @@
 
 use crate::words::in_keywords;
 use isospan::Error;
+use isospan::bytes::remote::is_remote;
 use isospan::pipeline::ReduceReport;
 use isospan_cli::commands::reduce::unmet;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// The exception of an error.
@@ -26,13 +28,23 @@ pub(crate) fn warn_unmet(py: Python<'_>, archive: &Path, report: &ReduceReport) 
     py.import("isospan._errors")?.call_method1("_warn_unmet", (text,)).map(drop)
 }
 
+/// The system's number for an error that was passed on without it.
+fn number_of(kind: ErrorKind) -> Option<i32> {
+    match kind {
+        ErrorKind::NotFound => Some(2),
+        ErrorKind::PermissionDenied => Some(13),
+        ErrorKind::AlreadyExists => Some(17),
+        _ => None,
+    }
+}
+
 fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
     let about = PyDict::new(py);
     let class = match error {
         Error::Io { doing, path, source } => {
             about.set_item("doing", doing)?;
             about.set_item("file", path)?;
-            about.set_item("errno", source.raw_os_error())?;
+            about.set_item("errno", source.raw_os_error().or_else(|| number_of(source.kind())))?;
             about.set_item("reason", source.to_string())?;
             "FileError"
         }
@@ -43,7 +55,8 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             about.set_item("expected", in_keywords(&bad.expected))?;
             about.set_item("got", in_keywords(&bad.got))?;
             about.set_item("help", in_keywords(&bad.help))?;
-            "BadInputError"
+            let is_missing = !is_remote(&bad.path) && !bad.path.exists();
+            if is_missing { "MissingInputError" } else { "BadInputError" }
         }
         Error::Budget { resource, purpose, needed, available } => {
             about.set_item("resource", resource.to_string())?;
@@ -64,6 +77,7 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
         }
         Error::Cancelled => "Cancelled",
         Error::Usage(_) => "UsageError",
+        Error::NoSuch(_) => "NoSuchError",
         _ => "Error",
     };
     let class = py.import("isospan._errors")?.getattr(class)?;

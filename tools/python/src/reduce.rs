@@ -18,7 +18,7 @@ use std::path::PathBuf;
 
 /// What arguments of the program mean, to the command that is expected; the program's own message
 /// where they mean nothing.
-fn parsed<Args>(
+pub(crate) fn parsed<Args>(
     py: Python<'_>,
     arguments: Vec<OsString>,
     expected: impl Fn(Command) -> Option<Args>,

@@ -1,8 +1,14 @@
 //! Surfaces: the memory in which the library made them, seen by NumPy.
 
+use crate::archive::Machine;
 use crate::arrays::interface;
 use crate::errors::exception;
+use crate::json::to_python;
+use crate::work::run;
+use isospan::compare::{CompareSettings, compare};
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
+use isospan::surface::check::check;
+use isospan::surface::edit::components::split;
 use isospan::surface::{Joined, SurfaceSource, TriMesh};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -99,6 +105,34 @@ impl Surface {
     fn to_bytes<'py>(&self, py: Python<'py>) -> (Bound<'py, PyBytes>, Bound<'py, PyBytes>) {
         let vertices = bytemuck::cast_slice(&self.mesh.vertices);
         (PyBytes::new(py, vertices), PyBytes::new(py, bytemuck::cast_slice(&self.mesh.triangles)))
+    }
+
+    /// Area, volume, bounds, and whether it is closed, as `isospan check` reports them.
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let report = py.detach(|| check(&self.mesh));
+        to_python(py, &report)
+    }
+
+    /// Its connected components, those of most triangles first.
+    fn components(&self, py: Python<'_>) -> Vec<Surface> {
+        let split = py.detach(|| split(&self.mesh));
+        split.into_iter().map(|mesh| Self::new(mesh, self.isovalue, &self.comment)).collect()
+    }
+
+    /// Distances to another surface and back, as `isospan compare` reports them.
+    fn compare<'py>(
+        &self,
+        py: Python<'py>,
+        other: &Bound<'py, Surface>,
+        samples: u64,
+        machine: Machine,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let (resources, other) = (machine.resources(py)?, other.get());
+        let report = run(py, None, |cancel, _| {
+            let resources = resources.with_cancel(cancel.clone());
+            compare(&self.mesh, &other.mesh, &CompareSettings { samples, resources })
+        })?;
+        to_python(py, &report)
     }
 
     /// Writes a file; returns its bytes.

@@ -1,7 +1,23 @@
 //! Settings in the words of Python: keywords. The library names settings ([`isospan::setting`]),
 //! and the parser of the program names flags.
 
+use crate::errors::{exception, usage};
 use isospan::setting::{Setting, worded};
+use isospan_cli::commands::grammar;
+use pyo3::prelude::*;
+
+/// An isovalue of a text, `600` or `50%` of a range of values.
+#[pyfunction]
+pub(crate) fn isovalue(py: Python<'_>, text: &str, range: Option<[f64; 2]>) -> PyResult<f64> {
+    let value = grammar::value(text).map_err(|e| usage(py, format!("isovalue: {e}, not {text:?}")))?;
+    value.of(range).map_err(|e| exception(py, &e))
+}
+
+/// A share of a text, `10%` or `1/10`, for the keyword of a name.
+#[pyfunction]
+pub(crate) fn share(py: Python<'_>, text: &str, name: &str) -> PyResult<f64> {
+    grammar::share(text).map_err(|e| usage(py, format!("{name}: {e}, not {text:?}")))
+}
 
 /// A text with its settings as keywords: `memory="4GiB"`.
 pub(crate) fn in_keywords(text: &str) -> String {

@@ -265,29 +265,45 @@ struct Drawn {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let kind = Kind::of(&args.output)?;
-    args.force.check(&args.output, args.inputs.iter().chain(&args.distance_to))?;
-    let drawn = draw(args, kind, talk)?;
-    if args.json {
-        let report = serde_json::json!({
-            "file": args.output,
-            "size": drawn.size,
-            "frames": drawn.frames,
-            "range": drawn.range,
-            "panels": drawn.panels,
-        });
-        return super::print_json("render", &report);
+    let bar = talk.progress();
+    let drawn = drawn(args, talk, super::signals::cancel_token(), &*bar);
+    bar.end();
+    let drawn = drawn?;
+    match args.json {
+        true => super::print_json("render", &report(args, &drawn)),
+        false => super::print(&in_words(&args.output, &drawn)),
     }
-    super::print(&in_words(&args.output, &drawn))
 }
 
-fn draw(args: &Args, kind: Kind, talk: &Talk) -> Result<Drawn> {
+/// Draws, and returns what `--json` prints.
+///
+/// # Errors
+/// Those of the command.
+pub fn draw(
+    args: &Args,
+    talk: &Talk,
+    cancel: CancelToken,
+    progress: &dyn Progress,
+) -> Result<serde_json::Value> {
+    Ok(report(args, &drawn(args, talk, cancel, progress)?))
+}
+
+fn drawn(args: &Args, talk: &Talk, cancel: CancelToken, progress: &dyn Progress) -> Result<Drawn> {
+    let kind = Kind::of(&args.output)?;
+    args.force.check(&args.output, args.inputs.iter().chain(&args.distance_to))?;
     let memory = args.machine.memory(talk);
-    let (cancel, bar) = (super::signals::cancel_token(), talk.progress());
-    let job = Job { args, memory, scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir), cancel };
-    let drawn = job.draw(kind, &*bar);
-    bar.end();
-    drawn
+    let scratch = args.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    Job { args, memory, scratch, cancel }.draw(kind, progress)
+}
+
+fn report(args: &Args, drawn: &Drawn) -> serde_json::Value {
+    serde_json::json!({
+        "file": args.output,
+        "size": drawn.size,
+        "frames": drawn.frames,
+        "range": drawn.range,
+        "panels": drawn.panels,
+    })
 }
 
 /// A picture of two surfaces side by side, each coloured by its distance from the other.
@@ -332,7 +348,10 @@ impl BothWays<'_> {
         words.extend(["--threads".into(), self.threads.to_string().into()]);
         words.extend(["--scratch".into(), self.scratch.into(), "--".into(), a.into(), b.into()]);
         let alone = Alone::try_parse_from(words).map_err(|e| Error::usage(e.to_string()))?;
-        draw(&alone.args, Kind::Png, talk).map(|_| ())
+        let bar = talk.progress();
+        let outcome = drawn(&alone.args, talk, super::signals::cancel_token(), &*bar);
+        bar.end();
+        outcome.map(|_| ())
     }
 }
 

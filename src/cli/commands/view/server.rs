@@ -195,7 +195,7 @@ fn refusal(status: StatusCode, text: &str) -> Response {
 
 fn refused(error: &Error) -> Response {
     let status = match error {
-        Error::Usage(_) => StatusCode::BAD_REQUEST,
+        Error::Usage(_) | Error::NoSuch(_) => StatusCode::BAD_REQUEST,
         Error::Budget { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
         _ => StatusCode::INTERNAL_SERVER_ERROR,

@@ -31,6 +31,10 @@
 //! Tarjan 1975, "Efficiency of a good but not linear set union algorithm"; path halving: Tarjan,
 //! van Leeuwen 1984.
 
+mod split;
+
+pub use split::split;
+
 use crate::surface::closest::closest;
 use crate::surface::model::{SurfaceSource, Vertex, corner_of};
 use crate::surface::weld::{BuilderSettings, StoredSurface};

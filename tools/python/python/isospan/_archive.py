@@ -16,34 +16,34 @@ from ._meshes import plain
 from ._progress import Progress, Reporter
 from ._sources import volume_or_path
 from ._surface import Surface
+from ._words import Number, Share, Which, Whole, isovalue as _isovalue, length, moment, number, share, whole
 
 if TYPE_CHECKING:
     import numpy.typing as npt
     import pyvista
+    from ._viewer import Viewer
     from typing_extensions import TypedDict, Unpack
 
     PathLike = os.PathLike[str] | str
-    Size = int | str
-    #: A step by its number or the name of its field, or by both where it has several fields.
-    Which = int | str | tuple[int, str]
+    Size = Whole | str
     #: A text as the program takes it, or for x, y, z a pair of ends in numbers of samples (None:
     #: open).
-    Roi = str | Sequence[Sequence[float | None]]
+    Roi = str | Sequence[Sequence[Number | None]]
 
     class SurfaceChoices(TypedDict, total=False):
         roi: Roi | None
-        bounds: Sequence[float | None] | None
+        bounds: Sequence[Number | None] | None
         cap: bool
-        largest: int | None
-        min_triangles: int | None
-        min_volume: float | None
-        decimate: float | None
-        decimate_error: float | None
-        level: int | None
-        triangles: int | None
-        error: float | str | None
+        largest: Whole | None
+        min_triangles: Whole | None
+        min_volume: Number | None
+        decimate: Share | None
+        decimate_error: Share | None
+        level: Whole | None
+        triangles: Whole | None
+        error: Share | None
         step: Which | None
-        time: float | None
+        time: Number | None
         threads: int
         memory: Size | None
 
@@ -96,11 +96,11 @@ def _spectrum(report: dict[str, Any]) -> Spectrum:
     )
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None else repr(float(value))
+def _number(value: Number | None) -> str:
+    return "" if value is None else repr(number(value, "an end"))
 
 
-def _box(roi: Roi | None, bounds: Sequence[float | None] | None) -> str | None:
+def _box(roi: Roi | None, bounds: Sequence[Number | None] | None) -> str | None:
     """A region as the program takes it."""
     from ._errors import UsageError
 
@@ -120,17 +120,21 @@ def _box(roi: Roi | None, bounds: Sequence[float | None] | None) -> str | None:
 
 def _machine(threads: int, memory: Size | None, scratch: PathLike | None = None) -> dict[str, Any]:
     return {
-        "threads": threads,
+        "threads": whole(threads, "threads"),
         "memory": None if memory is None else str(memory),
         "scratch": None if scratch is None else os.fspath(scratch),
     }
 
 
 def _level(
-    level: int | None, triangles: int | None, error: float | str | None
+    level: Whole | None, triangles: Whole | None, error: Share | None
 ) -> tuple[int | None, int | None, str | None]:
-    bound = error if error is None or isinstance(error, str) else repr(float(error))
-    return level, triangles, bound
+    bound = error if error is None or isinstance(error, str) else repr(number(error, "error"))
+    return _whole(level, "level"), _whole(triangles, "triangles"), bound
+
+
+def _whole(value: Whole | None, name: str) -> int | None:
+    return None if value is None else whole(value, name)
 
 
 def place(path: PathLike) -> str:
@@ -152,9 +156,9 @@ class Archive:
     report: dict[str, Any] | None
 
     def __init__(
-        self, path: PathLike, *, step: Which | None = None, time: float | None = None
+        self, path: PathLike, *, step: Which | None = None, time: Number | None = None
     ) -> None:
-        self._path, self._when = place(path), (step, time)
+        self._path, self._when = place(path), moment(step, time)
         self.report = None
         # Shown as closed where it cannot be opened.
         self._open: _isospan.Archive | None = None
@@ -209,7 +213,23 @@ class Archive:
         series = f", {steps} steps" if steps > 1 else ""
         return f"<isospan.Archive {self._shown!r} of {dims} samples{series}>"
 
-    def at(self, *, step: Which | None = None, time: float | None = None) -> Archive:
+    def _repr_html_(self) -> str:
+        from ._surface import _table
+
+        if self._open is None:
+            return _table("isospan.Archive", {"path": self._shown, "state": "closed"})
+        ends, unit = self.range, self.unit
+        rows = {
+            "path": self._shown,
+            "samples": " x ".join(map(str, self.dims)),
+            "spacing": " x ".join(f"{v:g}" for v in self.spacing),
+            "steps": str(len(self.steps)),
+            "range": "none" if ends is None else f"{ends[0]:g} to {ends[1]:g} {unit or ''}".rstrip(),
+            "length unit": self.length_unit or "none",
+        }
+        return _table("isospan.Archive", rows)
+
+    def at(self, *, step: Which | None = None, time: Number | None = None) -> Archive:
         """The same archive at a step, by its number, or at a time: between steps values are
         linear."""
         return Archive(self._path, step=step, time=time)
@@ -267,31 +287,31 @@ class Archive:
         found = self._core.value_range((None, None))
         return None if found is None else (found[0], found[1])
 
-    def spectrum(self, *, step: Which | None = None, time: float | None = None) -> Spectrum:
+    def spectrum(self, *, step: Which | None = None, time: Number | None = None) -> Spectrum:
         """How large isosurfaces are, over the isovalue, and which are worth a look."""
-        return _spectrum(self._core.spectrum((step, time)))
+        return _spectrum(self._core.spectrum(moment(step, time)))
 
     @overload
     def count(
         self,
-        isovalue: float,
+        isovalue: Share,
         *,
-        level: int | None = ...,
-        triangles: int | None = ...,
-        error: float | str | None = ...,
+        level: Whole | None = ...,
+        triangles: Whole | None = ...,
+        error: Share | None = ...,
         step: Which | None = ...,
-        time: float | None = ...,
+        time: Number | None = ...,
     ) -> int: ...
     @overload
     def count(
         self,
-        isovalue: Sequence[float],
+        isovalue: Sequence[Share],
         *,
-        level: int | None = ...,
-        triangles: int | None = ...,
-        error: float | str | None = ...,
+        level: Whole | None = ...,
+        triangles: Whole | None = ...,
+        error: Share | None = ...,
         step: Which | None = ...,
-        time: float | None = ...,
+        time: Number | None = ...,
     ) -> npt.NDArray[np.uint64]: ...
     def count(
         self, isovalue, *, level=None, triangles=None, error=None, step=None, time=None
@@ -303,39 +323,60 @@ class Archive:
             those of each isovalue.
         """
         chosen = _level(level, triangles, error)
-        if np.ndim(isovalue) == 0:
-            return self._core.count(float(isovalue), chosen, (step, time))
-        counts = [self._core.count(float(v), chosen, (step, time)) for v in isovalue]
-        return np.array(counts, dtype=np.uint64)
+        when = moment(step, time)
+        counts = [self._core.count(v, chosen, when) for v in self._isovalues(isovalue, when)]
+        return counts[0] if np.ndim(isovalue) == 0 else np.array(counts, dtype=np.uint64)
+
+    def _isovalues(self, isovalue, when, steps=None):
+        """Isovalues as numbers; "50%" is of the range of the step, or of all steps together."""
+
+        def range():
+            if steps is None:
+                return self._core.value_range(when)
+            return self._core.range_of_steps(None if steps is True else steps)
+
+        return [_isovalue(v, range) for v in np.atleast_1d(np.asarray(isovalue, dtype=object))]
+
+    def _diagonal(self):
+        """The diagonal of the domain, in world units."""
+        from ._errors import UsageError
+
+        if self.info.get("grid_cells") is not None:
+            raise UsageError(
+                "decimate_error in % is not possible on a grid with coordinates: give a length "
+                "in world units"
+            )
+        sides = np.multiply(self.spacing, np.subtract(self.dims, 1))
+        return float(np.sqrt(np.sum(sides**2)))
 
     @overload
-    def surface(self, isovalue: float, **choices: Unpack[SurfaceChoices]) -> Surface: ...
+    def surface(self, isovalue: Share, **choices: Unpack[SurfaceChoices]) -> Surface: ...
     @overload
     def surface(
-        self, isovalue: Sequence[float], **choices: Unpack[SurfaceChoices]
+        self, isovalue: Sequence[Share], **choices: Unpack[SurfaceChoices]
     ) -> list[Surface]: ...
     def surface(
         self,
-        isovalue: float | Sequence[float],
+        isovalue: Share | Sequence[Share],
         *,
         roi: Roi | None = None,
-        bounds: Sequence[float | None] | None = None,
+        bounds: Sequence[Number | None] | None = None,
         cap: bool = False,
-        largest: int | None = None,
-        min_triangles: int | None = None,
-        min_volume: float | None = None,
-        decimate: float | None = None,
-        decimate_error: float | None = None,
-        level: int | None = None,
-        triangles: int | None = None,
-        error: float | str | None = None,
+        largest: Whole | None = None,
+        min_triangles: Whole | None = None,
+        min_volume: Number | None = None,
+        decimate: Share | None = None,
+        decimate_error: Share | None = None,
+        level: Whole | None = None,
+        triangles: Whole | None = None,
+        error: Share | None = None,
         step: Which | None = None,
-        time: float | None = None,
+        time: Number | None = None,
         threads: int = 0,
         memory: Size | None = None,
     ) -> Surface | list[Surface]:
         """The isosurface of an isovalue; a list of surfaces for several, which are made in one
-        pass.
+        pass. "50%" is half-way from the least value of the step to its largest.
 
         roi: cut at a box, ``"I0:I1,J0:J1,K0:K1"`` in numbers of samples or
             ``"world:X0:X1,Y0:Y1,Z0:Z1"``, or three pairs of numbers of samples for x, y, z; an end
@@ -344,8 +385,8 @@ class Archive:
         cap: close the surface where the domain ends; not with a box.
         largest, min_triangles, min_volume: keep so many connected components, or those that are so
             large.
-        decimate: keep this part of the triangles; decimate_error: as far as the surface moves by no
-            more.
+        decimate: keep this part of the triangles, 0.1, "10%" or "1/10"; decimate_error: as far as
+            the surface moves by no more, in world units or "0.1%" of the domain's diagonal.
         level, triangles, error: which level of a pyramid; at most one of them is given. level: its
             number, 0 is the finest. triangles: the finest whose surfaces have at most so many
             triangles together, before components are chosen and triangles decimated. error: the
@@ -357,7 +398,7 @@ class Archive:
         """
         several = np.ndim(isovalue) > 0
         wanted = self._wanted(
-            isovalue,
+            self._isovalues(isovalue, moment(step, time)),
             roi,
             bounds,
             cap,
@@ -368,44 +409,43 @@ class Archive:
             decimate_error,
             _level(level, triangles, error),
         )
-        cores = self._core.surfaces(wanted, _machine(threads, memory), (step, time))
+        cores = self._core.surfaces(wanted, _machine(threads, memory), moment(step, time))
         surfaces = [Surface(core) for core in cores]
         return surfaces if several else surfaces[0]
 
-    @staticmethod
     def _wanted(
-        isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, far, level
+        self, isovalues, roi, bounds, cap, largest, min_triangles, min_volume, decimate, far, level
     ):
         return {
-            "isovalues": [float(v) for v in np.atleast_1d(isovalue)],
+            "isovalues": isovalues,
             "roi": _box(roi, bounds),
-            "cap": cap,
-            "largest": largest,
-            "min_triangles": min_triangles,
-            "min_volume": min_volume,
-            "decimate": decimate,
-            "decimate_error": far,
+            "cap": bool(cap),
+            "largest": _whole(largest, "largest"),
+            "min_triangles": _whole(min_triangles, "min_triangles"),
+            "min_volume": None if min_volume is None else number(min_volume, "min_volume"),
+            "decimate": share(decimate, "decimate"),
+            "decimate_error": length(far, "decimate_error", self._diagonal),
             "level": level,
         }
 
     def save_surface(
         self,
         path: PathLike,
-        isovalue: float | Sequence[float],
+        isovalue: Share | Sequence[Share],
         *,
         roi: Roi | None = None,
-        bounds: Sequence[float | None] | None = None,
+        bounds: Sequence[Number | None] | None = None,
         cap: bool = False,
-        largest: int | None = None,
-        min_triangles: int | None = None,
-        min_volume: float | None = None,
-        decimate: float | None = None,
-        decimate_error: float | None = None,
-        level: int | None = None,
-        triangles: int | None = None,
-        error: float | str | None = None,
+        largest: Whole | None = None,
+        min_triangles: Whole | None = None,
+        min_volume: Number | None = None,
+        decimate: Share | None = None,
+        decimate_error: Share | None = None,
+        level: Whole | None = None,
+        triangles: Whole | None = None,
+        error: Share | None = None,
         step: Which | None = None,
-        time: float | None = None,
+        time: Number | None = None,
         steps: str | bool | None = None,
         threads: int = 0,
         memory: Size | None = None,
@@ -419,7 +459,7 @@ class Archive:
             "%04d" in the path stands for the step's number. All else is as for :meth:`surface`.
         """
         wanted = self._wanted(
-            isovalue,
+            self._isovalues(isovalue, moment(step, time), None if steps is False else steps),
             roi,
             bounds,
             cap,
@@ -433,7 +473,7 @@ class Archive:
         machine, out = _machine(threads, memory, scratch), os.fspath(path)
         with Reporter(progress) as callback:
             if steps is None or steps is False:
-                return self._core.save_surfaces(out, wanted, machine, (step, time), callback)
+                return self._core.save_surfaces(out, wanted, machine, moment(step, time), callback)
             if (step, time) != (None, None):
                 from ._errors import UsageError
 
@@ -446,10 +486,10 @@ class Archive:
         self,
         points: npt.ArrayLike,
         *,
-        level: int | None = None,
-        error: float | str | None = None,
+        level: Whole | None = None,
+        error: Share | None = None,
         step: Which | None = None,
-        time: float | None = None,
+        time: Number | None = None,
         threads: int = 0,
         memory: Size | None = None,
     ) -> npt.NDArray[np.float64]:
@@ -469,7 +509,7 @@ class Archive:
 
             raise UsageError(f"points have the shape (n, 3), not {rows.shape}")
         found = self._core.probe(
-            rows.tobytes(), _level(level, None, error), _machine(threads, memory), (step, time)
+            rows.tobytes(), _level(level, None, error), _machine(threads, memory), moment(step, time)
         )
         return np.asarray(found)
 
@@ -477,10 +517,10 @@ class Archive:
         self,
         dims: Sequence[int] | None = None,
         *,
-        level: int | None = None,
-        error: float | str | None = None,
+        level: Whole | None = None,
+        error: Share | None = None,
         step: Which | None = None,
-        time: float | None = None,
+        time: Number | None = None,
         threads: int = 0,
         memory: Size | None = None,
     ) -> npt.NDArray[np.float64]:
@@ -494,7 +534,7 @@ class Archive:
         """
         nx, ny, nz = (int(n) for n in (self.dims if dims is None else dims))
         chosen = _level(level, None, error)
-        found = self._core.sample([nx, ny, nz], chosen, _machine(threads, memory), (step, time))
+        found = self._core.sample([nx, ny, nz], chosen, _machine(threads, memory), moment(step, time))
         return np.asarray(found).reshape(nz, ny, nx)
 
     def save_samples(
@@ -502,10 +542,10 @@ class Archive:
         path: PathLike,
         dims: Sequence[int] | None = None,
         *,
-        level: int | None = None,
-        error: float | str | None = None,
+        level: Whole | None = None,
+        error: Share | None = None,
         step: Which | None = None,
-        time: float | None = None,
+        time: Number | None = None,
         threads: int = 0,
         memory: Size | None = None,
         progress: Progress = None,
@@ -517,7 +557,7 @@ class Archive:
             machine = _machine(threads, memory)
             chosen = _level(level, None, error)
             return self._core.save_samples(
-                os.fspath(path), grid, chosen, machine, (step, time), callback
+                os.fspath(path), grid, chosen, machine, moment(step, time), callback
             )
 
     def save_tetrahedra(
@@ -527,12 +567,12 @@ class Archive:
         range: Sequence[float | None] | None = None,
         any_corner: bool = False,
         roi: Roi | None = None,
-        bounds: Sequence[float | None] | None = None,
+        bounds: Sequence[Number | None] | None = None,
         every: int = 1,
         compress: bool = False,
         fields: Sequence[str] = (),
         step: Which | None = None,
-        time: float | None = None,
+        time: Number | None = None,
         threads: int = 0,
         memory: Size | None = None,
         scratch: PathLike | None = None,
@@ -565,7 +605,7 @@ class Archive:
         with Reporter(progress) as callback:
             machine = _machine(threads, memory, scratch)
             return self._core.save_tetrahedra(
-                os.fspath(path), part, machine, (step, time), callback
+                os.fspath(path), part, machine, moment(step, time), callback
             )
 
     def save_grid(
@@ -574,12 +614,12 @@ class Archive:
         *,
         level: int = 0,
         roi: Roi | None = None,
-        bounds: Sequence[float | None] | None = None,
+        bounds: Sequence[Number | None] | None = None,
         compress: bool = False,
         fields: Sequence[str] = (),
         replace: bool = False,
         step: Which | None = None,
-        time: float | None = None,
+        time: Number | None = None,
         threads: int = 0,
         memory: Size | None = None,
         scratch: PathLike | None = None,
@@ -608,7 +648,7 @@ class Archive:
         }
         with Reporter(progress) as callback:
             machine = _machine(threads, memory, scratch)
-            return self._core.save_grid(os.fspath(path), grid, machine, (step, time), callback)
+            return self._core.save_grid(os.fspath(path), grid, machine, moment(step, time), callback)
 
     def to_unstructured_grid(self, **choices: Any) -> pyvista.UnstructuredGrid:
         """The tetrahedra as a grid of PyVista, with the values at the points.
@@ -632,8 +672,8 @@ class Archive:
         field: str | None = None,
         step: int | None = None,
         map: PathLike | None = None,
-        level: int | None = None,
-        error: float | str | None = None,
+        level: Whole | None = None,
+        error: Share | None = None,
         threads: int = 0,
         memory: Size | None = None,
         scratch: PathLike | None = None,
@@ -656,6 +696,53 @@ class Archive:
                 return self._core.measure(
                     source, found.field, step, place, chosen, machine, callback
                 )
+
+    def render(
+        self,
+        path: PathLike,
+        isovalue: Share | Sequence[Share] | None = None,
+        *,
+        progress: Progress = None,
+        **choices: Any,
+    ) -> dict[str, Any]:
+        """Draws surfaces or slices to a picture, .png, .gif or .apng; returns the report of
+        ``isospan render --json``.
+
+        isovalue: one or several; without any, a slice. choices: the flags of ``isospan render``, as
+            in ``size=(1024, 768)``, ``turntable=36``, ``opacity=(0.3, 1)``, ``slice="y=50%"``. An
+            existing file is replaced with ``force=True`` alone.
+        """
+        from ._reduce import flags
+
+        step, time = self._when
+        if not {"step", "time", "steps", "all_steps"} & set(choices):
+            field = step[1] if isinstance(step, tuple) else None
+            number = step[0] if isinstance(step, tuple) else step
+            choices = {"step": number, "field": field, "time": time, **choices}
+        arguments = flags({"output": os.fspath(path), "isovalue": isovalue, **choices})
+        with Reporter(progress) as callback:
+            return _isospan.render(["render", *arguments, "--", self._path], callback)
+
+    def publish(self, folder: PathLike, *, force: bool = False) -> dict[str, Any]:
+        """Writes a folder that shows the archive on any web server, as ``isospan publish`` does;
+        returns its report.
+
+        force: replace what was published in the folder before.
+        """
+        from ._reduce import flags
+
+        arguments = flags({"output": os.fspath(folder), "force": force})
+        return _isospan.publish(["publish", *arguments, "--", self._path])
+
+    def view(self, *, port: Whole = 0, open: bool = False) -> Viewer:
+        """Serves the archive to a browser on this machine, as ``isospan view`` does, until the
+        viewer is closed or the process ends. A notebook shows it.
+
+        port: 0 for any that is free. open: start a browser.
+        """
+        from ._viewer import Viewer
+
+        return Viewer(self._path, port=whole(port, "port"), browser=open)
 
     def check(self) -> None:
         """Verifies the whole archive; raises BadInputError that names the first thing that is
@@ -691,7 +778,7 @@ def _again(path: str, step: Which | None, time: float | None) -> Archive:
     return Archive(path, step=step, time=time)
 
 
-def open(path: PathLike, *, step: Which | None = None, time: float | None = None) -> Archive:
+def open(path: PathLike, *, step: Which | None = None, time: Number | None = None) -> Archive:
     """Opens an archive, at a step, by its number or the name of its field, or at a time; at its
     first step if none is given.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import warnings
 from typing import Any
 
@@ -26,17 +28,24 @@ class Error(Exception):
         return str(self.args[0]) if self.args else ""
 
     def __reduce__(self) -> Any:
-        return _again, (type(self), self.args, dict(self.__dict__))
+        system = None
+        if isinstance(self, OSError):
+            system = self.errno, self.strerror, self.filename
+        return _again, (type(self), self.args, dict(self.__dict__), system)
 
 
-def _again(kind: type[Error], args: tuple, about: dict) -> Error:
+def _again(kind: type[Error], args: tuple, about: dict, system: tuple | None = None) -> Error:
     error = kind(*args)
     error.__dict__.update(about)
-    return error
+    return error if system is None else _as_of_system(error, *system)
 
 
 class UsageError(Error, ValueError):
     """Arguments that contradict each other, or the input."""
+
+
+class NoSuchError(UsageError, KeyError):
+    """A step, a time or a field is asked for that is not there."""
 
 
 class BadInputError(Error, ValueError):
@@ -52,6 +61,15 @@ class BadInputError(Error, ValueError):
     expected: str
     got: str
     help: str
+
+
+class MissingInputError(BadInputError, FileNotFoundError):
+    """There is no input or archive of this name."""
+
+    @classmethod
+    def _of(cls, message: str, exit_code: int, /, **about: Any) -> Error:
+        error = super()._of(message, exit_code, **about)
+        return _as_of_system(error, errno.ENOENT, os.strerror(errno.ENOENT), about["file"])
 
 
 class BudgetError(Error, MemoryError):
@@ -70,13 +88,51 @@ class BudgetError(Error, MemoryError):
 class FileError(Error, OSError):
     """The system refused an operation on a file.
 
-    ``doing``: what was being done; ``file``: the file; ``reason``: why not; ``errno``: the system's
-    number.
+    It is the built-in exception of its kind too: FileNotFoundError, PermissionError and so on.
+
+    ``doing``: what was being done; ``file``, and ``filename``: the file; ``reason``, and ``strerror``:
+    why not; ``errno``: the system's number.
     """
 
     doing: str
     file: str
     reason: str
+
+    @classmethod
+    def _of(cls, message: str, exit_code: int, /, **about: Any) -> Error:
+        number = about["errno"]
+        kind = cls if number is None else _FILE_ERRORS.get(type(OSError(number, "")), cls)
+        error = Error._of.__func__(kind, message, exit_code, **about)
+        return _as_of_system(error, number, about["reason"], about["file"])
+
+
+def _as_of_system(error: Any, number: int | None, reason: str, file: Any) -> Any:
+    """Gives an exception what those of the system have."""
+    error.errno, error.strerror, error.filename = number, reason, os.fspath(file)
+    return error
+
+
+class MissingFileError(FileError, FileNotFoundError):
+    """A file or a folder is not there."""
+
+
+class ForbiddenFileError(FileError, PermissionError):
+    """The user may not do that with a file."""
+
+
+class ExistingFileError(FileError, FileExistsError):
+    """There is a file or a folder already."""
+
+
+class IsFolderError(FileError, IsADirectoryError):
+    """A folder is where a file should be."""
+
+
+class NoFolderError(FileError, NotADirectoryError):
+    """A file is where a folder should be."""
+
+
+_FILE_ERRORS = {kind.__bases__[1]: kind for kind in FileError.__subclasses__()}
 
 
 class IncompleteError(Error):

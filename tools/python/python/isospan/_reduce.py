@@ -16,7 +16,7 @@ from ._archive import Archive
 from ._errors import UsageError
 from ._meshes import plain
 from ._progress import Progress, Reporter
-from ._sources import sources
+from ._sources import is_dataset, sources, variable_of
 
 if TYPE_CHECKING:
     PathLike = os.PathLike[str] | str
@@ -126,7 +126,9 @@ def reduce(
     source: a path, or a volume's address (``s3://…``, ``https://…``), as the program takes it and as
         text, for ``Path`` joins its slashes; an array of three dimensions, indexed [z, y, x] (NumPy,
         also memory mapped, Zarr, h5py, dask, xarray); or a list of these, which are the steps of a
-        series.
+        series. An xarray whose coordinates say which axis they are, by CF's ``axis``,
+        ``standard_name`` or ``units``, or by name, may have any order; of a Dataset, ``field`` names
+        the variable.
         Arrays are read box by box. Those of NumPy are read in place, and must not change meanwhile;
         others are read once, each of their chunks once, into a temporary file in ``scratch``.
     out: the archive to make, a folder NAME.isospan. Where this very archive is there already, or a
@@ -237,6 +239,8 @@ def _asked(
 ) -> Iterator[tuple[list[str], list[_isospan.Volume] | None]]:
     """Arguments of the program for a source, and the volumes where it is no file."""
     name = choices.pop("name")
+    if is_dataset(source):
+        source, choices["field"] = variable_of(source, choices["field"]), None
     with plain(source, choices["field"], choices["scratch"]) as found:
         choices["field"] = found.field
         if _is_path(found.source):

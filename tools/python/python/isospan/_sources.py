@@ -15,7 +15,7 @@ from typing import Any, Iterable, Iterator, Sequence
 import numpy as np
 
 from . import _isospan
-from ._errors import UsageError
+from ._errors import NoSuchError, UsageError
 from ._meshes import Image, Plain
 
 #: Names of the types of samples that the library has, by kind and bytes of a NumPy type.
@@ -108,12 +108,67 @@ def _is_xarray(array: Any) -> bool:
 
 
 def _ordered(array: Any) -> Any:
-    """An xarray in the order z, y, x where its dimensions have these names; else as it is."""
-    named = {str(along).lower(): along for along in array.dims}
-    if not {"x", "y", "z"} <= set(named):
+    """An xarray in the order time, z, y, x where its dimensions say which they are; else as it
+    is."""
+    named = {_axis_of(array, along): along for along in array.dims}
+    if not {"X", "Y", "Z"} <= set(named):
         return array
-    last = [named[letter] for letter in "zyx"]
-    return array.transpose(*(along for along in array.dims if along not in last), *last)
+    last = [named[letter] for letter in "ZYX"]
+    first = [along for along in array.dims if along not in last]
+    return array.transpose(*first, *last)
+
+
+#: What names of dimensions, and standard names and units of coordinates, say of an axis (CF 1.11,
+#: chapter 4).
+_AXES = {
+    "X": {"x", "lon", "longitude", "projection_x_coordinate", "grid_longitude", "degrees_east"},
+    "Y": {"y", "lat", "latitude", "projection_y_coordinate", "grid_latitude", "degrees_north"},
+    "Z": {
+        "z", "lev", "level", "depth", "height", "altitude", "air_pressure",
+        "model_level_number", "plev",
+    },
+    "T": {"t", "time"},
+}  # fmt: skip
+
+
+def _axis_of(array: Any, along: Any) -> str:
+    """X, Y, Z or T, where the coordinate of a dimension or its name says so; else its name."""
+    attributes = array.coords[along].attrs if along in array.coords else {}
+    told = str(attributes.get("axis", "")).upper()
+    if told in _AXES:
+        return told
+    said = [attributes.get("standard_name"), attributes.get("units"), along]
+    for word in said:
+        for axis, words in _AXES.items():
+            if str(word).lower() in words:
+                return axis
+    return str(along)
+
+
+def variable_of(source: Any, field: str | None) -> Any:
+    """The variable of an xarray Dataset that is named, or its only one of three dimensions or
+    more."""
+    if field is not None:
+        if field not in source.data_vars:
+            raise NoSuchError(f"no field {field}; the dataset has {_listed(source.data_vars)}")
+        return source[field]
+    volumes = [name for name, array in source.data_vars.items() if array.ndim >= 3]
+    if len(volumes) != 1:
+        raise UsageError(
+            f"the dataset has the fields {_listed(volumes)}: choose one with field"
+            if volumes
+            else "the dataset has no field of three dimensions"
+        )
+    return source[volumes[0]]
+
+
+def _listed(names: Iterable[Any]) -> str:
+    return ", ".join(map(str, names))
+
+
+def is_dataset(source: Any) -> bool:
+    """Whether it is a Dataset of xarray."""
+    return hasattr(source, "data_vars") and hasattr(source, "coords")
 
 
 def _is_series(array: Any) -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, Sequence
+from functools import cached_property
+from html import escape
+from typing import TYPE_CHECKING, Any, Sequence, SupportsIndex
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from . import _isospan
 if TYPE_CHECKING:
     import numpy.typing as npt
     import pyvista
+    import trimesh
 
     PathLike = os.PathLike[str] | str
 
@@ -21,6 +24,16 @@ class _Seen:
 
     def __init__(self, owner: _isospan.Surface, interface: dict[str, Any]) -> None:
         self._owner, self.__array_interface__ = owner, interface
+
+
+def _table(title: str, rows: dict[str, str]) -> str:
+    """A table of names and values, as notebooks show it."""
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th>"
+        f"<td style='text-align:left'>{escape(value)}</td></tr>"
+        for name, value in rows.items()
+    )
+    return f"<table><caption>{escape(title)}</caption>{cells}</table>"
 
 
 class Surface:
@@ -61,6 +74,103 @@ class Surface:
     def isovalue(self) -> float:
         """The isovalue, in units of the field; inside are values that are not below it."""
         return self._core.isovalue
+
+    @cached_property
+    def _report(self) -> dict[str, Any]:
+        return self._core.report()
+
+    @property
+    def area(self) -> float:
+        """Area, in squared world units.
+
+        >>> round(sphere.area / (4 * np.pi * 10**2), 2)
+        1.0
+        """
+        return self._report["area"]
+
+    @property
+    def volume(self) -> float | None:
+        """Volume that the surface encloses, in cubed world units; None of one that is open.
+
+        >>> round(sphere.volume / (4 / 3 * np.pi * 10**3), 2)
+        1.0
+        """
+        return self._report["volume"]
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float, float, float] | None:
+        """Least and largest coordinates, x0, x1, y0, y1, z0, z1; None of one without vertices.
+
+        >>> [round(v) for v in sphere.bounds]
+        [6, 26, 6, 26, 6, 26]
+        """
+        box = self._report["bounding_box"]
+        return None if box is None else tuple(box[end][axis] for axis in range(3) for end in (0, 1))
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether each edge belongs to two triangles."""
+        return self._report["boundary_edges"] == 0 and len(self) > 0
+
+    def components(self) -> list[Surface]:
+        """The connected components, those of most triangles first.
+
+        >>> len(sphere.components())
+        1
+        """
+        return [Surface(core) for core in self._core.components()]
+
+    def compare(
+        self,
+        other: Surface,
+        *,
+        samples: SupportsIndex = 200_000,
+        threads: SupportsIndex = 0,
+        memory: SupportsIndex | str | None = None,
+    ) -> dict[str, Any]:
+        """Distances to another surface and back, as ``isospan compare --json`` prints them.
+
+        samples: places on each, spread by area, besides its vertices.
+
+        >>> sphere.compare(sphere)["hausdorff"]
+        0.0
+        """
+        from ._archive import _machine
+        from ._words import whole
+
+        machine = _machine(threads, memory)
+        return self._core.compare(other._core, whole(samples, "samples"), machine)
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """A mesh of trimesh, with the normals; vertices stay as they are, in their order."""
+        import trimesh
+
+        return trimesh.Trimesh(
+            vertices=self.vertices,
+            faces=self.faces.astype(np.int64),
+            vertex_normals=self.normals,
+            metadata={"isovalue": self.isovalue},
+            process=False,
+        )
+
+    def plot(self, **choices: Any) -> Any:
+        """Shows the surface with PyVista. choices: as for ``pyvista.PolyData.plot``."""
+        return self.to_pyvista().plot(**choices)
+
+    def _repr_html_(self) -> str:
+        report = self._report
+        volume = "open" if report["volume"] is None else f"{report['volume']:.6g}"
+        return _table(
+            "isospan.Surface",
+            {
+                "isovalue": f"{self.isovalue:g}",
+                "vertices": f"{report['vertices']:,}",
+                "triangles": f"{report['triangles']:,}",
+                "area": f"{report['area']:.6g}",
+                "volume": volume,
+                "components": f"{report['components']:,}",
+            },
+        )
 
     def save(self, path: PathLike) -> int:
         """Writes a file, .ply, .stl, .obj, .vtp, .vtkhdf or .glb, and returns its bytes.

@@ -92,7 +92,7 @@ fn refusal(error: &Error) -> (u32, String) {
             413,
             "this takes more memory than a page has: choose a region, or use isospan on a machine".into(),
         ),
-        Error::Usage(_) => (400, error.to_string()),
+        Error::Usage(_) | Error::NoSuch(_) => (400, error.to_string()),
         Error::Budget { .. } => (413, error.to_string()),
         _ => (500, error.to_string()),
     }
