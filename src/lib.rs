@@ -127,7 +127,7 @@ pub(crate) mod files;
 pub mod fit;
 /// Other programs' files: volumes and meshes are read, surfaces are read and written.
 pub mod formats {
-    pub use crate::files::surface;
+    pub use crate::files::{labels, surface};
     pub use isospan_io::formats::*;
 }
 #[doc(hidden)]

@@ -18,6 +18,7 @@
 //!  shards     the same in several processes
 //!  step       an archive at a moment          steps     at some of its steps
 //!  query      which surfaces, and their ends  check     the proof that an archive is whole
+//!  labels     surfaces of which labels, and their ends
 //!  archive    the handle of users             reduction, addition, measurement: the orders of users
 //! ```
 
@@ -27,6 +28,7 @@ mod check;
 mod chunk;
 mod field;
 mod inputs;
+mod labels;
 mod measurement;
 mod plan;
 mod query;
@@ -49,6 +51,7 @@ pub use field::{
     ProbeSettings, SurfaceDistance, SurfaceErrors, SurfaceSize,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
+pub use labels::LabelQuery;
 pub use measurement::Measurement;
 pub use plan::{Estimate, Finding, Notice, Plan, SearchEstimate, Shard, fingerprint};
 pub use query::{Isovalues, SurfaceQuery};
@@ -74,6 +77,7 @@ pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};
 pub use steps::Steps;
 pub use surface::{
-    ColourBy, CountReport, InscribedBall, NumbersReport, OneSurface, PhaseNumbers, Plateau, Refine,
-    RefineReport, SeriesReport, StepSurfaces, StreamedPart, SurfaceReport, SurfaceSink,
+    ColourBy, CountReport, InscribedBall, LabelMesh, LabelReport, Labels, NumbersReport, OneLabel,
+    OneSurface, PhaseNumbers, Plateau, Refine, RefineReport, SeriesReport, StepSurfaces, StreamedPart,
+    SurfaceReport, SurfaceSink,
 };

@@ -11,6 +11,7 @@
 //!   given size.
 //! * [`edit`] changes a finished surface: cuts it, keeps some of its components, makes do with
 //!   fewer triangles, splits vertices at which it touches itself.
+//! * [`nets`] makes the surfaces of labels, with walls that neighbours share.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
 //! An edge of the mesh is the pair of its [`isospan_io::geom::PointId`]s, the lower first.
@@ -22,6 +23,7 @@ mod closest;
 pub mod edit;
 pub mod extract;
 mod model;
+pub mod nets;
 #[cfg(test)]
 mod testing;
 pub mod weld;

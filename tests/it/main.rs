@@ -28,6 +28,7 @@ mod given;
 mod grids;
 mod io;
 mod label_images;
+mod label_surfaces;
 mod levels;
 mod liars;
 mod machines;

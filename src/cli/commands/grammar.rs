@@ -10,6 +10,7 @@
 //!  times           0,0.5,2   0,0.5,...      time span       2d  12h  30m  90s
 //!  type            uint16  u16  <f4         shard           3/16
 //!  length          0.5  0.1%             opacity         0.3  30%
+//!  label           7  -1  all
 //!  plane           z=40  x=50%          slab            z=40:  x=:50%  y=10:20
 //! ```
 //!
@@ -78,6 +79,24 @@ where
         let found = whole(text).ok().filter(|n| bounds.contains(n));
         expected(found, &format!("a whole number from {} to {}", bounds.start(), bounds.end()))
     }
+}
+
+/// A label, or all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum LabelChoice {
+    /// That of a number.
+    One(i64),
+    /// All but 0.
+    All,
+}
+
+/// A label: `7`, `-1` or `all`.
+pub(crate) fn label(text: &str) -> Parsed<LabelChoice> {
+    let found = match text.trim() {
+        "all" => Some(LabelChoice::All),
+        number => number.parse().ok().map(LabelChoice::One),
+    };
+    expected(found, "a label, as in 7, or all")
 }
 
 /// Threads: `8`, or 0 for as many as the process may use.

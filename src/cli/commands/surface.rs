@@ -1,4 +1,6 @@
-//! `isospan surface`: isosurfaces from an archive.
+//! `isospan surface`: isosurfaces from an archive, and surfaces of labels.
+
+mod labels;
 
 use super::grammar::{self, Length, Value};
 use super::level::LevelArgs;
@@ -22,10 +24,10 @@ use std::io::{IsTerminal, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Extract isosurfaces from an archive.
+/// Extract isosurfaces from an archive, or the surfaces of labels.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp\n  isospan surface scan.isospan -i 600 --triangles 100000 -o look.glb"
+    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp\n  isospan surface scan.isospan -i 600 --triangles 100000 -o look.glb\n  isospan surface atlas.isospan --labels 3,7 --smooth -o organs.glb"
 )]
 pub struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -37,7 +39,7 @@ pub struct Args {
         short = 'i',
         value_name = "VALUE[,VALUE..]",
         value_delimiter = ',',
-        required = true,
+        required_unless_present = "labels",
         allow_hyphen_values = true,
         value_parser = grammar::value
     )]
@@ -91,6 +93,8 @@ pub struct Args {
     /// The values at the ends of the colour map [default: those of the whole field].
     #[arg(help_heading = "Colours", long, visible_alias = "color-range", value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true, requires = "colour_by")]
     colour_range: Option<grammar::Range>,
+    #[command(flatten)]
+    labels: labels::LabelArgs,
     #[command(flatten)]
     level: LevelArgs,
     #[command(flatten)]
@@ -193,6 +197,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = args.format()?;
     // One question is asked: no block is cached for a next one.
     let archive = Archive::open(&args.archive)?.keeping(0).in_field(args.step.field());
+    if args.labels.are_given() {
+        return labels::run(args, &archive, format, talk);
+    }
     let steps = args.steps.or(args.all_steps.then(StepRange::default));
     let isovalues = isovalues(args, &archive, steps)?;
     let question = Question { args, archive: &archive, format, talk };

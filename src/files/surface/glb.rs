@@ -48,16 +48,18 @@ const CHUNK_HEAD: u64 = 8;
 /// Bytes for the JSON text when the limits are checked; the text is far shorter, except with long
 /// comments.
 const JSON_ROOM: u64 = 1 << 20;
+/// Bytes for what the text says of a label, but for its name.
+const TEXT_OF_LABEL: u64 = 1024;
 /// Bytes of memory that the tree of a JSON text takes for each of its bytes, at most: a map of one
 /// item takes 632 and is written with five.
 const TREE_PER_BYTE: u64 = 130;
 /// Numbers of the format.
-const FLOAT: u64 = 5126;
+pub(super) const FLOAT: u64 = 5126;
 const UNSIGNED_SHORT: u64 = 5123;
-const UNSIGNED_INT: u64 = 5125;
-const TRIANGLES: u64 = 4;
-const ARRAY_BUFFER: u64 = 34962;
-const ELEMENT_ARRAY_BUFFER: u64 = 34963;
+pub(super) const UNSIGNED_INT: u64 = 5125;
+pub(super) const TRIANGLES: u64 = 4;
+pub(super) const ARRAY_BUFFER: u64 = 34962;
+pub(super) const ELEMENT_ARRAY_BUFFER: u64 = 34963;
 
 /// Whether a file begins like a GLB.
 pub(in crate::files) fn is_glb(bytes: &[u8]) -> bool {
@@ -71,7 +73,10 @@ fn vertex_bytes(meta: &SurfaceMeta) -> u64 {
 
 /// Lengths are 32 bits wide.
 pub(in crate::files) fn check_limits(vertices: u64, triangles: u64, meta: &SurfaceMeta) -> Result<()> {
-    let bytes = u128::from(vertex_bytes(meta)) * u128::from(vertices) + 12 * u128::from(triangles);
+    let labels = if meta.are_labels() { TEXT_OF_LABEL * meta.parts.len() as u64 } else { 0 };
+    let bytes = u128::from(vertex_bytes(meta)) * u128::from(vertices)
+        + 12 * u128::from(triangles)
+        + u128::from(labels);
     if bytes > u128::from(u64::from(u32::MAX) - JSON_ROOM) {
         return Err(Error::usage(format!(
             "a GLB file holds at most 4 GiB, this surface of {vertices} vertices and {triangles} triangles takes {bytes} \
@@ -107,22 +112,10 @@ pub(in crate::files) fn write(
         return Err(Error::usage("the comments of a GLB file hold at most 1 MiB: give shorter ones"));
     }
     text.extend(std::iter::repeat_n(' ', text.len().next_multiple_of(4) - text.len()));
-    let bin_chunk = if bin == 0 { 0 } else { CHUNK_HEAD + bin };
-    let total = HEAD + CHUNK_HEAD + text.len() as u64 + bin_chunk;
-    let put = |sink: &mut Sink<'_>, n: u64| {
-        sink.put(&u32::try_from(n).expect("limits were checked before").to_le_bytes())
-    };
-    sink.put(MAGIC)?;
-    put(sink, 2)?;
-    put(sink, total)?;
-    put(sink, text.len() as u64)?;
-    put(sink, u64::from(JSON))?;
-    sink.put(text.as_bytes())?;
+    put_head(sink, &text, bin)?;
     if bin == 0 {
         return Ok(());
     }
-    put(sink, bin)?;
-    put(sink, u64::from(BIN))?;
     each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.position))?;
     each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal))?;
     if let Some(values) = &meta.values {
@@ -140,6 +133,29 @@ pub(in crate::files) fn write(
         t.iter().for_each(|v| buffer.extend_from_slice(&v.to_le_bytes()));
         Ok(())
     })
+}
+
+/// Bytes of a file with a JSON text, padded, and so many bytes of arrays.
+pub(super) fn file_bytes(text: &str, bin: u64) -> u64 {
+    HEAD + CHUNK_HEAD + text.len() as u64 + if bin == 0 { 0 } else { CHUNK_HEAD + bin }
+}
+
+/// Writes all that comes before the arrays.
+pub(super) fn put_head(sink: &mut Sink<'_>, text: &str, bin: u64) -> Result<()> {
+    let put = |sink: &mut Sink<'_>, n: u64| {
+        sink.put(&u32::try_from(n).expect("limits were checked before").to_le_bytes())
+    };
+    sink.put(MAGIC)?;
+    put(sink, 2)?;
+    put(sink, file_bytes(text, bin))?;
+    put(sink, text.len() as u64)?;
+    put(sink, u64::from(JSON))?;
+    sink.put(text.as_bytes())?;
+    if bin == 0 {
+        return Ok(());
+    }
+    put(sink, bin)?;
+    put(sink, u64::from(BIN))
 }
 
 /// The JSON text. Bounds are written so that they are exact also for a reader that uses `f64`.

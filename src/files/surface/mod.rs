@@ -26,6 +26,7 @@
 //! its comment alone: [`SurfaceFormat::shifts`].
 
 pub mod glb;
+mod glb_labels;
 pub mod obj;
 pub mod ply;
 pub mod stl;
@@ -33,6 +34,7 @@ mod values;
 pub mod vtkhdf;
 pub mod vtp;
 
+use crate::files::labels::LabelStyle;
 use crate::surface::check::CheckSettings;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, TriMesh, Vertex};
@@ -41,6 +43,7 @@ use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::shared::format::is_hdf5;
 use isospan_io::formats::shared::sink::Sink;
+use isospan_io::volume::ScalarType;
 use isospan_io::volume::shifted::shortest;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -118,7 +121,8 @@ pub struct SurfaceMeta {
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
     /// The parts of the surface, one after another, where it has several: PLY, VTP and VTKHDF then
-    /// have an array `isovalue` of the vertices, OBJ has groups. Empty if it is one surface.
+    /// have an array `isovalue` or `label` of the vertices, OBJ has groups, GLB has a node for each
+    /// label. Empty if it is one surface.
     pub parts: Vec<SurfacePart>,
     /// Values of a field at the vertices, where there are some: PLY, VTP, VTKHDF and GLB have an
     /// array of them, and PLY, OBJ and GLB colours.
@@ -126,14 +130,16 @@ pub struct SurfaceMeta {
 }
 
 /// One of several surfaces in a file.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SurfacePart {
-    /// Its isovalue.
+    /// Its isovalue; of a label, the label.
     pub isovalue: f64,
     /// Its vertices.
     pub vertices: u64,
     /// Its triangles.
     pub triangles: u64,
+    /// How the label is shown, where the parts are those of labels: the array is then `label`.
+    pub label: Option<LabelStyle>,
 }
 
 impl SurfaceMeta {
@@ -152,30 +158,71 @@ impl SurfaceMeta {
         self.parts.iter().map(end).collect()
     }
 
-    /// Bytes of the isovalue of a vertex of several parts: an `f32`, or an `f64` where an isovalue
-    /// has more digits.
-    pub(in crate::files) fn isovalue_bytes(&self) -> usize {
-        if self.parts.iter().all(|p| shortest(p.isovalue as f32) == p.isovalue) { 4 } else { 8 }
+    /// The name of the array that tells parts apart.
+    pub(in crate::files) fn part_array(&self) -> &'static str {
+        if self.are_labels() { "label" } else { "isovalue" }
     }
 
-    /// Appends the isovalue of a vertex of several parts.
+    /// Whether the parts are those of labels.
+    pub(in crate::files) fn are_labels(&self) -> bool {
+        self.parts.first().is_some_and(|part| part.label.is_some())
+    }
+
+    /// The type of what tells parts apart: `i32` for labels, else `f32`; `f64` where a number needs
+    /// more.
+    pub(in crate::files) fn part_scalar(&self) -> ScalarType {
+        let mut isovalues = self.parts.iter().map(|p| p.isovalue);
+        if self.are_labels() {
+            let fits = |v: f64| f64::from(v as i32) == v;
+            return if isovalues.all(fits) { ScalarType::I32 } else { ScalarType::F64 };
+        }
+        if isovalues.all(|v| shortest(v as f32) == v) { ScalarType::F32 } else { ScalarType::F64 }
+    }
+
+    /// Appends the isovalue, or the label, of a vertex of several parts.
     pub(in crate::files) fn put_isovalue(&self) -> impl Fn(u64, &mut Vec<u8>) + use<> {
-        let (ends, bytes) = (self.vertex_ends(), self.isovalue_bytes());
+        let (ends, scalar) = (self.vertex_ends(), self.part_scalar());
         move |vertex, out| {
             let at = ends.partition_point(|&(end, _)| end <= vertex);
             let isovalue = ends.get(at).map_or(f64::NAN, |part| part.1);
-            match bytes {
-                4 => out.extend_from_slice(&(isovalue as f32).to_le_bytes()),
+            match scalar {
+                ScalarType::F32 => out.extend_from_slice(&(isovalue as f32).to_le_bytes()),
+                ScalarType::I32 => out.extend_from_slice(&(isovalue as i32).to_le_bytes()),
                 _ => out.extend_from_slice(&isovalue.to_le_bytes()),
             }
         }
     }
 
+    /// Appends the colour of the label of a vertex.
+    pub(in crate::files) fn label_colour(&self) -> impl Fn(u64) -> [u8; 3] + use<> {
+        let ends: Vec<u64> = self.vertex_ends().iter().map(|part| part.0).collect();
+        let colour = |part: &SurfacePart| {
+            let [r, g, b, _] = part.label.as_ref().map_or([0; 4], |label| label.colour);
+            [r, g, b]
+        };
+        let colours: Vec<[u8; 3]> = self.parts.iter().map(colour).collect();
+        move |vertex| colours.get(ends.partition_point(|&end| end <= vertex)).copied().unwrap_or_default()
+    }
+
+    /// What the comments of a file say of labels: how many, and the names of the first thousand.
+    fn label_lines(&self) -> Vec<String> {
+        let named = |part: &SurfacePart| {
+            let name = part.label.as_ref().map(|label| &label.name).filter(|name| !name.is_empty())?;
+            Some(format!("label {} {name}", part.isovalue))
+        };
+        let names = self.parts.iter().filter_map(named).take(1000);
+        std::iter::once(format!("labels {}", self.parts.len())).chain(names).collect()
+    }
+
     /// The comment lines of a file: printable, one line each, the isovalue first.
     pub(in crate::files) fn lines(&self) -> Vec<String> {
-        let isovalues: String = self.isovalues().iter().map(|v| format!(" {v}")).collect();
-        let isovalue = (!isovalues.is_empty()).then(|| format!("isovalue{isovalues}"));
         let clean = |line: &str| line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+        let isovalues: String = self.isovalues().iter().map(|v| format!(" {v}")).collect();
+        let isovalue: Vec<String> = match self.are_labels() {
+            true => self.label_lines().iter().map(|line| clean(line)).collect(),
+            false if isovalues.is_empty() => vec![],
+            false => vec![format!("isovalue{isovalues}")],
+        };
         let texts = self.comments.iter().flat_map(|c| c.lines()).map(clean);
         let colours = self.values.iter().map(|values| clean(&values.line()));
         isovalue.into_iter().chain(texts).chain(colours).collect()
@@ -251,6 +298,9 @@ fn write(
         SurfaceFormat::Stl => stl::write(source, &mut sink, meta, scratch)?,
         SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
+        SurfaceFormat::Glb if meta.are_labels() && meta.values.is_none() => {
+            glb_labels::write(source, &mut sink, meta)?;
+        }
         SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
         SurfaceFormat::VtkHdf => vtkhdf::write(source, &mut sink, meta)?,
     }

@@ -2,7 +2,7 @@
 //!
 //! A line is a statement: `v x y z` is a vertex, `vn x y z` a normal, `f a//a b//b c//c` a face of
 //! vertex and normal numbers, both counted from 1. Several surfaces in one file are groups,
-//! `g isovalue_600`. We write the shortest decimals that read back as the same `f32`; of a surface
+//! `g isovalue_600`; those of labels have the labels' names, or `g label_3`, and colours. We write the shortest decimals that read back as the same `f32`; of a surface
 //! that is far from 0, as the same `f64`.
 //!
 //! We read `v` and `f` in all their forms (`a`, `a/t`, `a//n`, `a/t/n`; negative numbers count back
@@ -86,6 +86,14 @@ pub(in crate::files) fn write(
             let [r, g, b] = values.colour(value).map(|c| f32::from(c) / 255.0);
             put(text, format_args!("v {x} {y} {z} {r:.4} {g:.4} {b:.4}\n"));
         })?,
+        None if meta.are_labels() => {
+            let colour = meta.label_colour();
+            each_vertex(source, sink, |text, number, v| {
+                let [x, y, z] = place(v);
+                let [r, g, b] = colour(number).map(|c| f32::from(c) / 255.0);
+                put(text, format_args!("v {x} {y} {z} {r:.4} {g:.4} {b:.4}\n"));
+            })?;
+        }
         None if is_far => each_vertex(source, sink, |text, _, v| {
             let [x, y, z] = place(v);
             put(text, format_args!("v {x} {y} {z}\n"));
@@ -110,7 +118,13 @@ fn groups(meta: &SurfaceMeta) -> Vec<(u64, String)> {
     let group = |part: &SurfacePart| {
         let start = first;
         first += part.triangles;
-        (start, format!("isovalue_{}", part.isovalue))
+        let name = match &part.label {
+            None => format!("isovalue_{}", part.isovalue),
+            Some(label) if label.name.is_empty() => format!("label_{}", part.isovalue),
+            // Names are words.
+            Some(label) => label.name.split_whitespace().collect::<Vec<_>>().join("_"),
+        };
+        (start, name)
     };
     meta.parts.iter().map(group).collect()
 }

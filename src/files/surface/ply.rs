@@ -17,7 +17,7 @@
 //! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are
 //! more than 2³¹-1 vertices. Coordinates are `double` where `f32` does not tell them apart. Several
 //! surfaces in one file have a seventh property, `float isovalue` (`double` where one has more
-//! digits). In a file that we read, `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept);
+//! digits); those of labels `int label`, and the label's colour. In a file that we read, `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept);
 //! `face` needs the list `vertex_indices` or `vertex_index`; all other elements and properties are
 //! skipped. Triangle strips are refused.
 
@@ -30,6 +30,7 @@ use byteorder::{BE, ByteOrder, LE};
 use isospan_io::error::{Error, Place, Result};
 use isospan_io::formats::shared::sink::Sink;
 use isospan_io::formats::shared::text::Words;
+use isospan_io::volume::ScalarType;
 use std::path::Path;
 
 /// Writes a surface as binary little-endian PLY.
@@ -42,12 +43,16 @@ pub(in crate::files) fn write(
     let kind = if coordinate_bytes(source) == 4 { "float" } else { "double" };
     sink.put(header(source.vertex_count(), source.triangle_count(), kind, meta).as_bytes())?;
     let put_isovalue = meta.put_isovalue();
+    let (label_colour, has_label_colours) = (meta.label_colour(), has_label_colours(meta));
     let values = meta.values.as_deref();
     each_vertex_with(source, sink, values, |buffer, number, v, value| {
         put_place(buffer, v, origin);
         put_floats(buffer, v.normal);
         if !meta.parts.is_empty() {
             put_isovalue(number, buffer);
+        }
+        if has_label_colours {
+            buffer.extend_from_slice(&label_colour(number));
         }
         if let Some(values) = values {
             values.put(value, buffer);
@@ -77,18 +82,31 @@ fn header(vertices: u64, triangles: u64, coordinate: &str, meta: &SurfaceMeta) -
         text += &format!("property float {name}\n");
     }
     if !meta.parts.is_empty() {
-        let kind = if meta.isovalue_bytes() == 4 { "float" } else { "double" };
-        text += &format!("property {kind} isovalue\n");
+        let kind = match meta.part_scalar() {
+            ScalarType::F32 => "float",
+            ScalarType::I32 => "int",
+            _ => "double",
+        };
+        text += &format!("property {kind} {}\n", meta.part_array());
+    }
+    if has_label_colours(meta) {
+        text += COLOURS;
     }
     if let Some(values) = &meta.values {
         let kind = if values.bytes() == 4 { "float" } else { "double" };
         text += &format!("property {kind} {}\n", values.plain_name());
-        for name in ["red", "green", "blue"] {
-            text += &format!("property uchar {name}\n");
-        }
+        text += COLOURS;
     }
     let index = if vertices <= i32::MAX as u64 + 1 { "int" } else { "uint" };
     text + &format!("element face {triangles}\nproperty list uchar {index} vertex_indices\nend_header\n")
+}
+
+/// The properties of a colour.
+const COLOURS: &str = "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+
+/// Whether vertices have the colours of their labels; those of values go first.
+fn has_label_colours(meta: &SurfaceMeta) -> bool {
+    meta.are_labels() && meta.values.is_none()
 }
 
 /// The type of a number.

@@ -9,7 +9,7 @@
 //!   NumberOfPoints
 //!   Points                                        3 × f32 a vertex (f64 where f32 does not tell them apart)
 //!   PointData/Normals                             3 × f32 a vertex
-//!   PointData/isovalue                            f32 a vertex    (f64 where one has more digits) of several surfaces in one file only
+//!   PointData/isovalue                            f32 a vertex    (f64 where one has more digits; label i32) of several surfaces in one file only
 //!   PointData/FIELD                               f32 a vertex    of a surface with values
 //!   Polygons/NumberOfCells, NumberOfConnectivityIds
 //!   Polygons/Connectivity                         3 × i64 a triangle
@@ -80,12 +80,11 @@ fn tree(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Group {
     data.add("Normals", active(Dataset::after(ScalarType::F32, &[vertices, 3]), "Normals"));
     let values = meta.values.as_deref();
     if !meta.parts.is_empty() {
-        let scalar = if meta.isovalue_bytes() == 4 { ScalarType::F32 } else { ScalarType::F64 };
-        let isovalues = Dataset::after(scalar, &[vertices]);
-        data.add("isovalue", if values.is_some() { isovalues } else { active(isovalues, "Scalars") });
+        let isovalues = Dataset::after(meta.part_scalar(), &[vertices]);
+        data.add(meta.part_array(), if values.is_some() { isovalues } else { active(isovalues, "Scalars") });
     }
     if let Some(values) = values {
-        let others = ["Normals", "isovalue"];
+        let others = ["Normals", meta.part_array()];
         let name = array_name(values.name(), &others[..1 + usize::from(!meta.parts.is_empty())]);
         let scalar = if values.bytes() == 4 { ScalarType::F32 } else { ScalarType::F64 };
         data.add(&name, active(Dataset::after(scalar, &[vertices]), "Scalars"));
@@ -108,7 +107,7 @@ fn tree(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Group {
     let isovalues = meta.isovalues();
     if !isovalues.is_empty() {
         let mut data = Group::default();
-        data.add("isovalue", Value::floats(&isovalues));
+        data.add(meta.part_array(), Value::floats(&isovalues));
         group.add_group("FieldData", data);
     }
     hdf::root("PolyData", &meta.lines(), group)
@@ -219,7 +218,7 @@ mod tests {
     #[cfg(feature = "hdf5")]
     #[test]
     fn what_we_write_is_where_the_head_says() {
-        let part = |isovalue, vertices| SurfacePart { isovalue, vertices, triangles: 2 };
+        let part = |isovalue, vertices| SurfacePart { isovalue, vertices, triangles: 2, label: None };
         let bytes = written(vec![part(0.5, 3), part(1.0 / 3.0, 1)]);
         assert_eq!(parse(&bytes).unwrap(), tetrahedron());
         let file = hdf5_reader::Hdf5File::from_bytes(&bytes).unwrap();

@@ -10,7 +10,7 @@
 //!   <AppendedData encoding="raw">
 //!    _[u64 length][Points 3 × f32 a vertex]         (f64 where f32 does not tell them apart)
 //!     [u64 length][Normals 3 × f32 a vertex]
-//!     [u64 length][isovalue f32 a vertex]            (f64 where one has more digits) of several surfaces in one file only
+//!     [u64 length][isovalue f32 a vertex]            (f64 where one has more digits; label i32) of several surfaces in one file only
 //!     [u64 length][connectivity 3 × i64 a triangle]
 //!     [u64 length][offsets i64 a triangle: 3, 6, 9, …]
 //!   </AppendedData>
@@ -50,7 +50,7 @@ pub(in crate::files) fn write(
 ) -> Result<()> {
     let (vertices, triangles) = (source.vertex_count(), source.triangle_count());
     // At most 2³² vertices and far fewer than 2⁵⁸ triangles: no product overflows.
-    let scalars = if meta.parts.is_empty() { 0 } else { meta.isovalue_bytes() as u64 * vertices };
+    let scalars = if meta.parts.is_empty() { 0 } else { meta.part_scalar().bytes() as u64 * vertices };
     let of_values = meta.values.as_ref().map_or(0, |values| values.bytes() * vertices);
     let (coordinate, origin) = (coordinate_bytes(source), source.origin());
     let of_points = 3 * coordinate * vertices;
@@ -97,14 +97,19 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta
     let values_at = values.map_or(0, |_| place(lengths[3]));
     let (connectivity, offsets) = (place(lengths[4]), place(lengths[5]));
     let comment: String = meta.lines().iter().map(|line| format!("  {}\n", comment_text(line))).collect();
-    let float = if meta.isovalue_bytes() == 4 { "Float32" } else { "Float64" };
+    let parts = match meta.part_scalar() {
+        ScalarType::F32 => "Float32",
+        ScalarType::I32 => "Int32",
+        _ => "Float64",
+    };
+    let part_array = meta.part_array();
     [
         "<?xml version=\"1.0\"?>\n<!-- isospan surface\n".to_string(),
         comment,
         "-->\n<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" \
          header_type=\"UInt64\">\n  <PolyData>\n"
             .to_string(),
-        field_data(&meta.isovalues()),
+        field_data(part_array, &meta.isovalues()),
         format!(
             "    <Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" \
              NumberOfStrips=\"0\" NumberOfPolys=\"{triangles}\">\n"
@@ -113,12 +118,12 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta
             "      <PointData{} Normals=\"Normals\">\n",
             match values {
                 Some(values) => format!(" Scalars=\"{}\"", xml_attribute(values.name())),
-                None if several => " Scalars=\"isovalue\"".into(),
+                None if several => format!(" Scalars=\"{part_array}\""),
                 None => String::new(),
             }
         ),
         array("Float32", "Normals", 3, normals),
-        if several { array(float, "isovalue", 1, scalars) } else { String::new() },
+        if several { array(parts, part_array, 1, scalars) } else { String::new() },
         values.map_or_else(String::new, |v| {
             let kind = if v.bytes() == 4 { "Float32" } else { "Float64" };
             array(kind, &xml_attribute(v.name()), 1, values_at)
@@ -133,14 +138,14 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta
     .concat()
 }
 
-/// The isovalues, as an array of the whole data set.
-fn field_data(isovalues: &[f64]) -> String {
+/// The isovalues, or the labels, as an array of the whole data set.
+fn field_data(name: &str, isovalues: &[f64]) -> String {
     if isovalues.is_empty() {
         return String::new();
     }
     let list = isovalues.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
     format!(
-        "    <FieldData>\n      <DataArray type=\"Float64\" Name=\"isovalue\" NumberOfTuples=\"{}\" \
+        "    <FieldData>\n      <DataArray type=\"Float64\" Name=\"{name}\" NumberOfTuples=\"{}\" \
          format=\"ascii\">{list}</DataArray>\n    </FieldData>\n",
         isovalues.len()
     )

@@ -12,6 +12,7 @@ mod against;
 mod colours;
 mod cubes;
 mod extract;
+mod labels;
 mod level;
 mod numbers;
 mod parts;
@@ -29,6 +30,8 @@ mod worker;
 #[cfg(feature = "compare")]
 pub(super) use against::surface_errors;
 pub(super) use colours::values_on;
+pub use labels::{LabelMesh, LabelReport, Labels, OneLabel};
+pub(super) use labels::{LabelSettings, label_files, label_meshes, write_labels};
 pub(super) use level::level_of;
 pub use numbers::{InscribedBall, NumbersReport, PhaseNumbers};
 pub(super) use numbers::{expect_whole, numbers};

@@ -508,6 +508,7 @@ fn write_all(
             isovalue: v,
             vertices: s.surface.vertex_count(),
             triangles: s.surface.triangle_count(),
+            label: None,
         };
         let parts = surfaces.iter().zip(isovalues).map(part).collect();
         let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());

@@ -155,6 +155,7 @@ impl Surface {
             isovalue: s.isovalue,
             vertices: s.mesh.vertex_count(),
             triangles: s.mesh.triangle_count(),
+            label: None,
         };
         let parts = surfaces.iter().map(part).collect();
         let meta = SurfaceMeta { isovalue: None, parts, ..first.meta() };
