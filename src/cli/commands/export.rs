@@ -16,7 +16,7 @@ use std::path::PathBuf;
 /// Write the tetrahedra or the samples of an archive to a file.
 ///
 /// Tetrahedra are an unstructured grid, VTU or VTKHDF, with the values of each field at the points.
-/// A level of a pyramid is a grid of samples: VTI, NRRD, NIfTI, MetaImage or NPY; VTR and VTS of a
+/// A level of a pyramid is a grid of samples: VTI, NRRD, NIfTI, MetaImage, TIFF or NPY; VTR and VTS of a
 /// grid with coordinates. OME-Zarr has it and all coarser levels, and several steps. Where the
 /// archive keeps whole numbers without loss, samples have the source's type; else they are float32,
 /// or float64 where values are counted from an offset.
@@ -28,7 +28,7 @@ pub struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
     pub archive: PathBuf,
     /// The file to write. Of tetrahedra .vtu or .vtkhdf; of a pyramid .vti .vtr .vts .nrrd .nii
-    /// .nii.gz .mha .mhd (with .raw) or .npy, or the folder .zarr.
+    /// .nii.gz .mha .mhd (with .raw) .tif or .npy, or the folder .zarr.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
     /// The fields to write, where the archive has several [default: all; that of --field or of

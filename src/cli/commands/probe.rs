@@ -32,8 +32,8 @@ pub struct Args {
     /// A table of points in world coordinates: the columns titled x, y and z, or the first three.
     #[arg(long, value_name = "CSV")]
     at: Option<PathBuf>,
-    /// The file to write: for a grid .vti .nrrd .nii .nii.gz .mha .mhd (with .raw) or .npy, for
-    /// points .csv or .npy.
+    /// The file to write: for a grid .vti .nrrd .nii .nii.gz .mha .mhd (with .raw) .tif or
+    /// .npy, for points .csv or .npy.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
     #[command(flatten)]

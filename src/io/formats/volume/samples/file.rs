@@ -1,7 +1,7 @@
 //! A file of samples while it is written.
 
 use super::pack::{Packed, Stream, pack};
-use super::{GridMeta, GridPlace, Layout, SampleField, SampleFormat, heads, nifti, vtk};
+use super::{GridMeta, GridPlace, Layout, SampleField, SampleFormat, heads, nifti, tiff, vtk};
 use crate::bytes::publish::{Unpublished, folder_of};
 use crate::bytes::store::{read_at, write_at};
 use crate::error::{Error, Result};
@@ -114,6 +114,7 @@ impl SampleFile {
             SampleFormat::Nifti | SampleFormat::NiftiGz => {
                 Layout { head: nifti::head(meta, path)?, ..Layout::default() }
             }
+            SampleFormat::Tiff => tiff::layout(meta)?,
             SampleFormat::Vti | SampleFormat::Vtr | SampleFormat::Vts => vtk::layout(meta, stored)?,
         })
     }

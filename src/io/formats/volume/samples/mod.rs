@@ -7,6 +7,7 @@
 //! | **NRRD** | space directions and units | one | gzip |
 //! | **NIfTI** | version 1, or 2 where that does not hold the grid | one | `.nii.gz` |
 //! | **MetaImage** | `.mha`, or `.mhd` with a `.raw` beside it | one | zlib |
+//! | **TIFF** | a page for each slice, with ImageJ's spacing and unit; BigTIFF beyond 4 GiB | one | |
 //! | **NPY** | version 1, shape (z, y, x), or (n) for a list | one | |
 //!
 //! All have a header whose length is known beforehand, then the samples one after another, x
@@ -21,6 +22,7 @@ mod nifti;
 mod pack;
 #[cfg(test)]
 mod tests;
+mod tiff;
 mod vtk;
 
 pub use file::SampleFile;
@@ -70,10 +72,12 @@ pub enum SampleFormat {
     Mhd,
     /// NumPy.
     Npy,
+    /// TIFF, a page for each slice.
+    Tiff,
 }
 
 /// How names end, and what they ask for.
-const ENDINGS: [(&str, SampleFormat); 9] = [
+const ENDINGS: [(&str, SampleFormat); 11] = [
     (".vti", SampleFormat::Vti),
     (".vtr", SampleFormat::Vtr),
     (".vts", SampleFormat::Vts),
@@ -83,6 +87,8 @@ const ENDINGS: [(&str, SampleFormat); 9] = [
     (".mha", SampleFormat::Mha),
     (".mhd", SampleFormat::Mhd),
     (".npy", SampleFormat::Npy),
+    (".tif", SampleFormat::Tiff),
+    (".tiff", SampleFormat::Tiff),
 ];
 
 impl SampleFormat {
@@ -95,7 +101,7 @@ impl SampleFormat {
         found.map(|(_, format)| *format).ok_or_else(|| {
             Error::usage(format!(
                 "cannot tell the format of samples on a grid from {}: end its name in .vti, .vtr, .vts, .nrrd, \
-                 .nii, .nii.gz, .mha, .mhd or .npy",
+                 .nii, .nii.gz, .mha, .mhd, .tif or .npy",
                 path.display()
             ))
         })
@@ -124,6 +130,9 @@ impl SampleFormat {
         let mut lines = vec![];
         let has_lengths = match self {
             Self::Nrrd => true,
+            Self::Tiff => {
+                length.as_ref().is_some_and(|unit| unit.as_str() == "µm" || unit.as_str().is_ascii())
+            }
             Self::Nifti | Self::NiftiGz => nifti::unit_of(length.as_ref()).0 > 0,
             Self::Mha | Self::Mhd => heads::has_unit(length.as_ref()),
             Self::Vti | Self::Vtr | Self::Vts | Self::Npy => false,
@@ -140,6 +149,11 @@ impl SampleFormat {
             let [x, y, z] = geometry.origin;
             let [a, b, c] = geometry.spacing;
             lines.push(format!("{name} has no place for the origin {x},{y},{z} and the spacing {a},{b},{c}"));
+        }
+        if let (Self::Tiff, GridPlace::Even(geometry)) = (self, &meta.place)
+            && (geometry.origin != [0.0; 3] || geometry.direction != Geometry::default().direction)
+        {
+            lines.push(format!("{name} has no place for the origin and the directions of the axes"));
         }
         if let (true, Some(unit)) = (nifti::converts(self, length.as_ref()), length) {
             lines.push(format!("lengths in {unit} are written in one of NIfTI's units, m, mm or µm"));
@@ -193,6 +207,9 @@ impl SampleFormat {
         }
         if compress && self == Self::Npy {
             return refuse("NPY is not compressed: leave out `compress`".into());
+        }
+        if compress && self == Self::Tiff {
+            return refuse("TIFF is written without compression: leave out `compress`".into());
         }
         if compress && self == Self::Nifti {
             return refuse("compressed NIfTI is called .nii.gz".into());
