@@ -69,6 +69,7 @@ settings! {
     Scale "scale",
     Shards "shards",
     Shift "shift",
+    SmoothLimit "smooth_limit",
     Spacing "spacing",
     Step "step",
     TargetMax "target_max",

@@ -179,6 +179,12 @@ impl<Of> SurfaceQuery<'_, Of> {
         self
     }
 
+    /// A GLB of about half the bytes: positions of 16 bits, normals of 8.
+    pub fn compress(mut self, compress: bool) -> Self {
+        self.settings.compress = compress;
+        self
+    }
+
     /// The format of files, whatever their names end in.
     pub fn format(mut self, format: SurfaceFormat) -> Self {
         self.format = Some(format);

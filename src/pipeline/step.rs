@@ -70,9 +70,9 @@ impl Step {
         self.view.step().number()
     }
 
-    /// Its time, where the input states one; for a time between two steps, that of the first.
+    /// Its time, where the input states one; between two steps, that of the moment.
     pub fn time(&self) -> Option<f64> {
-        self.view.step().plan.time
+        self.view.time()
     }
 
     /// Bytes that are cached now: of blocks, or of the tiles and nodes of a pyramid.

@@ -31,8 +31,7 @@ mod world_map;
 
 #[cfg(feature = "compare")]
 pub(crate) use closest::closest;
-#[cfg(feature = "compare")]
+pub(crate) use model::relative_to;
 pub(crate) use model::vertices_from;
 pub use model::{Joined, SurfaceSource, TriMesh, Vertex};
-pub(crate) use model::{relative_to, world_of};
 pub use world_map::{WorldMap, nearby_origin};

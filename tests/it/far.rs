@@ -70,7 +70,7 @@ fn a_surface_on_a_map_has_the_area_that_it_has_at_the_origin() {
     ok(d, &["surface", "near.isospan", "-i", "0.25", "-o", "near.ply"]);
     let near = check(&read_surface(&d.join("near.ply")).unwrap());
     assert!(near.is_closed() && near.volume.is_some());
-    for format in SurfaceFormat::ALL {
+    for format in SurfaceFormat::ALL.into_iter().filter(|format| format.is_read()) {
         let file = format!("far.{}", format.extension());
         let text = ok(d, &["surface", "far.isospan", "-i", "0.25", "-o", &file]);
         assert_eq!(text.contains("coordinates   are less 448262.6 5411932.9"), format.shifts(), "{text}");

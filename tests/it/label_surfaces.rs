@@ -176,7 +176,7 @@ fn the_program_writes_labels_and_refuses_what_has_none() {
         ("x", &["-o", "x.ply"], "expected a label"),
         ("3", &["-o", "-"], "-o"),
         ("3", &["-o", "x.ply", "-i", "1"], "cannot be used with"),
-        ("3", &["-o", "x.ply", "--smooth", "65"], "from 0 to 64"),
+        ("3", &["-o", "x.ply", "--smooth", "65"], "at most 64 steps"),
         ("3", &["-o", "x.ply", "--label-table", "v.npy"], "v.npy"),
     ] {
         let out = surface(labels, more);

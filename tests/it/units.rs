@@ -198,12 +198,12 @@ fn pictures_and_texts_have_units() {
 
     ok(d, &["spectrum", "units.isospan", "--plot", "one.svg"]);
     let svg = std::fs::read_to_string(d.join("one.svg")).unwrap();
-    assert!(svg.contains("isovalue (K)") && svg.contains("µm^2"), "{svg}");
+    assert!(svg.contains("isovalue (K)") && svg.contains("µm²"), "{svg}");
     ok(d, &["spectrum", "units.isospan", "--all-steps", "--plot", "all.svg"]);
     let svg = std::fs::read_to_string(d.join("all.svg")).unwrap();
     assert!(svg.contains("isovalue (K)") && svg.contains("time (s)"), "{svg}");
     let told = ok(d, &["spectrum", "units.isospan"]);
-    assert!(told.contains("µm^3, values"), "{told}");
+    assert!(told.contains("µm³, values"), "{told}");
     let told = ok(d, &["probe", "units.isospan", "--grid", "3,3,3", "-o", "p.npy"]);
     assert!(told.contains("values in K"), "{told}");
 }
@@ -239,4 +239,45 @@ fn times_are_counted_from_the_date_of_the_first_step() {
     let report = info(d, "s.isospan");
     let times: Vec<f64> = (0..4).map(|n| report["steps"][n]["time"].as_f64().unwrap()).collect();
     assert_eq!(times, [-16.5, 7.5, 31.5, 55.5]);
+}
+
+#[test]
+fn surface_files_keep_units_and_times() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    volumes(d, 2);
+    ok(d, &[&["reduce", "v?.npy", "-o", "u.isospan", "--times", "0,0.5"], &THREE[..]].concat());
+    for format in ["ply", "stl", "obj", "vtp", "vtkhdf", "glb"] {
+        let file = format!("s.{format}");
+        ok(d, &["surface", "u.isospan", "-i", "0.1", "--step", "1", "-o", &file]);
+        let told = ok(d, &["check", &file]);
+        assert!(told.contains("µm²"), "{file}: {told}");
+        let units =
+            serde_json::from_str::<Value>(&ok(d, &["check", &file, "--json"])).unwrap()["units"].clone();
+        // The 80 bytes of STL do not reach all of them.
+        let all = json!({ "value": "K", "length": "µm", "time": "s" });
+        assert!(units == all || format == "stl" && units["length"] == "µm", "{file}: {units}");
+        // Coordinates are those of the archive, also of the GLB in metres.
+        ok(d, &["check", &file, "--within", "u.isospan"]);
+        let told = ok(d, &["compare", "s.ply", &file, "--samples", "100"]);
+        assert!(told.contains("  in µm; the largest distance is 0 %"), "{file}: {told}");
+    }
+    ok(d, &["reduce", "v1.npy", "-o", "m.isospan", "--length-unit", "m"]);
+    ok(d, &["surface", "m.isospan", "-i", "0.1", "-o", "m.ply"]);
+    let (code, out, err) = run(d, &["compare", "s.ply", "m.ply", "--samples", "100"]);
+    assert!(code == 0 && out.contains("in world units"), "{out}");
+    assert!(err.is_empty() || err.contains("A is in µm and B in m"), "{err}");
+    let text = String::from_utf8_lossy(&std::fs::read(d.join("s.vtp")).unwrap()).into_owned();
+    assert_eq!(text.matches("Name=\"isovalue\"").count(), 1);
+    assert!(text.contains("Name=\"TimeValue\" NumberOfTuples=\"1\" format=\"ascii\">0.5<"));
+    ok(d, &["surface", "u.isospan", "-i", "0,0.1", "-o", "two.vtp"]);
+    let text = String::from_utf8_lossy(&std::fs::read(d.join("two.vtp")).unwrap()).into_owned();
+    assert_eq!(text.matches("Name=\"isovalue\"").count(), 1);
+    // All steps in one file.
+    let told = ok(d, &["surface", "u.isospan", "-i", "0,0.1", "--all-steps", "-o", "all.vtkhdf"]);
+    assert!(told.contains("step 1 (time 0.5)") && told.contains("all steps"), "{told}");
+    assert!(std::fs::metadata(d.join("all.vtkhdf")).unwrap().len() > 10_000);
+    fails(d, &["surface", "u.isospan", "-i", "0", "-o", "x.ply", "--compress"], "--compress is for .glb");
+    ok(d, &["surface", "u.isospan", "-i", "0,0.1", "-o", "two.3mf"]);
+    fails(d, &["check", "two.3mf"], "3MF is written and not read");
 }

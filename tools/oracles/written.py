@@ -12,6 +12,7 @@ import nibabel
 import nrrd
 import numpy as np
 import SimpleITK as sitk
+import tifffile
 import zarr
 from ome_zarr.io import parse_url
 from ome_zarr.reader import Reader
@@ -103,6 +104,16 @@ def image(test, path, values, axes, origin, anatomy):
         read = np.load(path)
         test.is_so(f"{name} dtype", read.dtype, kind)
         test.equal(name, read.T, values)
+    if name.endswith(".tif"):
+        with tifffile.TiffFile(path) as read:
+            test.is_so(f"{name} pages", len(read.pages), values.shape[2])
+            test.is_so(f"{name} dtype", read.pages[0].dtype, kind)
+            test.equal(name, read.asarray().T, values)
+            about, page = read.imagej_metadata, read.pages[0]
+            test.is_so(f"{name} unit", about["unit"], "mm")
+            resolutions = [page.tags[tag].value for tag in ("XResolution", "YResolution")]
+            spacing = [n[1] / n[0] for n in resolutions] + [about["spacing"]]
+            test.near(f"{name} spacing", spacing, np.linalg.norm(axes, axis=0))
     if name.endswith(".vti"):
         reader = vtkXMLImageDataReader()
         reader.SetFileName(str(path))
@@ -132,9 +143,9 @@ def images(test):
             archive = test.reduce(f"{letter}{kind}.{suffix}", *flags)
             test.run("probe", archive, "--grid", ",".join(map(str, SHAPE)), "-o", f"{archive.stem}-probe.npy")
             wanted = values if is_whole else np.load(test.folder / f"{archive.stem}-probe.npy").T
-            for ending in "nii", "nii.gz", "nrrd", "mha", "mhd", "vti", "npy":
+            for ending in "nii", "nii.gz", "nrrd", "mha", "mhd", "vti", "tif", "npy":
                 for words in (), ("--compress",):
-                    if words and ending in ("nii", "npy"):
+                    if words and ending in ("nii", "tif", "npy"):
                         continue
                     path = test.folder / f"{archive.stem}{len(words)}.{ending}"
                     test.run("export", archive, "-o", path, *words)

@@ -97,7 +97,7 @@ with h5py.File("plain.vtkhdf") as one, h5py.File("packed.vtkhdf") as other, h5py
     assert other["VTKHDF/Points"].compression == "gzip" and one["VTKHDF/Points"].compression is None
     one, other = arrays_of(one), arrays_of(other)
     assert len(one) == 9 and one.keys() == other.keys() and all(np.array_equal(one[key], other[key]) for key in one)
-    assert len(arrays_of(third)) == 22 and third["comments"].asstr()[0] == "isovalue 400 1000.5"
+    assert len(arrays_of(third)) == 21 and third["comments"].asstr()[0] == "isovalue 400 1000.5"
 for name, reader in (("plain", vtkXMLUnstructuredGridReader), ("packed", vtkXMLUnstructuredGridReader),
                      ("empty", vtkXMLUnstructuredGridReader), ("surface", vtkXMLPolyDataReader),
                      ("both", vtkXMLPolyDataReader), ("none", vtkXMLPolyDataReader)):

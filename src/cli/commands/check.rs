@@ -12,6 +12,7 @@ use isospan::surface::check::{
     CheckSettings, Domain, OpenEdges, SurfaceCheckReport, check_source, check_within,
 };
 use isospan::surface::edit::clip::HalfSpace;
+use isospan::volume::units::Unit;
 use isospan::{Archive, Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -81,7 +82,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     }
     let dims = within.as_ref().map(|archive| archive.dims_of_level(args.level.choice())).transpose()?;
     let surface = load_surface(&args.input, &settings)?;
-    let origin = surface.origin();
+    let (origin, units) = (surface.origin(), surface.units().clone());
     let cuts = summary.as_ref().zip(args.roi).map_or(vec![], |(s, roi)| cuts(&roi, s, origin));
     let domain = summary.as_ref().map(|s| Domain {
         geometry: &s.geometry,
@@ -104,9 +105,13 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             value["boundary_edges_outside"] = open.outside.into();
             value["boundary_edges_at_missing"] = open.at_missing.into();
         }
+        if !units.are_unknown() {
+            value["units"] = serde_json::to_value(&units)
+                .map_err(|e| Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
+        }
         super::print_json("check.surface", &value)?;
     } else {
-        super::print(&surface_text(&args.input, &report, open))?;
+        super::print(&surface_text(&args.input, &report, open, units.length.as_ref()))?;
     }
     let defects = defects(&report, open);
     if defects.is_empty() {
@@ -188,7 +193,16 @@ fn defects(r: &SurfaceCheckReport, open: Option<OpenEdges>) -> Vec<String> {
     list
 }
 
-fn surface_text(path: &Path, r: &SurfaceCheckReport, open: Option<OpenEdges>) -> String {
+fn surface_text(
+    path: &Path,
+    r: &SurfaceCheckReport,
+    open: Option<OpenEdges>,
+    length: Option<&Unit>,
+) -> String {
+    let measure = |v: f64, power: u32, words: &str| match length {
+        Some(_) => format!("{}{}", text::number(v), text::unit_to_the(power, length)),
+        None => format!("{} {words} world units", text::number(v)),
+    };
     let mut out = String::new();
     let sound = defects(r, open).is_empty();
     let _ = writeln!(out, "{}: {}", path.display(), if sound { "sound" } else { "NOT SOUND" });
@@ -213,13 +227,10 @@ fn surface_text(path: &Path, r: &SurfaceCheckReport, open: Option<OpenEdges>) ->
     row("non-manifold vertices", text::count(r.non_manifold_vertices));
     row("misoriented edges", text::count(r.misoriented_edges));
     row("degenerate triangles", text::count(r.degenerate_triangles + r.zero_area_triangles));
-    row("area", format!("{} square world units", text::number(r.area)));
+    row("area", measure(r.area, 2, "square"));
     row(
         "enclosed volume",
-        r.volume.map_or_else(
-            || "none: the surface is not closed".into(),
-            |v| format!("{} cubic world units", text::number(v)),
-        ),
+        r.volume.map_or_else(|| "none: the surface is not closed".into(), |v| measure(v, 3, "cubic")),
     );
     out
 }

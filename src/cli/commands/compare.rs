@@ -12,6 +12,7 @@ use isospan::compare::{CompareReport, CompareSettings, compare};
 use isospan::formats::surface::load_surface;
 use isospan::pipeline::{Step, is_archive};
 use isospan::surface::check::{CheckSettings, SurfaceCheckReport};
+use isospan::volume::units::{Unit, common};
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -86,6 +87,13 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     }
     let [a, b] = [load_surface(&files[0], &check)?, load_surface(&files[1], &check)?];
     let report = compare(&a, &b, &settings)?;
+    let units = [&a, &b].map(|surface| surface.units().length.clone());
+    if let [Some(a), Some(b)] = &units
+        && a != b
+    {
+        talk.note(&format!("warning: A is in {a} and B in {b}: numbers are compared as they are"));
+    }
+    let unit = common(units);
     drop([a, b]);
     if let Some(out) = &args.output {
         let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -99,7 +107,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         };
         picture.draw(talk)?;
     }
-    if args.json { super::print_json("compare", &report) } else { super::print(&in_words(args, &report)) }
+    if args.json {
+        super::print_json("compare", &report)
+    } else {
+        super::print(&in_words(args, &report, unit.as_ref()))
+    }
 }
 
 /// The step of an archive; none of a surface.
@@ -151,7 +163,7 @@ fn value(v: f64) -> String {
     text::value(text::figures(v, 6))
 }
 
-fn in_words(args: &Args, r: &CompareReport) -> String {
+fn in_words(args: &Args, r: &CompareReport, unit: Option<&Unit>) -> String {
     let mut out = format!("A  {}\nB  {}\n", args.a.display(), args.b.display());
     let mut row = |name: &str, cells: [String; 3]| {
         let [a, b, c] = cells;
@@ -177,7 +189,8 @@ fn in_words(args: &Args, r: &CompareReport) -> String {
     let percent = 100.0 * r.hausdorff / r.diagonal;
     let _ = writeln!(
         out,
-        "  in world units; the largest distance is {} % of the diagonal {}; {} samples each",
+        "  in {}; the largest distance is {} % of the diagonal {}; {} samples each",
+        unit.map_or("world units", Unit::as_str),
         value(percent),
         value(r.diagonal),
         text::count(r.samples)

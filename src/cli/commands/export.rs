@@ -16,8 +16,8 @@ use std::path::PathBuf;
 /// Write the tetrahedra or the samples of an archive to a file.
 ///
 /// Tetrahedra are an unstructured grid, VTU or VTKHDF, with the values of each field at the points.
-/// A level of a pyramid is a grid of samples: VTI, NRRD, NIfTI, MetaImage, TIFF or NPY; VTR and VTS of a
-/// grid with coordinates. OME-Zarr has it and all coarser levels, and several steps. Where the
+/// A level of a pyramid is a grid of samples: VTI, NRRD, NIfTI, MetaImage, TIFF or NPY; VTR and VTS
+/// of a grid with coordinates. OME-Zarr has it and all coarser levels, and several steps. Where the
 /// archive keeps whole numbers without loss, samples have the source's type; else they are float32,
 /// or float64 where values are counted from an offset.
 #[derive(clap::Args, Debug)]

@@ -44,16 +44,23 @@ pub struct Args {
         value_parser = grammar::value
     )]
     isovalue: Vec<Value>,
-    /// The file to write: .ply .stl .obj .vtp .vtkhdf or .glb; "-" for standard output. Several
-    /// isovalues go to one file; an array 'isovalue' of the points (.vtp, .vtkhdf, .ply) or groups
-    /// (.obj) distinguish them, and .stl and .glb do not. With {} in the name, each isovalue gets
-    /// its own file: surface_{}.ply. All formats have world coordinates as they are, .glb too,
-    /// whose viewers take y for up; but far from 0, .stl has them less a place that is printed.
+    /// The file to write: .ply .stl .obj .vtp .vtkhdf .glb or .3mf; "-" for standard output.
+    /// Several isovalues go to one file; an array 'isovalue' of the points (.vtp, .vtkhdf, .ply),
+    /// groups (.obj), nodes (.glb) or objects (.3mf) distinguish them, and .stl does not. With {}
+    /// in the name, each isovalue gets its own file: surface_{}.ply. Coordinates are those of the
+    /// world, and files name their unit where it is known. Then .glb is in metres with y up, as its
+    /// viewers expect; without a unit it has coordinates as they are, and .3mf is read as mm. Far
+    /// from 0, .stl has coordinates less a place that is printed.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
     /// The format [default: as the file's name ends; ply for standard output].
     #[arg(long, value_enum)]
     format: Option<Format>,
+    /// A .glb of about half the bytes: positions of 16 bits, normals of 8
+    /// (KHR_mesh_quantization). Positions are off by at most 1/131070 of the longest edge of the
+    /// surface's box. A .3mf is always compressed.
+    #[arg(long)]
+    compress: bool,
     /// Cut the surface at a box: I0:I1,J0:J1,K0:K1 in sample indices, or world:X0:X1,Y0:Y1,Z0:Z1.
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
@@ -75,6 +82,17 @@ pub struct Args {
     /// Measure the connected components. The ten largest are listed; --json lists up to 1000.
     #[arg(help_heading = "Components and decimation", long)]
     components: bool,
+    /// Smooth the surface: each vertex moves N times towards its neighbours and back (Taubin), and
+    /// no farther than --smooth-limit from where it was. Steps of voxels go, the volume stays.
+    /// Boundaries stay, and caps stay in their planes. Without N, 20 times. Of labels, without N 10
+    /// times and at most 64: vertices stay in their cells, walls common, and volumes within 1 % for
+    /// compact labels of a thousand voxels and more; small ones and thin sheets change more.
+    #[arg(help_heading = "Smoothing", long, value_name = "N", num_args = 0..=1, value_parser = grammar::whole::<u32>, allow_negative_numbers = true)]
+    smooth: Option<Option<u32>>,
+    /// How far --smooth may move a vertex, in world units or as N% of the diagonal of the domain
+    /// [default: half of the shortest edge of a voxel].
+    #[arg(help_heading = "Smoothing", long, value_name = "LENGTH", requires = "smooth", value_parser = grammar::length, allow_hyphen_values = true)]
+    smooth_limit: Option<Length>,
     /// Keep this share of the triangles: 10%, 1/10 or 0.1. Topology and boundaries are preserved.
     #[arg(help_heading = "Components and decimation", long, value_name = "SHARE", value_parser = grammar::share, allow_hyphen_values = true)]
     decimate: Option<f64>,
@@ -105,8 +123,8 @@ pub struct Args {
     step: StepArgs,
     /// Extract all steps, one file each: out_%04d.ply, with the step number in the name. A list of
     /// files and times is written next to them: out.ply.series, or out.pvd for .vtp. With --force,
-    /// a list that is there goes on naming its other files. Steps whose values do not reach the
-    /// isovalue are not read.
+    /// a list that is there goes on naming its other files. A .vtkhdf without a number in its name
+    /// has all steps. Steps whose values do not reach the isovalue are not read.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
     /// As --all-steps, for the steps from one number to another; either end may be omitted.
@@ -122,6 +140,10 @@ pub struct Args {
     json: bool,
 }
 
+/// How often a surface is smoothed, and that of labels, unless it is said.
+const SMOOTHED: u32 = 20;
+const LABELS_SMOOTHED: u32 = 10;
+
 /// The name of standard output.
 const STANDARD_OUTPUT: &str = "-";
 
@@ -133,6 +155,8 @@ enum Format {
     Vtp,
     Vtkhdf,
     Glb,
+    #[value(name = "3mf")]
+    ThreeMf,
 }
 
 impl From<Format> for SurfaceFormat {
@@ -144,6 +168,7 @@ impl From<Format> for SurfaceFormat {
             Format::Vtp => Self::Vtp,
             Format::Vtkhdf => Self::VtkHdf,
             Format::Glb => Self::Glb,
+            Format::ThreeMf => Self::ThreeMf,
         }
     }
 }
@@ -181,7 +206,9 @@ fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
         ratio: args.decimate.unwrap_or(far.ratio),
         max_error: max_error.unwrap_or(far.max_error),
     });
-    Ok(Refine { components, decimate })
+    let smooth_limit = args.smooth_limit.map(|length| in_world(length, archive)).transpose()?;
+    let smooth = args.smooth.map(|times| times.unwrap_or(SMOOTHED));
+    Ok(Refine { components, smooth, smooth_limit, decimate })
 }
 
 /// The field that colours the surface.
@@ -225,6 +252,7 @@ impl Question<'_> {
     fn ask<'q, Of>(&self, query: SurfaceQuery<'q, Of>) -> Result<SurfaceQuery<'q, Of>> {
         let Self { args, archive, .. } = *self;
         let query = query.region(args.roi).cap(args.cap).level(args.level.choice()).format(self.format);
+        let query = query.compress(args.compress);
         let query = query.refine(refine(args, archive)?).colour_by(colours(args, archive)?);
         Ok(query.resources(args.machine.resources(args.scratch.scratch.clone(), self.talk)))
     }
@@ -305,14 +333,9 @@ impl Question<'_> {
 
     /// Says what a format has no place for.
     fn note_what_is_lost(&self, isovalues: usize, files: usize) {
-        let name = match self.format {
-            SurfaceFormat::Stl => "STL",
-            SurfaceFormat::Glb => "GLB",
-            _ => return,
-        };
-        if isovalues > 1 && files == 1 {
+        if isovalues > 1 && files == 1 && !self.format.has_parts() {
             self.talk.note(&format!(
-                "warning: {name} does not keep isovalues apart: the {isovalues} surfaces become one;                  -o NAME_{{}} gives each a file"
+                "warning: STL does not keep isovalues apart: the {isovalues} surfaces become one;                  -o NAME_{{}} gives each a file"
             ));
         }
     }
@@ -398,7 +421,7 @@ fn in_world(length: Length, archive: &Archive) -> Result<f64> {
     };
     if archive.info()?.grid_cells.is_some() {
         return Err(Error::usage(
-            "--decimate-error in % is not possible on a grid with coordinates: give a length in world units",
+            "a length in % of the diagonal is not possible on a grid with coordinates: give it in world units",
         ));
     }
     let (geometry, dims) = (archive.geometry(), archive.dims());
@@ -465,9 +488,10 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
         let level = s.report.level.filter(|level| *level > 0);
         let level = level.map_or_else(String::new, |level| format!(", level {level}"));
         let skipped = if s.skipped { ", not read: no value reaches the isovalue" } else { "" };
+        let size = if report.file_bytes.is_some() { String::new() } else { format!(", {size}") };
         let _ = writeln!(
             out,
-            "step {} (time {}): {}: {triangles} triangles, {size}{level}{skipped}",
+            "step {} (time {}): {}: {triangles} triangles{size}{level}{skipped}",
             s.step,
             text::number(s.time),
             names.join(" ")
@@ -475,6 +499,9 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
     }
     if let Some(shifted) = report.steps.iter().find(|s| s.report.shift.is_some()) {
         out += &shift_text(&shifted.report);
+    }
+    if let Some(size) = report.file_bytes {
+        let _ = writeln!(out, "  all steps     {}", text::bytes(size));
     }
     for list in &report.lists {
         let _ = writeln!(out, "{}", list.display());
@@ -567,6 +594,17 @@ fn refined_text(surface: &OneSurface) -> String {
     if let Some(c) = &surface.refined.components {
         let _ = writeln!(out, "  components    {} kept of {}", text::count(c.kept), text::count(c.found));
         out += &components_text(c);
+    }
+    if let Some(s) = &surface.refined.smoothing {
+        let of = |v: f64| text::value(text::figures(v, 3));
+        let _ = writeln!(
+            out,
+            "  smoothed      {} times; vertices moved by {} world units in the mean, {} at most, of {} allowed",
+            s.iterations,
+            of(s.mean_distance),
+            of(s.max_distance),
+            of(s.allowed)
+        );
     }
     if let Some(d) = &surface.refined.decimation {
         let _ = writeln!(

@@ -56,12 +56,13 @@ pub(crate) fn unit(unit: Option<&Unit>) -> String {
     unit.map_or_else(String::new, |unit| format!(" {unit}"))
 }
 
-/// A unit of area or volume, to stand behind a number: ` mm^3`; of a unit of several words
-/// ` (m s-1)^3`, without one nothing.
+/// A unit of area (power 2) or volume (3), to stand behind a number: ` mm³`; of a unit of several
+/// words ` (m s-1)³`, without one nothing.
 pub(crate) fn unit_to_the(power: u32, unit: Option<&Unit>) -> String {
     let is_word = |unit: &Unit| unit.as_str().chars().all(char::is_alphabetic);
+    let power = if power == 2 { '²' } else { '³' };
     unit.map_or_else(String::new, |unit| {
-        if is_word(unit) { format!(" {unit}^{power}") } else { format!(" ({unit})^{power}") }
+        if is_word(unit) { format!(" {unit}{power}") } else { format!(" ({unit}){power}") }
     })
 }
 

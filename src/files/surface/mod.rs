@@ -1,4 +1,4 @@
-//! Surface files, read and written: one interface for PLY, STL, OBJ, VTP, GLB and VTKHDF.
+//! Surface files, read and written: one interface for PLY, STL, OBJ, VTP, GLB, VTKHDF and 3MF.
 //!
 //! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every
 //! header is final when it is written, and the memory used is that of a buffer, for a surface of
@@ -13,25 +13,33 @@
 //! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
 //! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
 //! | VTKHDF, contiguous arrays | vertices with normals, triangles, the isovalue | none |
+//! | 3MF, text in a zip archive | vertices, triangles; an object for each isovalue | none |
+//!
+//! **Units and times.** PLY and OBJ name them in lines of comment, STL as far as its 80 bytes go.
+//! VTP and VTKHDF have arrays `length_unit`, `value_unit`, `TimeValue` and `time_unit` of the
+//! whole data set. GLB is in metres and y is up where the unit of length is known: its nodes have
+//! the transform. 3MF has a unit of its own. What is read keeps them ([`StoredSurface::units`]).
 //!
 //! **Reading** ([`load_surface`], for the checker) streams too: what does not fit into a given
-//! memory goes to a scratch folder. It reads the formats as we write them and as other programs do.
+//! memory goes to a scratch folder. It reads the formats as we write them and as other programs do;
+//! 3MF alone is written only.
 //! Polygons are cut into fans of triangles. Vertex normals are kept where the format stores them
 //! with the vertices (PLY, VTP, GLB, VTKHDF) and are zero otherwise. Positions are stored as `f32`;
 //! one that is not finite is an error.
 //!
 //! **Far from 0** `f32` does not tell the vertices of a small surface apart. Such a surface is in
 //! memory as `f32` less an origin ([`SurfaceSource::origin`]). PLY, VTP and VTKHDF then have
-//! doubles, OBJ decimals of more digits. GLB has the origin as the translation of its node, STL in
-//! its comment alone: [`SurfaceFormat::shifts`].
+//! doubles, OBJ decimals of more digits. GLB and 3MF have the origin in the transform of what they
+//! place, STL in its comment alone: [`SurfaceFormat::shifts`].
 
 pub mod glb;
-mod glb_labels;
 pub mod obj;
 pub mod ply;
 pub mod stl;
+pub mod threemf;
 mod values;
 pub mod vtkhdf;
+mod vtkhdf_steps;
 pub mod vtp;
 
 use crate::files::labels::LabelStyle;
@@ -45,10 +53,12 @@ use isospan_io::formats::shared::format::is_hdf5;
 use isospan_io::formats::shared::sink::Sink;
 use isospan_io::volume::ScalarType;
 use isospan_io::volume::shifted::shortest;
+use isospan_io::volume::units::{Unit, Units};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use values::VertexValues;
+pub use vtkhdf_steps::{SurfaceStep, write_surface_steps};
 
 /// A format that surfaces are written in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,11 +76,14 @@ pub enum SurfaceFormat {
     Glb,
     /// VTK PolyData in HDF5.
     VtkHdf,
+    /// 3D Manufacturing Format; it is written only.
+    ThreeMf,
 }
 
 impl SurfaceFormat {
     /// All of them.
-    pub const ALL: [Self; 6] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp, Self::Glb, Self::VtkHdf];
+    pub const ALL: [Self; 7] =
+        [Self::Ply, Self::Stl, Self::Obj, Self::Vtp, Self::Glb, Self::VtkHdf, Self::ThreeMf];
 
     /// The file name extension, lower case, without the dot.
     pub fn extension(self) -> &'static str {
@@ -81,7 +94,18 @@ impl SurfaceFormat {
             Self::Vtp => "vtp",
             Self::Glb => "glb",
             Self::VtkHdf => "vtkhdf",
+            Self::ThreeMf => "3mf",
         }
+    }
+
+    /// Whether surfaces are read from files of it.
+    pub fn is_read(self) -> bool {
+        self != Self::ThreeMf
+    }
+
+    /// Whether a file tells several isovalues apart.
+    pub fn has_parts(self) -> bool {
+        self != Self::Stl
     }
 
     /// Whether positions in a file of a surface that has an origin are less that origin.
@@ -92,7 +116,9 @@ impl SurfaceFormat {
     /// Refuses a format that has no values at vertices.
     pub(crate) fn expect_colours(self) -> Result<()> {
         if self == Self::Stl {
-            return Err(Error::usage("an STL file has no colours: write .ply, .vtp, .vtkhdf, .glb or .obj"));
+            return Err(Error::usage(
+                "an STL file has no colours: write .ply, .vtp, .vtkhdf, .glb, .3mf or .obj",
+            ));
         }
         Ok(())
     }
@@ -106,14 +132,14 @@ impl SurfaceFormat {
         let found = Self::ALL.into_iter().find(|f| Some(f.extension()) == extension.as_deref());
         found.ok_or_else(|| {
             Error::usage(format!(
-                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp, .vtkhdf or .glb",
+                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp, .vtkhdf, .glb or .3mf",
                 path.display()
             ))
         })
     }
 }
 
-/// What a surface file says about itself besides the surface.
+/// What a surface file says about itself besides the surface, and how it is written.
 #[derive(Clone, Debug, Default)]
 pub struct SurfaceMeta {
     /// The isovalue that the surface belongs to.
@@ -121,12 +147,18 @@ pub struct SurfaceMeta {
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
     /// The parts of the surface, one after another, where it has several: PLY, VTP and VTKHDF then
-    /// have an array `isovalue` or `label` of the vertices, OBJ has groups, GLB has a node for each
-    /// label. Empty if it is one surface.
+    /// have an array `isovalue` or `label` of the vertices, OBJ has groups, GLB nodes, 3MF objects.
+    /// Empty if it is one surface.
     pub parts: Vec<SurfacePart>,
     /// Values of a field at the vertices, where there are some: PLY, VTP, VTKHDF and GLB have an
-    /// array of them, and PLY, OBJ and GLB colours.
+    /// array of them, and PLY, OBJ, GLB and 3MF colours.
     pub values: Option<Arc<VertexValues>>,
+    /// The units of coordinates, of the isovalue and of the time, as far as they are known.
+    pub units: Units,
+    /// The time of the step, where it has one.
+    pub time: Option<f64>,
+    /// Of GLB: positions of 16 bits and normals of 8 (`KHR_mesh_quantization`).
+    pub compress: bool,
 }
 
 /// One of several surfaces in a file.
@@ -140,6 +172,17 @@ pub struct SurfacePart {
     pub triangles: u64,
     /// How the label is shown, where the parts are those of labels: the array is then `label`.
     pub label: Option<LabelStyle>,
+}
+
+impl SurfacePart {
+    /// What it is called: a label's name, or its number, or the isovalue.
+    pub(in crate::files) fn name(&self) -> String {
+        match &self.label {
+            None => format!("isovalue {}", self.isovalue),
+            Some(label) if label.name.is_empty() => format!("label {}", self.isovalue),
+            Some(label) => label.name.clone(),
+        }
+    }
 }
 
 impl SurfaceMeta {
@@ -225,7 +268,61 @@ impl SurfaceMeta {
         };
         let texts = self.comments.iter().flat_map(|c| c.lines()).map(clean);
         let colours = self.values.iter().map(|values| clean(&values.line()));
-        isovalue.into_iter().chain(texts).chain(colours).collect()
+        let named = self.named_units().map(|(name, unit)| format!("{name} {unit}"));
+        let time = self.time.map(|time| format!("{TIME} {time}"));
+        isovalue.into_iter().chain(named).chain(time).chain(texts).chain(colours).collect()
+    }
+
+    /// The units that are known, by the names that they have in files.
+    pub(in crate::files) fn named_units(&self) -> impl Iterator<Item = (&'static str, &Unit)> {
+        let Units { value, length, time } = &self.units;
+        let all = [(LENGTH_UNIT, length), (VALUE_UNIT, value), (TIME_UNIT, time)];
+        all.into_iter().filter_map(|(name, unit)| Some((name, unit.as_ref()?)))
+    }
+}
+
+/// The names of units and of the time in files.
+pub(in crate::files) const LENGTH_UNIT: &str = "length_unit";
+pub(in crate::files) const VALUE_UNIT: &str = "value_unit";
+pub(in crate::files) const TIME_UNIT: &str = "time_unit";
+const TIME: &str = "time";
+/// The array that has the time in VTK's formats.
+pub(in crate::files) const TIME_VALUE: &str = "TimeValue";
+
+/// A line of comment of ASCII alone. Signs of units have the letters that stand for them.
+pub(in crate::files) fn ascii(line: &str) -> String {
+    let mut out = String::with_capacity(line.len());
+    for c in line.chars() {
+        match c {
+            'µ' | 'μ' => out.push('u'),
+            'Å' | '\u{212b}' => out.push_str("angstrom"),
+            '°' => out.push_str("deg"),
+            '²' => out.push_str("^2"),
+            '³' => out.push_str("^3"),
+            _ => out.push(if c.is_ascii() { c } else { '?' }),
+        }
+    }
+    out
+}
+
+/// Takes what a line of comment says of units and of the time, as [`SurfaceMeta::lines`] has it.
+pub(in crate::files) fn take_line(out: &mut StoredSurface, line: &str) {
+    let Some((name, text)) = line.trim().split_once(' ') else { return };
+    match name {
+        TIME => out.time = text.trim().parse().ok().filter(|time: &f64| time.is_finite()).or(out.time),
+        // What had no letter in ASCII is not known.
+        _ if !text.contains('?') => take_unit(out, name, text),
+        _ => {}
+    }
+}
+
+/// Takes a unit, by the name that it has in files.
+pub(in crate::files) fn take_unit(out: &mut StoredSurface, name: &str, text: &str) {
+    match name {
+        LENGTH_UNIT => out.units.length = Unit::length(text),
+        VALUE_UNIT => out.units.value = Unit::new(text),
+        TIME_UNIT => out.units.time = Unit::time(text),
+        _ => {}
     }
 }
 
@@ -280,8 +377,17 @@ fn check_limits(source: &dyn SurfaceSource, format: SurfaceFormat, meta: &Surfac
     if format == SurfaceFormat::Stl {
         stl::check_limits(source.triangle_count())?;
     }
+    if meta.compress && format != SurfaceFormat::Glb {
+        return Err(Error::usage(format!(
+            "`compress` is for .glb, not for .{}: leave it out",
+            format.extension()
+        )));
+    }
     if format == SurfaceFormat::Glb {
         glb::check_limits(source.vertex_count(), source.triangle_count(), meta)?;
+    }
+    if format == SurfaceFormat::ThreeMf {
+        threemf::check_limits(meta)?;
     }
     Ok(())
 }
@@ -298,11 +404,9 @@ fn write(
         SurfaceFormat::Stl => stl::write(source, &mut sink, meta, scratch)?,
         SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
-        SurfaceFormat::Glb if meta.are_labels() && meta.values.is_none() => {
-            glb_labels::write(source, &mut sink, meta)?;
-        }
         SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
         SurfaceFormat::VtkHdf => vtkhdf::write(source, &mut sink, meta)?,
+        SurfaceFormat::ThreeMf => threemf::write(source, &mut sink, meta)?,
     }
     sink.publish()
 }
@@ -340,6 +444,10 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
         Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &limits, out),
         Ok(SurfaceFormat::Obj) => obj::read(path, bytes, out),
         _ if text.starts_with(b"solid") => stl::read(path, bytes, &limits, out),
+        Ok(SurfaceFormat::ThreeMf) => Err(Error::usage(format!(
+            "{}: 3MF is written and not read: keep the surface as .ply or .glb, too",
+            path.display()
+        ))),
         _ => Err(Error::bad_input(
             path,
             "first bytes",
@@ -645,6 +753,10 @@ pub(in crate::files) mod tests {
                     stream_surface(&source(mesh.clone()), format, &meta(), &scratch, &mut take).unwrap();
                     assert_eq!(streamed, std::fs::read(&path).unwrap(), "{format:?}");
                 }
+                if !format.is_read() {
+                    assert_eq!(read_surface(&path).unwrap_err().exit_code(), 2);
+                    continue;
+                }
                 let back = read_surface(&path).unwrap();
                 same_shape(&mesh, &back);
                 if !matches!(format, SurfaceFormat::Stl | SurfaceFormat::Obj) {
@@ -667,6 +779,9 @@ pub(in crate::files) mod tests {
         for format in SurfaceFormat::ALL {
             let path = dir.path().join("far").with_extension(format.extension());
             write_surface(&source(mesh.clone()), &path, format, &meta()).unwrap();
+            if !format.is_read() {
+                continue;
+            }
             let back = read_surface(&path).unwrap();
             let shift = if format == SurfaceFormat::Stl { mesh.origin } else { [0.0; 3] };
             let corners = |m: &TriMesh| -> Vec<[f64; 3]> {
@@ -683,6 +798,42 @@ pub(in crate::files) mod tests {
         let stl = std::fs::read(dir.path().join("far.stl")).unwrap();
         let header = String::from_utf8_lossy(&stl[..80]).into_owned();
         assert!(header.contains("less 448262.5 -5411932.25 310"), "{header}");
+    }
+
+    #[test]
+    fn units_and_times_come_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let units = Units { value: Unit::new("HU"), length: Unit::length("um"), time: Unit::time("seconds") };
+        let meta = SurfaceMeta { units: units.clone(), time: Some(0.1), ..meta() };
+        for (format, shift) in SurfaceFormat::ALL.iter().flat_map(|f| [(*f, false), (*f, true)]) {
+            let path = dir.path().join("u").with_extension(format.extension());
+            let mesh = if shift { far_tetrahedron() } else { tetrahedron() };
+            write_surface(&source(mesh.clone()), &path, format, &meta).unwrap();
+            if !format.is_read() {
+                continue;
+            }
+            let back = load_surface(&path, &CheckSettings::default()).unwrap();
+            // STL has 80 bytes for all that is said.
+            if format == SurfaceFormat::Stl {
+                assert_eq!(back.units.length, if shift { None } else { units.length.clone() });
+            } else {
+                assert_eq!((&back.units, back.time), (&units, Some(0.1)), "{format:?}");
+            }
+            if !matches!(format, SurfaceFormat::Stl | SurfaceFormat::Obj) {
+                let back = TriMesh::from_source(&back).unwrap();
+                assert_eq!(back.triangles, mesh.triangles);
+                let all = back.vertices.iter().zip(&mesh.vertices);
+                // In the coordinates of the world, whatever the file has.
+                for (found, right) in all {
+                    let [a, b] = [(found, back.origin), (right, mesh.origin)].map(|(v, o)| v.world(o));
+                    assert!(
+                        (0..3).all(|k| (a[k] - b[k]).abs() <= 1e-7 * b[k].abs()),
+                        "{format:?} {a:?} {b:?}"
+                    );
+                }
+            }
+        }
+        assert_eq!(ascii("µm Å 3 °C ≈"), "um angstrom 3 degC ?");
     }
 
     #[test]

@@ -2,8 +2,9 @@
 //!
 //! A line is a statement: `v x y z` is a vertex, `vn x y z` a normal, `f a//a b//b c//c` a face of
 //! vertex and normal numbers, both counted from 1. Several surfaces in one file are groups,
-//! `g isovalue_600`; those of labels have the labels' names, or `g label_3`, and colours. We write the shortest decimals that read back as the same `f32`; of a surface
-//! that is far from 0, as the same `f64`.
+//! `g isovalue_600`; those of labels have the labels' names, or `g label_3`, and colours. We write
+//! the shortest decimals that read back as the same `f32`; of a surface that is far from 0, as the
+//! same `f64`.
 //!
 //! We read `v` and `f` in all their forms (`a`, `a/t`, `a//n`, `a/t/n`; negative numbers count back
 //! from the last vertex; polygons become fans; `\` continues a line). Statements that do not affect
@@ -11,7 +12,9 @@
 //! not have is an error.
 
 use super::ply::check_indices;
-use super::{Fan, SurfaceMeta, SurfacePart, each_triangle, each_vertex, each_vertex_with, is_finite};
+use super::{
+    Fan, SurfaceMeta, SurfacePart, each_triangle, each_vertex, each_vertex_with, is_finite, take_line,
+};
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
 use isospan_io::error::Result;
@@ -144,7 +147,7 @@ impl fmt::Display for Decimal {
     }
 }
 
-fn put(text: &mut Vec<u8>, what: std::fmt::Arguments<'_>) {
+pub(super) fn put(text: &mut Vec<u8>, what: std::fmt::Arguments<'_>) {
     text.write_fmt(what).expect("writing to memory cannot fail");
 }
 
@@ -158,7 +161,7 @@ fn statement(text: &mut Vec<u8>, word: &str, numbers: [f32; 3]) {
 }
 
 /// The shortest decimal that reads back as `x`; with an exponent where zeros would fill the line.
-fn push_decimal(text: &mut Vec<u8>, x: f32) {
+pub(super) fn push_decimal(text: &mut Vec<u8>, x: f32) {
     let plain = x == 0.0 || (1e-5..1e9).contains(&x.abs()) || !x.is_finite();
     if plain { put(text, format_args!("{x}")) } else { put(text, format_args!("{x:e}")) }
 }
@@ -179,7 +182,7 @@ pub(in crate::files) fn read(path: &Path, bytes: &[u8], out: &mut StoredSurface)
         let mut parts = statement.split_ascii_whitespace();
         let wrong = |what: &str| words.wrong(what, format!("'{}'", statement.trim()));
         match parts.next() {
-            None => {}
+            None => take_line(out, line.trim_start().trim_start_matches('#')),
             Some("v") => {
                 let place = vertex(parts).ok_or_else(|| wrong("v and three finite numbers"))?;
                 out.push_double(place, [0.0; 3])?;
@@ -239,7 +242,7 @@ mod tests {
         let mut mesh = tetrahedron();
         mesh.vertices.iter_mut().for_each(|v| v.normal = [0.0, -1.0, 0.5]);
         let meta =
-            SurfaceMeta { isovalue: Some(0.1), comments: vec!["back\\".into()], parts: vec![], values: None };
+            SurfaceMeta { isovalue: Some(0.1), comments: vec!["back\\".into()], ..SurfaceMeta::default() };
         write_surface(&source(mesh), &path, SurfaceFormat::Obj, &meta).unwrap();
         let text = std::fs::read_to_string(path).unwrap();
         assert!(text.starts_with("# isospan surface\n# isovalue 0.1\n# back/\nv 0.1 0.33333334 1e-20\n"));

@@ -17,12 +17,13 @@
 //! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are
 //! more than 2³¹-1 vertices. Coordinates are `double` where `f32` does not tell them apart. Several
 //! surfaces in one file have a seventh property, `float isovalue` (`double` where one has more
-//! digits); those of labels `int label`, and the label's colour. In a file that we read, `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept);
-//! `face` needs the list `vertex_indices` or `vertex_index`; all other elements and properties are
-//! skipped. Triangle strips are refused.
+//! digits); those of labels `int label`, and the label's colour. In a file that we read, `vertex`
+//! needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or
+//! `vertex_index`; all other elements and properties are skipped. Triangle strips are refused.
 
 use super::{
-    Fan, SurfaceMeta, coordinate_bytes, each_triangle, each_vertex_with, is_finite, put_floats, put_place,
+    Fan, SurfaceMeta, ascii, coordinate_bytes, each_triangle, each_vertex_with, is_finite, put_floats,
+    put_place, take_line,
 };
 use crate::surface::SurfaceSource;
 use crate::surface::weld::StoredSurface;
@@ -71,8 +72,7 @@ fn header(vertices: u64, triangles: u64, coordinate: &str, meta: &SurfaceMeta) -
     let mut text = String::from("ply\nformat binary_little_endian 1.0\ncomment isospan surface\n");
     for line in meta.lines() {
         // The header is ASCII.
-        let ascii: String = line.chars().map(|c| if c.is_ascii() { c } else { '?' }).collect();
-        text += &format!("comment {ascii}\n");
+        text += &format!("comment {}\n", ascii(&line));
     }
     text += &format!("element vertex {vertices}\n");
     for name in ["x", "y", "z"] {
@@ -195,7 +195,7 @@ struct Body<'a> {
 /// Reads a PLY surface.
 pub(in crate::files) fn read(path: &Path, bytes: &[u8], out: &mut StoredSurface) -> Result<()> {
     let mut words = Words::new(path, bytes, 0);
-    let (encoding, elements) = read_header(&mut words)?;
+    let (encoding, elements) = read_header(&mut words, &mut |line| take_line(out, line))?;
     let mut body = Body { words, encoding };
     if !elements.iter().any(|e| e.name == "vertex") {
         return Err(body.words.wrong("an element 'vertex'", "a header without it"));
@@ -234,7 +234,11 @@ pub(in crate::files) fn check_indices(path: &Path, surface: &StoredSurface) -> R
     })
 }
 
-fn read_header(words: &mut Words<'_>) -> Result<(PlyEncoding, Vec<PlyElement>)> {
+/// Reads a header; hands the comments on.
+fn read_header(
+    words: &mut Words<'_>,
+    each_comment: &mut dyn FnMut(&str),
+) -> Result<(PlyEncoding, Vec<PlyElement>)> {
     words.line();
     let (mut encoding, mut elements) = (None, Vec::<PlyElement>::new());
     loop {
@@ -244,7 +248,8 @@ fn read_header(words: &mut Words<'_>) -> Result<(PlyEncoding, Vec<PlyElement>)> 
         let parts: Vec<&str> = line.split_ascii_whitespace().collect();
         let bad = |expected: &str| Err(words.wrong(expected, format!("'{line}'")));
         match parts[..] {
-            [] | ["comment" | "obj_info", ..] => {}
+            ["comment", ..] => each_comment(line.trim_start().trim_start_matches("comment")),
+            [] | ["obj_info", ..] => {}
             ["format", name, "1.0"] => match name {
                 "ascii" => encoding = Some(PlyEncoding::Ascii),
                 "binary_little_endian" => encoding = Some(PlyEncoding::Binary { big_endian: false }),
@@ -454,7 +459,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.ply");
         let meta =
-            SurfaceMeta { isovalue: Some(1.5), comments: vec!["é\nb".into()], parts: vec![], values: None };
+            SurfaceMeta { isovalue: Some(1.5), comments: vec!["é\nb".into()], ..SurfaceMeta::default() };
         write_surface(&source(tetrahedron()), &path, SurfaceFormat::Ply, &meta).unwrap();
         std::fs::read(path).unwrap()
     }

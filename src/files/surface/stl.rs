@@ -22,7 +22,7 @@
 //! file whose length agrees with the count at byte 80 is binary. The normals of a file are not
 //! read: they follow from the positions.
 
-use super::{ReadLimits, SurfaceMeta, each_triangle, is_finite, origin_line, put_floats};
+use super::{ReadLimits, SurfaceMeta, ascii, each_triangle, is_finite, origin_line, put_floats, take_line};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, Vertex, nearby_origin, relative_to};
 use byteorder::{ByteOrder, LE};
@@ -102,7 +102,7 @@ fn header(origin: Option<String>, meta: &SurfaceMeta) -> [u8; HEADER] {
     let mut text = String::from(if origin.is_some() { "binary STL" } else { "binary STL, isospan surface" });
     for line in origin.into_iter().chain(meta.lines()) {
         text += ", ";
-        text.extend(line.chars().map(|c| if c.is_ascii() { c } else { '?' }));
+        text += &ascii(&line);
     }
     let mut out = [b' '; HEADER];
     let n = text.len().min(HEADER);
@@ -189,6 +189,13 @@ pub(in crate::files) fn read(
         return Err(Error::bad_input(path, "binary STL", expected, format!("{} bytes", bytes.len()))
             .with_help("the file is cut short, or it is no STL file"));
     }
+    // What was cut off is no line.
+    let header = String::from_utf8_lossy(&bytes[..HEADER]);
+    let mut lines: Vec<&str> = header.split(", ").collect();
+    if !header.ends_with(' ') {
+        lines.pop();
+    }
+    lines.iter().for_each(|line| take_line(out, line));
     let mut build = Build::new(path, limits);
     for (n, record) in bytes[HEADER + 4..].chunks_exact(RECORD).enumerate() {
         let corners = [12, 24, 36].map(|at| position(&record[at..]));
@@ -367,7 +374,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.stl");
         let meta =
-            SurfaceMeta { isovalue: Some(1.5), comments: vec!["é".repeat(80)], parts: vec![], values: None };
+            SurfaceMeta { isovalue: Some(1.5), comments: vec!["é".repeat(80)], ..SurfaceMeta::default() };
         write_surface(&source(mesh), &path, SurfaceFormat::Stl, &meta).unwrap();
         std::fs::read(path).unwrap()
     }

@@ -1,7 +1,7 @@
 //! Values of a field at the vertices of a surface, and the colours that they have.
 
 use crate::render::ColourMap;
-use isospan_io::bytes::store::Store;
+use isospan_io::bytes::store::{Cached, Store};
 use isospan_io::error::{Error, Result};
 use isospan_io::volume::shifted::shortest;
 use std::path::Path;
@@ -18,6 +18,11 @@ pub struct VertexValues {
     values: Store<f32>,
     without: u64,
 }
+
+/// Colours of a map in formats that number them.
+const PALETTE: usize = 256;
+/// Bytes of values that are kept of those on disk.
+const CACHE: usize = 1 << 20;
 
 impl VertexValues {
     /// No values yet, of a field of this name. A value at an end of `range` has the colour at that
@@ -97,6 +102,29 @@ impl VertexValues {
         }
     }
 
+    /// The colours that [`Self::index`] numbers: those of the map, and that of no value.
+    pub(super) fn palette(&self) -> impl Iterator<Item = [u8; 3]> {
+        let map = self.map;
+        let colours = (0..PALETTE).map(move |n| map.colour(n as f64 / (PALETTE - 1) as f64));
+        colours.chain([ColourMap::NO_VALUE])
+    }
+
+    /// The number of the colour of a value in the palette.
+    pub(super) fn index(&self, value: f32) -> usize {
+        let [lo, hi] = self.range;
+        let share = (self.whole(value) - lo) / (hi - lo);
+        match value {
+            v if v.is_nan() => PALETTE,
+            _ if hi > lo => (share.clamp(0.0, 1.0) * (PALETTE - 1) as f64).round() as usize,
+            _ => PALETTE / 2,
+        }
+    }
+
+    /// Single values, through a small cache.
+    pub(super) fn cached(&self) -> Cached<'_, f32> {
+        Cached::new(&self.values, CACHE)
+    }
+
     /// Reads the values of some vertices.
     pub(super) fn read(&self, first: u64, out: &mut [f32]) -> Result<()> {
         if first + out.len() as u64 > self.values.len() {
@@ -111,12 +139,12 @@ impl VertexValues {
     }
 }
 
-/// A share of light of a colour component in sRGB, of 65535 (IEC 61966-2-1): glTF has linear
+/// A share of light of a colour component in sRGB, of 255 (IEC 61966-2-1): glTF has linear
 /// colours.
-pub(super) fn linear(component: u8) -> u16 {
+pub(super) fn linear(component: u8) -> u8 {
     let c = f64::from(component) / 255.0;
     let linear = if c <= 0.04045 { c / 12.92 } else { libm::pow((c + 0.055) / 1.055, 2.4) };
-    (linear * 65535.0).round() as u16
+    (linear * 255.0).round() as u8
 }
 
 #[cfg(test)]
@@ -136,7 +164,10 @@ mod tests {
         assert_eq!((some, values.plain_name()), ([1.0, 2.0, 3.0], "a_b".into()));
         assert!(values.read(3, &mut some).is_err());
         assert!(VertexValues::new("f", [2.0, 1.0], ColourMap::Grey, 8, &folder).is_err());
-        assert_eq!([0, 128, 255].map(linear), [0, 14146, 65535]);
+        assert_eq!([0, 128, 255].map(linear), [0, 55, 255]);
+        let palette: Vec<[u8; 3]> = values.palette().collect();
+        let same = |v: f32| palette[values.index(v)] == values.colour(v);
+        assert!([0.0, 1.0, 2.0, 3.0, f32::NAN].into_iter().all(same));
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! before the first vertex, and the arrays follow it as they are in memory.
 //!
 //! ```text
-//! /comments                                       lines of text
+//! /comments                                       lines of text, units among them
 //! /VTKHDF                                         Type PolyData
 //!   NumberOfPoints
 //!   Points                                        3 × f32 a vertex (f64 where f32 does not tell them apart)
@@ -15,7 +15,8 @@
 //!   Polygons/Connectivity                         3 × i64 a triangle
 //!   Polygons/Offsets                              i64: 0, and 3, 6, 9, …
 //!   Vertices, Lines, Strips                       the same, without a cell
-//!   FieldData/isovalue                            f64: the isovalue, or all of them
+//!   FieldData/isovalue                            f64: the isovalue of one surface
+//!   FieldData/TimeValue                           f64: the time, where there is one
 //! ```
 //!
 //! Normals and scalars are active, as in VTP files. In the name of a field "_" stands for "/", and
@@ -26,8 +27,8 @@
 //! skipped; triangle strips, and files of several steps, are refused.
 
 use super::{
-    Fan, SurfaceMeta, coordinate_bytes, each_triangle, each_value, each_vertex, is_finite, put_floats,
-    put_place,
+    Fan, SurfaceMeta, TIME_VALUE, coordinate_bytes, each_triangle, each_value, each_vertex, is_finite,
+    put_floats, put_place, take_line,
 };
 use crate::surface::SurfaceSource;
 use crate::surface::weld::StoredSurface;
@@ -104,13 +105,20 @@ fn tree(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Group {
     for none in ["Vertices", "Lines", "Strips"] {
         group.add_group(none, cells(0, Value::integers(&[]).into(), count(0).into()));
     }
-    let isovalues = meta.isovalues();
-    if !isovalues.is_empty() {
-        let mut data = Group::default();
-        data.add(meta.part_array(), Value::floats(&isovalues));
+    if let Some(data) = field_data(meta) {
         group.add_group("FieldData", data);
     }
     hdf::root("PolyData", &meta.lines(), group)
+}
+
+/// Arrays of the whole data set: the isovalue of one surface and the time. VTK reads no texts of a
+/// fixed length, so units are in the comments.
+pub(super) fn field_data(meta: &SurfaceMeta) -> Option<Group> {
+    let mut data = Group::default();
+    let numbers = [("isovalue", meta.isovalue), (TIME_VALUE, meta.time)];
+    let numbers: Vec<_> = numbers.into_iter().filter_map(|(name, n)| Some((name, n?))).collect();
+    numbers.iter().for_each(|&(name, n)| data.add(name, Value::floats(&[n])));
+    (!numbers.is_empty()).then_some(data)
 }
 
 /// Vertices that are read at one time.
@@ -130,6 +138,7 @@ pub(in crate::files) fn read(source: &Arc<ByteSource>, out: &mut StoredSurface) 
         let error = file.wrong("Strips", "polygons", "triangle strips");
         return Err(error.with_help("convert strips to triangles first"));
     }
+    read_field_data(&file, out)?;
     read_points(&file, out)?;
     if !file.has_cells("Polygons")? {
         return Ok(());
@@ -148,6 +157,18 @@ pub(in crate::files) fn read(source: &Arc<ByteSource>, out: &mut StoredSurface) 
             })?;
             fan.corner(number).map_or(Ok(()), |triangle| out.push_triangle(triangle))?;
         }
+    }
+    Ok(())
+}
+
+/// Units and the time.
+fn read_field_data(file: &HdfFile, out: &mut StoredSurface) -> Result<()> {
+    file.comments()?.iter().for_each(|line| take_line(out, line));
+    let time = format!("FieldData/{TIME_VALUE}");
+    if file.array(&time)?.is_some_and(|array| array.shape == [1]) {
+        let mut value = [0.0];
+        file.numbers(&time)?.fill(&mut value)?;
+        out.time = Some(value[0]);
     }
     Ok(())
 }
@@ -210,7 +231,9 @@ mod tests {
     fn written(parts: Vec<SurfacePart>) -> Vec<u8> {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.vtkhdf");
-        let meta = SurfaceMeta { isovalue: Some(-1.5), comments: vec!["a\nbé".into()], parts, values: None };
+        let comments = vec!["a\nbé".into()];
+        let isovalue = parts.is_empty().then_some(-1.5);
+        let meta = SurfaceMeta { isovalue, comments, parts, ..SurfaceMeta::default() };
         write_surface(&source(tetrahedron()), &path, SurfaceFormat::VtkHdf, &meta).unwrap();
         std::fs::read(path).unwrap()
     }
@@ -224,12 +247,13 @@ mod tests {
         let file = hdf5_reader::Hdf5File::from_bytes(&bytes).unwrap();
         let floats =
             |name: &str| file.dataset(name).unwrap().read_array::<f64>().unwrap().into_raw_vec_and_offset().0;
-        assert_eq!(floats("VTKHDF/FieldData/isovalue"), [-1.5, 0.5, 1.0 / 3.0]);
+        // The isovalue is there once.
+        assert!(file.dataset("VTKHDF/FieldData/isovalue").is_err());
         // More digits than an f32 has.
         assert_eq!(floats("VTKHDF/PointData/isovalue"), [0.5, 0.5, 0.5, 1.0 / 3.0]);
         assert_eq!(
             file.dataset("comments").unwrap().read_strings().unwrap(),
-            ["isovalue -1.5 0.5 0.3333333333333333", "a", "bé"]
+            ["isovalue 0.5 0.3333333333333333", "a", "bé"]
         );
         let offsets = file.dataset("VTKHDF/Polygons/Offsets").unwrap().read_array::<i64>().unwrap();
         assert_eq!(offsets.into_raw_vec_and_offset().0, [0, 3, 6, 9, 12]);

@@ -17,9 +17,9 @@
 //! </VTKFile>
 //! ```
 //!
-//! The isovalue, or all isovalues, are a field array `isovalue`. Several surfaces in one file also
-//! have it as the active scalars of the points, as VTK's contour filters do: ParaView colours by
-//! it, and its Threshold filter picks one.
+//! The isovalue is a field array `isovalue`. Several surfaces in one file have theirs as the active
+//! scalars of the points instead, as VTK's contour filters do: ParaView colours by it, and its
+//! Threshold filter picks one. Units and the time are field arrays, too.
 //!
 //! We read the polygons of all pieces, with the points (and the point data's active normals) of any
 //! number type, in every encoding that VTK XML has. Vertices and lines are no surface
@@ -27,8 +27,8 @@
 
 use super::ply::check_indices;
 use super::{
-    Fan, SurfaceMeta, coordinate_bytes, each_triangle, each_value, each_vertex, is_finite, put_floats,
-    put_place,
+    Fan, LENGTH_UNIT, SurfaceMeta, TIME_UNIT, TIME_VALUE, VALUE_UNIT, coordinate_bytes, each_triangle,
+    each_value, each_vertex, is_finite, put_floats, put_place, take_unit,
 };
 use crate::surface::SurfaceSource;
 use crate::surface::weld::StoredSurface;
@@ -37,9 +37,10 @@ use isospan_io::bytes::ByteSource;
 use isospan_io::error::Result;
 use isospan_io::formats::shared::sink::Sink;
 use isospan_io::formats::shared::text::xml_attribute;
-use isospan_io::formats::vtk::xml::array::{ArrayStream, scalar_type};
+use isospan_io::formats::vtk::xml::array::{ArrayStream, first_text, scalar_type};
 use isospan_io::formats::vtk::xml::head::{Document, Element};
 use isospan_io::volume::ScalarType;
+use isospan_io::volume::units::Unit;
 use std::sync::Arc;
 
 /// Writes a surface as VTP.
@@ -109,7 +110,7 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta
         "-->\n<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" \
          header_type=\"UInt64\">\n  <PolyData>\n"
             .to_string(),
-        field_data(part_array, &meta.isovalues()),
+        field_data(meta),
         format!(
             "    <Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" \
              NumberOfStrips=\"0\" NumberOfPolys=\"{triangles}\">\n"
@@ -138,17 +139,21 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 6], coordinate: &str, meta
     .concat()
 }
 
-/// The isovalues, or the labels, as an array of the whole data set.
-fn field_data(name: &str, isovalues: &[f64]) -> String {
-    if isovalues.is_empty() {
-        return String::new();
-    }
-    let list = isovalues.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
-    format!(
-        "    <FieldData>\n      <DataArray type=\"Float64\" Name=\"{name}\" NumberOfTuples=\"{}\" \
-         format=\"ascii\">{list}</DataArray>\n    </FieldData>\n",
-        isovalues.len()
-    )
+/// Arrays of the whole data set: the isovalue of one surface, the time and the units.
+fn field_data(meta: &SurfaceMeta) -> String {
+    let array = |kind: &str, name: &str, text: String| {
+        format!(
+            "      <DataArray type=\"{kind}\" Name=\"{name}\" NumberOfTuples=\"1\" \
+             format=\"ascii\">{text}</DataArray>\n"
+        )
+    };
+    let numbers = [("isovalue", meta.isovalue), (TIME_VALUE, meta.time)];
+    let numbers = numbers.into_iter().filter_map(|(name, n)| Some(array("Float64", name, n?.to_string())));
+    // The bytes of a text, and the 0 that ends it.
+    let bytes = |unit: &Unit| -> String { unit.as_str().bytes().map(|b| format!("{b} ")).collect() };
+    let units = meta.named_units().map(|(name, unit)| array("String", name, bytes(unit) + "0"));
+    let arrays: String = numbers.chain(units).collect();
+    if arrays.is_empty() { arrays } else { format!("    <FieldData>\n{arrays}    </FieldData>\n") }
 }
 
 /// An array whose numbers are appended.
@@ -167,6 +172,7 @@ fn comment_text(line: &str) -> String {
 /// Reads a VTP surface. No more than a batch of each array is in memory.
 pub(in crate::files) fn read(source: &Arc<ByteSource>, out: &mut StoredSurface) -> Result<()> {
     let doc = Document::open(source, "PolyData")?;
+    read_field_data(&doc, out)?;
     for piece in doc.data.all("Piece") {
         if doc.count(piece, "NumberOfStrips", 0)? > 0 {
             let error = doc.wrong(piece, "polygons", "triangle strips");
@@ -177,6 +183,23 @@ pub(in crate::files) fn read(source: &Arc<ByteSource>, out: &mut StoredSurface) 
         read_polygons(&doc, piece, first, out)?;
     }
     check_indices(source.path(), out)
+}
+
+/// Units and the time.
+fn read_field_data(doc: &Document, out: &mut StoredSurface) -> Result<()> {
+    let arrays = doc.data.child("FieldData").into_iter().flat_map(|data| data.children.iter());
+    for array in arrays {
+        match array.attribute("Name").unwrap_or_default() {
+            TIME_VALUE if array.name == "DataArray" => {
+                out.time = Some(Numbers::floats(doc, array, 1, 1)?.next_number()?);
+            }
+            name @ (LENGTH_UNIT | VALUE_UNIT | TIME_UNIT) if array.attribute("type") == Some("String") => {
+                take_unit(out, name, &first_text(doc, array)?);
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 fn read_points(doc: &Document, piece: &Element, out: &mut StoredSurface) -> Result<()> {
@@ -307,10 +330,15 @@ impl<'a> Numbers<'a> {
     fn next_point(&mut self) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for c in &mut point {
-            let stored = self.next()?;
-            *c = if stored.len() == 4 { LE::read_f32(stored).into() } else { LE::read_f64(stored) };
+            *c = self.next_number()?;
         }
         Ok(point)
+    }
+
+    /// The next floating-point number.
+    fn next_number(&mut self) -> Result<f64> {
+        let stored = self.next()?;
+        Ok(if stored.len() == 4 { LE::read_f32(stored).into() } else { LE::read_f64(stored) })
     }
 
     /// The next integer, not negative.
@@ -345,12 +373,10 @@ mod tests {
     fn written() -> Vec<u8> {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.vtp");
-        let meta = SurfaceMeta {
-            isovalue: Some(-1.5),
-            comments: vec!["a--->b<é".into()],
-            parts: vec![],
-            values: None,
-        };
+        let meta =
+            SurfaceMeta {
+                isovalue: Some(-1.5), comments: vec!["a--->b<é".into()], ..SurfaceMeta::default()
+            };
         write_surface(&source(tetrahedron()), &path, SurfaceFormat::Vtp, &meta).unwrap();
         std::fs::read(path).unwrap()
     }

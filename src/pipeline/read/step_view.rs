@@ -131,6 +131,14 @@ impl StepView {
         self.manifest.step_at(self.moment.step)
     }
 
+    /// The time, where the input states one.
+    pub(in crate::pipeline) fn time(&self) -> Option<f64> {
+        let time = self.step().plan.time?;
+        let Some(share) = self.moment.beyond else { return Some(time) };
+        let next = self.manifest.step_at(self.moment.step + 1).plan.time?;
+        Some(time + share * (next - time))
+    }
+
     /// The step behind a moment between two, and how far that is from the step before.
     pub(super) fn next_step(&self) -> Option<(&Self, f64)> {
         let share = self.moment.beyond?;

@@ -15,12 +15,13 @@ use super::settings::{
 use super::weld::{Extracted, SurfaceStorage};
 use crate::files::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::pipeline::read::{
-    Block, ChunkReader, CornerValues, Cut, Needed, ReaderMemory, StepView, ValuesMemory, Wanted,
-    expect_in_f32, in_memory, in_world, world_map,
+    Block, ChunkReader, CornerValues, Cut, Needed, ReaderMemory, Roi, RoiSpace, StepView, ValuesMemory,
+    Wanted, expect_in_f32, in_memory, in_world, world_map,
 };
 use crate::pipeline::stage::Stage;
 use crate::surface::check::zero_area_triangles;
 use crate::surface::edit::clip::{HalfSpace, clip};
+use crate::surface::edit::faces::Faces;
 use crate::surface::extract::Sides;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
@@ -147,7 +148,7 @@ fn shift_of(format: SurfaceFormat, origin: [f64; 3]) -> Option<[f64; 3]> {
 }
 
 /// What was found and read; no file is written yet.
-fn report_of(
+pub(super) fn report_of(
     archive: &StepView,
     settings: &SurfaceSettings,
     made: &FinishedSurfaces,
@@ -277,6 +278,7 @@ impl<'a> Prepared<'a> {
         let values_before = archive.value_bytes_read();
         expect_in_f32(archive)?;
         archive.expect_values()?;
+        expect_smoothable(archive, settings)?;
         let level = level_of(archive, settings)?;
         let (cut, half_spaces) = cut_of(archive, settings)?;
         if settings.cap {
@@ -330,7 +332,7 @@ impl<'a> Prepared<'a> {
         }
         let extracted = effort.time + start.elapsed();
         let start = Clock::start();
-        let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
+        let (surfaces, refined) = self.refine_all(surfaces, settings, scratch)?;
         Ok(FinishedSurfaces {
             surfaces,
             level: self.level,
@@ -346,6 +348,51 @@ impl<'a> Prepared<'a> {
                 (Stage::Refine, start.elapsed()),
             ],
         })
+    }
+
+    /// Refines the surfaces, one after another.
+    fn refine_all(
+        &self,
+        surfaces: Vec<Extracted>,
+        settings: &SurfaceSettings,
+        scratch: &Path,
+    ) -> Result<(Vec<Extracted>, Vec<RefineReport>)> {
+        let (faces, voxel) = (self.faces(settings), self.voxel()?);
+        let means = Means {
+            memory: settings.resources.memory,
+            surfaces: surfaces.len() as u64,
+            threads: settings.resources.threads,
+            faces: &faces,
+            voxel,
+            scratch,
+            cancel: &settings.resources.cancel,
+        };
+        let refine = |e: Extracted| {
+            let (surface, report) = settings.refine.apply(e.surface, &means)?;
+            Ok((Extracted { surface, ..e }, report))
+        };
+        surfaces.into_iter().map(refine).collect()
+    }
+
+    /// The faces of the domain, where caps lie on them.
+    fn faces(&self, settings: &SurfaceSettings) -> Faces {
+        let source = &self.view.step().plan.source;
+        if !settings.cap {
+            return Faces::default();
+        }
+        let last = source.dims.map(|n| (n - 1) as f64);
+        let all = Roi { space: RoiSpace::Index, lo: [0.0; 3], hi: last };
+        Faces::new(all.half_spaces(&source.geometry, source.dims, self.world.origin()))
+    }
+
+    /// The shortest edge of a voxel of the level, in world units.
+    fn voxel(&self) -> Result<f64> {
+        let stride = match self.view.is_pyramid() {
+            true => self.view.pyramid()?.pyramid.stride(self.level),
+            false => [1; 3],
+        };
+        let spacing = self.view.step().plan.source.geometry.spacing;
+        Ok((0..3).map(|a| spacing[a].abs() * stride[a] as f64).fold(f64::INFINITY, f64::min))
     }
 }
 
@@ -389,6 +436,21 @@ pub(super) fn extract(
     steps.iter().zip(surfaces).map(finish).collect()
 }
 
+/// Refuses smoothing where lengths are not those of the world, or no voxel says how far.
+fn expect_smoothable(archive: &StepView, settings: &SurfaceSettings) -> Result<()> {
+    if settings.refine.smooth.is_none() {
+        return Ok(());
+    }
+    archive.refuse_coordinates("smoothing")?;
+    if archive.step().plan.source.mesh.is_some() && settings.refine.smooth_limit.is_none() {
+        return Err(Error::usage(format!(
+            "{}: a mesh has no voxels to tell how far smoothing may move a vertex: give `smooth_limit`",
+            archive.path().display()
+        )));
+    }
+    Ok(())
+}
+
 /// Refuses caps of a mesh that does not fill its box: they close a surface at the faces of the box
 /// alone.
 fn expect_full_box(archive: &StepView) -> Result<()> {
@@ -422,26 +484,6 @@ pub(in crate::pipeline) fn surfaces_in_memory(
         false => in_memory(archive, found.surface),
     };
     made.surfaces.into_iter().map(in_memory).collect()
-}
-
-/// Refines the surfaces, one after another.
-fn refine_all(
-    surfaces: Vec<Extracted>,
-    settings: &SurfaceSettings,
-    scratch: &Path,
-) -> Result<(Vec<Extracted>, Vec<RefineReport>)> {
-    let means = Means {
-        memory: settings.resources.memory,
-        surfaces: surfaces.len() as u64,
-        threads: settings.resources.threads,
-        scratch,
-        cancel: &settings.resources.cancel,
-    };
-    let refine = |e: Extracted| {
-        let (surface, report) = settings.refine.apply(e.surface, &means)?;
-        Ok((Extracted { surface, ..e }, report))
-    };
-    surfaces.into_iter().map(refine).collect()
 }
 
 /// Where surfaces are stored that are made from others. An eighth of the memory holds finished
@@ -495,7 +537,9 @@ fn write_all(
         if let (Some(sum), Some(values)) = (&mut without_value, &values) {
             *sum += values.without_value();
         }
-        Ok(SurfaceMeta { isovalue, comments, parts: vec![], values })
+        let (units, time) = (archive.step().plan.source.units.clone(), archive.time());
+        let compress = settings.compress;
+        Ok(SurfaceMeta { isovalue, comments, parts: vec![], values, units, time, compress })
     };
     let bytes = if is_each_alone(out) || surfaces.len() == 1 {
         let mut one = |(s, count): (&Extracted, &(f64, u64))| {

@@ -1,10 +1,12 @@
-//! Refines a welded surface before it is written: components are chosen, and triangles are
-//! decimated.
+//! Refines a welded surface before it is written: components are chosen, vertices are smoothed, and
+//! triangles are decimated.
 
 use crate::surface::SurfaceSource;
 use crate::surface::edit::{
     components::{ComponentFilter, ComponentReport, components},
     decimate::{Decimation, DecimationReport, decimate},
+    faces::Faces,
+    smooth::{Smoothing, SmoothingReport, smooth},
 };
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use isospan_io::error::{Error, Result};
@@ -17,6 +19,11 @@ use std::path::Path;
 pub struct Refine {
     /// Measure the connected components, and keep those that pass.
     pub components: Option<ComponentFilter>,
+    /// Smooth the surface: so many times each vertex moves to and fro.
+    pub smooth: Option<u32>,
+    /// The length by which smoothing may move a vertex, in world units; half of the shortest edge
+    /// of a voxel if not given.
+    pub smooth_limit: Option<f64>,
     /// Make do with fewer triangles.
     pub decimate: Option<Decimation>,
 }
@@ -28,6 +35,9 @@ pub struct RefineReport {
     /// The components, where they were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub components: Option<ComponentReport>,
+    /// The smoothing, where it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub smoothing: Option<SmoothingReport>,
     /// The decimation, where it was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub decimation: Option<DecimationReport>,
@@ -40,6 +50,10 @@ pub(super) struct Means<'a> {
     /// Surfaces that are kept while they are refined one after another.
     pub(super) surfaces: u64,
     pub(super) threads: usize,
+    /// The faces of the domain, where caps lie on them.
+    pub(super) faces: &'a Faces,
+    /// The shortest edge of a voxel, in world units.
+    pub(super) voxel: f64,
     pub(super) scratch: &'a Path,
     pub(super) cancel: &'a CancelToken,
 }
@@ -47,7 +61,7 @@ pub(super) struct Means<'a> {
 impl Refine {
     /// Whether a surface stays as it is.
     pub(super) fn changes_nothing(&self) -> bool {
-        self.components.is_none() && self.decimate.is_none()
+        self.components.is_none() && self.smooth.is_none() && self.decimate.is_none()
     }
 
     /// Whether the settings can be carried out; before anything is read.
@@ -57,7 +71,14 @@ impl Refine {
         {
             return Err(Error::usage("the least volume of a component must be a number, and not negative"));
         }
+        self.smoothing(1.0).map_or(Ok(()), |s| s.check())?;
         self.decimate.map_or(Ok(()), |d| d.check())
+    }
+
+    /// How the surface is smoothed, of voxels whose shortest edge is this long.
+    fn smoothing(&self, voxel: f64) -> Option<Smoothing> {
+        let max_distance = self.smooth_limit.unwrap_or(voxel / 2.0);
+        self.smooth.map(|iterations| Smoothing { iterations, max_distance })
     }
 
     /// Refines a surface, within the half of the memory that its extraction no longer needs.
@@ -76,13 +97,18 @@ impl Refine {
                 .map_err(|e| e.of_share(means.memory / share, means.memory))?;
             (surface, report.components) = (kept, Some(found));
         }
+        if let Some(how) = self.smoothing(means.voxel) {
+            let (smoothed, done) = smooth(&surface, &how, means.faces, &settings, means.cancel)?;
+            (surface, report.smoothing) = (smoothed, Some(done));
+        }
         if let Some(goal) = &self.decimate {
             let needed = share.saturating_mul(Decimation::least_memory(surface.triangle_count()));
             if means.memory < needed {
                 return Err(Error::memory("to decimate", needed, means.memory));
             }
             let pool = pool(means.threads)?;
-            let (fewer, done) = pool.install(|| decimate(surface, goal, &settings, means.cancel))?;
+            let (fewer, done) =
+                pool.install(|| decimate(surface, goal, means.faces, &settings, means.cancel))?;
             (surface, report.decimation) = (fewer, Some(done));
         }
         Ok((surface, report))

@@ -1,15 +1,16 @@
 //! Isosurfaces of many steps: one file for each, and a list of the files with their times.
 //!
+//! VTKHDF whose name has no place for the number has all steps in one file ([`super::one_file`]).
 //! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; for other formats the list
 //! is ParaView's JSON, `out.ply.series`. ParaView and [`isospan_io::formats::steps_of`] read both.
 //! A list that is there already keeps its other files, so that a series can be made in parts.
 //! Several steps are extracted in one pass ([`super::pass`]). A step whose values all lie on one
 //! side of the isovalues is not read: its file is an empty surface, so that the list has all steps.
 
-use super::pass::{MOST_STEPS, Pass};
-use super::query::{FinishedSurfaces, make, write_made};
-use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
-use super::weld::SurfaceStorage;
+use super::one_file::write_in_one;
+use super::query::{FinishedSurfaces, write_made};
+use super::settings::{SurfaceSettings, file_of, is_each_alone};
+use super::steps::{SeriesReport, StepSurfaces, for_each_step};
 use crate::archive::manifest::StoredStep;
 use crate::files::surface::SurfaceFormat;
 use crate::pipeline::read::{OpenArchive, StepView};
@@ -18,41 +19,10 @@ use isospan_io::bytes::publish::{Unpublished, folder_of};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use isospan_io::formats::listed_files;
-use serde::Serialize;
 use std::fmt::Write as _;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// The surfaces of a step.
-#[derive(Clone, Debug, Serialize)]
-#[non_exhaustive]
-pub struct StepSurfaces {
-    /// Number of the step.
-    pub step: u64,
-    /// Its time, or its number where it has none.
-    pub time: f64,
-    /// Whether nothing was read, because the range of its values shows that the surfaces are empty.
-    pub skipped: bool,
-    /// What was extracted. Several steps are extracted together: the first one reports what was
-    /// read for all of them, and the time that it took.
-    #[serde(flatten)]
-    pub report: SurfaceReport,
-}
-
-/// The surfaces of many steps.
-#[derive(Clone, Debug, Serialize)]
-#[non_exhaustive]
-pub struct SeriesReport {
-    /// StoredStep by step.
-    pub steps: Vec<StepSurfaces>,
-    /// Steps that were skipped.
-    pub skipped: u64,
-    /// The lists of the files: one, or one for each isovalue where these have files of their own.
-    pub lists: Vec<PathBuf>,
-    /// Files of earlier runs that the lists go on naming, all together.
-    pub listed_before: u64,
-}
 
 /// The files that [`write_series`] writes, the lists included.
 pub(in crate::pipeline) fn series_files(
@@ -62,6 +32,9 @@ pub(in crate::pipeline) fn series_files(
     out: &Path,
     format: SurfaceFormat,
 ) -> Result<Vec<PathBuf>> {
+    if is_in_one(out, format) {
+        return Ok(settings.files(out));
+    }
     let place = StepDigits::in_name(out)?;
     let of_step = |step: &StoredStep| settings.files(&place.name(step.number()));
     let mut files: Vec<PathBuf> = archive.manifest.steps[steps].iter().flat_map(of_step).collect();
@@ -81,6 +54,9 @@ pub(in crate::pipeline) fn write_series(
 ) -> Result<SeriesReport> {
     settings.check()?;
     settings.check_colours(format)?;
+    if is_in_one(out, format) {
+        return write_in_one(archive, steps, settings, out, progress);
+    }
     let place = StepDigits::in_name(out)?;
     let scratch = settings.scratch_of(out);
     let mut made: Vec<StepSurfaces> = vec![];
@@ -106,7 +82,12 @@ pub(in crate::pipeline) fn write_series(
     };
     let lists = (0..lists).map(&mut list).collect::<Result<_>>()?;
     let skipped = made.iter().filter(|s| s.skipped).count() as u64;
-    Ok(SeriesReport { skipped, steps: made, lists, listed_before })
+    Ok(SeriesReport { skipped, steps: made, lists, listed_before, file_bytes: None })
+}
+
+/// Whether all steps go to one file: VTKHDF, whose name has no place for a number.
+fn is_in_one(out: &Path, format: SurfaceFormat) -> bool {
+    format == SurfaceFormat::VtkHdf && StepDigits::in_name(out).is_err()
 }
 
 /// The other files that a list names and that are still there, with their times. What is no list
@@ -143,44 +124,6 @@ pub(in crate::pipeline) fn surfaces_of_steps(
     for_each_step(archive, steps, settings, &scratch, progress, &mut hand_out)
 }
 
-/// What is done with the surfaces of a step; their memory comes back.
-type Use<'a> = dyn FnMut(&StepView, FinishedSurfaces) -> Result<Vec<TriMesh>> + 'a;
-
-/// Extracts surfaces of step after step, several in a pass.
-fn for_each_step(
-    archive: &Arc<OpenArchive>,
-    steps: Range<usize>,
-    settings: &SurfaceSettings,
-    scratch: &Path,
-    progress: &dyn Progress,
-    use_them: &mut Use<'_>,
-) -> Result<()> {
-    let mut positions = steps;
-    let mut reused: Vec<Vec<TriMesh>> = vec![];
-    let mut before: Option<StepView> = None;
-    while !positions.is_empty() {
-        let view = archive.step_at(positions.start);
-        if view.is_pyramid() {
-            let view = view.after(before.take());
-            settings.resources.cancel.check()?;
-            let storage =
-                SurfaceStorage { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
-            reused.push(use_them(&view, make(&view, settings, storage, None, progress)?)?);
-            positions.start += 1;
-            before = Some(view);
-            continue;
-        }
-        let views: Vec<StepView> = positions.clone().take(MOST_STEPS).map(|n| archive.step_at(n)).collect();
-        let made = Pass::next(&views, settings, scratch)?.extract(settings, &mut reused, progress)?;
-        for (view, made) in views.iter().zip(made) {
-            settings.resources.cancel.check()?;
-            reused.push(use_them(view, made)?);
-            positions.start = view.position() + 1;
-        }
-    }
-    Ok(())
-}
-
 /// Where the number of a step is in a file's name: `before`, digits, `after`.
 struct StepDigits {
     folder: PathBuf,
@@ -201,7 +144,8 @@ impl StepDigits {
         });
         let (before, digits, after) = found.ok_or_else(|| {
             Error::usage(format!(
-                "{}: of several steps, the name of the file has a place for the step's number, as in out_%04d.ply",
+                "{}: of several steps, the name of the file has a place for the step's number, as in out_%04d.ply; \
+                 .vtkhdf alone has all of them in one file",
                 out.display()
             ))
         })?;

@@ -28,6 +28,8 @@ pub(in crate::pipeline) struct SurfaceSettings {
     pub(in crate::pipeline) refine: Refine,
     /// A field whose values a surface file has at the vertices, with their colours.
     pub(in crate::pipeline) colour_by: Option<ColourBy>,
+    /// A GLB of fewer bytes.
+    pub(in crate::pipeline) compress: bool,
     /// The level of a pyramid; the finest if not given. Other archives have no levels.
     pub(in crate::pipeline) level: Option<LevelChoice>,
     /// Threads, memory, scratch folder, and what stops it.
@@ -59,6 +61,7 @@ impl Default for SurfaceSettings {
             cap: false,
             refine: Refine::default(),
             colour_by: None,
+            compress: false,
             level: None,
             resources: Resources::default(),
         }

@@ -44,6 +44,11 @@ impl HalfSpace {
         Self { normal, offset, tolerance: size * f64::from(f32::EPSILON) * 4.0 }
     }
 
+    /// Across its plane, into it; of any length.
+    pub(super) fn normal(&self) -> [f64; 3] {
+        self.normal
+    }
+
     /// `normal · p - offset`; zero within the precision of `f32`.
     pub fn distance(&self, p: [f64; 3]) -> f64 {
         let d = (0..3).map(|a| self.normal[a] * p[a]).sum::<f64>() - self.offset;

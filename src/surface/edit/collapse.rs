@@ -26,6 +26,10 @@
 //! neighbour besides a and b: no new edge between fixed vertices ever arises, and patches that
 //! share vertices can be worked on side by side.
 //!
+//! **Vertices on faces of the domain**, where caps are, stay on them. The ends of an edge along a
+//! face are joined in it. An edge from a face into the domain, or from a face to the edge of two,
+//! collapses into the end that lies on more faces.
+//!
 //! **The error** of a vertex is an estimate of how far the surface around it is from the original:
 //! each collapse adds to the larger one of its ends the largest distance of the new place to the
 //! planes of the triangles that it replaces.
@@ -38,6 +42,7 @@
 //! Garland, Heckbert 1997, "Surface simplification using quadric error metrics". Dey, Edelsbrunner,
 //! Guha, Nekhayev 1999, "Topology preserving edge contraction".
 
+use super::faces::{Faces, OnFaces};
 use crate::surface::model::Vertex;
 use isospan_io::geom::vec3::{cross, dot, minus};
 use std::cmp::{Ordering, Reverse};
@@ -65,6 +70,8 @@ pub(super) struct Patch {
     pub(super) errors: Vec<f32>,
     /// Vertices that other triangles than those of the patch use.
     pub(super) fixed: Vec<bool>,
+    /// The faces of the domain that each vertex lies on.
+    pub(super) on: Vec<OnFaces>,
     /// Counter-clockwise triangles of patch-local vertex numbers.
     pub(super) triangles: Vec<[u32; 3]>,
 }
@@ -80,11 +87,11 @@ pub(super) struct Goal {
 
 /// Collapses edges of a patch. The triangles that are left keep their order; vertices keep their
 /// numbers, though some have no triangle any more.
-pub(super) fn collapse_edges(patch: &mut Patch, goal: Goal) {
+pub(super) fn collapse_edges(patch: &mut Patch, faces: &Faces, goal: Goal) {
     if patch.triangles.len() <= goal.triangles {
         return;
     }
-    let mut work = Work::new(patch);
+    let mut work = Work::new(patch, faces);
     while work.alive > goal.triangles {
         let Some(Reverse(edge)) = work.queue.pop() else { break };
         let [u, v] = [edge.u, edge.v];
@@ -175,6 +182,7 @@ struct JoinedEdge {
 
 struct Work<'a> {
     patch: &'a mut Patch,
+    faces: &'a Faces,
     /// Subtracted from positions, so that quadrics lose no digits.
     origin: Vec3,
     /// Triangles of each vertex; none when it is gone.
@@ -188,7 +196,7 @@ struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    fn new(patch: &'a mut Patch) -> Self {
+    fn new(patch: &'a mut Patch, faces: &'a Faces) -> Self {
         let count = patch.vertices.len();
         let mut fans = vec![vec![]; count];
         for (t, triangle) in (0..).zip(&patch.triangles) {
@@ -200,6 +208,7 @@ impl<'a> Work<'a> {
         let quadrics = vec![Quadric::default(); count];
         let mut work = Self {
             patch,
+            faces,
             origin,
             fans,
             quadrics,
@@ -222,6 +231,10 @@ impl<'a> Work<'a> {
             }
         }
         work
+    }
+
+    fn on(&self, v: u32) -> OnFaces {
+        self.patch.on[v as usize]
     }
 
     fn place(&self, v: u32) -> Vec3 {
@@ -292,10 +305,17 @@ impl<'a> Work<'a> {
             (false, true) => (v, u),
             _ => (u, v),
         };
-        let position = if self.fixed[stays as usize] {
+        let (on, of_other) = (self.on(stays), self.on(goes));
+        let (stays, goes) = match (on & of_other == of_other, on & of_other == on) {
+            (true, _) => (stays, goes),
+            // The other end lies on more faces.
+            (false, true) if !self.fixed[stays as usize] => (goes, stays),
+            _ => return None,
+        };
+        let position = if self.fixed[stays as usize] || on != of_other {
             self.patch.vertices[stays as usize].position
         } else {
-            self.best_place(&sum, self.place(u), self.place(v))
+            self.best_place(&sum, self.place(u), self.place(v), on)
         };
         let cost = sum.at(minus(position.map(f64::from), self.origin));
         cost.is_finite().then_some(JoinedEdge { stays, goes, position, cost })
@@ -303,16 +323,20 @@ impl<'a> Work<'a> {
 
     /// The place where a quadric is least, unless that is far away; else the best of ends and
     /// middle.
-    fn best_place(&self, quadric: &Quadric, u: Vec3, v: Vec3) -> [f32; 3] {
+    fn best_place(&self, quadric: &Quadric, u: Vec3, v: Vec3, on: OnFaces) -> [f32; 3] {
         let rounded = |p: Vec3| [0, 1, 2].map(|k| (p[k] + self.origin[k]) as f32);
         let middle = [0, 1, 2].map(|k| 0.5 * (u[k] + v[k]));
         let edge = minus(v, u);
         let is_near = |p: &Vec3| dot(minus(*p, middle), minus(*p, middle)) <= 4.0 * dot(edge, edge);
-        if let Some(p) = quadric.least().filter(is_near) {
+        let cheaper = |a: Vec3, b: Vec3| if quadric.at(b) < quadric.at(a) { b } else { a };
+        let of_edge = || cheaper(cheaper(middle, u), v);
+        let Some(p) = quadric.least().filter(is_near) else { return rounded(of_edge()) };
+        if on == 0 {
             return rounded(p);
         }
-        let cheaper = |a: Vec3, b: Vec3| if quadric.at(b) < quadric.at(a) { b } else { a };
-        rounded(cheaper(cheaper(middle, u), v))
+        // In the face it may be no better than the ends.
+        let way = self.faces.along(on, minus(p, u));
+        rounded(cheaper([0, 1, 2].map(|k| u[k] + way[k]), of_edge()))
     }
 
     fn try_collapse(&mut self, u: u32, v: u32, limit: f64) {

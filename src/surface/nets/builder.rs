@@ -1,9 +1,9 @@
 //! Meshes of labels, one after another, from sorted sides of quads.
 
 use super::{Side, smooth::UNITS};
-use crate::surface::model::Vertex;
+use crate::surface::model::{SurfaceSource, Vertex};
 use crate::surface::weld::StoredSurface;
-use crate::surface::{SurfaceSource, WorldMap};
+use crate::surface::world_map::WorldMap;
 use isospan_io::error::{Error, Result};
 use isospan_io::geom::vec3::{cross, dot, minus};
 use rustc_hash::FxHashMap;

@@ -12,7 +12,8 @@ use std::sync::LazyLock;
 /// No face.
 pub(super) const NO_FACE: u8 = u8::MAX;
 
-/// The loops of a mask of corners: bit i is the corner with x in bit 0 of i, y in bit 1, z in bit 2.
+/// The loops of a mask of corners: bit i is the corner with x in bit 0 of i, y in bit 1, z in bit
+/// 2.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loops {
     /// The loop of each edge that is crossed.

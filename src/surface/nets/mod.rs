@@ -17,12 +17,12 @@
 //! ```
 //!
 //! Vertices lie in the middle of their cells. So a label's mesh is the faces of its voxels, with
-//! exactly their volume. Smoothing moves them within their cells ([`smooth`]); it looks at the labels
-//! around, and not at which of them were asked for. The diagonal of a quad is the shorter one, by
-//! its corners alone.
+//! exactly their volume. Smoothing moves them within their cells ([`smooth`]); it looks at the
+//! labels around, and not at which of them were asked for. The diagonal of a quad is the shorter
+//! one, by its corners alone.
 //!
 //! Where a label touches itself, at an edge or a corner of voxels, its mesh has two vertices at one
-//! place or more ([`loops`]). So each mesh is closed and manifold.
+//! place or more (`loops.rs`). So each mesh is closed and manifold.
 //!
 //! # Memory and order
 //!

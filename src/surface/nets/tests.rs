@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::surface::check::check;
+use crate::surface::model::TriMesh;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
-use crate::surface::{TriMesh, WorldMap};
+use crate::surface::world_map::WorldMap;
 use isospan_io::grid::Geometry;
 use std::collections::BTreeMap;
 

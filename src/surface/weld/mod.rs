@@ -53,6 +53,7 @@ use crate::surface::world_map::{WorldMap, nearby_origin};
 use isospan_io::bytes::store::{Cached, Store};
 use isospan_io::error::{Error, Result};
 use isospan_io::geom::PointId;
+use isospan_io::volume::units::Units;
 use rustc_hash::FxHashMap;
 use std::path::PathBuf;
 
@@ -223,7 +224,9 @@ impl SurfaceBuilder {
     pub fn finish(mut self) -> Result<StoredSurface> {
         self.close()?;
         let Self { vertices, triangles, world, .. } = self;
-        Ok(StoredSurface { vertices, triangles, origin: world.origin(), low: None, ends: NO_BOX })
+        let (units, time) = (Units::default(), None);
+        let origin = world.origin();
+        Ok(StoredSurface { vertices, triangles, origin, low: None, ends: NO_BOX, units, time })
     }
 
     fn check_room(&self, more: u64) -> Result<()> {
@@ -322,6 +325,10 @@ pub struct StoredSurface {
     low: Option<Store<[f32; 3]>>,
     /// The least box that holds such positions.
     ends: [[f64; 3]; 2],
+    /// What a file says of its units.
+    pub(crate) units: Units,
+    /// What it says of the time.
+    pub(crate) time: Option<f64>,
 }
 
 /// A box that holds nothing.
@@ -342,7 +349,20 @@ impl StoredSurface {
             origin: [0.0; 3],
             low: None,
             ends: NO_BOX,
+            units: Units::default(),
+            time: None,
         }
+    }
+
+    /// The units of coordinates, isovalues and times, as far as the file that it was read from
+    /// names them.
+    pub fn units(&self) -> &Units {
+        &self.units
+    }
+
+    /// The time that the file names.
+    pub fn time(&self) -> Option<f64> {
+        self.time
     }
 
     /// A surface without vertices, to be filled from another one or parts of it: its positions are

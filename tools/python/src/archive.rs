@@ -3,7 +3,7 @@
 use crate::arrays::Numbers;
 use crate::errors::{exception, usage};
 use crate::json::to_python;
-use crate::surface::Surface;
+use crate::surface::{About, Surface};
 use crate::volume::{Volume, raised_or};
 use crate::work::run;
 use isospan::exec::usable_memory;
@@ -143,7 +143,7 @@ impl Wanted {
             ratio: self.decimate.unwrap_or(far.ratio),
             max_error: self.decimate_error.unwrap_or(far.max_error),
         });
-        Refine { components, decimate }
+        Refine { components, decimate, ..Refine::default() }
     }
 
     /// The question as it is wanted, of a step or of several.
@@ -295,9 +295,9 @@ impl Archive {
         let resources = machine.resources(py)?;
         let meshes =
             run(py, None, |cancel, _| query.resources(resources.with_cancel(cancel.clone())).meshes())?;
-        let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.source());
+        let about = About::of(&archive);
         let surfaces = meshes.into_iter().zip(&wanted.isovalues);
-        Ok(surfaces.map(|(mesh, &isovalue)| Surface::new(mesh, isovalue, &comment)).collect())
+        Ok(surfaces.map(|(mesh, &isovalue)| Surface::new(mesh, isovalue, &about)).collect())
     }
 
     /// Surfaces in files, in bounded memory.

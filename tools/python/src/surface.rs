@@ -5,13 +5,16 @@ use crate::arrays::interface;
 use crate::errors::exception;
 use crate::json::to_python;
 use crate::work::run;
+use isospan::Step;
 use isospan::compare::{CompareSettings, compare};
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use isospan::surface::check::check;
 use isospan::surface::edit::components::split;
 use isospan::surface::{Joined, SurfaceSource, TriMesh};
+use isospan::volume::units::Units;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// An isosurface in memory. Arrays that see it keep it alive; none of them can be written to.
@@ -19,21 +22,43 @@ use std::path::PathBuf;
 pub(crate) struct Surface {
     mesh: TriMesh,
     isovalue: f64,
-    /// What a file says of where the surface is from.
+    about: About,
+}
+
+/// What a file says of a surface besides.
+#[derive(Clone, Serialize, Deserialize)]
+pub(crate) struct About {
+    /// Where it is from.
     comment: String,
+    units: Units,
+    time: Option<f64>,
+}
+
+impl About {
+    /// That of a surface of a step.
+    pub(crate) fn of(step: &Step) -> Self {
+        let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), step.source());
+        Self { comment, units: step.units().clone(), time: step.time() }
+    }
 }
 
 /// Bytes of a position and a normal.
 const VERTEX_BYTES: usize = 24;
 
 impl Surface {
-    pub(crate) fn new(mesh: TriMesh, isovalue: f64, comment: &str) -> Self {
-        Self { mesh, isovalue, comment: comment.to_owned() }
+    pub(crate) fn new(mesh: TriMesh, isovalue: f64, about: &About) -> Self {
+        Self { mesh, isovalue, about: about.clone() }
     }
 
     fn meta(&self) -> SurfaceMeta {
-        let comments = vec![self.comment.clone()];
-        SurfaceMeta { isovalue: Some(self.isovalue), comments, parts: vec![], values: None }
+        let About { comment, units, time } = self.about.clone();
+        SurfaceMeta {
+            isovalue: Some(self.isovalue),
+            comments: vec![comment],
+            units,
+            time,
+            ..SurfaceMeta::default()
+        }
     }
 }
 
@@ -46,7 +71,7 @@ impl Surface {
         vertices: &[u8],
         faces: &[u8],
         isovalue: f64,
-        comment: &str,
+        about: &str,
         origin: [f64; 3],
     ) -> PyResult<Self> {
         let broken = || crate::errors::usage(py, "these are no bytes of a surface");
@@ -62,7 +87,7 @@ impl Surface {
         if mesh.triangles.iter().flatten().any(|&v| u64::from(v) >= count) {
             return Err(broken());
         }
-        Ok(Self::new(mesh, isovalue, comment))
+        Ok(Self::new(mesh, isovalue, &serde_json::from_str(about).map_err(|_| broken())?))
     }
 
     #[getter]
@@ -70,9 +95,10 @@ impl Surface {
         self.isovalue
     }
 
+    /// Comment, units and time, as JSON.
     #[getter]
-    fn comment(&self) -> &str {
-        &self.comment
+    fn about(&self) -> String {
+        serde_json::json!(self.about).to_string()
     }
 
     /// The place in the world that positions are counted from.
@@ -116,7 +142,7 @@ impl Surface {
     /// Its connected components, those of most triangles first.
     fn components(&self, py: Python<'_>) -> Vec<Surface> {
         let split = py.detach(|| split(&self.mesh));
-        split.into_iter().map(|mesh| Self::new(mesh, self.isovalue, &self.comment)).collect()
+        split.into_iter().map(|mesh| Self::new(mesh, self.isovalue, &self.about)).collect()
     }
 
     /// Distances to another surface and back, as `isospan compare` reports them.

@@ -86,7 +86,7 @@ def test_examples_of_docstrings(sphere_archive):
 
 def test_pictures_pages_and_the_viewer(sphere_archive, tmp_path):
     picture = tmp_path / "sphere.png"
-    report = sphere_archive.render(picture, [15, 20], size=(200, 100))
+    report = sphere_archive.render(picture, 20, size=(200, 100))
     assert picture.read_bytes().startswith(b"\x89PNG") and report["size"] == [200, 100]
     with pytest.raises(isospan.Error):
         sphere_archive.render(picture, 20)

@@ -283,7 +283,7 @@ mod tests {
         let words = |most, unit| engineering(most, unit).0;
         assert_eq!(engineering(2_345_678.0, ""), ("  (10⁶)".into(), 1e6));
         assert_eq!((words(23.0, ""), words(2e-5, "")), (String::new(), "  (10⁻⁶)".into()));
-        assert_eq!((&*words(23.0, " mm^2"), &*words(2e4, " mm^2")), ("  (mm^2)", "  (10³ mm^2)"));
+        assert_eq!((&*words(23.0, " mm²"), &*words(2e4, " mm²")), ("  (mm²)", "  (10³ mm²)"));
         assert_eq!(
             (label(0.1 + 0.2, 1.0), label(1e-17, 1.0), label(-300.0, 1e3)),
             ("0.3".into(), "0".into(), "−300".into())
@@ -316,7 +316,7 @@ mod tests {
         for words in [
             "Contour spectrum of tooth",
             "active tetrahedra",
-            "area  (10³ mm^2)",
+            "area  (10³ mm²)",
             "enclosed volume",
             "isovalue (K)",
         ] {

@@ -434,7 +434,7 @@ impl Job<'_> {
         }
         let views = self.views(&panels, args.turntable.map_or(1, |n| n as usize))?;
         let legend = colours.as_ref().map(|c| (bar_title(&inputs, args.colour_by.as_deref()), c));
-        let length_unit = common(inputs.iter().map(Input::length_unit));
+        let length_unit = common(panels.iter().map(|panel| panel.length_unit().cloned()));
         let stage =
             Stage { job: self, layout, inputs: inputs.len(), panels, views, end, legend, length_unit };
         progress.begin("draw", (frames * count) as u64, "panels");

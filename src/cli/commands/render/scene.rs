@@ -50,6 +50,8 @@ pub(super) struct Panel {
     pub(super) slices: Vec<Slice>,
     /// The step of an archive.
     pub(super) moment: Option<Moment>,
+    /// The unit of lengths, where the file or the archive names one.
+    pub(super) length: Option<Unit>,
     /// Whether it is a flat picture of a plane.
     pub(super) flat: bool,
 }
@@ -62,7 +64,7 @@ impl Panel {
 
     /// The unit of lengths.
     pub(super) fn length_unit(&self) -> Option<&Unit> {
-        self.moment.as_ref()?.step.units().length.as_ref()
+        self.length.as_ref()
     }
 }
 
@@ -185,14 +187,6 @@ impl Input {
         let moments = choices.into_iter().map(moment).collect::<Result<_>>()?;
         let name = path.to_path_buf();
         Ok(Self::Archive(Box::new(Opened { name, moments, isovalues, hull, slices })))
-    }
-
-    /// The unit of its lengths; files of surfaces name none.
-    pub(super) fn length_unit(&self) -> Option<Unit> {
-        match self {
-            Self::Surface(_) => None,
-            Self::Archive(opened) => opened.moments[0].step.units().length.clone(),
-        }
     }
 
     /// How many steps of it are drawn.
@@ -353,12 +347,14 @@ impl Job<'_> {
             match input {
                 Input::Surface(path) => {
                     let surface = load_surface(path, &check).map_err(|e| self.whole(e, check.memory))?;
+                    let length = surface.units().length.clone();
                     let surface = self.cut(surface, None, &check)?;
                     let (paint, opacity) = looks.take(None)?;
                     let shape = Shape { isovalue: None, surface, values: vec![], paint, opacity };
                     panels.push(Panel {
                         name: path.display().to_string(),
                         moment: None,
+                        length,
                         frame: None,
                         shapes: vec![shape],
                         slices: vec![],
@@ -373,6 +369,7 @@ impl Job<'_> {
                         let panel = |shapes, slices, flat| Panel {
                             name: opened.name.display().to_string(),
                             moment: Some(moment.clone()),
+                            length: moment.step.units().length.clone(),
                             frame: steps_are_frames.then_some(n),
                             shapes,
                             slices,

@@ -14,13 +14,14 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// What else a surface may be asked for, and one of labels may not.
-const OTHERS: [&str; 15] = [
+const OTHERS: [&str; 16] = [
     "isovalue",
     "roi",
     "cap",
     "largest",
     "min_triangles",
     "min_volume",
+    "smooth_limit",
     "components",
     "decimate",
     "decimate_error",
@@ -47,11 +48,6 @@ pub(super) struct LabelArgs {
     /// their numbers give.
     #[arg(help_heading = "Labels", long, value_name = "FILE", requires = "labels")]
     label_table: Option<PathBuf>,
-    /// Smooth the surfaces of labels in N steps; without N, 10. Vertices stay in their cells, walls
-    /// common, and volumes within 1 % for compact labels of a thousand voxels and more; small ones
-    /// and thin sheets change more.
-    #[arg(help_heading = "Labels", long, value_name = "N", num_args = 0..=1, default_missing_value = "10", value_parser = grammar::whole_in(0..=64u32), allow_negative_numbers = true, requires = "labels")]
-    smooth: Option<u32>,
 }
 
 impl LabelArgs {
@@ -82,7 +78,8 @@ pub(super) fn run(args: &Args, archive: &Archive, format: SurfaceFormat, talk: &
     let labels = &args.labels;
     let table = labels.label_table.as_deref().map(LabelTable::read).transpose()?.unwrap_or_default();
     let step = archive.at(args.step.choice()?)?;
-    let query = step.labels(labels.wanted()?).smooth(labels.smooth.unwrap_or(0)).table(table);
+    let smooth = args.smooth.map_or(0, |steps| steps.unwrap_or(super::LABELS_SMOOTHED));
+    let query = step.labels(labels.wanted()?).smooth(smooth).table(table).compress(args.compress);
     let query = query.format(format).resources(args.machine.resources(args.scratch.scratch.clone(), talk));
     args.force.check_all(&query.files(&args.output), &[&args.archive])?;
     if !args.force.is_given() {

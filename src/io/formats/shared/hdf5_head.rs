@@ -47,6 +47,11 @@ impl Value {
         Self { datatype: number_type(ScalarType::I64), shape: vec![list.len() as u64], bytes }
     }
 
+    /// One integer, `i64`.
+    pub(in crate::formats) fn integer(number: i64) -> Self {
+        Self { datatype: number_type(ScalarType::I64), shape: vec![], bytes: number.to_le_bytes().to_vec() }
+    }
+
     /// A list of `f64`.
     pub fn floats(list: &[f64]) -> Self {
         let bytes = list.iter().flat_map(|v| v.to_le_bytes()).collect();

@@ -29,11 +29,14 @@ use crate::volume::ScalarType;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// The name of the lines of text.
+const COMMENTS: &str = "comments";
+
 /// A file to be written: its root group, of a type, with comments, and what is in `/VTKHDF`.
 pub fn root(kind: &str, comments: &[String], group: Group) -> Group {
     let mut root = Group::default();
     if !comments.is_empty() {
-        root.add("comments", Value::lines(comments));
+        root.add(COMMENTS, Value::lines(comments));
     }
     // The version that has the attribute Attribute; readers look at the 2.
     root.add_group("VTKHDF", group.with("Version", Value::integers(&[2, 6])).with("Type", Value::word(kind)));
@@ -43,6 +46,11 @@ pub fn root(kind: &str, comments: &[String], group: Group) -> Group {
 /// A number of one piece.
 pub fn count(n: u64) -> Value {
     Value::integers(&[n as i64])
+}
+
+/// The group that says where each of so many steps is.
+pub fn steps(count: u64) -> Group {
+    Group::default().with("NSteps", Value::integer(count as i64))
 }
 
 /// The same array, which is the active one of a kind: "Scalars", "Normals".
@@ -126,6 +134,17 @@ impl HdfFile {
             return Err(self.wrong(name, format!("numbers {shape:?}"), format!("{:?}", array.shape)));
         }
         Ok(array)
+    }
+
+    /// The lines of comment that [`root`] writes; none of other files.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for lines that cannot be read.
+    pub fn comments(&self) -> Result<Vec<String>> {
+        match self.arrays.is_text(COMMENTS) {
+            true => Ok(self.arrays.texts(COMMENTS)?.unwrap_or_default()),
+            false => Ok(vec![]),
+        }
     }
 
     /// All numbers of an array.

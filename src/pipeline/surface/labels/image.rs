@@ -91,9 +91,10 @@ impl<'a> LabelImage<'a> {
         let Some(pyramid) = pyramid else {
             return refuse("the archive has tetrahedra, whose values are no labels");
         };
-        let is_exact = step.plan.wavelet.is_some_and(|w| {
-            matches!(w.correction, CorrectionRecord::Labels | CorrectionRecord::Lossless)
-        });
+        let is_exact = step
+            .plan
+            .wavelet
+            .is_some_and(|w| matches!(w.correction, CorrectionRecord::Labels | CorrectionRecord::Lossless));
         let offset = step.plan.source.offset;
         if !is_exact || offset.fract() != 0.0 || step.plan.source.rounding > 0.0 {
             return refuse("the archive does not keep whole numbers exactly, so it has no labels");

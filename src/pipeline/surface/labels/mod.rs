@@ -62,7 +62,8 @@ pub(in crate::pipeline) fn write_labels(
     Ok(report)
 }
 
-/// The surfaces of labels in memory: see [`LabelQuery::meshes`](crate::pipeline::LabelQuery::meshes).
+/// The surfaces of labels in memory: see
+/// [`LabelQuery::meshes`](crate::pipeline::LabelQuery::meshes).
 pub(in crate::pipeline) fn label_meshes(
     view: &StepView,
     settings: &LabelSettings,
@@ -195,6 +196,12 @@ impl<'a> Work<'a> {
     fn meta(&self) -> SurfaceMeta {
         let source = &self.image.view.step().plan.source;
         let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), source.path);
-        SurfaceMeta { comments: vec![comment], ..SurfaceMeta::default() }
+        SurfaceMeta {
+            comments: vec![comment],
+            units: source.units.clone(),
+            time: self.image.view.time(),
+            compress: self.settings.compress,
+            ..SurfaceMeta::default()
+        }
     }
 }

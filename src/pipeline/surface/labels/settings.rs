@@ -61,6 +61,8 @@ pub(in crate::pipeline) struct LabelSettings {
     /// Steps of smoothing.
     pub(in crate::pipeline) smooth: u32,
     pub(in crate::pipeline) table: Arc<LabelTable>,
+    /// A GLB of fewer bytes.
+    pub(in crate::pipeline) compress: bool,
     pub(in crate::pipeline) resources: Resources,
 }
 

@@ -1,6 +1,6 @@
 //! A mesh in memory as its connected components.
 
-use crate::surface::TriMesh;
+use crate::surface::model::TriMesh;
 
 /// The connected components of a mesh: those of most triangles first, among equals the one that
 /// begins first. Triangles keep their order, and

@@ -1,6 +1,6 @@
 use super::*;
-use crate::surface::TriMesh;
 use crate::surface::check::check;
+use crate::surface::model::TriMesh;
 use crate::surface::testing::{Grid, assert_sound, mirrored};
 use isospan_io::grid::Geometry;
 

@@ -18,6 +18,7 @@
 //! # Guarantees
 //! * Components, genus and boundaries stay what they are, an oriented manifold stays one; vertices
 //!   on a boundary do not move.
+//! * A vertex on a face of the domain stays on it: caps stay plane, and end where they did.
 //! * The bytes are a function of the surface and the goal: patches are a number of triangles, not
 //!   of bytes, so neither threads nor memory show.
 //! * With `max_error`, no vertex's estimate exceeds it: the estimates of a vertex are handed on
@@ -29,6 +30,7 @@
 //! memory allows.
 
 use super::collapse::{BYTES_PER_TRIANGLE, Goal, Patch, collapse_edges};
+use super::faces::Faces;
 use crate::surface::model::{SurfaceSource, Vertex};
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use isospan_io::bytes::paged::Paged;
@@ -110,7 +112,8 @@ pub struct DecimationReport {
     pub error_estimate: f64,
 }
 
-/// Decimates a surface. Uses the threads of the pool that it is called in.
+/// Decimates a surface; vertices on the faces stay on them. Uses the threads of the pool that it is
+/// called in.
 ///
 /// # Errors
 /// [`Error::Usage`] for a goal that makes no sense; [`Error::Budget`] below
@@ -118,6 +121,7 @@ pub struct DecimationReport {
 pub fn decimate(
     surface: StoredSurface,
     goal: &Decimation,
+    faces: &Faces,
     settings: &BuilderSettings,
     cancel: &CancelToken,
 ) -> Result<(StoredSurface, DecimationReport)> {
@@ -143,6 +147,7 @@ pub fn decimate(
             // A quarter for all that is read and written at random.
             records: memory / 16,
             scratch: &settings.scratch,
+            faces,
             cancel,
         };
         now = pass.run(&now)?;
@@ -193,6 +198,7 @@ struct Pass<'a> {
     /// Bytes for each of the arrays that are used at random.
     records: u64,
     scratch: &'a Path,
+    faces: &'a Faces,
     cancel: &'a CancelToken,
 }
 
@@ -235,6 +241,7 @@ impl Pass<'_> {
             for &v in &numbers {
                 let v = u64::from(v);
                 patch.vertices.push(records.get(v)?);
+                patch.on.push(self.faces.on(patch.vertices[patch.vertices.len() - 1].position));
                 patch.errors.push(errors.as_mut().map_or(Ok(0.0), |e| e.get(v))?);
                 patch.fixed.push(owners.get(v)? == SEVERAL);
             }
@@ -275,7 +282,7 @@ impl Pass<'_> {
         self.cancel.check()?;
         waiting.par_iter_mut().for_each(|p| {
             let triangles = (p.patch.triangles.len() as f64 * self.keep).ceil() as usize;
-            collapse_edges(&mut p.patch, Goal { triangles, error: self.max_error });
+            collapse_edges(&mut p.patch, self.faces, Goal { triangles, error: self.max_error });
         });
         waiting.drain(..).try_for_each(|p| out.append(&p))
     }

@@ -15,7 +15,9 @@ fn run(mesh: &TriMesh, goal: Decimation, memory_bytes: usize, threads: usize) ->
     let scratch = tempfile::tempdir().unwrap();
     let settings = BuilderSettings { memory_bytes, scratch: scratch.path().to_path_buf() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    let done = pool.install(|| decimate(stored(mesh, &settings), &goal, &settings, &CancelToken::new()));
+    let done = pool.install(|| {
+        decimate(stored(mesh, &settings), &goal, &Faces::default(), &settings, &CancelToken::new())
+    });
     let (surface, report) = done.unwrap();
     (TriMesh::from_source(&surface).unwrap(), report)
 }
@@ -76,7 +78,8 @@ fn neither_threads_nor_memory_show() {
     let least = Decimation::least_memory(mesh.triangles.len() as u64) as usize;
     assert!(run(&mesh, goal, least, 2) == wanted);
     let settings = BuilderSettings { memory_bytes: least - 1, ..BuilderSettings::default() };
-    let refused = decimate(stored(&mesh, &settings), &goal, &settings, &CancelToken::new());
+    let refused =
+        decimate(stored(&mesh, &settings), &goal, &Faces::default(), &settings, &CancelToken::new());
     assert_eq!(refused.unwrap_err().exit_code(), 4);
 }
 

@@ -292,7 +292,7 @@ class Archive:
         return _spectrum(self._core.spectrum(moment(step, time)))
 
     @overload
-    def count(
+    def count(  # type: ignore[overload-overlap]
         self,
         isovalue: Share,
         *,
@@ -350,7 +350,9 @@ class Archive:
         return float(np.sqrt(np.sum(sides**2)))
 
     @overload
-    def surface(self, isovalue: Share, **choices: Unpack[SurfaceChoices]) -> Surface: ...
+    def surface(  # type: ignore[overload-overlap]
+        self, isovalue: Share, **choices: Unpack[SurfaceChoices]
+    ) -> Surface: ...
     @overload
     def surface(
         self, isovalue: Sequence[Share], **choices: Unpack[SurfaceChoices]
@@ -396,7 +398,7 @@ class Archive:
         threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or
             "50%"; half of what the process may use if not given.
         """
-        several = np.ndim(isovalue) > 0
+        several = np.ndim(np.asarray(isovalue, dtype=object)) > 0
         wanted = self._wanted(
             self._isovalues(isovalue, moment(step, time)),
             roi,

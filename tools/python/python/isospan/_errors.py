@@ -102,7 +102,9 @@ class FileError(Error, OSError):
     def _of(cls, message: str, exit_code: int, /, **about: Any) -> Error:
         number = about["errno"]
         kind = cls if number is None else _FILE_ERRORS.get(type(OSError(number, "")), cls)
-        error = Error._of.__func__(kind, message, exit_code, **about)
+        if kind is not cls:
+            return kind._of(message, exit_code, **about)
+        error = super()._of(message, exit_code, **about)
         return _as_of_system(error, number, about["reason"], about["file"])
 
 

@@ -55,11 +55,11 @@ class Volume:
 
 class Surface:
     isovalue: float
-    comment: str
+    about: str
     vertex_count: int
     face_count: int
     def __init__(
-        self, vertices: bytes, faces: bytes, isovalue: float, comment: str, origin: list[float]
+        self, vertices: bytes, faces: bytes, isovalue: float, about: str, origin: list[float]
     ) -> None: ...
     @property
     def origin(self) -> list[float]: ...

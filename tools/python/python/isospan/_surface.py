@@ -92,7 +92,7 @@ class Surface:
     def volume(self) -> float | None:
         """Volume that the surface encloses, in cubed world units; None of one that is open.
 
-        >>> round(sphere.volume / (4 / 3 * np.pi * 10**3), 2)
+        >>> round(sphere.volume / (4 / 3 * np.pi * 10**3), 1)
         1.0
         """
         return self._report["volume"]
@@ -138,7 +138,7 @@ class Surface:
         from ._archive import _machine
         from ._words import whole
 
-        machine = _machine(threads, memory)
+        machine = _machine(whole(threads, "threads"), memory)
         return self._core.compare(other._core, whole(samples, "samples"), machine)
 
     def to_trimesh(self) -> trimesh.Trimesh:
@@ -200,17 +200,17 @@ class Surface:
 
     def __reduce__(self) -> Any:
         core = self._core
-        return _unpickle, (*core.to_bytes(), self.isovalue, core.comment, list(core.origin))
+        return _unpickle, (*core.to_bytes(), self.isovalue, core.about, list(core.origin))
 
 
 def _unpickle(
     vertices: bytes,
     faces: bytes,
     isovalue: float,
-    comment: str,
+    about: str,
     origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Surface:
-    return Surface(_isospan.Surface(vertices, faces, isovalue, comment, list(origin)))
+    return Surface(_isospan.Surface(vertices, faces, isovalue, about, list(origin)))
 
 
 def save_surfaces(surfaces: Sequence[Surface], path: PathLike) -> int:

@@ -23,13 +23,6 @@ const LONG8: u16 = 16;
 /// The most bytes that the pages' directories may take.
 const MOST_TAIL: u64 = 1 << 30;
 
-/// What a file is made of.
-struct Pages {
-    big: bool,
-    first: u64,
-    bytes: u64,
-}
-
 /// The least bytes of directories and what they point to, for each page.
 const PAGE: u64 = 400;
 
@@ -49,9 +42,9 @@ pub(super) fn layout(meta: &GridMeta) -> Result<Layout> {
     let slice = width * height * field.scalar.bytes() as u64;
     let samples = slice * slices;
     let big = samples + slices * PAGE > u64::from(u32::MAX) - (1 << 16);
-    let pages = Pages { big, first: if big { 16 } else { 8 }, bytes: slice };
+    let first: u64 = if big { 16 } else { 8 };
     let mut tail = vec![0; (samples % 2) as usize];
-    let mut at = pages.first + samples + tail.len() as u64;
+    let mut at = first + samples + tail.len() as u64;
     let head = match big {
         true => [&b"II\x2b\0\x08\0\0\0"[..], &at.to_le_bytes()].concat(),
         false => [&b"II\x2a\0"[..], &(at as u32).to_le_bytes()].concat(),
@@ -69,10 +62,10 @@ pub(super) fn layout(meta: &GridMeta) -> Result<Layout> {
             entries.push((270, ASCII, description.bytes().chain([0]).map(u64::from).collect()));
         }
         let offset = if big { LONG8 } else { LONG };
-        entries.push((273, offset, vec![pages.first + n * pages.bytes]));
+        entries.push((273, offset, vec![first + n * slice]));
         entries.push((277, SHORT, vec![1]));
         entries.push((278, LONG, vec![height]));
-        entries.push((279, offset, vec![pages.bytes]));
+        entries.push((279, offset, vec![slice]));
         if let GridPlace::Even(geometry) = &meta.place {
             entries.push((282, RATIONAL, resolution(geometry.spacing[0])));
             entries.push((283, RATIONAL, resolution(geometry.spacing[1])));

@@ -60,6 +60,28 @@ pub fn scalar_type(name: &str) -> Option<ScalarType> {
     })
 }
 
+/// The longest text of an array that is read.
+const LONGEST_TEXT: usize = 1 << 12;
+
+/// The first text of an array of texts: its bytes before a 0.
+///
+/// # Errors
+/// [`Error::BadInput`](crate::Error::BadInput) when there is none, or a longer one than 4 KiB.
+pub fn first_text(doc: &Document, element: &Element) -> Result<String> {
+    let mut stream = ArrayStream::open_declared(doc, element, ScalarType::U8)?;
+    let (mut text, mut next) = (vec![], [0]);
+    loop {
+        stream.fill(&mut next)?;
+        match next {
+            [0] => return Ok(String::from_utf8_lossy(&text).into_owned()),
+            _ if text.len() == LONGEST_TEXT => {
+                return Err(doc.wrong(element, "a text of at most 4 KiB", "a longer one"));
+            }
+            [byte] => text.push(byte),
+        }
+    }
+}
+
 /// The values of an array, front to back, as little-endian bytes.
 pub struct ArrayStream {
     scalar: ScalarType,

@@ -22,9 +22,9 @@ const MOST_TAG: usize = 1 << 16;
 #[derive(Debug, Default)]
 pub struct Element {
     /// Its name.
-    pub(in crate::formats) name: String,
+    pub name: String,
     /// The elements in it, in file order.
-    pub(in crate::formats) children: Vec<Element>,
+    pub children: Vec<Element>,
     /// The bytes of the first text in it that is not only white space.
     pub(super) text: Range<u64>,
     /// The byte after its start tag.

@@ -1,0 +1,132 @@
+"""Reads with VTK, trimesh and lib3mf the surfaces that tools/vtk/test has made in this folder, and compares what they keep besides."""
+import json
+
+import h5py
+import lib3mf
+import numpy as np
+import trimesh
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
+from vtkmodules.vtkIOHDF import vtkHDFReader
+from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+METRES = 1e-6
+
+
+def read(reader, name):
+    reader.SetFileName(name)
+    reader.Update()
+    assert reader.GetErrorCode() == 0, name
+    return reader.GetOutput()
+
+
+def field(polys, name):
+    array = polys.GetFieldData().GetAbstractArray(name)
+    return None if array is None else [array.GetVariantValue(n).ToString() for n in range(array.GetNumberOfValues())]
+
+
+def near(found, expected, tolerance, what):
+    assert np.allclose(found, expected, rtol=tolerance, atol=0), f"{what}: {found}, expected {expected}"
+
+
+def y_up(points):
+    """World coordinates in micrometres as metres, y up."""
+    x, y, z = np.asarray(points, float).T * METRES
+    return np.stack([x, z, -y], axis=1)
+
+
+def points(polys):
+    return vtk_to_numpy(polys.GetPoints().GetData())
+
+
+with open("units.json") as file:
+    expected = json.load(file)
+vtp = read(vtkXMLPolyDataReader(), "units.vtp")
+for name, polys in (("vtp", vtp), ("vtkhdf", read(vtkHDFReader(), "units.vtkhdf"))):
+    assert field(polys, "isovalue") == ["1000.5"] and polys.GetPointData().GetArray("isovalue") is None, name
+for name, reader in (("vtp", vtkXMLPolyDataReader()), ("vtkhdf", vtkHDFReader())):
+    both = read(reader, f"units_both.{name}")
+    assert field(both, "isovalue") is None and both.GetPointData().GetArray("isovalue") is not None, name
+assert field(vtp, "length_unit") == ["µm"] and field(vtp, "value_unit") == ["HU"]
+with h5py.File("units.vtkhdf") as file:
+    assert {"length_unit µm", "value_unit HU"} <= set(file["comments"].asstr()[:])
+world = points(vtp)
+
+# Steps.
+for number in range(3):
+    polys = read(vtkXMLPolyDataReader(), f"step_{number}.vtp")
+    assert field(polys, "TimeValue") == [str((0, 0.5, 2)[number])] and field(polys, "time_unit") == ["s"]
+reader = vtkHDFReader()
+reader.SetFileName("steps.vtkhdf")
+reader.UpdateInformation()
+times = reader.GetOutputInformation(0).Get(vtkStreamingDemandDrivenPipeline.TIME_STEPS())
+assert times == (0.0, 0.5, 2.0), times
+for number, time in enumerate(times):
+    reader.UpdateTimeStep(time)
+    polys, single = reader.GetOutput(), read(vtkXMLPolyDataReader(), f"step_{number}.vtp")
+    assert np.array_equal(points(polys), points(single)), number
+    corners = [vtk_to_numpy(p.GetPolys().GetConnectivityArray()) for p in (polys, single)]
+    assert np.array_equal(*corners), number
+    for name in ("isovalue", "Normals"):
+        arrays = [vtk_to_numpy(p.GetPointData().GetArray(name)) for p in (polys, single)]
+        assert np.array_equal(*arrays), (number, name)
+
+# GLB, as trimesh and all that takes it for metres have it.
+scene = trimesh.load_scene("units.glb", process=False)
+mesh = scene.to_geometry()
+assert len(mesh.faces) == expected["triangles"] and list(scene.graph.nodes_geometry) == ["isovalue 1000.5"]
+near(mesh.vertices, y_up(world), 1e-6, "GLB in metres")
+material = next(iter(scene.geometry.values())).visual.material
+assert material.doubleSided and material.metallicFactor == 0 and 0 < material.roughnessFactor < 1
+assert mesh.is_winding_consistent
+normals = next(iter(scene.geometry.values())).vertex_normals
+assert len(normals) == expected["vertices"]
+scene = trimesh.load_scene("units_both.glb", process=False)
+assert sorted(scene.graph.nodes_geometry) == ["isovalue 1000.5", "isovalue 400"]
+assert sum(len(g.faces) for g in scene.geometry.values()) > expected["triangles"]
+ends = sum(len(g.vertices) for g in scene.geometry.values())
+both = read(vtkXMLPolyDataReader(), "units_both.vtp")
+assert ends == both.GetNumberOfPoints()
+near(scene.bounds, np.sort(y_up(np.array([points(both).min(0), points(both).max(0)])), axis=0), 1e-6, "GLB of two")
+packed = trimesh.load_scene("units_packed.glb", process=False).to_geometry()
+extent = np.ptp(y_up(world), axis=0).max()
+assert np.abs(packed.vertices - y_up(world)).max() < extent / 131070 * 1.01
+assert np.array_equal(packed.faces, mesh.faces)
+colours = next(iter(trimesh.load_scene("units_colours.glb", process=False).geometry.values())).visual
+# The surface has one value, so all of it has one colour; glTF's colours are linear.
+rgba = np.unique(np.asarray(colours.vertex_attributes["color"] if colours.kind == "texture" else colours.vertex_colors), axis=0)
+ply = trimesh.load("units_colours.ply", process=False).visual.vertex_colors
+srgb = np.median(ply, axis=0)[:3] / 255
+linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+assert np.abs(np.median(rgba, axis=0)[:3] / 255 - linear).max() < 0.01, (rgba, linear)
+
+# 3MF, as lib3mf and trimesh have it.
+wrapper = lib3mf.get_wrapper()
+for name, count in (("units", 1), ("units_both", 2), ("units_colours", 1)):
+    model = wrapper.CreateModel()
+    three = model.QueryReader("3mf")
+    three.ReadFromFile(f"{name}.3mf")
+    assert three.GetWarningCount() == 0, [three.GetWarning(n) for n in range(three.GetWarningCount())]
+    assert model.GetUnit() == lib3mf.ModelUnit.MicroMeter, model.GetUnit()
+    objects = model.GetMeshObjects()
+    found = []
+    while objects.MoveNext():
+        found.append(objects.GetCurrentMeshObject())
+    assert len(found) == count and found[-1].GetName() == "isovalue 1000.5", name
+    assert found[-1].GetTriangleCount() == expected["triangles"] and found[-1].GetVertexCount() == expected["vertices"]
+    if name == "units":
+        vertices = np.array([list(v.Coordinates) for v in found[0].GetVertices()])
+        near(vertices, world, 1e-6, "3MF")
+        assert found[0].IsManifoldAndOriented() or not mesh.is_watertight
+    if name == "units_colours":
+        groups = model.GetColorGroups()
+        assert groups.MoveNext()
+        group = groups.GetCurrentColorGroup()
+        assert group.GetCount() == 257
+        properties = found[0].GetTriangleProperties(0)
+        assert properties.ResourceID == group.GetResourceID()
+        colour = group.GetColor(properties.PropertyIDs[0])
+        assert np.abs(np.array([colour.Red, colour.Green, colour.Blue]) / 255 - srgb).max() < 0.02
+scene = trimesh.load_scene("units.3mf", process=False)
+assert scene.units == "micron" and sum(len(g.faces) for g in scene.geometry.values()) == expected["triangles"], scene.units
+print("tools/vtk/surfaces.py: VTK, trimesh and lib3mf find units, times, steps, parts and colours of surfaces")
