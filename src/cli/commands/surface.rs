@@ -10,6 +10,7 @@ use super::progress::Talk;
 use super::step::{StepArgs, colour_fields};
 use super::text;
 use clap::ValueEnum;
+use isospan::bytes::remote::Traffic;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport};
 use isospan::render::ColourMap;
@@ -470,11 +471,16 @@ fn is_closed(_: impl Sized) -> bool {
 fn with_opening(mut report: SurfaceReport, opening: Opening) -> SurfaceReport {
     report.bytes_read += opening.bytes_read;
     report.seconds[0].1 += opening.seconds;
-    if let (Some(sum), Some(opening)) = (&mut report.remote, opening.remote) {
+    add_traffic(&mut report.remote, opening);
+    report
+}
+
+/// Adds what opening the archive has fetched.
+fn add_traffic(sum: &mut Option<Traffic>, opening: Opening) {
+    if let (Some(sum), Some(opening)) = (sum, opening.remote) {
         sum.requests += opening.requests;
         sum.bytes += opening.bytes;
     }
-    report
 }
 
 /// A line for each step, and the lists.
@@ -498,7 +504,7 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
         );
     }
     if let Some(shifted) = report.steps.iter().find(|s| s.report.shift.is_some()) {
-        out += &shift_text(&shifted.report);
+        out += &shift_text(shifted.report.shift);
     }
     if let Some(size) = report.file_bytes {
         let _ = writeln!(out, "  all steps     {}", text::bytes(size));
@@ -571,7 +577,7 @@ fn surfaces_text(report: &SurfaceReport) -> String {
     if let Some(level) = report.level.filter(|level| *level > 0) {
         let _ = writeln!(out, "  level         {level}");
     }
-    out += &shift_text(report);
+    out += &shift_text(report.shift);
     if let Some(without) = report.without_value.filter(|&n| n > 0) {
         let (without, all) = (text::count(without), text::count(report.vertices));
         let _ = writeln!(out, "  colours       {without} of {all} vertices have no value, and are grey");
@@ -580,8 +586,8 @@ fn surfaces_text(report: &SurfaceReport) -> String {
 }
 
 /// What coordinates in the file are less, where they are.
-fn shift_text(report: &SurfaceReport) -> String {
-    report.shift.map_or_else(String::new, |[x, y, z]| {
+fn shift_text(shift: Option<[f64; 3]>) -> String {
+    shift.map_or_else(String::new, |[x, y, z]| {
         format!(
             "  coordinates   are less {x} {y} {z}, for f32 does not tell them apart; .vtp .vtkhdf .ply .obj have doubles\n"
         )

@@ -139,12 +139,16 @@ impl VertexValues {
     }
 }
 
-/// A share of light of a colour component in sRGB, of 255 (IEC 61966-2-1): glTF has linear
+/// The share of light, 0 to 1, of a colour component in sRGB (IEC 61966-2-1): glTF has linear
 /// colours.
-pub(super) fn linear(component: u8) -> u8 {
+pub(super) fn light(component: u8) -> f64 {
     let c = f64::from(component) / 255.0;
-    let linear = if c <= 0.04045 { c / 12.92 } else { libm::pow((c + 0.055) / 1.055, 2.4) };
-    (linear * 255.0).round() as u8
+    if c <= 0.04045 { c / 12.92 } else { libm::pow((c + 0.055) / 1.055, 2.4) }
+}
+
+/// That share, of 255.
+pub(super) fn linear(component: u8) -> u8 {
+    (light(component) * 255.0).round() as u8
 }
 
 #[cfg(test)]

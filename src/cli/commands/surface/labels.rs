@@ -134,10 +134,7 @@ fn note_what_is_lost(report: &LabelReport, args: &Args, format: SurfaceFormat, t
 fn with_opening(mut report: LabelReport, opening: Opening) -> LabelReport {
     report.bytes_read += opening.bytes_read;
     report.seconds[0].1 += opening.seconds;
-    if let (Some(sum), Some(opening)) = (&mut report.remote, opening.remote) {
-        sum.requests += opening.requests;
-        sum.bytes += opening.bytes;
-    }
+    super::add_traffic(&mut report.remote, opening);
     report
 }
 
@@ -185,12 +182,7 @@ fn in_words(report: &LabelReport, stats: bool) -> String {
         let more = text::count((report.labels.len() - MOST_LISTED) as u64);
         let _ = writeln!(out, "  and {more} more (--json lists all)");
     }
-    if let Some([x, y, z]) = report.shift {
-        let _ = writeln!(
-            out,
-            "  coordinates   are less {x} {y} {z}, for f32 does not tell them apart; .vtp .vtkhdf .ply .obj have doubles"
-        );
-    }
+    out += &super::shift_text(report.shift);
     if stats {
         out += &stats_text(report);
     }

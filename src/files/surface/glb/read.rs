@@ -2,7 +2,7 @@
 
 use super::{
     BIN, BYTE, CHUNK_HEAD, FLOAT, GENERATOR, HEAD, JSON, QUANTIZATION, SHORT, TRIANGLES, UNSIGNED_BYTE,
-    UNSIGNED_SHORT,
+    UNSIGNED_INT, UNSIGNED_SHORT,
 };
 use crate::files::surface::ply::check_indices;
 use crate::files::surface::{ReadLimits, is_finite, take_line};
@@ -343,10 +343,10 @@ impl<'a> File<'a> {
     }
 
     fn indices(&self, accessor: usize) -> Result<Elements<'a>> {
-        self.elements(accessor, "SCALAR", |component| match component {
-            5121 => Some(1),
-            5123 => Some(2),
-            5125 => Some(4),
+        self.elements(accessor, "SCALAR", |component| match component as u64 {
+            UNSIGNED_BYTE => Some(1),
+            UNSIGNED_SHORT => Some(2),
+            UNSIGNED_INT => Some(4),
             _ => None,
         })
     }

@@ -5,7 +5,7 @@ use super::{
     QUANTIZATION, TRIANGLES, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT,
 };
 use crate::files::labels::LabelStyle;
-use crate::files::surface::values::linear;
+use crate::files::surface::values::{light, linear};
 use crate::files::surface::{SurfaceMeta, SurfacePart, each_triangle, each_value, each_vertex, put_floats};
 use crate::surface::SurfaceSource;
 use isospan_io::error::{Error, Result};
@@ -411,7 +411,7 @@ fn material(piece: &Piece<'_>) -> Value {
     });
     if let Some((_, style)) = piece.label {
         let [r, g, b, opacity] = style.colour;
-        let colour = [r, g, b].map(|c| f64::from(linear(c)) / 255.0);
+        let colour = [r, g, b].map(light);
         let opacity = f64::from(opacity) / 255.0;
         material["name"] = json!(piece.name);
         material["pbrMetallicRoughness"]["baseColorFactor"] =
