@@ -12,7 +12,7 @@ use isospan::surface::check::{
     CheckSettings, Domain, OpenEdges, SurfaceCheckReport, check_source, check_within,
 };
 use isospan::surface::edit::clip::HalfSpace;
-use isospan::volume::units::Unit;
+use isospan::volume::units::{Unit, Units};
 use isospan::{Archive, Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -99,21 +99,33 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         _ => (check_source(&surface, None, &settings)?.0, None),
     };
     if args.json {
-        let mut value = serde_json::to_value(&report)
-            .map_err(|e| Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
-        if let Some(open) = open {
-            value["boundary_edges_outside"] = open.outside.into();
-            value["boundary_edges_at_missing"] = open.at_missing.into();
-        }
-        if !units.are_unknown() {
-            value["units"] = serde_json::to_value(&units)
-                .map_err(|e| Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
-        }
-        super::print_json("check.surface", &value)?;
+        super::print_json("check.surface", &surface_json(&report, open, &units)?)?;
     } else {
         super::print(&surface_text(&args.input, &report, open, units.length.as_ref()))?;
     }
-    let defects = defects(&report, open);
+    expect_sound(args, &report, open)
+}
+
+fn surface_json(
+    report: &SurfaceCheckReport,
+    open: Option<OpenEdges>,
+    units: &Units,
+) -> Result<serde_json::Value> {
+    let failed = |e| Error::io("write JSON to", "standard output", std::io::Error::other(e));
+    let mut value = serde_json::to_value(report).map_err(failed)?;
+    if let Some(open) = open {
+        value["boundary_edges_outside"] = open.outside.into();
+        value["boundary_edges_at_missing"] = open.at_missing.into();
+    }
+    if !units.are_unknown() {
+        value["units"] = serde_json::to_value(units).map_err(failed)?;
+    }
+    Ok(value)
+}
+
+/// An error that names the defects of a surface, where it has some.
+fn expect_sound(args: &Args, report: &SurfaceCheckReport, open: Option<OpenEdges>) -> Result<()> {
+    let defects = defects(report, open);
     if defects.is_empty() {
         return Ok(());
     }

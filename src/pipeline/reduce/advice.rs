@@ -369,22 +369,7 @@ fn of_numbers(
         }
     };
     if asked > samples {
-        let flag = match settings.amount {
-            Amount::Count(n) => format!("`count={n}`"),
-            Amount::Fraction(f) => format!("`fraction={f}`"),
-            Amount::Usual => String::from("the default"),
-        };
-        let [what, help] = match input {
-            Input::Volume(_) => ["samples", "`points=regular` `fraction=1` has a point at each sample"],
-            Input::Mesh(_) if own => ["vertices", "the mesh itself is kept, as by `fraction=1`"],
-            Input::Mesh(_) if could_keep_own(settings) => {
-                ["vertices", "`fraction=1` keeps the mesh itself, with no error"]
-            }
-            Input::Mesh(_) => ["vertices", "`fraction=1` asks for as many as there are"],
-        };
-        let [asked_text, samples_text] = [asked, samples].map(grouped);
-        let text =
-            format!("{flag} asks for {asked_text} points, more than its {samples_text} {what}: {help}");
+        let text = more_points(input, settings, asked, samples, own);
         out.push(Notice::new(path, Finding::MorePoints { points: asked, samples }, &text));
     }
     if settings.points == SetKind::Pyramid {
@@ -423,6 +408,25 @@ fn of_numbers(
         out.push(Notice::new(path, finding, &text));
     }
     out
+}
+
+/// Says that more points are asked for than there are samples; `own`: the mesh is kept as it is.
+fn more_points(input: &Input, settings: &CompleteSettings, asked: u64, samples: u64, own: bool) -> String {
+    let setting = match settings.amount {
+        Amount::Count(n) => format!("`count={n}`"),
+        Amount::Fraction(f) => format!("`fraction={f}`"),
+        Amount::Usual => String::from("the default"),
+    };
+    let [what, help] = match input {
+        Input::Volume(_) => ["samples", "`points=regular` `fraction=1` has a point at each sample"],
+        Input::Mesh(_) if own => ["vertices", "the mesh itself is kept, as by `fraction=1`"],
+        Input::Mesh(_) if could_keep_own(settings) => {
+            ["vertices", "`fraction=1` keeps the mesh itself, with no error"]
+        }
+        Input::Mesh(_) => ["vertices", "`fraction=1` asks for as many as there are"],
+    };
+    let [asked, samples] = [asked, samples].map(grouped);
+    format!("{setting} asks for {asked} points, more than its {samples} {what}: {help}")
 }
 
 /// Flags with which an archive is smaller than its source, as far as the number of points can

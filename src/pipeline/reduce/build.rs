@@ -22,7 +22,7 @@ use super::sink::{SegmentFiles, has_mesh, has_values};
 use super::sums::FinishedSteps;
 use super::workers::SegmentMaker;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, StoredStep};
+use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, StepPlan, StoredStep};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
 use crate::pipeline::chunk::{Field, Recipe, SampleErrors, Samples};
 use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
@@ -206,15 +206,8 @@ impl<'a> Build<'a> {
         let reused = reused.transpose()?.flatten();
         let reused_chunks = reused.as_ref().map_or(0, ReusedChunks::count);
         let stage = match stored {
-            None if reused_chunks > 0 => {
-                let chunks = parts.chunks.len();
-                format!("reduce {} of {chunks} chunks", chunks - reused_chunks)
-            }
-            None => "reduce".to_owned(),
-            Some(_) => {
-                let [first, last] = [steps.start, steps.end - 1].map(|n| plan.steps[n].number);
-                format!("steps {first} to {last}")
-            }
+            None => self.stage_of_chunks(reused_chunks),
+            Some(_) => stage_of_steps(&plan.steps[steps.clone()]),
         };
         self.progress.begin(&stage, self.points(&source.segments), "points");
         let recipe = Recipe {
@@ -259,6 +252,14 @@ impl<'a> Build<'a> {
             self.measure_steps(plan, source, steps, &fields, made)?;
         }
         Ok(())
+    }
+
+    /// What progress calls a pass that makes the mesh too.
+    fn stage_of_chunks(&self, reused: u64) -> String {
+        match (self.parts.chunks.len(), reused) {
+            (_, 0) => "reduce".to_owned(),
+            (chunks, reused) => format!("reduce {} of {chunks} chunks", chunks - reused),
+        }
     }
 
     /// The meter for the spectrum of a step, where there may be one.
@@ -408,4 +409,10 @@ fn sample_errors<'a>(
     let samples: Option<Vec<_>> = fields.iter().map(|field| Samples::of(&field.originals())).collect();
     let samples = samples.filter(|_| plan.steps[steps.start].measured);
     samples.map(|samples| (SampleErrors::new(&plan.mesh.lattice), samples))
+}
+
+/// What progress calls a pass over steps whose mesh is there.
+fn stage_of_steps(steps: &[StepPlan]) -> String {
+    let [first, last] = [0, steps.len() - 1].map(|n| steps[n].number);
+    format!("steps {first} to {last}")
 }

@@ -93,19 +93,7 @@ const MOST_LOOKED_AT: usize = 8;
 pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<SeriesPlan> {
     let Job { sources, settings, run, .. } = *job;
     let archive = job.basis.archive();
-    let mut planner = Planner {
-        job,
-        common: None,
-        plan: None,
-        errors: None,
-        attachments: Attachments::default(),
-        inputs: job.basis.inputs(),
-        offset: None,
-        looked_into: None,
-        wavelets: HashMap::new(),
-        is_checked: false,
-        only_estimates,
-    };
+    let mut planner = Planner::new(job, only_estimates);
     if let Some(archive) = archive {
         planner.join(archive)?;
     }
@@ -189,7 +177,23 @@ fn planned(source: &StepSource, volume: &VolumeSource) -> PlannedSource {
     PlannedSource { chunks, copied, copying, ..PlannedSource::in_place(source.clone()) }
 }
 
-impl Planner<'_> {
+impl<'a> Planner<'a> {
+    fn new(job: &'a Job<'a>, only_estimates: bool) -> Self {
+        Self {
+            job,
+            common: None,
+            plan: None,
+            errors: None,
+            attachments: Attachments::default(),
+            inputs: job.basis.inputs(),
+            offset: None,
+            looked_into: None,
+            wavelets: HashMap::new(),
+            is_checked: false,
+            only_estimates,
+        }
+    }
+
     /// Steps must be as those of an archive.
     fn join(&mut self, archive: &OpenArchive) -> Result<()> {
         let first = &archive.manifest.steps[0];
@@ -310,16 +314,26 @@ impl Planner<'_> {
             self.set_wavelet(&mut step, &planned, volume)?;
             return Ok((step, planned));
         }
-        step.quantiser = match (self.job.basis.plan(), self.job.settings.value_bits) {
-            (Some(plan), _) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+        step.quantiser = self.quantiser(&step, &planned, volume)?;
+        Ok((step, planned))
+    }
+
+    /// How the values of a step are rounded: as planned before, or by the range of its samples.
+    fn quantiser(
+        &mut self,
+        step: &StepPlan,
+        planned: &PlannedSource,
+        volume: VolumeSource,
+    ) -> Result<Option<Quantiser>> {
+        Ok(match (self.job.basis.plan(), self.job.settings.value_bits) {
+            (Some(plan), _) => plan.steps.iter().find(|s| s.number == step.number).and_then(|s| s.quantiser),
             (None, Some(bits)) if !self.only_estimates => {
-                self.check_budget(&step, &planned)?;
+                self.check_budget(step, planned)?;
                 let range = range_of(volume, &self.reading(), &self.job.run.resources.cancel)?;
                 Some(Quantiser::new(bits, range).of(step.values))
             }
             (None, _) => None,
-        };
-        Ok((step, planned))
+        })
     }
 
     /// Whether all samples are kept, as a wavelet pyramid.

@@ -28,8 +28,25 @@ const LARGEST: u64 = 40_000;
 
 /// Formats of volumes, of meshes, then of surfaces, each with at least one input.
 pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
-    let of = |extension, inputs| Format { extension, inputs };
-    let mut volumes = vec![
+    let (mut volumes, mut meshes) = (volumes(folder)?, meshes());
+    let mut surfaces = vec![];
+    for format in SurfaceFormat::ALL.into_iter().filter(|format| format.is_read()) {
+        surfaces.push(of(format.extension(), vec![surface(folder, format)?]));
+    }
+    surfaces[0].inputs.push(PLY_TEXT.into());
+    surfaces[1].inputs.push(STL_TEXT.into());
+    if let Some(shared) = std::env::var_os("ISOSPAN_SHARED_DATA") {
+        add_shared(&Path::new(&shared).join("variants"), &mut [&mut volumes, &mut meshes, &mut surfaces]);
+    }
+    Ok([volumes, meshes, surfaces])
+}
+
+fn of(extension: &'static str, inputs: Vec<Vec<u8>>) -> Format {
+    Format { extension, inputs }
+}
+
+fn volumes(folder: &Path) -> Result<Vec<Format>> {
+    Ok(vec![
         of("nrrd", nrrd()),
         of("nhdr", vec![b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nendian: little\nencoding: raw\ndata file: x%d.raw 1 2 1\n".to_vec()]),
         of("mha", metaimage("LOCAL")),
@@ -76,8 +93,11 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         // The first bytes choose the layout too: zeros stand for 4 x 4 x 4 bytes.
         of("raw", vec![[vec![0; 8], samples(1, 56)].concat()]),
         of("bricks", vec![bricks(folder)?]),
-    ];
-    let mut meshes = vec![
+    ])
+}
+
+fn meshes() -> Vec<Format> {
+    vec![
         of("vtu", vec![VTU.into(), POLYHEDRA.into(), POLYHEDRA_OLD.into()]),
         of("vtm", vec![LIST.into()]),
         of("vtkhdf", vec![include_bytes!("../../../tests/data/vtkhdf_mesh.hdf").to_vec()]),
@@ -104,17 +124,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         of("ele", vec![CELLS.into()]),
         of("pts", vec!["0 0 0\n1 0 0\n0 1 0\n0 0 1\n".into()]),
         of("tet", vec!["1 2 3 4\n".into()]),
-    ];
-    let mut surfaces = vec![];
-    for format in SurfaceFormat::ALL.into_iter().filter(|format| format.is_read()) {
-        surfaces.push(of(format.extension(), vec![surface(folder, format)?]));
-    }
-    surfaces[0].inputs.push(PLY_TEXT.into());
-    surfaces[1].inputs.push(STL_TEXT.into());
-    if let Some(shared) = std::env::var_os("ISOSPAN_SHARED_DATA") {
-        add_shared(&Path::new(&shared).join("variants"), &mut [&mut volumes, &mut meshes, &mut surfaces]);
-    }
-    Ok([volumes, meshes, surfaces])
+    ]
 }
 
 /// Adds the small files below a folder to their formats, in the order of their names.

@@ -1,12 +1,12 @@
 //! What is drawn: inputs are opened, surfaces extracted and cut, and shared out to panels.
 
-use super::super::grammar::{AXES, Slab};
+use super::super::grammar::{AXES, Plane, Slab};
 use super::super::step::colour_fields;
 use super::plane::{Hull, Shown, Slice};
 use super::{Args, Colours, Job};
 use isospan::exec::Progress;
 use isospan::formats::surface::load_surface;
-use isospan::pipeline::{LevelChoice, Step, StepChoice, StepSummary, is_archive};
+use isospan::pipeline::{ArchiveSummary, LevelChoice, Step, StepChoice, StepSummary, is_archive};
 use isospan::render::Paint;
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
@@ -104,6 +104,57 @@ pub(super) struct Opened {
     slices: Vec<Slice>,
 }
 
+/// A moment that is asked for, and of a series its number and name.
+type Chosen = (StepChoice, Option<(u64, String)>);
+
+/// The steps of an archive that are drawn.
+fn choices(path: &Path, args: &Args, about: &ArchiveSummary) -> Result<Vec<Chosen>> {
+    let Some(range) = args.step_range() else { return Ok(vec![(args.step.choice()?, None)]) };
+    let field = args.step.field();
+    let of = |s: &StepSummary| {
+        let choice = match &field {
+            None => StepChoice::Number(s.number),
+            Some(field) => StepChoice::NumberOf(s.number, field.clone()),
+        };
+        let words = match s.time {
+            Some(time) => format!("time {}", super::with_unit(time, about.units.time.as_ref())),
+            None => format!("step {}", s.number),
+        };
+        (choice, Some((s.number, words)))
+    };
+    let is_of_field = |s: &&StepSummary| field.as_ref().is_none_or(|field| *field == s.field);
+    let found = about.steps.iter().filter(|s| range.contains(s.number)).filter(is_of_field);
+    let choices: Vec<Chosen> = found.map(of).collect();
+    if choices.is_empty() {
+        let [first, last] = [about.steps.first(), about.steps.last()].map(|s| s.map_or(0, |s| s.number));
+        let path = path.display();
+        return Err(Error::usage(format!(
+            "{path}: no step in that range; it has the steps {first} to {last}"
+        )));
+    }
+    Ok(choices)
+}
+
+/// Where a plane cuts the domain of an archive.
+fn slice_of(path: &Path, plane: &Plane, hull: Option<Hull>) -> Result<Slice> {
+    let path = path.display();
+    let hull = hull
+        .ok_or_else(|| Error::usage(format!("{path}: --slice is not possible on a grid with coordinates")))?;
+    let ends = [hull[0][plane.axis], hull[1][plane.axis]];
+    let at = plane.at.of(Some(ends))?;
+    if at < ends[0] || at > ends[1] {
+        let axis = AXES[plane.axis];
+        return Err(Error::usage(format!(
+            "{path}: the plane {axis}={at} lies outside the domain, {axis} = {} to {}",
+            super::words_of(ends[0]),
+            super::words_of(ends[1])
+        )));
+    }
+    // A middle that rounding moves off 0 is 0.
+    let at = if at.abs() < 1e-12 * (ends[1] - ends[0]) { 0.0 } else { at };
+    Ok(Slice { axis: plane.axis, at, hull })
+}
+
 impl Input {
     pub(super) fn open(path: &Path, args: &Args, resources: &Resources) -> Result<Self> {
         if !is_archive(path) {
@@ -111,38 +162,8 @@ impl Input {
         }
         let archive = Archive::open(path)?.keeping(0);
         let about = archive.info()?;
-        let steps = args.step_range();
-        let choices: Vec<(StepChoice, Option<(u64, String)>)> = match steps {
-            None => vec![(args.step.choice()?, None)],
-            Some(range) => {
-                let words = |number: u64, time: Option<f64>| match time {
-                    Some(time) => format!("time {}", super::with_unit(time, about.units.time.as_ref())),
-                    None => format!("step {number}"),
-                };
-                let field = args.step.field();
-                let of = |number, time| {
-                    let choice = match &field {
-                        None => StepChoice::Number(number),
-                        Some(field) => StepChoice::NumberOf(number, field.clone()),
-                    };
-                    (choice, Some((number, words(number, time))))
-                };
-                let is_of_field = |s: &&StepSummary| field.as_ref().is_none_or(|field| *field == s.field);
-                let found = about.steps.iter().filter(|s| range.contains(s.number)).filter(is_of_field);
-                found.map(|s| of(s.number, s.time)).collect()
-            }
-        };
-        if choices.is_empty() {
-            let (first, last) = (about.steps.first(), about.steps.last());
-            let number = |s: Option<&StepSummary>| s.map_or(0, |s| s.number);
-            return Err(Error::usage(format!(
-                "{}: no step in that range; it has the steps {} to {}",
-                path.display(),
-                number(first),
-                number(last)
-            )));
-        }
-        let range = args.step.value_range(&archive, steps)?;
+        let choices = choices(path, args, &about)?;
+        let range = args.step.value_range(&archive, args.step_range())?;
         let isovalues: Vec<f64> = args.isovalue.iter().map(|v| v.of(range)).collect::<Result<_>>()?;
         if let Some(n) = (1..isovalues.len()).find(|&n| isovalues[..n].contains(&isovalues[n])) {
             let text = format!("{}: the isovalue {} is there twice", path.display(), isovalues[n]);
@@ -153,26 +174,7 @@ impl Input {
             let corner = |n: usize| [0, 1, 2].map(|a| if n >> a & 1 == 1 { ends[a] } else { 0.0 });
             hull_of((0..8).map(|n| about.geometry.to_world(corner(n))))
         });
-        let slices = args.slice.iter().map(|plane| {
-            let hull = hull.ok_or_else(|| {
-                let path = path.display();
-                Error::usage(format!("{path}: --slice is not possible on a grid with coordinates"))
-            })?;
-            let ends = [hull[0][plane.axis], hull[1][plane.axis]];
-            let at = plane.at.of(Some(ends))?;
-            if at < ends[0] || at > ends[1] {
-                let axis = AXES[plane.axis];
-                return Err(Error::usage(format!(
-                    "{}: the plane {axis}={at} lies outside the domain, {axis} = {} to {}",
-                    path.display(),
-                    super::words_of(ends[0]),
-                    super::words_of(ends[1])
-                )));
-            }
-            // A middle that rounding moves off 0 is 0.
-            let at = if at.abs() < 1e-12 * (ends[1] - ends[0]) { 0.0 } else { at };
-            Ok(Slice { axis: plane.axis, at, hull })
-        });
+        let slices = args.slice.iter().map(|plane| slice_of(path, plane, hull));
         let slices = slices.collect::<Result<Vec<_>>>()?;
         let asked = choices.iter().map(|(choice, _)| choice.clone());
         let fields = args.colour_by.as_ref().map(|by| colour_fields(by, &archive, asked)).transpose()?;
@@ -343,46 +345,15 @@ impl Job<'_> {
         let mut looks = Looks { args, next: 0, count: inputs.iter().map(each).sum() };
         let mut panels = vec![];
         for input in inputs {
-            let first = looks.next;
             match input {
-                Input::Surface(path) => {
-                    let surface = load_surface(path, &check).map_err(|e| self.whole(e, check.memory))?;
-                    let length = surface.units().length.clone();
-                    let surface = self.cut(surface, None, &check)?;
-                    let (paint, opacity) = looks.take(None)?;
-                    let shape = Shape { isovalue: None, surface, values: vec![], paint, opacity };
-                    panels.push(Panel {
-                        name: path.display().to_string(),
-                        moment: None,
-                        length,
-                        frame: None,
-                        shapes: vec![shape],
-                        slices: vec![],
-                        flat: false,
-                    });
-                }
+                Input::Surface(path) => panels.push(self.panel_of_file(path, &check, &mut looks)?),
                 Input::Archive(opened) => {
+                    let first = looks.next;
                     for (n, moment) in opened.moments.iter().enumerate() {
                         // Every step looks as the first does.
                         looks.next = first;
                         let shapes = self.extract(opened, moment, &check, &mut looks, progress)?;
-                        let panel = |shapes, slices, flat| Panel {
-                            name: opened.name.display().to_string(),
-                            moment: Some(moment.clone()),
-                            length: moment.step.units().length.clone(),
-                            frame: steps_are_frames.then_some(n),
-                            shapes,
-                            slices,
-                            flat,
-                        };
-                        if shapes.is_empty() {
-                            panels.extend(opened.slices.iter().map(|s| panel(vec![], vec![*s], true)));
-                        } else if args.together {
-                            panels.push(panel(shapes, opened.slices.clone(), false));
-                        } else {
-                            let alone = |shape| panel(vec![shape], opened.slices.clone(), false);
-                            panels.extend(shapes.into_iter().map(alone));
-                        }
+                        panels.extend(self.panels_of(opened, moment, steps_are_frames.then_some(n), shapes));
                     }
                 }
             }
@@ -392,6 +363,48 @@ impl Job<'_> {
             return Err(Error::usage("there is nothing to draw: no surface lies on the kept side of --clip"));
         }
         Ok(panels)
+    }
+
+    fn panel_of_file(&self, path: &Path, check: &CheckSettings, looks: &mut Looks<'_>) -> Result<Panel> {
+        let surface = load_surface(path, check).map_err(|e| self.whole(e, check.memory))?;
+        let length = surface.units().length.clone();
+        let surface = self.cut(surface, None, check)?;
+        let (paint, opacity) = looks.take(None)?;
+        Ok(Panel {
+            name: path.display().to_string(),
+            moment: None,
+            length,
+            frame: None,
+            shapes: vec![Shape { isovalue: None, surface, values: vec![], paint, opacity }],
+            slices: vec![],
+            flat: false,
+        })
+    }
+
+    /// The panels of a step: its surfaces together or each alone, with the planes among them; or
+    /// planes alone.
+    fn panels_of(
+        &self,
+        opened: &Opened,
+        moment: &Moment,
+        frame: Option<usize>,
+        shapes: Vec<Shape>,
+    ) -> Vec<Panel> {
+        let panel = |shapes, slices, flat| Panel {
+            name: opened.name.display().to_string(),
+            moment: Some(moment.clone()),
+            length: moment.step.units().length.clone(),
+            frame,
+            shapes,
+            slices,
+            flat,
+        };
+        let slices = || opened.slices.clone();
+        match shapes {
+            none if none.is_empty() => opened.slices.iter().map(|s| panel(vec![], vec![*s], true)).collect(),
+            all if self.args.together => vec![panel(all, slices(), false)],
+            each => each.into_iter().map(|shape| panel(vec![shape], slices(), false)).collect(),
+        }
     }
 
     /// The isosurfaces of a step, by way of files in the scratch folder.

@@ -202,21 +202,7 @@ impl Placed {
 pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
     let at = "/VTKHDF";
     let root = file.root_group().and_then(|r| r.group("VTKHDF")).map_err(|e| damaged(path, at, &e))?;
-    let kind = root.attribute("Type").ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
-    if kind != "ImageData" {
-        let got = format!("a VTKHDF file of type '{kind}'");
-        let help = match &*kind {
-            "PolyData" => "of surfaces, isospan check tells what is in them",
-            // It is read as a mesh, unless it is on a server.
-            "UnstructuredGrid" => "copy it to a disk, and name that copy",
-            _ => "write it as .vtu, .vti, .vtr or .vts",
-        };
-        return Err(refused(path, at, got, help));
-    }
-    if root.group("Steps").is_ok() {
-        let got = "a VTKHDF image of several steps";
-        return Err(refused(path, at, got, "write each step as .vti, and a .pvd list of them"));
-    }
+    expect_one_image(path, &root, at)?;
     let extent = Extent::read(path, &root)?;
     refuse_ghosts(path, tree)?;
     let names = |group: &str| -> Vec<(usize, FieldInfo)> {
@@ -260,6 +246,26 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
         units: Units::default(),
         assumed: Assumed::default(),
     })
+}
+
+/// Refuses VTKHDF files of other kinds, and images of several steps.
+fn expect_one_image(path: &Path, root: &Group, at: &str) -> Result<()> {
+    let kind = root.attribute("Type").ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
+    if kind != "ImageData" {
+        let got = format!("a VTKHDF file of type '{kind}'");
+        let help = match &*kind {
+            "PolyData" => "of surfaces, isospan check tells what is in them",
+            // It is read as a mesh, unless it is on a server.
+            "UnstructuredGrid" => "copy it to a disk, and name that copy",
+            _ => "write it as .vtu, .vti, .vtr or .vts",
+        };
+        return Err(refused(path, at, got, help));
+    }
+    if root.group("Steps").is_ok() {
+        let got = "a VTKHDF image of several steps";
+        return Err(refused(path, at, got, "write each step as .vti, and a .pvd list of them"));
+    }
+    Ok(())
 }
 
 /// Where the points of a VTKHDF image are.
