@@ -5,7 +5,7 @@ use super::progress::Talk;
 use super::step::MomentArgs;
 use super::text;
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{self, ArchiveSummary, Scan, StepChoice};
+use isospan::pipeline::{self, ArchiveSummary, Scan, StepChoice, StepSummary};
 use isospan::points::PointSpec;
 use isospan::sample::Values;
 use isospan::volume::VolumeInfo;
@@ -278,16 +278,36 @@ fn area_line(areas: &[[f64; 2]]) -> String {
 }
 
 fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
-    let [x, y, z] = s.dims;
     let mut out = String::new();
     let _ = writeln!(out, "{}: isospan archive, format {}", path.display(), s.format);
-    let _ = writeln!(
-        out,
-        "  source      {} ({}, {x} x {y} x {z} {})",
-        text::name(&s.source),
-        s.source_format,
-        s.scalar.name()
-    );
+    out += &source_line(s);
+    out += &points_text(s);
+    out += &levels_text(s);
+    out += &mesh_text(s);
+    out += &values_text(s);
+    out += &steps_text(s);
+    let each = s.bytes as f64 / s.points.max(1) as f64;
+    let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
+    if let Some(samples) = s.sample_bytes {
+        let count = s.dims.iter().product::<u64>() * s.steps.len() as u64;
+        let _ = writeln!(out, "{}", text::bits_line(s.bytes, samples, count));
+    }
+    out
+}
+
+fn source_line(s: &ArchiveSummary) -> String {
+    // The lattice of a mesh is not the user's.
+    let dims = match s.mesh {
+        Some(_) => String::new(),
+        None => s.dims.map(|n| n.to_string()).join(" x ") + " ",
+    };
+    let (source, scalar) = (text::name(&s.source), s.scalar.name());
+    format!("  source      {source} ({}, {dims}{scalar})\n", s.source_format)
+}
+
+/// The points, with the levels of density of adapted ones, and what lies between them.
+fn points_text(s: &ArchiveSummary) -> String {
+    let mut out = String::new();
     // Steps of a mesh may have holes of their own.
     let outside = if s.mesh.is_some() && s.steps.len() == 1 { s.void_points } else { 0 };
     let _ = writeln!(out, "  points      {} ({})", text::count(s.points - outside), point_set(&s.point_set));
@@ -317,7 +337,12 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             text::plural(s.blocks, "block")
         ),
     };
-    out += &levels_text(s);
+    out
+}
+
+/// The cells of the source, and how a value between points is found.
+fn mesh_text(s: &ArchiveSummary) -> String {
+    let mut out = String::new();
     if let Some(cells) = s.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
@@ -337,6 +362,12 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     if s.pyramid.is_empty() {
         let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
     }
+    out
+}
+
+/// The values: how they are stored, their range, error, and isovalues worth a look.
+fn values_text(s: &ArchiveSummary) -> String {
+    let mut out = String::new();
     if let Some(q) = &s.quantiser {
         let bound = text::value(text::figures(q.bound, 4));
         let _ = writeln!(out, "  values      {} bits, within {bound}", text::figures(q.bits, 3));
@@ -365,13 +396,6 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         let all =
             if s.steps.len() > 1 { " without a value, of all steps together" } else { " without a value" };
         let _ = writeln!(out, "  void        {}{all}", text::plural(s.void_points, "point"));
-    }
-    out += &steps_text(s);
-    let each = s.bytes as f64 / s.points.max(1) as f64;
-    let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
-    if let Some(samples) = s.sample_bytes {
-        let count = s.dims.iter().product::<u64>() * s.steps.len() as u64;
-        let _ = writeln!(out, "{}", text::bits_line(s.bytes, samples, count));
     }
     out
 }
@@ -432,9 +456,21 @@ fn point_set(set: &PointSpec) -> String {
     }
 }
 
+/// Whether the steps are fields of one moment.
+fn is_of_fields(steps: &[StepSummary]) -> bool {
+    steps.iter().enumerate().all(|(n, step)| {
+        step.time.is_none()
+            && step.source == steps[0].source
+            && steps[..n].iter().all(|s| s.field != step.field)
+    })
+}
+
 /// The steps, one line for each in a series.
 fn steps_text(s: &ArchiveSummary) -> String {
-    let mut out = format!("  steps       {}\n", s.steps.len());
+    let mut out = match s.steps.len() {
+        n if n > 1 && is_of_fields(&s.steps) => format!("  fields      {n}, a step each\n"),
+        n => format!("  steps       {n}\n"),
+    };
     if s.steps.len() == 1 {
         return out;
     }

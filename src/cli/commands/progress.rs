@@ -202,7 +202,14 @@ fn speed(done: u64, rate: f64, left: Duration) -> String {
     if done == 0 {
         return String::new();
     }
-    format!("{} a second, {} left", text::count(rate as u64), text::rough_duration(left))
+    format!("{}, {} left", rate_text(rate), text::rough_duration(left))
+}
+
+fn rate_text(rate: f64) -> String {
+    if rate >= 1.0 {
+        return format!("{} a second", text::count(rate as u64));
+    }
+    format!("{} each", text::rough_duration(Duration::try_from_secs_f64(1.0 / rate).unwrap_or(Duration::MAX)))
 }
 
 struct Stage {
@@ -236,13 +243,13 @@ impl Stage {
     fn line(&self) -> String {
         let elapsed = self.started.elapsed().as_secs_f64();
         format!(
-            "isospan: {}: {} of {} {} ({} %), {} a second, {} left",
+            "isospan: {}: {} of {} {} ({} %), {}, {} left",
             self.name,
             text::count(self.done),
             text::count(self.total),
             self.unit,
             self.done * 100 / self.total.max(1),
-            text::count((self.done as f64 / elapsed.max(1e-3)) as u64),
+            rate_text(self.done as f64 / elapsed.max(1e-3)),
             text::rough_duration(Duration::from_secs_f64(self.seconds_left())),
         )
     }
@@ -286,7 +293,9 @@ impl Progress for Lines {
         let Some(stage) = stage.as_mut() else { return };
         stage.done += units;
         let between = if self.json { BETWEEN_OBJECTS } else { BETWEEN_LINES };
-        if stage.shown.elapsed() < between || stage.done == 0 {
+        // Of what is complete, a reader learns nothing.
+        let is_dull = stage.done == 0 || !self.json && stage.done >= stage.total;
+        if stage.shown.elapsed() < between || is_dull {
             return;
         }
         stage.shown = Instant::now();
@@ -335,5 +344,6 @@ mod tests {
         assert_eq!(speed(0, 0.0, Duration::ZERO), "");
         assert_eq!(speed(9, 34267.06, Duration::from_millis(8400)), "34 267 a second, 8 s left");
         assert_eq!(speed(9, 1.5, Duration::from_secs(200)), "1 a second, 3 min 20 s left");
+        assert_eq!(speed(9, 0.05, Duration::from_secs(200)), "20 s each, 3 min 20 s left");
     }
 }
