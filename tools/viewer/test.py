@@ -352,6 +352,12 @@ def wide(browser, server):
     # The keyboard moves it, too.
     page.page.focus("#scene")
     page.after(lambda: page.page.keyboard.press("]"))
+    for keys in ("ArrowLeft", "ArrowUp", "+"):
+        seen, address = page.picture("before the key"), page.page.url
+        page.page.keyboard.press(keys)
+        page.page.wait_for_function("old => location.href !== old", arg=address)
+        page.page.wait_for_timeout(300)
+        assert abs(page.picture("after the key") - seen).sum(axis=2).astype(bool).mean() > 0.01, keys
     # A second one, and each can be looked through.
     page.after(lambda: page.page.click("#add"))
     assert page.page.locator("#surfaces li").count() == 2
@@ -706,7 +712,7 @@ def without_a_server(browser, server):
         ball = pathlib.Path("site/of somebody/viewer") / BALL / "manifest.zst"
         ball.rename(ball.with_name("gone"))
         page = Page(browser, published, is_ready=False)
-        page.page.wait_for_selector("#message:not([hidden])")
+        page.page.wait_for_selector("#message:not([hidden], .loading)")
         assert "manifest.zst" in page.page.inner_text("#message"), page.page.inner_text("#message")
         page.wrong = [line for line in page.wrong if "404" not in line]
         page.close()

@@ -111,6 +111,7 @@ function bytes(value) {
 
 function say(text) {
   const message = $("message");
+  message.classList.remove("loading");
   message.hidden = !text;
   message.textContent = text;
 }
@@ -920,7 +921,18 @@ function key(event) {
     },
     r: () => $("reset").click(),
     p: savePicture,
+    "+": () => view.zoom(1 / 1.1),
+    "-": () => view.zoom(1.1),
   };
+  // Arrows move sliders and lists where those have the focus.
+  if (!event.target.matches?.("input")) {
+    Object.assign(acts, {
+      ArrowLeft: () => view.turn(-5, 0),
+      ArrowRight: () => view.turn(5, 0),
+      ArrowUp: () => view.turn(0, 5),
+      ArrowDown: () => view.turn(0, -5),
+    });
+  }
   if (event.key === " " && !event.target.matches?.("button, input, a") && isSeries()) acts[" "] = play;
   if (!acts[event.key]) return;
   event.preventDefault();
@@ -944,6 +956,7 @@ async function begin() {
   listen();
   setTheme();
   await setArchive(camera);
+  if ($("message").classList.contains("loading")) say("");
   document.body.dataset.ready = "1";
 }
 

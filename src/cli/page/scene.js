@@ -118,6 +118,7 @@ export class View {
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.addEventListener("change", () => this.draw());
     this.controls.addEventListener("end", changed);
+    this.changed = changed;
     this.surfaces = new Map();
     this.bounds = new Box3();
     this.plane = null;
@@ -199,6 +200,30 @@ export class View {
     this.camera.position.copy(middle).addScaledVector(toward, radius / Math.sin(half));
     this.controls.update();
     this.draw();
+  }
+
+  /** Turns the camera around what it looks at, in degrees to the right and up; never over the poles. */
+  turn(right, up) {
+    const { camera, controls } = this;
+    const offset = camera.position.clone().sub(controls.target).applyAxisAngle(camera.up, (right * Math.PI) / 180);
+    const [least, most] = [0.02, Math.PI - 0.02];
+    const polar = offset.angleTo(camera.up);
+    const wanted = Math.min(most, Math.max(least, polar - (up * Math.PI) / 180));
+    const axis = new Vector3().crossVectors(camera.up, offset).normalize();
+    offset.applyAxisAngle(axis, wanted - polar);
+    this.place(offset);
+  }
+
+  /** Multiplies the distance of the camera from what it looks at. */
+  zoom(factor) {
+    this.place(this.camera.position.clone().sub(this.controls.target).multiplyScalar(factor));
+  }
+
+  place(offset) {
+    this.camera.position.copy(this.controls.target).add(offset);
+    this.controls.update();
+    this.draw();
+    this.changed();
   }
 
   /** The camera as six numbers, and back. */
