@@ -877,7 +877,15 @@ function save(blob, ending) {
 }
 
 async function savePicture() {
-  save(await view.png(getComputedStyle(document.body).backgroundColor), "png");
+  const { backgroundColor, color } = getComputedStyle(document.body);
+  const { field, unit } = colourInfo();
+  const shows = state.by !== null || (state.clip !== null && state.slice);
+  const legend = shows && {
+    bar: $("bar"),
+    title: unit ? `${field} in ${unit}` : field,
+    ends: [$("low").value, $("high").value],
+  };
+  save(await view.png(backgroundColor, color, legend), "png");
 }
 
 /** Saves what is seen: all isovalues, in the region and on the side of the plane. */

@@ -437,8 +437,8 @@ export class View {
     c.fillText(this.lengthUnit ? `${words} ${this.lengthUnit}` : words, right, bottom - 9);
   }
 
-  /** The picture, with axes and scale, on the page's background. */
-  async png(background) {
+  /** The picture, with axes, scale and, where given, a bar of colours, on the page's background. */
+  async png(background, ink, legend) {
     this.drawNow();
     const picture = document.createElement("canvas");
     [picture.width, picture.height] = [this.canvas.width, this.canvas.height];
@@ -447,6 +447,22 @@ export class View {
     c.fillRect(0, 0, picture.width, picture.height);
     c.drawImage(this.canvas, 0, 0);
     c.drawImage(this.overlay, 0, 0, picture.width, picture.height);
+    if (legend) drawLegend(c, picture, ink, legend);
     return new Promise((done) => picture.toBlob(done, "image/png"));
   }
+}
+
+/** Draws a bar of colours with its title and the values at its ends, at the top on the left. */
+function drawLegend(c, picture, ink, { bar, title, ends }) {
+  const em = Math.round(picture.height / 45);
+  const [left, top, width] = [em, em, Math.min(12 * em, picture.width - 2 * em)];
+  c.font = `${em}px sans-serif`;
+  c.fillStyle = ink;
+  c.textBaseline = "top";
+  c.fillText(title, left, top);
+  c.drawImage(bar, left, top + 1.4 * em, width, em);
+  c.textAlign = "left";
+  c.fillText(ends[0], left, top + 2.7 * em);
+  c.textAlign = "right";
+  c.fillText(ends[1], left + width, top + 2.7 * em);
 }
