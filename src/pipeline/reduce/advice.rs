@@ -383,19 +383,10 @@ fn of_numbers(
     };
     let each = point.min(POINT_BYTES) + STEP_BYTES * (steps - 1) as f64;
     let archive = if own { own_bytes(samples, steps) } else { (points as f64 * each) as u64 };
-    if let Input::Mesh(_) = input {
-        let (of_own, rounded) = (own_bytes(samples, steps), bits.is_some());
-        let is_much = asked as f64 >= NEARLY_ALL * samples as f64 || of_own <= SMALL;
-        if asked < samples && is_much && could_keep_own(settings) {
-            let bytes = (LEAST_BYTES + asked as f64 * MESH_POINT_BYTES) as u64;
-            let why = format!(
-                "{} points of its {} vertices take about {}, and have an error",
-                grouped(asked),
-                grouped(samples),
-                bytes_text(bytes, f64::round)
-            );
-            out.push(Notice::of_own(path, asked, samples, of_own, &why, rounded));
-        }
+    if let Input::Mesh(_) = input
+        && could_keep_own(settings)
+    {
+        out.extend(better_kept(path, asked, samples, own_bytes(samples, steps), bits.is_some()));
     }
     if archive > size.bytes.max(SMALL) {
         let flags = smaller(archive, size.bytes, settings, bits.is_some());
@@ -408,6 +399,21 @@ fn of_numbers(
         out.push(Notice::new(path, finding, &text));
     }
     out
+}
+
+/// Says that the mesh itself takes hardly more bytes, `of_own`, than the points that are asked for.
+fn better_kept(path: &Path, asked: u64, vertices: u64, of_own: u64, rounded: bool) -> Option<Notice> {
+    let is_much = asked as f64 >= NEARLY_ALL * vertices as f64 || of_own <= SMALL;
+    (asked < vertices && is_much).then(|| {
+        let bytes = (LEAST_BYTES + asked as f64 * MESH_POINT_BYTES) as u64;
+        let why = format!(
+            "{} points of its {} vertices take about {}, and have an error",
+            grouped(asked),
+            grouped(vertices),
+            bytes_text(bytes, f64::round)
+        );
+        Notice::of_own(path, asked, vertices, of_own, &why, rounded)
+    })
 }
 
 /// Says that more points are asked for than there are samples; `own`: the mesh is kept as it is.

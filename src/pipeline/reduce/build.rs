@@ -24,7 +24,7 @@ use super::workers::SegmentMaker;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, StepPlan, StoredStep};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
-use crate::pipeline::chunk::{Field, Recipe, SampleErrors, Samples};
+use crate::pipeline::chunk::{Field, OwnMesh, Recipe, SampleErrors, Samples};
 use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
 use crate::pipeline::plan::{Layout, MeshParts, Plan, Shares};
 use crate::pipeline::read::{Meter, OpenArchive, StepView, write_coordinates};
@@ -198,9 +198,10 @@ impl<'a> Build<'a> {
             false => None,
         };
         let archive = archive.map(|archive| archive.step_at(0));
-        let stored = archive.as_ref().map(|archive| {
-            let base = plan.steps[steps.start].base;
-            StoredMesh { archive, base: base.and_then(|base| archive.manifest.position(base.number)) }
+        let base = plan.steps[steps.start].base;
+        let stored = archive.as_ref().map(|archive| StoredMesh {
+            archive,
+            base: base.and_then(|base| archive.manifest.position(base.number)),
         });
         let reused = source.before.map(|before| ReusedChunks::new(before, plan, parts, steps.end));
         let reused = reused.transpose()?.flatten();
@@ -210,13 +211,7 @@ impl<'a> Build<'a> {
             Some(_) => stage_of_steps(&plan.steps[steps.clone()]),
         };
         self.progress.begin(&stage, self.points(&source.segments), "points");
-        let recipe = Recipe {
-            points: &parts.points,
-            bricks: plan.mesh.bricks(),
-            order: parts.order,
-            halo: parts.halo,
-            own: source.fields.own(),
-        };
+        let recipe = self.recipe(plan, source.fields.own());
         let files = SegmentFiles::new(plan, &steps, stored.is_none(), self.layout, finished);
         let meter = self.meter(plan, made.coordinates);
         let maker = ChunkMaker {
@@ -252,6 +247,16 @@ impl<'a> Build<'a> {
             self.measure_steps(plan, source, steps, &fields, made)?;
         }
         Ok(())
+    }
+
+    fn recipe<'b>(&'b self, plan: &'b Plan, own: Option<OwnMesh<'b>>) -> Recipe<'b> {
+        Recipe {
+            points: &self.parts.points,
+            bricks: plan.mesh.bricks(),
+            order: self.parts.order,
+            halo: self.parts.halo,
+            own,
+        }
     }
 
     /// What progress calls a pass that makes the mesh too.
