@@ -4,7 +4,8 @@ use crate::files::labels::LabelTable;
 use crate::files::surface::SurfaceFormat;
 use crate::pipeline::step::Step;
 use crate::pipeline::surface::{
-    LabelMesh, LabelReport, LabelSettings, Labels, label_files, label_meshes, write_labels,
+    LabelMesh, LabelReport, LabelSettings, Labels, OneLabel, label_files, label_meshes, label_sizes,
+    write_labels,
 };
 use isospan_io::error::Result;
 use isospan_io::exec::{Progress, Resources, Silent};
@@ -35,6 +36,8 @@ use std::sync::Arc;
 /// let archive = Archive::open(&path)?;
 /// let meshes = archive.labels([1, 2]).meshes()?;
 /// assert_eq!(meshes[0].label.voxels, 4 * 8 * 8);
+/// // Without the meshes: which labels there are, and how large.
+/// assert_eq!(archive.labels(Labels::All).sizes()?.len(), 2);
 /// assert!((meshes[0].label.volume - (4 * 8 * 8) as f64).abs() < 1e-9);
 ///
 /// // All labels but 0 in one file, smoothed, a node each.
@@ -114,6 +117,15 @@ impl LabelQuery<'_> {
     /// As [`LabelQuery::write`], but for files.
     pub fn meshes(&self) -> Result<Vec<LabelMesh>> {
         label_meshes(&self.of.view, &self.settings, self.progress)
+    }
+
+    /// The labels with their names, colours, voxels and the sizes of their surfaces, ascending by
+    /// label. One surface is in memory at a time.
+    ///
+    /// # Errors
+    /// As [`LabelQuery::write`], but for files.
+    pub fn sizes(&self) -> Result<Vec<OneLabel>> {
+        label_sizes(&self.of.view, &self.settings, self.progress)
     }
 
     /// Writes the meshes to a file, or, where its name holds `{}`, each to a file with its label in

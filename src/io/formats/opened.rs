@@ -165,7 +165,10 @@ impl Opened {
     /// # Errors
     /// As [`Opened::volume`].
     pub fn coordinates(&self, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
-        if self.is_mesh() { Ok(None) } else { self.dataset.coordinates(options) }
+        match self.is_mesh() || options.replaces_coordinates() {
+            true => Ok(None),
+            false => self.dataset.coordinates(options),
+        }
     }
 
     /// The names of its fields with one number a sample, a point or a cell.

@@ -18,7 +18,7 @@ use crate::bytes::stamp::Stamp;
 use crate::error::{Error, Place, Result};
 use crate::exec::CancelToken;
 use crate::formats::opened::{Input, Opened, OpenedFiles};
-use crate::formats::shared::coordinates::GridCoordinates;
+use crate::formats::shared::coordinates::{GridCoordinates, tables};
 use crate::formats::shared::header::sibling;
 use crate::formats::shared::packed::UnpackedFrames;
 use crate::formats::shared::{Frames, OpenOptions, field_matches, has_suffix, is_pattern};
@@ -108,8 +108,29 @@ impl StepSource {
     /// ([`volume_of`](crate::volume::memory::volume_of)), or anything that answers for boxes of
     /// them. `name` stands for it in messages and in the archive.
     pub fn given(name: &str, volume: Arc<dyn VolumeReader>) -> Self {
-        let given = Given { volume: GivenVolume::Reader(volume), hash: Arc::default() };
+        let given = Given { volume: GivenVolume::Reader(volume), hash: Arc::default(), axes: None };
         Self { given: Some(given), ..Self::new(name.as_ref(), &OpenOptions::default()) }
+    }
+
+    /// A volume that a program gives, whose samples are those of a rectilinear grid: `axes` are
+    /// their coordinates along x, y, z, in place of a spacing.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] where they neither rise nor fall throughout; [`Error::Usage`] where an
+    /// axis has not as many of them as samples.
+    pub fn given_on_axes(name: &str, volume: Arc<dyn VolumeReader>, axes: [Vec<f64>; 3]) -> Result<Self> {
+        let dims = volume.info().dims;
+        for (axis, n) in axes.iter().zip(dims) {
+            if axis.len() as u64 != n {
+                let got = axis.len();
+                return Err(Error::usage(format!(
+                    "{name}: {n} coordinates expected along an axis, got {got}"
+                )));
+            }
+        }
+        let axes = Some(Arc::new(tables(Path::new(name), name, axes.map(Some), dims)?));
+        let given = Given { volume: GivenVolume::Reader(volume), hash: Arc::default(), axes };
+        Ok(Self { given: Some(given), ..Self::new(name.as_ref(), &OpenOptions::default()) })
     }
 
     /// A volume in chunks that a program gives, which `identity` stands for: the same text only
@@ -123,7 +144,7 @@ impl StepSource {
         let mut hash = Xxh3::new();
         hash.update(identity.as_bytes());
         let hash = Arc::new(OnceLock::from(format!("{:032x}", hash.digest128())));
-        let given = Given { volume: GivenVolume::Chunks(chunks), hash };
+        let given = Given { volume: GivenVolume::Chunks(chunks), hash, axes: None };
         let step = Self { given: Some(given), ..Self::new(name.as_ref(), &OpenOptions::default()) };
         step.at_stated(time, None)
     }
@@ -195,7 +216,10 @@ impl StepSource {
     /// # Errors
     /// As [`StepSource::open`].
     pub fn coordinates(&self) -> Result<Option<GridCoordinates>> {
-        if self.given.is_some() { Ok(None) } else { self.file()?.coordinates(&self.options) }
+        match &self.given {
+            Some(given) => Ok(given.axes.as_deref().cloned().map(GridCoordinates::Axes)),
+            None => self.file()?.coordinates(&self.options),
+        }
     }
 
     /// Bytes of all frames of its file, unpacked, where each frame would be decoded from the
@@ -296,6 +320,8 @@ impl<V: VolumeReader + 'static> From<V> for StepSource {
 struct Given {
     volume: GivenVolume,
     hash: Arc<OnceLock<String>>,
+    /// The coordinates of a rectilinear grid along x, y, z.
+    axes: Option<Arc<[Vec<f64>; 3]>>,
 }
 
 #[derive(Clone)]
@@ -351,11 +377,12 @@ impl Given {
 
 impl PartialEq for Given {
     fn eq(&self, other: &Self) -> bool {
-        match (&self.volume, &other.volume) {
+        let is_same = match (&self.volume, &other.volume) {
             (GivenVolume::Reader(a), GivenVolume::Reader(b)) => Arc::ptr_eq(a, b),
             (GivenVolume::Chunks(a), GivenVolume::Chunks(b)) => Arc::ptr_eq(a, b),
             _ => false,
-        }
+        };
+        is_same && self.axes == other.axes
     }
 }
 

@@ -33,7 +33,7 @@ mod worker;
 pub(super) use against::surface_errors;
 pub(super) use colours::values_on;
 pub use labels::{LabelMesh, LabelReport, Labels, OneLabel};
-pub(super) use labels::{LabelSettings, label_files, label_meshes, write_labels};
+pub(super) use labels::{LabelSettings, label_files, label_meshes, label_sizes, write_labels};
 pub(super) use level::level_of;
 pub use numbers::{InscribedBall, NumbersReport, PhaseNumbers};
 pub(super) use numbers::{expect_whole, numbers};

@@ -52,7 +52,7 @@ pub(crate) enum StepName {
 }
 
 /// A step, or a time.
-type When = (Option<StepName>, Option<f64>);
+pub(crate) type When = (Option<StepName>, Option<f64>);
 
 fn choice(py: Python<'_>, when: When) -> PyResult<StepChoice> {
     match when {
@@ -120,6 +120,8 @@ pub(crate) struct Wanted {
     min_volume: Option<f64>,
     decimate: Option<f64>,
     decimate_error: Option<f64>,
+    smooth: Option<u32>,
+    smooth_limit: Option<f64>,
     level: LevelOf,
 }
 
@@ -143,7 +145,7 @@ impl Wanted {
             ratio: self.decimate.unwrap_or(far.ratio),
             max_error: self.decimate_error.unwrap_or(far.max_error),
         });
-        Refine { components, decimate, ..Refine::default() }
+        Refine { components, smooth: self.smooth, smooth_limit: self.smooth_limit, decimate }
     }
 
     /// The question as it is wanted, of a step or of several.
@@ -194,7 +196,7 @@ impl Against {
 
 impl Archive {
     /// The archive at a step; at the one that it was opened at, if none is given.
-    fn at(&self, py: Python<'_>, when: When) -> PyResult<Step> {
+    pub(crate) fn at(&self, py: Python<'_>, when: When) -> PyResult<Step> {
         self.at_field(py, when, None)
     }
 

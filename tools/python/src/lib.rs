@@ -8,6 +8,7 @@ mod archive;
 mod arrays;
 mod errors;
 mod json;
+mod labels;
 mod pictures;
 mod reduce;
 mod surface;
@@ -30,6 +31,7 @@ fn _isospan(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_function(wrap_pyfunction!(program, module)?)?;
     module.add_function(wrap_pyfunction!(reduce::reduce, module)?)?;
+    module.add_function(wrap_pyfunction!(reduce::estimate, module)?)?;
     module.add_function(wrap_pyfunction!(reduce::append, module)?)?;
     module.add_function(wrap_pyfunction!(reduce::plan, module)?)?;
     module.add_function(wrap_pyfunction!(reduce::status, module)?)?;
@@ -37,6 +39,9 @@ fn _isospan(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(reduce::commit, module)?)?;
     module.add_function(wrap_pyfunction!(pictures::render, module)?)?;
     module.add_function(wrap_pyfunction!(pictures::publish, module)?)?;
+    module.add_function(wrap_pyfunction!(labels::label_sizes, module)?)?;
+    module.add_function(wrap_pyfunction!(labels::label_surfaces, module)?)?;
+    module.add_function(wrap_pyfunction!(labels::save_labels, module)?)?;
     module.add_function(wrap_pyfunction!(archive::is_archive, module)?)?;
     module.add_function(wrap_pyfunction!(archive::keep, module)?)?;
     module.add_function(wrap_pyfunction!(words::isovalue, module)?)?;

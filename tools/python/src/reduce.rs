@@ -5,11 +5,12 @@ use crate::archive::Machine;
 use crate::errors::{usage, warn_unmet};
 use crate::json::to_python;
 use crate::volume::{Volume, raised_or, steps};
-use crate::words::of_parser;
+use crate::words::{in_keywords, of_parser};
 use crate::work::run;
 use clap::Parser;
+use isospan::exec::{CancelToken, Progress};
 use isospan::pipeline::{Committed, Shards};
-use isospan::{Reduction, Resources};
+use isospan::{Reduction, Resources, Result};
 use isospan_cli::commands::progress::Talk;
 use isospan_cli::commands::{self, Cli, Command};
 use pyo3::prelude::*;
@@ -39,6 +40,32 @@ fn addition(command: Command) -> Option<commands::append::Args> {
     if let Command::Append(args) = command { Some(args) } else { None }
 }
 
+/// The reduction that arguments ask for, of files, or of volumes in their place.
+fn asked<'a>(
+    args: &commands::reduce::Args,
+    talk: &Talk,
+    volumes: Option<&[Py<Volume>]>,
+    cancel: &CancelToken,
+    progress: &'a dyn Progress,
+) -> Result<Reduction<'a>> {
+    let run = args.run_settings(talk, cancel.clone());
+    let (steps, settings) = match volumes {
+        None => args.request(talk)?,
+        Some(volumes) => {
+            let mut steps = steps(volumes, &run, progress)?;
+            args.steps.tell(&mut steps)?;
+            (steps, args.choices.settings())
+        }
+    };
+    let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
+    let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
+    let reduction = match args.against()? {
+        Some(source) => reduction.against(source),
+        None => reduction,
+    };
+    Ok(reduction.progress(progress))
+}
+
 /// `isospan reduce`.
 #[pyfunction]
 pub(crate) fn reduce<'py>(
@@ -49,27 +76,30 @@ pub(crate) fn reduce<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let (args, talk) = parsed(py, arguments, reduction)?;
     let done = run(py, progress.as_ref(), |cancel, progress| {
-        let run = args.run_settings(&talk, cancel.clone());
-        let (steps, settings) = match &volumes {
-            None => args.request(&talk)?,
-            Some(volumes) => {
-                let mut steps = steps(volumes, &run, progress)?;
-                args.steps.tell(&mut steps)?;
-                let settings = args.choices.settings();
-                (steps, settings)
-            }
-        };
-        let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
-        let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
-        let reduction = match args.against()? {
-            Some(source) => reduction.against(source),
-            None => reduction,
-        };
-        reduction.progress(progress).write(&args.output)
+        asked(&args, &talk, volumes.as_deref(), cancel, progress)?.write(&args.output)
     });
     let report = done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?;
     warn_unmet(py, &args.output, &report)?;
     to_python(py, &report)
+}
+
+/// `isospan reduce --dry-run`; what is refused, and why, is in the report.
+#[pyfunction]
+pub(crate) fn estimate<'py>(
+    py: Python<'py>,
+    arguments: Vec<OsString>,
+    volumes: Option<Vec<Py<Volume>>>,
+    progress: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let (args, talk) = parsed(py, arguments, reduction)?;
+    let done = run(py, progress.as_ref(), |cancel, progress| {
+        asked(&args, &talk, volumes.as_deref(), cancel, progress)?.estimate(&args.output)
+    });
+    let estimate = done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?;
+    let refused = estimate.check().err().map(|error| in_keywords(&error.to_string()));
+    let report = to_python(py, &estimate)?;
+    report.set_item("refused", refused)?;
+    Ok(report)
 }
 
 /// `isospan append`.

@@ -7,7 +7,9 @@ use crate::json::to_python;
 use crate::work::run;
 use isospan::Step;
 use isospan::compare::{CompareSettings, compare};
+use isospan::formats::labels::LabelStyle;
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
+use isospan::pipeline::OneLabel;
 use isospan::surface::check::check;
 use isospan::surface::edit::components::split;
 use isospan::surface::{Joined, SurfaceSource, TriMesh};
@@ -32,13 +34,32 @@ pub(crate) struct About {
     comment: String,
     units: Units,
     time: Option<f64>,
+    /// Of a label's surface, the label.
+    #[serde(default)]
+    label: Option<LabelAbout>,
+}
+
+/// A label, and how it is shown.
+#[derive(Clone, Serialize, Deserialize)]
+pub(crate) struct LabelAbout {
+    label: i64,
+    name: String,
+    colour: [u8; 4],
+    voxels: u64,
 }
 
 impl About {
     /// That of a surface of a step.
     pub(crate) fn of(step: &Step) -> Self {
         let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), step.source());
-        Self { comment, units: step.units().clone(), time: step.time() }
+        Self { comment, units: step.units().clone(), time: step.time(), label: None }
+    }
+
+    /// That of the surface of a label.
+    pub(crate) fn of_label(&self, one: &OneLabel) -> Self {
+        let OneLabel { label, voxels, colour, name, .. } = one;
+        let about = LabelAbout { label: *label, name: name.clone(), colour: *colour, voxels: *voxels };
+        Self { label: Some(about), ..self.clone() }
     }
 }
 
@@ -51,13 +72,22 @@ impl Surface {
     }
 
     fn meta(&self) -> SurfaceMeta {
-        let About { comment, units, time } = self.about.clone();
-        SurfaceMeta {
-            isovalue: Some(self.isovalue),
-            comments: vec![comment],
-            units,
-            time,
-            ..SurfaceMeta::default()
+        let About { comment, units, time, label } = self.about.clone();
+        let (isovalue, parts) = match label {
+            None => (Some(self.isovalue), vec![]),
+            Some(_) => (None, vec![self.part()]),
+        };
+        SurfaceMeta { isovalue, comments: vec![comment], parts, units, time, ..SurfaceMeta::default() }
+    }
+
+    /// It as one of several in a file.
+    fn part(&self) -> SurfacePart {
+        let label = self.about.label.clone();
+        SurfacePart {
+            isovalue: self.isovalue,
+            vertices: self.mesh.vertex_count(),
+            triangles: self.mesh.triangle_count(),
+            label: label.map(|LabelAbout { name, colour, .. }| LabelStyle { name, colour }),
         }
     }
 }
@@ -95,7 +125,7 @@ impl Surface {
         self.isovalue
     }
 
-    /// Comment, units and time, as JSON.
+    /// Comment, units, time and label, as JSON.
     #[getter]
     fn about(&self) -> String {
         serde_json::json!(self.about).to_string()
@@ -177,13 +207,10 @@ impl Surface {
         let Some(first) = surfaces.first() else {
             return Err(crate::errors::usage(py, "there is no surface to write"));
         };
-        let part = |s: &&Surface| SurfacePart {
-            isovalue: s.isovalue,
-            vertices: s.mesh.vertex_count(),
-            triangles: s.mesh.triangle_count(),
-            label: None,
-        };
-        let parts = surfaces.iter().map(part).collect();
+        if surfaces.iter().any(|s| s.about.label.is_some() != first.about.label.is_some()) {
+            return Err(crate::errors::usage(py, "surfaces of isovalues and of labels are two files"));
+        }
+        let parts = surfaces.iter().map(|s| s.part()).collect();
         let meta = SurfaceMeta { isovalue: None, parts, ..first.meta() };
         let write = || {
             let joined = Joined::new(surfaces.iter().map(|s| &s.mesh as &dyn SurfaceSource).collect());

@@ -1,10 +1,10 @@
-//! Volumes that are arrays: read in place where they are in memory, else copied once, box by box,
-//! to a file.
+//! Volumes that are arrays: read in place where they are in memory or in a file that the library
+//! reads itself, else copied once, box by box, to a file.
 
 use crate::errors::{exception, usage};
 use isospan::bytes::ByteSource;
 use isospan::exec::Progress;
-use isospan::formats::StepSource;
+use isospan::formats::{Input, OpenOptions, StepSource, steps_of};
 use isospan::grid::{Geometry, IndexBox};
 use isospan::pipeline::{RunSettings, brick};
 use isospan::volume::bricked::BrickedVolume;
@@ -15,12 +15,15 @@ use isospan::{Error, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A volume that Python code gives.
 #[pyclass(frozen)]
 pub(crate) struct Volume {
     samples: Samples,
+    /// Coordinates of its samples along x, y, z, where they are uneven.
+    axes: Option<Axes>,
     /// What that code raised while it was asked for samples.
     raised: Raised,
 }
@@ -28,6 +31,83 @@ pub(crate) struct Volume {
 enum Samples {
     InPlace(Arc<StridedVolume>),
     Boxes(Box<VolumeInfo>, Py<PyAny>),
+    File(Box<StepSource>),
+}
+
+/// Coordinates along x, y, z.
+type Axes = [Vec<f64>; 3];
+
+/// Where samples of an array lie in the world.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Place {
+    origin: [f64; 3],
+    spacing: [f64; 3],
+    /// The directions of the axes x, y, z.
+    direction: Option<[[f64; 3]; 3]>,
+    /// Coordinates in place of all these.
+    axes: Option<Axes>,
+}
+
+impl Place {
+    fn geometry(&self) -> Geometry {
+        let mut geometry = placed(self.origin, self.spacing);
+        geometry.direction = self.direction.unwrap_or(geometry.direction);
+        geometry
+    }
+}
+
+/// Which array of a file is meant, and where it lies, if the user says so.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct InFile {
+    path: PathBuf,
+    field: Option<String>,
+    channel: Option<String>,
+    spacing: Option<[f64; 3]>,
+    origin: Option<[f64; 3]>,
+}
+
+impl InFile {
+    fn options(self) -> OpenOptions {
+        let Self { field, channel, spacing, origin, .. } = self;
+        OpenOptions { field, channel, spacing, origin, replaces_place: true, ..OpenOptions::default() }
+    }
+
+    /// The steps of the array, and what its file says of it. A sample is read, so that a filter or
+    /// a codec that the library lacks is found here.
+    fn steps(self) -> Result<(Vec<StepSource>, VolumeInfo)> {
+        let path = self.path.clone();
+        let has_spacing = self.spacing.is_some();
+        let options = self.options();
+        let steps = steps_of(&[path], &options)?;
+        let first = &steps[0];
+        let Input::Volume(volume) = first.open()? else {
+            return Err(Error::bad_input(&first.path, "kind of file", "a volume", "a mesh"));
+        };
+        if let VolumeSource::Chunked(chunks) = &volume {
+            chunks.decode([0; 3], &mut vec![])?;
+        }
+        let of_file = StepSource::new(&first.path, &OpenOptions { replaces_place: false, ..options.clone() });
+        if options.origin.is_some() && !has_spacing && has_coordinates(&of_file) {
+            let path = first.path.display();
+            return Err(Error::usage(format!("{path} has uneven coordinates: give `spacing` with `origin`")));
+        }
+        Ok((steps, volume.info().clone()))
+    }
+}
+
+fn has_coordinates(step: &StepSource) -> bool {
+    step.coordinates().is_ok_and(|found| found.is_some())
+}
+
+/// What a file says of the samples of an array.
+#[derive(IntoPyObject)]
+struct Found {
+    dims: [u64; 3],
+    scalar: String,
+    slope: f64,
+    intercept: f64,
 }
 
 /// An exception that waits to be raised where the work has ended.
@@ -116,14 +196,7 @@ impl Interface {
 impl Volume {
     /// An array of NumPy, which must not change while it is read.
     #[staticmethod]
-    fn of_array(
-        name: &str,
-        array: Bound<'_, PyAny>,
-        scalar: &str,
-        origin: [f64; 3],
-        spacing: [f64; 3],
-        direction: Option<[[f64; 3]; 3]>,
-    ) -> PyResult<Self> {
+    fn of_array(name: &str, array: Bound<'_, PyAny>, scalar: &str, place: Place) -> PyResult<Self> {
         let py = array.py();
         let about = array.getattr("__array_interface__")?;
         // A key that is not there means the same as None.
@@ -132,13 +205,11 @@ impl Volume {
             about.set_item("strides", py.None())?;
         }
         let about: Interface = about.extract()?;
-        let mut geometry = placed(origin, spacing);
-        geometry.direction = direction.unwrap_or(geometry.direction);
         let volume = scalar_of(name, scalar)
-            .and_then(|scalar| about.volume(name, array.unbind(), scalar, geometry))
+            .and_then(|scalar| about.volume(name, array.unbind(), scalar, place.geometry()))
             .map_err(|e| exception(py, &e))?;
         let samples = Samples::InPlace(Arc::new(volume));
-        Ok(Self { samples, raised: Raised::default() })
+        Ok(Self { samples, axes: place.axes, raised: Raised::default() })
     }
 
     /// What gives, called without arguments, an iterator over boxes that tile the volume: lowest
@@ -149,16 +220,32 @@ impl Volume {
         name: &str,
         dims: [u64; 3],
         scalar: &str,
-        origin: [f64; 3],
-        spacing: [f64; 3],
+        place: Place,
         boxes: Py<PyAny>,
     ) -> PyResult<Self> {
         let scalar = scalar_of(name, scalar).map_err(|e| exception(py, &e))?;
         if dims.contains(&0) {
             return Err(usage(py, format!("{name}: an array of {dims:?} samples has none")));
         }
-        let info = VolumeInfo { geometry: placed(origin, spacing), ..info_of(name, dims, scalar) };
-        Ok(Self { samples: Samples::Boxes(Box::new(info), boxes), raised: Raised::default() })
+        let info = VolumeInfo { geometry: place.geometry(), ..info_of(name, dims, scalar) };
+        let samples = Samples::Boxes(Box::new(info), boxes);
+        Ok(Self { samples, axes: place.axes, raised: Raised::default() })
+    }
+
+    /// An array in a file that the library reads itself: a volume for each of its steps, and what
+    /// the file says of it.
+    #[staticmethod]
+    fn of_file(py: Python<'_>, found: InFile) -> PyResult<(Vec<Self>, Found)> {
+        let (steps, info) = py.detach(|| found.steps()).map_err(|e| exception(py, &e))?;
+        let volume =
+            |step| Self { samples: Samples::File(Box::new(step)), axes: None, raised: Raised::default() };
+        let found = Found {
+            dims: info.dims,
+            scalar: info.field.scalar.name().to_owned(),
+            slope: info.slope,
+            intercept: info.intercept,
+        };
+        Ok((steps.into_iter().map(volume).collect(), found))
     }
 }
 
@@ -172,13 +259,18 @@ impl Volume {
     /// scratch folder.
     pub(crate) fn step(&self, run: &RunSettings, progress: &dyn Progress) -> Result<StepSource> {
         let (info, reader): (_, Arc<dyn VolumeReader>) = match &self.samples {
+            Samples::File(step) => return Ok(StepSource::clone(step)),
             Samples::InPlace(volume) => (volume.info(), Arc::clone(volume) as _),
             Samples::Boxes(info, boxes) => {
                 let samples = self.copy(info, boxes, run, progress)?;
                 (info, Arc::new(Copied { info: VolumeInfo::clone(info), samples }))
             }
         };
-        Ok(StepSource::given(&info.path.to_string_lossy(), reader))
+        let name = info.path.to_string_lossy();
+        match &self.axes {
+            Some(axes) => StepSource::given_on_axes(&name, reader, axes.clone()),
+            None => Ok(StepSource::given(&name, reader)),
+        }
     }
 
     fn copy(
@@ -279,13 +371,14 @@ impl SlabStream for Boxes {
     }
 }
 
-/// The steps of volumes.
+/// The steps of volumes. Those of one file hold it open together.
 pub(crate) fn steps(
     volumes: &[Py<Volume>],
     run: &RunSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<StepSource>> {
-    volumes.iter().map(|volume| volume.get().step(run, progress)).collect()
+    let steps = volumes.iter().map(|volume| volume.get().step(run, progress));
+    Ok(StepSource::holding_together(steps.collect::<Result<_>>()?))
 }
 
 /// What the code of volumes has raised, if that is why the work has failed.

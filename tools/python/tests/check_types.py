@@ -19,10 +19,20 @@ def of_answers(archive: isospan.Archive) -> None:
     assert_type(archive.surface(1.5).faces, npt.NDArray[np.uint32])
     assert_type(archive.range, tuple[float, float] | None)
     assert_type(archive.measure("scan.nrrd"), dict[str, Any])
+    assert_type(archive.surface(1.5, smooth=True, smooth_limit="0.1%"), isospan.Surface)
+
+
+def of_labels(archive: isospan.Archive) -> None:
+    assert_type(archive.labels(), list[isospan.Label])
+    assert_type(archive.label_surface(3, smooth=True), isospan.LabelSurface)
+    assert_type(archive.label_surface([3, 7], label_table={3: "a"}), list[isospan.LabelSurface])
+    assert_type(archive.label_surface(), list[isospan.LabelSurface])
+    assert_type(archive.save_label_surface("all.glb"), dict[str, Any])
 
 
 def of_archives() -> None:
     assert_type(isospan.reduce("scan.nrrd", "scan.isospan", target_rms="1%"), isospan.Archive)
+    assert_type(isospan.plan("scan.nrrd", "scan.isospan", size="5%"), dict[str, Any])
     assert_type(isospan.append("scan.isospan", "next.nrrd", times=[1.0]), isospan.Archive)
     with isospan.open("scan.isospan", time=0.5) as archive:
         assert_type(archive, isospan.Archive)

@@ -54,6 +54,12 @@ def test_several_surfaces_in_one_file(tooth, program, tmp_path):
             {"decimate": 0.25, "decimate_error": 2.0},
             ["--decimate", "0.25", "--decimate-error", "2"],
         ),
+        ({"smooth": True}, ["--smooth"]),
+        ({"smooth": 5, "smooth_limit": 0.25}, ["--smooth", "5", "--smooth-limit", "0.25"]),
+        (
+            {"smooth": 3, "smooth_limit": "0.1%", "decimate": "50%"},
+            ["--smooth", "3", "--smooth-limit", "0.1%", "--decimate", "50%"],
+        ),
         ({"threads": 1, "memory": "64MiB"}, ["--threads", "1", "--memory", "64MiB"]),
     ],
 )

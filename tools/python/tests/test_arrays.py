@@ -128,7 +128,7 @@ def test_zarr_h5py_and_dask(expected, tmp_path):
         plain = file.create_dataset("plain", data=field())
         expect_same(made(packed, tmp_path, "h5py"), expected)
         expect_same(made(plain, tmp_path, "plain"), expected)
-        assert made(packed, tmp_path, "h5py").info["source"] == "packed"
+        assert made(packed, tmp_path, "h5py").steps[0]["field"] == "packed"
     lazy = dask.array.from_array(field(), chunks=((5, 13), (24,), (7, 7, 6)))
     expect_same(made(lazy, tmp_path, "dask", scratch=tmp_path), expected)
     assert not list(tmp_path.glob("isospan-array-*"))
@@ -233,12 +233,51 @@ def test_xarray(expected, tmp_path):
         of_file = made(stored, tmp_path, "stored")
         assert not stored._in_memory
     np.testing.assert_array_equal(of_file.surface(0.25).vertices, archive.surface(0.25).vertices)
-    uneven = data.assign_coords(y=np.arange(ny) ** 1.5)
-    with pytest.raises(isospan.UsageError, match="coordinate y is uneven"):
-        made(uneven, tmp_path, "bad")
+    for bad in (np.arange(ny) % 7, np.full(ny, 2.0), np.where(np.arange(ny) == 3, np.nan, 1.0)):
+        with pytest.raises(isospan.UsageError, match="coordinate y neither rises nor falls"):
+            made(data.assign_coords(y=bad), tmp_path, "bad")
     with pytest.raises(isospan.UsageError, match="tell spacing"):
         made(data, tmp_path, "bad", spacing=(1, 1, 1))
     expect_same(made(xarray.DataArray(field()), tmp_path, "none"), expected)
+
+
+@pytest.mark.parametrize("falls", [False, True])
+def test_uneven_coordinates_of_an_xarray(tmp_path, falls):
+    nz, ny, nx = field().shape
+    levels = 1000.0 - 3 * np.arange(nz) ** 1.7
+    latitudes = np.degrees(np.arcsin(np.linspace(-0.9, 0.9, ny)))
+    coords = {
+        "plev": ("plev", levels if falls else levels[::-1], {"units": "hPa", "axis": "Z"}),
+        "lat": ("lat", latitudes, {"units": "degrees_north"}),
+        "lon": ("lon", np.arange(nx) * 2.5, {"units": "degrees_east"}),
+    }
+    data = xarray.DataArray(field(), coords=coords, dims=("plev", "lat", "lon"), name="T")
+    archive = isospan.reduce(data, tmp_path / "a.isospan")
+    assert archive.info["grid_cells"] is not None
+    # The library reads the same coordinates of a file.
+    data.to_netcdf(tmp_path / "f.nc", engine="h5netcdf")
+    of_file = isospan.reduce(tmp_path / "f.nc", tmp_path / "f.isospan", field="T")
+    ours, theirs = archive.surface(0.25), of_file.surface(0.25)
+    np.testing.assert_array_equal(ours.vertices, theirs.vertices)
+    np.testing.assert_array_equal(ours.faces, theirs.faces)
+    x0, x1, y0, y1, z0, z1 = ours.bounds
+    assert x1 <= 2.5 * (nx - 1) and y0 >= latitudes[0] and levels.min() <= z0 < z1 <= 1000
+    # A dask array of it, and the steps of a series.
+    lazy = isospan.reduce(data.chunk({"plev": 5}), tmp_path / "lazy.isospan")
+    np.testing.assert_array_equal(lazy.surface(0.25).vertices, ours.vertices)
+    steps = xarray.concat([data, data + 1], dim=xarray.Variable("time", [0.0, 6.0]))
+    series = isospan.reduce(steps, tmp_path / "series.isospan")
+    np.testing.assert_array_equal(series.surface(0.25, step=0).vertices, ours.vertices)
+    assert series.surface(1.25, time=6).bounds is not None
+    # Other coordinates are another archive.
+    moved = data.assign_coords(lat=latitudes * 0.9)
+    with pytest.raises(isospan.UsageError):
+        isospan.reduce(moved, tmp_path / "a.isospan")
+    # Even ones, in single precision too, are a spacing.
+    even = data.assign_coords(plev=np.arange(nz), lat=np.arange(ny) * np.float32(0.1) + np.float32(47))
+    even = isospan.reduce(even, tmp_path / "even.isospan")
+    assert even.info.get("grid_cells") is None
+    np.testing.assert_allclose(even.spacing, (2.5, 0.1, 1), rtol=1e-4)
 
 
 def test_units(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import isospan
-from isospan import _surface
+from isospan import _archive, _labels, _reduce, _surface
 
 
 @pytest.fixture(scope="module")
@@ -75,11 +75,37 @@ def test_a_surface_knows_its_numbers(sphere_archive):
     assert "<table>" in sphere._repr_html_() and "<table>" in sphere_archive._repr_html_()
 
 
-def test_examples_of_docstrings(sphere_archive):
-    space = {"sphere": sphere_archive.surface(20), "np": np}
-    finder = doctest.DocTestFinder()
-    found = [t for t in finder.find(_surface.Surface, globs=space) if t.examples]
-    assert len(found) >= 5
+@pytest.fixture(scope="module")
+def organs(tmp_path_factory):
+    """An image of two labels, and its archive."""
+    image = np.zeros((20, 24, 28), np.uint8)
+    image[5:15, 4:14, 6:16] = 3
+    image[5:15, 4:14, 16:21] = 7
+    path = tmp_path_factory.mktemp("organs") / "organs.isospan"
+    return image, isospan.reduce(image, path, labels=True)
+
+
+#: What has examples, and how many at least.
+DOCUMENTED = [(_surface.Surface, 5), (_labels.LabelSurface, 4), (_archive.Archive, 9), (_reduce, 6)]
+
+
+@pytest.mark.parametrize("kind, least", DOCUMENTED, ids=lambda k: getattr(k, "__name__", ""))
+def test_examples_of_docstrings(sphere_archive, organs, tmp_path, kind, least):
+    image, archive = organs
+    z, y, x = np.mgrid[-1:1:20j, -1:1:24j, -1:1:28j]
+    space = {
+        **vars(kind if kind is _reduce else isospan),
+        "np": np,
+        "sphere": sphere_archive.surface(20),
+        "archive": sphere_archive,
+        "image": image,
+        "organs": archive,
+        "liver": archive.label_surface(3, label_table={3: ("liver", (200, 60, 50))}),
+        "ball": (x * x + y * y + z * z).astype(np.float32),
+        "folder": tmp_path,
+    }
+    found = [t for t in doctest.DocTestFinder().find(kind, globs=space) if t.examples]
+    assert sum(len(test.examples) for test in found) >= least
     runner = doctest.DocTestRunner()
     assert sum(runner.run(test).failed for test in found) == 0
 

@@ -74,6 +74,38 @@ def test_bytes_are_those_of_the_program(volume, program, tmp_path, keywords, fla
     assert archive.report["points"] == archive.info["points"]
 
 
+@pytest.mark.parametrize(
+    "keywords, flags",
+    [
+        ({}, []),
+        ({"points": "halton", "fraction": "1/4"}, ["--points=halton", "--fraction=1/4"]),
+        ({"points": "hammersley", "target_rms": "5%"}, ["--points=hammersley", "--target-rms=5%"]),
+        ({"size": "4KiB"}, ["--size=4KiB"]),
+    ],
+)
+def test_a_plan_is_that_of_the_program(volume, program, tmp_path, keywords, flags):
+    out = tmp_path / "a.isospan"
+    flags = [*flags, "--memory=256MiB", "--dry-run", "--json"]
+    expected = program("reduce", volume, "-o", out, *flags)
+    found = isospan.plan(volume, out, memory="256MiB", **keywords)
+    of_array = isospan.plan(np.load(volume), out, memory="256MiB", **keywords)
+    assert found.pop("refused") is None and of_array.pop("refused") is None
+    # What is free changes from moment to moment.
+    for report in (expected, found, of_array):
+        report.pop("archive_free"), report.pop("scratch_free")
+    assert found == expected and found["samples"] == 10 * 14 * 12
+    assert of_array["archive_bytes"] == expected["archive_bytes"]
+    assert not out.exists()
+
+
+def test_a_plan_says_what_is_refused(volume, tmp_path):
+    found = isospan.plan(volume, tmp_path / "a.isospan", memory="10kB")
+    assert found["workers"] == 0 and "memory" in found["refused"]
+    with pytest.raises(isospan.BudgetError) as caught:
+        isospan.reduce(volume, tmp_path / "a.isospan", memory="10kB")
+    assert str(caught.value) == found["refused"]
+
+
 TARGETS = [
     ({"target_rms": "8%"}, ["--target-rms=8%"]),
     ({"target_max": "45%"}, ["--target-max=45%"]),

@@ -24,6 +24,19 @@ pub(in crate::formats) fn rectilinear(
     lines: [Option<Vec<f64>>; 3],
     dims: [u64; 3],
 ) -> Result<GridCoordinates> {
+    tables(path, name, lines, dims).map(GridCoordinates::Axes)
+}
+
+/// The tables of such a grid.
+///
+/// # Errors
+/// Those of [`rectilinear`].
+pub(in crate::formats) fn tables(
+    path: &Path,
+    name: &str,
+    lines: [Option<Vec<f64>>; 3],
+    dims: [u64; 3],
+) -> Result<[Vec<f64>; 3]> {
     let mut axes: [Vec<f64>; 3] = Default::default();
     for (a, line) in lines.into_iter().enumerate() {
         // An axis without coordinates has the numbers of its samples.
@@ -37,7 +50,7 @@ pub(in crate::formats) fn rectilinear(
         }
         axes[a] = values;
     }
-    Ok(GridCoordinates::Axes(axes))
+    Ok(axes)
 }
 
 /// Start and step of numbers that are regular to a thousandth of a step or, with `single`

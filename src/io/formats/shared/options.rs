@@ -27,6 +27,10 @@ pub struct OpenOptions {
     /// World coordinates of the first sample, for a format without an origin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin: Option<[f64; 3]>,
+    /// Whether these two count in place of those that a file tells, too, and of its coordinates.
+    /// Without, they are refused for such a file.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub replaces_place: bool,
     /// Whether files are mapped or read. Does not change what is read.
     pub io: IoMode,
     /// A text file of one number a point, for meshes whose format keeps values apart: TetGen,
@@ -127,9 +131,19 @@ impl OpenOptions {
         Assumed { axes: axes.map(|axis| axis && !is_given), can_be_given: axes == [true; 3] }
     }
 
+    /// Whether a spacing or an origin is given.
+    fn places(&self) -> bool {
+        self.spacing.is_some() || self.origin.is_some()
+    }
+
+    /// Whether what a file tells of the places of its samples does not count.
+    pub(in crate::formats) fn replaces_coordinates(&self) -> bool {
+        self.replaces_place && self.places()
+    }
+
     /// Refuses a spacing and an origin for a file that has its own.
     pub(in crate::formats) fn refuse_geometry(&self, path: &Path, what: &str) -> Result<()> {
-        if self.spacing.is_none() && self.origin.is_none() {
+        if self.replaces_place || !self.places() {
             return Ok(());
         }
         let path = path.display();

@@ -80,6 +80,22 @@ pub(in crate::pipeline) fn label_meshes(
     Ok(meshes)
 }
 
+/// The labels with the sizes of their surfaces, which are not kept: see
+/// [`LabelQuery::sizes`](crate::pipeline::LabelQuery::sizes).
+pub(in crate::pipeline) fn label_sizes(
+    view: &StepView,
+    settings: &LabelSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<OneLabel>> {
+    let scratch = settings.resources.scratch_folder();
+    let mut work = Work::new(view, settings, &scratch, progress)?;
+    let mut sizes = vec![];
+    while let Some(label) = work.next_label() {
+        sizes.push(work.add(label, Path::new(""), &mut work.surface())?);
+    }
+    Ok(sizes)
+}
+
 /// The files that surfaces of labels are written to, where they are known before work.
 pub(in crate::pipeline) fn label_files(settings: &LabelSettings, out: &Path) -> Vec<PathBuf> {
     match &settings.labels {

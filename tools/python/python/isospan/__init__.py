@@ -26,7 +26,8 @@ from ._errors import (
     UsageError,
 )
 from ._isospan import __version__
-from ._reduce import append, reduce
+from ._labels import Label, LabelSurface
+from ._reduce import append, plan, reduce
 from ._surface import Surface, save_surfaces
 
 __all__ = [
@@ -37,6 +38,8 @@ __all__ = [
     "Error",
     "FileError",
     "IncompleteError",
+    "Label",
+    "LabelSurface",
     "NoSuchError",
     "Notice",
     "Spectrum",
@@ -46,6 +49,7 @@ __all__ = [
     "__version__",
     "append",
     "open",
+    "plan",
     "reduce",
     "save_surfaces",
 ]

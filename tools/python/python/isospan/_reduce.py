@@ -129,8 +129,11 @@ def reduce(
         series. An xarray whose coordinates say which axis they are, by CF's ``axis``,
         ``standard_name`` or ``units``, or by name, may have any order; of a Dataset, ``field`` names
         the variable.
-        Arrays are read box by box. Those of NumPy are read in place, and must not change meanwhile;
-        others are read once, each of their chunks once, into a temporary file in ``scratch``.
+        Coordinates of an xarray that are uneven, such as pressure levels, make a rectilinear grid.
+        Arrays of NumPy are read in place, and must not change meanwhile. So are those of Zarr in a
+        folder and of h5py in a file, as by the path of that: with the place, units, scale factors
+        and missing values that the file tells. Others are read once, each of their chunks once,
+        into a temporary file in ``scratch``.
     out: the archive to make, a folder NAME.isospan. Where this very archive is there already, or a
         part of it, nothing is made but what it lacks.
     target_rms, target_max: the error that is not to be exceeded, in units of the field or "1%" of
@@ -154,11 +157,12 @@ def reduce(
         measured besides, of an archive that is reduced again its source.
     times: of a series, the times of its steps. keep_going: leave out steps that cannot be used.
     spacing, origin: of an array, distance of its samples and place of the first one, x, y, z, in
-        world units; 1 and 0 if not given. An xarray tells them itself. They are also those of a
-        file without its own: raw, TIFF, NPY, NPZ.
+        world units; of an array in a file those of the file, else 1 and 0 if not given. An xarray
+        tells them itself. They are also those of a file without its own: raw, TIFF, NPY, NPZ.
     unit, length_unit, time_unit: units of the values, of lengths in the world and of times, as they
         are shown; those that a file, or the attributes of an xarray, name if not given.
-    name: of an array, what it is called in messages and in the archive.
+    name: of an array in memory, what it is called in messages and in the archive. channel: also of
+        an array of Zarr or h5py in a file.
     force: replace an archive that is there already.
     threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or "50%";
         half of what the process may use if not given. scratch: folder for temporary files.
@@ -167,6 +171,10 @@ def reduce(
         run.
 
     Ctrl-C stops the run; the same call continues it, a search for a target at its try.
+
+    >>> archive = reduce(ball, folder / "ball.isospan", target_max="1%", spacing=(0.5, 0.5, 1))
+    >>> archive.dims, archive.spacing, archive.target_met
+    ((28, 24, 20), (0.5, 0.5, 1.0), True)
     """
     choices = {k: v for k, v in locals().items() if k not in ("source", "out", "progress")}
     before = [f"--output={os.fspath(out)}"]
@@ -178,6 +186,82 @@ def reduce(
     archive = Archive(out)
     archive.report = report
     return archive
+
+
+def plan(
+    source: Any,
+    out: PathLike,
+    *,
+    name: str | None = None,
+    progress: Progress = None,
+    # Flags of isospan reduce, by tools/python/keywords.
+    times: Sequence[float] | str | None = None,
+    fields: Sequence[str] | str | None = None,
+    unit: str | None = None,
+    length_unit: str | None = None,
+    time_unit: str | None = None,
+    keep_going: bool = False,
+    points: str | None = None,
+    fraction: float | str | None = None,
+    count: int | str | None = None,
+    adapt: bool = False,
+    focus: Sequence[float] | str | None = None,
+    shift: float | str | None = None,
+    cross_m: int | str | None = None,
+    cross_k: int | str | None = None,
+    cross_r: Sequence[int] | str | None = None,
+    interp: str | None = None,
+    values: str | None = None,
+    nan: float | str | None = None,
+    missing: float | str | None = None,
+    keyframes: int | str | None = None,
+    chunk_points: int | str | None = None,
+    value_bits: float | str | None = None,
+    measure: bool = True,
+    target_rms: float | str | None = None,
+    target_max: float | str | None = None,
+    size: int | str | None = None,
+    ratio: float | str | None = None,
+    lossless: bool = False,
+    labels: bool = False,
+    against: PathLike | None = None,
+    threads: int = 0,
+    memory: int | str | None = None,
+    scratch: PathLike | None = None,
+    force: bool = False,
+    field: str | None = None,
+    channel: int | str | None = None,
+    scale: int | str | None = None,
+    value_file: PathLike | None = None,
+    jumps: bool = False,
+    dims: Sequence[int] | str | None = None,
+    type: str | None = None,
+    endian: str | None = None,
+    offset: int | str | None = None,
+    spacing: Sequence[float] | str | None = None,
+    origin: Sequence[float] | str | None = None,
+    io: str | None = None,
+    # End of flags.
+) -> dict[str, Any]:
+    """What a reduction would need, as ``isospan reduce --dry-run --json`` prints it; nothing is
+    made.
+
+    Arguments are as for :func:`reduce`. Of the report, ``archive_bytes``, ``memory_least``,
+    ``memory_comfortable`` and ``scratch_bytes`` are bytes, ``estimated_seconds`` is the time, and
+    ``workers`` the chunks at work at one time. ``refused`` says why :func:`reduce` would refuse; None
+    where it would not. An array that is copied first is copied for this, too.
+
+    >>> found = plan(ball, folder / "none.isospan", target_rms="1%")
+    >>> found["samples"], found["refused"], found["memory_least"] > 0
+    (13440, None, True)
+    """
+    choices = {k: v for k, v in locals().items() if k not in ("source", "out", "progress")}
+    before = [f"--output={os.fspath(out)}"]
+    with (
+        Reporter(progress) as callback,
+        _asked("reduce", before, [], source, choices) as (arguments, volumes),
+    ):
+        return _isospan.estimate(arguments, volumes, callback)
 
 
 def append(
@@ -248,7 +332,7 @@ def _asked(
             yield _arguments(command, before, [*inputs, *_paths(found.source)], choices), None
             return
         _only_files(choices)
-        place = {key: choices.pop(key) for key in ("spacing", "origin")}
+        place = {key: choices.pop(key) for key in ("spacing", "origin", "channel")}
         given = sources(found.source, name=name, **place)
         if given.times is not None and choices["times"] is None:
             choices["times"] = given.times
@@ -279,7 +363,7 @@ def _only_arrays(**given: Any) -> None:
 
 
 def _only_files(choices: dict[str, Any]) -> None:
-    for name in ("field", "channel", "scale", "value_file", "dims", "type", "endian", "offset", "io"):
+    for name in ("field", "scale", "value_file", "dims", "type", "endian", "offset", "io"):
         if choices[name] is not None:
             raise UsageError(f"{name} is for files, not for arrays")
     if choices["jumps"]:

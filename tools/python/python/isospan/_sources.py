@@ -1,7 +1,8 @@
 """What volumes are made of: arrays of NumPy, Zarr, h5py, dask and xarray, each read box by box.
 
-An array has three dimensions and is indexed [z, y, x]. One in memory, or mapped from a file, is
-read in place. Of any other, boxes are read one after another, once, each a group of whole chunks.
+An array has three dimensions and is indexed [z, y, x]. One in memory, or in a file that the library
+reads itself, is read in place. Of any other, boxes are read one after another, once, each a group of
+whole chunks.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from . import _isospan
 from ._errors import NoSuchError, UsageError
+from ._files import place_of, volumes_of
 from ._meshes import Image, Plain
 
 #: Names of the types of samples that the library has, by kind and bytes of a NumPy type.
@@ -45,23 +47,48 @@ def sources(
     spacing: Sequence[float] | None = None,
     origin: Sequence[float] | None = None,
     name: str | None = None,
+    channel: Any = None,
 ) -> Given:
     """The volumes of an array, or of a list of arrays, which are the steps of a series."""
+    places = {"spacing": _triple(spacing, "spacing"), "origin": _triple(origin, "origin")}
+    return _given(source, places, name, None if channel is None else str(channel))
+
+
+#: Spacing and origin, as far as the user gives them.
+_Places = dict[str, "list[float] | None"]
+
+
+def _given(source: Any, places: _Places, name: str | None, channel: str | None) -> Given:
     listed = list(source) if isinstance(source, (list, tuple)) else [source]
     listed = [_ordered(array) if _is_xarray(array) else array for array in listed]
     if not listed:
         raise UsageError("there is no volume to reduce")
     if len(listed) == 1 and _is_series(listed[0]):
-        return _series(listed[0], spacing, origin, name)
+        return _series(listed[0], places, name)
     given = Given([], [])
     for number, array in enumerate(listed):
         called = name or _name_of(array)
         called = called if len(listed) == 1 else f"{called}_{number}"
-        given.volumes.append(_volume(array, spacing, origin, called))
+        volumes = _in_file(array, places, name, channel)
+        if volumes is None and channel is not None:
+            raise UsageError("channel is for files, not for arrays")
+        given.volumes += [_volume(array, places, called)] if volumes is None else volumes
         given.names.append(called)
     given.unit = _common(_unit_of(array) for array in listed)
     given.length_unit = _common(_length_unit_of(array) for array in listed)
     return given
+
+
+def _in_file(
+    array: Any, places: _Places, name: str | None, channel: str | None
+) -> list[_isospan.Volume] | None:
+    """The volumes of an array that is read in its file."""
+    place = place_of(array)
+    if place is None:
+        return None
+    if name is not None:
+        raise UsageError(f"name is for arrays in memory; this one is in {place.path}")
+    return volumes_of(array, place, places["spacing"], places["origin"], channel)
 
 
 def _common(units: Iterable[str | None]) -> str | None:
@@ -175,7 +202,7 @@ def _is_series(array: Any) -> bool:
     return _is_xarray(array) and array.ndim == 4
 
 
-def _series(array: Any, spacing: Any, origin: Any, name: str | None) -> Given:
+def _series(array: Any, places: _Places, name: str | None) -> Given:
     """The steps along the first dimension of an xarray of four."""
     along = array.dims[0]
     times = None
@@ -186,7 +213,7 @@ def _series(array: Any, spacing: Any, origin: Any, name: str | None) -> Given:
         in_seconds = array.coords[along].dtype.kind in "mM"
         time_unit = "s" if in_seconds else _unit_of(array.coords[along])
     steps = [array.isel({along: n}) for n in range(array.shape[0])]
-    given = sources(steps, spacing=spacing, origin=origin, name=name)
+    given = _given(steps, places, name, None)
     given.times, given.time_unit = times, time_unit
     return given
 
@@ -207,22 +234,31 @@ def _name_of(array: Any) -> str:
     return "array"
 
 
-def _volume(array: Any, spacing: Any, origin: Any, name: str) -> _isospan.Volume:
-    direction = None
+def _place(places: _Places) -> dict[str, Any]:
+    """Where samples lie: as the user says, else at whole numbers."""
+    return {
+        "spacing": places["spacing"] or [1.0] * 3,
+        "origin": places["origin"] or [0.0] * 3,
+        "direction": None,
+        "axes": None,
+    }
+
+
+def _volume(array: Any, places: _Places, name: str) -> _isospan.Volume:
+    is_given = any(given is not None for given in places.values())
+    place = _place(places)
     if isinstance(array, Image):
-        if spacing is not None or origin is not None:
+        if is_given:
             raise UsageError("an image tells spacing and origin itself: give neither")
-        spacing, origin, direction = array.spacing, array.origin, array.direction
+        place.update(spacing=array.spacing, origin=array.origin, direction=array.direction)
         array = array.array
     if _is_xarray(array):
-        if spacing is not None or origin is not None:
+        if is_given:
             raise UsageError("the coordinates of an xarray tell spacing and origin: give neither")
-        spacing, origin = _geometry_of(array)
+        place.update(_geometry_of(array))
         # One of a file is read box by box, through xarray.
         if array.chunks is not None or "source" not in array.encoding:
             array = array.data
-    spacing = _triple(spacing, 1.0, "spacing")
-    origin = _triple(origin, 0.0, "origin")
     dtype, shape = getattr(array, "dtype", None), getattr(array, "shape", None)
     if dtype is None or shape is None:
         raise UsageError(
@@ -240,73 +276,75 @@ def _volume(array: Any, spacing: Any, origin: Any, name: str) -> _isospan.Volume
         )
     if isinstance(array, np.ndarray) and any(s == 0 for s, n in zip(array.strides, shape) if n > 1):
         # Repeated samples have no places of their own.
-        return _boxes(array, dtype, spacing, origin, name)
+        return _boxes(array, dtype, place, name)
     if isinstance(array, np.ndarray) and dtype == np.bool_:
         array, dtype = array.view(np.uint8), np.dtype(np.uint8)
     scalar = _scalar(dtype)
     if isinstance(array, np.ndarray) and scalar is not None:
-        return _isospan.Volume.of_array(name, array, scalar, origin, spacing, direction)
-    return _boxes(array, dtype, spacing, origin, name)
+        return _isospan.Volume.of_array(name, array, scalar, place)
+    return _boxes(array, dtype, place, name)
 
 
 def _scalar(dtype: np.dtype) -> str | None:
     return _SCALARS.get(f"{dtype.kind}{dtype.itemsize}")
 
 
-def _triple(values: Any, default: float, what: str) -> list[float]:
+def _triple(values: Any, what: str) -> list[float] | None:
     if values is None:
-        return [default] * 3
-    found = [float(v) for v in values]
+        return None
+    try:
+        found = [float(v) for v in (values.split(",") if isinstance(values, str) else values)]
+    except (TypeError, ValueError):
+        found = []
     if len(found) != 3:
-        raise UsageError(f"{what} is three numbers, for x, y and z")
+        raise UsageError(f"{what} is three numbers, for x, y and z, not {values!r}")
     return found
 
 
-def _geometry_of(array: Any) -> tuple[list[float], list[float]]:
-    """Spacing and origin along x, y, z that the coordinates tell."""
+def _geometry_of(array: Any) -> dict[str, Any]:
+    """Spacing and origin along x, y, z that the coordinates tell; all coordinates where those of
+    one of the axes are uneven."""
     if array.ndim != 3:
         raise UsageError(f"a volume has three dimensions, [z, y, x]; this array has {array.dims}")
-    spacing, origin = [], []
-    for along in reversed(array.dims):
-        step, first = _regular(array, along)
-        spacing.append(step)
-        origin.append(first)
-    return spacing, origin
+    lines = [_line(array, along) for along in reversed(array.dims)]
+    even = [found for found in map(_even, lines) if found is not None]
+    if len(even) < len(lines):
+        return {"axes": [line.astype(np.float64).tolist() for line in lines]}
+    return {"spacing": [step for step, _ in even], "origin": [first for _, first in even]}
 
 
-def _regular(array: Any, along: str) -> tuple[float, float]:
-    """Step and start of a coordinate, which has to be even: within 1e-5 of a step, as f32 may have
-    it."""
+def _line(array: Any, along: Any) -> np.ndarray:
+    """The coordinates along a dimension: numbers that rise or fall."""
     if along not in array.coords:
-        return 1.0, 0.0
-    values = np.asarray(array.coords[along].values)
-    if values.dtype.kind not in "iuf":
-        raise UsageError(f"the coordinate {along} is of type {values.dtype}, not of numbers")
-    values = values.astype(np.float64)
+        return np.arange(array.sizes[along], dtype=np.float64)
+    line = np.asarray(array.coords[along].values)
+    if line.dtype.kind not in "iuf":
+        raise UsageError(f"the coordinate {along} is of type {line.dtype}, not of numbers")
+    steps = np.diff(line.astype(np.float64))
+    if not np.isfinite(line).all() or not ((steps > 0).all() or (steps < 0).all()):
+        raise UsageError(f"the coordinate {along} neither rises nor falls throughout")
+    return line
+
+
+def _even(line: np.ndarray) -> tuple[float, float] | None:
+    """Step and start of coordinates that are even to a thousandth of a step or, in single
+    precision, within their rounding, as the library has it; else None."""
+    values = line.astype(np.float64)
     if len(values) < 2:
         return 1.0, float(values[0])
     step = (values[-1] - values[0]) / (len(values) - 1)
-    even = values[0] + step * np.arange(len(values))
-    off = np.abs(values - even)
-    rounding = (
-        np.spacing(np.abs(values).max().astype(array.coords[along].dtype.char))
-        if (array.coords[along].dtype.kind == "f")
-        else 0.0
-    )
-    if (
-        not np.isfinite(values).all()
-        or step == 0
-        or off.max() > max(1e-5 * abs(step), 2 * rounding)
-    ):
-        worst = int(np.argmax(off))
-        raise UsageError(
-            f"the coordinate {along} is uneven: {values[worst]:g} at {worst}, where "
-            f"{even[worst]:g} would be even; interpolate to an even one first (DataArray.interp)"
-        )
+    rounding = 0.0
+    if line.dtype.kind == "f" and line.dtype.itemsize <= 4:
+        rounding = float(np.abs(values).max() * np.finfo(line.dtype).eps)
+    near = max(1e-3 * abs(step), min(rounding, 0.05 * abs(step)))
+    if (np.abs(values - (values[0] + step * np.arange(len(values)))) > near).any():
+        return None
     return float(step), float(values[0])
 
 
-def _boxes(array: Any, dtype: np.dtype, spacing: Any, origin: Any, name: str) -> _isospan.Volume:
+def _boxes(
+    array: Any, dtype: np.dtype, place: dict[str, Any], name: str
+) -> _isospan.Volume:
     """A volume that is read in boxes of whole chunks."""
     scalar = _scalar(dtype)
     stored: np.dtype[Any]
@@ -334,7 +372,7 @@ def _boxes(array: Any, dtype: np.dtype, spacing: Any, origin: Any, name: str) ->
             yield lo, hi, np.ascontiguousarray(part, dtype=stored).tobytes()
 
     return _isospan.Volume.of_boxes(
-        name, [nx, ny, nz], _SCALARS[stored.str[1:]], origin, spacing, read
+        name, [nx, ny, nz], _SCALARS[stored.str[1:]], place, read
     )
 
 

@@ -118,7 +118,7 @@ class Surface:
         >>> len(sphere.components())
         1
         """
-        return [Surface(core) for core in self._core.components()]
+        return [type(self)(core) for core in self._core.components()]
 
     def compare(
         self,
@@ -158,22 +158,23 @@ class Surface:
         return self.to_pyvista().plot(**choices)
 
     def _repr_html_(self) -> str:
+        return _table(f"isospan.{type(self).__name__}", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        """What notebooks show."""
         report = self._report
         volume = "open" if report["volume"] is None else f"{report['volume']:.6g}"
-        return _table(
-            "isospan.Surface",
-            {
-                "isovalue": f"{self.isovalue:g}",
-                "vertices": f"{report['vertices']:,}",
-                "triangles": f"{report['triangles']:,}",
-                "area": f"{report['area']:.6g}",
-                "volume": volume,
-                "components": f"{report['components']:,}",
-            },
-        )
+        return {
+            "isovalue": f"{self.isovalue:g}",
+            "vertices": f"{report['vertices']:,}",
+            "triangles": f"{report['triangles']:,}",
+            "area": f"{report['area']:.6g}",
+            "volume": volume,
+            "components": f"{report['components']:,}",
+        }
 
     def save(self, path: PathLike) -> int:
-        """Writes a file, .ply, .stl, .obj, .vtp, .vtkhdf or .glb, and returns its bytes.
+        """Writes a file, .ply, .stl, .obj, .vtp, .vtkhdf, .glb or .3mf, and returns its bytes.
 
         It is the file that ``isospan surface`` writes, and replaces one that is there, as ``numpy.save``
         does.
@@ -200,7 +201,8 @@ class Surface:
 
     def __reduce__(self) -> Any:
         core = self._core
-        return _unpickle, (*core.to_bytes(), self.isovalue, core.about, list(core.origin))
+        about = (self.isovalue, core.about, list(core.origin))
+        return _unpickle, (*core.to_bytes(), *about, type(self))
 
 
 def _unpickle(
@@ -209,13 +211,15 @@ def _unpickle(
     isovalue: float,
     about: str,
     origin: Sequence[float] = (0.0, 0.0, 0.0),
+    kind: type[Surface] = Surface,
 ) -> Surface:
-    return Surface(_isospan.Surface(vertices, faces, isovalue, about, list(origin)))
+    return kind(_isospan.Surface(vertices, faces, isovalue, about, list(origin)))
 
 
 def save_surfaces(surfaces: Sequence[Surface], path: PathLike) -> int:
     """Writes several surfaces of an archive to one file, and returns its bytes.
 
-    PLY, VTP and VTKHDF files have an array ``isovalue`` then, OBJ files a group for each surface.
+    PLY, VTP and VTKHDF files have an array ``isovalue`` then, of labels ``label``, OBJ files a group
+    for each surface, GLB files a node.
     """
     return _isospan.Surface.save_all([surface._core for surface in surfaces], path)

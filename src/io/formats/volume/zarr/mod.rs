@@ -235,8 +235,9 @@ impl Group {
         }
         let geometry = match &image {
             Some(image) => image.placed(array, axes)?,
-            None => given_geometry(path, options, cf::placed(&array.file, &lines, [0, 1, 2], [1.0; 3])?)?,
+            None => cf::placed(&array.file, &lines, [0, 1, 2], [1.0; 3])?,
         };
+        let geometry = given_geometry(path, options, geometry)?;
         let mut info = plain_info(path, format_name(array, image.is_some()), dims, array.scalar, geometry);
         if image.is_none() {
             refuse_hyperspy(store, array)?;
