@@ -347,7 +347,7 @@ impl Given {
     }
 
     /// XXH3 (128 bits), in hexadecimal, of the identity of the volume where it has one; else of its
-    /// dimensions, type and stored samples.
+    /// dimensions, type and stored samples. Coordinates of a grid follow.
     fn hash(&self, cancel: &CancelToken) -> Result<String> {
         if let Some(known) = self.hash.get() {
             return Ok(known.clone());
@@ -370,6 +370,10 @@ impl Given {
                     hash.update(&slab);
                 }
             }
+        }
+        // The same samples at other places are another volume.
+        for number in self.axes.iter().flat_map(|axes| axes.iter().flatten()) {
+            hash.update(&number.to_le_bytes());
         }
         Ok(self.hash.get_or_init(|| format!("{:032x}", hash.digest128())).clone())
     }
@@ -744,6 +748,24 @@ mod tests {
 
     fn of(path: &Path) -> Result<Vec<StepSource>> {
         steps_of(&[path.to_path_buf()], &OpenOptions::default())
+    }
+
+    #[test]
+    fn a_volume_that_is_given_has_coordinates() {
+        let volume = || Arc::new(crate::volume::memory::volume_of("v", [3, 2, 1], vec![0u8; 6]).unwrap());
+        let axes = |x: [f64; 3]| [x.to_vec(), vec![5.0, 1.0], vec![7.0]];
+        let step = StepSource::given_on_axes("v", volume(), axes([0.0, 1.0, 4.0])).unwrap();
+        let Some(GridCoordinates::Axes(found)) = step.coordinates().unwrap() else { panic!("axes") };
+        assert_eq!(found, axes([0.0, 1.0, 4.0]));
+        let plain = StepSource::given("v", volume());
+        assert!(plain.coordinates().unwrap().is_none());
+        let moved = StepSource::given_on_axes("v", volume(), axes([0.0, 1.0, 5.0])).unwrap();
+        let hashes = [&plain, &step, &moved].map(|s| s.given_hash(&CancelToken::new()).unwrap().unwrap());
+        assert!(hashes[0] != hashes[1] && hashes[1] != hashes[2]);
+        let refused = |axes| StepSource::given_on_axes("v", volume(), axes).unwrap_err().to_string();
+        assert!(refused(axes([0.0, 2.0, 1.0])).contains("rise or fall"));
+        let [x, y, _] = axes([0.0, 1.0, 2.0]);
+        assert!(refused([x, y, vec![]]).contains("1 coordinates expected"));
     }
 
     #[test]

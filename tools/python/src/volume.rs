@@ -4,7 +4,7 @@
 use crate::errors::{exception, usage};
 use isospan::bytes::ByteSource;
 use isospan::exec::Progress;
-use isospan::formats::{Input, OpenOptions, StepSource, steps_of};
+use isospan::formats::{Input, OpenOptions, StepSource, counted_from, steps_of};
 use isospan::grid::{Geometry, IndexBox};
 use isospan::pipeline::{RunSettings, brick};
 use isospan::volume::bricked::BrickedVolume;
@@ -378,7 +378,17 @@ pub(crate) fn steps(
     progress: &dyn Progress,
 ) -> Result<Vec<StepSource>> {
     let steps = volumes.iter().map(|volume| volume.get().step(run, progress));
-    Ok(StepSource::holding_together(steps.collect::<Result<_>>()?))
+    Ok(counted_alike(StepSource::holding_together(steps.collect::<Result<_>>()?)))
+}
+
+/// Steps of several files whose times all count from the date of the first one.
+fn counted_alike(steps: Vec<StepSource>) -> Vec<StepSource> {
+    let first = steps.first().filter(|step| steps.len() > 1 && step.time.is_some() && !step.is_given());
+    let Some(Ok(Input::Volume(volume))) = first.map(StepSource::open) else { return steps };
+    match volume.info().units.time.clone() {
+        Some(unit) => counted_from(steps, &unit),
+        None => steps,
+    }
 }
 
 /// What the code of volumes has raised, if that is why the work has failed.

@@ -206,31 +206,48 @@ def test_values_are_those_of_the_file(tmp_path, without_copies):
 def test_what_is_not_read_in_its_file_is_copied(tmp_path):
     from numcodecs import Delta
 
+    # Differences of these are exact.
+    whole = np.round(100 * field())
     stored = zarr.create_array(
         tmp_path / "f.zarr",
-        shape=field().shape,
+        shape=whole.shape,
         chunks=(5, 7, 20),
         dtype="f4",
         zarr_format=2,
         filters=[Delta(dtype="f4")],
     )
-    stored[:] = field()
+    stored[:] = whole
     with pytest.warns(isospan.Notice, match="copied by zarr.*give spacing"):
         archive = isospan.reduce(stored, tmp_path / "a.isospan")
-    expected = isospan.reduce(field(), tmp_path / "expected.isospan").sample()
+    expected = isospan.reduce(whole, tmp_path / "expected.isospan").sample()
     np.testing.assert_array_equal(archive.sample(), expected)
     # In memory, without a file: no warning.
-    held = zarr.create_array(zarr.storage.MemoryStore(), shape=field().shape, chunks=(5, 7, 20), dtype="f4")
-    held[:] = field()
+    held = zarr.create_array(zarr.storage.MemoryStore(), shape=whole.shape, chunks=(5, 7, 20), dtype="f4")
+    held[:] = whole
     with h5py.File("held.h5", "w", driver="core", backing_store=False) as file:
-        file["T"] = field()
+        file["T"] = whole
         for number, array in enumerate((held, file["T"])):
             copy = isospan.reduce(array, tmp_path / f"{number}.isospan")
             np.testing.assert_array_equal(copy.sample(), expected)
     with h5py.File(tmp_path / "v.h5", "w") as file:
-        file["T"] = field()
-        layout = h5py.VirtualLayout(shape=field().shape, dtype="f4")
+        file["T"] = whole
+        layout = h5py.VirtualLayout(shape=whole.shape, dtype="f4")
         layout[:] = h5py.VirtualSource(file["T"])
         view = file.create_virtual_dataset("view", layout)
         copy = isospan.reduce(view, tmp_path / "v.isospan")
     np.testing.assert_array_equal(copy.sample(), expected)
+
+
+def test_times_of_files_count_from_one_date(tmp_path, without_copies):
+    paths, arrays = [], []
+    for day in (1, 2):
+        times = ("time", [0.0, 6.0], {"units": f"hours since 2000-01-0{day}"})
+        values = np.stack([field(time=day), field(time=day + 0.5)])
+        data = xarray.DataArray(values, coords={"time": times}, dims=("time", "z", "y", "x"), name="T")
+        data.to_dataset().to_zarr(tmp_path / f"{day}.zarr", zarr_format=2)
+        paths.append(tmp_path / f"{day}.zarr/T")
+        arrays.append(zarr.open_group(tmp_path / f"{day}.zarr", mode="r")["T"])
+    archive = isospan.reduce(arrays, tmp_path / "array.isospan")
+    assert [step["time"] for step in archive.steps] == [0, 6, 24, 30]
+    isospan.reduce(paths, tmp_path / "path.isospan")
+    assert same_files(tmp_path / "array.isospan", tmp_path / "path.isospan", but=())

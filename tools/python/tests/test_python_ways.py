@@ -77,30 +77,28 @@ def test_a_surface_knows_its_numbers(sphere_archive):
 
 @pytest.fixture(scope="module")
 def organs(tmp_path_factory):
-    """An image of two labels, and its archive."""
+    """The archive of an image of two labels."""
     image = np.zeros((20, 24, 28), np.uint8)
     image[5:15, 4:14, 6:16] = 3
     image[5:15, 4:14, 16:21] = 7
     path = tmp_path_factory.mktemp("organs") / "organs.isospan"
-    return image, isospan.reduce(image, path, labels=True)
+    return isospan.reduce(image, path, labels=True)
 
 
 #: What has examples, and how many at least.
-DOCUMENTED = [(_surface.Surface, 5), (_labels.LabelSurface, 4), (_archive.Archive, 9), (_reduce, 6)]
+DOCUMENTED = [(_surface.Surface, 5), (_labels.LabelSurface, 4), (_archive.Archive, 9), (_reduce, 4)]
 
 
 @pytest.mark.parametrize("kind, least", DOCUMENTED, ids=lambda k: getattr(k, "__name__", ""))
 def test_examples_of_docstrings(sphere_archive, organs, tmp_path, kind, least):
-    image, archive = organs
     z, y, x = np.mgrid[-1:1:20j, -1:1:24j, -1:1:28j]
     space = {
         **vars(kind if kind is _reduce else isospan),
         "np": np,
         "sphere": sphere_archive.surface(20),
         "archive": sphere_archive,
-        "image": image,
-        "organs": archive,
-        "liver": archive.label_surface(3, label_table={3: ("liver", (200, 60, 50))}),
+        "organs": organs,
+        "liver": organs.label_surface(3, label_table={3: ("liver", (200, 60, 50))}),
         "ball": (x * x + y * y + z * z).astype(np.float32),
         "folder": tmp_path,
     }

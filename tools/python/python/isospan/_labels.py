@@ -95,8 +95,8 @@ class LabelSurface(Surface):
     def voxels(self) -> int:
         """Voxels of the label.
 
-        >>> liver.voxels == np.count_nonzero(image == 3)
-        True
+        >>> liver.voxels
+        1000
         """
         return self._about["voxels"]
 

@@ -880,6 +880,13 @@ fn arrays_of_xarray_have_coordinates_packing_and_times() {
     };
     assert_eq!((&axes[1][..], &axes[2][..]), (&[30.0, 20.0, 10.0, 0.0][..], &[1000.0, 925.0, 700.0][..]));
     assert_eq!(axes[0], [0.0, 1.0, 2.0, 3.0, 4.0]);
+    // A spacing of the user counts where it may replace that of the file.
+    let refused = OpenOptions { spacing: Some([2.0, 3.0, 4.0]), ..named("temp:t1") };
+    assert!(open_volume(d, &refused).err().unwrap().to_string().contains("tells its own spacing"));
+    let moved = OpenOptions { replaces_place: true, ..refused };
+    assert!(open_coordinates(d, &moved).unwrap().is_none());
+    assert_eq!(open_volume(d, &moved).unwrap().info().geometry.spacing, [2.0, 3.0, 4.0]);
+    assert!(open_coordinates(d, &OpenOptions { spacing: None, ..moved }).unwrap().is_some());
     // Regular levels are a spacing.
     array("lev", json!([3]), "<f8", json!(["lev"]), json!({}), doubles(&[10.0, 12.0, 14.0]));
     assert!(open_coordinates(d, &named("temp:t1")).unwrap().is_none());
