@@ -46,8 +46,9 @@ mod samples;
 #[cfg(test)]
 mod tests;
 
+pub use crate::measure::SurfaceDistance;
 pub use nearest::{Nearest, NearestPoint, Triangles};
-pub use pieces::{Apart, apart};
+pub use pieces::apart;
 
 use crate::surface::check::{CheckSettings, SurfaceCheckReport, check_source};
 use crate::surface::{SurfaceSource, Vertex, vertices_from};

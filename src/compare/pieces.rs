@@ -3,9 +3,11 @@
 //! The surface that is measured to is taken in pieces, as many triangles as memory holds with their
 //! hierarchy. Each vertex looks in the pieces whose box it lies in first; then only in those whose
 //! box is nearer than what it has found. So distances are exact, and do not depend on the pieces.
-//! Mean and root mean square are integrals over the triangles, of the means of their corners.
+//! Mean and root mean square are integrals over the triangles, of the means of their corners. Of
+//! percentiles, each corner stands for a third of the triangle.
 
 use super::nearest::{Nearest, Triangles, Walk};
+use crate::measure::SurfaceDistance;
 use crate::surface::{SurfaceSource, vertices_from};
 use glam::DVec3;
 use isospan_io::bytes::paged::Paged;
@@ -14,19 +16,7 @@ use isospan_io::error::Result;
 use isospan_io::exec::{Resources, pool};
 use rayon::ThreadPool;
 use rayon::prelude::*;
-
-/// Distances of the vertices of a surface from another one.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Apart {
-    /// The largest.
-    pub max: f64,
-    /// The place of that vertex in the world.
-    pub max_at: [f64; 3],
-    /// Mean over the area.
-    pub mean: f64,
-    /// Root mean square over the area.
-    pub rms: f64,
-}
+use std::collections::BTreeMap;
 
 /// Bytes of a triangle of a piece: its corners, its share of vertices, the hierarchy.
 const TRIANGLE: u64 = 360;
@@ -45,7 +35,7 @@ pub fn apart(
     from: &dyn SurfaceSource,
     to: &dyn SurfaceSource,
     resources: &Resources,
-) -> Result<Option<Apart>> {
+) -> Result<Option<SurfaceDistance>> {
     if from.triangle_count() == 0 || to.triangle_count() == 0 {
         return Ok(None);
     }
@@ -166,29 +156,102 @@ impl Search<'_> {
     }
 
     /// Sums over the triangles of the surface.
-    fn summed_up(mut self, from: &dyn SurfaceSource, held: usize, origin: [f64; 3]) -> Result<Option<Apart>> {
+    fn summed_up(
+        mut self,
+        from: &dyn SurfaceSource,
+        held: usize,
+        origin: [f64; 3],
+    ) -> Result<Option<SurfaceDistance>> {
         let mut places = Cached::new(self.own, held);
-        let (mut out, mut area, mut sums) = (Apart { max: -1.0, ..Apart::default() }, 0.0, [0.0; 2]);
+        let mut sums = DistanceSums { max: -1.0, ..DistanceSums::default() };
         from.triangles(&mut |batch| {
             for t in batch {
                 let (mut corners, mut found) = ([DVec3::ZERO; 3], [0.0; 3]);
                 for (k, v) in t.iter().enumerate() {
                     corners[k] = DVec3::from_array(places.get(u64::from(*v))?.map(f64::from));
                     found[k] = self.best.get(u64::from(*v))?;
-                    if found[k] > out.max {
-                        out.max = found[k];
-                        out.max_at = (corners[k] + DVec3::from_array(origin)).to_array();
+                    if found[k] > sums.max {
+                        sums.max = found[k];
+                        sums.max_at = (corners[k] + DVec3::from_array(origin)).to_array();
                     }
                 }
                 let [a, b, c] = corners;
-                let own = (b - a).cross(c - a).length() / 2.0;
-                area += own;
-                sums[0] += own * found.iter().sum::<f64>() / 3.0;
-                sums[1] += own * found.iter().map(|d| d * d).sum::<f64>() / 3.0;
+                sums.add((b - a).cross(c - a).length() / 2.0, found);
             }
             Ok(())
         })?;
-        (out.mean, out.rms) = (sums[0] / area, (sums[1] / area).sqrt());
-        Ok((area > 0.0).then_some(out))
+        Ok(sums.finish())
+    }
+}
+
+/// Distances, and the areas that have them.
+#[derive(Default)]
+struct DistanceSums {
+    max: f64,
+    max_at: [f64; 3],
+    area: f64,
+    sum: f64,
+    squares: f64,
+    /// Areas by the upper bits of their distance.
+    areas: BTreeMap<u64, f64>,
+}
+
+/// Bits of a distance that tell no areas apart: ten of the mantissa do.
+const LOWER_BITS: u32 = 42;
+
+impl DistanceSums {
+    /// Adds a triangle of this area, whose corners have these distances.
+    fn add(&mut self, area: f64, distances: [f64; 3]) {
+        self.area += area;
+        self.sum += area * distances.iter().sum::<f64>() / 3.0;
+        self.squares += area * distances.iter().map(|d| d * d).sum::<f64>() / 3.0;
+        for distance in distances {
+            *self.areas.entry(distance.to_bits() >> LOWER_BITS).or_default() += area / 3.0;
+        }
+    }
+
+    /// The distance within which this part of the area lies.
+    fn within(&self, part: f64) -> f64 {
+        let all: f64 = self.areas.values().sum();
+        let mut sum = 0.0;
+        for (bits, area) in &self.areas {
+            sum += area;
+            if sum >= part * all {
+                // Distances of 0 are alone.
+                return if *bits == 0 { 0.0 } else { f64::from_bits((bits + 1) << LOWER_BITS).min(self.max) };
+            }
+        }
+        self.max
+    }
+
+    /// None without an area.
+    fn finish(self) -> Option<SurfaceDistance> {
+        (self.area > 0.0).then(|| SurfaceDistance {
+            max: self.max,
+            max_at: self.max_at,
+            mean: self.sum / self.area,
+            rms: (self.squares / self.area).sqrt(),
+            p95: self.within(0.95),
+            p99: self.within(0.99),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_those_of_areas() {
+        let mut sums = DistanceSums { max: 50.0, ..DistanceSums::default() };
+        // 94 of 100 at 0, 3 at 1, 2.5 at 3; the last half is far away.
+        for (area, distance) in [(94.0, 0.0), (3.0, 1.0), (2.5, 3.0), (0.5, 50.0), (0.0, 70.0)] {
+            sums.add(area, [distance; 3]);
+        }
+        let found = sums.finish().unwrap();
+        assert!((1.0..=1.0 + 1.0 / 1024.0).contains(&found.p95), "{found:?}");
+        assert!((3.0..=3.0 + 3.0 / 1024.0).contains(&found.p99), "{found:?}");
+        assert!((found.mean - 0.355).abs() < 1e-12 && (found.rms - 12.755f64.sqrt()).abs() < 1e-12);
+        assert_eq!(DistanceSums::default().finish(), None);
     }
 }

@@ -32,11 +32,13 @@
 //! ```
 
 mod bricks;
+mod distance;
 mod squares;
 mod sums;
 mod tally;
 
 pub(crate) use bricks::{BrickErrors, BrickRecord, merged};
+pub use distance::SurfaceDistance;
 pub(crate) use squares::Squares;
 pub use sums::ErrorSums;
 pub(crate) use sums::{BINS, EXPONENTS, LAST_DIGIT, Largest, Mantissas, shortest_between};

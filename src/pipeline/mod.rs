@@ -43,12 +43,13 @@ mod steps;
 mod surface;
 
 pub use crate::domain::store::MeshCensus;
+pub use crate::measure::SurfaceDistance;
 pub use addition::Addition;
 pub use archive::{Archive, Opening};
 pub use check::ArchiveCheck;
 pub use field::{
     Corners, ExportReport, ExportSettings, GridReport, GridSettings, MeasureReport, ProbeReport,
-    ProbeSettings, SurfaceDistance, SurfaceErrors, SurfaceSize,
+    ProbeSettings, SurfaceErrors, SurfaceSize,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
 pub use labels::LabelQuery;
@@ -67,8 +68,8 @@ pub use reduce::{
 pub use reduce::{changed_sources, estimate_series, reduce_series};
 pub use reduction::Reduction;
 pub use settings::{
-    Adapt, Amount, Bound, CompleteSettings, FieldValue, Focus, InputFacts, NanPolicy, ReduceSettings,
-    RunSettings, SetChoice, Target,
+    Adapt, Amount, Bound, CompleteSettings, FieldValue, Focus, InputFacts, Length, NanPolicy, ReduceSettings,
+    RunSettings, SetChoice, SurfaceTarget, Target,
 };
 pub use shards::{
     Committed, GcReport, NextTry, PlanReport, ShardNeeds, Shards, StatusReport, WorkReport, collect_garbage,

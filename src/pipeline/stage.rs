@@ -31,6 +31,8 @@ pub enum Stage {
     Commit,
     /// Measuring errors.
     Measure,
+    /// Measuring surfaces.
+    Surfaces,
     /// Verifying segments that were made before.
     Verify,
     /// Opening an archive, and reading its index.
@@ -93,6 +95,7 @@ impl Stage {
             Self::Write => "write",
             Self::Commit => "commit",
             Self::Measure => "measure",
+            Self::Surfaces => "surfaces",
             Self::Verify => "verify",
             Self::Open => "open, index",
             Self::Extract => "extract",

@@ -64,6 +64,7 @@ mod slurm;
 mod special;
 mod spectrum;
 mod stretched;
+mod surface_targets;
 mod targets;
 mod units;
 #[cfg(all(feature = "view", unix))]

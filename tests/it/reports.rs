@@ -129,6 +129,8 @@ fn every_report_is_as_its_schema_says() {
         &["reduce", "v?.npy", "-o", "s.isospan", "--times", "0,0.5,..."],
         &["append", "s.isospan", "v0.npy", "--times", "9"],
         &["reduce", "holes.npy", "-o", "h.isospan", "--nan", "mask", "--points", "hammersley"],
+        &["reduce", "v0.npy", "-o", "i.isospan", "-i", "0.1,1e6"],
+        &["reduce", "v0.npy", "-o", "j.isospan", "-i", "50%", "--target-surface", "1%"],
         &["reduce", "v0.npy", "-o", "k.isospan", "--points", "hammersley"],
         &["reduce", "v0.npy", "-o", "r.isospan", "--points", "regular"],
         &["reduce", "v0.npy", "-o", "x.isospan", "--points", "hyperbolic-cross"],

@@ -9,7 +9,7 @@
 //!  box             10:20,:,5:               triple          1,1,2.5
 //!  times           0,0.5,2   0,0.5,...      time span       2d  12h  30m  90s
 //!  type            uint16  u16  <f4         shard           3/16
-//!  length          0.5  0.1%             opacity         0.3  30%
+//!  length          0.5  2mm  0.1%          opacity         0.3  30%
 //!  label           7  -1  all
 //!  plane           z=40  x=50%          slab            z=40:  x=:50%  y=10:20
 //! ```
@@ -22,7 +22,7 @@ use isospan::archive::values::Quantiser;
 use isospan::exec::MOST_THREADS;
 use isospan::formats::raw::SampleType;
 pub use isospan::pipeline::FieldValue as Value;
-use isospan::pipeline::{Bound, Focus, NanPolicy, Roi, Shard, StepRange};
+use isospan::pipeline::{Bound, Focus, Length, NanPolicy, Roi, Shard, StepRange};
 use isospan::render::{ColourMap, Paint, Up, parse_colour};
 use isospan::volume::ScalarType;
 use isospan::volume::units::Unit;
@@ -136,20 +136,22 @@ pub fn error(text: &str) -> Parsed<Bound> {
     expected(found.filter(above_0), "an error above 0, as in 2.5 or 1%")
 }
 
-/// A length in world units, or a share of the diagonal of the domain.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Length {
-    World(f64),
-    OfDiagonal(f64),
-}
-
-/// A length: `0.5` in world units, or `0.1%` of the diagonal of the domain.
+/// A length: `0.5` in world units, `0.2mm`, or `0.1%` of the diagonal of the domain.
 pub(crate) fn length(text: &str) -> Parsed<Length> {
     let found = match percent(text) {
         Some(share) => Some(share).filter(|share| *share > 0.0).map(Length::OfDiagonal),
-        None => positive(text).map(Length::World),
+        None => positive(text).map(Length::World).or_else(|| length_of_a_unit(text.trim())),
     };
-    expected(found, "a length above 0, as in 0.5, or a share of the domain's diagonal, as in 0.1%")
+    expected(found, "a length above 0, as in 0.5 or 0.2mm, or a share of the domain's diagonal, as in 0.1%")
+}
+
+/// A number, and a unit of length behind it.
+fn length_of_a_unit(text: &str) -> Option<Length> {
+    let is_of_number = |c: char| c.is_ascii_digit() || ".+-".contains(c);
+    // An exponent ends with a digit, too.
+    let (end, last) = text.char_indices().rev().find(|(_, c)| is_of_number(*c))?;
+    let (number, unit) = text.split_at(end + last.len_utf8());
+    Length::of(positive(number)?, &Unit::length(unit)?)
 }
 
 fn value_of(text: &str) -> Option<Value> {
@@ -495,7 +497,9 @@ mod tests {
         assert_eq!((error("2.5"), error("1%")), (Ok(Bound::Value(2.5)), Ok(Bound::OfRange(0.01))));
         refused(error, &["", "0", "-1%", "0%", "x"]);
         assert_eq!((length("2.5"), length("1%")), (Ok(Length::World(2.5)), Ok(Length::OfDiagonal(0.01))));
-        refused(length, &["", "0", "-1", "0%", "x"]);
+        let millimetres = |value| Length::of(value, &Unit::length("mm").unwrap()).unwrap();
+        assert_eq!((length("0.2mm"), length(" 1e3 mm")), (Ok(millimetres(0.2)), Ok(millimetres(1e3))));
+        refused(length, &["", "0", "-1", "0%", "x", "0mm", "mm", "1 mm 2", "5px"]);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! Flags as keywords of Python: `tools/python/keywords` writes the package's signatures from what
 //! `isospan man --keywords COMMAND` prints.
 
-use super::grammar::{Range, Size};
+use super::grammar::{Range, Size, Value};
 use super::step::Times;
 use clap::builder::ArgAction;
 use clap::{Arg, Command};
-use isospan::pipeline::{Bound, NanPolicy};
+use isospan::pipeline::{Bound, Length, NanPolicy};
 use std::any::TypeId;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -46,8 +46,12 @@ fn type_of(arg: &Arg) -> &'static str {
         "PathLike"
     } else if is(&[TypeId::of::<u32>(), TypeId::of::<u64>(), TypeId::of::<Size>()]) {
         "int | str"
-    } else if is(&[TypeId::of::<f64>(), TypeId::of::<Bound>(), TypeId::of::<NanPolicy>()]) {
+    } else if is(&[TypeId::of::<f64>(), TypeId::of::<Bound>(), TypeId::of::<NanPolicy>()])
+        || is(&[TypeId::of::<Length>()])
+    {
         "float | str"
+    } else if is(&[TypeId::of::<Value>()]) {
+        "float | Sequence[float] | str"
     } else if is(&[TypeId::of::<[u32; 3]>(), TypeId::of::<[u64; 3]>()]) {
         "Sequence[int] | str"
     } else if is(&[TypeId::of::<[f64; 3]>(), TypeId::of::<Range>(), TypeId::of::<Times>()]) {

@@ -83,14 +83,14 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         super::print_json("measure", &report)
     } else {
         let mut out = report_text(&args.archive, &report);
-        report.surfaces.iter().for_each(|found| out += &surface_text(found, archive.units()));
+        report.surfaces.iter().for_each(|found| out += &surface_text(found, archive.units(), ""));
         super::print(&out)
     }
 }
 
-/// The errors of a surface in words.
-fn surface_text(found: &SurfaceErrors, units: &Units) -> String {
-    let mut out = format!("surface at {}{}\n", found.isovalue, text::unit(units.value.as_ref()));
+/// The errors of a surface in words; `of` says which, besides.
+pub(super) fn surface_text(found: &SurfaceErrors, units: &Units, of: &str) -> String {
+    let mut out = format!("surface at {}{}{of}\n", found.isovalue, text::unit(units.value.as_ref()));
     let value = |v: f64| text::value(text::figures(v, 6));
     let unit = text::unit(units.length.as_ref());
     let square = text::unit_to_the(2, units.length.as_ref());
@@ -110,10 +110,10 @@ fn surface_text(found: &SurfaceErrors, units: &Units) -> String {
     let mut line = |name: &str, distance: &Option<SurfaceDistance>| match distance {
         Some(d) => {
             let [x, y, z] = d.max_at.map(value);
-            let [mean, rms, max] = [d.mean, d.rms, d.max].map(value);
+            let [mean, most, max] = [d.mean, d.p99, d.max].map(value);
             let _ = writeln!(
                 out,
-                "  {name:<11} mean {mean}{unit}, RMS {rms}{unit}, largest {max}{unit} at {x}, {y}, {z}"
+                "  {name:<11} mean {mean}{unit}, 99 % within {most}{unit}, largest {max}{unit} at {x}, {y}, {z}"
             );
         }
         None => {

@@ -1,6 +1,7 @@
 //! `isospan reduce`: a volume becomes an archive.
 
 use super::choices::Choices;
+use super::grammar::{self, Value};
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::output::expect_apart;
@@ -10,9 +11,10 @@ use super::{dry_run, signals, text};
 use isospan::exec::CancelToken;
 use isospan::formats::StepSource;
 use isospan::pipeline::{
-    ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary, Target, TargetReport,
+    Length, ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary, SurfaceErrors, SurfaceTarget,
+    Target, TargetReport,
 };
-use isospan::{Archive, Reduction, Resources, Result};
+use isospan::{Archive, Error, Reduction, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -22,7 +24,7 @@ use std::time::Duration;
 /// The field is sampled at points, these are joined to tetrahedra, and the tetrahedra are indexed.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan reduce scan.nrrd -o scan.isospan --target-rms 1%\n  isospan reduce 'step_*.vti' -o run.isospan --fraction 1/64 --memory 4GiB"
+    after_help = "Examples:\n  isospan reduce scan.nrrd -o scan.isospan --target-rms 1%\n  isospan reduce scan.nrrd -o scan.isospan --isovalue 600 --target-surface 0.2mm\n  isospan reduce 'step_*.vti' -o run.isospan --fraction 1/64 --memory 4GiB"
 )]
 pub struct Args {
     #[command(flatten)]
@@ -32,6 +34,16 @@ pub struct Args {
     pub output: PathBuf,
     #[command(flatten)]
     pub choices: Choices,
+    /// Also measure the surfaces of these isovalues against those of the samples, of a volume, as
+    /// `measure` does: area, pieces, distances in world units, and where the largest is. N% is a
+    /// place in the range of the archive. Of a series the worst step is told.
+    #[arg(help_heading = "Error and size", long, short = 'i', value_name = "VALUE", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::value)]
+    isovalue: Vec<Value>,
+    /// Keep the surface at --isovalue within this distance of that of the samples: 99 % of the area
+    /// of each is at most so far from the other. In a unit, as 0.2mm, in world units, or as N% of
+    /// the diagonal of the domain. A volume takes two to four tries, each of which is measured.
+    #[arg(help_heading = "Error and size", long, value_name = "LENGTH", value_parser = grammar::length, requires = "isovalue", conflicts_with_all = ["fraction", "count", "cross_m", "no_measure", "target_rms", "target_max", "size", "ratio", "lossless", "labels"], allow_hyphen_values = true)]
+    target_surface: Option<Length>,
     /// Also measure the error of the first step against this file: of an archive that is reduced
     /// again, against its source.
     #[arg(long, value_name = "INPUT")]
@@ -64,9 +76,27 @@ impl Args {
     /// The files that are reduced, and what is made of them.
     pub fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
         let steps = self.steps.all(&self.read, talk)?;
-        let settings = self.choices.settings();
+        let settings = self.settings()?;
         expect_apart(&self.output, steps.iter().map(|step| &step.path).chain(&self.against))?;
         Ok((steps, settings))
+    }
+
+    /// All that decides bytes.
+    pub fn settings(&self) -> Result<ReduceSettings> {
+        let settings = self.choices.settings();
+        match (self.target_surface, &self.isovalue[..]) {
+            (None, _) => Ok(settings),
+            (Some(distance), &[isovalue]) => {
+                let target = Target::Surface(SurfaceTarget { isovalue, distance });
+                Ok(ReduceSettings { target: Some(target), ..settings })
+            }
+            _ => Err(Error::usage("`target_surface` is for the surface of one `isovalue`")),
+        }
+    }
+
+    /// The isovalues whose surfaces are measured.
+    pub fn isovalues(&self) -> Vec<Value> {
+        self.isovalue.clone()
     }
 
     /// What the error is measured against besides.
@@ -84,7 +114,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     let RunSettings { resources, replace, keep_going } = run;
     let Resources { threads, memory, .. } = resources;
     let reduction = Reduction::of_steps(steps).settings(settings).resources(resources);
-    let reduction = reduction.replace(replace).keep_going(keep_going);
+    let reduction = reduction.replace(replace).keep_going(keep_going).isovalues(args.isovalues());
     let reduction = match args.against()? {
         Some(source) => reduction.against(source),
         None => reduction,
@@ -148,6 +178,9 @@ pub(super) fn reached_text(t: &TargetReport) -> String {
         }
         Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Max(_) => format!("at most {} of {} wanted", four(t.reached), four(t.bound)),
+        Target::Surface(_) => {
+            format!("99 % of the surface within {} of {} wanted", four(t.reached), four(t.bound))
+        }
         Target::Lossless | Target::Labels if t.met => "no sample is changed".into(),
         Target::Lossless | Target::Labels => format!("samples are changed by at most {}", four(t.reached)),
         Target::Size(_) | Target::Ratio(_) => {
@@ -326,7 +359,20 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
         let _ = writeln!(out, "{}", size_line(report, source));
     }
     out += &time_line(&report.seconds);
+    out += &surface_lines(archive, report);
     out + &next_line(archive)
+}
+
+/// How wrong each surface is that was measured.
+fn surface_lines(archive: &Path, report: &ReduceReport) -> String {
+    if report.surfaces.is_empty() {
+        return String::new();
+    }
+    let archive = Archive::open(archive).ok();
+    let units = archive.as_ref().map(|archive| archive.units().clone()).unwrap_or_default();
+    let of_step = |step: u64| if report.steps.len() > 1 { format!(" in step {step}") } else { String::new() };
+    let text = |found: &SurfaceErrors| super::measure::surface_text(found, &units, &of_step(found.step));
+    report.surfaces.iter().map(text).collect()
 }
 
 /// The time of the run, and what its threads worked on: several at a time, so that their times add

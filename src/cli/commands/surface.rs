@@ -2,7 +2,7 @@
 
 mod labels;
 
-use super::grammar::{self, Length, Value};
+use super::grammar::{self, Value};
 use super::level::LevelArgs;
 use super::machine::{Machine, OutputScratch};
 use super::output::Force;
@@ -12,7 +12,9 @@ use super::text;
 use clap::ValueEnum;
 use isospan::bytes::remote::Traffic;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{ColourBy, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport};
+use isospan::pipeline::{
+    ColourBy, Length, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport,
+};
 use isospan::render::ColourMap;
 use isospan::surface::edit::{
     components::{ComponentFilter, ComponentReport},
@@ -90,15 +92,15 @@ pub struct Args {
     /// compact labels of a thousand voxels and more; small ones and thin sheets change more.
     #[arg(help_heading = "Smoothing", long, value_name = "N", num_args = 0..=1, value_parser = grammar::whole::<u32>, allow_negative_numbers = true)]
     smooth: Option<Option<u32>>,
-    /// How far --smooth may move a vertex, in world units or as N% of the diagonal of the domain
+    /// How far --smooth may move a vertex: 0.2mm, in world units, or N% of the domain's diagonal
     /// [default: half of the shortest edge of a voxel].
     #[arg(help_heading = "Smoothing", long, value_name = "LENGTH", requires = "smooth", value_parser = grammar::length, allow_hyphen_values = true)]
     smooth_limit: Option<Length>,
     /// Keep this share of the triangles: 10%, 1/10 or 0.1. Topology and boundaries are preserved.
     #[arg(help_heading = "Components and decimation", long, value_name = "SHARE", value_parser = grammar::share, allow_hyphen_values = true)]
     decimate: Option<f64>,
-    /// Decimate until the estimated distance from the original surface reaches LENGTH, in world
-    /// units or as N% of the diagonal of the domain. The estimate is no bound; isospan compare
+    /// Decimate until the estimated distance from the original surface reaches LENGTH: 0.2mm, in
+    /// world units, or N% of the domain's diagonal. The estimate is no bound; isospan compare
     /// measures the distance. With --decimate, stop at whichever comes first.
     #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length, allow_hyphen_values = true)]
     decimate_error: Option<Length>,
@@ -416,18 +418,15 @@ fn note_plateaus(step: &Step, isovalues: &[f64], talk: &Talk) -> Result<()> {
 
 /// A length in world units.
 fn in_world(length: Length, archive: &Archive) -> Result<f64> {
-    let share = match length {
-        Length::World(length) => return Ok(length),
-        Length::OfDiagonal(share) => share,
+    let diagonal = match length {
+        Length::OfDiagonal(_) if archive.info()?.grid_cells.is_none() => {
+            let (geometry, dims) = (archive.geometry(), archive.dims());
+            let squares = (0..3).map(|a| (geometry.spacing[a] * dims[a].saturating_sub(1) as f64).powi(2));
+            Some(squares.sum::<f64>().sqrt())
+        }
+        _ => None,
     };
-    if archive.info()?.grid_cells.is_some() {
-        return Err(Error::usage(
-            "a length in % of the diagonal is not possible on a grid with coordinates: give it in world units",
-        ));
-    }
-    let (geometry, dims) = (archive.geometry(), archive.dims());
-    let squares = (0..3).map(|a| (geometry.spacing[a] * dims[a].saturating_sub(1) as f64).powi(2));
-    Ok(share * squares.sum::<f64>().sqrt())
+    length.in_world(archive.units().length.as_ref(), diagonal)
 }
 
 /// The isovalues; percentages refer to the step or to all steps together.

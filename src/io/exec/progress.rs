@@ -14,7 +14,7 @@ pub struct Attempt {
 /// What a try of a search reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reached {
-    /// "RMS error", "largest error" or "bytes".
+    /// "RMS error", "largest error", "distance" or "bytes".
     pub quantity: &'static str,
     /// How much of it the try has.
     pub value: f64,

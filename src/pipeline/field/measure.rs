@@ -201,11 +201,32 @@ fn against(
             also.map_or(Ok(()), |also| also(archive, &samples))?;
             Ok((error, same))
         }
-        Input::Mesh(_) if also.is_some() => {
-            Err(Error::usage("surfaces are measured against the samples of a volume: the source is a mesh"))
-        }
+        Input::Mesh(_) if also.is_some() => Err(no_samples()),
         Input::Mesh(mesh) => against_mesh(archive, &mesh, &source.path, settings, progress),
     }
+}
+
+/// Does something with a step and the samples of a volume, and measures nothing else.
+///
+/// # Errors
+/// [`Error::Usage`] for a mesh; those of [`measure`], and of what is done.
+#[cfg(feature = "compare")]
+pub(in crate::pipeline) fn with_samples(
+    archive: &StepView,
+    source: &StepSource,
+    resources: &Resources,
+    progress: &dyn Progress,
+    also: Also<'_>,
+) -> Result<()> {
+    let Input::Volume(volume) = open_field(archive, source)? else { return Err(no_samples()) };
+    let settings = MeasureSettings { resources: resources.clone(), ..MeasureSettings::default() };
+    let (samples, _) = source_samples(archive, volume, source, &settings, progress)?;
+    also(archive, &samples)
+}
+
+/// The error of a mesh whose surfaces are to be measured.
+pub(in crate::pipeline) fn no_samples() -> Error {
+    Error::usage("surfaces are measured against the samples of a volume: the source is a mesh")
 }
 
 /// Opens the input. Where no field of a file is named, the one that the archive names is read.

@@ -25,12 +25,14 @@ pub(super) use export_grid::export_grid;
 pub use export_grid::{GridReport, GridSettings};
 pub(super) use export_zarr::{Moments, export_zarr};
 pub use measure::MeasureReport;
+#[cfg(feature = "compare")]
+pub(super) use measure::with_samples;
 pub(in crate::pipeline) use measure::{MeasureSettings, measure};
-pub(super) use measure::{field_errors, reopened_errors, reopened_values, store_settings};
+pub(super) use measure::{field_errors, no_samples, reopened_errors, reopened_values, store_settings};
 pub use probe_grid::{ProbeReport, ProbeSettings};
 pub(super) use probe_grid::{probe_grid, sample_grid};
 pub(super) use probe_points::{edges_at_missing, probe_table, values_at, values_on_surface};
 #[cfg(feature = "compare")]
 pub(super) use source_samples::SourceSamples;
-pub use source_samples::{SurfaceDistance, SurfaceErrors, SurfaceSize};
+pub use source_samples::{SurfaceErrors, SurfaceSize};
 pub(super) use vertex_errors::StepErrors;

@@ -4,6 +4,7 @@ use super::existing::{exists, lacks_files};
 use super::job::Job;
 use super::kept_search::StepInput;
 use super::report::ReduceReport;
+use super::surfaces::with_surface_of;
 use super::tries::full_cells;
 use crate::archive::manifest::{Manifest, StoredStep};
 use crate::pipeline::plan::Inputs;
@@ -56,6 +57,7 @@ pub(super) fn made_before(
     let of_fields = job.has_fields();
     let report = ReduceReport { samples, of_fields, made_before: true, ..ReduceReport::default() };
     let report = report.of_archive(job.out, manifest, 0)?;
+    let report = with_surface_of(target, report, job.out, job)?;
     let full_cells = if job.settings.adapt.is_some() { Some(full_cells(job.out)?) } else { None };
     let target = target.report_of(&report, source, full_cells)?;
     Ok(Some(ReduceReport { target: Some(target), ..report }))

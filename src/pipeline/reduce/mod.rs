@@ -38,9 +38,11 @@ mod report;
 mod reuse;
 mod search;
 mod series;
+mod share;
 mod sink;
 mod source;
 mod sums;
+mod surfaces;
 mod target;
 mod target_max;
 mod tries;
@@ -78,6 +80,7 @@ pub use series::SkippedStep;
 use std::path::Path;
 use std::time::Instant;
 pub(super) use sums::FinishedSteps;
+pub(super) use surfaces::{expect_surfaces, with_surfaces};
 use target::reduce_to_target;
 pub(super) use target::{publish_best, with_target};
 pub(super) use tries::remove_tries;
@@ -158,7 +161,9 @@ pub(super) fn complete_settings(
     settings: &ReduceSettings,
     run: &RunSettings,
 ) -> Result<CompleteSettings> {
-    let first = first_that_opens(sources, run.keep_going, StepSource::open)?;
+    let open = |source: &StepSource| Ok((source.open()?, source.clone()));
+    let (first, source) = first_that_opens(sources, run.keep_going, open)?;
+    let settings = &surfaces::in_world(settings, &first, &source)?;
     let is_mesh = matches!(first, Input::Mesh(_));
     let is_labels = matches!(&first, Input::Volume(volume) if volume.info().is_labels);
     let range = if settings.focus.is_some_and(Focus::is_of_a_range) {
@@ -227,7 +232,8 @@ pub fn estimate_series(
     let looked = look(&job)?;
     let source = looked.size.map(|size| size.bytes);
     let is_pyramid = settings.points == SetKind::Pyramid;
-    let searched = settings.target.filter(|_| !is_pyramid);
+    let is_searched = |target: &Target| !is_pyramid || matches!(target, Target::Surface(_));
+    let searched = settings.target.filter(is_searched);
     let search = searched.map(|target| TargetSearch::new(settings, target, source)).transpose()?;
     // Of a search, the first try is estimated.
     let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);

@@ -7,14 +7,16 @@ use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
 use crate::domain::store::MeshCensus;
 use crate::measure::FieldError;
+use crate::pipeline::field::SurfaceErrors;
 use crate::pipeline::plan::{Notice, folder_bytes};
 use crate::pipeline::read::{OpenArchive, StepSummary};
-use crate::pipeline::settings::Target;
+use crate::pipeline::settings::{NanPolicy, Target};
 use crate::pipeline::stage::{Stage, StageSeconds, StageTimes, summed};
 use isospan_io::error::Result;
 use isospan_io::exec::Reached;
 use isospan_io::formats::{StepSource, without_frame};
 use isospan_io::volume::chunked::DecodeCount;
+use isospan_io::volume::shifted::is_whole;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -78,6 +80,15 @@ pub struct ReduceReport {
     /// [`Reduction::against`](crate::Reduction::against).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub against: Option<FieldError>,
+    /// Surfaces against those of the samples, in the order of the isovalues that were given: see
+    /// [`Reduction::isovalues`](crate::Reduction::isovalues). Of several steps, the one whose
+    /// surface is farthest away.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub surfaces: Vec<SurfaceErrors>,
+    /// The length of the range of the samples, where all are whole numbers that can be kept
+    /// without loss.
+    #[serde(skip)]
+    pub(in crate::pipeline) whole_range: Option<f64>,
     /// The steps that were made.
     pub steps: Vec<StepSummary>,
     /// Steps that could not be used, and were left out.
@@ -106,9 +117,9 @@ pub struct ReduceReport {
 pub struct TargetReport {
     /// What was wanted.
     pub target: Target,
-    /// The bound, in units of the field or in bytes.
+    /// The bound: in units of the field, of the world, or in bytes.
     pub bound: f64,
-    /// The error or the size of the archive.
+    /// The error, the distance or the size of the archive.
     pub reached: f64,
     /// Whether that is within the bound.
     pub met: bool,
@@ -130,6 +141,7 @@ impl TargetReport {
         let quantity = match self.target {
             Target::Rms(_) => "RMS error",
             Target::Max(_) | Target::Lossless | Target::Labels => "largest error",
+            Target::Surface(_) => "distance",
             Target::Size(_) | Target::Ratio(_) => "bytes",
         };
         Reached { quantity, value: self.reached, wanted: self.bound }
@@ -159,6 +171,26 @@ impl SourceChunks {
 fn range_of<'a>(steps: impl Iterator<Item = &'a StoredStep>) -> Option<[f64; 2]> {
     let of_step = |step: &StoredStep| step.error.as_ref().and_then(|e| e.source_range).or(step.file_range());
     steps.filter_map(of_step).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+}
+
+/// The length of the range of steps whose samples are all whole numbers that `f32` holds.
+fn whole_range(steps: &[&StoredStep]) -> Option<f64> {
+    /// Of magnitudes up to this, `f32` has each whole number.
+    const MOST: f64 = 16_777_216.0;
+    let is_kept = |step: &&StoredStep| {
+        let source = &step.plan.source;
+        let is_whole = is_whole(source.scalar, source.slope, source.intercept);
+        let range = step.file_range().unwrap_or_default().map(|v| (v - source.offset).abs());
+        // A value in the place of missing samples may be any.
+        let nan = matches!(NanPolicy::parse(&step.plan.nan), Some(NanPolicy::Value(v)) if v.fract() != 0.0);
+        is_whole
+            && !nan
+            && source.offset.fract() == 0.0
+            && source.rounding == 0.0
+            && range.iter().all(|v| *v < MOST)
+    };
+    let [lo, hi] = range_of(steps.iter().copied())?;
+    steps.iter().all(is_kept).then_some(hi - lo).filter(|length| *length > 0.0)
 }
 
 /// The errors of each step as parts of the range of its field, in all steps that have this.
@@ -212,6 +244,7 @@ impl ReduceReport {
             error: steps.first().and_then(|step| step.error.clone()),
             steps: positions.iter().map(|n| StepSummary::of(manifest, *n)).collect(),
             archive_bytes: folder_bytes(root)?,
+            whole_range: whole_range(&steps),
             source_range: range_of(steps.into_iter()),
             shares: shares(manifest),
             ..self

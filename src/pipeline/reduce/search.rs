@@ -8,6 +8,7 @@
 //! with a plan for each ([`super::plan_file`]), which stores the search between two tries.
 
 use super::report::{ReduceReport, TargetReport};
+use super::share::Share;
 use crate::pipeline::plan::{Estimate, SearchEstimate};
 use crate::pipeline::settings::{Amount, CompleteSettings, Target};
 use isospan_io::error::{Error, Result};
@@ -21,6 +22,7 @@ impl Target {
             Self::Rms(bound) | Self::Max(bound) => {
                 Ok(bound.in_units(source_range(report).unwrap_or_default()))
             }
+            Self::Surface(target) => target.distance.in_world(None, None),
             Self::Lossless | Self::Labels => Ok(0.0),
             Self::Size(_) | Self::Ratio(_) => self.bytes(source),
         }
@@ -32,7 +34,7 @@ impl Target {
             (Self::Size(bytes), _) => Ok(bytes as f64),
             (Self::Ratio(ratio), Some(source)) => Ok(source as f64 / ratio),
             (Self::Ratio(_), None) => Err(Error::usage("the bytes of the source are not known: give a size")),
-            (Self::Rms(_) | Self::Max(_) | Self::Lossless | Self::Labels, _) => Ok(f64::INFINITY),
+            _ => Ok(f64::INFINITY),
         }
     }
 
@@ -44,10 +46,8 @@ impl Target {
         full_cells: Option<[u64; 2]>,
     ) -> Result<TargetReport> {
         let bound = self.limit(report, source)?;
-        let reached = match self.bound() {
-            None if !self.is_of_each_sample() => report.archive_bytes as f64,
-            _ => self.reached(report),
-        };
+        let is_of_bytes = self.is_of_bytes();
+        let reached = if is_of_bytes { report.archive_bytes as f64 } else { self.reached(report) };
         let met = reached <= bound;
         Ok(TargetReport {
             target: self,
@@ -65,6 +65,7 @@ impl Target {
     fn reached(self, report: &ReduceReport) -> f64 {
         match self {
             Self::Rms(_) | Self::Max(_) | Self::Lossless | Self::Labels => error_of(self, report),
+            Self::Surface(_) => report.surfaces.iter().map(|found| found.distance()).fold(0.0, f64::max),
             Self::Size(_) | Self::Ratio(_) => (report.archive_bytes + RECORD) as f64,
         }
     }
@@ -98,6 +99,8 @@ const AIM: f64 = 0.985;
 const NEAR: f64 = 0.96;
 /// Tries of most searches.
 const USUAL_TRIES: u32 = 5;
+/// The same of a surface.
+const USUAL_TRIES_OF_SURFACES: u32 = 3;
 /// A number of points that is this close to one that does not suffice is the least.
 const LEAST_STEP: f64 = 1.03;
 
@@ -225,6 +228,9 @@ pub(in crate::pipeline) struct TargetSearch {
     /// Whether each step has several fields.
     #[serde(default)]
     of_fields: bool,
+    /// Of a surface: how large an error of a sample the factor stands for.
+    #[serde(default)]
+    share: Share,
 }
 
 impl TargetSearch {
@@ -249,6 +255,7 @@ impl TargetSearch {
             best: None,
             factor: is_pyramid(settings).then_some(1.0),
             of_fields: false,
+            share: Share::default(),
         })
     }
 
@@ -259,7 +266,12 @@ impl TargetSearch {
 
     /// About how many tries there will be.
     pub(in crate::pipeline) fn about(&self) -> u32 {
-        self.next_try().max(if is_pyramid(&self.settings) { 1 } else { USUAL_TRIES })
+        let usual = match self.target {
+            Target::Surface(_) => USUAL_TRIES_OF_SURFACES,
+            _ if is_pyramid(&self.settings) => 1,
+            _ => USUAL_TRIES,
+        };
+        self.next_try().max(usual)
     }
 
     /// What is known before the first try, which has this estimate; the source has so many samples,
@@ -268,6 +280,8 @@ impl TargetSearch {
         let (target, tries) = (self.target, self.about());
         let archive_bytes = match target {
             Target::Size(_) | Target::Ratio(_) => [LEAST_BYTES, target.bytes(self.source)? as u64],
+            // About the bytes of the source.
+            Target::Surface(_) => [LEAST_BYTES, self.source.unwrap_or(4 * samples)],
             Target::Rms(_) | Target::Max(_) | Target::Lossless | Target::Labels => {
                 let points = samples as f64 / first.points.max(1) as f64;
                 [LEAST_BYTES, (first.archive_bytes as f64 * points.max(1.0)) as u64]
@@ -304,6 +318,10 @@ impl TargetSearch {
 
     /// The settings of the next try.
     pub(in crate::pipeline) fn next_settings(&self) -> CompleteSettings {
+        if let Target::Surface(_) = self.target {
+            let target = Some(self.share.target(self.factor.unwrap_or(1.0)));
+            return CompleteSettings { target, ..self.settings.clone() };
+        }
         if is_pyramid(&self.settings) {
             return CompleteSettings { step_factor: self.factor.unwrap_or(1.0), ..self.settings.clone() };
         }
@@ -328,6 +346,7 @@ impl TargetSearch {
         };
         self.of_fields = report.of_fields;
         let (settings, number) = (self.next_settings(), self.tries + 1);
+        self.share.of_whole = report.whole_range;
         self.tries = number;
         self.chunks += report.chunks;
         let made = match is_pyramid(&self.settings) {
@@ -340,7 +359,7 @@ impl TargetSearch {
     /// Notes a try with a number of points.
     fn note_points(&mut self, bound: f64, report: &ReduceReport, settings: CompleteSettings) -> Try {
         let (target, samples) = (self.target, report.samples as f64);
-        let is_size = target.bound().is_none();
+        let is_size = target.is_of_bytes();
         let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, samples] };
         let usual = USUAL_POWERS[usize::from(is_size)];
         let search =
@@ -370,11 +389,15 @@ impl TargetSearch {
 
     /// Notes a try of a pyramid. Corrections meet a bound of each sample in the first one.
     fn note_factor(&mut self, bound: f64, report: &ReduceReport, settings: CompleteSettings) -> Try {
-        let is_size = matches!(self.target, Target::Size(_) | Target::Ratio(_));
-        let factor = settings.step_factor;
+        let is_size = self.target.is_of_bytes();
+        let factor = self.factor.unwrap_or(1.0);
         let amount = if is_size { factor } else { 1.0 / factor };
-        let usual = USUAL_POWERS_OF_STEPS[usize::from(is_size)];
-        let (limits, near) = (LIMITS_OF_FACTORS, NEAR_OF_PYRAMIDS);
+        let (usual, limits) = match self.target {
+            // Where a field is nearly linear, a surface moves as far as its values do.
+            Target::Surface(_) => (1.0, self.share.limits()),
+            _ => (USUAL_POWERS_OF_STEPS[usize::from(is_size)], LIMITS_OF_FACTORS),
+        };
+        let near = NEAR_OF_PYRAMIDS;
         let search = self.search.get_or_insert_with(|| Search { bound, limits, near, usual, tries: vec![] });
         let made = Try { amount, reached: self.target.reached(report) };
         search.tries.push(made);

@@ -19,7 +19,9 @@
 //! Other points begin with 1/8 of the samples. A size is searched for in the same way: bytes are a
 //! power of the number of points per sample.
 //!
-//! Of a pyramid a try has another step of its coefficients, and the first one mostly does.
+//! Of a pyramid a try has another step of its coefficients, and the first one mostly does. For a
+//! distance of a surface it has another error of each sample ([`super::share`]), and its surface is
+//! measured.
 //!
 //! Tries lie in the folder `NAME.isospan.work` next to the archive, with a note of how far the
 //! search is ([`super::kept_search`]): so a run that was stopped goes on at its try.
@@ -43,12 +45,14 @@ use super::made_before::{made_before, published_before};
 use super::planned::make;
 use super::report::ReduceReport;
 use super::search::TargetSearch;
+use super::surfaces::with_surface_of;
 use super::target_max::reduce_to_max;
 use super::tries::{full_cells, publish, tidy};
 use crate::pipeline::plan::folder_bytes;
 use crate::pipeline::settings::{Bound, RunSettings, Target};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Attempt;
+use isospan_io::setting::Setting;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -115,6 +119,7 @@ fn search_for(job: &Job<'_>, new: TargetSearch, target: Target, source: Option<u
         // What another plan has left there is no part of the search.
         let run = &RunSettings { replace: true, ..job.run.clone() };
         let report = make(&Job { settings, out, run, ..*job }, &Existing::at(out)?)?;
+        let report = with_surface_of(target, report, out, job)?;
         seconds.extend_from_slice(&report.seconds);
         last = Some(state.search.note(&report)?.reached_of());
         if state.search.best_try() == Some(number) {
@@ -127,12 +132,21 @@ fn search_for(job: &Job<'_>, new: TargetSearch, target: Target, source: Option<u
     let (Some(best), Some(made)) = (best, state.best) else {
         unreachable!("the last try is the best if no other is")
     };
-    let report = of_best.map_or_else(|| made.report(&best), Ok)?;
+    let report = match of_best {
+        Some(report) => report,
+        None => with_surface_of(target, made.report(&best)?, &best, job)?,
+    };
     publish_best(&state.search, &best, job.out, ReduceReport { seconds, ..report })
 }
 
 /// Refuses an error that would be compared among fields of several units.
 pub(in crate::pipeline) fn expect_for_fields(job: &Job<'_>, target: Target) -> Result<()> {
+    if job.has_fields() && matches!(target, Target::Surface(_)) {
+        return Err(Error::usage(format!(
+            "{} is of one field, and there are several: reduce each by itself",
+            Setting::TargetSurface
+        )));
+    }
     let Some(bound) = target.bound().filter(|_| job.has_fields()) else { return Ok(()) };
     if let Bound::Value(error) = bound {
         return Err(Error::usage(format!(
@@ -169,7 +183,7 @@ pub(in crate::pipeline) fn with_target(
 ) -> Result<ReduceReport> {
     let full_cells = if search.adapts() { Some(full_cells(archive)?) } else { None };
     let mut found = search.best_report(full_cells);
-    if found.target.bound().is_none() {
+    if found.target.is_of_bytes() {
         found.reached = report.archive_bytes as f64;
     }
     report.target = Some(found);

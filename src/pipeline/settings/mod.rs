@@ -5,10 +5,12 @@
 //! are [`CompleteSettings`]: by the same rules from the command line, from Rust and from Python.
 
 mod complete;
+mod surface_target;
 
 use crate::archive::manifest::{self, KEYFRAMES};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Resources;
+use isospan_io::setting::Setting;
 use isospan_mesh::points::{SetKind, SetSettings};
 use isospan_mesh::sample::{Interpolation, Values};
 use serde::{Deserialize, Serialize};
@@ -16,6 +18,7 @@ use std::fmt;
 
 pub(super) use complete::DEFAULT_ERROR;
 pub use complete::{Adapt, CompleteSettings, InputFacts};
+pub use surface_target::{Length, SurfaceTarget};
 
 /// How many points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -172,12 +175,19 @@ impl From<[f64; 2]> for Focus {
 }
 
 /// A value of the field, or a place in its range.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum FieldValue {
     /// The value.
     At(f64),
     /// This part of the range above its lower end: 0.5 is the middle.
     Share(f64),
+}
+
+impl From<f64> for FieldValue {
+    fn from(value: f64) -> Self {
+        Self::At(value)
+    }
 }
 
 impl FieldValue {
@@ -245,6 +255,8 @@ pub enum Target {
     Rms(Bound),
     /// The largest absolute error at a sample, or at a vertex of a mesh.
     Max(Bound),
+    /// The distance of an isosurface from that of the samples, of a volume that becomes a pyramid.
+    Surface(SurfaceTarget),
     /// No error of samples that are whole numbers, of a volume.
     Lossless,
     /// The same of labels, whole numbers that are names: without coarser levels, as there is no
@@ -281,8 +293,13 @@ impl Target {
     pub(super) fn bound(self) -> Option<Bound> {
         match self {
             Self::Rms(bound) | Self::Max(bound) => Some(bound),
-            Self::Lossless | Self::Labels | Self::Size(_) | Self::Ratio(_) => None,
+            Self::Surface(_) | Self::Lossless | Self::Labels | Self::Size(_) | Self::Ratio(_) => None,
         }
+    }
+
+    /// Whether it bounds the bytes of the archive.
+    pub(super) fn is_of_bytes(self) -> bool {
+        matches!(self, Self::Size(_) | Self::Ratio(_))
     }
 
     /// Whether it bounds the error of each sample.
@@ -302,6 +319,13 @@ impl Target {
         let (what, bound) = match self {
             Self::Rms(Bound::Value(v) | Bound::OfRange(v))
             | Self::Max(Bound::Value(v) | Bound::OfRange(v)) => ("an error", v),
+            Self::Surface(_) if settings.points != SetKind::Pyramid => {
+                return Err(Error::usage(format!(
+                    "{} is for a volume that becomes a pyramid, and this becomes points",
+                    Setting::TargetSurface
+                )));
+            }
+            Self::Surface(target) => ("a distance", target.distance.in_world(None, None)?),
             Self::Lossless | Self::Labels if settings.points == SetKind::Pyramid => return Ok(()),
             Self::Lossless | Self::Labels => {
                 return Err(Error::usage("only a pyramid holds all samples without loss"));
@@ -312,7 +336,7 @@ impl Target {
         if !(bound > 0.0 && bound.is_finite()) {
             return Err(Error::usage(format!("{what} of {bound} cannot be met: give a number above 0")));
         }
-        if self.bound().is_some() && !settings.measure {
+        if !settings.measure && (self.bound().is_some() || matches!(self, Self::Surface(_))) {
             return Err(Error::usage("a target needs an error that is measured"));
         }
         Ok(())

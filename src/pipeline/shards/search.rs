@@ -9,6 +9,7 @@ use crate::pipeline::reduce::{
 use crate::pipeline::settings::{CompleteSettings, RunSettings, Target};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
+use isospan_io::setting::Setting;
 use std::path::Path;
 
 /// The search that some settings ask for, if they do. `source` is the number of bytes of the
@@ -22,6 +23,12 @@ pub(super) fn begin_search(settings: &CompleteSettings, source: Option<u64>) -> 
         return Err(Error::usage(
             "a largest error with points that adapt is met by one process: use isospan reduce",
         ));
+    }
+    if let Target::Surface(_) = target {
+        return Err(Error::usage(format!(
+            "{} is met by one process: use isospan reduce",
+            Setting::TargetSurface
+        )));
     }
     if target.is_met_by_corrections(settings) {
         return target.check(settings).map(|()| None);

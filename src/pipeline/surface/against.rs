@@ -7,7 +7,7 @@ use super::query::make;
 use super::settings::SurfaceSettings;
 use super::weld::SurfaceStorage;
 use crate::compare::apart;
-use crate::pipeline::field::{SourceSamples, SurfaceDistance, SurfaceErrors, SurfaceSize};
+use crate::pipeline::field::{SourceSamples, SurfaceErrors, SurfaceSize};
 use crate::pipeline::read::{LevelChoice, StepView, in_world, world_map};
 use crate::surface::SurfaceSource;
 use crate::surface::edit::components::totals;
@@ -56,16 +56,13 @@ fn errors_at(
     let kept = archive.step().plan.source.kept(isovalue);
     let of_samples = placed(archive, surface_of_samples(archive, samples, kept, progress)?, resources)?;
     let rest = resources.clone().with_memory(resources.memory / 2);
-    let distance = |a: &StoredSurface, b: &StoredSurface| -> Result<Option<SurfaceDistance>> {
-        let found = apart(a, b, &rest)?;
-        Ok(found.map(|d| SurfaceDistance { max: d.max, max_at: d.max_at, mean: d.mean, rms: d.rms }))
-    };
     progress.begin("distances", 2, "surfaces");
-    let to_source = distance(&surface, &of_samples)?;
+    let to_source = apart(&surface, &of_samples, &rest)?;
     progress.advance(1);
-    let to_archive = distance(&of_samples, &surface)?;
+    let to_archive = apart(&of_samples, &surface, &rest)?;
     progress.advance(1);
     Ok(SurfaceErrors {
+        step: archive.step().plan.number,
         isovalue,
         archive: size(&surface, &rest)?,
         source: size(&of_samples, &rest)?,

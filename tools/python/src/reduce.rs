@@ -54,11 +54,12 @@ fn asked<'a>(
         Some(volumes) => {
             let mut steps = steps(volumes, &run, progress)?;
             args.steps.tell(&mut steps)?;
-            (steps, args.choices.settings())
+            (steps, args.settings()?)
         }
     };
     let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
     let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
+    let reduction = reduction.isovalues(args.isovalues());
     let reduction = match args.against()? {
         Some(source) => reduction.against(source),
         None => reduction,

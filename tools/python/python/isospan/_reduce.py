@@ -100,6 +100,8 @@ def reduce(
     ratio: float | str | None = None,
     lossless: bool = False,
     labels: bool = False,
+    isovalue: float | Sequence[float] | str | None = None,
+    target_surface: float | str | None = None,
     against: PathLike | None = None,
     threads: int = 0,
     memory: int | str | None = None,
@@ -138,11 +140,15 @@ def reduce(
         part of it, nothing is made but what it lacks.
     target_rms, target_max: the error that is not to be exceeded, in units of the field or "1%" of
         its range.
+    isovalue: also measure the surfaces of these isovalues against those of the samples:
+        ``archive.report["surfaces"]`` says how far each is from them. target_surface: the distance
+        that is not to be exceeded at one isovalue, "0.2mm" or a number of world units, for 99 % of
+        the area of both surfaces.
     size, ratio: the bytes of the archive, "50MiB", or a share of those of the source, "5%" or
         "1/20"; ratio=20 is size="1/20".
     lossless: keep the whole numbers of a volume as they are. labels: the same of a label image,
         without coarser levels and in far fewer bytes.
-        Without any of these six, a volume has an RMS error of 1 % of its range, or is kept as labels
+        Without any of these targets, a volume has an RMS error of 1 % of its range, or is kept as labels
         where its file says that it has some. Where a target
         cannot be met, the archive is made all the same: the warning ``isospan.TargetNotMet`` says
         so, and ``archive.target_met`` is False.
@@ -224,6 +230,8 @@ def plan(
     ratio: float | str | None = None,
     lossless: bool = False,
     labels: bool = False,
+    isovalue: float | Sequence[float] | str | None = None,
+    target_surface: float | str | None = None,
     against: PathLike | None = None,
     threads: int = 0,
     memory: int | str | None = None,

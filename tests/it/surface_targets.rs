@@ -1,0 +1,186 @@
+//! How wrong a surface is, at the end of a reduction, and as its target.
+
+use crate::common::*;
+use isospan::formats::StepSource;
+use isospan::pipeline::{FieldValue, Length, ReduceReport, SurfaceErrors, SurfaceTarget, Target};
+use isospan::points::SetKind;
+use isospan::{Archive, Reduction, Resources};
+use std::path::Path;
+use std::process::Command;
+
+/// A volume of whole numbers, of a function of the sample's numbers; voxels of half a unit.
+fn write_whole(path: &Path, dims: [u32; 3], f: impl Fn(f64, f64, f64) -> f64) {
+    let [nx, ny, nz] = dims;
+    let head = "NRRD0004\ntype: int16\ndimension: 3\nencoding: raw\nendian: little\nspacings: 0.5 0.5 0.5";
+    let mut bytes = format!("{head}\nsizes: {nx} {ny} {nz}\n\n").into_bytes();
+    for z in 0..nz {
+        for y in 0..ny {
+            for x in 0..nx {
+                bytes.extend((f(f64::from(x), f64::from(y), f64::from(z)) as i16).to_le_bytes());
+            }
+        }
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// Waves of a hundred.
+fn hundreds(x: f64, y: f64, z: f64) -> f64 {
+    (100.0 * waves(x / 20.0 - 1.0, y / 20.0 - 1.0, z / 20.0 - 1.0)).round()
+}
+
+/// A shell two voxels thick, in noise, next to a far brighter block; whole numbers.
+fn shell(x: f64, y: f64, z: f64) -> f64 {
+    if x < 10.0 && y < 10.0 && z < 10.0 {
+        return 8000.0;
+    }
+    let from_shell = ((x - 36.0).powi(2) + (y - 31.5).powi(2) + (z - 27.3).powi(2)).sqrt() - 22.0;
+    let hash = (x as u32).wrapping_mul(73_856_093)
+        ^ (y as u32).wrapping_mul(19_349_663)
+        ^ (z as u32).wrapping_mul(83_492_791);
+    let noise = f64::from(hash.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 24) - 0.5;
+    (700.0 * (-from_shell * from_shell).exp() + 100.0 * noise).round()
+}
+
+const SHELL: f64 = 400.0;
+
+fn within(distance: f64) -> Target {
+    Target::Surface(SurfaceTarget { isovalue: FieldValue::At(SHELL), distance: Length::World(distance) })
+}
+
+fn made(input: &Path, out: &Path, target: Target) -> ReduceReport {
+    Reduction::of(input).target(target).isovalues([SHELL]).write(out).unwrap()
+}
+
+/// What `measure` says of the surface.
+fn measured(archive: &Path, input: &Path) -> SurfaceErrors {
+    let archive = Archive::open(archive).unwrap();
+    archive.measure(input).isovalues(SHELL).run().unwrap().surfaces.swap_remove(0)
+}
+
+#[test]
+fn a_default_says_what_it_loses_and_a_target_keeps_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let [input, usual, close] =
+        ["v.nrrd", "usual.isospan", "close.isospan"].map(|name| dir.path().join(name));
+    write_whole(&input, [72, 64, 56], shell);
+    let report = Reduction::of(input.as_path()).isovalues([SHELL]).write(&usual).unwrap();
+    let [lost] = &report.surfaces[..] else { panic!("{report:?}") };
+    assert!(lost.archive.area < 0.7 * lost.source.area && lost.distance() > 1.0, "{lost:?}");
+    assert_eq!(*lost, measured(&usual, &input), "by the same code");
+
+    let report = made(&input, &close, within(0.1));
+    let [kept] = &report.surfaces[..] else { panic!("{report:?}") };
+    let target = report.target.unwrap();
+    assert!(
+        target.met && target.reached <= 0.1 && target.reached > 0.05 && target.bound == 0.1,
+        "{target:?}"
+    );
+    assert!((2..=5).contains(&target.tries), "{target:?}");
+    assert_eq!(*kept, measured(&close, &input));
+    assert_eq!(kept.distance(), target.reached);
+    let [a, b] = [kept.to_source.unwrap(), kept.to_archive.unwrap()];
+    assert!(a.p99 <= 0.1 && b.p99 <= 0.1 && a.p95 <= a.p99 && b.mean < b.p95 && b.p99 <= b.max, "{kept:?}");
+    assert!((kept.archive.area / kept.source.area - 1.0).abs() < 0.05, "{kept:?}");
+    // Far less than all samples take.
+    let whole = dir.path().join("whole.isospan");
+    let whole =
+        Reduction::of(input.as_path()).target(Target::Lossless).isovalues([SHELL]).write(whole).unwrap();
+    assert!(
+        report.archive_bytes < whole.archive_bytes * 2 / 3,
+        "{} {}",
+        report.archive_bytes,
+        whole.archive_bytes
+    );
+    assert_eq!(whole.surfaces[0].distance(), 0.0);
+}
+
+#[test]
+fn the_same_call_has_the_same_bytes_whatever_the_threads_and_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("v.nrrd");
+    write_whole(&input, [72, 64, 56], shell);
+    let with = |name: &str, threads, memory| {
+        let resources = Resources::default().with_threads(threads).with_memory(memory);
+        let out = dir.path().join(name);
+        let report =
+            Reduction::of(input.as_path()).target(within(0.2)).resources(resources).write(&out).unwrap();
+        (folder(&out), report.target.map(|t| (t.reached, t.tries)), report.surfaces)
+    };
+    let one = with("a.isospan", 1, 1 << 30);
+    assert!(one == with("b.isospan", 3, 96 << 20));
+    // It is there already: measured, and not made again.
+    let out = dir.path().join("a.isospan");
+    let again = made(&input, &out, within(0.2));
+    assert!(again.made_before && again.target.unwrap().tries == 0 && again.surfaces == one.2);
+    assert!(folder(&out) == one.0);
+}
+
+#[test]
+fn a_distance_has_a_unit_and_a_target_below_all_is_met_by_the_samples() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_whole(&d.join("v.nrrd"), [40, 36, 32], hundreds);
+    let run = |flags: &str| {
+        let args =
+            ["reduce", "-q", "--force", "v.nrrd", "-o", "v.isospan"].into_iter().chain(flags.split(' '));
+        let done = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(args).output().unwrap();
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        (done.status.code().unwrap(), text(done.stdout), text(done.stderr))
+    };
+    let (code, out, err) = run("-i 10.5 --target-surface 200um --length-unit mm");
+    assert!(code == 0 && out.contains("of 0.2 wanted") && out.contains("99 % within"), "{out}{err}");
+    assert!(
+        out.contains(" mm, largest") && out.contains("area") && out.contains("surface at 10.5\n"),
+        "{out}"
+    );
+    // All samples of whole numbers, and their very surface.
+    let (code, out, err) = run("-i 10.5 --target-surface 1e-9");
+    assert!(code == 0 && out.contains("within 0 of 1e-9 wanted"), "{code} {out}{err}");
+    let refused = |flags: &str, word: &str| {
+        let (code, out, err) = run(flags);
+        assert!(code == 2 && err.contains(word) && err.lines().count() == 1, "{flags}: {code} {out}{err}");
+    };
+    refused("-i 10.5 --target-surface 0.1mm", "unit of lengths");
+    refused("-i 10.5,20 --target-surface 0.1", "one --isovalue");
+    refused("-i 1e6 --target-surface 0.1", "no surface at 1000000");
+    refused("-i 10.5 --target-surface 0.1 --points halton", "--target-surface");
+    refused("-i 10.5 --labels", "labels are names");
+    refused("--target-surface 0.1", "--isovalue");
+    assert!(!d.join("v.isospan.work").exists());
+    write_mesh(&d.join("m.vtk"), 6, |_| true, |p| p, |p| waves(p[0], p[1], p[2]));
+    let mesh = Reduction::of(d.join("m.vtk")).isovalues([0.1]).write(d.join("m.isospan"));
+    assert!(mesh.unwrap_err().to_string().contains("the source is a mesh") && !d.join("m.isospan").exists());
+    let plan = |target| Reduction::of(d.join("v.nrrd")).target(target).plan_shards(d.join("p.isospan"), 2);
+    assert!(plan(within(0.1)).unwrap_err().to_string().contains("`target_surface`"));
+}
+
+#[test]
+fn of_a_series_the_worst_step_is_told_and_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps: Vec<StepSource> = [0.0, 30.0, 10.0]
+        .into_iter()
+        .map(|amount| {
+            let path = dir.path().join(format!("v{amount}.nrrd"));
+            write_whole(&path, [72, 64, 56], |x, y, z| shell(x, y, z) + amount / 100.0 * hundreds(x, y, z));
+            StepSource::from(path.as_path())
+        })
+        .collect();
+    let out = dir.path().join("s.isospan");
+    let reduction = Reduction::of_steps(steps.clone()).target(within(0.25));
+    let report = reduction.isovalues([SHELL, 300.0]).write(&out).unwrap();
+    assert!(report.target.unwrap().met && report.surfaces.len() == 2, "{report:?}");
+    let archive = Archive::open(&out).unwrap();
+    let of_step = |n: u64| {
+        let measurement = archive.measure(steps[n as usize].clone()).step(n).isovalues(SHELL);
+        measurement.run().unwrap().surfaces.swap_remove(0)
+    };
+    let all: Vec<SurfaceErrors> = (0..3).map(of_step).collect();
+    let worst = all.iter().map(SurfaceErrors::distance).fold(0.0, f64::max);
+    assert!(worst <= 0.25 && report.surfaces[0].distance() == worst, "{all:?}");
+    assert_eq!(all[report.surfaces[0].step as usize], report.surfaces[0]);
+    // Points of a volume are measured, too; nothing is searched for.
+    let halton = dir.path().join("h.isospan");
+    let points = Reduction::of(steps[0].clone()).points(SetKind::Halton).fraction(0.25);
+    let report = points.isovalues([SHELL]).write(halton).unwrap();
+    assert!(report.surfaces[0].archive.triangles > 0 && report.surfaces[0].to_archive.is_some());
+}
