@@ -34,6 +34,7 @@
 
 pub mod glb;
 pub mod obj;
+mod parts;
 pub mod ply;
 pub mod stl;
 pub mod threemf;
@@ -47,6 +48,7 @@ use crate::surface::check::CheckSettings;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, TriMesh, Vertex};
 use isospan_io::bytes::ByteSource;
+use isospan_io::bytes::publish::folder_of;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::shared::format::is_hdf5;
@@ -340,11 +342,16 @@ pub fn write_surface(
     meta: &SurfaceMeta,
 ) -> Result<u64> {
     check_limits(source, format, meta)?;
-    write(source, Sink::create(path)?, format, meta, &BuilderSettings::default())
+    let scratch = BuilderSettings { memory_bytes: HELD, scratch: folder_of(path).to_path_buf() };
+    write(source, Sink::create(path)?, format, meta, &scratch)
 }
 
+/// Bytes that wait in memory while a file is written; more lie beside it.
+const HELD: usize = 4 << 20;
+
 /// Hands the bytes of the file that [`write_surface`] writes to `each`, and returns their number.
-/// `scratch` is for the positions of STL: the memory that they take, and the folder beyond it.
+/// `scratch` is for what waits meanwhile, such as the positions of STL: the memory that it takes,
+/// and the folder beyond it.
 ///
 /// # Errors
 /// [`Error::Usage`] when the surface is beyond the format's limits, before a byte; the source's
@@ -386,9 +393,6 @@ fn check_limits(source: &dyn SurfaceSource, format: SurfaceFormat, meta: &Surfac
     if format == SurfaceFormat::Glb {
         glb::check_limits(source.vertex_count(), source.triangle_count(), meta)?;
     }
-    if format == SurfaceFormat::ThreeMf {
-        threemf::check_limits(meta)?;
-    }
     Ok(())
 }
 
@@ -406,7 +410,7 @@ fn write(
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
         SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
         SurfaceFormat::VtkHdf => vtkhdf::write(source, &mut sink, meta)?,
-        SurfaceFormat::ThreeMf => threemf::write(source, &mut sink, meta)?,
+        SurfaceFormat::ThreeMf => threemf::write(source, &mut sink, meta, scratch)?,
     }
     sink.publish()
 }

@@ -20,10 +20,12 @@
 mod zip;
 
 use super::obj::{push_decimal, put};
-use super::{SurfaceMeta, VertexValues, each_triangle, each_vertex};
+use super::parts::{Part, TakeParts, each_part, parts_of};
+use super::{SurfaceMeta, VertexValues};
 use crate::surface::SurfaceSource;
+use crate::surface::weld::BuilderSettings;
 use isospan_io::bytes::store::Cached;
-use isospan_io::error::{Error, Result};
+use isospan_io::error::Result;
 use isospan_io::formats::shared::sink::Sink;
 use isospan_io::formats::shared::text::xml_attribute;
 use isospan_io::volume::units::Unit;
@@ -43,8 +45,8 @@ const MATERIALS: &str = "http://schemas.microsoft.com/3dmanufacturing/material/2
 
 /// The number of the group of colours; objects have the numbers behind it.
 const COLOURS: usize = 1;
-/// Objects of a file, at most: for each, the whole surface is read.
-const MOST_OBJECTS: usize = 1000;
+/// Bytes of text that are compressed at a time.
+const HANDED_ON: usize = 1 << 16;
 
 /// Units of the format, in metres, from the smallest on.
 const UNITS: [(&str, f64); 6] = [
@@ -69,184 +71,157 @@ fn unit_of(unit: Option<&Unit>) -> Option<(&'static str, f64)> {
     Some((name, metres / size))
 }
 
-/// A surface of a file.
-struct Object {
-    name: String,
-    vertices: u64,
-    triangles: u64,
-}
-
-fn objects(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Vec<Object> {
-    if meta.parts.is_empty() {
-        let name = meta.isovalue.map_or_else(|| "surface".to_owned(), |v| format!("isovalue {v}"));
-        let (vertices, triangles) = (source.vertex_count(), source.triangle_count());
-        return vec![Object { name, vertices, triangles }];
-    }
-    let object = |part: &super::SurfacePart| Object {
-        name: part.name(),
-        vertices: part.vertices,
-        triangles: part.triangles,
-    };
-    meta.parts.iter().map(object).collect()
-}
-
-/// Refuses more objects than can be written in a short time.
-pub(in crate::files) fn check_limits(meta: &SurfaceMeta) -> Result<()> {
-    match meta.parts.len() > MOST_OBJECTS {
-        true => Err(Error::usage(format!(
-            "a 3MF file gets at most {MOST_OBJECTS} objects, this surface has {} parts: give each a file, \
-             or write GLB, VTP or PLY",
-            meta.parts.len()
-        ))),
-        false => Ok(()),
-    }
-}
-
-/// Writes a surface as 3MF.
+/// Writes a surface as 3MF. Vertices of objects wait as `scratch` says.
 pub(in crate::files) fn write(
     source: &dyn SurfaceSource,
     sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
+    scratch: &BuilderSettings,
 ) -> Result<()> {
     let mut zip = Zip::default();
     zip.add(sink, "[Content_Types].xml", CONTENT_TYPES.as_bytes())?;
     zip.add(sink, "_rels/.rels", RELATIONS.as_bytes())?;
     zip.begin(sink, "3D/3dmodel.model")?;
     let unit = unit_of(meta.units.length.as_ref());
-    zip.put(sink, head(meta, unit).as_bytes())?;
-    let objects = objects(source, meta);
-    Model { source, meta, objects: &objects }.write(&mut zip, sink)?;
-    zip.put(sink, build(&objects, source.origin(), unit.map_or(1.0, |(_, scale)| scale)).as_bytes())?;
+    let (parts, target) = (parts_of(source, meta), sink.target().to_path_buf());
+    let colours = meta.values.as_deref().map(|values| (values, values.cached()));
+    let mut model = Model { zip: &mut zip, sink, meta, colours, text: vec![] };
+    model.put_head(unit)?;
+    each_part(source, &parts, scratch, &target, &mut model)?;
+    model.put_build(&parts, source.origin(), unit.map_or(1.0, |(_, scale)| scale))?;
+    model.hand_on(true)?;
     zip.end(sink)?;
     zip.finish(sink)
 }
 
-fn head(meta: &SurfaceMeta, unit: Option<(&'static str, f64)>) -> String {
-    let unit = unit.map_or_else(String::new, |(name, _)| format!(" unit=\"{name}\""));
-    let mut text = format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<model{unit} xml:lang=\"en-US\" xmlns=\"{CORE}\" \
-         xmlns:m=\"{MATERIALS}\">\n  <metadata name=\"Application\">isospan {}</metadata>\n",
-        env!("CARGO_PKG_VERSION")
-    );
-    let lines = meta.lines().join("; ");
-    if !lines.is_empty() {
-        text += &format!("  <metadata name=\"Description\">{}</metadata>\n", xml_attribute(&lines));
-    }
-    text += "  <resources>\n";
-    if let Some(values) = &meta.values {
-        text += &format!("    <m:colorgroup id=\"{COLOURS}\">\n");
-        for [r, g, b] in values.palette() {
-            text += &format!("      <m:color color=\"#{r:02X}{g:02X}{b:02X}FF\"/>\n");
-        }
-        text += "    </m:colorgroup>\n";
-    } else if meta.are_labels() {
-        text += &format!("    <basematerials id=\"{COLOURS}\">\n");
-        for part in &meta.parts {
-            let [r, g, b, a] = part.label.as_ref().map_or([u8::MAX; 4], |label| label.colour);
-            let name = xml_attribute(&part.name());
-            let colour = format!("#{r:02X}{g:02X}{b:02X}{a:02X}");
-            text += &format!("      <base name=\"{name}\" displaycolor=\"{colour}\"/>\n");
-        }
-        text += "    </basematerials>\n";
-    }
-    text
-}
-
-/// The end of the model: each object at its place.
-fn build(objects: &[Object], origin: [f64; 3], scale: f64) -> String {
-    let mut text = String::from("  </resources>\n  <build>\n");
-    let [x, y, z] = origin.map(|c| scale * c);
-    let transform = match scale == 1.0 && origin == [0.0; 3] {
-        true => String::new(),
-        false => format!(" transform=\"{scale} 0 0 0 {scale} 0 0 0 {scale} {x} {y} {z}\""),
-    };
-    for (n, _) in objects.iter().enumerate().filter(|(_, object)| object.triangles > 0) {
-        text += &format!("    <item objectid=\"{}\"{transform}/>\n", COLOURS + 1 + n);
-    }
-    text + "  </build>\n</model>\n"
-}
-
-/// The objects of a model. Vertices and triangles of all of them come in two runs, and the text has
-/// them in turn: so a part is read by itself, of all that the source hands out.
-struct Model<'a> {
-    source: &'a dyn SurfaceSource,
+/// The text of a model, which is compressed in pieces of one size: their bytes do not depend on
+/// how a source hands out what it has.
+struct Model<'a, 's> {
+    zip: &'a mut Zip,
+    sink: &'a mut Sink<'s>,
     meta: &'a SurfaceMeta,
-    objects: &'a [Object],
+    colours: Option<(&'a VertexValues, Cached<'a, f32>)>,
+    text: Vec<u8>,
 }
 
-impl Model<'_> {
-    fn write(&self, zip: &mut Zip, sink: &mut Sink<'_>) -> Result<()> {
-        let (mut vertices, mut triangles) = (0, 0);
-        for (n, object) in self.objects.iter().enumerate() {
-            if object.triangles > 0 {
-                let name = xml_attribute(&object.name);
-                let id = COLOURS + 1 + n;
-                let colour = match self.meta.are_labels() && self.meta.values.is_none() {
-                    true => format!(" pid=\"{COLOURS}\" pindex=\"{n}\""),
-                    false => String::new(),
-                };
-                let head = format!(
-                    "    <object id=\"{id}\" type=\"model\" name=\"{name}\"{colour}>\n      <mesh>\n        <vertices>\n"
-                );
-                zip.put(sink, head.as_bytes())?;
-                self.put_vertices(zip, sink, vertices..vertices + object.vertices)?;
-                zip.put(sink, b"        </vertices>\n        <triangles>\n")?;
-                self.put_triangles(zip, sink, triangles..triangles + object.triangles, vertices)?;
-                zip.put(sink, b"        </triangles>\n      </mesh>\n    </object>\n")?;
+impl Model<'_, '_> {
+    fn put(&mut self, text: &str) -> Result<()> {
+        self.text.extend_from_slice(text.as_bytes());
+        self.hand_on(false)
+    }
+
+    /// Compresses whole pieces of the text, or all of it.
+    fn hand_on(&mut self, all: bool) -> Result<()> {
+        let whole = self.text.len() / HANDED_ON * HANDED_ON;
+        let now = if all { self.text.len() } else { whole };
+        for piece in self.text[..now].chunks(HANDED_ON) {
+            self.zip.put(self.sink, piece)?;
+        }
+        self.text.drain(..now);
+        Ok(())
+    }
+
+    fn put_head(&mut self, unit: Option<(&'static str, f64)>) -> Result<()> {
+        let unit = unit.map_or_else(String::new, |(name, _)| format!(" unit=\"{name}\""));
+        self.put(&format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<model{unit} xml:lang=\"en-US\" xmlns=\"{CORE}\" \
+             xmlns:m=\"{MATERIALS}\">\n  <metadata name=\"Application\">isospan {}</metadata>\n",
+            env!("CARGO_PKG_VERSION")
+        ))?;
+        let lines = self.meta.lines().join("; ");
+        if !lines.is_empty() {
+            let lines = xml_attribute(&lines);
+            self.put(&format!("  <metadata name=\"Description\">{lines}</metadata>\n"))?;
+        }
+        self.put("  <resources>\n")?;
+        if let Some(values) = &self.meta.values {
+            self.put(&format!("    <m:colorgroup id=\"{COLOURS}\">\n"))?;
+            for [r, g, b] in values.palette() {
+                self.put(&format!("      <m:color color=\"#{r:02X}{g:02X}{b:02X}FF\"/>\n"))?;
             }
-            vertices += object.vertices;
-            triangles += object.triangles;
+            return self.put("    </m:colorgroup>\n");
+        }
+        if self.meta.are_labels() {
+            self.put(&format!("    <basematerials id=\"{COLOURS}\">\n"))?;
+            for part in &self.meta.parts {
+                let [r, g, b, a] = part.label.as_ref().map_or([u8::MAX; 4], |label| label.colour);
+                let name = xml_attribute(&part.name());
+                let colour = format!("#{r:02X}{g:02X}{b:02X}{a:02X}");
+                self.put(&format!("      <base name=\"{name}\" displaycolor=\"{colour}\"/>\n"))?;
+            }
+            self.put("    </basematerials>\n")?;
         }
         Ok(())
     }
 
-    fn put_vertices(&self, zip: &mut Zip, sink: &mut Sink<'_>, range: std::ops::Range<u64>) -> Result<()> {
-        let mut each = |bytes: &[u8]| zip.put(sink, bytes);
-        let mut packed = Sink::stream(&mut each);
-        each_vertex(self.source, &mut packed, |text, n, v| {
-            if range.contains(&n) {
-                text.extend_from_slice(b"<vertex");
-                for (name, c) in [" x=\"", " y=\"", " z=\""].into_iter().zip(v.position) {
-                    text.extend_from_slice(name.as_bytes());
-                    push_decimal(text, c + 0.0);
-                    text.push(b'"');
-                }
-                text.extend_from_slice(b"/>\n");
-            }
-        })
+    /// The end of the model: each object at its place.
+    fn put_build(&mut self, parts: &[Part], origin: [f64; 3], scale: f64) -> Result<()> {
+        self.put("  </resources>\n  <build>\n")?;
+        let [x, y, z] = origin.map(|c| scale * c);
+        let transform = match scale == 1.0 && origin == [0.0; 3] {
+            true => String::new(),
+            false => format!(" transform=\"{scale} 0 0 0 {scale} 0 0 0 {scale} {x} {y} {z}\""),
+        };
+        for part in parts {
+            let id = COLOURS + 1 + part.number;
+            self.put(&format!("    <item objectid=\"{id}\"{transform}/>\n"))?;
+        }
+        self.put("  </build>\n</model>\n")
+    }
+}
+
+impl TakeParts for Model<'_, '_> {
+    fn begin(&mut self, part: &Part) -> Result<()> {
+        let (name, id) = (xml_attribute(&part.name), COLOURS + 1 + part.number);
+        let colour = match self.meta.are_labels() && self.meta.values.is_none() {
+            true => format!(" pid=\"{COLOURS}\" pindex=\"{}\"", part.number),
+            false => String::new(),
+        };
+        self.put(&format!(
+            "    <object id=\"{id}\" type=\"model\" name=\"{name}\"{colour}>\n      <mesh>\n        <vertices>\n"
+        ))
     }
 
-    fn put_triangles(
-        &self,
-        zip: &mut Zip,
-        sink: &mut Sink<'_>,
-        range: std::ops::Range<u64>,
-        first: u64,
-    ) -> Result<()> {
-        let values = self.meta.values.as_deref();
-        let mut colours = values.map(|values| (values, values.cached()));
-        let mut each = |bytes: &[u8]| zip.put(sink, bytes);
-        let mut packed = Sink::stream(&mut each);
-        each_triangle(self.source, &mut packed, |text, n, t| {
-            if range.contains(&n) {
-                let [a, b, c] = t.map(|v| u64::from(v).saturating_sub(first));
-                put(text, format_args!("<triangle v1=\"{a}\" v2=\"{b}\" v3=\"{c}\""));
-                if let Some((values, cached)) = &mut colours {
-                    let [p, q, r] = numbers(values, cached, t)?;
-                    put(text, format_args!(" pid=\"{COLOURS}\" p1=\"{p}\" p2=\"{q}\" p3=\"{r}\""));
-                }
-                text.extend_from_slice(b"/>\n");
+    fn vertices(&mut self, positions: &[[f32; 3]]) -> Result<()> {
+        for position in positions {
+            self.text.extend_from_slice(b"<vertex");
+            for (name, c) in [" x=\"", " y=\"", " z=\""].into_iter().zip(position) {
+                self.text.extend_from_slice(name.as_bytes());
+                push_decimal(&mut self.text, c + 0.0);
+                self.text.push(b'"');
             }
-            Ok(())
-        })
+            self.text.extend_from_slice(b"/>\n");
+        }
+        self.hand_on(false)
+    }
+
+    fn between(&mut self) -> Result<()> {
+        self.put("        </vertices>\n        <triangles>\n")
+    }
+
+    fn triangles(&mut self, part: &Part, triangles: &[[u32; 3]]) -> Result<()> {
+        for &[a, b, c] in triangles {
+            put(&mut self.text, format_args!("<triangle v1=\"{a}\" v2=\"{b}\" v3=\"{c}\""));
+            if let Some((values, cached)) = &mut self.colours {
+                let corners = [a, b, c].map(|v| part.first + u64::from(v));
+                let [p, q, r] = numbers(values, cached, corners)?;
+                put(&mut self.text, format_args!(" pid=\"{COLOURS}\" p1=\"{p}\" p2=\"{q}\" p3=\"{r}\""));
+            }
+            self.text.extend_from_slice(b"/>\n");
+        }
+        self.hand_on(false)
+    }
+
+    fn end(&mut self) -> Result<()> {
+        self.put("        </triangles>\n      </mesh>\n    </object>\n")
     }
 }
 
 /// The numbers of the colours of a triangle's corners.
-fn numbers(values: &VertexValues, cached: &mut Cached<'_, f32>, triangle: [u32; 3]) -> Result<[usize; 3]> {
+fn numbers(values: &VertexValues, cached: &mut Cached<'_, f32>, triangle: [u64; 3]) -> Result<[usize; 3]> {
     let mut out = [0; 3];
     for (number, vertex) in out.iter_mut().zip(triangle) {
-        *number = values.index(cached.get(vertex.into())?);
+        *number = values.index(cached.get(vertex)?);
     }
     Ok(out)
 }
@@ -313,8 +288,27 @@ mod tests {
         let text = written(&SurfaceMeta { parts, ..SurfaceMeta::default() }, false);
         assert!(text.contains("<base name=\"Left &quot;A&quot;\" displaycolor=\"#FF001080\"/>"), "{text}");
         assert!(text.contains("name=\"Left &quot;A&quot;\" pid=\"1\" pindex=\"0\""), "{text}");
-        let many = SurfaceMeta { parts: vec![part(1.0, 0, 0); 1001], ..SurfaceMeta::default() };
-        assert!(check_limits(&many).unwrap_err().to_string().contains("1000 objects"));
+    }
+
+    #[test]
+    fn thousands_of_objects_are_written_in_one_pass() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("many.3mf");
+        let one = source(far_tetrahedron());
+        let joined = Joined::new(vec![&one; 3000]);
+        let part = |n: u32| SurfacePart { isovalue: n.into(), vertices: 4, triangles: 4, label: None };
+        let meta = SurfaceMeta { parts: (0..3000).map(part).collect(), ..SurfaceMeta::default() };
+        write_surface(&joined, &path, SurfaceFormat::ThreeMf, &meta).unwrap();
+        let text = model(&std::fs::read(&path).unwrap());
+        assert_eq!(text.matches("<object ").count(), 3000);
+        assert_eq!(text.matches("<triangle v1=\"0\" v2=\"2\" v3=\"1\"/>").count(), 3000);
+        assert_eq!(text.matches("<vertex x=\"0.125\"").count(), 3000);
+        // Triangles that use vertices of another part are an error.
+        let parts = vec![SurfacePart { vertices: 3, ..part(0) }, SurfacePart { vertices: 5, ..part(1) }];
+        let meta = SurfaceMeta { parts, ..SurfaceMeta::default() };
+        let two = Joined::new(vec![&one; 2]);
+        let error = write_surface(&two, &path, SurfaceFormat::ThreeMf, &meta).unwrap_err().to_string();
+        assert!(error.contains("of a part of the vertices 0 to 3"), "{error}");
     }
 
     #[test]
