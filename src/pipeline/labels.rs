@@ -1,7 +1,7 @@
 //! [`LabelQuery`]: the surfaces of which labels are wanted, and where they go.
 
 use crate::files::labels::LabelTable;
-use crate::files::surface::SurfaceFormat;
+use crate::files::surface::{Compression, SurfaceFormat};
 use crate::pipeline::step::Step;
 use crate::pipeline::surface::{
     LabelMesh, LabelReport, LabelSettings, Labels, OneLabel, label_files, label_meshes, label_sizes,
@@ -62,7 +62,7 @@ impl Step {
             labels: labels.into(),
             smooth: 0,
             table: Arc::default(),
-            compress: false,
+            compress: Compression::None,
             resources: Resources::default(),
         };
         LabelQuery { of: self.clone(), settings, format: None, progress: &Silent }
@@ -87,9 +87,9 @@ impl LabelQuery<'_> {
         self
     }
 
-    /// A GLB of about half the bytes: positions of 16 bits, normals of 8.
-    pub fn compress(mut self, compress: bool) -> Self {
-        self.settings.compress = compress;
+    /// How a GLB is made small: `true` is [`Compression::Quantized`].
+    pub fn compress(mut self, compress: impl Into<Compression>) -> Self {
+        self.settings.compress = compress.into();
         self
     }
 
@@ -130,8 +130,8 @@ impl LabelQuery<'_> {
 
     /// Writes the meshes to a file, or, where its name holds `{}`, each to a file with its label in
     /// that place. In one file they follow each other, ascending by label: nodes with names and
-    /// colours in GLB, groups in OBJ, an array `label` of the vertices in PLY, VTP and VTKHDF. STL
-    /// does not keep them apart.
+    /// colours in GLB, groups in OBJ, segments with names in a folder for neuroglancer, an array
+    /// `label` of the vertices in PLY, VTP and VTKHDF. STL does not keep them apart.
     ///
     /// Memory grows neither with the labels nor with their meshes: what it does not hold waits in
     /// the scratch folder.

@@ -1,6 +1,6 @@
 //! [`SurfaceQuery`]: which surfaces are wanted, said one method at a time, and where they go.
 
-use crate::files::surface::SurfaceFormat;
+use crate::files::surface::{Compression, SurfaceFormat};
 use crate::pipeline::read::{LevelChoice, Roi};
 use crate::pipeline::step::Step;
 use crate::pipeline::steps::Steps;
@@ -179,9 +179,9 @@ impl<Of> SurfaceQuery<'_, Of> {
         self
     }
 
-    /// A GLB of about half the bytes: positions of 16 bits, normals of 8.
-    pub fn compress(mut self, compress: bool) -> Self {
-        self.settings.compress = compress;
+    /// How a GLB is made small: `true` is [`Compression::Quantized`].
+    pub fn compress(mut self, compress: impl Into<Compression>) -> Self {
+        self.settings.compress = compress.into();
         self
     }
 

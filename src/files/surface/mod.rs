@@ -1,4 +1,5 @@
-//! Surface files, read and written: one interface for PLY, STL, OBJ, VTP, GLB, VTKHDF and 3MF.
+//! Surface files, read and written: one interface for PLY, STL, OBJ, VTP, GLB, VTKHDF, 3MF and the
+//! meshes of neuroglancer.
 //!
 //! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every
 //! header is final when it is written, and the memory used is that of a buffer, for a surface of
@@ -14,15 +15,16 @@
 //! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
 //! | VTKHDF, contiguous arrays | vertices with normals, triangles, the isovalue | none |
 //! | 3MF, text in a zip archive | vertices, triangles; an object for each isovalue | none |
+//! | neuroglancer, a folder | vertices, triangles; a mesh for each isovalue | near 0, in a known unit |
 //!
 //! **Units and times.** PLY and OBJ name them in lines of comment, STL as far as its 80 bytes go.
 //! VTP and VTKHDF have arrays `length_unit`, `value_unit`, `TimeValue` and `time_unit` of the
 //! whole data set. GLB is in metres and y is up where the unit of length is known: its nodes have
-//! the transform. 3MF has a unit of its own. What is read keeps them ([`StoredSurface::units`]).
+//! the transform. 3MF has a unit of its own, neuroglancer nanometres. What is read keeps them ([`StoredSurface::units`]).
 //!
 //! **Reading** ([`load_surface`], for the checker) streams too: what does not fit into a given
 //! memory goes to a scratch folder. It reads the formats as we write them and as other programs do;
-//! 3MF alone is written only.
+//! 3MF and neuroglancer's meshes are written only.
 //! Polygons are cut into fans of triangles. Vertex normals are kept where the format stores them
 //! with the vertices (PLY, VTP, GLB, VTKHDF) and are zero otherwise. Positions are stored as `f32`;
 //! one that is not finite is an error.
@@ -33,6 +35,7 @@
 //! place, STL in its comment alone: [`SurfaceFormat::shifts`].
 
 pub mod glb;
+pub mod neuroglancer;
 pub mod obj;
 mod parts;
 pub mod ply;
@@ -59,6 +62,7 @@ use isospan_io::volume::units::{Unit, Units};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+pub use glb::Compression;
 pub use values::VertexValues;
 pub use vtkhdf_steps::{SurfaceStep, write_surface_steps};
 
@@ -80,10 +84,12 @@ pub enum SurfaceFormat {
     VtkHdf,
     /// 3D Manufacturing Format; it is written only.
     ThreeMf,
+    /// Meshes of neuroglancer, of one resolution: a folder, which is written only.
+    Neuroglancer,
 }
 
 impl SurfaceFormat {
-    /// All of them.
+    /// All that are files.
     pub const ALL: [Self; 7] =
         [Self::Ply, Self::Stl, Self::Obj, Self::Vtp, Self::Glb, Self::VtkHdf, Self::ThreeMf];
 
@@ -97,12 +103,18 @@ impl SurfaceFormat {
             Self::Glb => "glb",
             Self::VtkHdf => "vtkhdf",
             Self::ThreeMf => "3mf",
+            Self::Neuroglancer => "precomputed",
         }
     }
 
     /// Whether surfaces are read from files of it.
     pub fn is_read(self) -> bool {
-        self != Self::ThreeMf
+        !matches!(self, Self::ThreeMf | Self::Neuroglancer)
+    }
+
+    /// Whether it is a folder, not a file.
+    pub fn is_folder(self) -> bool {
+        self == Self::Neuroglancer
     }
 
     /// Whether a file tells several isovalues apart.
@@ -117,12 +129,12 @@ impl SurfaceFormat {
 
     /// Refuses a format that has no values at vertices.
     pub(crate) fn expect_colours(self) -> Result<()> {
-        if self == Self::Stl {
-            return Err(Error::usage(
-                "an STL file has no colours: write .ply, .vtp, .vtkhdf, .glb, .3mf or .obj",
-            ));
-        }
-        Ok(())
+        let what = match self {
+            Self::Stl => "an STL file has",
+            Self::Neuroglancer => "meshes of neuroglancer have",
+            _ => return Ok(()),
+        };
+        Err(Error::usage(format!("{what} no colours: write .ply, .vtp, .vtkhdf, .glb, .3mf or .obj")))
     }
 
     /// The format that a file name asks for, by its extension in any case.
@@ -131,10 +143,14 @@ impl SurfaceFormat {
     /// [`Error::Usage`] when there is no extension or it is none of ours.
     pub fn from_path(path: &Path) -> Result<Self> {
         let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-        let found = Self::ALL.into_iter().find(|f| Some(f.extension()) == extension.as_deref());
+        let found = Self::ALL
+            .into_iter()
+            .chain([Self::Neuroglancer])
+            .find(|f| Some(f.extension()) == extension.as_deref());
         found.ok_or_else(|| {
             Error::usage(format!(
-                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp, .vtkhdf, .glb or .3mf",
+                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp, .vtkhdf, .glb, .3mf \
+                 or .precomputed",
                 path.display()
             ))
         })
@@ -159,8 +175,8 @@ pub struct SurfaceMeta {
     pub units: Units,
     /// The time of the step, where it has one.
     pub time: Option<f64>,
-    /// Of GLB: positions of 16 bits and normals of 8 (`KHR_mesh_quantization`).
-    pub compress: bool,
+    /// Of GLB: how its arrays are made small.
+    pub compress: Compression,
 }
 
 /// One of several surfaces in a file.
@@ -343,6 +359,9 @@ pub fn write_surface(
 ) -> Result<u64> {
     check_limits(source, format, meta)?;
     let scratch = BuilderSettings { memory_bytes: HELD, scratch: folder_of(path).to_path_buf() };
+    if format == SurfaceFormat::Neuroglancer {
+        return neuroglancer::write(source, path, meta, &scratch);
+    }
     write(source, Sink::create(path)?, format, meta, &scratch)
 }
 
@@ -364,6 +383,11 @@ pub fn stream_surface(
     each: &mut dyn FnMut(&[u8]) -> Result<()>,
 ) -> Result<u64> {
     check_limits(source, format, meta)?;
+    if format.is_folder() {
+        return Err(Error::usage(
+            "meshes of neuroglancer are a folder, which is no stream: write it to a disk",
+        ));
+    }
     write(source, Sink::stream(each), format, meta, scratch)
 }
 
@@ -384,7 +408,7 @@ fn check_limits(source: &dyn SurfaceSource, format: SurfaceFormat, meta: &Surfac
     if format == SurfaceFormat::Stl {
         stl::check_limits(source.triangle_count())?;
     }
-    if meta.compress && format != SurfaceFormat::Glb {
+    if meta.compress != Compression::None && format != SurfaceFormat::Glb {
         return Err(Error::usage(format!(
             "`compress` is for .glb, not for .{}: leave it out",
             format.extension()
@@ -392,6 +416,9 @@ fn check_limits(source: &dyn SurfaceSource, format: SurfaceFormat, meta: &Surfac
     }
     if format == SurfaceFormat::Glb {
         glb::check_limits(source.vertex_count(), source.triangle_count(), meta)?;
+    }
+    if format == SurfaceFormat::Neuroglancer {
+        neuroglancer::check(source, meta)?;
     }
     Ok(())
 }
@@ -408,9 +435,11 @@ fn write(
         SurfaceFormat::Stl => stl::write(source, &mut sink, meta, scratch)?,
         SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
-        SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
+        SurfaceFormat::Glb => glb::write(source, &mut sink, meta, scratch)?,
         SurfaceFormat::VtkHdf => vtkhdf::write(source, &mut sink, meta)?,
         SurfaceFormat::ThreeMf => threemf::write(source, &mut sink, meta, scratch)?,
+        // A folder, of which no stream is written.
+        SurfaceFormat::Neuroglancer => {}
     }
     sink.publish()
 }

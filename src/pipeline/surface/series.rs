@@ -54,6 +54,11 @@ pub(in crate::pipeline) fn write_series(
 ) -> Result<SeriesReport> {
     settings.check()?;
     settings.check_colours(format)?;
+    if format.is_folder() {
+        return Err(Error::usage(
+            "meshes of neuroglancer have no steps: write them of one step, or write .vtkhdf, .vtp or .glb",
+        ));
+    }
     if is_in_one(out, format) {
         return write_in_one(archive, steps, settings, out, progress);
     }

@@ -1,7 +1,7 @@
 //! What is asked of a surface, and what is reported about it.
 
 use super::refine::{Refine, RefineReport};
-use crate::files::surface::SurfaceFormat;
+use crate::files::surface::{Compression, SurfaceFormat};
 use crate::pipeline::read::{LevelChoice, Roi, StepView};
 use crate::pipeline::stage::StageSeconds;
 use crate::render::ColourMap;
@@ -28,8 +28,8 @@ pub(in crate::pipeline) struct SurfaceSettings {
     pub(in crate::pipeline) refine: Refine,
     /// A field whose values a surface file has at the vertices, with their colours.
     pub(in crate::pipeline) colour_by: Option<ColourBy>,
-    /// A GLB of fewer bytes.
-    pub(in crate::pipeline) compress: bool,
+    /// How a GLB is made small.
+    pub(in crate::pipeline) compress: Compression,
     /// The level of a pyramid; the finest if not given. Other archives have no levels.
     pub(in crate::pipeline) level: Option<LevelChoice>,
     /// Threads, memory, scratch folder, and what stops it.
@@ -61,7 +61,7 @@ impl Default for SurfaceSettings {
             cap: false,
             refine: Refine::default(),
             colour_by: None,
-            compress: false,
+            compress: Compression::None,
             level: None,
             resources: Resources::default(),
         }

@@ -1,8 +1,9 @@
 //! Reads GLB.
 
+use super::decode::{attributes, triangles};
 use super::{
-    BIN, BYTE, CHUNK_HEAD, FLOAT, GENERATOR, HEAD, JSON, QUANTIZATION, SHORT, TRIANGLES, UNSIGNED_BYTE,
-    UNSIGNED_INT, UNSIGNED_SHORT,
+    BIN, BYTE, CHUNK_HEAD, FLOAT, GENERATOR, HEAD, JSON, MESHOPT, QUANTIZATION, SHORT, TRIANGLES,
+    UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT,
 };
 use crate::files::surface::ply::check_indices;
 use crate::files::surface::{ReadLimits, is_finite, take_line};
@@ -25,8 +26,9 @@ pub(in crate::files) fn read(
     limits: &ReadLimits,
     out: &mut StoredSurface,
 ) -> Result<()> {
-    let file = File::parse(path, bytes, limits)?;
+    let mut file = File::parse(path, bytes, limits)?;
     file.refuse_what_changes_the_shape()?;
+    file.decode(limits)?;
     let places = file.places()?;
     if file.is_ours() {
         let lines = file.json.pointer("/asset/extras").map_or(&[][..], |extras| list(extras, "comments"));
@@ -50,6 +52,8 @@ struct File<'a> {
     path: &'a Path,
     json: Value,
     bin: &'a [u8],
+    /// What coded runs of bytes decode to, by their numbers.
+    decoded: HashMap<usize, Vec<u8>>,
 }
 
 /// The way from the numbers of a mesh to the world.
@@ -81,6 +85,19 @@ fn triple(value: Option<&Value>) -> Option<[f64; 3]> {
 fn own_frame(node: &Value) -> Option<Frame> {
     let world = node.pointer("/extras/world")?;
     Some(Frame { scale: world.get("scale")?.as_f64()?, place: triple(world.get("translation"))? })
+}
+
+/// Corners of triangles as indices of two or four bytes.
+fn indices(triangles: &[[u32; 3]], width: usize) -> Option<Vec<u8>> {
+    let corners = triangles.iter().flatten();
+    match width {
+        2 => {
+            let short: Option<Vec<u16>> = corners.map(|&v| u16::try_from(v).ok()).collect();
+            Some(short?.into_iter().flat_map(u16::to_le_bytes).collect())
+        }
+        4 => Some(corners.flat_map(|v| v.to_le_bytes()).collect()),
+        _ => None,
+    }
 }
 
 /// The elements of an accessor: each `size` bytes long, `stride` bytes apart.
@@ -142,7 +159,10 @@ impl<'a> File<'a> {
         let Some(text) = chunks[0] else { return bad("chunks", "one of JSON", "none".into()) };
         limits.check("for the JSON text of a GLB file", TREE_PER_BYTE * text.len() as u64)?;
         match serde_json::from_slice(text) {
-            Ok(json) => Ok(Self { path, json, bin: chunks[1].unwrap_or_default() }),
+            Ok(json) => {
+                let (bin, decoded) = (chunks[1].unwrap_or_default(), HashMap::new());
+                Ok(Self { path, json, bin, decoded })
+            }
             Err(e) => bad("JSON chunk", "a JSON text", e.to_string()),
         }
     }
@@ -153,10 +173,10 @@ impl<'a> File<'a> {
 
     fn refuse_what_changes_the_shape(&self) -> Result<()> {
         let required = list(&self.json, "extensionsRequired");
-        if required.iter().any(|name| name != QUANTIZATION) {
+        if required.iter().any(|name| name != QUANTIZATION && name != MESHOPT) {
             let got = Value::from(required).to_string();
             return Err(self
-                .wrong("extensionsRequired", format!("none, or {QUANTIZATION}"), got)
+                .wrong("extensionsRequired", format!("none, {QUANTIZATION} or {MESHOPT}"), got)
                 .with_help("save the file without compression and other extensions"));
         }
         let is_ours = |n: &Value| self.is_ours() && own_frame(n).is_some();
@@ -230,12 +250,63 @@ impl<'a> File<'a> {
             .ok_or_else(|| self.wrong(name, format!("one of number {number}"), items.len().to_string()))
     }
 
+    /// Decodes the runs of bytes that are coded.
+    fn decode(&mut self, limits: &ReadLimits) -> Result<()> {
+        let (mut total, mut all) = (0u64, HashMap::new());
+        for (number, view) in list(&self.json, "bufferViews").iter().enumerate() {
+            let Some(coded) = view.get("extensions").and_then(|all| all.get(MESHOPT)) else { continue };
+            let of = |name: &str, default| self.number(coded, name, default);
+            let (start, length) = (of("byteOffset", Some(0))?, of("byteLength", None)?);
+            let (count, stride) = (of("count", None)?, of("byteStride", None)?);
+            let size = count.checked_mul(stride).map_or(u64::MAX, |size| size as u64);
+            total = total.saturating_add(size);
+            limits.check("for the coded arrays of a GLB file", total)?;
+            let bytes = start.checked_add(length).and_then(|end| self.bin.get(start..end));
+            let text = |name: &str| coded.get(name).and_then(Value::as_str);
+            let is_plain = of("buffer", None)? == 0 && text("filter").is_none_or(|filter| filter == "NONE");
+            let decoded = match (bytes.filter(|_| is_plain), text("mode")) {
+                (Some(bytes), Some("ATTRIBUTES")) => attributes(bytes, count, stride),
+                (Some(bytes), Some("TRIANGLES")) if count.is_multiple_of(3) => {
+                    triangles(bytes, count / 3).and_then(|all| indices(&all, stride))
+                }
+                _ => None,
+            };
+            let Some(decoded) = decoded else {
+                let at = format!("bufferViews {number}");
+                let expected = format!("{count} elements of {stride} bytes, coded without a filter");
+                return Err(self.wrong(at, expected, format!("{length} bytes that are none")));
+            };
+            all.insert(number, decoded);
+        }
+        self.decoded = all;
+        Ok(())
+    }
+
+    /// The bytes of a run.
+    fn view(&self, number: usize, at: &str) -> Result<&[u8]> {
+        if let Some(decoded) = self.decoded.get(&number) {
+            return Ok(decoded);
+        }
+        let view = self.item("bufferViews", number)?;
+        let buffer = self.number(view, "buffer", None)?;
+        if buffer != 0 || self.item("buffers", 0)?.get("uri").is_some() {
+            return Err(self.wrong(at, "data in this file", "data elsewhere"));
+        }
+        let (start, length) =
+            (self.number(view, "byteOffset", Some(0))?, self.number(view, "byteLength", None)?);
+        let bytes = start.checked_add(length).and_then(|end| self.bin.get(start..end));
+        bytes.ok_or_else(|| {
+            let got = format!("{length} bytes beyond the end of {} bytes", self.bin.len());
+            self.wrong(at, "elements inside the file", got)
+        })
+    }
+
     fn elements(
         &self,
         accessor: usize,
         kind: &str,
         size_of: impl Fn(usize) -> Option<usize>,
-    ) -> Result<Elements<'a>> {
+    ) -> Result<Elements<'_>> {
         let about = self.item("accessors", accessor)?;
         let at = format!("accessor {accessor}");
         let found = about.get("type").and_then(Value::as_str).unwrap_or("none");
@@ -245,31 +316,26 @@ impl<'a> File<'a> {
             let got = format!("{found} of component type {component}, or sparse");
             return Err(self.wrong(at, format!("{kind} of a plain type"), got));
         };
-        let view = self.item("bufferViews", self.number(about, "bufferView", None)?)?;
-        let buffer = self.number(view, "buffer", None)?;
-        if buffer != 0 || self.item("buffers", 0)?.get("uri").is_some() {
-            return Err(self.wrong(at, "data in this file", "data elsewhere"));
-        }
-        let (start, length) =
-            (self.number(view, "byteOffset", Some(0))?, self.number(view, "byteLength", None)?);
+        let number = self.number(about, "bufferView", None)?;
+        let view = self.item("bufferViews", number)?;
+        let bytes = self.view(number, &at)?;
         let stride = self.number(view, "byteStride", Some(size as u64))?;
         let (skip, count) = (self.number(about, "byteOffset", Some(0))?, self.number(about, "count", None)?);
         let needed = count.checked_sub(1).map_or(Some(0), |n| n.checked_mul(stride)?.checked_add(size));
-        let bytes = start.checked_add(length).and_then(|end| self.bin.get(start..end)?.get(skip..));
-        match (bytes, needed) {
+        match (bytes.get(skip..), needed) {
             (Some(bytes), Some(needed)) if stride >= size && needed <= bytes.len() => {
                 let normalized = about.get("normalized").and_then(Value::as_bool).unwrap_or(false);
                 Ok(Elements { bytes, stride, size, count, kind: component as u64, normalized })
             }
             _ => {
-                let got = format!("{count} elements beyond the end of {} bytes", self.bin.len());
+                let got = format!("{count} elements beyond the end of {} bytes", bytes.len());
                 Err(self.wrong(at, "elements inside the file", got))
             }
         }
     }
 
     /// Three numbers an element: floats or, of a file that is quantized, shorter ones.
-    fn vectors(&self, accessor: usize) -> Result<Elements<'a>> {
+    fn vectors(&self, accessor: usize) -> Result<Elements<'_>> {
         let is_quantized = list(&self.json, "extensionsRequired").iter().any(|name| name == QUANTIZATION);
         self.elements(accessor, "VEC3", |component| match component as u64 {
             FLOAT => Some(12),
@@ -342,7 +408,7 @@ impl<'a> File<'a> {
         Ok(positions.count)
     }
 
-    fn indices(&self, accessor: usize) -> Result<Elements<'a>> {
+    fn indices(&self, accessor: usize) -> Result<Elements<'_>> {
         self.elements(accessor, "SCALAR", |component| match component as u64 {
             UNSIGNED_BYTE => Some(1),
             UNSIGNED_SHORT => Some(2),

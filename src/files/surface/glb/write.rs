@@ -1,13 +1,15 @@
 //! Writes GLB.
 
+use super::coded::Coded;
 use super::{
-    ARRAY_BUFFER, BIN, BYTE, CHUNK_HEAD, ELEMENT_ARRAY_BUFFER, FLOAT, GENERATOR, HEAD, JSON, MAGIC,
-    QUANTIZATION, TRIANGLES, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT,
+    ARRAY_BUFFER, BIN, BYTE, CHUNK_HEAD, ELEMENT_ARRAY_BUFFER, FLOAT, GENERATOR, HEAD, JSON, MAGIC, MESHOPT,
+    TRIANGLES, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT,
 };
 use crate::files::labels::LabelStyle;
 use crate::files::surface::values::{light, linear};
 use crate::files::surface::{SurfaceMeta, SurfacePart, each_triangle, each_value, each_vertex, put_floats};
 use crate::surface::SurfaceSource;
+use crate::surface::weld::BuilderSettings;
 use isospan_io::error::{Error, Result};
 use isospan_io::formats::shared::sink::Sink;
 use serde_json::{Value, json};
@@ -24,7 +26,7 @@ const SHORT_INDICES: u64 = 65535;
 
 /// Bytes of a position, and of a normal.
 fn vector_bytes(meta: &SurfaceMeta) -> [u64; 2] {
-    if meta.compress { [8, 4] } else { [12, 12] }
+    if meta.compress.is_quantized() { [8, 4] } else { [12, 12] }
 }
 
 /// Bytes of a vertex: position, normal and, where it has a value, that and the colour.
@@ -118,7 +120,8 @@ impl<'a> Plan<'a> {
         let mut bounds = NO_BOX;
         pieces.retain(|piece| piece.triangles > 0);
         pieces.iter().for_each(|piece| extend(&mut bounds, piece.bounds));
-        let is_short = meta.compress && pieces.iter().all(|piece| piece.vertices <= SHORT_INDICES);
+        let is_short =
+            meta.compress.is_quantized() && pieces.iter().all(|piece| piece.vertices <= SHORT_INDICES);
         let is_empty = pieces.is_empty();
         Ok(Self {
             meta,
@@ -163,16 +166,21 @@ fn pieces<'a>(source: &dyn SurfaceSource, meta: &'a SurfaceMeta) -> Vec<Piece<'a
     meta.parts.iter().map(part).collect()
 }
 
-/// Writes a surface as GLB.
+/// Writes a surface as GLB. What is coded waits as `scratch` says.
 pub(in crate::files) fn write(
     source: &dyn SurfaceSource,
     sink: &mut Sink<'_>,
     meta: &SurfaceMeta,
+    scratch: &BuilderSettings,
 ) -> Result<()> {
     let plan = Plan::of(source, sink, meta)?;
-    let mut text = plan.document().to_string();
+    let coded = match meta.compress.is_coded() && !plan.pieces.is_empty() {
+        true => plan.coded(source, scratch)?,
+        false => vec![],
+    };
+    let mut text = plan.document(&coded).to_string();
     text.extend(std::iter::repeat_n(' ', text.len().next_multiple_of(4) - text.len()));
-    let bin = plan.bin_bytes();
+    let bin = plan.stored_bytes(&coded);
     let padding = bin.next_multiple_of(4) - bin;
     let bin_chunk = if bin == 0 { 0 } else { CHUNK_HEAD + bin + padding };
     let total = HEAD + CHUNK_HEAD + text.len() as u64 + bin_chunk;
@@ -195,36 +203,66 @@ pub(in crate::files) fn write(
     }
     put(sink, bin + padding)?;
     put(sink, u64::from(BIN))?;
-    plan.put_vertices(source, sink)?;
-    plan.put_triangles(source, sink)?;
+    if coded.is_empty() {
+        for run in 0..plan.strides().len() {
+            plan.put_run(run, source, sink)?;
+        }
+        plan.put_triangles(source, sink)?;
+    }
+    coded.iter().try_for_each(|array| array.write(sink))?;
     sink.put(&[0; 4][..padding as usize])
 }
 
 impl Plan<'_> {
-    fn put_vertices(&self, source: &dyn SurfaceSource, sink: &mut Sink<'_>) -> Result<()> {
-        if self.meta.compress {
-            each_vertex(source, sink, |buffer, _, v| {
+    /// Bytes of an element of each array of the vertices.
+    fn strides(&self) -> Vec<u64> {
+        let of_values: &[u64] = if self.meta.values.is_some() { &[4, 4] } else { &[] };
+        [&vector_bytes(self.meta), of_values].concat()
+    }
+
+    /// Bytes of the binary chunk as it is in the file, without padding.
+    fn stored_bytes(&self, coded: &[Coded]) -> u64 {
+        if coded.is_empty() { self.bin_bytes() } else { coded.iter().map(Coded::padded_bytes).sum() }
+    }
+
+    /// All arrays, coded: those of the vertices, then the indices.
+    fn coded(&self, source: &dyn SurfaceSource, scratch: &BuilderSettings) -> Result<Vec<Coded>> {
+        let strides = self.strides();
+        // Indices take two shares.
+        let memory_bytes = scratch.memory_bytes / (strides.len() + 2);
+        let share = BuilderSettings { memory_bytes, scratch: scratch.scratch.clone() };
+        let mut all = vec![];
+        for (run, &stride) in strides.iter().enumerate() {
+            all.push(Coded::attributes(stride, &share, |sink| self.put_run(run, source, sink))?);
+        }
+        all.push(Coded::triangles(self.index_bytes, &share, |sink| self.put_triangles(source, sink))?);
+        Ok(all)
+    }
+
+    /// Writes an array of the vertices: positions, normals, colours or values.
+    fn put_run(&self, run: usize, source: &dyn SurfaceSource, sink: &mut Sink<'_>) -> Result<()> {
+        match (run, self.meta.compress.is_quantized(), &self.meta.values) {
+            (0, true, _) => each_vertex(source, sink, |buffer, _, v| {
                 let [x, y, z] = self.quantized.position(v.position);
                 [x, y, z, 0].iter().for_each(|c| buffer.extend_from_slice(&c.to_le_bytes()));
-            })?;
-            each_vertex(source, sink, |buffer, _, v| {
+            }),
+            (0, false, _) => each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.position)),
+            (1, true, _) => each_vertex(source, sink, |buffer, _, v| {
                 let bytes = v.normal.map(|c| (127.0 * c).round() as i8 as u8);
                 buffer.extend_from_slice(&[bytes[0], bytes[1], bytes[2], 0]);
-            })?;
-        } else {
-            each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.position))?;
-            each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal))?;
+            }),
+            (1, false, _) => each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal)),
+            (_, _, None) => Ok(()),
+            (2, _, Some(values)) => each_value(source, sink, values, |buffer, value| {
+                let [r, g, b] = values.colour(value).map(linear);
+                buffer.extend_from_slice(&[r, g, b, u8::MAX]);
+            }),
+            // No number of a file may be NaN.
+            (_, _, Some(values)) => each_value(source, sink, values, |buffer, value| {
+                let value = if value.is_finite() { values.whole(value) as f32 } else { 0.0 };
+                buffer.extend_from_slice(&value.to_le_bytes());
+            }),
         }
-        let Some(values) = &self.meta.values else { return Ok(()) };
-        each_value(source, sink, values, |buffer, value| {
-            let [r, g, b] = values.colour(value).map(linear);
-            buffer.extend_from_slice(&[r, g, b, u8::MAX]);
-        })?;
-        // No number of a file may be NaN.
-        each_value(source, sink, values, |buffer, value| {
-            let value = if value.is_finite() { values.whole(value) as f32 } else { 0.0 };
-            buffer.extend_from_slice(&value.to_le_bytes());
-        })
     }
 
     fn put_triangles(&self, source: &dyn SurfaceSource, sink: &mut Sink<'_>) -> Result<()> {
@@ -246,7 +284,7 @@ impl Plan<'_> {
     }
 
     /// The JSON text. Bounds are written so that they are exact also for a reader that uses `f64`.
-    fn document(&self) -> Value {
+    fn document(&self, coded: &[Coded]) -> Value {
         let meta = self.meta;
         let mut extras = json!({ "isovalue": meta.isovalue, "comments": meta.lines() });
         meta.named_units().for_each(|(name, unit)| extras[name] = json!(unit.as_str()));
@@ -265,13 +303,20 @@ impl Plan<'_> {
             "nodes": [],
             "meshes": [],
             "accessors": [],
-            "bufferViews": self.views(),
-            "buffers": [{ "byteLength": self.bin_bytes() }],
+            "bufferViews": self.views(coded),
+            "buffers": [{ "byteLength": self.stored_bytes(coded) }],
             "materials": [],
         });
-        if meta.compress {
-            out["extensionsUsed"] = json!([QUANTIZATION]);
-            out["extensionsRequired"] = json!([QUANTIZATION]);
+        let extensions = meta.compress.extensions();
+        if !extensions.is_empty() {
+            out["extensionsUsed"] = json!(extensions);
+            out["extensionsRequired"] = json!(extensions);
+        }
+        if !coded.is_empty() {
+            // What decoding makes: no bytes of the file.
+            let decoded =
+                json!({ "byteLength": self.bin_bytes(), "extensions": { MESHOPT: { "fallback": true } } });
+            out["buffers"].as_array_mut().expect("a list was made").push(decoded);
         }
         for (n, piece) in self.pieces.iter().enumerate() {
             self.add_piece(&mut out, n, piece);
@@ -283,27 +328,35 @@ impl Plan<'_> {
     }
 
     /// The runs of bytes: one for each kind of number.
-    fn views(&self) -> Value {
-        let [position, normal] = vector_bytes(self.meta);
-        let of_values: &[u64] = if self.meta.values.is_some() { &[4, 4] } else { &[] };
+    fn views(&self, coded: &[Coded]) -> Value {
         let mut offset = 0;
-        let view = |bytes: u64| {
-            let length = bytes * self.vertices;
-            let mut view =
-                json!({ "buffer": 0, "byteOffset": offset, "byteLength": length, "target": ARRAY_BUFFER });
-            offset += length;
-            if self.meta.compress {
-                view["byteStride"] = json!(bytes);
-            }
+        let mut view = |bytes: u64, target: u64| {
+            let view = json!({ "buffer": 0, "byteOffset": offset, "byteLength": bytes, "target": target });
+            offset += bytes;
             view
         };
-        let mut views: Vec<Value> = [position, normal].iter().chain(of_values).copied().map(view).collect();
-        views.push(json!({
-            "buffer": 0,
-            "byteOffset": vertex_bytes(self.meta) * self.vertices,
-            "byteLength": 3 * self.index_bytes * self.triangles,
-            "target": ELEMENT_ARRAY_BUFFER,
-        }));
+        let mut views = vec![];
+        for stride in self.strides() {
+            let mut of_vertices = view(stride * self.vertices, ARRAY_BUFFER);
+            if self.meta.compress.is_quantized() {
+                of_vertices["byteStride"] = json!(stride);
+            }
+            views.push(of_vertices);
+        }
+        views.push(view(3 * self.index_bytes * self.triangles, ELEMENT_ARRAY_BUFFER));
+        let mut at = 0;
+        for (number, (view, coded)) in views.iter_mut().zip(coded).enumerate() {
+            let (stride, mode, count) = match self.strides().get(number) {
+                Some(&stride) => (stride, "ATTRIBUTES", self.vertices),
+                None => (self.index_bytes, "TRIANGLES", 3 * self.triangles),
+            };
+            view["buffer"] = json!(1);
+            view["extensions"] = json!({ MESHOPT: {
+                "buffer": 0, "byteOffset": at, "byteLength": coded.bytes(), "byteStride": stride,
+                "count": count, "mode": mode
+            } });
+            at += coded.padded_bytes();
+        }
         json!(views)
     }
 
@@ -321,12 +374,12 @@ impl Plan<'_> {
                 "count": piece.vertices, "type": of
             })
         };
-        let kinds = if meta.compress { [UNSIGNED_SHORT, BYTE] } else { [FLOAT; 2] };
+        let kinds = if meta.compress.is_quantized() { [UNSIGNED_SHORT, BYTE] } else { [FLOAT; 2] };
         let mut positions = accessor(0, position, kinds[0], "VEC3");
         let [lo, hi] = self.bounds(piece);
         (positions["min"], positions["max"]) = (json!(lo), json!(hi));
         let mut normals = accessor(1, normal, kinds[1], "VEC3");
-        if meta.compress {
+        if meta.compress.is_quantized() {
             normals["normalized"] = json!(true);
         }
         let mut attributes = json!({});
@@ -366,7 +419,7 @@ impl Plan<'_> {
     /// The least and the largest position of a mesh, as its numbers are.
     fn bounds(&self, piece: &Piece<'_>) -> [[f64; 3]; 2] {
         // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
-        piece.bounds.map(|b| match self.meta.compress {
+        piece.bounds.map(|b| match self.meta.compress.is_quantized() {
             true => self.quantized.position(b).map(f64::from),
             false => b.map(|x| f64::from(x) + 0.0),
         })
@@ -375,7 +428,7 @@ impl Plan<'_> {
     /// A node of a mesh: the transform from the numbers of the file to metres, y up, or to the
     /// world where the unit is not known.
     fn node(&self, mesh: usize) -> Value {
-        let (least, step) = match self.meta.compress {
+        let (least, step) = match self.meta.compress.is_quantized() {
             true => (self.quantized.least.map(f64::from), f64::from(self.quantized.step)),
             false => ([0.0; 3], 1.0),
         };

@@ -1,6 +1,7 @@
 //! What is asked of labels, and what is reported about them.
 
 use crate::files::labels::LabelTable;
+use crate::files::surface::Compression;
 use crate::pipeline::stage::StageSeconds;
 use crate::surface::TriMesh;
 use crate::surface::nets::MOST_STEPS;
@@ -61,8 +62,8 @@ pub(in crate::pipeline) struct LabelSettings {
     /// Steps of smoothing.
     pub(in crate::pipeline) smooth: u32,
     pub(in crate::pipeline) table: Arc<LabelTable>,
-    /// A GLB of fewer bytes.
-    pub(in crate::pipeline) compress: bool,
+    /// How a GLB is made small.
+    pub(in crate::pipeline) compress: Compression,
     pub(in crate::pipeline) resources: Resources,
 }
 
