@@ -280,4 +280,67 @@ fn surface_files_keep_units_and_times() {
     fails(d, &["surface", "u.isospan", "-i", "0", "-o", "x.ply", "--compress"], "--compress is for .glb");
     ok(d, &["surface", "u.isospan", "-i", "0,0.1", "-o", "two.3mf"]);
     fails(d, &["check", "two.3mf"], "3MF is written and not read");
+    let told = ok(d, &["surface", "u.isospan", "-i", "0.1", "-o", "smooth.ply", "--smooth", "--components"]);
+    assert!(told.contains(" µm in the mean") && told.contains("area µm²"), "{told}");
+}
+
+#[test]
+fn a_coded_glb_is_the_quantized_one_in_fewer_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    volumes(d, 1);
+    ok(d, &[&["reduce", "v0.npy", "-o", "u.isospan"], &THREE[..]].concat());
+    for (file, how) in [("q.glb", "--compress"), ("c.glb", "--compress=meshopt"), ("p.glb", "")] {
+        let how: &[&str] = if how.is_empty() { &[] } else { &[how] };
+        ok(d, &[&["surface", "u.isospan", "-i", "0,0.1", "--memory", "256MiB", "-o", file], how].concat());
+    }
+    ok(d, &["surface", "u.isospan", "-i", "0,0.1", "-o", "c2.glb", "--compress=meshopt", "--threads", "1"]);
+    let bytes = |file: &str| std::fs::read(d.join(file)).unwrap();
+    assert_eq!(bytes("c.glb"), bytes("c2.glb"));
+    let [plain, quantized, coded] = ["p.glb", "q.glb", "c.glb"].map(|file| bytes(file).len());
+    assert!(3 * coded < 2 * quantized && 2 * quantized < 3 * plain, "{plain} {quantized} {coded}");
+    let [a, b] = ["q.glb", "c.glb"]
+        .map(|file| serde_json::from_str::<Value>(&ok(d, &["check", file, "--json"])).unwrap());
+    for name in ["vertices", "triangles", "components", "area", "volume", "boundary_edges", "units"] {
+        assert_eq!(a[name], b[name], "{name}");
+    }
+    fails(d, &["surface", "u.isospan", "-i", "0", "-o", "x.glb", "--compress=zip"], "meshopt");
+}
+
+#[cfg(unix)]
+#[test]
+fn neuroglancer_gets_a_folder_of_meshes_in_nanometres() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    volumes(d, 2);
+    ok(d, &[&["reduce", "v?.npy", "-o", "u.isospan", "--times", "0,0.5"], &THREE[..]].concat());
+    let ask = ["surface", "u.isospan", "-i", "0,0.1", "-o", "n.precomputed"];
+    ok(d, &ask);
+    let read = |name: &str| std::fs::read(d.join("n.precomputed").join(name)).unwrap();
+    let info: Value = serde_json::from_slice(&read("segment_properties/info")).unwrap();
+    assert_eq!(info["inline"]["ids"], json!(["1", "2"]));
+    assert_eq!(info["inline"]["properties"][0]["values"], json!(["isovalue 0", "isovalue 0.1"]));
+    // The same vertices, in thousandths of the micrometres.
+    ok(d, &["surface", "u.isospan", "-i", "0.1", "-o", "one.ply"]);
+    let mesh = isospan::formats::surface::read_surface(&d.join("one.ply")).unwrap();
+    let bytes = read("2.mesh");
+    assert_eq!(bytes.len(), 4 + 12 * (mesh.vertices.len() + mesh.triangles.len()));
+    let last = &mesh.vertices.last().unwrap().position;
+    let at = 4 + 12 * (mesh.vertices.len() - 1);
+    for (k, x) in last.iter().enumerate() {
+        let found = f32::from_le_bytes(bytes[at + 4 * k..][..4].try_into().unwrap());
+        assert_eq!(found, (f64::from(*x) * 1000.0) as f32);
+    }
+    fails(d, &ask, "n.precomputed exists");
+    ok(d, &[&ask[..], &["--force"]].concat());
+    let refused = [
+        (&["-i", "0", "-o", "x.precomputed", "--all-steps"][..], "have no steps"),
+        (&["-i", "0", "-o", "-", "--format", "precomputed"], "are a folder"),
+        (&["-i", "0", "-o", "x.precomputed", "--colour-by", "u.isospan"], "have no colours"),
+    ];
+    for (args, says) in refused {
+        fails(d, &[&["surface", "u.isospan"], args].concat(), says);
+    }
+    ok(d, &["reduce", "v1.npy", "-o", "m.isospan"]);
+    fails(d, &["surface", "m.isospan", "-i", "0.1", "-o", "x.precomputed"], "--length-unit");
 }

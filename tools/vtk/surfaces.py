@@ -1,8 +1,10 @@
-"""Reads with VTK, trimesh and lib3mf the surfaces that tools/vtk/test has made in this folder, and compares what they keep besides."""
+"""Reads with VTK, trimesh, meshoptimizer and lib3mf the surfaces that tools/vtk/test has made in this folder, and compares what they keep besides."""
 import json
+import pathlib
 
 import h5py
 import lib3mf
+import meshoptimizer
 import numpy as np
 import trimesh
 from vtkmodules.util.numpy_support import vtk_to_numpy
@@ -92,6 +94,34 @@ packed = trimesh.load_scene("units_packed.glb", process=False).to_geometry()
 extent = np.ptp(y_up(world), axis=0).max()
 assert np.abs(packed.vertices - y_up(world)).max() < extent / 131070 * 1.01
 assert np.array_equal(packed.faces, mesh.faces)
+
+
+def chunks(name):
+    """The JSON text and the binary data of a GLB."""
+    data = pathlib.Path(name).read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    return json.loads(data[20 : 20 + length]), data[20 + length + 8 :]
+
+
+# What meshoptimizer decodes is what the quantized file has; triangles may begin at another corner.
+document, data = chunks("units_packed.glb")
+coded, coded_data = chunks("units_coded.glb")
+assert coded["extensionsRequired"] == ["KHR_mesh_quantization", "EXT_meshopt_compression"]
+assert coded["accessors"] == document["accessors"] and coded["nodes"] == document["nodes"]
+for plain, view in zip(document["bufferViews"], coded["bufferViews"], strict=True):
+    of = view["extensions"]["EXT_meshopt_compression"]
+    assert (view["byteOffset"], view["byteLength"]) == (plain["byteOffset"], plain["byteLength"])
+    expected_bytes = np.frombuffer(data, np.uint8, plain["byteLength"], plain["byteOffset"])
+    packed_bytes = np.frombuffer(coded_data, np.uint8, of["byteLength"], of["byteOffset"])
+    if of["mode"] == "ATTRIBUTES":
+        decoded = meshoptimizer.decode_vertex_buffer(of["count"], of["byteStride"], packed_bytes.tobytes())
+        assert decoded.tobytes()[: len(expected_bytes)] == expected_bytes.tobytes()
+    else:
+        decoded = np.asarray(meshoptimizer.decode_index_buffer(of["count"], 4, packed_bytes.tobytes()))
+        expected_corners = expected_bytes.view(f"<u{of['byteStride']}").reshape(-1, 3).astype(np.int64)
+        corners = decoded.reshape(-1).view(np.uint32).reshape(-1, 3).astype(np.int64)
+        turns = [np.roll(corners, turn, axis=1) for turn in range(3)]
+        assert np.logical_or.reduce([(turn == expected_corners).all(axis=1) for turn in turns]).all()
 colours = next(iter(trimesh.load_scene("units_colours.glb", process=False).geometry.values())).visual
 # The surface has one value, so all of it has one colour; glTF's colours are linear.
 rgba = np.unique(np.asarray(colours.vertex_attributes["color"] if colours.kind == "texture" else colours.vertex_colors), axis=0)
@@ -129,4 +159,16 @@ for name, count in (("units", 1), ("units_both", 2), ("units_colours", 1)):
         assert np.abs(np.array([colour.Red, colour.Green, colour.Blue]) / 255 - srgb).max() < 0.02
 scene = trimesh.load_scene("units.3mf", process=False)
 assert scene.units == "micron" and sum(len(g.faces) for g in scene.geometry.values()) == expected["triangles"], scene.units
-print("tools/vtk/surfaces.py: VTK, trimesh and lib3mf find units, times, steps, parts and colours of surfaces")
+
+# Meshes of neuroglancer: micrometres as nanometres.
+folder = pathlib.Path("units.precomputed")
+assert json.loads((folder / "info").read_text())["@type"] == "neuroglancer_legacy_mesh"
+properties = json.loads((folder / "segment_properties/info").read_text())["inline"]
+assert properties["ids"] == ["1", "2"] and properties["properties"][0]["values"] == ["isovalue 400", "isovalue 1000.5"]
+(fragment,) = json.loads((folder / "2:0").read_text())["fragments"]
+mesh_bytes = (folder / fragment).read_bytes()
+count = int.from_bytes(mesh_bytes[:4], "little")
+assert count == expected["vertices"] and len(mesh_bytes) == 4 + 12 * (count + expected["triangles"])
+near(np.frombuffer(mesh_bytes, "<f4", 3 * count, 4).reshape(-1, 3), world * 1000, 1e-6, "neuroglancer")
+assert np.array_equal(np.frombuffer(mesh_bytes, "<u4", offset=4 + 12 * count).reshape(-1, 3), vtk_to_numpy(vtp.GetPolys().GetConnectivityArray()).reshape(-1, 3))
+print("tools/vtk/surfaces.py: VTK, trimesh, meshoptimizer and lib3mf find units, times, steps, parts and colours of surfaces")

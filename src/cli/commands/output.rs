@@ -36,6 +36,19 @@ impl Force {
         outputs.iter().try_for_each(|output| self.check(output, inputs))
     }
 
+    /// As [`Force::check`], of an output that is a folder.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] that names the output.
+    pub(crate) fn check_folder<P: AsRef<Path>>(
+        self,
+        output: &Path,
+        inputs: impl IntoIterator<Item = P>,
+    ) -> Result<()> {
+        expect_no_input(output, inputs)?;
+        if output.exists() && !self.force { Err(exists(output)) } else { Ok(()) }
+    }
+
     /// Whether it was given.
     pub(crate) fn is_given(self) -> bool {
         self.force

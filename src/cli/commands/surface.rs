@@ -11,7 +11,7 @@ use super::step::{StepArgs, colour_fields};
 use super::text;
 use clap::ValueEnum;
 use isospan::bytes::remote::Traffic;
-use isospan::formats::surface::SurfaceFormat;
+use isospan::formats::surface::{Compression, SurfaceFormat};
 use isospan::pipeline::{
     ColourBy, Length, OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport,
 };
@@ -20,6 +20,7 @@ use isospan::surface::edit::{
     components::{ComponentFilter, ComponentReport},
     decimate::Decimation,
 };
+use isospan::volume::units::Unit;
 use isospan::{Archive, Error, Result, Step, SurfaceQuery};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -47,23 +48,27 @@ pub struct Args {
         value_parser = grammar::value
     )]
     isovalue: Vec<Value>,
-    /// The file to write: .ply .stl .obj .vtp .vtkhdf .glb or .3mf; "-" for standard output.
-    /// Several isovalues go to one file; an array 'isovalue' of the points (.vtp, .vtkhdf, .ply),
-    /// groups (.obj), nodes (.glb) or objects (.3mf) distinguish them, and .stl does not. With {}
-    /// in the name, each isovalue gets its own file: surface_{}.ply. Coordinates are those of the
-    /// world, and files name their unit where it is known. Then .glb is in metres with y up, as its
-    /// viewers expect; without a unit it has coordinates as they are, and .3mf is read as mm. Far
-    /// from 0, .stl has coordinates less a place that is printed.
+    /// The file to write: .ply .stl .obj .vtp .vtkhdf .glb or .3mf; "-" for standard output; or a
+    /// folder .precomputed of meshes for neuroglancer. Several isovalues go to one file; an array
+    /// 'isovalue' of the points (.vtp, .vtkhdf, .ply), groups (.obj), nodes (.glb), objects (.3mf)
+    /// or segments (.precomputed) distinguish them, and .stl does not. With {} in the name, each
+    /// isovalue gets its own file: surface_{}.ply. Coordinates are those of the world, and files
+    /// name their unit where it is known. Then .glb is in metres with y up, as its viewers expect;
+    /// without a unit it has coordinates as they are, and .3mf is read as mm. A .precomputed is in
+    /// nanometres and needs the unit. Far from 0, .stl has coordinates less a place that is
+    /// printed.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
     /// The format [default: as the file's name ends; ply for standard output].
     #[arg(long, value_enum)]
     format: Option<Format>,
-    /// A .glb of about half the bytes: positions of 16 bits, normals of 8
-    /// (KHR_mesh_quantization). Positions are off by at most 1/131070 of the longest edge of the
-    /// surface's box. A .3mf is always compressed.
-    #[arg(long)]
-    compress: bool,
+    /// A .glb of fewer bytes. Without HOW or with 'quantized', of about half: positions of 16
+    /// bits, normals of 8 (KHR_mesh_quantization). Positions are off by at most 1/131070 of the
+    /// longest edge of the surface's box. With 'meshopt', of about a quarter: the same numbers and
+    /// indices, coded (EXT_meshopt_compression), which web viewers read and few other programs. A
+    /// .3mf is always compressed.
+    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "quantized", value_enum)]
+    compress: Option<Compress>,
     /// Cut the surface at a box: I0:I1,J0:J1,K0:K1 in sample indices, or world:X0:X1,Y0:Y1,Z0:Z1.
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
@@ -160,6 +165,13 @@ enum Format {
     Glb,
     #[value(name = "3mf")]
     ThreeMf,
+    Precomputed,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Compress {
+    Quantized,
+    Meshopt,
 }
 
 impl From<Format> for SurfaceFormat {
@@ -172,6 +184,7 @@ impl From<Format> for SurfaceFormat {
             Format::Vtkhdf => Self::VtkHdf,
             Format::Glb => Self::Glb,
             Format::ThreeMf => Self::ThreeMf,
+            Format::Precomputed => Self::Neuroglancer,
         }
     }
 }
@@ -184,10 +197,32 @@ impl Args {
     /// What is written.
     fn format(&self) -> Result<SurfaceFormat> {
         match self.format {
+            Some(Format::Precomputed) if self.is_to_standard_output() => Err(Error::usage(
+                "meshes of neuroglancer are a folder: give -o a name such as meshes.precomputed in place of -",
+            )),
             Some(format) => Ok(format.into()),
             None if self.is_to_standard_output() => Ok(SurfaceFormat::default()),
             None => SurfaceFormat::from_path(&self.output),
         }
+    }
+}
+
+impl Args {
+    /// How a GLB is made small.
+    fn compression(&self) -> Compression {
+        match self.compress {
+            None => Compression::None,
+            Some(Compress::Quantized) => Compression::Quantized,
+            Some(Compress::Meshopt) => Compression::Meshopt,
+        }
+    }
+
+    /// Refuses what may not be written, before work.
+    fn check_outputs(&self, files: &[PathBuf], format: SurfaceFormat) -> Result<()> {
+        if format.is_folder() {
+            return files.iter().try_for_each(|folder| self.force.check_folder(folder, [&self.archive]));
+        }
+        self.force.check_all(files, &[&self.archive])
     }
 }
 
@@ -255,7 +290,7 @@ impl Question<'_> {
     fn ask<'q, Of>(&self, query: SurfaceQuery<'q, Of>) -> Result<SurfaceQuery<'q, Of>> {
         let Self { args, archive, .. } = *self;
         let query = query.region(args.roi).cap(args.cap).level(args.level.choice()).format(self.format);
-        let query = query.compress(args.compress);
+        let query = query.compress(args.compression());
         let query = query.refine(refine(args, archive)?).colour_by(colours(args, archive)?);
         Ok(query.resources(args.machine.resources(args.scratch.scratch.clone(), self.talk)))
     }
@@ -265,7 +300,7 @@ impl Question<'_> {
         let Self { args, talk, .. } = *self;
         let query = self.ask(self.archive.steps(steps)?.query(isovalues))?;
         let files = query.files(&args.output)?;
-        args.force.check_all(&files, &[&args.archive])?;
+        args.check_outputs(&files, self.format)?;
         self.note_what_is_lost(isovalues.len(), files.len());
         let bar = talk.progress();
         let report = query.progress(&*bar).write(&args.output);
@@ -288,7 +323,7 @@ impl Question<'_> {
             return self.to_standard_output(&step, query);
         }
         let files = query.files(&args.output);
-        args.force.check_all(&files, &[&args.archive])?;
+        args.check_outputs(&files, self.format)?;
         expect_more_than_nothing(args, &step, isovalues, &files)?;
         self.note_what_is_lost(isovalues.len(), files.len());
         let bar = talk.progress();
@@ -299,7 +334,7 @@ impl Question<'_> {
         if args.json {
             super::print_json("surface", &report)?;
         } else {
-            super::print(&in_words(&report, args.stats))?;
+            super::print(&in_words(&report, step.units().length.as_ref(), args.stats))?;
         }
         // Samples that are equal are told by the finest level, which a coarse question does not
         // read.
@@ -329,7 +364,7 @@ impl Question<'_> {
             .and_then(|_| out.flush())
             .map_err(|e| Error::io("write the whole surface to", "standard output", not_wanted(e)))?;
         report.surfaces.iter_mut().for_each(|s| s.file = "standard output".into());
-        in_words(&report, args.stats).lines().for_each(|line| talk.note(line));
+        in_words(&report, step.units().length.as_ref(), args.stats).lines().for_each(|line| talk.note(line));
         note_plateaus(step, &isovalues, talk)?;
         expect_area("standard output".as_ref(), [&report])
     }
@@ -437,9 +472,9 @@ fn isovalues(args: &Args, archive: &Archive, steps: Option<StepRange>) -> Result
     args.isovalue.iter().map(|value| value.of(range)).collect()
 }
 
-fn in_words(report: &SurfaceReport, stats: bool) -> String {
+fn in_words(report: &SurfaceReport, length: Option<&Unit>, stats: bool) -> String {
     let stats = if stats { stats_text(report) } else { String::new() };
-    surfaces_text(report) + &stats
+    surfaces_text(report, length) + &stats
 }
 
 /// The error of a reader that has closed its end: of a report it is none, of a surface it is one.
@@ -535,7 +570,7 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
 }
 
 /// A line for each surface, and why it is empty where it must be.
-fn surfaces_text(report: &SurfaceReport) -> String {
+fn surfaces_text(report: &SurfaceReport, length: Option<&Unit>) -> String {
     let mut out = String::new();
     for surface in &report.surfaces {
         let name = match report.surfaces.len() {
@@ -552,7 +587,7 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             1 => writeln!(out, ", {}", text::bytes(report.file_bytes)),
             _ => writeln!(out),
         };
-        out += &refined_text(surface);
+        out += &refined_text(surface, length);
         if surface.outside_range && surface.triangles == 0 {
             let range = report
                 .range
@@ -594,17 +629,18 @@ fn shift_text(shift: Option<[f64; 3]>) -> String {
 }
 
 /// What was done to a surface, a line each.
-fn refined_text(surface: &OneSurface) -> String {
+fn refined_text(surface: &OneSurface, length: Option<&Unit>) -> String {
     let mut out = String::new();
+    let unit = length.map_or("world units", Unit::as_str);
     if let Some(c) = &surface.refined.components {
         let _ = writeln!(out, "  components    {} kept of {}", text::count(c.kept), text::count(c.found));
-        out += &components_text(c);
+        out += &components_text(c, length);
     }
     if let Some(s) = &surface.refined.smoothing {
         let of = |v: f64| text::value(text::figures(v, 3));
         let _ = writeln!(
             out,
-            "  smoothed      {} times; vertices moved by {} world units in the mean, {} at most, of {} allowed",
+            "  smoothed      {} times; vertices moved by {} {unit} in the mean, {} at most, of {} allowed",
             s.iterations,
             of(s.mean_distance),
             of(s.max_distance),
@@ -614,7 +650,7 @@ fn refined_text(surface: &OneSurface) -> String {
     if let Some(d) = &surface.refined.decimation {
         let _ = writeln!(
             out,
-            "  decimated     {} of {} triangles ({:.1} %) in {} {}; distance estimated at {} world units, which is no bound",
+            "  decimated     {} of {} triangles ({:.1} %) in {} {}; distance estimated at {} {unit}, which is no bound",
             text::count(d.triangles_after),
             text::count(d.triangles_before),
             100.0 * d.triangles_after as f64 / d.triangles_before.max(1) as f64,
@@ -630,11 +666,13 @@ fn refined_text(surface: &OneSurface) -> String {
 const MOST_LISTED: usize = 10;
 
 /// The largest components, a line each.
-fn components_text(report: &ComponentReport) -> String {
+fn components_text(report: &ComponentReport, length: Option<&Unit>) -> String {
     if report.listed.is_empty() {
         return String::new();
     }
-    let mut out = format!("    {:>12} {:>14} {:>14}  boundary\n", "triangles", "area", "volume");
+    let [area, volume] = [("area", 2), ("volume", 3)]
+        .map(|(name, power)| format!("{name}{}", text::unit_to_the(power, length)));
+    let mut out = format!("    {:>12} {area:>14} {volume:>14}  boundary\n", "triangles");
     for c in report.listed.iter().take(MOST_LISTED) {
         let [area, volume] = [c.area, c.volume].map(|v| text::value(text::figures(v, 4)));
         let boundary = if c.closed { "closed" } else { "open" };

@@ -8,6 +8,7 @@ use crate::commands::{print, print_json, text};
 use isospan::formats::labels::LabelTable;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{LabelReport, Labels, Opening};
+use isospan::volume::units::Unit;
 use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -38,9 +39,10 @@ const OTHERS: [&str; 16] = [
 pub(super) struct LabelArgs {
     /// The surfaces of labels, in place of isovalues: 3,7, or all but 0, the background: all. The
     /// archive is one of a label image: see reduce --labels. Each label has a closed mesh, whose
-    /// walls its neighbours share: .glb has a node with name and colour for each, .obj a group,
-    /// .ply .vtp and .vtkhdf an array 'label' of the points; with {} in the file's name each has
-    /// its own file. Without --smooth these are the faces of voxels, with their exact volume.
+    /// walls its neighbours share: .glb has a node with name and colour for each, .3mf an object,
+    /// .obj a group, .precomputed a segment, .ply .vtp and .vtkhdf an array 'label' of the points;
+    /// with {} in the file's name each has its own file. Without --smooth these are the faces of
+    /// voxels, with their exact volume.
     #[arg(help_heading = "Labels", long, value_name = "LABEL[,LABEL..]", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::label, conflicts_with_all = OTHERS)]
     labels: Vec<LabelChoice>,
     /// Names and colours of labels: a CSV with the header label,name,r,g,b, a label description
@@ -79,9 +81,9 @@ pub(super) fn run(args: &Args, archive: &Archive, format: SurfaceFormat, talk: &
     let table = labels.label_table.as_deref().map(LabelTable::read).transpose()?.unwrap_or_default();
     let step = archive.at(args.step.choice()?)?;
     let smooth = args.smooth.map_or(0, |steps| steps.unwrap_or(super::LABELS_SMOOTHED));
-    let query = step.labels(labels.wanted()?).smooth(smooth).table(table).compress(args.compress);
+    let query = step.labels(labels.wanted()?).smooth(smooth).table(table).compress(args.compression());
     let query = query.format(format).resources(args.machine.resources(args.scratch.scratch.clone(), talk));
-    args.force.check_all(&query.files(&args.output), &[&args.archive])?;
+    args.check_outputs(&query.files(&args.output), format)?;
     if !args.force.is_given() {
         expect_no_file_of_a_label(&args.output)?;
     }
@@ -94,7 +96,7 @@ pub(super) fn run(args: &Args, archive: &Archive, format: SurfaceFormat, talk: &
     if args.json {
         print_json("surface.labels", &report)?;
     } else {
-        print(&in_words(&report, args.stats))?;
+        print(&in_words(&report, step.units().length.as_ref(), args.stats))?;
     }
     expect_area(&report, &args.output)
 }
@@ -151,8 +153,9 @@ fn expect_area(report: &LabelReport, output: &Path) -> Result<()> {
 /// Labels that are listed, at most.
 const MOST_LISTED: usize = 20;
 
-fn in_words(report: &LabelReport, stats: bool) -> String {
+fn in_words(report: &LabelReport, length: Option<&Unit>, stats: bool) -> String {
     let mut out = String::new();
+    let of = |name: &str, power: u32| format!("{name}{}", text::unit_to_the(power, length));
     let _ = writeln!(
         out,
         "{}: {} vertices, {}, {}",
@@ -164,7 +167,11 @@ fn in_words(report: &LabelReport, stats: bool) -> String {
     let _ = writeln!(
         out,
         "  {:>9} {:>12} {:>12} {:>12} {:>12}  file, name",
-        "label", "voxels", "volume", "area", "triangles"
+        "label",
+        "voxels",
+        of("volume", 3),
+        of("area", 2),
+        "triangles"
     );
     for one in report.labels.iter().take(MOST_LISTED) {
         let [volume, area] = [one.volume, one.area].map(|v| text::value(text::figures(v, 5)));
