@@ -32,6 +32,7 @@ pub(in crate::pipeline) fn series_files(
     out: &Path,
     format: SurfaceFormat,
 ) -> Result<Vec<PathBuf>> {
+    expect_steps(format)?;
     if is_in_one(out, format) {
         return Ok(settings.files(out));
     }
@@ -54,11 +55,7 @@ pub(in crate::pipeline) fn write_series(
 ) -> Result<SeriesReport> {
     settings.check()?;
     settings.check_colours(format)?;
-    if format.is_folder() {
-        return Err(Error::usage(
-            "meshes of neuroglancer have no steps: write them of one step, or write .vtkhdf, .vtp or .glb",
-        ));
-    }
+    expect_steps(format)?;
     if is_in_one(out, format) {
         return write_in_one(archive, steps, settings, out, progress);
     }
@@ -88,6 +85,16 @@ pub(in crate::pipeline) fn write_series(
     let lists = (0..lists).map(&mut list).collect::<Result<_>>()?;
     let skipped = made.iter().filter(|s| s.skipped).count() as u64;
     Ok(SeriesReport { skipped, steps: made, lists, listed_before, file_bytes: None })
+}
+
+/// Refuses a format that has no steps.
+fn expect_steps(format: SurfaceFormat) -> Result<()> {
+    if format.is_folder() {
+        return Err(Error::usage(
+            "meshes of neuroglancer have no steps: write them of one step, or write .vtkhdf, .vtp or .glb",
+        ));
+    }
+    Ok(())
 }
 
 /// Whether all steps go to one file: VTKHDF, whose name has no place for a number.
