@@ -120,7 +120,7 @@ pub(in crate::files) fn write(
     let replace = match path.symlink_metadata() {
         Err(_) => false,
         Ok(about) if about.is_dir() && is_ours(path) => true,
-        Ok(_) => return refuse("it is there and no folder of neuroglancer's meshes".into()),
+        Ok(_) => return refuse("it is there, and not a folder of neuroglancer's meshes alone".into()),
     };
     let above = folder_of(path);
     if !above.is_dir() {
@@ -138,11 +138,26 @@ pub(in crate::files) fn write(
     Ok(meshes.folder.bytes)
 }
 
-/// Whether a folder has such meshes.
+/// Whether a folder has such meshes, and nothing else that would be lost.
 fn is_ours(folder: &Path) -> bool {
     let info = read_whole(&folder.join("info"), MOST_INFO).ok();
-    info.and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
-        .is_some_and(|info| info["@type"] == KIND)
+    let is_kind = info
+        .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
+        .is_some_and(|info| info["@type"] == KIND);
+    is_kind
+        && has_only(folder, |name| ["info", PROPERTIES].contains(&name) || is_of_segment(name))
+        && has_only(&folder.join(PROPERTIES), |name| name == "info")
+}
+
+/// Whether a name is `7:0` or `7.mesh`.
+fn is_of_segment(name: &str) -> bool {
+    let number = name.strip_suffix(":0").or_else(|| name.strip_suffix(".mesh"));
+    number.is_some_and(|number| number.parse::<u64>().is_ok())
+}
+
+fn has_only(folder: &Path, is_known: impl Fn(&str) -> bool) -> bool {
+    let Ok(mut entries) = fs::read_dir(folder) else { return false };
+    entries.all(|entry| entry.is_ok_and(|entry| entry.file_name().to_str().is_some_and(&is_known)))
 }
 
 /// The folder on its way.
@@ -282,6 +297,11 @@ mod tests {
             assert_eq!((bytes, fs::read_dir(&path).unwrap().count()), (sizes, 6));
         }
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+        // What somebody keeps beside the meshes is not lost.
+        fs::write(path.join("photo.jpg"), "mine").unwrap();
+        let error = write_surface(&joined, &path, SurfaceFormat::Neuroglancer, &meta).unwrap_err();
+        assert!(error.to_string().contains("meshes alone"), "{error}");
+        assert_eq!(fs::read_dir(&path).unwrap().count(), 7);
     }
 
     #[test]
@@ -300,7 +320,7 @@ mod tests {
         let parts = vec![SurfacePart { isovalue: -2.0, vertices: 4, triangles: 4, label }];
         refused(near(), &SurfaceMeta { parts, ..micrometres() }, "the label -2");
         fs::create_dir(&path).unwrap();
-        refused(near(), &micrometres(), "no folder of neuroglancer's meshes");
+        refused(near(), &micrometres(), "not a folder of neuroglancer's meshes alone");
         let scratch = BuilderSettings::default();
         let mut none = |_: &[u8]| Ok(());
         let near = source(near());
