@@ -277,9 +277,24 @@ fn has_labels(report: &ReduceReport) -> bool {
 
 /// A report in words; `is_added`: of steps that were added to an archive.
 fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
-    let mut out = String::new();
+    let mut out = format!("{}\n", archive.display());
+    out += &points_text(report);
+    out += &values_text(report);
+    out += &steps_text(report, is_added);
     let per_point = report.archive_bytes as f64 / report.points.max(1) as f64;
-    let _ = writeln!(out, "{}", archive.display());
+    let _ =
+        writeln!(out, "  archive     {} ({per_point:.2} bytes a point)", text::bytes(report.archive_bytes));
+    if let Some(source) = report.source_bytes {
+        let _ = writeln!(out, "{}", size_line(report, source));
+    }
+    out += &time_line(&report.seconds);
+    out += &surface_lines(archive, report);
+    out + &next_line(archive)
+}
+
+/// How many points there are, and what lies between them.
+fn points_text(report: &ReduceReport) -> String {
+    let mut out = String::new();
     // Steps of a mesh may have holes of their own; then only the archive's points can be reported.
     let of_mesh = report.mesh.is_some() && report.steps.len() == 1;
     let points = report.points - if of_mesh { report.void_points } else { 0 };
@@ -308,6 +323,12 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
         let _ =
             writeln!(out, "  void        {} without a value{all}", text::plural(report.void_points, "point"));
     }
+    out
+}
+
+/// The values: their range, how they are stored, their errors.
+fn values_text(report: &ReduceReport) -> String {
+    let mut out = String::new();
     if let Some(range) = report.range.filter(|_| !report.of_fields) {
         let _ = writeln!(out, "  range       {}", text::range(range));
     }
@@ -325,6 +346,12 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     if let Some(t) = &report.target {
         let _ = writeln!(out, "{}", target_line(t));
     }
+    out
+}
+
+/// The steps that were made, replaced, or left out.
+fn steps_text(report: &ReduceReport, is_added: bool) -> String {
+    let mut out = String::new();
     if is_added {
         report.steps.iter().for_each(|step| out += &added_line(step));
     }
@@ -353,14 +380,7 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     for step in &report.skipped {
         let _ = writeln!(out, "  left out    step {}: {}", step.number, step.reason);
     }
-    let _ =
-        writeln!(out, "  archive     {} ({per_point:.2} bytes a point)", text::bytes(report.archive_bytes));
-    if let Some(source) = report.source_bytes {
-        let _ = writeln!(out, "{}", size_line(report, source));
-    }
-    out += &time_line(&report.seconds);
-    out += &surface_lines(archive, report);
-    out + &next_line(archive)
+    out
 }
 
 /// How wrong each surface is that was measured.

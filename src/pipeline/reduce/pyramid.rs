@@ -25,11 +25,11 @@ use super::sums::FinishedSteps;
 use super::workers::{MakeChunks, SegmentMaker};
 use crate::archive::chunked::{BlockRange, ValueSummary};
 use crate::archive::manifest::StepPlan;
-use crate::archive::segment::{Segment, SegmentKind};
+use crate::archive::segment::{PlanHash, Segment, SegmentKind};
 use crate::archive::tables::{ChunkErrors, encode_errors};
 use crate::measure::{BrickErrors, ErrorSums, Squares};
 use crate::pipeline::chunk::Field;
-use crate::pipeline::plan::part_edge;
+use crate::pipeline::plan::{Layout, part_edge};
 use crate::pipeline::read::{
     Brick, LevelNodes, StepView, box3, bricks_of, cells_in, index_box, pyramid_of, range_of_cells,
     samples_of_level, scale_of,
@@ -41,6 +41,7 @@ use isospan_io::exec::CancelToken;
 use isospan_io::grid::{Chunk, IndexBox};
 use isospan_wavelet::{Box3, Correction, Mask, MaskBuilder, blocks_of, encode_corrections, encode_part};
 use std::collections::HashMap;
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Makes tiles and low coefficients.
@@ -243,6 +244,30 @@ fn rows_of(level: usize, samples: u64) -> u64 {
 /// Magnitudes of whole numbers of which `f32` has each.
 const WHOLE: f32 = 16_777_216.0;
 
+impl RangeMaker<'_> {
+    /// Adds the errors of the samples of a part, `own`, of which samples and decoded values are
+    /// those of `nodes`.
+    fn add_errors(
+        &self,
+        nodes: &IndexBox,
+        own: &IndexBox,
+        [samples, decoded]: [&[f32]; 2],
+        sums: &mut ErrorSums,
+    ) {
+        let [sx, sy, _] = self.work.pyramid.nodes(0).map(|n| n as u64);
+        for z in own.lo[2]..own.hi[2] {
+            for y in own.lo[1]..own.hi[1] {
+                let first = [own.lo[0], y, z];
+                let (at, number) = (nodes.offset(first), (z * sy + y) * sx + first[0]);
+                let row = at..at + (own.hi[0] - own.lo[0]) as usize;
+                for ((original, value), x) in samples[row.clone()].iter().zip(&decoded[row]).zip(0..) {
+                    sums.add(*original, *value, || number + x);
+                }
+            }
+        }
+    }
+}
+
 impl MakeChunks for RangeMaker<'_> {
     fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
         let (work, mut times) = (&self.work, StageTimes::default());
@@ -266,7 +291,7 @@ impl MakeChunks for RangeMaker<'_> {
             let mut decoded = self.view.uncorrected(0, &nodes)?;
             times.encode += start.elapsed();
             let start = Instant::now();
-            let (around, own) = (box3(&nodes), index_box(&part));
+            let around = box3(&nodes);
             let samples = match corrects || self.measured {
                 true => work.read_into(&nodes, self.view.spare.nodes(nodes.len()))?,
                 false => vec![],
@@ -280,18 +305,7 @@ impl MakeChunks for RangeMaker<'_> {
                 void += around.values_of(&decoded, &part).iter().filter(|v| v.is_nan()).count();
             }
             if self.measured {
-                let [sx, sy, _] = dims.map(|n| n as u64);
-                for z in own.lo[2]..own.hi[2] {
-                    for y in own.lo[1]..own.hi[1] {
-                        let first = [own.lo[0], y, z];
-                        let (at, number) = (nodes.offset(first), (z * sy + y) * sx + first[0]);
-                        let row = at..at + part.size[0];
-                        for ((original, value), x) in samples[row.clone()].iter().zip(&decoded[row]).zip(0..)
-                        {
-                            sums.add(*original, *value, || number + x);
-                        }
-                    }
-                }
+                self.add_errors(&nodes, &index_box(&part), [&samples, &decoded], &mut sums);
             }
             self.look_at_levels(&samples, &nodes, &part, &bricks, &mut ranges, &mut levels)?;
             times.measure += start.elapsed();
@@ -350,6 +364,30 @@ impl MakeChunks for RangeMaker<'_> {
     }
 }
 
+/// Which files of a step are whole, of those that a run before has left.
+struct WholeFiles {
+    /// Its coefficients or labels, and the coarse part.
+    values: bool,
+    ranges: bool,
+}
+
+impl WholeFiles {
+    fn of(layout: &Layout, hash: PlanHash, needs_sums: bool, has_labels: bool) -> Self {
+        let whole =
+            |kind, path: PathBuf, segment: u64| is_whole(&path, kind, hash, &layout.chunks_of(segment));
+        let mut all = 0..layout.segment_count();
+        let ranges = all.clone().all(|s| {
+            whole(SegmentKind::Ranges, layout.ranges(s), s)
+                && (!needs_sums || whole(SegmentKind::Sums, layout.sums(s), s))
+        });
+        let has_coarse = has_labels
+            || Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))
+                .is_ok_and(|s| s.verify().is_ok());
+        let values = has_coarse && all.all(|s| whole(SegmentKind::Values, layout.values(s), s));
+        Self { values, ranges }
+    }
+}
+
 impl Build<'_> {
     /// Makes all segments of a pyramid that are not there yet.
     pub(super) fn run_pyramid(
@@ -393,22 +431,11 @@ impl Build<'_> {
     ) -> Result<()> {
         let (plan, step) = (&series.plan, &series.plan.steps[n]);
         let (hash, layout) = (plan.step_hash(n), self.layout.at(step.number));
-        let whole = |kind, path: std::path::PathBuf, segment: u64| {
-            is_whole(&path, kind, hash, &layout.chunks_of(segment))
-        };
-        let all = 0..layout.segment_count();
         let needs_sums = finished.needs_sums(step);
-        let has_ranges = all.clone().all(|s| {
-            whole(SegmentKind::Ranges, layout.ranges(s), s)
-                && (!needs_sums || whole(SegmentKind::Sums, layout.sums(s), s))
-        });
-        let has_values = all.clone().all(|s| whole(SegmentKind::Values, layout.values(s), s));
         let has_labels = plan.mesh.has_labels();
-        let has_coarse = has_labels
-            || Segment::open(layout.coarse(), SegmentKind::Coarse, Some(hash))
-                .is_ok_and(|s| s.verify().is_ok());
+        let there = WholeFiles::of(&layout, hash, needs_sums, has_labels);
         let before_step = before.take().map(StepView::without_base);
-        if has_values && has_coarse && has_ranges {
+        if there.values && there.ranges {
             return Ok(());
         }
         let opened = source.fields.open(series, n);
@@ -443,7 +470,7 @@ impl Build<'_> {
             (Some(base), None) => Some(self.pyramid_view(plan, source, base.number)?.keeping(cached)),
             (_, known) => known,
         };
-        if !(has_values && has_coarse) {
+        if !there.values {
             let (maker, files): (Box<dyn MakeChunks + '_>, _) = match has_labels {
                 true => {
                     self.progress.begin(&name("encode"), samples, "samples");
@@ -458,7 +485,7 @@ impl Build<'_> {
             };
             self.chunks_of_pyramid(&*maker, &files, source, series, made)?;
             // Each worker leaves low coefficients, and the last one makes the levels above.
-            if source.segments != all {
+            if source.segments != (0..layout.segment_count()) {
                 return Ok(());
             }
             if !has_labels {
