@@ -67,10 +67,13 @@ const WAITING: u64 = 3;
 const TETS_PER_POINT: u64 = 7;
 const INDEX_ENTRY: u64 = 25;
 const INDEX_ENTRY_ON_DISK: u64 = 48;
-/// Bytes of an archive for a point: 6.7 tetrahedra at 5 bits, a value, its share of tables.
-const ARCHIVE_PER_POINT: u64 = 10;
+/// Bytes of an archive for a point: tetrahedra, a value, its share of tables. Points of fields and
+/// of noise take 4 to 6, vertices of a mesh that is kept up to 9, points of a mask 3.
+const ARCHIVE_PER_POINT: u64 = 6;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
 const VALUES_PER_POINT: u64 = 4;
+/// Bytes of a step, however few points it has.
+const ARCHIVE_PER_STEP: u64 = 4 << 10;
 /// The time of a further step, as a part of the first, and that of a further pass: the mesh is
 /// decoded and scanned again, and where values are fitted, what is around it found (0.7), or all of
 /// it made again (0.9).
@@ -541,7 +544,7 @@ impl Estimate {
                 .need
                 .points
                 .saturating_mul(q.need.archive_per_point + VALUES_PER_POINT * further)
-                + (64 << 10) * (1 + further),
+                + ARCHIVE_PER_STEP * (1 + further),
             source_bytes: None,
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
             // The copy of the input is gone when the index is built.
