@@ -6,6 +6,7 @@ use crate::json::to_python;
 use crate::surface::{About, Surface};
 use crate::work::run;
 use isospan::formats::labels::{LabelStyle, LabelTable, palette};
+use isospan::formats::surface::Compression;
 use isospan::pipeline::{LabelQuery, Labels};
 use isospan::{Resources, Step};
 use pyo3::prelude::*;
@@ -31,7 +32,7 @@ pub(crate) struct WantedLabels {
     background: bool,
     smooth: u32,
     table: Option<Table>,
-    compress: bool,
+    compress: Option<String>,
 }
 
 impl WantedLabels {
@@ -67,7 +68,12 @@ impl WantedLabels {
             return Err(usage(py, "background is for all labels: name the label 0 among the others"));
         }
         let table = py.detach(|| self.table()).map_err(|e| exception(py, &e))?;
-        let query = step.labels(self.labels()).smooth(self.smooth).table(table).compress(self.compress);
+        let query = step.labels(self.labels()).smooth(self.smooth).table(table);
+        let query = query.compress(match self.compress.as_deref() {
+            None => Compression::None,
+            Some("meshopt") => Compression::Meshopt,
+            Some(_) => Compression::Quantized,
+        });
         Ok((query, machine.resources(py)?))
     }
 }

@@ -84,7 +84,8 @@ pub(in crate::formats) fn geometry(
     Err(Error::bad_input(path, at, "finite axes that span space", got))
 }
 
-/// The map to the world of a file that does not say where its samples lie: the user may.
+/// The map to the world of a file that does not say where its samples lie: the user may. Axes keep
+/// the directions that the file gives them.
 pub(in crate::formats) fn given_geometry(
     path: &Path,
     options: &OpenOptions,
@@ -99,7 +100,8 @@ pub(in crate::formats) fn given_geometry(
         return Err(Error::usage(format!("`spacing={x},{y},{z}`: every spacing must be a positive number")));
     }
     let origin = options.origin.unwrap_or(usual.origin);
-    geometry(path, "`spacing` and `origin`", origin, scaled_axes(spacing))
+    let columns = std::array::from_fn(|a| usual.direction[a].map(|x| x * spacing[a]));
+    geometry(path, "`spacing` and `origin`", origin, columns)
 }
 
 /// Columns of [`geometry`] for axes along x, y, z. A negative spacing flips its axis.

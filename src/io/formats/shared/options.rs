@@ -27,8 +27,9 @@ pub struct OpenOptions {
     /// World coordinates of the first sample, for a format without an origin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin: Option<[f64; 3]>,
-    /// Whether these two count in place of those that a file tells, too, and of its coordinates.
-    /// Without, they are refused for such a file.
+    /// Whether these two count in place of those that a Zarr, HDF5 or NetCDF file tells, too, and
+    /// of its coordinates. The directions of its axes stay. Without, and for other formats that
+    /// tell a spacing, they are refused.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub replaces_place: bool,
     /// Whether files are mapped or read. Does not change what is read.
@@ -141,9 +142,14 @@ impl OpenOptions {
         self.replaces_place && self.places()
     }
 
-    /// Refuses a spacing and an origin for a file that has its own.
+    /// Refuses a spacing and an origin for a file that has its own, unless they replace those.
+    pub(in crate::formats) fn refuse_other_geometry(&self, path: &Path, what: &str) -> Result<()> {
+        if self.replaces_place { Ok(()) } else { self.refuse_geometry(path, what) }
+    }
+
+    /// Refuses a spacing and an origin for a file that has its own, in whose place none can be.
     pub(in crate::formats) fn refuse_geometry(&self, path: &Path, what: &str) -> Result<()> {
-        if self.replaces_place || !self.places() {
+        if !self.places() {
             return Ok(());
         }
         let path = path.display();

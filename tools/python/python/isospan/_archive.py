@@ -628,7 +628,7 @@ class Archive:
         smooth: Whole = False,
         label_table: LabelTable | None = None,
         background: bool = False,
-        compress: bool = False,
+        compress: bool | str = False,
         step: Which | None = None,
         time: Number | None = None,
         threads: int = 0,
@@ -639,7 +639,8 @@ class Archive:
         """Writes surfaces of labels to a file, in bounded memory, as ``isospan surface --labels``
         does; returns its report. With "{}" in the path each label has a file, with its number there.
 
-        compress: a .glb of about half the bytes. All else is as for :meth:`label_surface`.
+        compress: a .glb of about half the bytes; 'meshopt' of a quarter. All else is as for
+            :meth:`label_surface`.
 
         >>> report = organs.save_label_surface(folder / "organs.glb", smooth=True)
         >>> [one["label"] for one in report["labels"]]

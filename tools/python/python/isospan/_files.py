@@ -91,7 +91,8 @@ def _tell_scale(array: Any, place: Place, found: dict[str, Any]) -> None:
     """Warns where values are not those that the array itself gives."""
     slope, intercept = found["slope"], found["intercept"]
     is_changed = (slope, intercept) != (1.0, 0.0)
-    if not is_changed and found["scalar"] in (np.dtype(array.dtype).name, "float64"):
+    own = np.dtype(array.dtype)
+    if not is_changed and (own.kind == "b" or found["scalar"] in (own.name, "float64")):
         return
     how = f"{slope:g} * sample + {intercept:g}" if is_changed else f"of type {found['scalar']}"
     _warn(

@@ -128,7 +128,7 @@ class LabelSurface(Surface):
 
 
 def wanted_labels(
-    labels: Any, background: bool, smooth: Any, table: LabelTable | None, compress: bool = False
+    labels: Any, background: bool, smooth: Any, table: LabelTable | None, compress: bool | str = False
 ) -> dict[str, Any]:
     """What is asked, as the extension takes it."""
     if isinstance(labels, str) and labels != "all":
@@ -139,8 +139,16 @@ def wanted_labels(
         "background": bool(background),
         "smooth": _steps(smooth),
         "table": table if table is None or not isinstance(table, Mapping) else _entries(table),
-        "compress": bool(compress),
+        "compress": _compression(compress),
     }
+
+
+def _compression(compress: bool | str) -> str | None:
+    if isinstance(compress, str):
+        if compress not in ("quantized", "meshopt"):
+            raise UsageError(f"compress is True, False, 'quantized' or 'meshopt', not {compress!r}")
+        return compress
+    return "quantized" if compress else None
 
 
 def _label(value: Any) -> int:

@@ -64,6 +64,8 @@ def _given(source: Any, places: _Places, name: str | None, channel: str | None) 
     if not listed:
         raise UsageError("there is no volume to reduce")
     if len(listed) == 1 and _is_series(listed[0]):
+        if channel is not None:
+            raise UsageError("channel is for files, not for arrays")
         return _series(listed[0], places, name)
     given = Given([], [])
     for number, array in enumerate(listed):

@@ -130,7 +130,7 @@ impl format::Dataset for Opened {
         let (path, dialect, field) = (source.path(), *dialect, &tree.fields[number]);
         let has_place = dialect != Dialect::Plain || field.lines(tree).iter().any(Option::is_some);
         if has_place {
-            options.refuse_geometry(path, "a file with coordinates")?;
+            options.refuse_other_geometry(path, "a file with coordinates")?;
         }
         let geometry = given_geometry(path, options, geometry)?;
         let is_netcdf = dialect == Dialect::Plain && is_netcdf(path, file);

@@ -82,7 +82,7 @@ impl Dataset for File {
         }
         let lines = self.lines(field)?;
         if lines.iter().any(Option::is_some) {
-            options.refuse_geometry(path, "a file with coordinates")?;
+            options.refuse_other_geometry(path, "a file with coordinates")?;
         }
         let geometry = cf::placed(path, &lines, field.part.world, [1.0; 3])?;
         let geometry = given_geometry(path, options, geometry)?;

@@ -231,7 +231,7 @@ impl Group {
         refuse_many_chunks(&array.file, dims, axes.map(|a| a.map_or(1, |a| array.unit()[a])))?;
         let lines = lines(store, array, axes)?;
         if image.is_some() || lines.iter().any(Option::is_some) {
-            options.refuse_geometry(path, "a Zarr array with coordinates")?;
+            options.refuse_other_geometry(path, "a Zarr array with coordinates")?;
         }
         let geometry = match &image {
             Some(image) => image.placed(array, axes)?,
