@@ -20,7 +20,8 @@
 //! **Units and times.** PLY and OBJ name them in lines of comment, STL as far as its 80 bytes go.
 //! VTP and VTKHDF have arrays `length_unit`, `value_unit`, `TimeValue` and `time_unit` of the
 //! whole data set. GLB is in metres and y is up where the unit of length is known: its nodes have
-//! the transform. 3MF has a unit of its own, neuroglancer nanometres. What is read keeps them ([`StoredSurface::units`]).
+//! the transform. 3MF has a unit of its own, neuroglancer nanometres. What is read keeps them
+//! ([`StoredSurface::units`]).
 //!
 //! **Reading** ([`load_surface`], for the checker) streams too: what does not fit into a given
 //! memory goes to a scratch folder. It reads the formats as we write them and as other programs do;

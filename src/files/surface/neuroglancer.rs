@@ -88,7 +88,16 @@ fn segments(parts: &[Part], meta: &SurfaceMeta) -> Result<Vec<u64>> {
         }
         Ok(value as u64)
     };
-    parts.iter().map(segment).collect()
+    let all: Vec<u64> = parts.iter().map(segment).collect::<Result<_>>()?;
+    let mut sorted = all.clone();
+    sorted.sort_unstable();
+    match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+        None => Ok(all),
+        Some(pair) => Err(Error::usage(format!(
+            "neuroglancer has one mesh for each segment, and this surface the label {} twice: write .glb",
+            pair[0]
+        ))),
+    }
 }
 
 /// Refuses what the format cannot hold.
@@ -116,25 +125,28 @@ pub(in crate::files) fn write(
     meta: &SurfaceMeta,
     scratch: &BuilderSettings,
 ) -> Result<u64> {
-    let refuse = |why: String| Err(Error::usage(format!("cannot write {}: {why}", path.display())));
-    let replace = match path.symlink_metadata() {
-        Err(_) => false,
-        Ok(about) if about.is_dir() && is_ours(path) => true,
-        Ok(_) => return refuse("it is there, and not a folder of neuroglancer's meshes alone".into()),
-    };
+    let refuse = |why: String| Error::usage(format!("cannot write {}: {why}", path.display()));
     let above = folder_of(path);
     if !above.is_dir() {
-        return refuse(format!("there is no folder {}; create it first", above.display()));
+        return Err(refuse(format!("there is no folder {}; create it first", above.display())));
     }
     let parts = parts_of(source, meta);
     let segments = segments(&parts, meta)?;
+    // It puts back what a run that was killed had moved.
     let stage = StagedFolder::begin(path)?;
+    let is_replaced = || match path.symlink_metadata() {
+        Err(_) => Ok(false),
+        Ok(about) if about.is_dir() && is_ours(path) => Ok(true),
+        Ok(_) => Err(refuse("it is there, and not a folder of neuroglancer's meshes alone".into())),
+    };
+    is_replaced()?;
     let folder = Folder { path: stage.new_folder(), bytes: 0 };
     let mut meshes =
         Meshes { folder, segments: segments.iter(), scale: nanometres(meta)?, file: None, buffer: vec![] };
     meshes.folder.put_info(&parts, &segments)?;
     each_part(source, &parts, scratch, path, &mut meshes)?;
-    stage.publish(replace)?;
+    // Somebody may have put files there meanwhile.
+    stage.publish(is_replaced()?)?;
     Ok(meshes.folder.bytes)
 }
 
@@ -144,9 +156,13 @@ fn is_ours(folder: &Path) -> bool {
     let is_kind = info
         .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
         .is_some_and(|info| info["@type"] == KIND);
+    let is_known = |name: &str, is_folder: bool| match name {
+        PROPERTIES => is_folder,
+        name => !is_folder && (name == "info" || is_of_segment(name)),
+    };
     is_kind
-        && has_only(folder, |name| ["info", PROPERTIES].contains(&name) || is_of_segment(name))
-        && has_only(&folder.join(PROPERTIES), |name| name == "info")
+        && has_only(folder, is_known)
+        && has_only(&folder.join(PROPERTIES), |name, is_folder| name == "info" && !is_folder)
 }
 
 /// Whether a name is `7:0` or `7.mesh`.
@@ -155,9 +171,14 @@ fn is_of_segment(name: &str) -> bool {
     number.is_some_and(|number| number.parse::<u64>().is_ok())
 }
 
-fn has_only(folder: &Path, is_known: impl Fn(&str) -> bool) -> bool {
-    let Ok(mut entries) = fs::read_dir(folder) else { return false };
-    entries.all(|entry| entry.is_ok_and(|entry| entry.file_name().to_str().is_some_and(&is_known)))
+/// Whether all that is in a folder is known by its name, and whether it is a folder.
+fn has_only(folder: &Path, is_known: impl Fn(&str, bool) -> bool) -> bool {
+    let Ok(entries) = fs::read_dir(folder) else { return false };
+    let is_one = |entry: fs::DirEntry| {
+        let is_folder = entry.file_type().ok()?.is_dir();
+        Some(is_known(entry.file_name().to_str()?, is_folder))
+    };
+    entries.map(|entry| entry.ok().and_then(is_one)).all(|is_known| is_known == Some(true))
 }
 
 /// The folder on its way.

@@ -258,15 +258,21 @@ impl<'a> File<'a> {
             let of = |name: &str, default| self.number(coded, name, default);
             let (start, length) = (of("byteOffset", Some(0))?, of("byteLength", None)?);
             let (count, stride) = (of("count", None)?, of("byteStride", None)?);
-            let size = count.checked_mul(stride).map_or(u64::MAX, |size| size as u64);
+            let is_of_triangles = coded.get("mode").and_then(Value::as_str) == Some("TRIANGLES");
+            // Triangles are there as numbers, too, before they are bytes.
+            let each = if is_of_triangles { stride.saturating_mul(2).saturating_add(4) } else { stride };
+            let size = count.checked_mul(each).map_or(u64::MAX, |size| size as u64);
             total = total.saturating_add(size);
             limits.check("for the coded arrays of a GLB file", total)?;
+            // The view says, too, how many bytes there are afterwards.
+            let is_alike = count.checked_mul(stride) == Some(self.number(view, "byteLength", None)?);
             let bytes = start.checked_add(length).and_then(|end| self.bin.get(start..end));
             let text = |name: &str| coded.get(name).and_then(Value::as_str);
-            let is_plain = of("buffer", None)? == 0 && text("filter").is_none_or(|filter| filter == "NONE");
+            let is_plain =
+                is_alike && of("buffer", None)? == 0 && text("filter").is_none_or(|filter| filter == "NONE");
             let decoded = match (bytes.filter(|_| is_plain), text("mode")) {
                 (Some(bytes), Some("ATTRIBUTES")) => attributes(bytes, count, stride),
-                (Some(bytes), Some("TRIANGLES")) if count.is_multiple_of(3) => {
+                (Some(bytes), Some("TRIANGLES")) if count.is_multiple_of(3) && [2, 4].contains(&stride) => {
                     triangles(bytes, count / 3).and_then(|all| indices(&all, stride))
                 }
                 _ => None,
@@ -274,7 +280,9 @@ impl<'a> File<'a> {
             let Some(decoded) = decoded else {
                 let at = format!("bufferViews {number}");
                 let expected = format!("{count} elements of {stride} bytes, coded without a filter");
-                return Err(self.wrong(at, expected, format!("{length} bytes that are none")));
+                let [mode, filter] = ["mode", "filter"].map(|name| text(name).unwrap_or("none"));
+                let got = format!("{length} bytes, mode {mode}, filter {filter}");
+                return Err(self.wrong(at, expected, got).with_help("save the file without compression"));
             };
             all.insert(number, decoded);
         }
