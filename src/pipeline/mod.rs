@@ -61,8 +61,8 @@ pub use read::{
     StepRange, StepSpectrum, StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
-    CopiedFile, ReduceReport, SkippedStep, SourceChunks, TargetReport, archive_files, copy_archive,
-    header_notices, mesh_notices, plan_path, scan_with_notices, work_folder,
+    CopiedFile, NO_SURFACE, ReduceReport, SkippedStep, SourceChunks, TargetReport, archive_files,
+    copy_archive, header_notices, mesh_notices, plan_path, scan_with_notices, work_folder,
 };
 #[doc(hidden)]
 pub use reduce::{changed_sources, estimate_series, reduce_series};

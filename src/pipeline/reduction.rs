@@ -171,6 +171,9 @@ impl Reduction<'_> {
     /// [`Estimate::check`].
     pub fn estimate(&self, path: impl AsRef<Path>) -> Result<Estimate> {
         self.expect_alike()?;
+        if !self.isovalues.is_empty() {
+            expect_surfaces(&self.sources, &self.settings, &self.run)?;
+        }
         estimate_series(&self.sources, &self.settings, path.as_ref(), &self.run)
     }
 

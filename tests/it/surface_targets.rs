@@ -184,3 +184,31 @@ fn of_a_series_the_worst_step_is_told_and_kept() {
     let report = points.isovalues([SHELL]).write(halton).unwrap();
     assert!(report.surfaces[0].archive.triangles > 0 && report.surfaces[0].to_archive.is_some());
 }
+
+#[test]
+fn a_step_without_the_surface_is_no_reason_to_refuse_a_series() {
+    let dir = tempfile::tempdir().unwrap();
+    let [empty, full] = ["a.nrrd", "b.nrrd"].map(|name| dir.path().join(name));
+    write_whole(&empty, [40, 36, 32], |_, _, _| 0.0);
+    write_whole(&full, [40, 36, 32], hundreds);
+    let target =
+        Target::Surface(SurfaceTarget { isovalue: FieldValue::At(10.5), distance: Length::World(0.05) });
+    let steps = [&empty, &full].map(|path| StepSource::from(path.as_path()));
+    let report = Reduction::of_steps(steps).target(target).write(dir.path().join("s.isospan")).unwrap();
+    assert!(report.target.unwrap().met && report.surfaces[0].step == 1, "{report:?}");
+    let alone = Reduction::of(empty.as_path()).target(target).write(dir.path().join("a.isospan"));
+    assert!(alone.unwrap_err().to_string().contains("no surface at 10.5"));
+}
+
+#[test]
+fn where_f32_holds_no_smaller_error_the_best_try_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("kelvin.npy");
+    write_npy(&input, [24, 20, 16], |x, y, z| 285.0 + 0.01 * waves(x, y, z));
+    let distance = Length::World(1e-9);
+    let target = Target::Surface(SurfaceTarget { isovalue: FieldValue::At(285.001), distance });
+    let out = dir.path().join("kelvin.isospan");
+    let found = Reduction::of(input.as_path()).target(target).write(&out).unwrap().target.unwrap();
+    assert!(!found.met && found.reached < 0.1 && found.tries <= 10, "{found:?}");
+    check_archive(&out).unwrap();
+}

@@ -11,7 +11,7 @@ use super::words;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use isospan::exec::{Attempt, Progress, Reached, Silent};
-use isospan::pipeline::{self, Notice};
+use isospan::pipeline::{self, NO_SURFACE, Notice};
 use std::fmt;
 use std::io::{IsTerminal, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -118,6 +118,9 @@ impl Progress for Notices {
 /// What a try reached, of what was wanted.
 fn reached_text(reached: &Reached) -> String {
     let Reached { quantity, value, wanted, .. } = *reached;
+    if quantity == "distance" && value >= NO_SURFACE {
+        return "one of the two surfaces is missing".into();
+    }
     let number = |v: f64| match quantity {
         "bytes" => text::bytes(v as u64),
         _ => text::value(text::figures(v, 4)),

@@ -11,8 +11,8 @@ use super::{dry_run, signals, text};
 use isospan::exec::CancelToken;
 use isospan::formats::StepSource;
 use isospan::pipeline::{
-    Length, ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary, SurfaceErrors, SurfaceTarget,
-    Target, TargetReport,
+    ArchiveSummary, Length, NO_SURFACE, ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary,
+    SurfaceErrors, SurfaceTarget, Target, TargetReport,
 };
 use isospan::{Archive, Error, Reduction, Resources, Result};
 use std::fmt::Write as _;
@@ -36,12 +36,12 @@ pub struct Args {
     pub choices: Choices,
     /// Also measure the surfaces of these isovalues against those of the samples, of a volume, as
     /// `measure` does: area, pieces, distances in world units, and where the largest is. N% is a
-    /// place in the range of the archive. Of a series the worst step is told.
+    /// place in the range of the samples. Of a series the worst step is told.
     #[arg(help_heading = "Error and size", long, short = 'i', value_name = "VALUE", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::value)]
     isovalue: Vec<Value>,
     /// Keep the surface at --isovalue within this distance of that of the samples: 99 % of the area
     /// of each is at most so far from the other. In a unit, as 0.2mm, in world units, or as N% of
-    /// the diagonal of the domain. A volume takes two to four tries, each of which is measured.
+    /// the diagonal of the domain. Mostly two to four tries are made, and each is measured.
     #[arg(help_heading = "Error and size", long, value_name = "LENGTH", value_parser = grammar::length, requires = "isovalue", conflicts_with_all = ["fraction", "count", "cross_m", "no_measure", "target_rms", "target_max", "size", "ratio", "lossless", "labels"], allow_hyphen_values = true)]
     target_surface: Option<Length>,
     /// Also measure the error of the first step against this file: of an archive that is reduced
@@ -178,6 +178,7 @@ pub(super) fn reached_text(t: &TargetReport) -> String {
         }
         Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Max(_) => format!("at most {} of {} wanted", four(t.reached), four(t.bound)),
+        Target::Surface(_) if t.reached >= NO_SURFACE => "one of the two surfaces is missing".into(),
         Target::Surface(_) => {
             format!("99 % of the surface within {} of {} wanted", four(t.reached), four(t.bound))
         }
@@ -289,7 +290,7 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
     }
     out += &time_line(&report.seconds);
     out += &surface_lines(archive, report);
-    out + &next_line(archive)
+    out + &next_line(archive, report.surfaces.first().map(|found| found.isovalue))
 }
 
 /// How many points there are, and what lies between them.
@@ -407,11 +408,12 @@ fn time_line(seconds: &[(Stage, f64)]) -> String {
     format!("  time        {}{parts}\n", text_of(total))
 }
 
-/// What can be done with an archive: the surface that is most worth a look.
-fn next_line(archive: &Path) -> String {
+/// What can be done with an archive: the surface that was asked about, or is most worth a look.
+fn next_line(archive: &Path, asked: Option<f64>) -> String {
     let name = text::shell(archive);
     let found = Archive::open(archive).and_then(|archive| archive.info()).ok();
-    let most = found.and_then(|s| Some((s.suggestions.first()?.isovalue, s.range?)));
+    let isovalue = |s: &ArchiveSummary| asked.or_else(|| Some(s.suggestions.first()?.isovalue));
+    let most = found.and_then(|s| Some((isovalue(&s)?, s.range?)));
     match (most, archive.file_stem()) {
         (Some((isovalue, range)), Some(stem)) => {
             let file = text::shell(&Path::new(stem).with_extension("ply"));

@@ -75,6 +75,7 @@ pub use plan_file::{plan_path, work_folder};
 pub(super) use planned::{Built, Planned, plan, publish, run};
 use planned::{first_that_opens, make};
 pub use report::{ReduceReport, SourceChunks, TargetReport};
+pub use search::NO_SURFACE;
 pub(super) use search::TargetSearch;
 pub use series::SkippedStep;
 use std::path::Path;

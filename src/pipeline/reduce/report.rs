@@ -85,6 +85,13 @@ pub struct ReduceReport {
     /// surface is farthest away.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub surfaces: Vec<SurfaceErrors>,
+    /// Whether the samples of a step have one of these surfaces.
+    #[serde(skip)]
+    pub(in crate::pipeline) has_surface: bool,
+    /// The least error of each sample, as a part of the range that decides it, that `f32` holds at
+    /// all steps.
+    #[serde(skip)]
+    pub(in crate::pipeline) least_share: f64,
     /// The length of the range of the samples, where all are whole numbers that can be kept
     /// without loss.
     #[serde(skip)]
@@ -119,7 +126,8 @@ pub struct TargetReport {
     pub target: Target,
     /// The bound: in units of the field, of the world, or in bytes.
     pub bound: f64,
-    /// The error, the distance or the size of the archive.
+    /// The error, the distance or the size of the archive;
+    /// [`NO_SURFACE`](crate::pipeline::NO_SURFACE) where one of two surfaces is missing.
     pub reached: f64,
     /// Whether that is within the bound.
     pub met: bool,
@@ -193,6 +201,16 @@ fn whole_range(steps: &[&StoredStep]) -> Option<f64> {
     steps.iter().all(is_kept).then_some(hi - lo).filter(|length| *length > 0.0)
 }
 
+/// The least error of each sample that `f32` holds at all steps of a pyramid, as a part of the
+/// range of the first one that is not constant: that decides what all keep.
+fn least_share(steps: &[&StoredStep]) -> f64 {
+    let ranges = || steps.iter().filter_map(|step| step.plan.wavelet).map(|wavelet| wavelet.range);
+    let decides = ranges().map(|[lo, hi]| hi - lo).find(|length| *length > 0.0);
+    let largest = ranges().flatten().map(f64::abs).fold(0.0, f64::max);
+    // As `Correction::within` asks, with room for rounding.
+    decides.map_or(0.0, |length| 1.01 * largest * 0.5_f64.powi(22) / length)
+}
+
 /// The errors of each step as parts of the range of its field, in all steps that have this.
 fn shares(manifest: &Manifest) -> Vec<[f64; 2]> {
     let of_field = |name: &str| {
@@ -245,6 +263,7 @@ impl ReduceReport {
             steps: positions.iter().map(|n| StepSummary::of(manifest, *n)).collect(),
             archive_bytes: folder_bytes(root)?,
             whole_range: whole_range(&steps),
+            least_share: least_share(&steps),
             source_range: range_of(steps.into_iter()),
             shares: shares(manifest),
             ..self

@@ -65,7 +65,9 @@ impl Target {
     fn reached(self, report: &ReduceReport) -> f64 {
         match self {
             Self::Rms(_) | Self::Max(_) | Self::Lossless | Self::Labels => error_of(self, report),
-            Self::Surface(_) => report.surfaces.iter().map(|found| found.distance()).fold(0.0, f64::max),
+            Self::Surface(_) => {
+                report.surfaces.iter().map(|found| found.distance()).fold(0.0, f64::max).min(NO_SURFACE)
+            }
             Self::Size(_) | Self::Ratio(_) => (report.archive_bytes + RECORD) as f64,
         }
     }
@@ -97,6 +99,9 @@ const MOST_TRIES: u32 = 10;
 /// The aim of a try, as a part of the bound; and the part that is good enough.
 const AIM: f64 = 0.985;
 const NEAR: f64 = 0.96;
+/// The distance where the samples have a surface and the archive has none, or the other way round.
+/// JSON, in which a search waits, has no infinite number.
+pub const NO_SURFACE: f64 = 1e300;
 /// Tries of most searches.
 const USUAL_TRIES: u32 = 5;
 /// The same of a surface.
@@ -346,7 +351,7 @@ impl TargetSearch {
         };
         self.of_fields = report.of_fields;
         let (settings, number) = (self.next_settings(), self.tries + 1);
-        self.share.of_whole = report.whole_range;
+        self.share = Share { of_whole: report.whole_range, least: report.least_share };
         self.tries = number;
         self.chunks += report.chunks;
         let made = match is_pyramid(&self.settings) {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// The error of a try, as a part of the range of the samples, at first.
 const FIRST: f64 = 0.02;
-/// The least one: `f32` holds a range to 2^-24 of its ends.
+/// The least one of samples whose range is as large as they are.
 const LEAST: f64 = 1e-6;
 /// Below this error a whole number is kept without loss.
 const OF_WHOLE: f64 = 0.5;
@@ -19,6 +19,9 @@ const OF_WHOLE: f64 = 0.5;
 pub(super) struct Share {
     /// The length of the range of samples that are all whole numbers.
     pub(super) of_whole: Option<f64>,
+    /// The least that `f32` holds.
+    #[serde(default)]
+    pub(super) least: f64,
 }
 
 /// How many times finer than the first is a try that has no error, at least: it is another one.
@@ -36,8 +39,11 @@ impl Share {
 
     /// How many times finer a try may be than the first: from an error of the whole range to none.
     pub(super) fn limits(self) -> [f64; 2] {
-        let least = self.of_whole.map_or(LEAST, |range| 0.99 * OF_WHOLE / range);
-        [FIRST, (FIRST / least).max(LOSSLESS)]
+        let finest = match self.of_whole {
+            Some(range) => (FIRST / (0.99 * OF_WHOLE / range)).max(LOSSLESS),
+            None => (FIRST / LEAST.max(self.least)).max(1.0),
+        };
+        [FIRST, finest]
     }
 }
 
@@ -47,15 +53,21 @@ mod tests {
 
     #[test]
     fn the_finest_try_of_whole_numbers_is_without_loss() {
-        let whole = Share { of_whole: Some(255.0) };
+        let whole = Share { of_whole: Some(255.0), least: 0.0 };
         let [coarsest, finest] = whole.limits();
         assert_eq!(whole.target(1.0 / finest), Target::Lossless);
         assert_eq!(whole.target(1.0), Target::Max(Bound::OfRange(FIRST)));
         assert_eq!(whole.target(1.0 / coarsest), Target::Max(Bound::OfRange(1.0)));
         // Few values: the first try is finer than half of one already.
-        let few = Share { of_whole: Some(1.0) };
+        let few = Share { of_whole: Some(1.0), least: 0.0 };
         assert_eq!(few.target(1.0 / few.limits()[1]), Target::Lossless);
         let [_, finest] = Share::default().limits();
-        assert_eq!(Share::default().target(1.0 / finest), Target::Max(Bound::OfRange(FIRST / finest)));
+        let Target::Max(Bound::OfRange(share)) = Share::default().target(1.0 / finest) else {
+            panic!("an error of each sample")
+        };
+        assert!((share / LEAST - 1.0).abs() < 1e-9, "{share}");
+        // Kelvins around 285: f32 holds no millionth of their range.
+        let warm = Share { of_whole: None, least: 1e-5 };
+        assert!((FIRST / warm.limits()[1] / 1e-5 - 1.0).abs() < 1e-9);
     }
 }

@@ -39,13 +39,15 @@ pub(in crate::pipeline) fn with_surfaces(
 ) -> Result<ReduceReport> {
     let start = Instant::now();
     let archive = OpenArchive::open(archive)?;
+    // One value for all steps, and for all tries: the samples do not change.
+    let range = report.source_range;
+    let values = isovalues.iter().map(|value| value.of(range)).collect::<Result<Vec<_>>>()?;
     let mut worst: Vec<SurfaceErrors> = vec![];
     for step in &archive.manifest.steps {
         let number = step.plan.number;
         let Some((_, source)) = sources.iter().find(|source| source.0 == number) else { continue };
-        let range = step.file_range();
-        let values = isovalues.iter().map(|value| value.of(range)).collect::<Result<Vec<_>>>()?;
         let found = of_step(&archive, number, source, &values, resources, progress)?;
+        report.has_surface |= found.iter().any(|found| found.source.triangles > 0);
         if worst.is_empty() {
             worst = found;
             continue;
@@ -105,8 +107,7 @@ pub(super) fn with_surface_of(
     let Target::Surface(SurfaceTarget { isovalue, .. }) = target else { return Ok(report) };
     let resources = &job.run.resources;
     let report = with_surfaces(report, archive, job.sources, &[isovalue], resources, job.progress)?;
-    let is_missing = |found: &SurfaceErrors| found.source.triangles == 0;
-    match report.surfaces.iter().all(is_missing).then(|| report.surfaces.first()).flatten() {
+    match report.surfaces.first().filter(|_| !report.has_surface) {
         None => Ok(report),
         Some(found) => {
             forget_search(job.out)?;

@@ -66,7 +66,7 @@ impl Length {
 /// A largest distance of an isosurface from that of the samples.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceTarget {
-    /// The isovalue; a share is one of the range of the archive.
+    /// The isovalue; a share is one of the range of the samples.
     pub isovalue: FieldValue,
     /// The distance: 99 % of the area of each of the two surfaces is at most so far from the other.
     pub distance: Length,
