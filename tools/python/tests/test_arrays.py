@@ -243,6 +243,12 @@ def test_xarray(expected, tmp_path):
     expect_same(made(xarray.DataArray(field()), tmp_path, "none"), expected)
 
 
+def test_a_channel_of_a_series_is_refused(tmp_path):
+    frames = xarray.DataArray(np.stack([field(), field()]), dims=("t", "z", "y", "x"))
+    with pytest.raises(isospan.UsageError, match="channel is for files"):
+        isospan.reduce(frames, tmp_path / "c.isospan", channel=1)
+
+
 @pytest.mark.parametrize("falls", [False, True])
 def test_uneven_coordinates_of_an_xarray(tmp_path, falls):
     nz, ny, nx = field().shape

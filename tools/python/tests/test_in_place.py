@@ -156,6 +156,10 @@ def test_what_is_given_wins(tmp_path, without_copies):
         assert archive.info.get("grid_cells") is None
     half = isospan.reduce(arrays["cf"], tmp_path / "half.isospan", origin=(0, 0, 0))
     assert (half.spacing, half.origin) == (SPACING, (0, 0, 0))
+    # Levels that fall keep doing so.
+    falling = cf(tmp_path / "falling.zarr", 3, z=-2.0 * np.arange(18.0))
+    fallen = isospan.reduce(falling, tmp_path / "falling.isospan", origin=(0, 0, 0))
+    assert fallen.info["geometry"]["direction"][2] == [0, 0, -1]
     with pytest.raises(isospan.UsageError, match="uneven coordinates: give spacing"):
         isospan.reduce(arrays["uneven"], tmp_path / "bad.isospan", origin=(0, 0, 0))
     with pytest.raises(isospan.UsageError, match="positive"):

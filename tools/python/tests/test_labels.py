@@ -119,3 +119,14 @@ def test_what_makes_no_sense_is_refused(archive, tmp_path):
     with pytest.raises(isospan.BadInputError, match="names.csv"):
         (tmp_path / "names.csv").write_text("a,b\n1,2\n")
         archive.labels(label_table=tmp_path / "names.csv")
+
+
+def test_a_compression_is_taken_by_its_name(archive, tmp_path):
+    sizes = {}
+    for compress in (False, True, "quantized", "meshopt"):
+        path = tmp_path / f"{compress}.glb"
+        archive.save_label_surface(path, [3, 7], compress=compress)
+        sizes[compress] = path.stat().st_size
+    assert sizes[False] > sizes[True] == sizes["quantized"] > 2 * sizes["meshopt"]
+    with pytest.raises(isospan.UsageError, match="'zip'"):
+        archive.save_label_surface(tmp_path / "z.glb", 3, compress="zip")
