@@ -9,6 +9,11 @@ use crate::error::{Error, Result};
 use std::io;
 use std::path::{Path, PathBuf};
 
+/// Whether nothing is there. What a reader takes for a folder may be a file that somebody keeps.
+fn is_absent(e: &io::Error) -> bool {
+    matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+}
+
 /// All bytes of a small file; `None` where there is none. What a server said is believed for some
 /// seconds.
 pub(crate) fn read_if_there(path: &Path, most: u64) -> Result<Option<Vec<u8>>> {
@@ -16,7 +21,7 @@ pub(crate) fn read_if_there(path: &Path, most: u64) -> Result<Option<Vec<u8>>> {
         return remote::small_if_there(path, most);
     }
     match std::fs::metadata(path) {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(e) if is_absent(&e) => Ok(None),
         Err(e) => Err(Error::io("look at", path, e)),
         Ok(_) => read_whole(path, most).map(Some),
     }
@@ -29,7 +34,7 @@ pub(crate) fn open_if_there(path: &Path, io: IoMode, most: u64) -> Result<Option
         return Ok(remote::whole_if_there(path, most)?.map(|bytes| ByteSource::from_vec(path, bytes)));
     }
     match std::fs::metadata(path) {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(e) if is_absent(&e) => Ok(None),
         Err(e) => Err(Error::io("look at", path, e)),
         Ok(_) => ByteSource::open(path, io).map(Some),
     }

@@ -483,6 +483,14 @@ fn metadata_that_are_not_read_are_named() {
     put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
     put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["a", "y", "x"] }));
     check_fill(dir.path(), 4.0);
+    // A file beside the array that is called like an axis is no array of coordinates.
+    let around = tempfile::tempdir().unwrap();
+    std::fs::write(around.path().join("y"), "a note").unwrap();
+    let beside = around.path().join("array");
+    std::fs::create_dir(&beside).unwrap();
+    put(&beside, ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+    put(&beside, ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["z", "y", "x"] }));
+    check_fill(&beside, 4.0);
     put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["t", "y", "x"] }));
     assert!(refusal(dir.path()).contains("three axes of space"));
 }
