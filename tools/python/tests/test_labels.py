@@ -127,6 +127,6 @@ def test_a_compression_is_taken_by_its_name(archive, tmp_path):
         path = tmp_path / f"{compress}.glb"
         archive.save_label_surface(path, [3, 7], compress=compress)
         sizes[compress] = path.stat().st_size
-    assert sizes[False] > sizes[True] == sizes["quantized"] > 2 * sizes["meshopt"]
+    assert sizes[False] > sizes[True] == sizes["quantized"] > 1.5 * sizes["meshopt"]
     with pytest.raises(isospan.UsageError, match="'zip'"):
         archive.save_label_surface(tmp_path / "z.glb", 3, compress="zip")
