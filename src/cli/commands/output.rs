@@ -25,7 +25,7 @@ impl Force {
     ) -> Result<()> {
         expect_no_input(output, inputs)?;
         expect_a_file(output)?;
-        if output.exists() && !self.force { Err(exists(output)) } else { Ok(()) }
+        self.expect_new(output)
     }
 
     /// As [`Force::check`], of several outputs.
@@ -46,6 +46,10 @@ impl Force {
         inputs: impl IntoIterator<Item = P>,
     ) -> Result<()> {
         expect_no_input(output, inputs)?;
+        self.expect_new(output)
+    }
+
+    fn expect_new(self, output: &Path) -> Result<()> {
         if output.exists() && !self.force { Err(exists(output)) } else { Ok(()) }
     }
 

@@ -455,9 +455,7 @@ fn note_plateaus(step: &Step, isovalues: &[f64], talk: &Talk) -> Result<()> {
 fn in_world(length: Length, archive: &Archive) -> Result<f64> {
     let diagonal = match length {
         Length::OfDiagonal(_) if archive.info()?.grid_cells.is_none() => {
-            let (geometry, dims) = (archive.geometry(), archive.dims());
-            let squares = (0..3).map(|a| (geometry.spacing[a] * dims[a].saturating_sub(1) as f64).powi(2));
-            Some(squares.sum::<f64>().sqrt())
+            Some(archive.geometry().diagonal(archive.dims()))
         }
         _ => None,
     };

@@ -142,6 +142,13 @@ impl Geometry {
         self.matrix().to_cols_array_2d()
     }
 
+    /// The diagonal of the box of so many samples along x, y, z, in world units; axes are taken as
+    /// square to each other.
+    pub fn diagonal(&self, dims: [u64; 3]) -> f64 {
+        let squares = (0..3).map(|a| (self.spacing[a] * dims[a].saturating_sub(1) as f64).powi(2));
+        squares.sum::<f64>().sqrt()
+    }
+
     /// World position of an index-space position.
     pub fn to_world(&self, ijk: [f64; 3]) -> [f64; 3] {
         (self.matrix() * DVec3::from_array(ijk) + DVec3::from_array(self.origin)).to_array()

@@ -167,11 +167,10 @@ pub(super) fn in_world(
     };
     let info = volume.info();
     let units = source.options.units.clone().or(info.units.clone());
-    let edges: [f64; 3] =
-        std::array::from_fn(|a| info.geometry.spacing[a] * info.dims[a].saturating_sub(1) as f64);
-    let diagonal = edges.iter().map(|edge| edge * edge).sum::<f64>().sqrt();
-    let is_of_diagonal = matches!(target.distance, Length::OfDiagonal(_));
-    let diagonal = if is_of_diagonal && source.coordinates()?.is_none() { Some(diagonal) } else { None };
+    let diagonal = match target.distance {
+        Length::OfDiagonal(_) if source.coordinates()?.is_none() => Some(info.geometry.diagonal(info.dims)),
+        _ => None,
+    };
     let distance = Length::World(target.distance.in_world(units.length.as_ref(), diagonal)?);
     Ok(ReduceSettings {
         target: Some(Target::Surface(SurfaceTarget { distance, ..target })),
