@@ -142,6 +142,33 @@ def test_targets_have_the_bytes_of_the_program(
     assert same_files(tmp_path / "p.isospan", tmp_path / "s.isospan", but=())
 
 
+@pytest.mark.parametrize(
+    "keywords, flags",
+    [
+        ({"isovalue": [0.1, 0.3]}, ["--isovalue=0.1,0.3"]),
+        (
+            {"isovalue": 0.1, "target_surface": 0.05},
+            ["--isovalue=0.1", "--target-surface=0.05"],
+        ),
+    ],
+)
+def test_surfaces_are_measured_as_by_the_program(volume, program, tmp_path, keywords, flags):
+    told = program("reduce", volume, "-o", tmp_path / "p.isospan", "--json", *flags)
+    archive = isospan.reduce(volume, tmp_path / "s.isospan", **keywords)
+    assert same_files(tmp_path / "p.isospan", tmp_path / "s.isospan", but=())
+    surfaces = archive.report["surfaces"]
+    assert surfaces == told["surfaces"]
+    assert len(surfaces) == np.size(keywords["isovalue"])
+    if "target_surface" in keywords:
+        assert archive.target_met
+
+
+def test_a_target_of_a_surface_needs_its_isovalue(volume, tmp_path):
+    with pytest.raises(isospan.UsageError, match="isovalue"):
+        isospan.reduce(volume, tmp_path / "a.isospan", target_surface=0.05)
+    assert not (tmp_path / "a.isospan").exists()
+
+
 def test_whole_numbers_without_loss_have_the_bytes_of_the_program(program, tmp_path):
     np.save(tmp_path / "v.npy", np.round(100 * field(shape=(10, 14, 12))).astype(np.int16))
     program("reduce", tmp_path / "v.npy", "-o", tmp_path / "p.isospan", "--lossless")
