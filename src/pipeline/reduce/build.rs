@@ -20,7 +20,7 @@ use super::reuse::ReusedChunks;
 use super::series::{PlannedSource, SeriesPlan, is_of_data};
 use super::sink::{SegmentFiles, has_mesh, has_values};
 use super::sums::FinishedSteps;
-use super::workers::SegmentMaker;
+use super::workers::{MakeChunks, SegmentMaker};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, StepPlan, StoredStep};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
@@ -227,16 +227,7 @@ impl<'a> Build<'a> {
             workspaces: Workspaces::default(),
             cancel: &self.run.resources.cancel,
         };
-        let done = SegmentMaker {
-            maker: &maker,
-            files: &files,
-            chunks: &parts.chunks,
-            segments: source.segments.clone(),
-            pool: source.pool,
-            watch: &series.watch,
-            progress: self.progress,
-        }
-        .make();
+        let done = self.make_segments(&maker, &files, series, source);
         let bad = maker.bad_steps.into_inner();
         let bad = bad.into_iter().map(|(n, reason)| (steps.start + n, reason)).collect();
         if !has_mesh {
@@ -247,6 +238,26 @@ impl<'a> Build<'a> {
             self.measure_steps(plan, source, steps, &fields, made)?;
         }
         Ok(())
+    }
+
+    /// Makes the chunks of some segments, which become files.
+    pub(super) fn make_segments(
+        &self,
+        maker: &dyn MakeChunks,
+        files: &SegmentFiles<'_>,
+        series: &SeriesPlan,
+        source: &SegmentSource<'_>,
+    ) -> Result<StageTimes> {
+        SegmentMaker {
+            maker,
+            files,
+            chunks: &self.parts.chunks,
+            segments: source.segments.clone(),
+            pool: source.pool,
+            watch: &series.watch,
+            progress: self.progress,
+        }
+        .make()
     }
 
     fn recipe<'b>(&'b self, plan: &'b Plan, own: Option<OwnMesh<'b>>) -> Recipe<'b> {

@@ -22,7 +22,7 @@ use super::series::SeriesPlan;
 use super::sink::{SegmentFiles, is_whole};
 use super::source::Work;
 use super::sums::FinishedSteps;
-use super::workers::{MakeChunks, SegmentMaker};
+use super::workers::MakeChunks;
 use crate::archive::chunked::{BlockRange, ValueSummary};
 use crate::archive::manifest::StepPlan;
 use crate::archive::segment::{PlanHash, Segment, SegmentKind};
@@ -155,16 +155,9 @@ impl<'a> RangeMaker<'a> {
 
     /// Widens the ranges of the bricks of coarse levels by the cells that begin in a part, and adds
     /// the errors of these levels at its samples, if they are measured.
-    fn look_at_levels(
-        &self,
-        samples: &[f32],
-        place: &IndexBox,
-        part: &Box3,
-        bricks: &[Brick],
-        ranges: &mut [BlockRange],
-        sums: &mut [Squares],
-    ) -> Result<()> {
+    fn look_at_levels(&self, samples: &[f32], place: &IndexBox, part: &Box3, seen: &mut Seen) -> Result<()> {
         let pyramid = self.work.pyramid;
+        let Seen { bricks, ranges, levels: sums, .. } = seen;
         let samples_of_volume = pyramid.nodes(0).iter().map(|n| *n as u64).product();
         for level in 1..=pyramid.details().max(sums.len()) {
             let ends = samples_of_level(pyramid, level);
@@ -181,7 +174,9 @@ impl<'a> RangeMaker<'a> {
                 }
             };
             let own = cells_in(pyramid, part, level);
-            for (brick, range) in bricks.iter().zip(&mut *ranges).filter(|(brick, _)| brick.level == level) {
+            for (brick, range) in
+                bricks.iter().zip(ranges.iter_mut()).filter(|(brick, _)| brick.level == level)
+            {
                 let common = |a: usize| {
                     let (own, cells) = (&own[a], &brick.cells[a]);
                     own.start.max(cells.start)..own.end.min(cells.end)
@@ -268,73 +263,124 @@ impl RangeMaker<'_> {
     }
 }
 
-impl MakeChunks for RangeMaker<'_> {
-    fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
-        let (work, mut times) = (&self.work, StageTimes::default());
-        let (at, place) = (chunk.brick_lo.map(|n| n as usize), work.samples(chunk));
-        let (bricks, dims) = (bricks_of(work.pyramid, at), work.pyramid.nodes(0));
-        let corrects = work.correction != Correction::None;
-        let mut corrections = if corrects { vec![0; place.len()] } else { vec![] };
-        let (mut ranges, mut sums) = (vec![BlockRange::NONE; bricks.len()], ErrorSums::default());
-        let (mut void, mut bounds) = (0, [f32::INFINITY, f32::NEG_INFINITY]);
-        let measured = if self.measured { work.pyramid.coarsest() } else { 0 };
-        let mut levels = vec![Squares::of_range(self.range); measured];
-        for part in work.pyramid.parts(at, work.edge) {
-            work.cancel.check()?;
-            // The nodes of all cells that begin in the part.
-            let end = part.end();
-            let nodes = IndexBox {
-                lo: part.start.map(|n| n as u64),
-                hi: std::array::from_fn(|a| (end[a] + 1).min(dims[a]) as u64),
-            };
-            let start = Instant::now();
-            let mut decoded = self.view.uncorrected(0, &nodes)?;
-            times.encode += start.elapsed();
-            let start = Instant::now();
-            let around = box3(&nodes);
-            let samples = match corrects || self.measured {
-                true => work.read_into(&nodes, self.view.spare.nodes(nodes.len()))?,
-                false => vec![],
-            };
-            if corrects {
-                let corrected = self.correct(&nodes, &mut decoded, &samples);
-                let numbers = work.bad.note(0, work.number, corrected)?;
-                place.copy_common(&mut corrections, &part, &around.values_of(&numbers, &part));
-            }
-            if self.view.leave_out_missing(0, &nodes, &mut decoded)? {
-                void += around.values_of(&decoded, &part).iter().filter(|v| v.is_nan()).count();
-            }
-            if self.measured {
-                self.add_errors(&nodes, &index_box(&part), [&samples, &decoded], &mut sums);
-            }
-            self.look_at_levels(&samples, &nodes, &part, &bricks, &mut ranges, &mut levels)?;
-            times.measure += start.elapsed();
-            let finest = bricks.iter().take_while(|brick| brick.level == 0);
-            for (range, Brick { cells, .. }) in ranges.iter_mut().zip(finest) {
-                // A brick lies in one part, but for cells at the end of one.
-                let begins = (0..3).all(|a| (part.start[a]..end[a]).contains(&cells[a].start));
-                if begins {
-                    let known;
-                    (*range, known) = range_of_cells(&decoded, &nodes, cells);
-                    bounds = [bounds[0].min(known[0]), bounds[1].max(known[1])];
-                }
-            }
-            [decoded, samples].into_iter().for_each(|nodes| self.view.spare.give_nodes(nodes));
+/// What a chunk's decoded samples tell, part after part.
+struct Seen {
+    /// The samples of the chunk.
+    place: Box3,
+    bricks: Vec<Brick>,
+    /// Those of the bricks.
+    ranges: Vec<BlockRange>,
+    /// The least and the largest known sample.
+    bounds: [f32; 2],
+    /// How many samples are missing.
+    void: usize,
+    /// Numbers of quanta, of each sample if there are corrections.
+    corrections: Vec<i32>,
+    sums: ErrorSums,
+    /// Errors of the levels from 1 on, if they are measured.
+    levels: Vec<Squares>,
+}
+
+impl Seen {
+    fn nothing(maker: &RangeMaker<'_>, chunk: &Chunk) -> Self {
+        let (work, pyramid) = (&maker.work, maker.work.pyramid);
+        let (place, bricks) = (work.samples(chunk), bricks_of(pyramid, chunk.brick_lo.map(|n| n as usize)));
+        let corrected = if work.correction == Correction::None { 0 } else { place.len() };
+        let measured = if maker.measured { pyramid.coarsest() } else { 0 };
+        Self {
+            ranges: vec![BlockRange::NONE; bricks.len()],
+            bounds: [f32::INFINITY, f32::NEG_INFINITY],
+            void: 0,
+            corrections: vec![0; corrected],
+            sums: ErrorSums::default(),
+            levels: vec![Squares::of_range(maker.range); measured],
+            place,
+            bricks,
         }
-        let [min, max] = bounds;
-        BlockRange::round(&mut ranges);
-        let summary = ValueSummary { void: void as u32, min, max, ranges };
-        let corrections = encode_corrections(&place, &corrections)
+    }
+
+    /// Sets the ranges of the finest bricks that begin in a part, of which the decoded values are
+    /// those of `nodes`.
+    fn look_at_bricks(&mut self, part: &Box3, nodes: &IndexBox, decoded: &[f32]) {
+        let end = part.end();
+        let finest = self.bricks.iter().take_while(|brick| brick.level == 0);
+        for (range, Brick { cells, .. }) in self.ranges.iter_mut().zip(finest) {
+            // A brick lies in one part, but for cells at the end of one.
+            let begins = (0..3).all(|a| (part.start[a]..end[a]).contains(&cells[a].start));
+            if begins {
+                let known;
+                (*range, known) = range_of_cells(decoded, nodes, cells);
+                self.bounds = [self.bounds[0].min(known[0]), self.bounds[1].max(known[1])];
+            }
+        }
+    }
+
+    fn finish(mut self, measured: bool, times: StageTimes) -> Result<EncodedChunk> {
+        let [min, max] = self.bounds;
+        BlockRange::round(&mut self.ranges);
+        let summary = ValueSummary { void: self.void as u32, min, max, ranges: self.ranges };
+        let corrections = encode_corrections(&self.place, &self.corrections)
             .map_err(|e| Error::usage(format!("the error that is asked for: {e}")))?;
-        let levels: Vec<BrickErrors> = levels.iter().map(Squares::errors).collect();
-        let errors = self.measured.then(|| encode_errors(&ChunkErrors { sums, levels }));
+        let levels: Vec<BrickErrors> = self.levels.iter().map(Squares::errors).collect();
+        let errors = measured.then(|| encode_errors(&ChunkErrors { sums: self.sums, levels }));
         Ok(EncodedChunk {
-            points: place.len() as u64,
+            points: self.place.len() as u64,
             mesh_blocks: vec![],
             value_blocks: vec![vec![corrections, summary.encode()]],
             sum_blocks: vec![errors.into_iter().collect()],
             times,
         })
+    }
+}
+
+impl RangeMaker<'_> {
+    /// Adds what the decoded samples of a part tell.
+    fn look_at(&self, part: &Box3, seen: &mut Seen, times: &mut StageTimes) -> Result<()> {
+        let (work, dims) = (&self.work, self.work.pyramid.nodes(0));
+        let corrects = work.correction != Correction::None;
+        // The nodes of all cells that begin in the part.
+        let end = part.end();
+        let nodes = IndexBox {
+            lo: part.start.map(|n| n as u64),
+            hi: std::array::from_fn(|a| (end[a] + 1).min(dims[a]) as u64),
+        };
+        let start = Instant::now();
+        let mut decoded = self.view.uncorrected(0, &nodes)?;
+        times.encode += start.elapsed();
+        let start = Instant::now();
+        let around = box3(&nodes);
+        let samples = match corrects || self.measured {
+            true => work.read_into(&nodes, self.view.spare.nodes(nodes.len()))?,
+            false => vec![],
+        };
+        if corrects {
+            let corrected = self.correct(&nodes, &mut decoded, &samples);
+            let numbers = work.bad.note(0, work.number, corrected)?;
+            seen.place.copy_common(&mut seen.corrections, part, &around.values_of(&numbers, part));
+        }
+        if self.view.leave_out_missing(0, &nodes, &mut decoded)? {
+            seen.void += around.values_of(&decoded, part).iter().filter(|v| v.is_nan()).count();
+        }
+        if self.measured {
+            self.add_errors(&nodes, &index_box(part), [&samples, &decoded], &mut seen.sums);
+        }
+        self.look_at_levels(&samples, &nodes, part, seen)?;
+        times.measure += start.elapsed();
+        seen.look_at_bricks(part, &nodes, &decoded);
+        [decoded, samples].into_iter().for_each(|nodes| self.view.spare.give_nodes(nodes));
+        Ok(())
+    }
+}
+
+impl MakeChunks for RangeMaker<'_> {
+    fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
+        let (work, mut times) = (&self.work, StageTimes::default());
+        let mut seen = Seen::nothing(self, chunk);
+        for part in work.pyramid.parts(chunk.brick_lo.map(|n| n as usize), work.edge) {
+            work.cancel.check()?;
+            self.look_at(&part, &mut seen, &mut times)?;
+        }
+        seen.finish(self.measured, times)
     }
 
     fn points(&self, chunk: &Chunk) -> u64 {
@@ -446,7 +492,7 @@ impl Build<'_> {
         let pyramid = pyramid_of(plan.mesh.points).expect("the plan is one of a pyramid");
         let wavelet = step.wavelet.expect("a step of a pyramid has a scale");
         let (scale, correction) = scale_of(&wavelet).map_err(|e| too_fine(&e))?;
-        let work = |edge| Work {
+        let work = Work {
             pyramid: &pyramid,
             scale: &scale,
             correction,
@@ -454,76 +500,89 @@ impl Build<'_> {
             bad,
             number: step.number,
             path: &series.sources[n].source.path,
-            edge,
+            edge: part_edge(plan.mesh.lattice.dims, self.shares.chunk),
             shares: self.shares,
             cancel: &self.run.resources.cancel,
         };
-        let edge = part_edge(plan.mesh.lattice.dims, self.shares.chunk);
-        let samples = plan.mesh.lattice.dims.iter().product::<u64>();
-        let name = |what: &str| match series.is_several() {
-            true => format!("step {}: {what}", step.number),
-            false => what.to_owned(),
-        };
-        // What decoded tiles may take: those of the step, and those of the one before.
-        let cached = usize::try_from(self.shares.all_chunks() / 8).unwrap_or(usize::MAX);
+        let making = PyramidStep { build: self, series, source, step, hash, layout, work };
         let base = match (step.base, before_step.filter(|before| before.is_base_of(step))) {
-            (Some(base), None) => Some(self.pyramid_view(plan, source, base.number)?.keeping(cached)),
+            (Some(base), None) => Some(making.view(base.number)?),
             (_, known) => known,
         };
         if !there.values {
-            let (maker, files): (Box<dyn MakeChunks + '_>, _) = match has_labels {
-                true => {
-                    self.progress.begin(&name("encode"), samples, "samples");
-                    let files = SegmentFiles::of_labels(step.number, hash, &layout);
-                    (Box::new(LabelMaker(work(edge))), files)
-                }
-                false => {
-                    self.progress.begin(&name("transform"), samples, "samples");
-                    let files = SegmentFiles::of_details(step.number, hash, &layout);
-                    (Box::new(DetailMaker { work: work(edge), base: base.as_ref() }), files)
-                }
-            };
-            self.chunks_of_pyramid(&*maker, &files, source, series, made)?;
+            making.values(base.as_ref(), made)?;
             // Each worker leaves low coefficients, and the last one makes the levels above.
-            if source.segments != (0..layout.segment_count()) {
+            if source.segments != (0..making.layout.segment_count()) {
                 return Ok(());
             }
             if !has_labels {
                 let memory = self.run.resources.memory;
-                make_coarse(&layout, hash, &pyramid, &scale, base.as_ref(), memory)?;
+                make_coarse(&making.layout, hash, &pyramid, &scale, base.as_ref(), memory)?;
             }
         }
-        let measured = step.measured;
-        self.progress.begin(&name(if measured { "measure" } else { "look" }), samples, "samples");
-        let view = self.pyramid_view(plan, source, step.number)?;
-        let view = view.keeping(cached).after(base);
-        let files = SegmentFiles::of_ranges(step.number, hash, needs_sums, &layout);
-        let ranges = RangeMaker::new(work(edge), &view, step, self.run.resources.memory / 16)?;
-        self.chunks_of_pyramid(&ranges, &files, source, series, made)?;
-        view.spare.trim(0);
-        *before = Some(view);
+        *before = Some(making.ranges(base, needs_sums, made)?);
         Ok(())
     }
+}
 
-    fn chunks_of_pyramid(
-        &self,
-        maker: &dyn MakeChunks,
-        files: &SegmentFiles<'_>,
-        source: &SegmentSource<'_>,
-        series: &SeriesPlan,
-        made: &mut Segments,
-    ) -> Result<()> {
-        let times = SegmentMaker {
-            maker,
-            files,
-            chunks: &self.parts.chunks,
-            segments: source.segments.clone(),
-            pool: source.pool,
-            watch: &series.watch,
-            progress: self.progress,
+/// A step of a pyramid, as its segments are made.
+struct PyramidStep<'a> {
+    build: &'a Build<'a>,
+    series: &'a SeriesPlan,
+    source: &'a SegmentSource<'a>,
+    step: &'a StepPlan,
+    hash: PlanHash,
+    layout: Layout,
+    work: Work<'a>,
+}
+
+impl PyramidStep<'_> {
+    /// Makes the labels, or the tiles and low coefficients.
+    fn values(&self, base: Option<&StepView>, made: &mut Segments) -> Result<()> {
+        let Self { step, hash, layout, work, .. } = self;
+        if self.series.plan.mesh.has_labels() {
+            self.begin("encode");
+            let files = SegmentFiles::of_labels(step.number, *hash, layout);
+            self.chunks(&LabelMaker(*work), &files, made)
+        } else {
+            self.begin("transform");
+            let files = SegmentFiles::of_details(step.number, *hash, layout);
+            self.chunks(&DetailMaker { work: *work, base }, &files, made)
         }
-        .make()?;
-        made.times.add(&times);
+    }
+
+    /// Makes ranges, corrections and errors, of values that are there; gives a view of the step.
+    fn ranges(&self, base: Option<StepView>, needs_sums: bool, made: &mut Segments) -> Result<StepView> {
+        let Self { build, step, hash, layout, work, .. } = self;
+        self.begin(if step.measured { "measure" } else { "look" });
+        let view = self.view(step.number)?.after(base);
+        let files = SegmentFiles::of_ranges(step.number, *hash, needs_sums, layout);
+        let ranges = RangeMaker::new(*work, &view, step, build.run.resources.memory / 16)?;
+        self.chunks(&ranges, &files, made)?;
+        view.spare.trim(0);
+        Ok(view)
+    }
+
+    /// A view of the step of a number. Its decoded tiles, and those of the one before, have an
+    /// eighth of the memory of all chunks.
+    fn view(&self, number: u64) -> Result<StepView> {
+        let cached = usize::try_from(self.build.shares.all_chunks() / 8).unwrap_or(usize::MAX);
+        Ok(self.build.pyramid_view(&self.series.plan, self.source, number)?.keeping(cached))
+    }
+
+    /// Tells that a pass over all samples begins.
+    fn begin(&self, what: &str) {
+        let name = match self.series.is_several() {
+            true => format!("step {}: {what}", self.step.number),
+            false => what.to_owned(),
+        };
+        let samples = self.series.plan.mesh.lattice.dims.iter().product();
+        self.build.progress.begin(&name, samples, "samples");
+    }
+
+    /// Makes the segments of one pass.
+    fn chunks(&self, maker: &dyn MakeChunks, files: &SegmentFiles<'_>, made: &mut Segments) -> Result<()> {
+        made.times.add(&self.build.make_segments(maker, files, self.series, self.source)?);
         Ok(())
     }
 }

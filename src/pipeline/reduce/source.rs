@@ -11,6 +11,7 @@ use isospan_wavelet::{Box3, Correction, Pyramid, Scale, fill};
 use std::path::Path;
 
 /// What is made of a step of a pyramid.
+#[derive(Clone, Copy)]
 pub(super) struct Work<'a> {
     pub(super) pyramid: &'a Pyramid,
     pub(super) scale: &'a Scale,
