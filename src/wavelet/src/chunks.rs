@@ -9,15 +9,15 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::encode::{Encoded, encode_levels};
 use crate::error::{Error, Result};
 use crate::lengths::{Lengths, encode_lengths};
-use crate::levels::TileSource;
+use crate::levels::{TileSource, decode_tile};
 use crate::pyramid::{Box3, GROUP, Pyramid, TILE};
 use crate::quantise::Scale;
 use crate::tile::{Tile, TileId, tiles_of};
 use crate::top::decode_top;
 use crate::transform::{HALO, Scratch, Window};
+use crate::whole::{Encoded, encode_levels};
 
 /// Samples along each axis of a chunk; the last one has one more where the array ends with it.
 pub const CHUNK: usize = 256;
@@ -329,25 +329,4 @@ impl Coarse {
         let bytes = self.places.get(&id).map(|place| &self.bytes[place.clone()]);
         decode_tile(pyramid, id, bytes, source)
     }
-}
-
-/// Decodes a tile of some bytes, or none of zeros. Its parent is asked for where it has one, and
-/// the tile before.
-///
-/// # Errors
-/// [`Error::Damaged`], and those of finding the parent.
-pub fn decode_tile<S: TileSource>(
-    pyramid: &Pyramid,
-    id: TileId,
-    bytes: Option<&[u8]>,
-    source: &mut S,
-) -> std::result::Result<Option<Arc<Tile>>, S::Error> {
-    let before = source.before(id)?;
-    let Some(bytes) = bytes else { return Ok(before) };
-    let parent = match Tile::has_parent(pyramid, id.level) {
-        true => source.tile(TileId { level: id.level + 1, at: pyramid.parent(id.level, id.at) })?,
-        false => None,
-    };
-    let tile = Tile::decode(pyramid, id, bytes, parent.as_deref(), before.as_deref())?;
-    Ok(Some(Arc::new(tile)).filter(|tile| !tile.is_zero()))
 }

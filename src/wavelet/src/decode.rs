@@ -3,16 +3,15 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use crate::chunks::decode_tile;
 use crate::correct::{self, Correction};
-use crate::encode::{HEADER, MAGIC};
 use crate::error::{Error, Result};
 use crate::lengths::Lengths;
-use crate::levels::{Levels, TileSource};
+use crate::levels::{Levels, TileSource, decode_tile};
 use crate::pyramid::{Box3, Pyramid};
 use crate::quantise::Scale;
 use crate::tile::{Part, Tile, TileId, decode_numbers, tiles_of};
 use crate::top::decode_top;
+use crate::whole::{HEADER, MAGIC};
 
 /// An array that [`compress`](crate::compress) made, to be decoded in parts.
 #[derive(Clone, Debug)]

@@ -1,9 +1,9 @@
 //! Which axis is split later than the others: tried on boxes of samples.
 
-use crate::encode;
 use crate::error::Result;
 use crate::pyramid::Box3;
 use crate::quantise::Scale;
+use crate::whole;
 
 /// Splits by which an axis may be late.
 const LATEST: u8 = 3;
@@ -93,7 +93,7 @@ fn steep(boxes: &[(Vec<f32>, [usize; 3])]) -> [u8; 3] {
 
 /// Bits and squared errors of boxes, in bits.
 fn price(boxes: &[(Vec<f32>, [usize; 3])], scale: &Scale, delay: [u8; 3]) -> Result<f64> {
-    boxes.iter().map(|(samples, dims)| encode::price(samples, *dims, scale, delay, BIT)).sum()
+    boxes.iter().map(|(samples, dims)| whole::price(samples, *dims, scale, delay, BIT)).sum()
 }
 
 #[cfg(test)]

@@ -1,24 +1,15 @@
 //! A whole array in memory as bytes.
 
-use std::collections::HashMap;
-
 use crate::correct::{self, Correction};
 use crate::decode::Compressed;
 use crate::delay::{boxes, choose_delay};
 use crate::error::{Error, Result};
-use crate::lengths::encode_lengths;
-use crate::levels::{NoTiles, TileSource};
-use crate::pyramid::{Box3, Pyramid};
+use crate::pyramid::Box3;
 use crate::quantise::Scale;
-use crate::tile::{Tile, encode_numbers, tiles_of};
-use crate::top::encode_top;
-use crate::transform::{Scratch, Window};
+use crate::tile::encode_numbers;
 use crate::vectors::with_vectors;
+use crate::whole::Transformed;
 
-pub(crate) const MAGIC: &[u8; 8] = b"isowave1";
-/// Bytes before the lengths of tiles: magic, u32 sizes, u8 delays, a zero, f64 least and largest
-/// sample, i32 exponent, f32 step, u32 bytes of the coarsest level, u32 bytes of lengths.
-pub(crate) const HEADER: usize = 56;
 /// Samples that an array may have.
 const MOST: u64 = 1 << 40;
 
@@ -100,55 +91,6 @@ pub fn compress(samples: &[f32], dims: [usize; 3], settings: &Settings) -> Resul
 const STEPS: [f64; 3] = [2.0, 3.0, 4.5];
 /// The bound of whole numbers, before they are rounded.
 const HALF: f64 = 0.5;
-
-/// What an encoder made.
-pub(crate) struct Encoded {
-    pub(crate) top: Vec<u8>,
-    /// Bytes of each tile.
-    pub(crate) lengths: Vec<u32>,
-    pub(crate) tiles: Vec<u8>,
-    /// The sum of the squared errors of coefficients, in squared steps.
-    error: f64,
-    /// How samples are corrected; the corrections are in the last tiles.
-    correction: Correction,
-}
-
-impl Encoded {
-    /// The whole array.
-    fn bytes(&self, of: &Transformed, scale: &Scale) -> Vec<u8> {
-        let lengths = encode_lengths(&self.lengths);
-        let mut out = MAGIC.to_vec();
-        of.pyramid.nodes(0).iter().for_each(|d| out.extend((*d as u32).to_le_bytes()));
-        out.extend(of.delay);
-        out.push(match self.correction {
-            Correction::None => 0,
-            Correction::Quanta(_) => 1,
-            Correction::Whole => 2,
-        });
-        scale.range.iter().for_each(|r| out.extend(r.to_le_bytes()));
-        out.extend(scale.exponent.to_le_bytes());
-        out.extend(scale.step.to_le_bytes());
-        out.extend((self.top.len() as u32).to_le_bytes());
-        out.extend((lengths.len() as u32).to_le_bytes());
-        if let Correction::Quanta(quantum) = self.correction {
-            out.extend(quantum.to_le_bytes());
-        }
-        [&out, &self.top, &lengths, &self.tiles].into_iter().flatten().copied().collect()
-    }
-}
-
-/// What a whole array takes with a step and a delay, with the worth of a bit in squared steps, as
-/// bits. Errors are those of the coefficients.
-pub(crate) fn price(
-    samples: &[f32],
-    dims: [usize; 3],
-    scale: &Scale,
-    delay: [u8; 3],
-    bit: f64,
-) -> Result<f64> {
-    let made = Transformed::new(samples, dims, scale, delay).encode(scale)?;
-    Ok(8.0 * (made.top.len() + made.tiles.len()) as f64 + made.error / bit)
-}
 
 /// Coefficients of boxes of samples that stand for an array, from which a step follows.
 #[derive(Clone, Debug)]
@@ -243,22 +185,7 @@ fn guess(coefficients: &[f32], unit: &Scale) -> Result<f64> {
     Ok(unit.in_samples(low as f32))
 }
 
-/// The coefficients of a whole array.
-struct Transformed {
-    pyramid: Pyramid,
-    delay: [u8; 3],
-    window: Window,
-}
-
 impl Transformed {
-    fn new(samples: &[f32], dims: [usize; 3], scale: &Scale, delay: [u8; 3]) -> Self {
-        let pyramid = Pyramid::new(dims, delay);
-        let entered = samples.iter().map(|s| scale.enter(f64::from(*s))).collect();
-        let mut window = Window { place: Box3::all(dims), samples: entered };
-        window.forward(pyramid.splits(), &mut Scratch::default());
-        Self { pyramid, delay, window }
-    }
-
     /// The bytes with the largest step that meets an RMS error, nearly.
     fn search(&self, samples: &[f32], range: [f64; 2], target: f64) -> Result<Vec<u8>> {
         /// Steps are accepted that use this much of the error.
@@ -324,41 +251,4 @@ impl Transformed {
         }
         best.ok_or(Error::Damaged("there is no step to try"))
     }
-
-    fn encode(&self, scale: &Scale) -> Result<Encoded> {
-        encode_levels(&self.window, &self.pyramid, 0, scale, &mut NoTiles)
-    }
-}
-
-/// Encodes all levels above one, of whose nodes a window has the coefficients.
-pub(crate) fn encode_levels<S: TileSource>(
-    window: &Window,
-    pyramid: &Pyramid,
-    from: usize,
-    scale: &Scale,
-    before: &mut S,
-) -> std::result::Result<Encoded, S::Error> {
-    let largest = window.samples.iter().fold(0.0, |most: f32, c| most.max(c.abs()));
-    scale.expect_numbers_of(largest)?;
-    let size = pyramid.nodes(pyramid.coarsest());
-    let low = window.band(&pyramid.splits()[from..], [false; 3], &Box3::all(size));
-    let low = low.into_iter().map(|c| scale.nearest(c)).collect::<Result<Vec<i32>>>()?;
-    let top = encode_top(&low, size)?;
-    let (mut lengths, mut tiles, mut error) = (vec![], vec![], 0.0);
-    let mut above = HashMap::new();
-    for level in (from + 1..=pyramid.coarsest()).rev() {
-        let mut made = HashMap::new();
-        for id in tiles_of(pyramid, level) {
-            let coefficients = window.tile(pyramid, from, id, |c| scale.in_steps(c));
-            let parent = above.get(&pyramid.parent(level, id.at));
-            let before = before.tile(id)?;
-            let (tile, bytes) = Tile::encode(pyramid, id, &coefficients, parent, before.as_deref())?;
-            lengths.push(bytes.len() as u32);
-            tiles.extend(bytes);
-            error += tile.error(&coefficients);
-            made.insert(id.at, tile);
-        }
-        above = made;
-    }
-    Ok(Encoded { top, lengths, tiles, error, correction: Correction::None })
 }

@@ -2,9 +2,9 @@
 
 use crate::decode::Compressed;
 use crate::error::Result;
-use crate::model::{CORRECTIONS, Model, Odd, PER_SET};
+use crate::model::{CORRECTIONS, Model, Odd};
 use crate::range_coder::{Coder, Odds};
-use crate::tables::TABLES;
+use crate::tables::{PER_SET, TABLES};
 use crate::tile::walk_numbers;
 
 /// How often a bit was not set and set, of each of the format's odds, in the order of the tables.

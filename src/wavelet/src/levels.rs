@@ -135,3 +135,24 @@ impl Levels<'_> {
         Ok(())
     }
 }
+
+/// Decodes a tile of some bytes, or none of zeros. Its parent is asked for where it has one, and
+/// the tile before.
+///
+/// # Errors
+/// [`Error::Damaged`], and those of finding the parent.
+pub fn decode_tile<S: TileSource>(
+    pyramid: &Pyramid,
+    id: TileId,
+    bytes: Option<&[u8]>,
+    source: &mut S,
+) -> std::result::Result<Option<Arc<Tile>>, S::Error> {
+    let before = source.before(id)?;
+    let Some(bytes) = bytes else { return Ok(before) };
+    let parent = match Tile::has_parent(pyramid, id.level) {
+        true => source.tile(TileId { level: id.level + 1, at: pyramid.parent(id.level, id.at) })?,
+        false => None,
+    };
+    let tile = Tile::decode(pyramid, id, bytes, parent.as_deref(), before.as_deref())?;
+    Ok(Some(Arc::new(tile)).filter(|tile| !tile.is_zero()))
+}

@@ -1,17 +1,10 @@
 //! The odds of a tile's decisions: which there are, and with what they begin.
 
 use crate::range_coder::Odds;
-use crate::tables::TABLES;
+use crate::tables::{CLASSES, KINDS, PER_SET, SETS, STEPS, TABLES};
 
-/// Classes of the energy around a coefficient.
-pub(crate) const CLASSES: usize = 20;
-/// Kinds of the decision whether a coefficient is zero: in a group that is known to have others
-/// (one was found, none was found), and elsewhere.
-pub(crate) const KINDS: usize = 3;
 /// Magnitudes up to this many more than 1 are coded in unary, larger ones as Exp-Golomb codes.
 pub(crate) const UNARY: u32 = 14;
-/// Odds of larger magnitudes: by the magnitude so far and by class.
-pub(crate) const STEPS: usize = 6;
 
 /// The odds of bands that are high along as many axes.
 #[derive(Clone, Debug)]
@@ -26,11 +19,6 @@ pub(crate) struct Odd {
     /// Whether a magnitude is larger.
     pub larger: [[Odds; CLASSES]; STEPS],
 }
-
-/// Numbers of a set of odds.
-pub(crate) const PER_SET: usize = 2 + 4 + (KINDS + STEPS) * CLASSES;
-/// Sets of odds: for each level of a group, and for one, two and three high axes.
-pub(crate) const SETS: usize = 9;
 
 /// The set of the tables that corrections of samples begin with, after those of tiles.
 pub(crate) const CORRECTIONS: usize = SETS;

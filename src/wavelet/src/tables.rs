@@ -2,7 +2,17 @@
 //!
 //! A line for each set: first the odds of bands and groups, then rows of 20 classes.
 
-use crate::model::{PER_SET, SETS};
+/// Classes of the energy around a coefficient.
+pub(crate) const CLASSES: usize = 20;
+/// Kinds of the decision whether a coefficient is zero: in a group that is known to have others
+/// (one was found, none was found), and elsewhere.
+pub(crate) const KINDS: usize = 3;
+/// Odds of larger magnitudes: by the magnitude so far and by class.
+pub(crate) const STEPS: usize = 6;
+/// Numbers of a set of odds.
+pub(crate) const PER_SET: usize = 2 + 4 + (KINDS + STEPS) * CLASSES;
+/// Sets of odds: for each level of a group, and for one, two and three high axes.
+pub(crate) const SETS: usize = 9;
 
 #[rustfmt::skip]
 pub(crate) static TABLES: [[u16; PER_SET]; SETS + 1] = [
