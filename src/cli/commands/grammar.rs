@@ -17,7 +17,7 @@
 //! A parser says what it expected, with an example. Before that, clap says what it got, and for
 //! which flag.
 
-use super::step::Times;
+use super::times::Times;
 use isospan::archive::values::Quantiser;
 use isospan::exec::MOST_THREADS;
 use isospan::formats::raw::SampleType;

@@ -2,7 +2,7 @@
 //! `isospan man --keywords COMMAND` prints.
 
 use super::grammar::{Range, Size, Value};
-use super::step::Times;
+use super::times::Times;
 use clap::builder::ArgAction;
 use clap::{Arg, Command};
 use isospan::pipeline::{Bound, Length, NanPolicy};

@@ -12,7 +12,6 @@ mod compare;
 mod count;
 mod dry_run;
 mod export;
-mod export_grid;
 mod figure;
 mod gc;
 pub mod grammar;
@@ -42,6 +41,7 @@ mod status;
 mod step;
 mod surface;
 pub(crate) mod text;
+mod times;
 #[cfg(feature = "view")]
 mod view;
 mod words;

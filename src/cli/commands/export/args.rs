@@ -1,16 +1,12 @@
-//! `isospan export`: the tetrahedra of an archive, or the samples of a pyramid, for other programs.
+//! The flags of `isospan export`.
 
-use super::export_grid;
-use super::grammar::{self, Range};
-use super::machine::{Machine, OutputScratch};
-use super::output::Force;
-use super::progress::Talk;
-use super::step::StepArgs;
-use super::text;
+use crate::commands::grammar::{self, Range};
+use crate::commands::machine::{Machine, OutputScratch};
+use crate::commands::output::Force;
+use crate::commands::step::StepArgs;
 use isospan::formats::samples::SampleFormat;
-use isospan::pipeline::{Corners, ExportSettings, Roi, Step, StepRange};
+use isospan::pipeline::{Roi, Step, StepRange};
 use isospan::{Archive, Error, Result};
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 /// Write the tetrahedra or the samples of an archive to a file.
@@ -49,10 +45,10 @@ pub struct Args {
     /// is the range of the values of the step. Of several fields, the first of --fields. Only
     /// blocks that can hold such tetrahedra are read.
     #[arg(long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
-    range: Option<Range>,
+    pub(super) range: Option<Range>,
     /// With --range: tetrahedra with at least one corner in the range.
     #[arg(long, requires = "range")]
-    any_corner: bool,
+    pub(super) any_corner: bool,
     /// Only tetrahedra whose bounding box touches a box, or the samples in it, ends included:
     /// I0:I1,J0:J1,K0:K1 in sample indices of the source, or world:X0:X1,Y0:Y1,Z0:Z1. An omitted
     /// end is that of the volume. Only chunks that touch the box are read.
@@ -60,7 +56,7 @@ pub struct Args {
     pub(super) roi: Option<Roi>,
     /// Of the remaining tetrahedra, keep only every K-th.
     #[arg(long, value_name = "K", value_parser = grammar::natural, allow_negative_numbers = true)]
-    every: Option<u64>,
+    pub(super) every: Option<u64>,
     /// Compress the arrays of the file with zlib or gzip, which VTK, ParaView, ITK and NRRD's
     /// readers know. Of HDF5, this needs version 1.10. A .nii.gz is always compressed.
     #[arg(long)]
@@ -91,7 +87,7 @@ impl Args {
     }
 
     /// Refuses what is for the other kind of archive.
-    fn expect_of(&self, archive: &Archive) -> Result<()> {
+    pub(super) fn expect_of(&self, archive: &Archive) -> Result<()> {
         let path = archive.path().display();
         let of_tetrahedra = [("--range", self.range.is_some()), ("--every", self.every.is_some())];
         if (self.all_steps || self.steps.is_some()) && !(self.is_zarr() && archive.is_pyramid()) {
@@ -134,50 +130,4 @@ impl Args {
         let is_several = fields.len() > 1;
         Ok(fields.into_iter().filter(|_| is_several).map(str::to_owned).collect())
     }
-}
-
-pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    if !args.is_zarr() {
-        args.force.check(&args.output, [&args.archive])?;
-    }
-    let archive = Archive::open(&args.archive)?;
-    args.expect_of(&archive)?;
-    if archive.is_pyramid() {
-        return export_grid::run(args, &archive, talk);
-    }
-    let archive = archive.at(args.step.choice_among(&args.fields, &archive)?)?;
-    let fields = args.fields(&archive)?;
-    let settings = ExportSettings {
-        fields,
-        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
-        range: args.range.map(|range| range.of(archive.value_range())).transpose()?,
-        corners: if args.any_corner { Corners::Any } else { Corners::All },
-        roi: args.roi,
-        every: args.every.unwrap_or(1),
-        compress: args.compress,
-    };
-    let bar = talk.progress();
-    let report = archive.write_tetrahedra(&settings, &args.output, &*bar);
-    bar.end();
-    let report = report?;
-    talk.stages(&report.seconds);
-    if args.json {
-        return super::print_json("export", &report);
-    }
-    let mut out = format!(
-        "{}: {} points, {} of {} tetrahedra, {}\n",
-        args.output.display(),
-        text::count(report.points),
-        text::count(report.tetrahedra),
-        text::count(report.archive_tetrahedra),
-        text::bytes(report.file_bytes)
-    );
-    if report.void_tetrahedra > 0 {
-        let void = text::count(report.void_tetrahedra);
-        let _ = writeln!(out, "  left out: {void} tetrahedra with a corner that has no value");
-    }
-    if report.fields.len() > 1 {
-        let _ = writeln!(out, "  fields: {}", report.fields.join(", "));
-    }
-    super::print(&out)
 }

@@ -1,9 +1,9 @@
 //! `isospan export` of a pyramid: the samples of a level for other programs.
 
-use super::export::Args;
-use super::output::{exists, expect_apart, expect_no_input};
-use super::progress::Talk;
-use super::text;
+use super::args::Args;
+use crate::commands::output::{exists, expect_apart, expect_no_input};
+use crate::commands::progress::Talk;
+use crate::commands::text;
 use isospan::formats::samples::SampleFormat;
 use isospan::pipeline::{GridSettings, StepRange};
 use isospan::{Archive, Error, Result};
@@ -62,7 +62,7 @@ pub(super) fn run(args: &Args, archive: &Archive, talk: &Talk) -> Result<()> {
     let report = report?;
     report.notices.iter().for_each(|line| talk.note(line));
     if args.json {
-        return super::print_json("export.grid", &report);
+        return crate::commands::print_json("export.grid", &report);
     }
     let ([x, y, z], [i, j, k]) = (report.dims, report.stride);
     let mut out = format!(
@@ -86,5 +86,5 @@ pub(super) fn run(args: &Args, archive: &Archive, talk: &Talk) -> Result<()> {
     if report.fields.len() > 1 {
         let _ = writeln!(out, "  fields: {}", report.fields.join(", "));
     }
-    super::print(&out)
+    crate::commands::print(&out)
 }
