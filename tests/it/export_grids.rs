@@ -37,7 +37,7 @@ fn volume_at(
     (scalar, offset): (ScalarType, f64),
     value: impl Fn(u64) -> f64,
 ) {
-    let field = SampleField { name: "density".into(), scalar, offset };
+    let field = SampleField { name: "density".into(), scalar, offset, is_labels: false };
     let units = Units { value: Unit::new("K"), length: Unit::length("mm"), time: None };
     let meta = GridMeta { units, ..GridMeta::even(dims, geometry, field) };
     let format = SampleFormat::from_path(path).unwrap();

@@ -101,6 +101,26 @@ fn shards_have_the_bytes_of_one_run() {
     assert_eq!(found.iter().filter(|v| v.is_nan()).count() as u64, report.void_points);
 }
 
+/// NIfTI says that samples are labels, in both versions.
+#[test]
+fn exported_labels_are_labels_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for (name, dims) in [("small", [40, 30, 20]), ("long", [33_000, 2, 2])] {
+        write_nrrd(&d.join(format!("{name}.nrrd")), dims, "uint8", "", |i| (i / 900) as u32 % 5);
+        let out = run_well(d, &format!("reduce {name}.nrrd --labels -o {name}.isospan"));
+        let next = format!("next: isospan surface {name}.isospan --labels all -o {name}.glb");
+        assert!(out.contains(&next), "{out}");
+        run_well(d, &format!("export {name}.isospan -o {name}.nii.gz"));
+        run_well(d, &format!("reduce {name}.nii.gz -o {name}_again.isospan"));
+        let [first, again] =
+            ["", "_again"].map(|again| Archive::open(d.join(format!("{name}{again}.isospan"))).unwrap());
+        let sets = [&first, &again].map(|archive| archive.info().unwrap().point_set);
+        assert_eq!(sets[0], sets[1]);
+        assert_eq!(samples(&first, StepChoice::First), samples(&again, StepChoice::First));
+    }
+}
+
 #[test]
 fn files_that_say_so_have_labels_without_a_flag() {
     let dir = tempfile::tempdir().unwrap();

@@ -73,6 +73,15 @@ for number, time in enumerate(times):
         arrays = [vtk_to_numpy(p.GetPointData().GetArray(name)) for p in (polys, single)]
         assert np.array_equal(*arrays), (number, name)
 
+# The isovalue of one surface is that of all steps.
+reader = vtkHDFReader()
+reader.SetFileName("steps_one.vtkhdf")
+reader.UpdateInformation()
+for time in times:
+    reader.UpdateTimeStep(time)
+    polys = reader.GetOutput()
+    assert polys.GetNumberOfPoints() > 0 and field(polys, "isovalue") == ["1000.5"], time
+
 # GLB, as trimesh and all that takes it for metres have it.
 scene = trimesh.load_scene("units.glb", process=False)
 mesh = scene.to_geometry()

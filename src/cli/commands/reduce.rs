@@ -14,6 +14,7 @@ use isospan::pipeline::{
     ArchiveSummary, Length, NO_SURFACE, ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary,
     SurfaceErrors, SurfaceTarget, Target, TargetReport,
 };
+use isospan::points::PointSpec;
 use isospan::{Archive, Error, Reduction, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -413,8 +414,13 @@ fn next_line(archive: &Path, asked: Option<f64>) -> String {
     let name = text::shell(archive);
     let found = Archive::open(archive).and_then(|archive| archive.info()).ok();
     let isovalue = |s: &ArchiveSummary| asked.or_else(|| Some(s.suggestions.first()?.isovalue));
+    let has_labels = found.as_ref().is_some_and(|s| matches!(s.point_set, PointSpec::Labels { .. }));
     let most = found.and_then(|s| Some((isovalue(&s)?, s.range?)));
     match (most, archive.file_stem()) {
+        (_, Some(stem)) if has_labels => {
+            let file = text::shell(&Path::new(stem).with_extension("glb"));
+            format!("next: isospan surface {name} --labels all -o {file}\n")
+        }
         (Some((isovalue, range)), Some(stem)) => {
             let file = text::shell(&Path::new(stem).with_extension("ply"));
             format!("next: isospan surface {name} --isovalue {} -o {file}\n", text::in_range(isovalue, range))

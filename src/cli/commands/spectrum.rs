@@ -14,9 +14,9 @@ use std::path::PathBuf;
 
 /// Print how isosurfaces change with the isovalue.
 ///
-/// That is the contour spectrum: active tetrahedra, area and enclosed volume over the isovalue.
-/// The figures are those of the archive's tetrahedra, exact at each isovalue of the table, in the
-/// volume's world units. For rectilinear and curvilinear grids the edges of tetrahedra count as
+/// That is the contour spectrum: active cells, area and enclosed volume over the isovalue. The
+/// figures of tetrahedra are exact at each isovalue of the table, those of a pyramid within 1 %, in
+/// the volume's world units. For rectilinear and curvilinear grids the edges of tetrahedra count as
 /// straight; surfaces follow the bent grid, so their area and volume differ slightly. Some ten
 /// kilobytes are read. The mean gradient is the mean length of the field's gradient over the
 /// surface. Isovalues worth a look are those whose surface is steep and large. With --isovalue the
@@ -84,7 +84,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         let numbers = (!found.is_empty()).then_some(found);
         return super::print_json("spectrum", &With { report: &report, numbers });
     }
-    let mut out = table(&report, units);
+    let cells = if archive.is_pyramid() { "cells" } else { "tetrahedra" };
+    let mut out = table(&report, cells, units);
     for numbers in &found {
         let _ = write!(out, "isovalue {}:\n{}", numbers.isovalue, numbers::in_words(numbers, units));
     }
@@ -120,12 +121,12 @@ fn isovalue_text(report: &SpectrumReport, isovalue: f64) -> String {
     report.range.map_or_else(|| text::number(isovalue), |range| text::in_range(isovalue, range))
 }
 
-fn table(report: &SpectrumReport, units: &Units) -> String {
+fn table(report: &SpectrumReport, cells: &str, units: &Units) -> String {
     let Some(range) = report.range else { return "there is no value: every point is void\n".into() };
     let mut out = String::new();
     let _ = writeln!(
         out,
-        "{} tetrahedra, volume {}{}, values {}{}",
+        "{} {cells}, volume {}{}, values {}{}",
         text::count(report.tetrahedra),
         text::number(report.volume),
         match &units.length {

@@ -113,10 +113,14 @@ fn tree(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Group {
 
 /// Arrays of the whole data set: the isovalue of one surface and the time. VTK reads no texts of a
 /// fixed length, so units are in the comments.
-pub(super) fn field_data(meta: &SurfaceMeta) -> Option<Group> {
-    let mut data = Group::default();
+pub(super) fn field_numbers(meta: &SurfaceMeta) -> Vec<(&'static str, f64)> {
     let numbers = [("isovalue", meta.isovalue), (TIME_VALUE, meta.time)];
-    let numbers: Vec<_> = numbers.into_iter().filter_map(|(name, n)| Some((name, n?))).collect();
+    numbers.into_iter().filter_map(|(name, n)| Some((name, n?))).collect()
+}
+
+/// The group of these arrays, where there are any.
+pub(super) fn field_data(meta: &SurfaceMeta) -> Option<Group> {
+    let (mut data, numbers) = (Group::default(), field_numbers(meta));
     numbers.iter().for_each(|&(name, n)| data.add(name, Value::floats(&[n])));
     (!numbers.is_empty()).then_some(data)
 }

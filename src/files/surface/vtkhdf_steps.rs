@@ -9,11 +9,13 @@
 //!     PointOffsets                                i64 a step: points before
 //!     CellOffsets, ConnectivityIdOffsets          i64 a step for each of Vertices, Lines, Polygons, Strips
 //!     PointDataOffsets/NAME                       i64 a step, as PointOffsets
+//!     FieldDataOffsets/NAME                       i64 a step: 0, as one number is that of all steps
+//!     FieldDataSizes/NAME                         i64 a step for components and tuples: 1, 1
 //! ```
 //!
 //! The format: "VTKHDF File Format", temporal data, docs.vtk.org.
 
-use super::vtkhdf::field_data;
+use super::vtkhdf::{field_data, field_numbers};
 use super::{SurfaceMeta, coordinate_bytes, each_triangle, each_vertex, put_floats, put_place};
 use crate::surface::SurfaceSource;
 use isospan_io::error::Result;
@@ -157,6 +159,17 @@ fn steps_of(steps: &[SurfaceStep], meta: &SurfaceMeta) -> Group {
         data.add("isovalue", integers(&points, 1));
     }
     group.add_group("PointDataOffsets", data);
+    // Without these, VTK reads no field data of a step.
+    let numbers = field_numbers(meta);
+    if !numbers.is_empty() {
+        let (mut offsets, mut sizes) = (Group::default(), Group::default());
+        for (name, _) in numbers {
+            offsets.add(name, integers(&vec![0; steps.len()], 1));
+            sizes.add(name, integers(&vec![1; 2 * steps.len()], 2));
+        }
+        group.add_group("FieldDataOffsets", offsets);
+        group.add_group("FieldDataSizes", sizes);
+    }
     group
 }
 
@@ -191,5 +204,7 @@ mod tests {
         assert_eq!(list("Steps/PointOffsets"), [0, 4, 4]);
         assert_eq!(list("Steps/CellOffsets"), [0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 4, 0]);
         assert_eq!(list("Steps/ConnectivityIdOffsets"), [0, 0, 0, 0, 0, 0, 12, 0, 0, 0, 12, 0]);
+        assert_eq!(list("Steps/FieldDataOffsets/isovalue"), [0; 3]);
+        assert_eq!(list("Steps/FieldDataSizes/isovalue"), [1; 6]);
     }
 }

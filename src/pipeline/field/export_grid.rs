@@ -170,7 +170,7 @@ pub(super) fn field_of(view: &StepView, level: usize) -> SampleField {
     let (name, source) = (step.field().to_owned(), &step.plan.source);
     let is_exact =
         step.plan.wavelet.is_some_and(|w| w.correction.is_exact()) && level == 0 && !view.is_between();
-    let floats = SampleField::floats(&name, source.offset);
+    let floats = SampleField { is_labels: view.has_labels(), ..SampleField::floats(&name, source.offset) };
     let Some([lo, hi]) = step.value_range.filter(|_| is_exact) else { return floats };
     if source.scalar.is_float() || step.void_points > 0 || source.offset.fract() != 0.0 {
         let scalar = if source.scalar == ScalarType::F64 { ScalarType::F64 } else { floats.scalar };

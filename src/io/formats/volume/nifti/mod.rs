@@ -85,7 +85,7 @@ impl Format for Nifti {
 }
 
 /// The intent of samples that are labels.
-const INTENT_LABEL: i64 = 1002;
+pub(super) const INTENT_LABEL: i32 = 1002;
 
 /// A file, or a pair.
 struct File {
@@ -125,7 +125,7 @@ impl Dataset for File {
             notes: header.notes(frames),
             data_files: vec![self.data.path().to_path_buf()],
             assumed: Assumed::in_header(header.assumed()),
-            is_labels: header.integer((68, 2), (504, 4)) == INTENT_LABEL,
+            is_labels: header.integer((68, 2), (504, 4)) == i64::from(INTENT_LABEL),
         };
         let data = Arc::clone(&self.data);
         if self.gzip {

@@ -270,13 +270,15 @@ pub struct SampleField {
     pub scalar: ScalarType,
     /// The offset that is added to all values.
     pub offset: f64,
+    /// Whether samples are labels, names rather than values. Of the formats, NIfTI says so.
+    pub is_labels: bool,
 }
 
 impl SampleField {
     /// Floating-point samples; of 64 bits where they are counted from an offset.
     pub fn floats(name: &str, offset: f64) -> Self {
         let scalar = if offset == 0.0 { ScalarType::F32 } else { ScalarType::F64 };
-        Self { name: name.to_owned(), scalar, offset }
+        Self { name: name.to_owned(), scalar, offset, is_labels: false }
     }
 }
 

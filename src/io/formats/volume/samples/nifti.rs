@@ -1,5 +1,6 @@
 //! The header of NIfTI: version 1, and version 2 where that does not hold the grid.
 
+use super::super::nifti::INTENT_LABEL;
 use super::heads::no_type;
 use super::{Anatomy, GridMeta, SampleFormat};
 use crate::error::{Error, Result};
@@ -112,6 +113,11 @@ impl NiftiHead<'_> {
         (is_right && q.is_finite()).then_some(([sign * q.x, sign * q.y, sign * q.z], hand))
     }
 
+    /// What samples mean: NIfTI's number of labels, or nothing.
+    fn intent(&self) -> i32 {
+        if self.meta.field().is_labels { INTENT_LABEL } else { 0 }
+    }
+
     fn pixdim(&self) -> [f64; 8] {
         let ([x, y, z], hand) = (self.geometry.spacing, self.quaternion().map_or(1.0, |(_, hand)| hand));
         [hand, x, y, z, 1.0, 1.0, 1.0, 1.0]
@@ -142,6 +148,7 @@ impl NiftiHead<'_> {
         put(38, b"r");
         let dim: Vec<u8> = self.dim().iter().flat_map(|n| (*n as i16).to_le_bytes()).collect();
         put(40, &dim);
+        put(68, &(self.intent() as i16).to_le_bytes());
         put(70, &self.kind.to_le_bytes());
         put(72, &(8 * self.meta.field().scalar.bytes() as i16).to_le_bytes());
         put(76, &floats(&self.pixdim()));
@@ -182,6 +189,7 @@ impl NiftiHead<'_> {
         put(348, &self.transform.to_le_bytes());
         put(400, &floats(self.rows().as_flattened()));
         put(500, &i32::from(self.unit).to_le_bytes());
+        put(504, &self.intent().to_le_bytes());
         put(508, &Self::text(&self.meta.field().name, 16));
         h
     }

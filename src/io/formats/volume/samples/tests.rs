@@ -11,7 +11,7 @@ fn meta(scalar: ScalarType, offset: f64) -> GridMeta {
         spacing: [0.5, 2.0, 3.0],
         direction: [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
     };
-    let field = SampleField { name: "a < \"b\"".into(), scalar, offset };
+    let field = SampleField { name: "a < \"b\"".into(), scalar, offset, is_labels: false };
     let units = Units { value: Unit::new("K"), length: Unit::length("mm"), time: None };
     GridMeta { units, ..GridMeta::even([4, 3, 2], geometry, field) }
 }
