@@ -284,6 +284,22 @@ impl Archive {
         Ok(report.active_cells)
     }
 
+    /// Area, volumes, pieces and more at an isovalue.
+    fn numbers<'py>(
+        &self,
+        py: Python<'py>,
+        isovalue: f64,
+        level: LevelOf,
+        machine: Machine,
+        when: When,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let (archive, resources) = (self.at(py, when)?, machine.resources(py)?);
+        let query = archive.query(isovalue).level(level_choice(py, &level)?);
+        let report =
+            run(py, None, |cancel, _| query.resources(resources.with_cancel(cancel.clone())).numbers())?;
+        to_python(py, &report)
+    }
+
     /// Surfaces in memory, one for each isovalue.
     fn surfaces(
         &self,
@@ -478,6 +494,7 @@ impl Archive {
         &self,
         py: Python<'py>,
         against: Against,
+        isovalues: Vec<f64>,
         field: Option<String>,
         step: Option<u64>,
         map: Option<PathBuf>,
@@ -496,7 +513,8 @@ impl Archive {
                     volume.get().step(&run, progress)?
                 }
             };
-            let measurement = self.archive.measure(source).step(step).level(level).map(map);
+            let measurement = self.archive.measure(source).isovalues(isovalues).step(step);
+            let measurement = measurement.level(level).map(map);
             measurement.resources(resources).progress(progress).run()
         });
         to_python(py, &done.map_err(|e| raised_or(e, against.volumes()))?)

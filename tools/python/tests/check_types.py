@@ -19,6 +19,7 @@ def of_answers(archive: isospan.Archive) -> None:
     assert_type(archive.surface(1.5).faces, npt.NDArray[np.uint32])
     assert_type(archive.range, tuple[float, float] | None)
     assert_type(archive.measure("scan.nrrd"), dict[str, Any])
+    assert_type(archive.numbers("50%"), dict[str, Any])
     assert_type(archive.surface(1.5, smooth=True, smooth_limit="0.1%"), isospan.Surface)
 
 

@@ -277,6 +277,21 @@ def test_measure_and_check(tooth, program, tmp_path):
     tooth.check()
 
 
+def test_numbers_and_wrong_surfaces_are_those_of_the_program(program, tmp_path):
+    np.save(tmp_path / "field.npy", field())
+    pyramid = isospan.reduce(tmp_path / "field.npy", tmp_path / "a.isospan", target_rms="2%")
+    middle = program("count", pyramid.path, "-i", "50%", "--numbers", "--json")["numbers"]
+    assert pyramid.numbers("50%") == middle and middle["pieces"] > 0
+    coarse = pyramid.numbers(middle["isovalue"], level=1, memory="1GiB")
+    assert coarse["area"] != middle["area"]
+    source = tmp_path / "field.npy"
+    flags = ["--against", source, "--isovalue=40%,50%", "--json"]
+    expected = program("measure", pyramid.path, *flags)["surfaces"]
+    assert pyramid.measure(source, isovalue=["40%", "50%"])["surfaces"] == expected
+    assert len(expected) == 2
+    assert not pyramid.measure(source).get("surfaces")
+
+
 def test_steps_and_times(series, program, tmp_path):
     assert [s["time"] for s in series.steps] == [0, 0.5, 2]
     for keywords, flags in [({"step": 2}, ["--step", 2]), ({"time": 0.2}, ["--time", 0.2])]:

@@ -341,6 +341,34 @@ class Archive:
         counts = [self._core.count(v, chosen, when) for v in self._isovalues(isovalue, when)]
         return counts[0] if np.ndim(isovalue) == 0 else np.array(counts, dtype=np.uint64)
 
+    def numbers(
+        self,
+        isovalue: Share,
+        *,
+        level: Whole | None = None,
+        error: Share | None = None,
+        step: Which | None = None,
+        time: Number | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+        scratch: PathLike | None = None,
+    ) -> dict[str, Any]:
+        """Numbers at an isovalue, as ``isospan count --numbers --json`` prints them: the area and
+        the pieces of the surface, in world units, and of what is above and below it the volume, the
+        number of pieces, whether it percolates along x, y and z, and the largest inscribed ball.
+
+        level, error: which level of a pyramid, as for :meth:`surface`. scratch: a folder for what
+            memory does not hold.
+
+        >>> numbers = archive.numbers(20)
+        >>> numbers["pieces"], numbers["above"]["volume"] < numbers["volume"]
+        (1, True)
+        """
+        when = moment(step, time)
+        (value,) = self._isovalues(isovalue, when)
+        machine = _machine(threads, memory, scratch)
+        return self._core.numbers(value, _level(level, None, error), machine, when)
+
     def _isovalues(self, isovalue, when, steps=None):
         """Isovalues as numbers; "50%" is of the range of the step, or of all steps together."""
 
@@ -842,6 +870,7 @@ class Archive:
         self,
         against: Any,
         *,
+        isovalue: Share | Sequence[Share] | None = None,
         field: str | None = None,
         step: int | None = None,
         map: PathLike | None = None,
@@ -856,7 +885,8 @@ class Archive:
         --json`` prints it.
 
         against: the volume or mesh that the archive was made from, a path or an array, as for
-            :func:`isospan.reduce`. map: also write errors of bricks, .vti. level, error: which level
+            :func:`isospan.reduce`. isovalue: also measure the surfaces of these isovalues, which are
+            ``["surfaces"]``. map: also write errors of bricks, .vti. level, error: which level
             of a pyramid, as for :meth:`surface`; samples beyond its last nodes are outside.
         The error that was measured when the archive was made is ``archive.info["error"]``.
         """
@@ -866,8 +896,10 @@ class Archive:
             with plain(against, field, scratch) as found:
                 source = volume_or_path(found)
                 chosen = _level(level, None, error)
+                asked = [] if isovalue is None else isovalue
+                isovalues = self._isovalues(asked, moment(step, None))
                 return self._core.measure(
-                    source, found.field, step, place, chosen, machine, callback
+                    source, isovalues, found.field, step, place, chosen, machine, callback
                 )
 
     def render(

@@ -99,6 +99,9 @@ class Archive:
     def range_of_steps(self, steps: str | None) -> list[float] | None: ...
     def spectrum(self, when: _When) -> _Report: ...
     def count(self, isovalue: float, level: _Level, when: _When) -> int: ...
+    def numbers(
+        self, isovalue: float, level: _Level, machine: _Report, when: _When
+    ) -> _Report: ...
     def surfaces(self, wanted: _Report, machine: _Report, when: _When) -> list[Surface]: ...
     def save_surfaces(
         self, out: _Path, wanted: _Report, machine: _Report, when: _When, progress: _Callback
@@ -130,6 +133,7 @@ class Archive:
     def measure(
         self,
         against: _Path | Volume,
+        isovalues: Sequence[float],
         field: str | None,
         step: int | None,
         map: _Path | None,
