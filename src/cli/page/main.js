@@ -588,10 +588,12 @@ async function setStep(number) {
   $("step").setAttribute("aria-valuetext", $("now").textContent);
   if (state.clip !== null) fetchSlice(COARSE);
   const surfaces = fetchAll();
-  await fetchSpectrum();
-  drawSuggestions();
   drawControls();
   drawBar();
+  await fetchSpectrum();
+  // Of these, only the curve and the suggestions wait for the spectrum.
+  drawSuggestions();
+  drawControls();
   await surfaces;
 }
 
