@@ -35,8 +35,9 @@ pub enum Accuracy {
 pub struct Settings {
     /// The step, or the error.
     pub accuracy: Accuracy,
-    /// Levels by which the splits of each axis begin later: see [`Pyramid::new`]. `None` tries
-    /// which serves best, on a part of the samples: [`choose_delay`].
+    /// Levels by which the splits of each axis begin later: see
+    /// [`Pyramid::new`](crate::Pyramid::new). `None` tries which serves best, on a part of the
+    /// samples: [`choose_delay`].
     pub delay: Option<[u8; 3]>,
 }
 
