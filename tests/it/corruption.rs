@@ -134,7 +134,7 @@ fn share(archive: &Path, n: usize, job: impl Fn(&Path, usize) + Sync) {
 /// The places of a file to damage: all near its ends and in a manifest, and of the middle every
 /// seventh.
 fn places(file: &Path, len: usize) -> impl Iterator<Item = usize> {
-    let (all, near) = (file.ends_with(MANIFEST_NAME) || file.ends_with("000000-index.seg"), 100);
+    let (all, near) = (file.ends_with(MANIFEST_NAME) || file.ends_with("000000-index.seg"), 300);
     (0..len).filter(move |&i| all || i < near || i + near >= len || i % 7 == 0)
 }
 
