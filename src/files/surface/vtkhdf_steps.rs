@@ -156,7 +156,7 @@ fn steps_of(steps: &[SurfaceStep], meta: &SurfaceMeta) -> Group {
     let mut data = Group::default();
     data.add("Normals", integers(&points, 1));
     if !meta.parts.is_empty() {
-        data.add("isovalue", integers(&points, 1));
+        data.add(meta.part_array(), integers(&points, 1));
     }
     group.add_group("PointDataOffsets", data);
     // Without these, VTK reads no field data of a step.
