@@ -1,7 +1,7 @@
 //! [`Addition`]: further steps for an archive, set up one method at a time.
 
 use crate::pipeline::reduce::{AppendSettings, ReduceReport, append};
-use crate::pipeline::settings::RunSettings;
+use crate::pipeline::settings::{FieldValue, RunSettings, Target};
 use isospan_io::error::Result;
 use isospan_io::exec::{Progress, Resources, Silent};
 use isospan_io::formats::StepSource;
@@ -72,6 +72,20 @@ impl Addition<'_> {
     /// Replaces a step that the archive has at the same time, or else of the same file.
     pub fn replace(mut self, replace: bool) -> Self {
         self.settings.replace = replace;
+        self
+    }
+
+    /// Also measures the surfaces of these isovalues at the new steps, against those of their
+    /// samples: see [`Reduction::isovalues`](crate::Reduction::isovalues).
+    pub fn isovalues(mut self, isovalues: impl IntoIterator<Item = impl Into<FieldValue>>) -> Self {
+        self.settings.isovalues = isovalues.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// What the new steps are judged by, an error or the distance of a surface. It decides nothing
+    /// about them, whose precision is that of the archive; the report says what they came to.
+    pub fn judged_by(mut self, target: impl Into<Option<Target>>) -> Self {
+        self.settings.target = target.into();
         self
     }
 

@@ -171,9 +171,7 @@ impl Reduction<'_> {
     /// [`Estimate::check`].
     pub fn estimate(&self, path: impl AsRef<Path>) -> Result<Estimate> {
         self.expect_alike()?;
-        if !self.isovalues.is_empty() {
-            expect_surfaces(&self.sources, &self.settings, &self.run)?;
-        }
+        self.expect_surfaces()?;
         estimate_series(&self.sources, &self.settings, path.as_ref(), &self.run)
     }
 
@@ -191,9 +189,7 @@ impl Reduction<'_> {
     pub fn write(&self, path: impl AsRef<Path>) -> Result<ReduceReport> {
         let path = path.as_ref();
         self.expect_alike()?;
-        if !self.isovalues.is_empty() {
-            expect_surfaces(&self.sources, &self.settings, &self.run)?;
-        }
+        self.expect_surfaces()?;
         let mut report = reduce_series(&self.sources, &self.settings, path, &self.run, self.progress)?;
         if let Some(source) = &self.against {
             let resources = self.run.resources.clone();
@@ -218,18 +214,25 @@ impl Reduction<'_> {
     ///
     /// # Errors
     /// As [`Reduction::write`]; [`Error::Usage`](crate::Error::Usage) when there is another plan
-    /// already, for a largest error with points that adapt, and with [`Reduction::against`] or
-    /// [`Reduction::isovalues`].
+    /// already, for a largest error with points that adapt, and with [`Reduction::against`].
     pub fn plan_shards(&self, path: impl AsRef<Path>, shards: u64) -> Result<PlanReport> {
-        if !self.isovalues.is_empty() {
-            return Err(Error::usage("a plan measures no surface: measure the archive when it is there"));
-        }
+        self.expect_surfaces()?;
         if self.against.is_some() {
             return Err(Error::usage(
                 "a plan measures no error against another source: measure the archive when it is there",
             ));
         }
-        plan_shards(&self.sources, &self.settings, path.as_ref(), shards, &self.run, self.progress)
+        let (sources, settings, isovalues) = (&self.sources, &self.settings, &self.isovalues);
+        plan_shards(sources, settings, isovalues, path.as_ref(), shards, &self.run, self.progress)
+    }
+
+    /// Refuses surfaces that cannot be measured, before anything is made.
+    fn expect_surfaces(&self) -> Result<()> {
+        let target = self.settings.target;
+        match self.isovalues.is_empty() && !matches!(target, Some(Target::Surface(_))) {
+            true => Ok(()),
+            false => expect_surfaces(&self.sources, target, &self.run),
+        }
     }
 
     /// Refuses what an error cannot be measured against before anything is made. A source that

@@ -2,9 +2,12 @@
 
 use crate::common::*;
 use isospan::formats::StepSource;
-use isospan::pipeline::{FieldValue, Length, ReduceReport, SurfaceErrors, SurfaceTarget, Target};
+use isospan::pipeline::{
+    Committed, FieldValue, Length, ReduceReport, Shard, Shards, SurfaceErrors, SurfaceTarget, Target,
+};
 use isospan::points::SetKind;
-use isospan::{Archive, Reduction, Resources};
+use isospan::volume::units::Unit;
+use isospan::{Addition, Archive, Reduction, Resources};
 use std::path::Path;
 use std::process::Command;
 
@@ -150,8 +153,86 @@ fn a_distance_has_a_unit_and_a_target_below_all_is_met_by_the_samples() {
     write_mesh(&d.join("m.vtk"), 6, |_| true, |p| p, |p| waves(p[0], p[1], p[2]));
     let mesh = Reduction::of(d.join("m.vtk")).isovalues([0.1]).write(d.join("m.isospan"));
     assert!(mesh.unwrap_err().to_string().contains("the source is a mesh") && !d.join("m.isospan").exists());
-    let plan = |target| Reduction::of(d.join("v.nrrd")).target(target).plan_shards(d.join("p.isospan"), 2);
-    assert!(plan(within(0.1)).unwrap_err().to_string().contains("`target_surface`"));
+}
+
+/// Makes what is planned, and the tries after it.
+fn finished(out: &Path, shards: u64) -> ReduceReport {
+    let planned = Shards::at(out);
+    loop {
+        for n in 0..shards {
+            planned.work(Shard::new(n, shards).unwrap()).unwrap();
+        }
+        if let Committed::Archive(report) = planned.commit().unwrap() {
+            return *report;
+        }
+    }
+}
+
+#[test]
+fn a_distance_is_kept_by_shards_as_by_one_process() {
+    let dir = tempfile::tempdir().unwrap();
+    let [input, whole, parts, other] =
+        ["v.nrrd", "whole.isospan", "parts.isospan", "other.isospan"].map(|name| dir.path().join(name));
+    write_whole(&input, [72, 64, 56], shell);
+    let one = made(&input, &whole, within(0.1));
+    let reduction = Reduction::of(input.as_path()).target(within(0.1)).isovalues([SHELL]);
+    let plan = reduction.plan_shards(&parts, 3).unwrap();
+    let shared = finished(&parts, plan.shards);
+    assert!(folder(&parts) == folder(&whole));
+    let came = |report: &ReduceReport| report.target.map(|t| (t.reached, t.bound, t.met, t.tries));
+    assert_eq!((came(&shared), &shared.surfaces), (came(&one), &one.surfaces));
+    assert!(came(&one).unwrap().3 > 1, "{one:?}");
+    // The commit of what is published is asked again.
+    let Committed::Archive(again) = Shards::at(&parts).commit().unwrap() else { panic!("it is over") };
+    assert_eq!((came(&again), &again.surfaces), (came(&one), &one.surfaces));
+    // Without a target, surfaces are measured as well.
+    let usual = Reduction::of(input.as_path()).isovalues([SHELL, 300.0]);
+    let plan = usual.plan_shards(&other, 2).unwrap();
+    let shared = finished(&other, plan.shards);
+    let report = usual.write(dir.path().join("usual.isospan")).unwrap();
+    assert!(shared.surfaces == report.surfaces && shared.surfaces.len() == 2, "{shared:?}");
+    // What cannot be measured is refused before anything is made.
+    write_mesh(&dir.path().join("m.vtk"), 6, |_| true, |p| p, |p| waves(p[0], p[1], p[2]));
+    let mesh = dir.path().join("m.isospan");
+    let plan = Reduction::of(dir.path().join("m.vtk")).isovalues([0.1]).plan_shards(&mesh, 2);
+    assert!(plan.unwrap_err().to_string().contains("the source is a mesh") && !mesh.exists());
+}
+
+#[test]
+fn further_steps_are_judged_by_a_distance() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("s.isospan");
+    let step = |name: &str, time: f64, noise: f64| {
+        let path = dir.path().join(name);
+        write_whole(&path, [72, 64, 56], |x, y, z| shell(x, y, z) + noise * hundreds(x, y, z));
+        StepSource::from(path.as_path()).at(Some(time))
+    };
+    let [first, near, between] = [("a.nrrd", 0.0, 0.0), ("b.nrrd", 2.0, 0.1), ("c.nrrd", 1.0, 0.2)]
+        .map(|(name, time, noise)| step(name, time, noise));
+    Reduction::of_steps([first]).target(within(0.25)).write(&out).unwrap();
+    let add = |source: &StepSource, distance: f64| {
+        let addition = Addition::of_steps([source.clone()]).isovalues([SHELL]);
+        addition.judged_by(within(distance)).append_to(&out).unwrap()
+    };
+    let (far, none) = (add(&near, 1.0), add(&between, 1e-6));
+    let of_step = |source: &StepSource, n: u64| {
+        let archive = Archive::open(&out).unwrap();
+        archive.measure(source.clone()).step(n).isovalues(SHELL).run().unwrap().surfaces.swap_remove(0)
+    };
+    // The first addition was step 1, until another one came before it.
+    let mut found = of_step(&near, 2);
+    found.step = 1;
+    assert_eq!(far.surfaces, [found.clone()]);
+    let target = far.target.unwrap();
+    assert!(target.met && target.bound == 1.0 && target.reached == found.distance() && target.tries == 0);
+    assert_eq!(none.surfaces, [of_step(&between, 1)]);
+    assert!(!none.target.unwrap().met, "{none:?}");
+    // A distance in a unit that the archive does not know is no target that is met.
+    let metric = Length::of(1.0, &Unit::length("mm").unwrap()).unwrap();
+    let target = Target::Surface(SurfaceTarget { isovalue: FieldValue::At(SHELL), distance: metric });
+    let refused = Addition::of(step("d.nrrd", 3.0, 0.0)).judged_by(target).append_to(&out);
+    assert!(refused.unwrap_err().to_string().contains("unit of lengths"));
+    assert_eq!(Archive::open(&out).unwrap().info().unwrap().steps.len(), 3, "nothing was added");
 }
 
 #[test]

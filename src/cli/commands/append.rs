@@ -38,6 +38,11 @@ pub struct Args {
     /// Skip the measurement of the error at the samples of the source.
     #[arg(help_heading = "Error and size", long)]
     no_measure: bool,
+    /// Also measure the surfaces of these isovalues at the new steps against those of their
+    /// samples, as `measure` does; the worst step is told. N% is a place in the range of these
+    /// samples.
+    #[arg(help_heading = "Error and size", long, short = 'i', value_name = "VALUE", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::value)]
+    isovalue: Vec<grammar::Value>,
     /// Replace a step that the archive has at the same time, or else of the same file and field.
     #[arg(help_heading = "Series", long)]
     replace: bool,
@@ -68,6 +73,7 @@ impl Args {
     pub fn addition(&self, steps: Vec<StepSource>, run: RunSettings) -> Addition<'static> {
         let addition = Addition::of_steps(steps).missing(self.missing).keyframes(self.keyframes);
         let addition = addition.measure(!self.no_measure).replace(self.replace);
+        let addition = addition.isovalues(self.isovalue.iter().copied());
         addition.keep_going(run.keep_going).resources(run.resources)
     }
 }

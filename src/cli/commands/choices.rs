@@ -1,11 +1,12 @@
 //! The choices of a user for a reduction: everything that decides the archive's bytes, besides the
 //! input.
 
-use super::grammar::{self, Range, Size};
+use super::grammar::{self, Range, Size, Value};
 use clap::ValueEnum;
-use isospan::pipeline::{Amount, Bound, NanPolicy, ReduceSettings, SetChoice, Target};
+use isospan::pipeline::{Amount, Bound, Length, NanPolicy, ReduceSettings, SetChoice, SurfaceTarget, Target};
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
+use isospan::{Error, Result};
 
 /// The choices for one reduction, or for several tries that meet a target.
 #[derive(clap::Args, Debug)]
@@ -14,6 +15,23 @@ pub struct Choices {
     plan: PlanChoices,
     #[command(flatten)]
     targets: Targets,
+    #[command(flatten)]
+    surfaces: Surfaces,
+}
+
+/// Surfaces that are measured, and how far one may be from that of the samples.
+#[derive(clap::Args, Debug)]
+struct Surfaces {
+    /// Also measure the surfaces of these isovalues against those of the samples, of a volume, as
+    /// `measure` does: area, pieces, distances in world units, and where the largest is. N% is a
+    /// place in the range of the samples. Of a series the worst step is told.
+    #[arg(help_heading = "Error and size", long, short = 'i', value_name = "VALUE", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::value)]
+    isovalue: Vec<Value>,
+    /// Keep the surface at --isovalue within this distance of that of the samples: 99 % of the area
+    /// of each is at most so far from the other. In a unit, as 0.2mm, in world units, or as N% of
+    /// the diagonal of the domain. Mostly two to four tries are made, and each is measured.
+    #[arg(help_heading = "Error and size", long, value_name = "LENGTH", value_parser = grammar::length, requires = "isovalue", conflicts_with_all = ["fraction", "count", "cross_m", "no_measure", "target_rms", "target_max", "size", "ratio", "lossless", "labels"], allow_hyphen_values = true)]
+    target_surface: Option<Length>,
 }
 
 /// An error or a size that is wanted.
@@ -173,13 +191,22 @@ impl Interp {
 
 impl Choices {
     /// The settings that the flags say; the library completes them.
-    pub fn settings(&self) -> ReduceSettings {
-        self.plan.settings(self.targets.target())
+    pub fn settings(&self) -> Result<ReduceSettings> {
+        Ok(self.plan.settings(self.target()?))
     }
 
-    /// The error or the size that is wanted.
-    pub(crate) fn target(&self) -> Option<Target> {
-        self.targets.target()
+    /// The isovalues whose surfaces are measured.
+    pub fn isovalues(&self) -> Vec<Value> {
+        self.surfaces.isovalue.clone()
+    }
+
+    /// The error, the size or the distance that is wanted.
+    pub(crate) fn target(&self) -> Result<Option<Target>> {
+        match (self.surfaces.target_surface, &self.surfaces.isovalue[..]) {
+            (None, _) => Ok(self.targets.target()),
+            (Some(distance), &[isovalue]) => Ok(Some(Target::Surface(SurfaceTarget { isovalue, distance }))),
+            _ => Err(Error::usage("`target_surface` is for the surface of one `isovalue`")),
+        }
     }
 }
 

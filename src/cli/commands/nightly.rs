@@ -240,17 +240,15 @@ fn write(args: &Args, talk: &Talk, steps: Vec<StepSource>, first: bool) -> Resul
     let run = RunSettings { keep_going: true, ..run };
     let bar = talk.progress();
     let report = if first {
-        let settings = args.choices.settings();
+        let settings = args.choices.settings()?;
         let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
+        let reduction = reduction.isovalues(args.choices.isovalues());
         reduction.keep_going(true).progress(&*bar).write(&args.archive)
     } else {
         let addition = Addition::of_steps(steps).replace(args.replace).keep_going(run.keep_going);
-        let added = addition.resources(run.resources).progress(&*bar).append_to(&args.archive);
-        // Points are chosen by the first night: later ones may have errors beyond the target.
-        match args.choices.target() {
-            Some(target) => added.map(|report| report.judged_by(target)),
-            None => added,
-        }
+        // The first night chose the precision: later ones may have errors beyond the target.
+        let addition = addition.isovalues(args.choices.isovalues()).judged_by(args.choices.target()?);
+        addition.resources(run.resources).progress(&*bar).append_to(&args.archive)
     };
     bar.end();
     report

@@ -55,10 +55,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
     let steps = args.steps.all(&args.read, talk)?;
-    let settings = args.choices.settings();
+    let settings = args.choices.settings()?;
     expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
     let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
+    let reduction = reduction.isovalues(args.choices.isovalues());
     let bar = talk.progress();
     let report = reduction.progress(&*bar).plan_shards(&args.output, args.shards);
     bar.end();

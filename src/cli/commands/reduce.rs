@@ -1,7 +1,6 @@
 //! `isospan reduce`: a volume becomes an archive.
 
 use super::choices::Choices;
-use super::grammar::{self, Value};
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::output::expect_apart;
@@ -11,11 +10,11 @@ use super::{dry_run, signals, text};
 use isospan::exec::CancelToken;
 use isospan::formats::StepSource;
 use isospan::pipeline::{
-    ArchiveSummary, Length, NO_SURFACE, ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary,
-    SurfaceErrors, SurfaceTarget, Target, TargetReport,
+    ArchiveSummary, NO_SURFACE, ReduceReport, ReduceSettings, RunSettings, Stage, StepSummary, SurfaceErrors,
+    Target, TargetReport,
 };
 use isospan::points::PointSpec;
-use isospan::{Archive, Error, Reduction, Resources, Result};
+use isospan::{Archive, Reduction, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -35,16 +34,6 @@ pub struct Args {
     pub output: PathBuf,
     #[command(flatten)]
     pub choices: Choices,
-    /// Also measure the surfaces of these isovalues against those of the samples, of a volume, as
-    /// `measure` does: area, pieces, distances in world units, and where the largest is. N% is a
-    /// place in the range of the samples. Of a series the worst step is told.
-    #[arg(help_heading = "Error and size", long, short = 'i', value_name = "VALUE", value_delimiter = ',', allow_hyphen_values = true, value_parser = grammar::value)]
-    isovalue: Vec<Value>,
-    /// Keep the surface at --isovalue within this distance of that of the samples: 99 % of the area
-    /// of each is at most so far from the other. In a unit, as 0.2mm, in world units, or as N% of
-    /// the diagonal of the domain. Mostly two to four tries are made, and each is measured.
-    #[arg(help_heading = "Error and size", long, value_name = "LENGTH", value_parser = grammar::length, requires = "isovalue", conflicts_with_all = ["fraction", "count", "cross_m", "no_measure", "target_rms", "target_max", "size", "ratio", "lossless", "labels"], allow_hyphen_values = true)]
-    target_surface: Option<Length>,
     /// Also measure the error of the first step against this file: of an archive that is reduced
     /// again, against its source.
     #[arg(long, value_name = "INPUT")]
@@ -77,27 +66,9 @@ impl Args {
     /// The files that are reduced, and what is made of them.
     pub fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
         let steps = self.steps.all(&self.read, talk)?;
-        let settings = self.settings()?;
+        let settings = self.choices.settings()?;
         expect_apart(&self.output, steps.iter().map(|step| &step.path).chain(&self.against))?;
         Ok((steps, settings))
-    }
-
-    /// All that decides bytes.
-    pub fn settings(&self) -> Result<ReduceSettings> {
-        let settings = self.choices.settings();
-        match (self.target_surface, &self.isovalue[..]) {
-            (None, _) => Ok(settings),
-            (Some(distance), &[isovalue]) => {
-                let target = Target::Surface(SurfaceTarget { isovalue, distance });
-                Ok(ReduceSettings { target: Some(target), ..settings })
-            }
-            _ => Err(Error::usage("`target_surface` is for the surface of one `isovalue`")),
-        }
-    }
-
-    /// The isovalues whose surfaces are measured.
-    pub fn isovalues(&self) -> Vec<Value> {
-        self.isovalue.clone()
     }
 
     /// What the error is measured against besides.
@@ -115,7 +86,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<u8> {
     let RunSettings { resources, replace, keep_going } = run;
     let Resources { threads, memory, .. } = resources;
     let reduction = Reduction::of_steps(steps).settings(settings).resources(resources);
-    let reduction = reduction.replace(replace).keep_going(keep_going).isovalues(args.isovalues());
+    let reduction = reduction.replace(replace).keep_going(keep_going).isovalues(args.choices.isovalues());
     let reduction = match args.against()? {
         Some(source) => reduction.against(source),
         None => reduction,

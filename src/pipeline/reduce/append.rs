@@ -13,11 +13,14 @@ use super::advice::look;
 use super::existing::{expect_files, lock_for_writing, sweep};
 use super::job::{Basis, Job};
 use super::order::next_files;
-use super::planned::{plan, publish, run as run_plan};
+use super::planned::{first_that_opens, plan, publish, run as run_plan};
 use super::report::{ReduceReport, SourceChunks};
+use super::surfaces::{expect_surfaces, in_world, with_surfaces};
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::pipeline::read::OpenArchive;
-use crate::pipeline::settings::{Amount, CompleteSettings, NanPolicy, ReduceSettings, RunSettings};
+use crate::pipeline::settings::{
+    Amount, CompleteSettings, FieldValue, NanPolicy, ReduceSettings, RunSettings, Target,
+};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use isospan_io::formats::{OpenOptions, StepSource, counted_from, without_frame};
@@ -27,7 +30,7 @@ use std::path::Path;
 use std::time::Instant;
 
 /// What the user chooses for further steps; all else is as it was for the last one.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(in crate::pipeline) struct AppendSettings {
     /// A value that means "no data", besides what the file declares; that of the last step if not
     /// given.
@@ -38,11 +41,16 @@ pub(in crate::pipeline) struct AppendSettings {
     pub(in crate::pipeline) measure: bool,
     /// Whether a step that the archive has at the same time, or else of the same file, is replaced.
     pub(in crate::pipeline) replace: bool,
+    /// Whose surfaces are measured at the new steps.
+    pub(in crate::pipeline) isovalues: Vec<FieldValue>,
+    /// What the new steps are judged by; it decides nothing about them.
+    pub(in crate::pipeline) target: Option<Target>,
 }
 
 impl Default for AppendSettings {
     fn default() -> Self {
-        Self { missing: None, keyframes: None, measure: true, replace: false }
+        let (missing, keyframes, isovalues, target) = (None, None, vec![], None);
+        Self { missing, keyframes, measure: true, replace: false, isovalues, target }
     }
 }
 
@@ -50,7 +58,7 @@ impl Default for AppendSettings {
 /// [`Addition::append_to`](crate::pipeline::Addition::append_to).
 pub(in crate::pipeline) fn append(
     sources: &[StepSource],
-    settings: &AppendSettings,
+    asked: &AppendSettings,
     out: &Path,
     run: &RunSettings,
     progress: &dyn Progress,
@@ -67,14 +75,50 @@ pub(in crate::pipeline) fn append(
         Some(unit) => counted_from(sources, unit),
         None => sources,
     };
+    if asked.has_surfaces() {
+        let is_of_labels = archive.manifest.plan.has_labels();
+        expect_surfaces(&sources, is_of_labels.then_some(Target::Labels).or(asked.target), run)?;
+    }
     let sources: Vec<_> = (next_files(&archive.manifest)..).zip(sources).collect();
-    let run = &RunSettings { replace: settings.replace, ..run.clone() };
-    let settings = settings_like(&archive.manifest, settings)?;
+    let asked = &asked.in_world(&sources, run)?;
+    let run = &RunSettings { replace: asked.replace, ..run.clone() };
+    let settings = settings_like(&archive.manifest, asked)?;
     let basis = Basis::Archive(&archive);
     let job = Job { sources: &sources, settings: &settings, out, run, progress, basis, keeps_sums: false };
     let notices = look(&job)?.notices;
     let report = add(&job, &archive)?;
-    Ok(ReduceReport { notices, source_chunks: SourceChunks::of(&sources), ..report }.finished(started))
+    let report = ReduceReport { notices, source_chunks: SourceChunks::of(&sources), ..report };
+    judged(report.finished(started), asked, &job)
+}
+
+/// The report of further steps with the surfaces that are asked for, and what is said of a target.
+fn judged(report: ReduceReport, asked: &AppendSettings, job: &Job<'_>) -> Result<ReduceReport> {
+    let Job { sources, out, run, progress, .. } = *job;
+    let report = match (asked.has_surfaces(), asked.target) {
+        (false, _) => report,
+        (true, Some(Target::Surface(target))) if asked.isovalues.is_empty() => {
+            with_surfaces(report, out, sources, &[target.isovalue], &run.resources, progress)?
+        }
+        (true, _) => with_surfaces(report, out, sources, &asked.isovalues, &run.resources, progress)?,
+    };
+    match asked.target {
+        Some(target) => report.judged_by(target),
+        None => Ok(report),
+    }
+}
+
+impl AppendSettings {
+    /// With a distance in world units.
+    fn in_world(&self, sources: &[(u64, StepSource)], run: &RunSettings) -> Result<Self> {
+        let Some(target @ Target::Surface(_)) = self.target else { return Ok(self.clone()) };
+        let open = |source: &StepSource| in_world(target, &source.open()?, source);
+        let target = Some(first_that_opens(sources, run.keep_going, open)?);
+        Ok(Self { target, ..self.clone() })
+    }
+
+    fn has_surfaces(&self) -> bool {
+        !self.isovalues.is_empty() || matches!(self.target, Some(Target::Surface(_)))
+    }
 }
 
 /// Adds the steps of a job to an archive, or what is missing of them.

@@ -81,7 +81,8 @@ pub use series::SkippedStep;
 use std::path::Path;
 use std::time::Instant;
 pub(super) use sums::FinishedSteps;
-pub(super) use surfaces::{expect_surfaces, with_surfaces};
+use surfaces::in_world;
+pub(super) use surfaces::{expect_surfaces, with_surface_of, with_surfaces};
 use target::reduce_to_target;
 pub(super) use target::{publish_best, with_target};
 pub(super) use tries::remove_tries;
@@ -164,7 +165,8 @@ pub(super) fn complete_settings(
 ) -> Result<CompleteSettings> {
     let open = |source: &StepSource| Ok((source.open()?, source.clone()));
     let (first, source) = first_that_opens(sources, run.keep_going, open)?;
-    let settings = &surfaces::in_world(settings, &first, &source)?;
+    let target = settings.target.map(|target| in_world(target, &first, &source)).transpose()?;
+    let settings = &ReduceSettings { target, ..settings.clone() };
     let is_mesh = matches!(first, Input::Mesh(_));
     let is_labels = matches!(&first, Input::Volume(volume) if volume.info().is_labels);
     let range = if settings.focus.is_some_and(Focus::is_of_a_range) {

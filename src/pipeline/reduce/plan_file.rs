@@ -37,7 +37,7 @@ use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::segment::PlanHash;
 use crate::pipeline::plan::{Attachments, Inputs, Plan, RecordedFile, Watch};
-use crate::pipeline::settings::{CompleteSettings, RunSettings};
+use crate::pipeline::settings::{CompleteSettings, FieldValue, RunSettings};
 use isospan_io::bytes::publish::Unpublished;
 use isospan_io::bytes::{place, read_whole};
 use isospan_io::error::{Error, Result};
@@ -46,7 +46,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 const FORMAT: &str = "isospan plan";
-const FORMAT_VERSION: u16 = 3;
+const FORMAT_VERSION: u16 = 4;
 /// The most bytes of a plan: paths, settings, and a record for each step.
 const LARGEST_PLAN: u64 = 1 << 28;
 /// How the names of planned tries begin.
@@ -93,6 +93,8 @@ pub(in crate::pipeline) struct PlanFile {
     /// Steps that could not be used when the plan was made.
     skipped: Vec<SkippedStep>,
     pub(in crate::pipeline) settings: CompleteSettings,
+    /// Whose surfaces are measured when the archive is there.
+    pub(in crate::pipeline) isovalues: Vec<FieldValue>,
     pub(in crate::pipeline) plan: Plan,
     pub(in crate::pipeline) mesh_hash: PlanHash,
     pub(in crate::pipeline) steps_hash: PlanHash,
@@ -134,6 +136,8 @@ pub(in crate::pipeline) struct Cut {
     pub(in crate::pipeline) replaces: bool,
     /// The search of which it is a try.
     pub(in crate::pipeline) search: Option<PlannedSearch>,
+    /// Whose surfaces are measured when the archive is there.
+    pub(in crate::pipeline) isovalues: Vec<FieldValue>,
 }
 
 impl PlanFile {
@@ -157,6 +161,7 @@ impl PlanFile {
             files: watch.records(),
             skipped: skipped.clone(),
             settings: settings.clone(),
+            isovalues: cut.isovalues,
             mesh_hash: plan.mesh_hash(),
             steps_hash: plan.steps_hash(),
             plan: plan.clone(),
@@ -276,6 +281,7 @@ impl PlanFile {
             let inputs = |plan: &Self| (plan.sources.clone(), plan.skipped.clone(), plan.replaces);
             return ours.search.asks_as(&theirs.search)
                 && ours.shards == theirs.shards
+                && self.isovalues == other.isovalues
                 && inputs(self) == inputs(other)
                 && self.plan.fingerprints() == other.plan.fingerprints();
         }

@@ -74,13 +74,16 @@ impl Target {
 }
 
 impl ReduceReport {
-    /// The report with what its steps have of an error that is wanted, which was no target of the
-    /// run: of `append`, whose points are there already.
-    pub fn judged_by(self, target: Target) -> Self {
-        let target = target.report_of(&self, None, None).ok();
-        let is_measured = self.steps.iter().any(|step| step.error.is_some());
-        let judged = target.filter(|found| is_measured && found.target.bound().is_some());
-        Self { target: judged.or(self.target), ..self }
+    /// The report with what its steps have of an error or a distance that is wanted, which was no
+    /// target of the run: of further steps, whose precision is that of the archive. A target of
+    /// another kind, and one that was not measured, is left out.
+    pub(super) fn judged_by(self, target: Target) -> Result<Self> {
+        let is_measured = match target {
+            Target::Surface(_) => !self.surfaces.is_empty(),
+            _ => target.bound().is_some() && self.steps.iter().any(|step| step.error.is_some()),
+        };
+        let judged = is_measured.then(|| target.report_of(&self, None, None)).transpose()?;
+        Ok(Self { target: judged.or(self.target), ..self })
     }
 }
 
@@ -455,7 +458,7 @@ impl TargetSearch {
     }
 
     /// The settings that ask for the target.
-    pub(super) fn settings(&self) -> &CompleteSettings {
+    pub(in crate::pipeline) fn settings(&self) -> &CompleteSettings {
         &self.settings
     }
 }

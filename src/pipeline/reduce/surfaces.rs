@@ -12,7 +12,7 @@ use crate::pipeline::field::{SurfaceErrors, no_samples};
 use crate::pipeline::read::OpenArchive;
 #[cfg(feature = "compare")]
 use crate::pipeline::read::StepChoice;
-use crate::pipeline::settings::{FieldValue, Length, ReduceSettings, RunSettings, SurfaceTarget, Target};
+use crate::pipeline::settings::{FieldValue, Length, RunSettings, SurfaceTarget, Target};
 use crate::pipeline::stage::Stage;
 #[cfg(feature = "compare")]
 use crate::pipeline::surface::surface_errors;
@@ -44,9 +44,9 @@ pub(in crate::pipeline) fn with_surfaces(
     let values = isovalues.iter().map(|value| value.of(range)).collect::<Result<Vec<_>>>()?;
     let mut worst: Vec<SurfaceErrors> = vec![];
     for step in &archive.manifest.steps {
-        let number = step.plan.number;
-        let Some((_, source)) = sources.iter().find(|source| source.0 == number) else { continue };
-        let found = of_step(&archive, number, source, &values, resources, progress)?;
+        let is_its = |source: &&(u64, StepSource)| source.0 == step.plan.number;
+        let Some((_, source)) = sources.iter().find(is_its) else { continue };
+        let found = of_step(&archive, step.number(), source, &values, resources, progress)?;
         report.has_surface |= found.iter().any(|found| found.source.triangles > 0);
         if worst.is_empty() {
             worst = found;
@@ -98,7 +98,7 @@ fn of_step(
 }
 
 /// A report with the surface that a target is about, if it is about one.
-pub(super) fn with_surface_of(
+pub(in crate::pipeline) fn with_surface_of(
     target: Target,
     report: ReduceReport,
     archive: &Path,
@@ -126,7 +126,7 @@ pub(super) fn with_surface_of(
 /// [`Error::Usage`] for a mesh, labels, and several fields; those of opening the first source.
 pub(in crate::pipeline) fn expect_surfaces(
     sources: &[StepSource],
-    settings: &ReduceSettings,
+    target: Option<Target>,
     run: &RunSettings,
 ) -> Result<()> {
     if !cfg!(feature = "compare") {
@@ -143,7 +143,7 @@ pub(in crate::pipeline) fn expect_surfaces(
         Input::Volume(volume) => volume,
         Input::Mesh(_) => return Err(no_samples()),
     };
-    let is_labels = match settings.target {
+    let is_labels = match target {
         None => volume.info().is_labels,
         target => target == Some(Target::Labels),
     };
@@ -156,24 +156,17 @@ pub(in crate::pipeline) fn expect_surfaces(
     }
 }
 
-/// Settings whose lengths are in world units, of a source of which the first that opens is this.
-pub(super) fn in_world(
-    settings: &ReduceSettings,
-    first: &Input,
-    source: &StepSource,
-) -> Result<ReduceSettings> {
-    let (Some(Target::Surface(target)), Input::Volume(volume)) = (settings.target, first) else {
-        return Ok(settings.clone());
+/// A target whose lengths are in world units, of a source of which the first that opens is this.
+pub(super) fn in_world(target: Target, first: &Input, source: &StepSource) -> Result<Target> {
+    let (Target::Surface(surface), Input::Volume(volume)) = (target, first) else {
+        return Ok(target);
     };
     let info = volume.info();
     let units = source.options.units.clone().or(info.units.clone());
-    let diagonal = match target.distance {
+    let diagonal = match surface.distance {
         Length::OfDiagonal(_) if source.coordinates()?.is_none() => Some(info.geometry.diagonal(info.dims)),
         _ => None,
     };
-    let distance = Length::World(target.distance.in_world(units.length.as_ref(), diagonal)?);
-    Ok(ReduceSettings {
-        target: Some(Target::Surface(SurfaceTarget { distance, ..target })),
-        ..settings.clone()
-    })
+    let distance = Length::World(surface.distance.in_world(units.length.as_ref(), diagonal)?);
+    Ok(Target::Surface(SurfaceTarget { distance, ..surface }))
 }

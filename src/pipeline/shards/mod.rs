@@ -33,7 +33,7 @@ use crate::pipeline::reduce::{
     Basis, Built, Cut, Existing, Job, PLANNED_TRY, PlanFile, Planned as PlannedReduction, PlannedSearch,
     ReduceReport, SourceChunks, TargetReport, TargetSearch, look, numbered, plan_path,
 };
-use crate::pipeline::settings::{CompleteSettings, ReduceSettings, RunSettings};
+use crate::pipeline::settings::{CompleteSettings, FieldValue, ReduceSettings, RunSettings, Target};
 use crate::pipeline::stage::{Stage, StageSeconds};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Resources, Silent};
@@ -176,6 +176,7 @@ pub struct PlanReport {
 pub(in crate::pipeline) fn plan_shards(
     sources: &[StepSource],
     settings: &ReduceSettings,
+    isovalues: &[FieldValue],
     out: &Path,
     shards: u64,
     run: &RunSettings,
@@ -195,7 +196,8 @@ pub(in crate::pipeline) fn plan_shards(
     let settings = &search.as_ref().map_or_else(|| settings.clone(), TargetSearch::next_settings);
     let planned = reduce::plan(&Job { settings, ..job }, false)?;
     let search = search.map(|search| PlannedSearch::new(search, shards, &planned.report));
-    let file = plan_file(settings, &planned, shards, existing.is_finished(), search)?;
+    let asked = Asked { shards, isovalues: isovalues.to_vec(), replaces: existing.is_finished() };
+    let file = plan_file(settings, &planned, asked, search)?;
     let mut report = PlanReport::of(&file, &planned, out);
     looked.add_to(&mut report.needs);
     if file.search.is_some() && !run.replace && PlanFile::read(out).is_ok_and(|there| file.is_alike(&there)) {
@@ -207,15 +209,24 @@ pub(in crate::pipeline) fn plan_shards(
     Ok(report)
 }
 
-/// The plan of a reduction in at most `shards` parts. `replaces` says whether a finished archive
-/// is there.
+/// What is asked of a plan.
+struct Asked {
+    /// The most shards.
+    shards: u64,
+    /// Whose surfaces are measured when the archive is there.
+    isovalues: Vec<FieldValue>,
+    /// Whether a finished archive is there.
+    replaces: bool,
+}
+
+/// The plan of a reduction in parts.
 fn plan_file(
     settings: &CompleteSettings,
     planned: &PlannedReduction,
-    shards: u64,
-    replaces: bool,
+    asked: Asked,
     search: Option<PlannedSearch>,
 ) -> Result<PlanFile> {
+    let Asked { shards, isovalues, replaces } = asked;
     let cut = Cut {
         chunks: planned.parts.chunks.len(),
         // A shard has whole segments: more shards than segments would have nothing to do.
@@ -223,6 +234,7 @@ fn plan_file(
         memory_least: planned.estimate.memory_least,
         replaces,
         search,
+        isovalues,
     };
     PlanFile::new(settings, &planned.series, cut)
 }
@@ -374,23 +386,40 @@ pub struct NextTry {
 
 /// See [`Shards::commit`].
 fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<Committed> {
-    let started = Instant::now();
     let _lock = reduce::lock_for_writing(out)?;
     let file = PlanFile::read(out)?;
     expect_no_other_archive(out, &file)?;
+    match (commit_plan(&file, out, run, progress)?, file.isovalues.is_empty()) {
+        (Committed::Archive(report), false) if !is_measured(&file, &report) => {
+            let (sources, resources) = (file.numbered(), &run.resources);
+            let measured =
+                reduce::with_surfaces(*report, out, &sources, &file.isovalues, resources, progress)?;
+            Ok(Committed::Archive(Box::new(measured)))
+        }
+        (committed, _) => Ok(committed),
+    }
+}
+
+/// Whether the try of a target has measured all surfaces that are asked for.
+fn is_measured(file: &PlanFile, report: &ReduceReport) -> bool {
+    let target = file.search.as_ref().and_then(|planned| planned.search.settings().target);
+    match (target, &file.isovalues[..]) {
+        (Some(Target::Surface(target)), [value]) => *value == target.isovalue && !report.surfaces.is_empty(),
+        _ => false,
+    }
+}
+
+/// Makes what workers have left an archive, or plans the next try.
+fn commit_plan(file: &PlanFile, out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<Committed> {
+    let started = Instant::now();
     if let Some(planned) = file.search.as_ref().filter(|planned| planned.search.is_over()) {
-        let report = search::finish(&file, planned, None, out)?;
+        let report = search::finish(file, planned, None, out)?;
         return Ok(Committed::Archive(Box::new(report.finished(started))));
     }
     let root = file.root(out);
-    let report = publish(&file, &root, run, progress, started)?;
+    let report = publish(file, &root, run, progress, started)?;
     if let Some(planned) = &file.search {
-        return search::next(
-            &file,
-            planned,
-            report.finished(started),
-            &search::Commit { out, run, progress },
-        );
+        return search::next(file, planned, report.finished(started), &search::Commit { out, run, progress });
     }
     if root != out {
         reduce::replace_archive(&root, out)?;

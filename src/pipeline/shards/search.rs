@@ -1,7 +1,7 @@
 //! A search for a target by shards: each try is a plan of its own. The commit of a try plans the
 //! next one, or publishes the best of all.
 
-use super::{Committed, NextTry, PlanReport, begin, plan_file, planned_report};
+use super::{Asked, Committed, NextTry, PlanReport, begin, plan_file, planned_report};
 use crate::archive::manifest::Manifest;
 use crate::pipeline::reduce::{
     self, Basis, Existing, Job, PLANNED_TRY, PlanFile, PlannedSearch, ReduceReport, TargetSearch, planned_try,
@@ -9,7 +9,6 @@ use crate::pipeline::reduce::{
 use crate::pipeline::settings::{CompleteSettings, RunSettings, Target};
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
-use isospan_io::setting::Setting;
 use std::path::Path;
 
 /// The search that some settings ask for, if they do. `source` is the number of bytes of the
@@ -23,12 +22,6 @@ pub(super) fn begin_search(settings: &CompleteSettings, source: Option<u64>) -> 
         return Err(Error::usage(
             "a largest error with points that adapt is met by one process: use isospan reduce",
         ));
-    }
-    if let Target::Surface(_) = target {
-        return Err(Error::usage(format!(
-            "{} is met by one process: use isospan reduce",
-            Setting::TargetSurface
-        )));
     }
     if target.is_met_by_corrections(settings) {
         return target.check(settings).map(|()| None);
@@ -52,6 +45,13 @@ pub(super) fn next(
 ) -> Result<Committed> {
     let &Commit { out, run, progress } = commit;
     let (mut search, made) = (planned.search.clone(), planned.search.next_try());
+    let (sources, asked) = (&file.numbered(), search.settings().target);
+    let basis = Basis::Try(file);
+    let job = Job { sources, settings: &file.settings, out, run, progress, basis, keeps_sums: false };
+    let report = match asked {
+        Some(target) => reduce::with_surface_of(target, report, &planned_try(out, made), &job)?,
+        None => report,
+    };
     let target = search.note(&report)?;
     let best = search.best_try();
     if search.is_over() {
@@ -65,13 +65,15 @@ pub(super) fn next(
         let report = Some(report).filter(|_| number == made);
         return finish(&file, &planned, report, out).map(|report| Committed::Archive(Box::new(report)));
     }
-    let (settings, sources) = (&search.next_settings(), &file.numbered());
+    let settings = &search.next_settings();
     let run = &RunSettings { replace: true, keep_going: false, ..run.clone() };
     let root = &planned_try(out, search.next_try());
-    let job = Job { sources, settings, out: root, run, progress, basis: Basis::Try(file), keeps_sums: false };
+    let job = Job { settings, out: root, run, ..job };
     let reduction = reduce::plan(&job, false)?;
     let search = PlannedSearch::new(search, planned.shards, &reduction.report);
-    let file = plan_file(settings, &reduction, planned.shards, file.replaces, Some(search))?;
+    let (isovalues, replaces) = (file.isovalues.clone(), file.replaces);
+    let asked = Asked { shards: planned.shards, isovalues, replaces };
+    let file = plan_file(settings, &reduction, asked, Some(search))?;
     let next = PlanReport::of(&file, &reduction, out);
     begin(&file, &reduction, out, run)?;
     reduce::remove_tries(out, PLANNED_TRY, &[Some(made + 1), best])?;

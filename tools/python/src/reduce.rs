@@ -54,12 +54,12 @@ fn asked<'a>(
         Some(volumes) => {
             let mut steps = steps(volumes, &run, progress)?;
             args.steps.tell(&mut steps)?;
-            (steps, args.settings()?)
+            (steps, args.choices.settings()?)
         }
     };
     let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
     let reduction = reduction.replace(run.replace).keep_going(run.keep_going);
-    let reduction = reduction.isovalues(args.isovalues());
+    let reduction = reduction.isovalues(args.choices.isovalues());
     let reduction = match args.against()? {
         Some(source) => reduction.against(source),
         None => reduction,

@@ -133,7 +133,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
     let file = PlanFile::new(
         &settings,
         &series,
-        Cut { chunks, shards, memory_least: 0, replaces: false, search: None },
+        Cut { chunks, shards, memory_least: 0, replaces: false, search: None, isovalues: vec![] },
     )
     .unwrap();
     file.write(out, false).unwrap();

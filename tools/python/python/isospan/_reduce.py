@@ -288,6 +288,7 @@ def append(
     missing: float | str | None = None,
     keyframes: int | str | None = None,
     measure: bool = True,
+    isovalue: float | Sequence[float] | str | None = None,
     replace: bool = False,
     threads: int = 0,
     memory: int | str | None = None,
