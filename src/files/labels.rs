@@ -76,6 +76,12 @@ impl LabelTable {
         Ok(Self { entries })
     }
 
+    /// The labels of a name, ascending.
+    pub fn labels_named(&self, name: &str) -> Vec<i64> {
+        let has = |entry: &(&i64, &LabelStyle)| entry.1.name == name;
+        self.entries.iter().filter(has).map(|(label, _)| *label).collect()
+    }
+
     /// How a label is shown: without an entry, in a colour of the palette and without a name.
     pub fn style(&self, label: i64) -> LabelStyle {
         self.entries

@@ -53,6 +53,7 @@ settings! {
     Jumps "jumps",
     KeepGoing "keep_going",
     Keyframes "keyframes",
+    LabelSurface "label_surface",
     Labels "labels",
     LengthUnit "length_unit",
     Level "level",

@@ -173,7 +173,9 @@ fn the_program_writes_labels_and_refuses_what_has_none() {
     for (labels, more, says) in [
         ("3,3", &["-o", "x.ply"][..], "twice"),
         ("all,3", &["-o", "x.ply"], "name no other than 0"),
-        ("x", &["-o", "x.ply"], "expected a label"),
+        ("Heart", &["-o", "x.ply"], "--label-table"),
+        ("Liver", &["-o", "x.ply", "--label-table", "t.csv"], "expected 'Liver', got no such name"),
+        ("", &["-o", "x.ply"], "expected a label"),
         ("3", &["-o", "-"], "-o"),
         ("3", &["-o", "x.ply", "-i", "1"], "cannot be used with"),
         ("3", &["-o", "x.ply", "--smooth", "65"], "at most 64 steps"),
@@ -183,4 +185,50 @@ fn the_program_writes_labels_and_refuses_what_has_none() {
         assert!(!out.status.success() && stderr(&out).contains(says), "{labels} {more:?}: {}", stderr(&out));
     }
     assert!(!d.join("x.ply").exists());
+}
+
+#[test]
+fn the_program_lists_labels_by_number_and_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let (_, voxels) = reduced(d, [40, 30, 20], cells([40, 30, 20], 5));
+    std::fs::write(d.join("t.csv"), "label,name,r,g,b\n3,Heart,255,0,0\n4,Lung,0,255,0\n5,Lung,0,0,9\n")
+        .unwrap();
+    let count = |more: &[&str]| isospan(d, &[&["count", "labels.isospan"][..], more].concat());
+    let listed = |more: &[&str]| -> Vec<(i64, String, u64, f64)> {
+        let out = count(&[more, &["--json"]].concat());
+        let found: serde_json::Value =
+            serde_json::from_slice(&out.stdout).unwrap_or_else(|_| panic!("{}", stderr(&out)));
+        let one = |l: &serde_json::Value| {
+            let name = l["name"].as_str().unwrap().to_owned();
+            let (number, volume) = (l["label"].as_i64().unwrap(), l["volume"].as_f64().unwrap());
+            (number, name, l["voxels"].as_u64().unwrap(), volume)
+        };
+        found["labels"].as_array().unwrap().iter().map(one).collect()
+    };
+    let all = listed(&["--labels", "all", "--label-table", "t.csv"]);
+    let expected: Vec<(i64, u64)> = voxels.iter().map(|(l, n)| (*l, *n)).filter(|(l, _)| *l != 0).collect();
+    assert_eq!(all.iter().map(|one| (one.0, one.2)).collect::<Vec<_>>(), expected);
+    let heart = listed(&["--labels", "Heart,1", "--label-table", "t.csv"]);
+    assert_eq!(heart.iter().map(|one| (one.0, one.1.as_str())).collect::<Vec<_>>(), [(1, ""), (3, "Heart")]);
+    assert!((heart[1].3 / heart[1].2 as f64 / (heart[0].3 / heart[0].2 as f64) - 1.0).abs() < 1e-9);
+    let text = String::from_utf8(count(&["--labels", "3", "--label-table", "t.csv"]).stdout).unwrap();
+    assert!(text.starts_with("1 label\n") && text.ends_with("  Heart\n"), "{text}");
+    for (more, says) in [
+        (&["--labels", "Lung", "--label-table", "t.csv"][..], "at 4 and 5"),
+        (&["--labels", "Lung"], "--label-table"),
+        (&["--labels", "3", "-i", "1"], "cannot be used with"),
+        (&["--labels", "3", "--level", "0"], "cannot be used with"),
+        (&[], "--isovalue"),
+    ] {
+        let out = count(more);
+        assert!(out.status.code() == Some(2) && stderr(&out).contains(says), "{more:?}: {}", stderr(&out));
+    }
+    // An isovalue that no value has is told.
+    write_npy(&d.join("v.npy"), [20, 18, 16], waves);
+    assert!(isospan(d, &["reduce", "v.npy", "-o", "v.isospan"]).status.success());
+    let out = isospan(d, &["count", "v.isospan", "-i", "99"]);
+    let text = |out: &Output| String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(out.status.success() && text(&out).contains("outside the range"), "{}", text(&out));
+    assert!(!text(&isospan(d, &["count", "v.isospan", "-i", "0.1"])).contains("outside"));
 }

@@ -159,6 +159,7 @@ fn every_report_is_as_its_schema_says() {
         &["surface", "s.isospan", "-i", "0.1", "--all-steps", "-o", "s%d.ply"],
         &["reduce", "labels.npy", "-o", "l.isospan", "--lossless"],
         &["surface", "l.isospan", "--labels", "1,2", "-o", "l.glb"],
+        &["count", "l.isospan", "--labels", "all"],
         &["count", "a.isospan", "-i", "0.1,0.123456"],
         &["surface", "y.isospan", "-i", "0.1", "--level", "1", "-o", "y.ply"],
         &["surface", "y.isospan", "-i", "0.1", "--triangles", "500", "--all-steps", "-o", "y%d.ply"],

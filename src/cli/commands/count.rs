@@ -1,6 +1,7 @@
 //! `isospan count`: how large would the surface be?
 
 use super::grammar::{self, Value};
+use super::labels::{self, LabelArgs};
 use super::level::LevelArgs;
 use super::numbers::{self, Means, With};
 use super::progress::Talk;
@@ -16,10 +17,12 @@ use std::path::PathBuf;
 /// The numbers are exact, and the surfaces are not extracted.
 /// Isovalues with few digits are looked up in the spectrum of a large archive, which takes a few
 /// kilobytes of reading; the JSON output has the number of bytes. With --numbers the surface is
-/// extracted and measured, and so are the parts of the domain on both sides of it.
+/// extracted and measured, and so are the parts of the domain on both sides of it. With --labels
+/// the labels of a label image are listed, each with its voxels, volume and area.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json\n  isospan count scan.isospan -i 600 --level 2\n  isospan count scan.isospan -i 600 --numbers"
+    after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json\n  isospan count scan.isospan -i 600 --level 2\n  isospan count scan.isospan -i 600 --numbers\n  isospan count atlas.isospan --labels all",
+    mut_arg("labels", |arg| arg.conflicts_with_all(["isovalue", "numbers", "level", "triangles", "error"]))
 )]
 pub struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -30,7 +33,7 @@ pub struct Args {
         long,
         short = 'i',
         value_name = "VALUE",
-        required = true,
+        required_unless_present = "labels",
         value_delimiter = ',',
         allow_hyphen_values = true,
         value_parser = grammar::value
@@ -41,6 +44,8 @@ pub struct Args {
     /// the largest ball in them. That takes a pass over the archive.
     #[arg(long)]
     numbers: bool,
+    #[command(flatten)]
+    labels: LabelArgs,
     #[command(flatten)]
     level: LevelArgs,
     #[command(flatten)]
@@ -54,8 +59,12 @@ pub struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let step = Archive::open(&args.archive)?.at(args.step.choice()?)?;
+    if args.labels.are_given() {
+        return labels::tell(&args.labels, &step, args.means.resources(talk), args.json, talk);
+    }
     args.isovalue.iter().try_for_each(|isovalue| {
-        let isovalue = isovalue.of(step.value_range())?;
+        let range = step.value_range();
+        let isovalue = isovalue.of(range)?;
         let (level, resources) = (args.level.choice(), args.means.resources(talk));
         let report = step.query(isovalue).level(level).resources(resources.clone()).count()?;
         let numbers =
@@ -78,6 +87,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
                 .map_or_else(String::new, |level| format!(" of level {level}")),
             text::bytes(report.bytes_read)
         );
+        if let Some(range) = range.filter(|[lo, hi]| !(*lo..=*hi).contains(&isovalue)) {
+            let _ = writeln!(out, "  the isovalue is outside the range {}", text::range(range));
+        }
         if let Some(numbers) = &numbers {
             out += &numbers::in_words(numbers, step.units());
         }

@@ -10,7 +10,7 @@
 //!  times           0,0.5,2   0,0.5,...      time span       2d  12h  30m  90s
 //!  type            uint16  u16  <f4         shard           3/16
 //!  length          0.5  2mm  0.1%          opacity         0.3  30%
-//!  label           7  -1  all
+//!  label           7  -1  liver  all
 //!  plane           z=40  x=50%          slab            z=40:  x=:50%  y=10:20
 //! ```
 //!
@@ -82,21 +82,24 @@ where
 }
 
 /// A label, or all.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum LabelChoice {
     /// That of a number.
     One(i64),
+    /// That of a name.
+    Named(String),
     /// All but 0.
     All,
 }
 
-/// A label: `7`, `-1` or `all`.
+/// A label: `7`, `-1`, a name, or `all`.
 pub(crate) fn label(text: &str) -> Parsed<LabelChoice> {
     let found = match text.trim() {
         "all" => Some(LabelChoice::All),
-        number => number.parse().ok().map(LabelChoice::One),
+        name if !name.contains(char::is_alphanumeric) => None,
+        name => Some(name.parse().map_or_else(|_| LabelChoice::Named(name.into()), LabelChoice::One)),
     };
-    expected(found, "a label, as in 7, or all")
+    expected(found, "a label, as in 7, its name, or all")
 }
 
 /// Threads: `8`, or 0 for as many as the process may use.

@@ -20,6 +20,7 @@ mod info;
 mod info_mesh;
 mod input;
 mod keywords;
+mod labels;
 mod level;
 mod machine;
 mod manual;

@@ -3,6 +3,7 @@
 mod labels;
 
 use super::grammar::{self, Value};
+use super::labels::LabelArgs;
 use super::level::LevelArgs;
 use super::machine::{Machine, OutputScratch};
 use super::output::Force;
@@ -31,7 +32,8 @@ use std::time::Duration;
 /// Extract isosurfaces from an archive, or the surfaces of labels.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp\n  isospan surface scan.isospan -i 600 --triangles 100000 -o look.glb\n  isospan surface atlas.isospan --labels 3,7 --smooth -o organs.glb"
+    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp\n  isospan surface scan.isospan -i 600 --triangles 100000 -o look.glb\n  isospan surface atlas.isospan --labels 3,7 --smooth -o organs.glb",
+    mut_arg("labels", |arg| arg.conflicts_with_all(labels::OTHERS).help(labels::HELP))
 )]
 pub struct Args {
     /// The archive: a folder, or its address, s3://... or https://...
@@ -121,7 +123,7 @@ pub struct Args {
     #[arg(help_heading = "Colours", long, visible_alias = "color-range", value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true, requires = "colour_by")]
     colour_range: Option<grammar::Range>,
     #[command(flatten)]
-    labels: labels::LabelArgs,
+    labels: LabelArgs,
     #[command(flatten)]
     level: LevelArgs,
     #[command(flatten)]

@@ -12,6 +12,7 @@ pub(crate) fn in_flags(text: &str) -> Cow<'_, str> {
 fn flag(setting: Setting, value: Option<&str>) -> String {
     let name = match setting {
         Setting::Interpolation => "interp".into(),
+        Setting::LabelSurface => "labels".into(),
         Setting::Measure => "no-measure".into(),
         Setting::Replace => "force".into(),
         Setting::ReplaceSteps => "replace".into(),

@@ -5,6 +5,7 @@ use super::pyramid::{PyramidStep, box3, chunk_number, lock};
 use super::step_view::StepView;
 use isospan_io::error::{Error, Result};
 use isospan_io::grid::IndexBox;
+use isospan_io::setting::Setting;
 use isospan_wavelet::{Box3, TILE, TileId, decode_labels};
 use std::sync::Arc;
 
@@ -22,8 +23,9 @@ impl StepView {
         match self.has_labels() {
             true => Err(Error::usage(format!(
                 "{} has labels, which are names: none is above another, so there is no isovalue. Surfaces \
-                 of labels are asked for with `labels`",
-                self.path().display()
+                 of labels are asked for with {}",
+                self.path().display(),
+                Setting::LabelSurface
             ))),
             false => Ok(()),
         }
