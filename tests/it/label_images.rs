@@ -154,6 +154,7 @@ fn nothing_is_between_two_labels() {
     let d = dir.path();
     write_nrrd(&d.join("a.nrrd"), [20, 20, 20], "uint8", "", |i| if i % 20 < 10 { 3 } else { 200 });
     run_well(d, "reduce a.nrrd -o a.isospan --labels");
+    assert!(run_well(d, "info a.isospan").starts_with("a.isospan: isospan archive, format 9\n"));
     fs::write(d.join("at.csv"), "x,y,z\n9.4,3.3,5\n9.6,3,5.9\n2.5,2.5,2.5\n").unwrap();
     run_well(d, "probe a.isospan --at at.csv -o at.npy");
     let bytes = fs::read(d.join("at.npy")).unwrap();

@@ -396,6 +396,11 @@ struct Version {
 }
 
 impl Manifest {
+    /// Version of the archive's format, which what it holds decides.
+    pub fn format_version(&self) -> u16 {
+        self.format_version
+    }
+
     /// A manifest of this version of the program.
     pub fn new(plan: MeshPlan, counts: Counts, mesh: Vec<SegmentRecord>, steps: Vec<StoredStep>) -> Self {
         let manifest = Self {

@@ -4,7 +4,6 @@ use super::pyramid::pyramid_of;
 use super::spectrum::{FEW_NODES, Suggestion, report_of};
 use super::step_view::StepView;
 use crate::archive::manifest::{Manifest, MeshSource, SegmentRecord, StoredStep};
-use crate::archive::segment::FORMAT_VERSION;
 use crate::archive::tables::CellCount;
 use crate::archive::values::Quantiser;
 use crate::measure::{FieldError, LevelError};
@@ -254,7 +253,7 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
     let steps = archive.manifest.steps.len();
     let steps = (0..steps).map(|n| StepSummary::of(&archive.manifest, n)).collect();
     Ok(ArchiveSummary {
-        format: FORMAT_VERSION,
+        format: archive.manifest.format_version(),
         source: source.path.clone(),
         source_format: source.format.clone(),
         dims: source.dims,
