@@ -76,9 +76,9 @@ impl LabelTable {
         Ok(Self { entries })
     }
 
-    /// The labels of a name, ascending.
+    /// The labels of a name, ascending; spaces around it do not count.
     pub fn labels_named(&self, name: &str) -> Vec<i64> {
-        let has = |entry: &(&i64, &LabelStyle)| entry.1.name == name;
+        let has = |entry: &(&i64, &LabelStyle)| entry.1.name.trim() == name.trim();
         self.entries.iter().filter(has).map(|(label, _)| *label).collect()
     }
 

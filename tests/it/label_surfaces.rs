@@ -174,7 +174,7 @@ fn the_program_writes_labels_and_refuses_what_has_none() {
         ("3,3", &["-o", "x.ply"][..], "twice"),
         ("all,3", &["-o", "x.ply"], "name no other than 0"),
         ("Heart", &["-o", "x.ply"], "--label-table"),
-        ("Liver", &["-o", "x.ply", "--label-table", "t.csv"], "expected 'Liver', got no such name"),
+        ("Liver", &["-o", "x.ply", "--label-table", "t.csv"], "t.csv has no such name"),
         ("", &["-o", "x.ply"], "expected a label"),
         ("3", &["-o", "-"], "-o"),
         ("3", &["-o", "x.ply", "-i", "1"], "cannot be used with"),

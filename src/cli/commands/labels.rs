@@ -69,7 +69,7 @@ impl LabelArgs {
         };
         match table.labels_named(name)[..] {
             [label] => Ok(label),
-            [] => Err(Error::bad_input(path, "names of labels", format!("'{name}'"), "no such name")),
+            [] => Err(Error::usage(format!("--labels {name}: {} has no such name", path.display()))),
             [first, second, ..] => Err(Error::usage(format!(
                 "--labels {name}: {} has that name at {first} and {second}: give the number",
                 path.display()

@@ -19,7 +19,7 @@ pub(super) const HELP: &str = "The surfaces of labels, in place of isovalues: 3,
     reduce --labels. Each label has a closed mesh, whose walls its neighbours share: .glb has a \
     node with name and colour for each, .3mf an object, .obj a group, .precomputed a segment, .ply \
     .vtp and .vtkhdf an array 'label' of the points; with {} in the file's name each has its own \
-    file. Without --smooth these are the faces of voxels, with their exact volume.";
+    file. Without --smooth these are the faces of voxels, with their exact volume";
 
 /// What else a surface may be asked for, and one of labels may not.
 pub(super) const OTHERS: [&str; 16] = [
