@@ -83,7 +83,8 @@ impl Addition<'_> {
     }
 
     /// What the new steps are judged by, an error or the distance of a surface. It decides nothing
-    /// about them, whose precision is that of the archive; the report says what they came to.
+    /// about them, whose precision is that of the archive; the report says what they came to. A
+    /// size or a kind of loss is no such target, and nothing is said of it.
     pub fn judged_by(mut self, target: impl Into<Option<Target>>) -> Self {
         self.settings.target = target.into();
         self

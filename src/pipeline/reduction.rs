@@ -4,7 +4,8 @@ use crate::pipeline::field::{MeasureSettings, measure};
 use crate::pipeline::plan::Estimate;
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::reduce::{
-    ReduceReport, estimate_series, expect_surfaces, numbered, reduce_series, with_surfaces,
+    ReduceReport, estimate_series, expect_surfaces, measured_isovalues, numbered, reduce_series,
+    with_surfaces,
 };
 use crate::pipeline::settings::{Amount, FieldValue, Focus, ReduceSettings, RunSettings, Target};
 use crate::pipeline::shards::{PlanReport, plan_shards};
@@ -210,7 +211,7 @@ impl Reduction<'_> {
 
     /// Plans the archive in `shards` parts, which processes of their own make, and writes the plan
     /// next to its path: see [`Shards`](crate::pipeline::Shards). Of a target it plans the first
-    /// try.
+    /// try. Surfaces are measured by the commit.
     ///
     /// # Errors
     /// As [`Reduction::write`]; [`Error::Usage`](crate::Error::Usage) when there is another plan
@@ -222,16 +223,20 @@ impl Reduction<'_> {
                 "a plan measures no error against another source: measure the archive when it is there",
             ));
         }
-        let (sources, settings, isovalues) = (&self.sources, &self.settings, &self.isovalues);
+        let (sources, settings) = (&self.sources, &self.settings);
+        let isovalues = &measured_isovalues(&self.isovalues, settings.target);
         plan_shards(sources, settings, isovalues, path.as_ref(), shards, &self.run, self.progress)
     }
 
     /// Refuses surfaces that cannot be measured, before anything is made.
     fn expect_surfaces(&self) -> Result<()> {
         let target = self.settings.target;
-        match self.isovalues.is_empty() && !matches!(target, Some(Target::Surface(_))) {
+        match measured_isovalues(&self.isovalues, target).is_empty() {
             true => Ok(()),
-            false => expect_surfaces(&self.sources, target, &self.run),
+            false => {
+                let are_labels = target.map(|target| target == Target::Labels);
+                expect_surfaces(&self.sources, are_labels, &self.run)
+            }
         }
     }
 

@@ -127,7 +127,7 @@ fn every_report_is_as_its_schema_says() {
         &["reduce", "v0.npy", "-o", "a.isospan"],
         &["reduce", "v0.npy", "-o", "a.isospan"],
         &["reduce", "v?.npy", "-o", "s.isospan", "--times", "0,0.5,..."],
-        &["append", "s.isospan", "v0.npy", "--times", "9"],
+        &["append", "s.isospan", "v0.npy", "--times", "9", "-i", "0.1"],
         &["reduce", "holes.npy", "-o", "h.isospan", "--nan", "mask", "--points", "hammersley"],
         &["reduce", "v0.npy", "-o", "i.isospan", "-i", "0.1,1e6"],
         &["reduce", "v0.npy", "-o", "j.isospan", "-i", "50%", "--target-surface", "1%"],
@@ -201,13 +201,15 @@ fn every_report_is_as_its_schema_says() {
             "regular",
             "--chunk-points",
             "200",
+            "-i",
+            "0.1",
         ],
         &["status", "p.isospan"],
         &["slurm", "p.isospan"],
         &["work", "p.isospan"],
         &["commit", "p.isospan"],
         &["gc", "p.isospan", "--older-than", "0s"],
-        &["nightly", ".", "v0.npy", "night.isospan", "--settle", "0s"],
+        &["nightly", ".", "v0.npy", "night.isospan", "--settle", "0s", "-i", "0.1"],
     ];
     for args in commands {
         reports(&root, d, &[*args, &["--json", "-q"]].concat(), &mut seen);

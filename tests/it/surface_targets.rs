@@ -221,18 +221,36 @@ fn further_steps_are_judged_by_a_distance() {
     };
     // The first addition was step 1, until another one came before it.
     let mut found = of_step(&near, 2);
+    assert_eq!(found.step, 2);
     found.step = 1;
     assert_eq!(far.surfaces, [found.clone()]);
     let target = far.target.unwrap();
     assert!(target.met && target.bound == 1.0 && target.reached == found.distance() && target.tries == 0);
     assert_eq!(none.surfaces, [of_step(&between, 1)]);
-    assert!(!none.target.unwrap().met, "{none:?}");
+    assert!(!none.target.unwrap().met && none.surfaces[0].step == 1, "{none:?}");
+    // Each is compared with its own samples, whatever the order, and what is there already.
+    let [late, early] =
+        [("e.nrrd", 5.0, 0.3), ("f.nrrd", 0.5, 0.05)].map(|(name, time, n)| step(name, time, n));
+    let several = [&near, &late, &early].map(StepSource::clone);
+    let added = Addition::of_steps(several.clone()).isovalues([SHELL]).append_to(&out).unwrap();
+    let worst = [of_step(&early, 1), of_step(&late, 4)].into_iter();
+    let worst = worst.max_by(|a, b| a.distance().total_cmp(&b.distance())).unwrap();
+    assert_eq!((&added.surfaces[..], added.steps.len()), (&[worst][..], 2));
+    // What is there is measured once more, at a place in the range, too.
+    let again = Addition::of(late.clone()).isovalues([SHELL]).append_to(&out).unwrap();
+    assert!(again.made_before && again.surfaces == [of_step(&late, 4)], "{again:?}");
+    let middle = Addition::of(late).isovalues([FieldValue::Share(0.5)]).append_to(&out).unwrap();
+    assert!(middle.surfaces[0].isovalue > 1000.0, "{middle:?}");
     // A distance in a unit that the archive does not know is no target that is met.
     let metric = Length::of(1.0, &Unit::length("mm").unwrap()).unwrap();
     let target = Target::Surface(SurfaceTarget { isovalue: FieldValue::At(SHELL), distance: metric });
     let refused = Addition::of(step("d.nrrd", 3.0, 0.0)).judged_by(target).append_to(&out);
     assert!(refused.unwrap_err().to_string().contains("unit of lengths"));
-    assert_eq!(Archive::open(&out).unwrap().info().unwrap().steps.len(), 3, "nothing was added");
+    assert_eq!(Archive::open(&out).unwrap().info().unwrap().steps.len(), 5, "nothing was added");
+    // Another isovalue does not decide about the target.
+    let other = Addition::of(step("g.nrrd", 6.0, 0.0)).isovalues([7000.0, SHELL]);
+    let other = other.judged_by(within(1.0)).append_to(&out).unwrap();
+    assert!(other.target.unwrap().reached == other.surfaces[1].distance() && other.surfaces.len() == 2);
 }
 
 #[test]

@@ -10,7 +10,8 @@ use std::path::PathBuf;
 
 /// Put a planned reduction together.
 ///
-/// Every segment is verified, the index is made, the manifest is published.
+/// Every segment is verified, the index is made, the manifest is published. Surfaces that the plan
+/// asks for are measured, which reads the source.
 /// Exit code 3, with a list, if segments are missing, damaged or of another plan. Only unfinished
 /// files of dead processes on this machine are deleted. Where the plan has a target, several tries
 /// may be needed: exit code 7 says that the next one is planned, and takes `work` and `commit`

@@ -15,7 +15,9 @@ use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::{grammar, signals, text};
 use isospan::formats::{StepSource, sort_by_names, steps_of, steps_of_fields};
-use isospan::pipeline::{ReduceReport, RunSettings, StepSummary, changed_sources, work_folder};
+use isospan::pipeline::{
+    ReduceReport, RunSettings, StepSummary, SurfaceErrors, changed_sources, work_folder,
+};
 use isospan::{Addition, Archive, Error, Reduction, Result};
 use serde::Serialize;
 use std::ffi::OsString;
@@ -30,7 +32,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// The first run makes the archive of all files, as `reduce` with the same choices does. Later runs
 /// add files whose names the archive does not have yet, each where its time lies. Files without
 /// times come after all others, by the numbers in their names, and the summary names them; their
-/// numbers as steps count as their times. The choices are then those of the archive's last step. A
+/// numbers as steps count as their times. The choices are then those of the archive's last step; N%
+/// of --isovalue is of the range of the new steps. A
 /// file that cannot be used, as one of a time that is there, is left out and reported, every time
 /// until it is gone; all others are added. So is a file that has changed since it was
 /// added: --replace takes it anew. A run that was stopped is continued by the next.
@@ -105,6 +108,9 @@ struct Summary {
     /// Files that have changed since they were added.
     changed: Vec<LeftOut>,
     added: Vec<StepSummary>,
+    /// How wrong the surfaces of these steps are, where isovalues were given.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    surfaces: Vec<SurfaceErrors>,
     /// Names of files that were added without times, where other steps have times.
     without_time: Vec<String>,
     /// Numbers of steps that were replaced.
@@ -217,7 +223,7 @@ fn add(args: &Args, talk: &Talk, summary: &mut Summary) -> Result<()> {
         summary.error = unmet;
         summary.without_time = without_time(&there, &report.steps);
         (summary.added, summary.archive_bytes) = (report.steps, Some(report.archive_bytes));
-        summary.replaced = report.replaced;
+        (summary.replaced, summary.surfaces) = (report.replaced, report.surfaces);
         if args.replace {
             let is_left = |file: &LeftOut| summary.skipped.iter().any(|s| s.source == file.source);
             summary.changed.retain(is_left);
@@ -397,6 +403,7 @@ fn in_words(s: &Summary, with_error: bool) -> String {
     if let Some(error) = s.error.as_ref().filter(|_| with_error) {
         let _ = writeln!(out, "  error      {error}");
     }
+    out += &super::reduce::surface_lines(Path::new(&s.archive), &s.surfaces, s.added.len() > 1);
     let _ = writeln!(out, "  time       {}", text::duration(Duration::from_secs_f64(s.wall_seconds)));
     out
 }

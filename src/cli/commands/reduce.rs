@@ -261,7 +261,7 @@ fn in_words(archive: &Path, report: &ReduceReport, is_added: bool) -> String {
         let _ = writeln!(out, "{}", size_line(report, source));
     }
     out += &time_line(&report.seconds);
-    out += &surface_lines(archive, report);
+    out += &surface_lines(archive, &report.surfaces, report.steps.len() > 1);
     out + &next_line(archive, report.surfaces.first().map(|found| found.isovalue))
 }
 
@@ -357,15 +357,15 @@ fn steps_text(report: &ReduceReport, is_added: bool) -> String {
 }
 
 /// How wrong each surface is that was measured.
-fn surface_lines(archive: &Path, report: &ReduceReport) -> String {
-    if report.surfaces.is_empty() {
+pub(super) fn surface_lines(archive: &Path, surfaces: &[SurfaceErrors], is_series: bool) -> String {
+    if surfaces.is_empty() {
         return String::new();
     }
     let archive = Archive::open(archive).ok();
     let units = archive.as_ref().map(|archive| archive.units().clone()).unwrap_or_default();
-    let of_step = |step: u64| if report.steps.len() > 1 { format!(" in step {step}") } else { String::new() };
+    let of_step = |step: u64| if is_series { format!(" in step {step}") } else { String::new() };
     let text = |found: &SurfaceErrors| super::measure::surface_text(found, &units, &of_step(found.step));
-    report.surfaces.iter().map(text).collect()
+    surfaces.iter().map(text).collect()
 }
 
 /// The time of the run, and what its threads worked on: several at a time, so that their times add

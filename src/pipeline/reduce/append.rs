@@ -12,10 +12,10 @@
 use super::advice::look;
 use super::existing::{expect_files, lock_for_writing, sweep};
 use super::job::{Basis, Job};
-use super::order::next_files;
+use super::order::{next_files, number_there};
 use super::planned::{first_that_opens, plan, publish, run as run_plan};
 use super::report::{ReduceReport, SourceChunks};
-use super::surfaces::{expect_surfaces, in_world, with_surfaces};
+use super::surfaces::{expect_surfaces, in_world, measured_isovalues, with_surfaces};
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{
@@ -25,6 +25,7 @@ use isospan_io::error::{Error, Result};
 use isospan_io::exec::Progress;
 use isospan_io::formats::{OpenOptions, StepSource, counted_from, without_frame};
 use isospan_io::setting::Setting;
+use isospan_io::volume::units::Units;
 use isospan_mesh::points::SetSettings;
 use std::path::Path;
 use std::time::Instant;
@@ -75,64 +76,71 @@ pub(in crate::pipeline) fn append(
         Some(unit) => counted_from(sources, unit),
         None => sources,
     };
-    if asked.has_surfaces() {
-        let is_of_labels = archive.manifest.plan.has_labels();
-        expect_surfaces(&sources, is_of_labels.then_some(Target::Labels).or(asked.target), run)?;
+    if !measured_isovalues(&asked.isovalues, asked.target).is_empty() {
+        expect_surfaces(&sources, Some(archive.manifest.plan.has_labels()), run)?;
     }
     let sources: Vec<_> = (next_files(&archive.manifest)..).zip(sources).collect();
-    let asked = &asked.in_world(&sources, run)?;
+    let asked = &asked.in_world(&sources, &last.plan.source.units, run)?;
     let run = &RunSettings { replace: asked.replace, ..run.clone() };
     let settings = settings_like(&archive.manifest, asked)?;
     let basis = Basis::Archive(&archive);
     let job = Job { sources: &sources, settings: &settings, out, run, progress, basis, keeps_sums: false };
     let notices = look(&job)?.notices;
-    let report = add(&job, &archive)?;
+    let (report, added) = add(&job, &archive)?;
     let report = ReduceReport { notices, source_chunks: SourceChunks::of(&sources), ..report };
-    judged(report.finished(started), asked, &job)
+    judged(report.finished(started), asked, &Job { sources: &added, ..job })
 }
 
 /// The report of further steps with the surfaces that are asked for, and what is said of a target.
 fn judged(report: ReduceReport, asked: &AppendSettings, job: &Job<'_>) -> Result<ReduceReport> {
     let Job { sources, out, run, progress, .. } = *job;
-    let report = match (asked.has_surfaces(), asked.target) {
-        (false, _) => report,
-        (true, Some(Target::Surface(target))) if asked.isovalues.is_empty() => {
-            with_surfaces(report, out, sources, &[target.isovalue], &run.resources, progress)?
-        }
-        (true, _) => with_surfaces(report, out, sources, &asked.isovalues, &run.resources, progress)?,
+    let measured = |report, isovalues: &[FieldValue]| match isovalues {
+        [] => Ok(report),
+        _ => with_surfaces(report, out, sources, isovalues, &run.resources, progress),
     };
     match asked.target {
-        Some(target) => report.judged_by(target),
-        None => Ok(report),
+        None => measured(report, &asked.isovalues),
+        Some(target) => {
+            let report = measured(report, &measured_isovalues(&[], asked.target))?.judged_by(target)?;
+            match (target, &asked.isovalues[..]) {
+                (Target::Surface(target), [value]) if *value == target.isovalue => Ok(report),
+                (_, isovalues) => measured(report, isovalues),
+            }
+        }
     }
 }
 
 impl AppendSettings {
-    /// With a distance in world units.
-    fn in_world(&self, sources: &[(u64, StepSource)], run: &RunSettings) -> Result<Self> {
+    /// With a distance in world units; `known` are those of the archive.
+    fn in_world(&self, sources: &[(u64, StepSource)], known: &Units, run: &RunSettings) -> Result<Self> {
         let Some(target @ Target::Surface(_)) = self.target else { return Ok(self.clone()) };
-        let open = |source: &StepSource| in_world(target, &source.open()?, source);
+        let open = |source: &StepSource| in_world(target, &source.open()?, source, known);
         let target = Some(first_that_opens(sources, run.keep_going, open)?);
         Ok(Self { target, ..self.clone() })
     }
-
-    fn has_surfaces(&self) -> bool {
-        !self.isovalues.is_empty() || matches!(self.target, Some(Target::Surface(_)))
-    }
 }
 
-/// Adds the steps of a job to an archive, or what is missing of them.
-fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<ReduceReport> {
+/// Steps with the numbers of their files.
+type Numbered = Vec<(u64, StepSource)>;
+
+/// Adds the steps of a job to an archive, or what is missing of them; they come with the report.
+fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<(ReduceReport, Numbered)> {
     let planned = plan(job, false)?;
+    let series = &planned.series;
+    let numbers: Vec<u64> = match series.is_there {
+        false => series.plan.steps.iter().map(|step| step.number).collect(),
+        true => series.plan.steps.iter().filter_map(|step| number_there(&archive.manifest, step)).collect(),
+    };
+    let added = numbers.into_iter().zip(series.sources.iter().map(|from| from.source.clone())).collect();
     if planned.series.is_there {
-        return ReduceReport::of_added(archive, &planned.series);
+        return Ok((ReduceReport::of_added(archive, &planned.series)?, added));
     }
     planned.check()?;
     let layout = planned.layout(job.out);
     let built = run_plan(planned, job, &layout, 0..layout.segment_count())?;
     let report = publish(built, job, &layout)?;
     sweep(&layout);
-    Ok(report)
+    Ok((report, added))
 }
 
 /// Further steps. Where those of the archive have several fields, so do these: field after field.

@@ -66,6 +66,7 @@ use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Silent};
 use isospan_io::formats::{Input, StepSource};
 use isospan_io::setting::Setting;
+use isospan_io::volume::units::Units;
 use isospan_mesh::points::SetKind;
 pub(super) use job::{Basis, Job};
 use kept_search::{forget_search, forget_unbegun};
@@ -82,7 +83,7 @@ use std::path::Path;
 use std::time::Instant;
 pub(super) use sums::FinishedSteps;
 use surfaces::in_world;
-pub(super) use surfaces::{expect_surfaces, with_surface_of, with_surfaces};
+pub(super) use surfaces::{expect_surfaces, measured_isovalues, with_surface_of, with_surfaces};
 use target::reduce_to_target;
 pub(super) use target::{publish_best, with_target};
 pub(super) use tries::remove_tries;
@@ -165,7 +166,8 @@ pub(super) fn complete_settings(
 ) -> Result<CompleteSettings> {
     let open = |source: &StepSource| Ok((source.open()?, source.clone()));
     let (first, source) = first_that_opens(sources, run.keep_going, open)?;
-    let target = settings.target.map(|target| in_world(target, &first, &source)).transpose()?;
+    let target =
+        settings.target.map(|target| in_world(target, &first, &source, &Units::default())).transpose()?;
     let settings = &ReduceSettings { target, ..settings.clone() };
     let is_mesh = matches!(first, Input::Mesh(_));
     let is_labels = matches!(&first, Input::Volume(volume) if volume.info().is_labels);

@@ -95,6 +95,12 @@ pub(super) fn is_there(manifest: &Manifest, plan: &StepPlan) -> bool {
     manifest.steps.iter().any(|step| is_same(&step.plan, plan))
 }
 
+/// The number of the files of a step that is there: of several of the same contents, the last.
+pub(super) fn number_there(manifest: &Manifest, plan: &StepPlan) -> Option<u64> {
+    let same = manifest.steps.iter().rev().find(|step| is_same(&step.plan, plan));
+    same.map(|step| step.plan.number)
+}
+
 /// Whether an archive ends with these very steps: a run that was killed after it had added them is
 /// asked to continue.
 pub(super) fn ends_with(manifest: &Manifest, steps: &[StepPlan]) -> bool {

@@ -176,7 +176,7 @@ impl SourceChunks {
 }
 
 /// The range of the samples of some steps; where no error was measured, of their points.
-fn range_of<'a>(steps: impl Iterator<Item = &'a StoredStep>) -> Option<[f64; 2]> {
+pub(super) fn range_of<'a>(steps: impl Iterator<Item = &'a StoredStep>) -> Option<[f64; 2]> {
     let of_step = |step: &StoredStep| step.error.as_ref().and_then(|e| e.source_range).or(step.file_range());
     steps.filter_map(of_step).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
 }

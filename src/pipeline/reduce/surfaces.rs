@@ -5,7 +5,8 @@
 use super::job::Job;
 use super::kept_search::forget_search;
 use super::planned::first_that_opens;
-use super::report::ReduceReport;
+use super::report::{ReduceReport, range_of};
+use crate::archive::manifest::StoredStep;
 #[cfg(feature = "compare")]
 use crate::pipeline::field::with_samples;
 use crate::pipeline::field::{SurfaceErrors, no_samples};
@@ -20,6 +21,7 @@ use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Progress, Resources};
 use isospan_io::formats::{Input, StepSource};
 use isospan_io::setting::Setting;
+use isospan_io::volume::units::Units;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -39,13 +41,13 @@ pub(in crate::pipeline) fn with_surfaces(
 ) -> Result<ReduceReport> {
     let start = Instant::now();
     let archive = OpenArchive::open(archive)?;
+    let source_of = |step: &StoredStep| sources.iter().find(|source| source.0 == step.plan.number);
+    let steps = archive.manifest.steps.iter().filter_map(|step| Some((step, &source_of(step)?.1)));
     // One value for all steps, and for all tries: the samples do not change.
-    let range = report.source_range;
+    let range = report.source_range.or_else(|| range_of(steps.clone().map(|(step, _)| step)));
     let values = isovalues.iter().map(|value| value.of(range)).collect::<Result<Vec<_>>>()?;
     let mut worst: Vec<SurfaceErrors> = vec![];
-    for step in &archive.manifest.steps {
-        let is_its = |source: &&(u64, StepSource)| source.0 == step.plan.number;
-        let Some((_, source)) = sources.iter().find(is_its) else { continue };
+    for (step, source) in steps {
         let found = of_step(&archive, step.number(), source, &values, resources, progress)?;
         report.has_surface |= found.iter().any(|found| found.source.triangles > 0);
         if worst.is_empty() {
@@ -120,13 +122,25 @@ pub(in crate::pipeline) fn with_surface_of(
     }
 }
 
-/// Refuses sources whose surfaces cannot be measured, before anything is made of them.
+/// The isovalues whose surfaces are measured: that of a target, if no other is asked for.
+pub(in crate::pipeline) fn measured_isovalues(
+    isovalues: &[FieldValue],
+    target: Option<Target>,
+) -> Vec<FieldValue> {
+    match target {
+        Some(Target::Surface(target)) if isovalues.is_empty() => vec![target.isovalue],
+        _ => isovalues.to_vec(),
+    }
+}
+
+/// Refuses sources whose surfaces cannot be measured, before anything is made of them. What is made
+/// may be known to be labels, or none; else the first source says so.
 ///
 /// # Errors
 /// [`Error::Usage`] for a mesh, labels, and several fields; those of opening the first source.
 pub(in crate::pipeline) fn expect_surfaces(
     sources: &[StepSource],
-    target: Option<Target>,
+    are_labels: Option<bool>,
     run: &RunSettings,
 ) -> Result<()> {
     if !cfg!(feature = "compare") {
@@ -143,11 +157,7 @@ pub(in crate::pipeline) fn expect_surfaces(
         Input::Volume(volume) => volume,
         Input::Mesh(_) => return Err(no_samples()),
     };
-    let is_labels = match target {
-        None => volume.info().is_labels,
-        target => target == Some(Target::Labels),
-    };
-    match is_labels {
+    match are_labels.unwrap_or(volume.info().is_labels) {
         true => Err(Error::usage(format!(
             "labels are names, of which none is above another: they have no {}",
             Setting::Isovalue
@@ -157,12 +167,13 @@ pub(in crate::pipeline) fn expect_surfaces(
 }
 
 /// A target whose lengths are in world units, of a source of which the first that opens is this.
-pub(super) fn in_world(target: Target, first: &Input, source: &StepSource) -> Result<Target> {
+/// `known`: units where the source has none.
+pub(super) fn in_world(target: Target, first: &Input, source: &StepSource, known: &Units) -> Result<Target> {
     let (Target::Surface(surface), Input::Volume(volume)) = (target, first) else {
         return Ok(target);
     };
     let info = volume.info();
-    let units = source.options.units.clone().or(info.units.clone());
+    let units = source.options.units.clone().or(info.units.clone()).or(known.clone());
     let diagonal = match surface.distance {
         Length::OfDiagonal(_) if source.coordinates()?.is_none() => Some(info.geometry.diagonal(info.dims)),
         _ => None,

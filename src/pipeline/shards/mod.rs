@@ -391,6 +391,8 @@ fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Resu
     expect_no_other_archive(out, &file)?;
     match (commit_plan(&file, out, run, progress)?, file.isovalues.is_empty()) {
         (Committed::Archive(report), false) if !is_measured(&file, &report) => {
+            // Workers and tries have looked at them, but not all have looked now.
+            file.expect_same_inputs(run)?.check()?;
             let (sources, resources) = (file.numbered(), &run.resources);
             let measured =
                 reduce::with_surfaces(*report, out, &sources, &file.isovalues, resources, progress)?;

@@ -62,7 +62,7 @@ fn errors_at(
     let to_archive = apart(&of_samples, &surface, &rest)?;
     progress.advance(1);
     Ok(SurfaceErrors {
-        step: archive.step().plan.number,
+        step: archive.step().number(),
         isovalue,
         archive: size(&surface, &rest)?,
         source: size(&of_samples, &rest)?,
