@@ -81,7 +81,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     for ((file, step), name) in files.iter_mut().zip(&steps).zip(["a.ply", "b.ply"]) {
         if let Some(step) = step {
             let out = folder.path().join(name);
-            extract(file, step, (isovalue, &out), args, &settings, talk)?;
+            extract(file, step, isovalue, &out, args, &settings, talk)?;
             *file = out;
         }
     }
@@ -142,7 +142,8 @@ fn isovalue(args: &Args, steps: &[Option<Step>; 2]) -> Result<f64> {
 fn extract(
     path: &Path,
     step: &Step,
-    (isovalue, out): (f64, &Path),
+    isovalue: f64,
+    out: &Path,
     args: &Args,
     settings: &CompareSettings,
     talk: &Talk,

@@ -75,7 +75,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let step = archive.at(args.step.choice()?)?;
     let (report, units) = (step.spectrum()?, step.units());
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
-        figure::write(&report, (&name, units), file, format)?;
+        figure::write(&report, &name, units, file, format)?;
     }
     let isovalues = args.isovalue.iter().map(|v| v.of(step.value_range())).collect::<Result<Vec<_>>>()?;
     let found = isovalues.into_iter().map(|v| numbers::of(&step, v, None, args.means.resources(talk), talk));

@@ -150,7 +150,7 @@ impl<'a> Build<'a> {
             {
                 end += 1;
             }
-            match self.pass(series, source, next..end, (has_mesh, &finished), &mut made) {
+            match self.pass(series, source, next..end, has_mesh, &finished, &mut made) {
                 Ok(()) => (next, has_mesh) = (end, true),
                 Err(Failed { error, bad }) => {
                     if !self.run.keep_going || bad.is_empty() || bad.len() == series.plan.steps.len() {
@@ -186,7 +186,8 @@ impl<'a> Build<'a> {
         series: &SeriesPlan,
         source: &SegmentSource<'_>,
         steps: Range<usize>,
-        (has_mesh, finished): (bool, &FinishedSteps),
+        has_mesh: bool,
+        finished: &FinishedSteps,
         made: &mut Segments,
     ) -> std::result::Result<(), Failed> {
         let (plan, parts) = (&series.plan, self.parts);

@@ -180,7 +180,7 @@ pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInp
         None => plan.mesh.explicit = Some(record),
         Some(archive) => expect_listed(archive, record)?,
     }
-    let series = plan_steps(&mesh, &store, listed.points(), plan, (job, how, inputs))?;
+    let series = plan_steps(&mesh, &store, listed.points(), plan, job, how, inputs)?;
     let series =
         SeriesPlan { attachments: Attachments { levels: dense.levels, ..series.attachments }, ..series };
     Ok((MeshInput { store, listed, settings }, series, dense.wanted))
@@ -425,7 +425,9 @@ fn plan_steps(
     store: &CellStore,
     listed: &Arc<ExplicitPoints>,
     plan: Plan,
-    (job, how, inputs): (&Job<'_>, &StoreSettings, Inputs<'_>),
+    job: &Job<'_>,
+    how: &StoreSettings,
+    inputs: Inputs<'_>,
 ) -> Result<SeriesPlan> {
     let archive = job.basis.archive();
     let repeated = (store.firsts.repeated > 0).then(|| Arc::clone(&store.firsts));

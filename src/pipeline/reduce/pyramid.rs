@@ -434,6 +434,16 @@ impl WholeFiles {
     }
 }
 
+/// What the steps of a pyramid are made of.
+#[derive(Clone, Copy)]
+struct StepPass<'a> {
+    series: &'a SeriesPlan,
+    source: &'a SegmentSource<'a>,
+    finished: &'a FinishedSteps,
+    /// Gets the steps that cannot be read.
+    bad: &'a BadSteps,
+}
+
 impl Build<'_> {
     /// Makes all segments of a pyramid that are not there yet.
     pub(super) fn run_pyramid(
@@ -446,7 +456,8 @@ impl Build<'_> {
         let (mut n, mut before) = (0, None);
         while n < series.plan.steps.len() {
             let bad = BadSteps::new(series.is_several());
-            let done = self.pyramid_step(series, source, (n, &mut before), &finished, &bad, &mut made);
+            let pass = StepPass { series, source, finished: &finished, bad: &bad };
+            let done = self.pyramid_step(&pass, n, &mut before, &mut made);
             match done {
                 Ok(()) => n += 1,
                 Err(e) => {
@@ -468,13 +479,12 @@ impl Build<'_> {
     /// one.
     fn pyramid_step(
         &self,
-        series: &SeriesPlan,
-        source: &SegmentSource<'_>,
-        (n, before): (usize, &mut Option<StepView>),
-        finished: &FinishedSteps,
-        bad: &BadSteps,
+        pass: &StepPass<'_>,
+        n: usize,
+        before: &mut Option<StepView>,
         made: &mut Segments,
     ) -> Result<()> {
+        let StepPass { series, source, finished, bad } = *pass;
         let (plan, step) = (&series.plan, &series.plan.steps[n]);
         let (hash, layout) = (plan.step_hash(n), self.layout.at(step.number));
         let needs_sums = finished.needs_sums(step);

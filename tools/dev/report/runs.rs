@@ -421,7 +421,7 @@ impl Lab {
         let original = &self.originals[&key.dataset];
         let surface = Archive::open(archive)?.surface(original.made.isovalue)?;
         let field = original.error_of(report.error.as_ref().expect("the reduction is measured"));
-        self.outcome(key, (report.points - report.void_points, report.tetrahedra), field, &surface)
+        self.outcome(key, report.points - report.void_points, report.tetrahedra, field, &surface)
     }
 
     fn at_random(&self, key: Key) -> Result<Outcome> {
@@ -433,13 +433,14 @@ impl Lab {
         };
         let surface = random.surface(original.made.isovalue)?;
         let field = original.error_of_values(&random.at(&original.field));
-        self.outcome(key, (random.point_count(), random.tets.len() as u64), field, &surface)
+        self.outcome(key, random.point_count(), random.tets.len() as u64, field, &surface)
     }
 
     fn outcome(
         &self,
         key: Key,
-        (points, tetrahedra): (u64, u64),
+        points: u64,
+        tetrahedra: u64,
         field: FieldError,
         surface: &TriMesh,
     ) -> Result<Outcome> {

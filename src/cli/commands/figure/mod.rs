@@ -79,7 +79,8 @@ impl Figure for Curves<'_> {
 /// Draws the curves of a spectrum into a file.
 pub(crate) fn write(
     report: &SpectrumReport,
-    (name, units): (&str, &Units),
+    name: &str,
+    units: &Units,
     file: &Path,
     format: Format,
 ) -> Result<()> {
@@ -311,7 +312,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let files = ["a.svg", "a.png"].map(|f| dir.path().join(f));
         let units = Units { value: Unit::new("K"), ..Units::of_length(Unit::length("mm")) };
-        files.iter().for_each(|f| write(&report, ("tooth", &units), f, Format::of(f).unwrap()).unwrap());
+        files.iter().for_each(|f| write(&report, "tooth", &units, f, Format::of(f).unwrap()).unwrap());
         let svg = std::fs::read_to_string(&files[0]).unwrap();
         for words in [
             "Contour spectrum of tooth",

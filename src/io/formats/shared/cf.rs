@@ -142,7 +142,8 @@ pub(in crate::formats) enum Rules {
 pub(in crate::formats) fn parts_of(
     path: &Path,
     name: &str,
-    (shape, kinds): (&[u64], &[char]),
+    shape: &[u64],
+    kinds: &[char],
     scalar: ScalarType,
     rules: Rules,
 ) -> Result<Vec<Part>> {
@@ -158,7 +159,7 @@ pub(in crate::formats) fn parts_of(
         };
         Error::bad_input(path, name, expected, got.join(" x ")).with_help(help)
     };
-    if let Some(vectors) = vectors(name, (shape, kinds), scalar, rules) {
+    if let Some(vectors) = vectors(name, shape, kinds, scalar, rules) {
         return Ok(vec![vectors]);
     }
     let Layout { space, series, channels } = layout(shape, kinds).map_err(refuse)?;
@@ -202,7 +203,7 @@ fn world_of(kinds: [char; 3]) -> [usize; 3] {
 }
 
 /// The field of an array of vectors, or of colours, which are the last of its axes.
-fn vectors(name: &str, (shape, kinds): (&[u64], &[char]), scalar: ScalarType, rules: Rules) -> Option<Part> {
+fn vectors(name: &str, shape: &[u64], kinds: &[char], scalar: ScalarType, rules: Rules) -> Option<Part> {
     let rank = shape.len();
     let is_named = rules != Rules::Vectors && kinds.iter().any(|&kind| kind != '?');
     let is_short = rank == 4 && shape[3] <= 4 && shape[1] > 4 && shape[2] > 4 && !is_named;

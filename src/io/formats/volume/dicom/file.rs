@@ -138,7 +138,7 @@ impl DicomFile {
         for number in 0..count as usize {
             let at = pixels.start as u64 + number as u64 * layout.frame_bytes();
             let plane = planes.as_ref().map(|planes| planes[number]);
-            frames.push(frame(path, &reader, &all, (number, count as usize), at, plane)?);
+            frames.push(frame(path, &reader, &all, number, count as usize, at, plane)?);
         }
         Ok(Some(Self { path: path.into(), series, layout, frames, big_endian: encoding.big_endian }))
     }
@@ -234,7 +234,8 @@ fn frame(
     path: &Path,
     reader: &Reader<'_>,
     all: &DataSet,
-    (number, count): (usize, usize),
+    number: usize,
+    count: usize,
     at: u64,
     plane: Option<[f64; 3]>,
 ) -> Result<Frame> {

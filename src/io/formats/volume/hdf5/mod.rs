@@ -377,7 +377,7 @@ impl Tree {
         };
         let (scalar, big_endian) = scalar_of(path, name, dataset)?;
         let name = dialect.name_of(name);
-        let parts = cf::parts_of(path, name, (dataset.shape(), &kinds), scalar, dialect.rules())?;
+        let parts = cf::parts_of(path, name, dataset.shape(), &kinds, scalar, dialect.rules())?;
         Ok(parts.into_iter().map(|part| Field { part, dataset: dataset.clone(), big_endian }).collect())
     }
 

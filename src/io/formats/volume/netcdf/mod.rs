@@ -212,11 +212,11 @@ impl File {
         }
         if self.dialect == Dialect::Minc {
             let kinds = minc::kinds(&self.header.dim_names(variable), shape.len());
-            return cf::parts_of(self.path(), &variable.name, (&shape, &kinds), scalar, Rules::Volumes);
+            return cf::parts_of(self.path(), &variable.name, &shape, &kinds, scalar, Rules::Volumes);
         }
         cf::refuse_mesh(&variable.of(self.path()), &self.header.dim_names(variable))?;
         let kinds: Vec<char> = variable.dims.iter().map(|&dim| self.kind(dim)).collect();
-        cf::parts_of(self.path(), &variable.name, (&shape, &kinds), scalar, Rules::Plain)
+        cf::parts_of(self.path(), &variable.name, &shape, &kinds, scalar, Rules::Plain)
     }
 
     /// What a dimension is: see [`cf::kind_of_name`].

@@ -1,6 +1,6 @@
 //! A file of samples while it is written.
 
-use super::pack::{Packed, Stream, pack};
+use super::pack::{Packed, Packer, Stream};
 use super::{GridMeta, GridPlace, Layout, SampleField, SampleFormat, heads, nifti, tiff, vtk};
 use crate::bytes::publish::{Unpublished, folder_of};
 use crate::bytes::store::{read_at, write_at};
@@ -223,6 +223,7 @@ impl SampleFile {
             SampleFormat::Mha | SampleFormat::Mhd => Stream::Zlib,
             _ => Stream::Blocks,
         };
+        let packer = Packer { stream, pool, cancel, failed: &failed };
         // All of such a file is compressed.
         let whole = self.format == SampleFormat::NiftiGz;
         let prefix = if whole { nifti::head(&self.meta, &self.path)? } else { vec![] };
@@ -234,7 +235,7 @@ impl SampleFile {
                 Ok(())
             };
             let read = |offset: u64, out: &mut [u8]| read_at(&waiting.file, out, start + offset);
-            stored.push(pack(stream, &prefix, length, &read, &mut put, (pool, cancel), &failed)?);
+            stored.push(packer.pack(&prefix, length, &read, &mut put)?);
         }
         match whole {
             true => self.write_around(&Layout::default(), &[stored[0].bytes()])?,

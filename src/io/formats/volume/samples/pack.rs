@@ -58,61 +58,70 @@ struct Block {
     crc: Crc,
 }
 
-/// Compresses what stands before an array and the array.
-pub(super) fn pack(
-    stream: Stream,
-    prefix: &[u8],
-    length: u64,
-    read: &dyn Fn(u64, &mut [u8]) -> io::Result<()>,
-    put: &mut dyn FnMut(&[u8]) -> io::Result<()>,
-    (pool, cancel): (Option<&rayon::ThreadPool>, &CancelToken),
-    failed: &dyn Fn(io::Error) -> Error,
-) -> Result<Packed> {
-    let (mut blocks, mut crc, mut adler) = (vec![], Crc::new(), Adler::default());
-    let mut push = |bytes: &[u8]| {
-        put(bytes).map_err(failed)?;
-        blocks.push(bytes.len() as u64);
-        Ok(())
-    };
-    match stream {
-        Stream::Blocks => {}
-        Stream::Zlib => push(&[0x78, 0x9c])?,
-        // No name, no time; made on any system.
-        Stream::Gzip => push(&[0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 255])?,
-    }
-    let total = prefix.len() as u64 + length;
-    for start in (0..total).step_by(BLOCK * BLOCKS) {
-        cancel.check()?;
-        let mut plain = vec![0; (total - start).min((BLOCK * BLOCKS) as u64) as usize];
-        // The prefix is shorter than a block.
-        let own = if start == 0 { prefix.len().min(plain.len()) } else { 0 };
-        plain[..own].copy_from_slice(&prefix[..own]);
-        let at = (start + own as u64).saturating_sub(prefix.len() as u64);
-        read(at, &mut plain[own..]).map_err(failed)?;
-        let make = |block: &[u8]| compressed(stream, block);
-        let made: io::Result<Vec<Block>> = match pool {
-            Some(pool) => pool.install(|| plain.par_chunks(BLOCK).map(make).collect()),
-            None => plain.chunks(BLOCK).map(make).collect(),
+/// How arrays are compressed, and what is said where that fails.
+pub(super) struct Packer<'a> {
+    pub(super) stream: Stream,
+    pub(super) pool: Option<&'a rayon::ThreadPool>,
+    pub(super) cancel: &'a CancelToken,
+    pub(super) failed: &'a dyn Fn(io::Error) -> Error,
+}
+
+impl Packer<'_> {
+    /// Compresses what stands before an array and the array.
+    pub(super) fn pack(
+        &self,
+        prefix: &[u8],
+        length: u64,
+        read: &dyn Fn(u64, &mut [u8]) -> io::Result<()>,
+        put: &mut dyn FnMut(&[u8]) -> io::Result<()>,
+    ) -> Result<Packed> {
+        let Self { stream, pool, cancel, failed } = *self;
+        let (mut blocks, mut crc, mut adler) = (vec![], Crc::new(), Adler::default());
+        let mut push = |bytes: &[u8]| {
+            put(bytes).map_err(failed)?;
+            blocks.push(bytes.len() as u64);
+            Ok(())
         };
-        if stream == Stream::Zlib {
-            adler.add(&plain);
+        match stream {
+            Stream::Blocks => {}
+            Stream::Zlib => push(&[0x78, 0x9c])?,
+            // No name, no time; made on any system.
+            Stream::Gzip => push(&[0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 255])?,
         }
-        for block in made.map_err(failed)? {
-            crc.combine(&block.crc);
-            push(&block.bytes)?;
+        let total = prefix.len() as u64 + length;
+        for start in (0..total).step_by(BLOCK * BLOCKS) {
+            cancel.check()?;
+            let mut plain = vec![0; (total - start).min((BLOCK * BLOCKS) as u64) as usize];
+            // The prefix is shorter than a block.
+            let own = if start == 0 { prefix.len().min(plain.len()) } else { 0 };
+            plain[..own].copy_from_slice(&prefix[..own]);
+            let at = (start + own as u64).saturating_sub(prefix.len() as u64);
+            read(at, &mut plain[own..]).map_err(failed)?;
+            let make = |block: &[u8]| compressed(stream, block);
+            let made: io::Result<Vec<Block>> = match pool {
+                Some(pool) => pool.install(|| plain.par_chunks(BLOCK).map(make).collect()),
+                None => plain.chunks(BLOCK).map(make).collect(),
+            };
+            if stream == Stream::Zlib {
+                adler.add(&plain);
+            }
+            for block in made.map_err(failed)? {
+                crc.combine(&block.crc);
+                push(&block.bytes)?;
+            }
         }
+        // An empty last block ends a stream.
+        match stream {
+            Stream::Blocks => {}
+            Stream::Zlib => push(&[&[3, 0], &adler.sum().to_be_bytes()[..]].concat())?,
+            Stream::Gzip => {
+                let sums = [crc.sum().to_le_bytes(), crc.amount().to_le_bytes()].concat();
+                push(&[&[3, 0], &sums[..]].concat())?;
+            }
+        }
+        let blocks = if stream == Stream::Blocks { blocks } else { vec![blocks.iter().sum()] };
+        Ok(Packed { plain: length, blocks })
     }
-    // An empty last block ends a stream.
-    match stream {
-        Stream::Blocks => {}
-        Stream::Zlib => push(&[&[3, 0], &adler.sum().to_be_bytes()[..]].concat())?,
-        Stream::Gzip => {
-            let sums = [crc.sum().to_le_bytes(), crc.amount().to_le_bytes()].concat();
-            push(&[&[3, 0], &sums[..]].concat())?;
-        }
-    }
-    let blocks = if stream == Stream::Blocks { blocks } else { vec![blocks.iter().sum()] };
-    Ok(Packed { plain: length, blocks })
 }
 
 fn compressed(stream: Stream, block: &[u8]) -> io::Result<Block> {

@@ -143,7 +143,7 @@ impl Dataset for File {
         options.refuse_channel(tiff.source.path())?;
         let images = images(&first.description);
         if places.len() == 1 && images > 1 {
-            let info = info("TIFF (ImageJ stack", (tiff, first), images, options)?;
+            let info = info("TIFF (ImageJ stack", tiff, first, images, options)?;
             return imagej_stack(tiff, places[0], first, images, info, [0, 1]);
         }
         if places.len() == 1 {
@@ -154,7 +154,7 @@ impl Dataset for File {
             let expected = format!("{images} images, as the description says");
             return Err(tiff.wrong("pages", &expected, format!("{}", places.len())));
         }
-        let info = info("TIFF (pages", (tiff, first), places.len() as u64, options)?;
+        let info = info("TIFF (pages", tiff, first, places.len() as u64, options)?;
         if *in_place {
             mapped(info, tiff, places)
         } else {
@@ -190,7 +190,7 @@ impl File {
         let (field, channel, moment) = planes.choose(tiff.source.path(), scalar, options)?;
         let all = OpenOptions { field: None, ..options.clone() };
         let kind = if is_one_page { "TIFF (ImageJ stack" } else { "TIFF (pages" };
-        let mut info = info(kind, (tiff, first), planes.slices, &all)?;
+        let mut info = info(kind, tiff, first, planes.slices, &all)?;
         (info.field, info.fields) = (field, planes.fields(scalar));
         info.units.time.clone_from(&planes.times.unit);
         info.notes.extend(planes.times.notes.iter().cloned());
@@ -228,7 +228,7 @@ impl Dataset for Stack {
 
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let count = self.files.len() as u64;
-        let mut info = info_at(&self.path, "TIFF (stack", (&self.tiff, &self.first), count, options)?;
+        let mut info = info_at(&self.path, "TIFF (stack", &self.tiff, &self.first, count, options)?;
         info.data_files.clone_from(&self.files);
         if let Some(offsets) = &self.offsets {
             let (files, offsets) = (self.files.clone(), offsets.clone());
@@ -299,14 +299,15 @@ fn same_shape(path: &Path, at: &str, expected: Shape, got: Shape) -> Result<()> 
 }
 
 /// What a volume of so many slices like a page is.
-fn info(kind: &str, of: (&Tiff, &Page), slices: u64, options: &OpenOptions) -> Result<VolumeInfo> {
-    info_at(of.0.source.path(), kind, of, slices, options)
+fn info(kind: &str, tiff: &Tiff, page: &Page, slices: u64, options: &OpenOptions) -> Result<VolumeInfo> {
+    info_at(tiff.source.path(), kind, tiff, page, slices, options)
 }
 
 fn info_at(
     path: &Path,
     kind: &str,
-    (tiff, page): (&Tiff, &Page),
+    tiff: &Tiff,
+    page: &Page,
     slices: u64,
     options: &OpenOptions,
 ) -> Result<VolumeInfo> {

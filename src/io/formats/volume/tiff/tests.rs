@@ -356,7 +356,7 @@ fn long_stacks_keep_few_files_open() {
     let files = crate::formats::volume::stack::in_folder(dir.path(), &SUFFIXES).unwrap();
     let (tiff, page) = only_page(&first, IoMode::Read).unwrap();
     let options = OpenOptions { io: IoMode::Read, ..OpenOptions::default() };
-    let info = info_at(dir.path(), "TIFF (stack", (&tiff, &page), 900, &options).unwrap();
+    let info = info_at(dir.path(), "TIFF (stack", &tiff, &page, 900, &options).unwrap();
     let at = page.in_place().unwrap();
     let volume = SliceFiles::new(info, files, vec![at; 900], false, IoMode::Read);
     let whole = IndexBox::whole([7, 5, 900]);

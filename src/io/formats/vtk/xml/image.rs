@@ -66,7 +66,7 @@ impl Image {
     /// The field to read, and all that can be listed.
     pub(super) fn choice(&self, wanted: Option<&str>) -> Result<Picked> {
         let doc = self.pieces[0].document()?;
-        choose(self, (&doc, self.pieces[0].element(&doc)?), wanted)
+        choose(self, &doc, self.pieces[0].element(&doc)?, wanted)
     }
 
     /// The samples of all points along x, y, z.
@@ -79,7 +79,7 @@ pub(super) fn volume(image: &Image, wanted: Option<&str>) -> Result<VolumeSource
     let whole = image.whole;
     let of_first = image.pieces[0].document()?;
     let first = image.pieces[0].element(&of_first)?;
-    let Picked { field, fields, center, .. } = choose(image, (&of_first, first), wanted)?;
+    let Picked { field, fields, center, .. } = choose(image, &of_first, first, wanted)?;
     refuse_hidden(image)?;
     let how = how_stored(&of_first, arrays(data_of(first, center)).find(|a| name_of(a) == field.name));
     let how = if center == Center::Cell { format!("cell data, {how}") } else { how };
@@ -425,7 +425,7 @@ fn data_of(piece: &Element, center: Center) -> Option<&Element> {
 }
 
 /// The field to read, and all that can be listed.
-fn choose(image: &Image, (doc, piece): (&Document, &Element), wanted: Option<&str>) -> Result<Picked> {
+fn choose(image: &Image, doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<Picked> {
     let of = |center| fields(doc, data_of(piece, center));
     let (points, cells) = (of(Center::Point)?, of(Center::Cell)?);
     let active = |center| data_of(piece, center).and_then(|d| d.attribute("Scalars"));
