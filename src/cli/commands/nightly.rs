@@ -33,10 +33,10 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// add files whose names the archive does not have yet, each where its time lies. Files without
 /// times come after all others, by the numbers in their names, and the summary names them; their
 /// numbers as steps count as their times. The choices are then those of the archive's last step; N%
-/// of --isovalue is of the range of the new steps. A
-/// file that cannot be used, as one of a time that is there, is left out and reported, every time
-/// until it is gone; all others are added. So is a file that has changed since it was
-/// added: --replace takes it anew. A run that was stopped is continued by the next.
+/// of --isovalue is of the range of the new steps. A file that cannot be used, as one of a time
+/// that is there, is left out and reported, every time until it is gone; all others are added. So
+/// is a file that has changed since it was added: --replace takes it anew. A run that was stopped
+/// is continued by the next.
 ///
 /// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all files are in the
 /// archive as they are. 1: some were left out, or have changed. 6: the steps that were added do not

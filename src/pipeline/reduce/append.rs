@@ -16,7 +16,7 @@ use super::order::{next_files, number_there};
 use super::planned::{first_that_opens, plan, publish, run as run_plan};
 use super::report::{ReduceReport, SourceChunks};
 use super::surfaces::{expect_surfaces, in_world, measured_isovalues, with_surfaces};
-use crate::archive::manifest::{MANIFEST_NAME, Manifest};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest, StepPlan};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{
     Amount, CompleteSettings, FieldValue, NanPolicy, ReduceSettings, RunSettings, Target,
@@ -127,12 +127,13 @@ type Numbered = Vec<(u64, StepSource)>;
 fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<(ReduceReport, Numbered)> {
     let planned = plan(job, false)?;
     let series = &planned.series;
-    let numbers: Vec<u64> = match series.is_there {
-        false => series.plan.steps.iter().map(|step| step.number).collect(),
-        true => series.plan.steps.iter().filter_map(|step| number_there(&archive.manifest, step)).collect(),
+    let number = |step: &StepPlan| match series.is_there {
+        false => Some(step.number),
+        true => number_there(&archive.manifest, step),
     };
-    let added = numbers.into_iter().zip(series.sources.iter().map(|from| from.source.clone())).collect();
-    if planned.series.is_there {
+    let pairs = series.plan.steps.iter().zip(&series.sources);
+    let added = pairs.filter_map(|(step, from)| Some((number(step)?, from.source.clone()))).collect();
+    if series.is_there {
         return Ok((ReduceReport::of_added(archive, &planned.series)?, added));
     }
     planned.check()?;

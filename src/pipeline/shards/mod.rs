@@ -124,7 +124,8 @@ impl Shards<'_> {
 
     /// Verifies every segment of the plan and publishes the archive: index, then manifest. Deletes
     /// nothing but what dead processes of this machine have left unfinished. Where a target is
-    /// searched for, it may plan the next try instead.
+    /// searched for, it may plan the next try instead. Surfaces that the plan asks for are measured
+    /// against the source.
     ///
     /// # Errors
     /// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
