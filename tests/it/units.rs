@@ -313,7 +313,6 @@ fn a_coded_glb_is_the_quantized_one_in_fewer_bytes() {
     fails(d, &["surface", "u.isospan", "-i", "0", "-o", "x.glb", "--compress=zip"], "meshopt");
 }
 
-#[cfg(unix)]
 #[test]
 fn neuroglancer_gets_a_folder_of_meshes_in_nanometres() {
     let dir = tempfile::tempdir().unwrap();
@@ -326,17 +325,22 @@ fn neuroglancer_gets_a_folder_of_meshes_in_nanometres() {
     let info: Value = serde_json::from_slice(&read("segment_properties/info")).unwrap();
     assert_eq!(info["inline"]["ids"], json!(["1", "2"]));
     assert_eq!(info["inline"]["properties"][0]["values"], json!(["isovalue 0", "isovalue 0.1"]));
-    // The same vertices, in thousandths of the micrometres.
+    // A micrometre is a thousand nanometres, and cells begin at the least coordinates.
+    let info: Value = serde_json::from_slice(&read("info")).unwrap();
+    assert_eq!((&info["transform"][0], &info["transform"][5]), (&json!(1000.0), &json!(1000.0)));
     ok(d, &["surface", "u.isospan", "-i", "0.1", "-o", "one.ply"]);
     let mesh = isospan::formats::surface::read_surface(&d.join("one.ply")).unwrap();
-    let bytes = read("2.mesh");
-    assert_eq!(bytes.len(), 4 + 12 * (mesh.vertices.len() + mesh.triangles.len()));
-    let last = &mesh.vertices.last().unwrap().position;
-    let at = 4 + 12 * (mesh.vertices.len() - 1);
-    for (k, x) in last.iter().enumerate() {
-        let found = f32::from_le_bytes(bytes[at + 4 * k..][..4].try_into().unwrap());
-        assert_eq!(found, (f64::from(*x) * 1000.0) as f32);
+    let index = read("2.index");
+    let words: Vec<[u8; 4]> = index.chunks(4).map(|word| word.try_into().unwrap()).collect();
+    for k in 0..3 {
+        let least = mesh.vertices.iter().map(|v| v.position[k]).fold(f32::INFINITY, f32::min);
+        assert_eq!(f32::from_le_bytes(words[3 + k]), least);
     }
+    // The bytes of the fragments of all levels are the last numbers; here each level has one cell.
+    let levels = u32::from_le_bytes(words[6]) as usize;
+    assert_eq!(words.len(), 7 + 5 * levels + 4 * levels, "{levels} levels");
+    let bytes = |level: usize| u32::from_le_bytes(words[7 + 5 * levels + 4 * level + 3]) as usize;
+    assert_eq!((0..levels).map(bytes).sum::<usize>(), read("2").len());
     fails(d, &ask, "n.precomputed exists");
     ok(d, &[&ask[..], &["--force"]].concat());
     let refused = [

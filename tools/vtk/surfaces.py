@@ -1,7 +1,8 @@
-"""Reads with VTK, trimesh, meshoptimizer and lib3mf the surfaces that tools/vtk/test has made in this folder, and compares what they keep besides."""
+"""Reads with VTK, trimesh, meshoptimizer, lib3mf and Draco the surfaces that tools/vtk/test has made in this folder, and compares what they keep besides."""
 import json
 import pathlib
 
+import DracoPy
 import h5py
 import lib3mf
 import meshoptimizer
@@ -169,15 +170,43 @@ for name, count in (("units", 1), ("units_both", 2), ("units_colours", 1)):
 scene = trimesh.load_scene("units.3mf", process=False)
 assert scene.units == "micron" and sum(len(g.faces) for g in scene.geometry.values()) == expected["triangles"], scene.units
 
-# Meshes of neuroglancer: micrometres as nanometres.
+# Meshes of neuroglancer, decoded by Draco's own library: micrometres as nanometres.
 folder = pathlib.Path("units.precomputed")
-assert json.loads((folder / "info").read_text())["@type"] == "neuroglancer_legacy_mesh"
+info = json.loads((folder / "info").read_text())
+assert info["@type"] == "neuroglancer_multilod_draco" and info["vertex_quantization_bits"] == 16, info
 properties = json.loads((folder / "segment_properties/info").read_text())["inline"]
 assert properties["ids"] == ["1", "2"] and properties["properties"][0]["values"] == ["isovalue 400", "isovalue 1000.5"]
-(fragment,) = json.loads((folder / "2:0").read_text())["fragments"]
-mesh_bytes = (folder / fragment).read_bytes()
-count = int.from_bytes(mesh_bytes[:4], "little")
-assert count == expected["vertices"] and len(mesh_bytes) == 4 + 12 * (count + expected["triangles"])
-near(np.frombuffer(mesh_bytes, "<f4", 3 * count, 4).reshape(-1, 3), world * 1000, 1e-6, "neuroglancer")
-assert np.array_equal(np.frombuffer(mesh_bytes, "<u4", offset=4 + 12 * count).reshape(-1, 3), vtk_to_numpy(vtp.GetPolys().GetConnectivityArray()).reshape(-1, 3))
-print("tools/vtk/surfaces.py: VTK, trimesh, meshoptimizer and lib3mf find units, times, steps, parts and colours of surfaces")
+floats = np.fromfile(folder / "2.index", "<f4")
+numbers = floats.view("<u4")
+cell, origin, levels = floats[:3].astype(float), floats[3:6].astype(float), int(numbers[6])
+scales = floats[7 : 7 + levels]
+assert levels > 1 and (np.diff(scales) > 0).all() and not floats[7 + levels : 7 + 4 * levels].any(), floats
+counts = numbers[7 + 4 * levels : 7 + 5 * levels].tolist()
+mesh_bytes, at, rest = (folder / "2").read_bytes(), 0, numbers[7 + 5 * levels :]
+transform = np.array([*info["transform"], 0, 0, 0, 1]).reshape(4, 4)
+areas, sizes = [], []
+for level, count in enumerate(counts):
+    places, bytes_of_cells, rest = rest[: 3 * count].reshape(3, count).T, rest[3 * count : 4 * count], rest[4 * count :]
+    step, area, faces, corners = cell * 2.0**level / 65535, 0, 0, []
+    for place, size in zip(places.astype(int), bytes_of_cells.tolist()):
+        if size:
+            mesh = DracoPy.decode(mesh_bytes[at : at + size])
+            at += size
+            corners.append(np.asarray(mesh.points, float) + 65535 * place)
+            found = (origin + step * corners[-1]) @ transform[:3, :3].T + transform[:3, 3]
+            a, b, c = (found[np.asarray(mesh.faces).reshape(-1, 3)[:, n]] for n in range(3))
+            area += np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+            faces += len(a)
+    areas.append(area)
+    sizes.append(faces)
+    if level == 0:
+        # Each vertex is there, in the nearest of the steps.
+        ours = {tuple(corner) for corner in np.concatenate(corners).astype(int).tolist()}
+        assert all(tuple(place) in ours for place in np.round((world - origin) / step).astype(int).tolist())
+assert at == len(mesh_bytes) and not len(rest)
+triangles = vtk_to_numpy(vtp.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+a, b, c = (world[triangles[:, n]] * 1000 for n in range(3))
+near(areas[0], np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2, 1e-4, "area for neuroglancer")
+assert all(coarser < 0.6 * finer for finer, coarser in zip(sizes, sizes[1:])), sizes
+near(areas, areas[0], 0.1, "areas of levels")
+print("tools/vtk/surfaces.py: VTK, trimesh, meshoptimizer, lib3mf and Draco find units, times, steps, parts and colours of surfaces")

@@ -15,7 +15,7 @@
 //! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
 //! | VTKHDF, contiguous arrays | vertices with normals, triangles, the isovalue | none |
 //! | 3MF, text in a zip archive | vertices, triangles; an object for each isovalue | none |
-//! | neuroglancer, a folder | vertices, triangles; a mesh for each isovalue | near 0, in a known unit |
+//! | neuroglancer, a folder | levels of detail; a mesh for each isovalue | a known unit |
 //!
 //! **Units and times.** PLY and OBJ name them in lines of comment, STL as far as its 80 bytes go.
 //! VTP and VTKHDF have arrays `length_unit`, `value_unit`, `TimeValue` and `time_unit` of the
@@ -33,7 +33,8 @@
 //! **Far from 0** `f32` does not tell the vertices of a small surface apart. Such a surface is in
 //! memory as `f32` less an origin ([`SurfaceSource::origin`]). PLY, VTP and VTKHDF then have
 //! doubles, OBJ decimals of more digits. GLB and 3MF have the origin in the transform of what they
-//! place, STL in its comment alone: [`SurfaceFormat::shifts`].
+//! place, neuroglancer in that of all meshes, STL in its
+//! comment alone: [`SurfaceFormat::shifts`].
 
 pub mod glb;
 pub mod neuroglancer;
@@ -55,6 +56,7 @@ use isospan_io::bytes::ByteSource;
 use isospan_io::bytes::publish::folder_of;
 use isospan_io::bytes::sorter::Sorter;
 use isospan_io::error::{Error, Result};
+use isospan_io::exec::Resources;
 use isospan_io::formats::shared::format::is_hdf5;
 use isospan_io::formats::shared::sink::Sink;
 use isospan_io::volume::ScalarType;
@@ -85,7 +87,7 @@ pub enum SurfaceFormat {
     VtkHdf,
     /// 3D Manufacturing Format; it is written only.
     ThreeMf,
-    /// Meshes of neuroglancer, of one resolution: a folder, which is written only.
+    /// Meshes of neuroglancer, of several resolutions: a folder, which is written only.
     Neuroglancer,
 }
 
@@ -346,7 +348,8 @@ pub(in crate::files) fn take_unit(out: &mut StoredSurface, name: &str, text: &st
 }
 
 /// Writes a surface to `path` and returns the bytes of the file. An empty surface gives an empty,
-/// valid file.
+/// valid file. What waits for its turn takes a part of the memory, and lies in the scratch folder
+/// beyond it: that of the resources, or the folder of the file.
 ///
 /// # Errors
 /// [`Error::Usage`] when the target is a folder or lies in none, or the surface is beyond the
@@ -357,17 +360,16 @@ pub fn write_surface(
     path: &Path,
     format: SurfaceFormat,
     meta: &SurfaceMeta,
+    resources: &Resources,
 ) -> Result<u64> {
     check_limits(source, format, meta)?;
-    let scratch = BuilderSettings { memory_bytes: HELD, scratch: folder_of(path).to_path_buf() };
     if format == SurfaceFormat::Neuroglancer {
-        return neuroglancer::write(source, path, meta, &scratch);
+        return neuroglancer::write(source, path, meta, resources);
     }
-    write(source, Sink::create(path)?, format, meta, &scratch)
+    let memory_bytes = usize::try_from(resources.memory / 16).unwrap_or(usize::MAX);
+    let scratch = resources.scratch.clone().unwrap_or_else(|| folder_of(path).to_path_buf());
+    write(source, Sink::create(path)?, format, meta, &BuilderSettings { memory_bytes, scratch })
 }
-
-/// Bytes that wait in memory while a file is written; more lie beside it.
-const HELD: usize = 4 << 20;
 
 /// Hands the bytes of the file that [`write_surface`] writes to `each`, and returns their number.
 /// `scratch` is for what waits meanwhile, such as the positions of STL: the memory that it takes,
@@ -774,7 +776,9 @@ pub(in crate::files) mod tests {
             let path = dir.path().join("x").with_extension(format.extension());
             assert_eq!(SurfaceFormat::from_path(&path).unwrap(), format);
             for mesh in [tetrahedron(), TriMesh::default()] {
-                let bytes = write_surface(&source(mesh.clone()), &path, format, &meta()).unwrap();
+                let bytes =
+                    write_surface(&source(mesh.clone()), &path, format, &meta(), &Resources::default())
+                        .unwrap();
                 assert_eq!(std::fs::metadata(&path).unwrap().len(), bytes);
                 let mut streamed = vec![];
                 for memory_bytes in [0, 1 << 20] {
@@ -812,7 +816,7 @@ pub(in crate::files) mod tests {
         assert_eq!(report.zero_area_triangles, 0);
         for format in SurfaceFormat::ALL {
             let path = dir.path().join("far").with_extension(format.extension());
-            write_surface(&source(mesh.clone()), &path, format, &meta()).unwrap();
+            write_surface(&source(mesh.clone()), &path, format, &meta(), &Resources::default()).unwrap();
             if !format.is_read() {
                 continue;
             }
@@ -842,7 +846,7 @@ pub(in crate::files) mod tests {
         for (format, shift) in SurfaceFormat::ALL.iter().flat_map(|f| [(*f, false), (*f, true)]) {
             let path = dir.path().join("u").with_extension(format.extension());
             let mesh = if shift { far_tetrahedron() } else { tetrahedron() };
-            write_surface(&source(mesh.clone()), &path, format, &meta).unwrap();
+            write_surface(&source(mesh.clone()), &path, format, &meta, &Resources::default()).unwrap();
             if !format.is_read() {
                 continue;
             }
@@ -877,7 +881,7 @@ pub(in crate::files) mod tests {
             let write = |batch: usize| {
                 let path = dir.path().join(format!("{batch}.{}", format.extension()));
                 let s = InMemory { mesh: tetrahedron(), batch, lie: [0, 0] };
-                write_surface(&s, &path, format, &meta()).unwrap();
+                write_surface(&s, &path, format, &meta(), &Resources::default()).unwrap();
                 std::fs::read(path).unwrap()
             };
             assert_eq!(write(1), write(100));
@@ -894,7 +898,7 @@ pub(in crate::files) mod tests {
             wrong_index.mesh.triangles[2][1] = 4;
             let lies = [[1, 0], [0, 1]].map(|lie| InMemory { lie, ..source(tetrahedron()) });
             for s in lies.into_iter().chain([wrong_index]) {
-                assert!(write_surface(&s, &path, format, &meta()).is_err());
+                assert!(write_surface(&s, &path, format, &meta(), &Resources::default()).is_err());
                 assert_eq!(std::fs::read(&path).unwrap(), b"old");
             }
         }
@@ -909,7 +913,14 @@ pub(in crate::files) mod tests {
     fn impossible_targets_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let refused = |path: &Path| {
-            let e = write_surface(&source(tetrahedron()), path, SurfaceFormat::Ply, &meta()).unwrap_err();
+            let e = write_surface(
+                &source(tetrahedron()),
+                path,
+                SurfaceFormat::Ply,
+                &meta(),
+                &Resources::default(),
+            )
+            .unwrap_err();
             assert_eq!(e.exit_code(), 2);
             e.to_string()
         };
@@ -930,6 +941,7 @@ pub(in crate::files) mod tests {
                 &dir.path().join("x"),
                 format,
                 &meta(),
+                &Resources::default(),
             );
             let error = error.unwrap_err();
             assert!(error.exit_code() == 2 && error.to_string().contains("at most"), "{error}");
@@ -945,7 +957,8 @@ pub(in crate::files) mod tests {
         let (real, link) = (dir.path().join("real.ply"), dir.path().join("link.ply"));
         std::fs::write(&real, "old").unwrap();
         std::os::unix::fs::symlink(&real, &link).unwrap();
-        write_surface(&source(tetrahedron()), &link, SurfaceFormat::Ply, &meta()).unwrap();
+        write_surface(&source(tetrahedron()), &link, SurfaceFormat::Ply, &meta(), &Resources::default())
+            .unwrap();
         assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
         assert!(std::fs::read(&real).unwrap().starts_with(b"ply"));
         let plain = dir.path().join("plain");

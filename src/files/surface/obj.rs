@@ -229,6 +229,7 @@ mod tests {
     use crate::files::surface::tests::{in_memory, source, tetrahedron};
     use crate::files::surface::{SurfaceFormat, write_surface};
     use crate::surface::TriMesh;
+    use isospan_io::exec::Resources;
     use isospan_io::fixtures::survive;
 
     fn parse(text: &str) -> Result<TriMesh> {
@@ -243,7 +244,7 @@ mod tests {
         mesh.vertices.iter_mut().for_each(|v| v.normal = [0.0, -1.0, 0.5]);
         let meta =
             SurfaceMeta { isovalue: Some(0.1), comments: vec!["back\\".into()], ..SurfaceMeta::default() };
-        write_surface(&source(mesh), &path, SurfaceFormat::Obj, &meta).unwrap();
+        write_surface(&source(mesh), &path, SurfaceFormat::Obj, &meta, &Resources::default()).unwrap();
         let text = std::fs::read_to_string(path).unwrap();
         assert!(text.starts_with("# isospan surface\n# isovalue 0.1\n# back/\nv 0.1 0.33333334 1e-20\n"));
         assert!(text.contains("\nv 16777216 0 1.5e10\n") && text.contains("\nvn 0 -1 0.5\n"));

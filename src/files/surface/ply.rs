@@ -449,6 +449,7 @@ mod tests {
     use crate::files::surface::tests::{in_memory, source, tetrahedron};
     use crate::files::surface::{SurfaceFormat, write_surface};
     use crate::surface::TriMesh;
+    use isospan_io::exec::Resources;
     use isospan_io::fixtures::survive;
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
@@ -460,7 +461,8 @@ mod tests {
         let path = dir.path().join("t.ply");
         let meta =
             SurfaceMeta { isovalue: Some(1.5), comments: vec!["é\nb".into()], ..SurfaceMeta::default() };
-        write_surface(&source(tetrahedron()), &path, SurfaceFormat::Ply, &meta).unwrap();
+        write_surface(&source(tetrahedron()), &path, SurfaceFormat::Ply, &meta, &Resources::default())
+            .unwrap();
         std::fs::read(path).unwrap()
     }
 

@@ -361,6 +361,7 @@ mod tests {
     use crate::files::surface::tests::{in_memory, rooms, source, tetrahedron};
     use crate::files::surface::{SurfaceFormat, write_surface};
     use crate::surface::TriMesh;
+    use isospan_io::exec::Resources;
     use isospan_io::fixtures::survive;
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
@@ -375,7 +376,7 @@ mod tests {
         let path = dir.path().join("t.stl");
         let meta =
             SurfaceMeta { isovalue: Some(1.5), comments: vec!["é".repeat(80)], ..SurfaceMeta::default() };
-        write_surface(&source(mesh), &path, SurfaceFormat::Stl, &meta).unwrap();
+        write_surface(&source(mesh), &path, SurfaceFormat::Stl, &meta, &Resources::default()).unwrap();
         std::fs::read(path).unwrap()
     }
 

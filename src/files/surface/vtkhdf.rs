@@ -226,6 +226,7 @@ mod tests {
     use crate::files::surface::tests::{in_memory, source, tetrahedron};
     use crate::files::surface::{SurfaceFormat, SurfacePart, write_surface};
     use crate::surface::{TriMesh, Vertex};
+    use isospan_io::exec::Resources;
     use isospan_io::fixtures::survive;
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
@@ -238,7 +239,8 @@ mod tests {
         let comments = vec!["a\nbé".into()];
         let isovalue = parts.is_empty().then_some(-1.5);
         let meta = SurfaceMeta { isovalue, comments, parts, ..SurfaceMeta::default() };
-        write_surface(&source(tetrahedron()), &path, SurfaceFormat::VtkHdf, &meta).unwrap();
+        write_surface(&source(tetrahedron()), &path, SurfaceFormat::VtkHdf, &meta, &Resources::default())
+            .unwrap();
         std::fs::read(path).unwrap()
     }
 

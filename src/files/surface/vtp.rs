@@ -364,6 +364,7 @@ mod tests {
     use crate::files::surface::tests::{in_memory, source, tetrahedron};
     use crate::files::surface::{SurfaceFormat, write_surface};
     use crate::surface::TriMesh;
+    use isospan_io::exec::Resources;
     use isospan_io::fixtures::{Encoding, every_encoding, survive};
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
@@ -377,7 +378,8 @@ mod tests {
             SurfaceMeta {
                 isovalue: Some(-1.5), comments: vec!["a--->b<é".into()], ..SurfaceMeta::default()
             };
-        write_surface(&source(tetrahedron()), &path, SurfaceFormat::Vtp, &meta).unwrap();
+        write_surface(&source(tetrahedron()), &path, SurfaceFormat::Vtp, &meta, &Resources::default())
+            .unwrap();
         std::fs::read(path).unwrap()
     }
 

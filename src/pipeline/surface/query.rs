@@ -129,10 +129,11 @@ pub(super) fn write_made(
     let (start, mut origin, mut without_area) = (Clock::start(), [0.0; 3], 0);
     let held = usize::try_from(settings.resources.memory / 16).unwrap_or(usize::MAX);
     let scratch = settings.scratch_of(out);
+    let resources = settings.resources.clone().with_scratch(scratch.clone());
     let mut write = |s: &dyn SurfaceSource, path: &Path, meta: &SurfaceMeta| {
         origin = s.origin();
         without_area += zero_area_triangles(s, held, &scratch)?;
-        write_surface(s, path, format, meta)
+        write_surface(s, path, format, meta, &resources)
     };
     let (file_bytes, without_value) = write_all(archive, &made.surfaces, settings, out, &mut write)?;
     made.seconds.push((Stage::Write, start.elapsed()));

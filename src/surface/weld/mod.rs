@@ -460,7 +460,7 @@ impl StoredSurface {
     }
 
     /// Single vertices, through a cache of about this many bytes.
-    pub(super) fn random_vertices(&self, memory_bytes: usize) -> Cached<'_, Vertex> {
+    pub(crate) fn random_vertices(&self, memory_bytes: usize) -> Cached<'_, Vertex> {
         Cached::new(&self.vertices, memory_bytes)
     }
 

@@ -9,7 +9,7 @@ use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
 use isospan::formats::{OpenOptions, open_volume};
 use isospan::surface::{TriMesh, Vertex};
 use isospan::volume::bricked::BrickedVolume;
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use isospan_wavelet::{Accuracy, Settings, compress};
 use std::fs;
 use std::io::Write;
@@ -432,7 +432,7 @@ fn surface(folder: &Path, format: SurfaceFormat) -> Result<Vec<u8>> {
     let out = folder.join(format!("seed.{}", format.extension()));
     let meta =
         SurfaceMeta { isovalue: Some(1.5), comments: vec!["a comment".into()], ..SurfaceMeta::default() };
-    write_surface(&mesh, &out, format, &meta)?;
+    write_surface(&mesh, &out, format, &meta, &Resources::default())?;
     get(&out)
 }
 

@@ -446,7 +446,7 @@ impl Lab {
     ) -> Result<Outcome> {
         let original = &self.originals[&key.dataset];
         let file = self.surface_file(key);
-        write_surface(surface, &file, SurfaceFormat::Ply, &SurfaceMeta::default())?;
+        write_surface(surface, &file, SurfaceFormat::Ply, &SurfaceMeta::default(), &Resources::default())?;
         Ok(Outcome {
             is_grid: is_grid(key.dataset),
             points,
@@ -473,7 +473,7 @@ impl Original {
         };
         let surface = field.surface(made.isovalue)?;
         let file = folder.join(format!("{:?}-original.ply", made.dataset));
-        write_surface(&surface, &file, SurfaceFormat::Ply, &SurfaceMeta::default())?;
+        write_surface(&surface, &file, SurfaceFormat::Ply, &SurfaceMeta::default(), &Resources::default())?;
         let side: [f64; 3] = match &made.content {
             Content::Grid { geometry, .. } => geometry.spacing.map(|s| s * (GRID - 1) as f64),
             Content::Mesh(mesh) => {

@@ -5,7 +5,6 @@ use crate::arrays::interface;
 use crate::errors::exception;
 use crate::json::to_python;
 use crate::work::run;
-use isospan::Step;
 use isospan::compare::{CompareSettings, compare};
 use isospan::formats::labels::LabelStyle;
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
@@ -14,6 +13,7 @@ use isospan::surface::check::check;
 use isospan::surface::edit::components::split;
 use isospan::surface::{Joined, SurfaceSource, TriMesh};
 use isospan::volume::units::Units;
+use isospan::{Resources, Step};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use serde::{Deserialize, Serialize};
@@ -193,7 +193,15 @@ impl Surface {
 
     /// Writes a file; returns its bytes.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
-        let write = || write_surface(&self.mesh, &path, SurfaceFormat::from_path(&path)?, &self.meta());
+        let write = || {
+            write_surface(
+                &self.mesh,
+                &path,
+                SurfaceFormat::from_path(&path)?,
+                &self.meta(),
+                &Resources::default(),
+            )
+        };
         py.detach(write).map_err(|e| exception(py, &e))
     }
 
@@ -214,7 +222,7 @@ impl Surface {
         let meta = SurfaceMeta { isovalue: None, parts, ..first.meta() };
         let write = || {
             let joined = Joined::new(surfaces.iter().map(|s| &s.mesh as &dyn SurfaceSource).collect());
-            write_surface(&joined, &path, SurfaceFormat::from_path(&path)?, &meta)
+            write_surface(&joined, &path, SurfaceFormat::from_path(&path)?, &meta, &Resources::default())
         };
         py.detach(write).map_err(|e| exception(py, &e))
     }

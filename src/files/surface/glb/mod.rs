@@ -126,6 +126,7 @@ mod tests {
     use crate::surface::check::CheckSettings;
     use crate::surface::weld::{BuilderSettings, StoredSurface};
     use isospan_io::error::{Error, Result};
+    use isospan_io::exec::Resources;
     use isospan_io::fixtures::survive;
     use isospan_io::volume::units::{Unit, Units};
     use serde_json::Value;
@@ -146,7 +147,7 @@ mod tests {
             comments: vec!["of a \"b\"".into()],
             ..SurfaceMeta::default()
         };
-        write_surface(&source(mesh), &path, SurfaceFormat::Glb, &meta).unwrap();
+        write_surface(&source(mesh), &path, SurfaceFormat::Glb, &meta, &Resources::default()).unwrap();
         std::fs::read(path).unwrap()
     }
 
@@ -193,7 +194,8 @@ mod tests {
             let units = Units::of_length(Unit::length("mm"));
             let meta = SurfaceMeta { units, compress, ..SurfaceMeta::default() };
             let mesh = far_tetrahedron();
-            write_surface(&source(mesh.clone()), &path, SurfaceFormat::Glb, &meta).unwrap();
+            write_surface(&source(mesh.clone()), &path, SurfaceFormat::Glb, &meta, &Resources::default())
+                .unwrap();
             let bytes = std::fs::read(&path).unwrap();
             let json = json_of(&bytes);
             let m: Vec<f64> =
@@ -221,7 +223,8 @@ mod tests {
             let dir = tempfile::tempdir().unwrap();
             let path = dir.path().join("t.glb");
             let meta = SurfaceMeta { compress, ..SurfaceMeta::default() };
-            write_surface(&source(mesh.clone()), &path, SurfaceFormat::Glb, &meta).unwrap();
+            write_surface(&source(mesh.clone()), &path, SurfaceFormat::Glb, &meta, &Resources::default())
+                .unwrap();
             std::fs::read(path).unwrap()
         });
         assert_eq!(json_of(&packed)["buffers"][0]["byteLength"], 4 * 12 + 4 * 6);
@@ -253,7 +256,8 @@ mod tests {
         values.extend(&[0.0, 1.0, 0.5, f32::NAN]).unwrap();
         let values = Some(std::sync::Arc::new(values));
         let meta = SurfaceMeta { compress: Compression::Meshopt, values, ..SurfaceMeta::default() };
-        write_surface(&source(tetrahedron()), &path, SurfaceFormat::Glb, &meta).unwrap();
+        write_surface(&source(tetrahedron()), &path, SurfaceFormat::Glb, &meta, &Resources::default())
+            .unwrap();
         let bytes = std::fs::read(&path).unwrap();
         let (json, text) = (json_of(&bytes), u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize);
         let bin = &bytes[20 + text + 8..];
@@ -286,7 +290,8 @@ mod tests {
         let part = |isovalue, vertices, triangles| SurfacePart { isovalue, vertices, triangles, label: None };
         let parts = vec![part(0.5, 4, 4), part(0.75, 0, 0), part(1.0, 4, 4)];
         let meta = SurfaceMeta { parts, ..SurfaceMeta::default() };
-        write_surface(&Joined::new(vec![&a, &b]), &path, SurfaceFormat::Glb, &meta).unwrap();
+        write_surface(&Joined::new(vec![&a, &b]), &path, SurfaceFormat::Glb, &meta, &Resources::default())
+            .unwrap();
         let bytes = std::fs::read(&path).unwrap();
         let json = json_of(&bytes);
         let names: Vec<&Value> = json["nodes"].as_array().unwrap().iter().map(|n| &n["name"]).collect();
@@ -386,7 +391,7 @@ mod tests {
         };
         let parts = vec![part(3.0, "Caudate", 4, 255), part(5.0, "", 0, 255), part(7.0, "", 4, 128)];
         let meta = SurfaceMeta { parts, ..SurfaceMeta::default() };
-        write_surface(&joined, &path, SurfaceFormat::Glb, &meta).unwrap();
+        write_surface(&joined, &path, SurfaceFormat::Glb, &meta, &Resources::default()).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
         let json: serde_json::Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();

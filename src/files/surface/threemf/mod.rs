@@ -234,6 +234,7 @@ mod tests {
     use crate::files::surface::{SurfaceFormat, SurfacePart, write_surface};
     use crate::render::ColourMap;
     use crate::surface::Joined;
+    use isospan_io::exec::Resources;
     use isospan_io::volume::units::Units;
     use std::io::Read;
     use std::sync::Arc;
@@ -261,7 +262,7 @@ mod tests {
         let (a, b) = (source(far_tetrahedron()), source(far_tetrahedron()));
         let joined = Joined::new(vec![&a, &b]);
         let source: &dyn SurfaceSource = if several { &joined } else { &a };
-        write_surface(source, &path, SurfaceFormat::ThreeMf, meta).unwrap();
+        write_surface(source, &path, SurfaceFormat::ThreeMf, meta, &Resources::default()).unwrap();
         model(&std::fs::read(path).unwrap())
     }
 
@@ -298,7 +299,7 @@ mod tests {
         let joined = Joined::new(vec![&one; 3000]);
         let part = |n: u32| SurfacePart { isovalue: n.into(), vertices: 4, triangles: 4, label: None };
         let meta = SurfaceMeta { parts: (0..3000).map(part).collect(), ..SurfaceMeta::default() };
-        write_surface(&joined, &path, SurfaceFormat::ThreeMf, &meta).unwrap();
+        write_surface(&joined, &path, SurfaceFormat::ThreeMf, &meta, &Resources::default()).unwrap();
         let text = model(&std::fs::read(&path).unwrap());
         assert_eq!(text.matches("<object ").count(), 3000);
         assert_eq!(text.matches("<triangle v1=\"0\" v2=\"2\" v3=\"1\"/>").count(), 3000);
@@ -307,7 +308,9 @@ mod tests {
         let parts = vec![SurfacePart { vertices: 3, ..part(0) }, SurfacePart { vertices: 5, ..part(1) }];
         let meta = SurfaceMeta { parts, ..SurfaceMeta::default() };
         let two = Joined::new(vec![&one; 2]);
-        let error = write_surface(&two, &path, SurfaceFormat::ThreeMf, &meta).unwrap_err().to_string();
+        let error = write_surface(&two, &path, SurfaceFormat::ThreeMf, &meta, &Resources::default())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("of a part of the vertices 0 to 3"), "{error}");
     }
 

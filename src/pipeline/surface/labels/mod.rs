@@ -27,7 +27,7 @@ use extract::LabelMeshes;
 use image::LabelImage;
 use isospan_io::bytes::remote::{traffic, traffic_since};
 use isospan_io::error::Result;
-use isospan_io::exec::{Clock, Progress};
+use isospan_io::exec::{Clock, Progress, Resources};
 use std::path::{Path, PathBuf};
 
 /// Writes the surfaces of labels: see [`LabelQuery::write`](crate::pipeline::LabelQuery::write).
@@ -195,7 +195,7 @@ impl<'a> Work<'a> {
         let meta = SurfaceMeta { parts: labels.iter().map(part).collect(), ..self.meta() };
         let held = usize::try_from(self.settings.resources.memory / 16).unwrap_or(usize::MAX);
         report.without_area += zero_area_triangles(surface, held, self.scratch)?;
-        report.file_bytes += write_surface(surface, &first.file, format, &meta)?;
+        report.file_bytes += write_surface(surface, &first.file, format, &meta, &self.resources())?;
         report.vertices += surface.vertex_count();
         report.triangles += surface.triangle_count();
         let origin = surface.origin();
@@ -205,8 +205,12 @@ impl<'a> Work<'a> {
 
     /// Writes a file without a surface, of an image without labels.
     fn write_empty(&self, out: &Path, format: SurfaceFormat, report: &mut LabelReport) -> Result<()> {
-        report.file_bytes = write_surface(&self.surface(), out, format, &self.meta())?;
+        report.file_bytes = write_surface(&self.surface(), out, format, &self.meta(), &self.resources())?;
         Ok(())
+    }
+
+    fn resources(&self) -> Resources {
+        self.settings.resources.clone().with_scratch(self.scratch.to_path_buf())
     }
 
     fn meta(&self) -> SurfaceMeta {

@@ -1,0 +1,295 @@
+use super::cut::{CELL, HALF, Place};
+use super::*;
+use crate::files::labels::LabelStyle;
+use crate::files::surface::tests::{far_tetrahedron, source};
+use crate::files::surface::{SurfaceFormat, SurfacePart, stream_surface, write_surface};
+use crate::surface::weld::BuilderSettings;
+use crate::surface::{Joined, TriMesh};
+use draco_core::{DecoderBuffer, Mesh, MeshDecoder, PointIndex};
+use isospan_io::bytes::read_whole as read;
+use isospan_io::volume::units::{Unit, Units};
+use std::collections::{BTreeMap, HashMap};
+
+fn near() -> TriMesh {
+    TriMesh { origin: [0.0; 3], ..far_tetrahedron() }
+}
+
+fn micrometres() -> SurfaceMeta {
+    SurfaceMeta { units: Units::of_length(Unit::length("um")), ..SurfaceMeta::default() }
+}
+
+/// A torus of 2 n² triangles.
+fn torus(n: u32) -> TriMesh {
+    let angle = |i: u32| f64::from(i) / f64::from(n) * std::f64::consts::TAU;
+    let vertex = |i: u32| {
+        let [(s, c), (t, d)] = [angle(i / n), angle(i % n)].map(f64::sin_cos);
+        let position = [(20.0 + 8.0 * d) * c, (20.0 + 8.0 * d) * s, 5.0 + 8.0 * t].map(|x| x as f32);
+        Vertex { position, normal: [(d * c) as f32, (d * s) as f32, t as f32] }
+    };
+    let at = |i: u32, j: u32| (i % n) * n + j % n;
+    let pair = |i: u32, j: u32| {
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        [[a, b, c], [a, c, d]]
+    };
+    let triangles = (0..n).flat_map(|i| (0..n).flat_map(move |j| pair(i, j))).collect();
+    TriMesh { vertices: (0..n * n).map(vertex).collect(), triangles, origin: [0.0; 3] }
+}
+
+/// A level of detail as its files have it.
+struct Read {
+    scale: f32,
+    /// The triangles of each cell, in steps from its corner; none of a cell without bytes.
+    cells: BTreeMap<[u32; 3], Vec<[[u32; 3]; 3]>>,
+}
+
+impl Read {
+    /// All triangles, in steps from the origin.
+    fn triangles(&self) -> Vec<[Place; 3]> {
+        let of_cell = |(at, triangles): (&[u32; 3], &Vec<[[u32; 3]; 3]>)| -> Vec<[Place; 3]> {
+            let place =
+                |corner: [u32; 3]| std::array::from_fn(|k| i64::from(at[k]) * CELL + i64::from(corner[k]));
+            triangles.iter().map(|t| t.map(place)).collect()
+        };
+        self.cells.iter().flat_map(of_cell).collect()
+    }
+}
+
+/// What the files of a segment say: the edge of a cell, the origin, the levels.
+fn read_segment(folder: &Path, segment: u64) -> (f32, [f32; 3], Vec<Read>) {
+    let whole = |name: String| read(&folder.join(name), 1 << 30).unwrap();
+    let (index, data) = (whole(format!("{segment}.index")), whole(segment.to_string()));
+    let words: Vec<u32> = index.chunks(4).map(|word| u32::from_le_bytes(word.try_into().unwrap())).collect();
+    let mut words = words.into_iter();
+    let mut next = |count: usize| words.by_ref().take(count).collect::<Vec<u32>>();
+    let floats = |words: Vec<u32>| words.into_iter().map(f32::from_bits).collect::<Vec<f32>>();
+    let (edge, origin, levels) = (floats(next(3))[0], floats(next(3)), next(1)[0] as usize);
+    let (scales, moved) = (floats(next(levels)), floats(next(3 * levels)));
+    assert!(moved.iter().all(|x| *x == 0.0));
+    let (counts, mut at, mut read) = (next(levels), 0, vec![]);
+    for (scale, count) in scales.into_iter().zip(counts) {
+        let count = count as usize;
+        let (places, bytes) = (next(3 * count), next(count));
+        let mut cells = BTreeMap::new();
+        for (n, &bytes) in bytes.iter().enumerate() {
+            let place = [0, 1, 2].map(|k| places[k * count + n]);
+            let here = &data[at..at + bytes as usize];
+            at += here.len();
+            let triangles = if here.is_empty() { vec![] } else { decoded(here) };
+            assert!(cells.insert(place, triangles).is_none());
+        }
+        read.push(Read { scale, cells });
+    }
+    assert_eq!((words.next(), at), (None, data.len()));
+    (edge, origin.try_into().unwrap(), read)
+}
+
+fn decoded(bytes: &[u8]) -> Vec<[[u32; 3]; 3]> {
+    let mut mesh = Mesh::new();
+    MeshDecoder::new().decode(&mut DecoderBuffer::new(bytes), &mut mesh).unwrap();
+    let positions = mesh.attribute(0);
+    let corner = |point: PointIndex| -> [u32; 3] {
+        let at = positions.mapped_index(point).0 as usize * 12;
+        let data = &positions.buffer().data()[at..at + 12];
+        std::array::from_fn(|k| u32::from_le_bytes(data[4 * k..4 * k + 4].try_into().unwrap()))
+    };
+    mesh.faces().iter().map(|face| face.map(corner)).collect()
+}
+
+/// Edges that are not used as often in one direction as in the other.
+fn open_edges(triangles: &[[Place; 3]]) -> usize {
+    let mut edges: HashMap<[Place; 2], i64> = HashMap::new();
+    for t in triangles {
+        for n in 0..3 {
+            let (a, b) = (t[n], t[(n + 1) % 3]);
+            let (edge, sign) = if a < b { ([a, b], 1) } else { ([b, a], -1) };
+            *edges.entry(edge).or_default() += sign;
+        }
+    }
+    edges.values().filter(|sum| **sum != 0).count()
+}
+
+fn area(triangles: &[[Place; 3]], step: f64) -> f64 {
+    let one = |t: &[Place; 3]| {
+        let [u, v] = [1, 2].map(|n| std::array::from_fn(|k| (t[n][k] - t[0][k]) as f64 * step));
+        let n = isospan_io::geom::vec3::cross(u, v);
+        isospan_io::geom::vec3::dot(n, n).sqrt() / 2.0
+    };
+    triangles.iter().map(one).sum()
+}
+
+fn write(mesh: &dyn SurfaceSource, path: &Path, meta: &SurfaceMeta, resources: &Resources) -> Result<u64> {
+    write_surface(mesh, path, SurfaceFormat::Neuroglancer, meta, resources)
+}
+
+#[test]
+fn each_label_is_a_segment_in_nanometres() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.precomputed");
+    let (a, none, b) = (source(near()), source(TriMesh::default()), source(near()));
+    let joined = Joined::new(vec![&a, &none, &b]);
+    let part = |label: f64, name: &str, n: u64| {
+        let label_style = LabelStyle { name: name.into(), colour: [0; 4] };
+        SurfacePart { isovalue: label, vertices: n, triangles: n, label: Some(label_style) }
+    };
+    let parts = vec![part(3.0, "Left \"A\"", 4), part(5.0, "none", 0), part(7.0, "", 4)];
+    let meta = SurfaceMeta { parts, ..micrometres() };
+    // A second time, in the place of the first.
+    for _ in 0..2 {
+        let bytes = write(&joined, &path, &meta, &Resources::default()).unwrap();
+        let text = |name: &str| fs::read_to_string(path.join(name)).unwrap();
+        let json = |name: &str| serde_json::from_str::<serde_json::Value>(&text(name)).unwrap();
+        let info = json("info");
+        assert_eq!((&info["@type"], &info["vertex_quantization_bits"]), (&json!(KIND), &json!(16)));
+        let rows = [1e3, 0.0, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 0.0, 1e3, 0.0];
+        assert_eq!(info["transform"], json!(rows));
+        let names = json("segment_properties/info");
+        assert_eq!(names["inline"]["ids"], json!(["3", "7"]));
+        assert_eq!(names["inline"]["properties"][0]["values"], json!(["Left \"A\"", "label 7"]));
+        for segment in [3, 7] {
+            let (edge, origin, levels) = read_segment(&path, segment);
+            let [only] = &levels[..] else { panic!("{} levels", levels.len()) };
+            let step = f64::from(edge) / CELL as f64;
+            let mut found: Vec<[Place; 3]> = only.triangles();
+            let place = |v: u32| {
+                let p = near().vertices[v as usize].position;
+                std::array::from_fn(|k| ((f64::from(p[k]) - f64::from(origin[k])) / step).round() as i64)
+            };
+            let mut right: Vec<[Place; 3]> = near().triangles.iter().map(|t| t.map(place)).collect();
+            let first_least = |t: &mut [Place; 3]| {
+                let least = (0..3).min_by_key(|&n| t[n]).unwrap();
+                t.rotate_left(least);
+            };
+            found.iter_mut().chain(&mut right).for_each(first_least);
+            found.sort_unstable();
+            right.sort_unstable();
+            assert_eq!(found, right);
+        }
+        let all = ["info", "segment_properties/info", "3", "3.index", "7", "7.index"];
+        let sizes: u64 = all.map(|name| fs::metadata(path.join(name)).unwrap().len()).iter().sum();
+        assert_eq!((bytes, fs::read_dir(&path).unwrap().count()), (sizes, 6));
+    }
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    // What somebody keeps beside the meshes is not lost.
+    fs::write(path.join("photo.jpg"), "mine").unwrap();
+    let error = write(&joined, &path, &meta, &Resources::default()).unwrap_err();
+    assert!(error.to_string().contains("meshes alone"), "{error}");
+    assert_eq!(fs::read_dir(&path).unwrap().count(), 7);
+}
+
+#[test]
+fn levels_are_closed_and_lie_in_their_cells() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.precomputed");
+    let mesh = torus(200);
+    write(&source(mesh.clone()), &path, &micrometres(), &Resources::default()).unwrap();
+    let (edge, origin, levels) = read_segment(&path, 1);
+    assert!(levels.len() > 3 && levels[0].cells.len() > 8, "{} {}", levels.len(), levels[0].cells.len());
+    let exact = 4.0 * std::f64::consts::PI.powi(2) * 20.0 * 8.0;
+    for (k, level) in levels.iter().enumerate() {
+        let triangles = level.triangles();
+        assert_eq!(open_edges(&triangles), 0, "level {k}");
+        let step = f64::from(edge) * f64::from(1u32 << k) / CELL as f64;
+        let off = area(&triangles, step) / exact - 1.0;
+        assert!(off.abs() < 0.01, "level {k} of {} triangles: area {off}", triangles.len());
+        for (at, triangles) in &level.cells {
+            for corner in triangles.iter().flatten().flatten() {
+                assert!(i64::from(*corner) <= CELL);
+            }
+            // Finer cells are where triangles are, and each lies in a coarser one.
+            let parent = at.map(|x| x / 2);
+            assert!(levels.get(k + 1).is_none_or(|coarser| coarser.cells.contains_key(&parent)));
+            for t in triangles.iter().filter(|_| k > 0) {
+                let child = std::array::from_fn(|axis| {
+                    let x = t.map(|corner| i64::from(corner[axis]));
+                    let is_upper = x.iter().any(|x| *x > HALF);
+                    assert!(!is_upper || x.iter().all(|x| *x >= HALF), "{t:?} is in two octants");
+                    2 * at[axis] + u32::from(is_upper)
+                });
+                assert!(levels[k - 1].cells.contains_key(&child));
+            }
+        }
+        if k > 0 {
+            let share = triangles.len() as f64 / levels[k - 1].triangles().len() as f64;
+            assert!((0.15..0.6).contains(&share) && level.scale > levels[k - 1].scale, "{k} {share}");
+        }
+    }
+    assert!(levels.last().unwrap().cells.len() == 1);
+    // The finest level has each vertex, to half a step.
+    let step = f64::from(edge) / CELL as f64;
+    let found: std::collections::HashSet<Place> = levels[0].triangles().into_iter().flatten().collect();
+    for vertex in &mesh.vertices {
+        let at = |k: usize| (f64::from(vertex.position[k]) - f64::from(origin[k])) / step;
+        assert!(found.contains(&std::array::from_fn(|k| at(k).round() as i64)), "{vertex:?}");
+    }
+}
+
+#[test]
+fn threads_and_memory_do_not_show() {
+    let dir = tempfile::tempdir().unwrap();
+    let mesh = source(torus(110));
+    let bytes = |name: &str, resources: Resources| {
+        let path = dir.path().join(name).with_extension("precomputed");
+        write(&mesh, &path, &micrometres(), &resources).unwrap();
+        [fs::read(path.join("1")).unwrap(), fs::read(path.join("1.index")).unwrap()]
+    };
+    let one = bytes("one", Resources::default().with_threads(1));
+    assert_eq!(one, bytes("four", Resources::default().with_threads(4)));
+    assert_eq!(one, bytes("little", Resources::default().with_memory(100 << 20)));
+    let path = dir.path().join("none.precomputed");
+    let error = write(&mesh, &path, &micrometres(), &Resources::default().with_memory(1 << 20)).unwrap_err();
+    assert_eq!(error.exit_code(), 4, "{error}");
+    let stopped = Resources::default();
+    stopped.cancel.cancel();
+    assert_eq!(write(&mesh, &path, &micrometres(), &stopped).unwrap_err().exit_code(), 75);
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 3);
+}
+
+#[test]
+fn a_surface_far_from_0_is_placed_by_the_transform() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("far.precomputed");
+    write(&source(far_tetrahedron()), &path, &micrometres(), &Resources::default()).unwrap();
+    let info: serde_json::Value = serde_json::from_slice(&fs::read(path.join("info")).unwrap()).unwrap();
+    let placed = [3, 7, 11].map(|n| info["transform"][n].as_f64().unwrap());
+    assert_eq!(placed, far_tetrahedron().origin.map(|x| x * 1e3));
+    let (_, origin, _) = read_segment(&path, 1);
+    assert!(origin.iter().all(|x| x.abs() < 10.0), "{origin:?}");
+}
+
+#[test]
+fn what_has_no_triangles_is_an_empty_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("none.precomputed");
+    write(&source(TriMesh::default()), &path, &micrometres(), &Resources::default()).unwrap();
+    assert_eq!(fs::read_dir(&path).unwrap().count(), 2);
+    // Triangles that are points leave cells without bytes, and so no mesh.
+    let point =
+        TriMesh { vertices: vec![near().vertices[0]; 3], triangles: vec![[0, 1, 2]], origin: [0.0; 3] };
+    write(&source(point), &path, &micrometres(), &Resources::default()).unwrap();
+    let (_, _, levels) = read_segment(&path, 1);
+    assert_eq!((levels.len(), levels[0].triangles().len()), (1, 0));
+}
+
+#[test]
+fn what_neuroglancer_does_not_have_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.precomputed");
+    let refused = |mesh: TriMesh, meta: &SurfaceMeta, says: &str| {
+        let error = write(&source(mesh), &path, meta, &Resources::default()).unwrap_err();
+        assert!(error.exit_code() == 2 && error.to_string().contains(says), "{error}");
+    };
+    refused(near(), &SurfaceMeta::default(), "the unit of length of this archive is not known");
+    let parsecs = SurfaceMeta { units: Units::of_length(Unit::new("pc")), ..SurfaceMeta::default() };
+    refused(near(), &parsecs, "'pc'");
+    let label = Some(LabelStyle { name: String::new(), colour: [0; 4] });
+    let parts = vec![SurfacePart { isovalue: -2.0, vertices: 4, triangles: 4, label }];
+    refused(near(), &SurfaceMeta { parts, ..micrometres() }, "the label -2");
+    fs::create_dir(&path).unwrap();
+    refused(near(), &micrometres(), "not a folder of neuroglancer's meshes alone");
+    let scratch = BuilderSettings::default();
+    let mut none = |_: &[u8]| Ok(());
+    let near = source(near());
+    let error = stream_surface(&near, SurfaceFormat::Neuroglancer, &micrometres(), &scratch, &mut none);
+    assert!(error.unwrap_err().to_string().contains("a folder"));
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}
