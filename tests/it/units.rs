@@ -330,17 +330,19 @@ fn neuroglancer_gets_a_folder_of_meshes_in_nanometres() {
     assert_eq!((&info["transform"][0], &info["transform"][5]), (&json!(1000.0), &json!(1000.0)));
     ok(d, &["surface", "u.isospan", "-i", "0.1", "-o", "one.ply"]);
     let mesh = isospan::formats::surface::read_surface(&d.join("one.ply")).unwrap();
-    let index = read("2.index");
-    let words: Vec<[u8; 4]> = index.chunks(4).map(|word| word.try_into().unwrap()).collect();
+    let shard = read("0.shard");
+    let word = |at: usize| u64::from_le_bytes(shard[at..at + 8].try_into().unwrap()) as usize;
+    // The index of the one minishard: of two segments numbers, gaps, bytes.
+    let index = 16 + word(0);
+    let [segments, gaps, bytes] = [0, 1, 2].map(|row| [word(index + 16 * row), word(index + 16 * row + 8)]);
+    assert_eq!((segments, word(8) - word(0)), ([1, 1], 48));
+    let second = 16 + gaps[0] + bytes[0] + gaps[1];
+    assert_eq!(second + bytes[1], index);
+    let float = |n: usize| f32::from_le_bytes(shard[second + 4 * n..][..4].try_into().unwrap());
     for k in 0..3 {
         let least = mesh.vertices.iter().map(|v| v.position[k]).fold(f32::INFINITY, f32::min);
-        assert_eq!(f32::from_le_bytes(words[3 + k]), least);
+        assert_eq!(float(3 + k), least);
     }
-    // The bytes of the fragments of all levels are the last numbers; here each level has one cell.
-    let levels = u32::from_le_bytes(words[6]) as usize;
-    assert_eq!(words.len(), 7 + 5 * levels + 4 * levels, "{levels} levels");
-    let bytes = |level: usize| u32::from_le_bytes(words[7 + 5 * levels + 4 * level + 3]) as usize;
-    assert_eq!((0..levels).map(bytes).sum::<usize>(), read("2").len());
     fails(d, &ask, "n.precomputed exists");
     ok(d, &[&ask[..], &["--force"]].concat());
     let refused = [

@@ -166,7 +166,7 @@ struct Fragment {
 pub(super) fn write_levels(
     mut surface: StoredSurface,
     means: &Means<'_>,
-    put: &mut (dyn FnMut(&[u8]) -> Result<()> + Send),
+    put: &mut dyn FnMut(&[u8]) -> Result<()>,
 ) -> Result<Vec<u8>> {
     let Some(lattice) = lattice_of(&surface)? else { return Ok(manifest(&NOTHING, &[])) };
     let (edge, lattice) = fit_cells(&surface, lattice, means)?;
@@ -270,7 +270,7 @@ impl Levels<'_> {
         &self,
         surface: &StoredSurface,
         level: u32,
-        put: &mut (dyn FnMut(&[u8]) -> Result<()> + Send),
+        put: &mut dyn FnMut(&[u8]) -> Result<()>,
     ) -> Result<BTreeMap<u64, Node>> {
         let mut sorted = self.pieces(surface, level)?;
         let mut next = sorted.next()?;
@@ -375,7 +375,7 @@ fn add_empty(nodes: &mut BTreeMap<u64, Node>, numbers: Vec<u64>) {
     }
 }
 
-/// The bytes of the file `<segment>.index`.
+/// The bytes of the manifest of a segment.
 fn manifest(lattice: &Lattice, levels: &[Level]) -> Vec<u8> {
     let mut out = vec![];
     put_floats(&mut out, [lattice.edge; 3]);

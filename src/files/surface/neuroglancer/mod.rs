@@ -3,8 +3,8 @@
 //! ```text
 //! info                      {"@type": "neuroglancer_multilod_draco", "transform": ...}
 //! segment_properties/info   the segments and their names
-//! 7.index                   the cells of each level of detail, and the bytes of their fragments
-//! 7                         the fragments one after another, coded by Draco
+//! 0.shard                   of each segment fragments, coded by Draco, and then its manifest: the
+//!                           cells of each level of detail, and the bytes of their fragments
 //! ```
 //!
 //! A segment is a label, or one of the isovalues, which are numbered from 1 on. The transform makes
@@ -14,6 +14,7 @@
 mod cut;
 mod draco;
 mod levels;
+mod shard;
 
 use super::SurfaceMeta;
 use super::parts::{Part, TakeParts, each_part, parts_of};
@@ -27,15 +28,14 @@ use isospan_io::exec::{Resources, pool};
 use levels::{Means, write_levels};
 use serde::Serialize;
 use serde_json::json;
+use shard::Shard;
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// What `info` calls the folder.
 const KIND: &str = "neuroglancer_multilod_draco";
 const PROPERTIES: &str = "segment_properties";
-/// What the name of a segment's manifest ends in.
-const INDEX: &str = ".index";
 /// Powers of ten from a metre to a nanometre.
 const NANO: i32 = 9;
 /// The most bytes of an `info` of a folder that is replaced.
@@ -155,11 +155,14 @@ pub(in crate::files) fn write(
         cancel: resources.cancel.clone(),
         target: path,
     };
-    let mut meshes = Meshes { folder, segments: segments.iter(), means: &means, mesh: None };
+    let (shard, file) = folder.create(shard::NAME)?;
+    let shard = Shard::begin(shard, file, segments.len())?;
+    let mut meshes = Meshes { shard, segments: segments.iter(), means: &means, mesh: None };
     each_part(source, &parts, &means.share(8), path, &mut meshes)?;
+    folder.bytes += meshes.shard.finish()?;
     // Somebody may have put files there meanwhile.
     stage.publish(is_replaced()?)?;
-    Ok(meshes.folder.bytes)
+    Ok(folder.bytes)
 }
 
 /// Whether a folder has such meshes, and nothing else that would be lost.
@@ -170,16 +173,11 @@ fn is_ours(folder: &Path) -> bool {
         .is_some_and(|info| info["@type"] == KIND);
     let is_known = |name: &str, is_folder: bool| match name {
         PROPERTIES => is_folder,
-        name => !is_folder && (name == "info" || is_of_segment(name)),
+        name => !is_folder && (name == "info" || name == shard::NAME),
     };
     is_kind
         && has_only(folder, is_known)
         && has_only(&folder.join(PROPERTIES), |name, is_folder| name == "info" && !is_folder)
-}
-
-/// Whether a name is `7` or `7.index`.
-fn is_of_segment(name: &str) -> bool {
-    name.strip_suffix(INDEX).unwrap_or(name).parse::<u64>().is_ok()
 }
 
 /// Whether all that is in a folder is known by its name, and whether it is a folder.
@@ -220,6 +218,7 @@ impl Folder {
             "vertex_quantization_bits": 16,
             "lod_scale_multiplier": 1,
             "transform": transform,
+            "sharding": shard::sharding(segments.len()),
             PROPERTIES: PROPERTIES,
         });
         self.put("info", format!("{info}\n").as_bytes())?;
@@ -234,7 +233,7 @@ impl Folder {
 
 /// Writes the mesh of each part.
 struct Meshes<'a> {
-    folder: Folder,
+    shard: Shard,
     segments: std::slice::Iter<'a, u64>,
     means: &'a Means<'a>,
     /// The segment that comes, and what is there of its mesh.
@@ -267,17 +266,8 @@ impl TakeParts for Meshes<'_> {
 
     fn end(&mut self) -> Result<()> {
         let Some((segment, mesh)) = self.mesh.take() else { return Ok(()) };
-        let (path, file) = self.folder.create(&segment.to_string())?;
-        let (mut file, mut bytes) = (BufWriter::new(file), 0);
-        let mut put = |fragment: &[u8]| {
-            bytes += fragment.len() as u64;
-            file.write_all(fragment).map_err(|e| Error::io("write", &path, e))
-        };
-        let manifest = write_levels(mesh, self.means, &mut put)?;
-        let file = file.into_inner().map_err(|e| Error::io("write", &path, e.into_error()))?;
-        file.sync_all().map_err(|e| Error::io("write", &path, e))?;
-        self.folder.bytes += bytes;
-        self.folder.put(&format!("{segment}{INDEX}"), &manifest)
+        let manifest = write_levels(mesh, self.means, &mut |fragment| self.shard.put(fragment))?;
+        self.shard.end_segment(segment, &manifest)
     }
 }
 

@@ -54,33 +54,53 @@ impl Read {
     }
 }
 
+/// What is before the end of the manifest of a segment, and where that begins.
+fn found_in_shard(folder: &Path, segment: u64) -> (Vec<u8>, usize) {
+    let mut data = read(&folder.join(shard::NAME), 1 << 30).unwrap();
+    let word = |at: usize| u64::from_le_bytes(data[at..at + 8].try_into().unwrap());
+    // There is one minishard.
+    let [start, end] = [0, 8].map(|at| 16 + word(at) as usize);
+    let (count, mut at, mut number) = ((end - start) / 24, 16, 0);
+    for n in 0..count {
+        let [more, skipped, bytes] = [0, 1, 2].map(|row| word(start + 8 * (row * count + n)));
+        number += more;
+        at += skipped as usize;
+        if number == segment {
+            data.truncate(at + bytes as usize);
+            return (data, at);
+        }
+        at += bytes as usize;
+    }
+    panic!("no segment {segment}");
+}
+
 /// What the files of a segment say: the edge of a cell, the origin, the levels.
 fn read_segment(folder: &Path, segment: u64) -> (f32, [f32; 3], Vec<Read>) {
-    let whole = |name: String| read(&folder.join(name), 1 << 30).unwrap();
-    let (index, data) = (whole(format!("{segment}.index")), whole(segment.to_string()));
-    let words: Vec<u32> = index.chunks(4).map(|word| u32::from_le_bytes(word.try_into().unwrap())).collect();
-    let mut words = words.into_iter();
+    let (data, start) = found_in_shard(folder, segment);
+    let mut words = data[start..].chunks(4).map(|word| u32::from_le_bytes(word.try_into().unwrap()));
     let mut next = |count: usize| words.by_ref().take(count).collect::<Vec<u32>>();
     let floats = |words: Vec<u32>| words.into_iter().map(f32::from_bits).collect::<Vec<f32>>();
     let (edge, origin, levels) = (floats(next(3))[0], floats(next(3)), next(1)[0] as usize);
     let (scales, moved) = (floats(next(levels)), floats(next(3 * levels)));
     assert!(moved.iter().all(|x| *x == 0.0));
-    let (counts, mut at, mut read) = (next(levels), 0, vec![]);
-    for (scale, count) in scales.into_iter().zip(counts) {
-        let count = count as usize;
-        let (places, bytes) = (next(3 * count), next(count));
+    let counts = next(levels);
+    let cells: Vec<_> = counts.into_iter().map(|n| (next(3 * n as usize), next(n as usize))).collect();
+    assert_eq!(words.next(), None);
+    // Fragments lie before their manifest.
+    let mut at = start - cells.iter().flat_map(|(_, bytes)| bytes).sum::<u32>() as usize;
+    let mut levels = vec![];
+    for (scale, (places, bytes)) in scales.into_iter().zip(cells) {
         let mut cells = BTreeMap::new();
-        for (n, &bytes) in bytes.iter().enumerate() {
-            let place = [0, 1, 2].map(|k| places[k * count + n]);
-            let here = &data[at..at + bytes as usize];
+        for (n, &size) in bytes.iter().enumerate() {
+            let place = [0, 1, 2].map(|k| places[k * bytes.len() + n]);
+            let here = &data[at..at + size as usize];
             at += here.len();
             let triangles = if here.is_empty() { vec![] } else { decoded(here) };
             assert!(cells.insert(place, triangles).is_none());
         }
-        read.push(Read { scale, cells });
+        levels.push(Read { scale, cells });
     }
-    assert_eq!((words.next(), at), (None, data.len()));
-    (edge, origin.try_into().unwrap(), read)
+    (edge, origin.try_into().unwrap(), levels)
 }
 
 fn decoded(bytes: &[u8]) -> Vec<[[u32; 3]; 3]> {
@@ -164,16 +184,16 @@ fn each_label_is_a_segment_in_nanometres() {
             right.sort_unstable();
             assert_eq!(found, right);
         }
-        let all = ["info", "segment_properties/info", "3", "3.index", "7", "7.index"];
+        let all = ["info", "segment_properties/info", "0.shard"];
         let sizes: u64 = all.map(|name| fs::metadata(path.join(name)).unwrap().len()).iter().sum();
-        assert_eq!((bytes, fs::read_dir(&path).unwrap().count()), (sizes, 6));
+        assert_eq!((bytes, fs::read_dir(&path).unwrap().count()), (sizes, 3));
     }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
     // What somebody keeps beside the meshes is not lost.
     fs::write(path.join("photo.jpg"), "mine").unwrap();
     let error = write(&joined, &path, &meta, &Resources::default()).unwrap_err();
     assert!(error.to_string().contains("meshes alone"), "{error}");
-    assert_eq!(fs::read_dir(&path).unwrap().count(), 7);
+    assert_eq!(fs::read_dir(&path).unwrap().count(), 4);
 }
 
 #[test]
@@ -230,7 +250,7 @@ fn threads_and_memory_do_not_show() {
     let bytes = |name: &str, resources: Resources| {
         let path = dir.path().join(name).with_extension("precomputed");
         write(&mesh, &path, &micrometres(), &resources).unwrap();
-        [fs::read(path.join("1")).unwrap(), fs::read(path.join("1.index")).unwrap()]
+        fs::read(path.join(shard::NAME)).unwrap()
     };
     let one = bytes("one", Resources::default().with_threads(1));
     assert_eq!(one, bytes("four", Resources::default().with_threads(4)));
@@ -261,7 +281,7 @@ fn what_has_no_triangles_is_an_empty_folder() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("none.precomputed");
     write(&source(TriMesh::default()), &path, &micrometres(), &Resources::default()).unwrap();
-    assert_eq!(fs::read_dir(&path).unwrap().count(), 2);
+    assert_eq!(fs::read_dir(&path).unwrap().count(), 3);
     // Triangles that are points leave cells without bytes, and so no mesh.
     let point =
         TriMesh { vertices: vec![near().vertices[0]; 3], triangles: vec![[0, 1, 2]], origin: [0.0; 3] };
