@@ -117,6 +117,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 /// The step of an archive; none of a surface.
 fn opened(args: &Args, path: &Path) -> Result<Option<Step>> {
     if !is_archive(path) {
+        if path.is_dir() {
+            let path = path.display();
+            let text = "is a folder and no archive: name an archive, or the file of a surface";
+            return Err(Error::usage(format!("{path} {text}")));
+        }
         return Ok(None);
     }
     if args.isovalue.is_none() {

@@ -10,6 +10,7 @@
 //!  times           0,0.5,2   0,0.5,...      time span       2d  12h  30m  90s
 //!  type            uint16  u16  <f4         shard           3/16
 //!  length          0.5  2mm  0.1%          opacity         0.3  30%
+//!  volume          5  5mm3
 //!  label           7  -1  liver  all
 //!  plane           z=40  x=50%          slab            z=40:  x=:50%  y=10:20
 //! ```
@@ -148,13 +149,46 @@ pub(crate) fn length(text: &str) -> Parsed<Length> {
     expected(found, "a length above 0, as in 0.5 or 0.2mm, or a share of the domain's diagonal, as in 0.1%")
 }
 
-/// A number, and a unit of length behind it.
+/// A volume in world units, or in cubes of a unit of length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Volume {
+    number: f64,
+    /// The edge of the cubes; none for world units.
+    edge: Option<Length>,
+}
+
+impl Volume {
+    /// The volume in world units, of which a length is in `unit`.
+    pub(crate) fn in_world(self, unit: Option<&Unit>) -> isospan::Result<f64> {
+        let edge = self.edge.map_or(Ok(1.0), |edge| edge.in_world(unit, None))?;
+        Ok(self.number * edge.powi(3))
+    }
+}
+
+/// A volume: `5` in world units, or `5mm3`.
+pub(crate) fn volume(text: &str) -> Parsed<Volume> {
+    let text = text.trim();
+    let in_cubes = || {
+        let text = text.strip_suffix("^3").or_else(|| text.strip_suffix(['3', '³']))?;
+        let (number, unit) = number_and_unit(text)?;
+        Some(Volume { number, edge: Some(Length::of(1.0, &unit)?) })
+    };
+    let found = finite(text).map(|number| Volume { number, edge: None }).or_else(in_cubes);
+    expected(found.filter(|v| v.number >= 0.0), "a volume of 0 or more, as in 5 or 5mm3")
+}
+
 fn length_of_a_unit(text: &str) -> Option<Length> {
+    let (number, unit) = number_and_unit(text)?;
+    Length::of(Some(number).filter(|n| *n > 0.0)?, &unit)
+}
+
+/// A number, and a unit of length behind it.
+fn number_and_unit(text: &str) -> Option<(f64, Unit)> {
     let is_of_number = |c: char| c.is_ascii_digit() || ".+-".contains(c);
     // An exponent ends with a digit, too.
     let (end, last) = text.char_indices().rev().find(|(_, c)| is_of_number(*c))?;
     let (number, unit) = text.split_at(end + last.len_utf8());
-    Length::of(positive(number)?, &Unit::length(unit)?)
+    Some((finite(number)?, Unit::length(unit)?))
 }
 
 fn value_of(text: &str) -> Option<Value> {
@@ -503,6 +537,20 @@ mod tests {
         let millimetres = |value| Length::of(value, &Unit::length("mm").unwrap()).unwrap();
         assert_eq!((length("0.2mm"), length(" 1e3 mm")), (Ok(millimetres(0.2)), Ok(millimetres(1e3))));
         refused(length, &["", "0", "-1", "0%", "x", "0mm", "mm", "1 mm 2", "5px"]);
+        let of = |number, edge: Option<&str>| {
+            Ok(Volume {
+                number,
+                edge: edge.map(|name| Length::of(1.0, &Unit::length(name).unwrap()).unwrap()),
+            })
+        };
+        assert_eq!(
+            (volume("2.5e3"), volume("0"), volume("5mm3")),
+            (of(2500.0, None), of(0.0, None), of(5.0, Some("mm")))
+        );
+        assert_eq!((volume("0.5 um^3"), volume("5 µm³")), (of(0.5, Some("um")), of(5.0, Some("um"))));
+        assert_eq!(volume("5mm3").unwrap().in_world(Unit::length("um").as_ref()).unwrap(), 5e9);
+        assert!(volume("5mm3").unwrap().in_world(None).is_err());
+        refused(volume, &["", "-1", "x", "5mm", "5mm2", "mm3", "5px3", "1%", "-1mm3"]);
     }
 
     #[test]

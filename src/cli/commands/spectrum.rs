@@ -127,7 +127,7 @@ fn table(report: &SpectrumReport, cells: &str, units: &Units) -> String {
     let _ = writeln!(
         out,
         "{} {cells}, volume {}{}, values {}{}",
-        text::count(report.tetrahedra),
+        text::count(report.cells),
         text::number(report.volume),
         match &units.length {
             Some(unit) => text::unit_to_the(3, Some(unit)),

@@ -85,10 +85,10 @@ pub struct Args {
     /// Keep connected components with at least N triangles.
     #[arg(help_heading = "Components and decimation", long, value_name = "N", value_parser = grammar::whole::<u64>, allow_negative_numbers = true)]
     min_triangles: Option<u64>,
-    /// Keep connected components of at least this volume, in world units. For an open component,
-    /// the volume between it and the centre of its bounding box counts.
-    #[arg(help_heading = "Components and decimation", long, value_name = "VOLUME", value_parser = grammar::number, allow_negative_numbers = true)]
-    min_volume: Option<f64>,
+    /// Keep connected components of at least this volume: 5mm3, or 5 in world units. For an open
+    /// component, the volume between it and the centre of its bounding box counts.
+    #[arg(help_heading = "Components and decimation", long, value_name = "VOLUME", value_parser = grammar::volume, allow_hyphen_values = true)]
+    min_volume: Option<grammar::Volume>,
     /// Measure the connected components. The ten largest are listed; --json lists up to 1000.
     #[arg(help_heading = "Components and decimation", long)]
     components: bool,
@@ -235,10 +235,12 @@ fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
         || args.min_triangles.is_some()
         || args.min_volume.is_some();
     let all = ComponentFilter::default();
+    let unit = &archive.units().length;
+    let min_volume = args.min_volume.map(|volume| volume.in_world(unit.as_ref())).transpose()?;
     let components = wanted.then(|| ComponentFilter {
         largest: args.largest,
         min_triangles: args.min_triangles.unwrap_or(all.min_triangles),
-        min_volume: args.min_volume.unwrap_or(all.min_volume),
+        min_volume: min_volume.unwrap_or(all.min_volume),
     });
     let wanted = args.decimate.is_some() || args.decimate_error.is_some();
     let far = Decimation::default();

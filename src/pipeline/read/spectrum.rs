@@ -142,10 +142,10 @@ pub struct Suggestion {
 /// The contour spectrum of an archive.
 #[derive(Clone, Debug, Serialize)]
 pub struct SpectrumReport {
-    /// Least and largest value of tetrahedra that are not void; `None` if all are void.
+    /// Least and largest value of cells that are not void; `None` if all are void.
     pub range: Option<[f64; 2]>,
-    /// Tetrahedra that are not void.
-    pub tetrahedra: u64,
+    /// Cells that are not void: tetrahedra, or cubes of a pyramid.
+    pub cells: u64,
     /// Their volume, in world units.
     pub volume: f64,
     /// Whether lengths are those of tetrahedra with straight edges between their corners, of a grid
@@ -286,7 +286,7 @@ pub(super) fn report_of(archive: &StepView, nodes: usize) -> Result<SpectrumRepo
     let Some((spectrum, of_file)) = archive.spectrum(nodes)? else {
         let none = SpectrumReport {
             range: None,
-            tetrahedra: 0,
+            cells: 0,
             volume: 0.0,
             straight_edges: false,
             knots: vec![],
@@ -306,7 +306,7 @@ pub(super) fn report_of(archive: &StepView, nodes: usize) -> Result<SpectrumRepo
     let suggestions = suggest(&spectrum).into_iter();
     Ok(SpectrumReport {
         range: Some(spectrum.range.map(|v| source.in_file(v))),
-        tetrahedra: spectrum.tetrahedra,
+        cells: spectrum.tetrahedra,
         volume: spectrum.volume,
         straight_edges: archive.coordinate_record().is_some(),
         knots: spectrum.knots.iter().map(knot).collect(),

@@ -302,7 +302,7 @@ mod tests {
         };
         let report = SpectrumReport {
             range: Some([0.0, 9.0]),
-            tetrahedra: 100,
+            cells: 100,
             volume: 100.0,
             straight_edges: false,
             knots: (1..=9).map(knot).collect(),

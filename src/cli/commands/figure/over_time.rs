@@ -133,7 +133,7 @@ mod tests {
         let knot = |i: u8| Knot { isovalue: f64::from(i), area: area * f64::from(i), ..Knot::default() };
         let spectrum = SpectrumReport {
             range: Some([0.0, 4.0]),
-            tetrahedra: 1,
+            cells: 1,
             volume: 1.0,
             straight_edges: false,
             knots: (1..4).map(knot).collect(),
