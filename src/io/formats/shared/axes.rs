@@ -8,7 +8,7 @@
 
 /// The axes of an array, whose sizes and kinds are given slowest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::formats) struct Layout {
+pub(in crate::formats) struct AxisLayout {
     /// Those of space, the last one (the fastest) first.
     pub(in crate::formats) space: [usize; 3],
     /// The one with the volumes of a series, where it has several entries.
@@ -29,7 +29,7 @@ const COMPONENTS: Expected = "one number a sample: the last of four axes without
 ///
 /// # Errors
 /// What is expected instead, where its axes are not understood.
-pub(in crate::formats) fn layout(shape: &[u64], kinds: &[char]) -> Result<Layout, Expected> {
+pub(in crate::formats) fn layout(shape: &[u64], kinds: &[char]) -> Result<AxisLayout, Expected> {
     let rank = shape.len();
     let is_nameless = rank == 4 && kinds.iter().all(|&k| k == '?');
     // Vectors or colours; a single entry is no axis.
@@ -51,7 +51,7 @@ pub(in crate::formats) fn layout(shape: &[u64], kinds: &[char]) -> Result<Layout
             return Err(OTHERS);
         }
     }
-    Ok(Layout { space, series, channels })
+    Ok(AxisLayout { space, series, channels })
 }
 
 /// The axes of space, the last one first.

@@ -11,11 +11,13 @@
 //!  time(time), time()               the time of each frame, or that of all
 //! ```
 
-use super::axes::{Layout, layout};
+use super::axes::{AxisLayout, layout};
 use super::coordinates::{GridCoordinates, rectilinear, regular};
 use super::header::geometry;
 use super::lengths::Lengths;
-pub(in crate::formats) use super::packing::{Attributes, Convert, Numbers, Packing, netcdf_fill, signed_as};
+pub(in crate::formats) use super::packing::{
+    AttributeNumbers, Attributes, Convert, Packing, netcdf_fill, signed_as,
+};
 use super::{Frames, OpenOptions};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
@@ -89,7 +91,7 @@ pub(in crate::formats) fn in_one_unit(
 
 /// A volume of an array: three axes, at one entry of each other axis.
 #[derive(Clone, Debug)]
-pub(in crate::formats) struct Part {
+pub(in crate::formats) struct Hyperslab {
     pub(in crate::formats) info: FieldInfo,
     /// The name of the array.
     pub(in crate::formats) array: String,
@@ -107,7 +109,7 @@ pub(in crate::formats) struct Part {
     pub(in crate::formats) world: [usize; 3],
 }
 
-impl Part {
+impl Hyperslab {
     /// Whether it is one of several channels.
     pub(in crate::formats) fn is_channel(&self) -> bool {
         self.channel.is_some()
@@ -146,7 +148,7 @@ pub(in crate::formats) fn parts_of(
     kinds: &[char],
     scalar: ScalarType,
     rules: Rules,
-) -> Result<Vec<Part>> {
+) -> Result<Vec<Hyperslab>> {
     let refuse = |expected: &str| {
         let axis =
             |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
@@ -162,7 +164,7 @@ pub(in crate::formats) fn parts_of(
     if let Some(vectors) = vectors(name, shape, kinds, scalar, rules) {
         return Ok(vec![vectors]);
     }
-    let Layout { space, series, channels } = layout(shape, kinds).map_err(refuse)?;
+    let AxisLayout { space, series, channels } = layout(shape, kinds).map_err(refuse)?;
     let count = |axis: Option<usize>| axis.map_or(1, |axis| shape[axis]);
     let all = count(series).checked_mul(count(channels)).filter(|&all| all <= MOST_FRAMES);
     let has_times = channels.is_none() && series.is_some_and(|axis| kinds[axis] == 't');
@@ -189,7 +191,7 @@ pub(in crate::formats) fn parts_of(
             let name_of_part = format!("{name}{of_channel}{of_frame}");
             let info = FieldInfo { name: name_of_part, scalar, components: 1 };
             let (array, world) = (name.into(), world_of(space.map(|axis| kinds[axis])));
-            parts.push(Part { info, array, axes: space, entries, channel, frames: series, time, world });
+            parts.push(Hyperslab { info, array, axes: space, entries, channel, frames: series, time, world });
         }
     }
     Ok(parts)
@@ -203,7 +205,7 @@ fn world_of(kinds: [char; 3]) -> [usize; 3] {
 }
 
 /// The field of an array of vectors, or of colours, which are the last of its axes.
-fn vectors(name: &str, shape: &[u64], kinds: &[char], scalar: ScalarType, rules: Rules) -> Option<Part> {
+fn vectors(name: &str, shape: &[u64], kinds: &[char], scalar: ScalarType, rules: Rules) -> Option<Hyperslab> {
     let rank = shape.len();
     let is_named = rules != Rules::Vectors && kinds.iter().any(|&kind| kind != '?');
     let is_short = rank == 4 && shape[3] <= 4 && shape[1] > 4 && shape[2] > 4 && !is_named;
@@ -215,7 +217,7 @@ fn vectors(name: &str, shape: &[u64], kinds: &[char], scalar: ScalarType, rules:
     let info = FieldInfo { name: name.into(), scalar, components };
     let (axes, entries) = ([rank - 2, rank - 3, rank - 4], vec![0; rank]);
     let (array, world) = (name.into(), [0, 1, 2]);
-    Some(Part { info, array, axes, entries, channel: None, frames: None, time: None, world })
+    Some(Hyperslab { info, array, axes, entries, channel: None, frames: None, time: None, world })
 }
 
 /// Names of the dimensions that meshes of climate models have for their cells, in lower case.
@@ -271,7 +273,7 @@ pub(in crate::formats) fn names_of_time(coordinates: &str) -> impl Iterator<Item
 }
 
 /// The time of all fields, where they have one and the same; `None` of a series.
-pub(in crate::formats) fn common_time<'a, P: AsRef<Part> + 'a>(
+pub(in crate::formats) fn common_time<'a, P: AsRef<Hyperslab> + 'a>(
     fields: impl Iterator<Item = &'a P>,
     mut time_of: impl FnMut(&P) -> Option<f64>,
 ) -> Option<f64> {
@@ -293,7 +295,7 @@ pub(in crate::formats) fn common_time<'a, P: AsRef<Part> + 'a>(
 pub(in crate::formats) fn with_channel<'a>(
     path: &Path,
     options: &OpenOptions,
-    parts: impl Iterator<Item = &'a Part>,
+    parts: impl Iterator<Item = &'a Hyperslab>,
 ) -> Result<Option<String>> {
     let Some(channel) = &options.channel else { return Ok(options.field.clone()) };
     let number = channel.strip_prefix('c').unwrap_or(channel);
@@ -321,14 +323,14 @@ pub(in crate::formats) fn with_channel<'a>(
 /// The frames of the array that has `first`, by the names of their fields, and their times, where
 /// all of them have one. Without a choice, none where the file has other fields too.
 pub(in crate::formats) fn frames<'a>(
-    parts: impl Iterator<Item = &'a Part> + Clone,
-    first: &Part,
+    parts: impl Iterator<Item = &'a Hyperslab> + Clone,
+    first: &Hyperslab,
     is_chosen: bool,
     times: Option<Vec<f64>>,
 ) -> Frames {
     let all = parts.clone().count();
-    let is_of_it = |p: &&Part| p.array == first.array && p.channel == first.channel;
-    let frames: Vec<&Part> = parts.filter(is_of_it).collect();
+    let is_of_it = |p: &&Hyperslab| p.array == first.array && p.channel == first.channel;
+    let frames: Vec<&Hyperslab> = parts.filter(is_of_it).collect();
     if !is_chosen && (frames.len() != all || all == 1) {
         return vec![];
     }
@@ -338,7 +340,7 @@ pub(in crate::formats) fn frames<'a>(
 }
 
 /// The times of all frames by the names of their fields, given those of each array that has some.
-pub(in crate::formats) fn times<'a, P: AsRef<Part> + 'a>(
+pub(in crate::formats) fn times<'a, P: AsRef<Hyperslab> + 'a>(
     parts: impl Iterator<Item = &'a P>,
     mut of_array: impl FnMut(&P) -> Option<Vec<f64>>,
 ) -> HashMap<String, f64> {

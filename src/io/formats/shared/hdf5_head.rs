@@ -128,7 +128,7 @@ impl From<Value> for Dataset {
     }
 }
 
-enum Member {
+enum GroupMember {
     Group(Group),
     Dataset(Dataset),
 }
@@ -137,7 +137,7 @@ enum Member {
 #[derive(Default)]
 pub struct Group {
     attributes: Vec<(&'static str, Value)>,
-    members: Vec<(String, Member)>,
+    members: Vec<(String, GroupMember)>,
 }
 
 impl Group {
@@ -149,12 +149,12 @@ impl Group {
 
     /// Adds a dataset.
     pub fn add(&mut self, name: &str, dataset: impl Into<Dataset>) {
-        self.members.push((name.into(), Member::Dataset(dataset.into())));
+        self.members.push((name.into(), GroupMember::Dataset(dataset.into())));
     }
 
     /// Adds a group.
     pub fn add_group(&mut self, name: &str, group: Self) {
-        self.members.push((name.into(), Member::Group(group)));
+        self.members.push((name.into(), GroupMember::Group(group)));
     }
 
     /// The head of the file of which this is the root group.
@@ -199,8 +199,8 @@ impl Objects {
         let mut messages = vec![(LINK_INFO, no_heap), (GROUP_INFO, vec![0, 0])];
         for (name, member) in &group.members {
             let address = match member {
-                Member::Group(group) => self.group(group)?,
-                Member::Dataset(dataset) => self.dataset(dataset)?,
+                GroupMember::Group(group) => self.group(group)?,
+                GroupMember::Dataset(dataset) => self.dataset(dataset)?,
             };
             let length = u16::try_from(name.len()).map_err(|_| too_long(name))?.to_le_bytes();
             // A hard link; its name is UTF-8, and the length of that has two bytes.

@@ -133,7 +133,7 @@ fn bad(file: &impl Variables, what: &str, expected: &str, got: String) -> Error 
         .with_help("convert it: mnc2nii, or mincresample to regular axes")
 }
 
-struct Axis {
+struct MincAxis {
     start: f64,
     step: Option<f64>,
     direction: [f64; 3],
@@ -141,7 +141,7 @@ struct Axis {
 }
 
 /// An axis of an image.
-fn axis(file: &impl Variables, name: &str) -> Result<Axis> {
+fn axis(file: &impl Variables, name: &str) -> Result<MincAxis> {
     if file.text(name, "spacing").starts_with("irregular") {
         return Err(Error::bad_input(file.path(), file.place(name), "regular spacing", "irregular spacing")
             .with_help("resample it to regular axes (mincresample)"));
@@ -156,7 +156,7 @@ fn axis(file: &impl Variables, name: &str) -> Result<Axis> {
         })
     })?;
     let unit = Unit::length(&file.text(name, "units"));
-    Ok(Axis { start: one("start").unwrap_or(0.0), step: one("step"), direction, unit })
+    Ok(MincAxis { start: one("start").unwrap_or(0.0), step: one("step"), direction, unit })
 }
 
 /// The stored numbers that have values.

@@ -5,7 +5,7 @@ use crate::grid::IndexBox;
 use crate::volume::{ScalarType, VolumeInfo};
 
 /// The numbers of an attribute.
-pub(in crate::formats) struct Numbers {
+pub(in crate::formats) struct AttributeNumbers {
     pub(in crate::formats) values: Vec<f64>,
     /// Whether they are stored as floats.
     pub(in crate::formats) are_floats: bool,
@@ -17,7 +17,7 @@ pub(in crate::formats) trait Attributes {
     ///
     /// # Errors
     /// [`Error::BadInput`] where it has no numbers.
-    fn numbers(&self, name: &str) -> Result<Option<Numbers>>;
+    fn numbers(&self, name: &str) -> Result<Option<AttributeNumbers>>;
 
     /// The text of an attribute; "" where there is no such text.
     fn text(&self, name: &str) -> String;
@@ -30,7 +30,7 @@ pub(in crate::formats) trait Attributes {
     /// # Errors
     /// [`Error::BadInput`] where it is not one number.
     fn number(&self, name: &str) -> Result<Option<f64>> {
-        let Some(Numbers { values, .. }) = self.numbers(name)? else { return Ok(None) };
+        let Some(AttributeNumbers { values, .. }) = self.numbers(name)? else { return Ok(None) };
         match values[..] {
             [value] => Ok(Some(value)),
             _ => Err(self.wrong(name, "one number", format!("{} values", values.len()))),
@@ -79,7 +79,7 @@ impl Packing {
         }
         if missing.is_empty() {
             let values = usual(scale.is_some() || offset.is_some()).into_iter().collect();
-            missing.push(sign.of_numbers(Numbers { values, are_floats: scalar.is_float() }));
+            missing.push(sign.of_numbers(AttributeNumbers { values, are_floats: scalar.is_float() }));
         }
         // What is not a number is missing anyway.
         let mut missing: Vec<f64> = missing.into_iter().flatten().filter(|v| !v.is_nan()).collect();
@@ -137,8 +137,8 @@ impl Sign {
     }
 
     /// The same bits as numbers of the type that samples have.
-    fn of_numbers(&self, numbers: Numbers) -> Vec<f64> {
-        let Numbers { mut values, are_floats } = numbers;
+    fn of_numbers(&self, numbers: AttributeNumbers) -> Vec<f64> {
+        let AttributeNumbers { mut values, are_floats } = numbers;
         let bits = 8 * self.scalar.bytes() as i32;
         let (all, half) = (libm::exp2(f64::from(bits)), libm::exp2(f64::from(bits - 1)));
         let is_unsigned = signed_as(self.scalar, "false") != self.scalar;

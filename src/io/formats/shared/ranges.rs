@@ -13,11 +13,11 @@ use std::sync::Arc;
 /// Numbers in a range of a file.
 pub(in crate::formats) struct RangeNumbers {
     scalar: ScalarType,
-    place: Place,
+    place: NumberSource,
     bytes: Vec<u8>,
 }
 
-enum Place {
+enum NumberSource {
     Text(TextNumbers),
     Binary { source: Arc<ByteSource>, range: Range<u64>, big_endian: bool },
 }
@@ -30,7 +30,7 @@ impl RangeNumbers {
 
     /// Numbers written as words of any kind.
     pub(in crate::formats) fn words(words: TextNumbers, scalar: ScalarType) -> Self {
-        Self { scalar, place: Place::Text(words), bytes: vec![] }
+        Self { scalar, place: NumberSource::Text(words), bytes: vec![] }
     }
 
     /// Numbers as bytes.
@@ -40,7 +40,7 @@ impl RangeNumbers {
         scalar: ScalarType,
         big_endian: bool,
     ) -> Self {
-        let place = Place::Binary { source: Arc::clone(source), range, big_endian };
+        let place = NumberSource::Binary { source: Arc::clone(source), range, big_endian };
         Self { scalar, place, bytes: vec![] }
     }
 
@@ -48,8 +48,8 @@ impl RangeNumbers {
     fn load(&mut self, n: usize) -> Result<()> {
         self.bytes.resize(n * self.scalar.bytes(), 0);
         match &mut self.place {
-            Place::Text(words) => words.fill(self.scalar, &mut self.bytes),
-            Place::Binary { source, range, big_endian } => {
+            NumberSource::Text(words) => words.fill(self.scalar, &mut self.bytes),
+            NumberSource::Binary { source, range, big_endian } => {
                 if self.bytes.len() as u64 > range.end.saturating_sub(range.start) {
                     let at = crate::error::Place::byte(range.start);
                     return Err(Error::bad_input(source.path(), at, "more numbers", "the end of the array"));
@@ -81,12 +81,12 @@ impl NumberStream for RangeNumbers {
 
     fn finish(&mut self) -> Result<()> {
         match &self.place {
-            Place::Text(words) => words.finish(),
-            Place::Binary { source, range, .. } if !range.is_empty() => {
+            NumberSource::Text(words) => words.finish(),
+            NumberSource::Binary { source, range, .. } if !range.is_empty() => {
                 let at = crate::error::Place::byte(range.start);
                 Err(Error::bad_input(source.path(), at, "the end of the array", "more numbers"))
             }
-            Place::Binary { .. } => Ok(()),
+            NumberSource::Binary { .. } => Ok(()),
         }
     }
 }

@@ -28,7 +28,7 @@ pub(in crate::formats) struct Directory {
 
 /// An entry of the directory.
 #[derive(Clone, Debug)]
-pub(in crate::formats) struct Member {
+pub(in crate::formats) struct ZipMember {
     pub(in crate::formats) name: String,
     /// Where its local header is.
     local: u64,
@@ -98,7 +98,7 @@ impl Directory {
     }
 
     /// The member whose entry is there.
-    pub(in crate::formats) fn member(&self, source: &ByteSource, at: u64) -> Result<Member> {
+    pub(in crate::formats) fn member(&self, source: &ByteSource, at: u64) -> Result<ZipMember> {
         let bytes = source.slice(self.bytes.clone())?;
         let wrong = || no_entry(source, at);
         let (name, length) = entry(bytes, at as usize).ok_or_else(wrong)?;
@@ -107,7 +107,7 @@ impl Directory {
         let name = String::from_utf8_lossy(name).into_owned();
         let [len, compressed, local] =
             sizes(entry, extra).ok_or_else(|| bad(source, &name, "sizes in the zip directory"))?;
-        Ok(Member {
+        Ok(ZipMember {
             name,
             local,
             flags: le(entry, 8, 2),
@@ -118,7 +118,7 @@ impl Directory {
     }
 }
 
-impl Member {
+impl ZipMember {
     /// A range in which all of it lies, if its local header has at most `extra` bytes more than its
     /// name needs.
     pub(in crate::formats) fn around(&self, extra: u64, len: u64) -> Range<u64> {

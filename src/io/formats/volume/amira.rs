@@ -49,7 +49,7 @@ impl Format for Amira {
     }
 
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
-        Ok(Box::new(File::open(head.file()?)?))
+        Ok(Box::new(AmiraFile::open(head.file()?)?))
     }
 }
 
@@ -62,7 +62,7 @@ const LABEL: u64 = 64;
 /// Most samples along all axes whose coordinates are read.
 const MOST_COORDINATES: u64 = 1 << 24;
 
-impl Dataset for File {
+impl Dataset for AmiraFile {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let path = self.source.path();
         let on_lattice = || self.arrays.iter().filter(|a| a.on == "Lattice");
@@ -84,13 +84,13 @@ impl Dataset for File {
         let mut info = plain_info(path, format, self.dims, scalar, geometry);
         info.assumed = assumed;
         (info.field, info.fields) = (array.field.clone(), fields);
-        let (range, big_endian) = (self.bytes_of(array)?, self.kind == Kind::Big);
+        let (range, big_endian) = (self.bytes_of(array)?, self.kind == AmiraEncoding::Big);
         let source = Arc::clone(&self.source);
         if let Some(packed) = &array.packed {
             let slabs = ByteSlabs::new(info, &source, range, packed.codec, 0, big_endian, Tail::Nothing)?;
             return Ok(VolumeSource::Stream(Box::new(slabs)));
         }
-        if self.kind == Kind::Text {
+        if self.kind == AmiraEncoding::Text {
             return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, source, range)?)));
         }
         let strides = StridedVolume::packed_strides(self.dims, scalar).expect("fewer than 2^63 bytes");
@@ -115,13 +115,13 @@ fn placed(lines: &[Vec<f64>; 3]) -> Option<[[f64; 3]; 2]> {
 
 /// How numbers are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum AmiraEncoding {
     Little,
     Big,
     Text,
 }
 
-impl Kind {
+impl AmiraEncoding {
     fn name(self) -> &'static str {
         if self == Self::Text { "ascii" } else { "raw" }
     }
@@ -144,9 +144,9 @@ struct Packed {
     bytes: u64,
 }
 
-struct File {
+struct AmiraFile {
     source: Arc<ByteSource>,
-    kind: Kind,
+    kind: AmiraEncoding,
     dims: [u64; 3],
     /// Names and sizes of what arrays are defined on.
     sizes: Vec<(String, u64)>,
@@ -184,7 +184,7 @@ fn words(text: &str) -> Vec<&str> {
     }
 }
 
-impl File {
+impl AmiraFile {
     fn open(source: &Arc<ByteSource>) -> Result<Self> {
         let (path, bytes) = (source.path(), source.head_from(0)?);
         let end = bytes[..bytes.len().min(LONGEST)].windows(END.len()).position(|w| w == END);
@@ -195,9 +195,9 @@ impl File {
         let text = String::from_utf8_lossy(&bytes[..end]).into_owned();
         let first = text.lines().next().unwrap_or_default().to_ascii_uppercase();
         let kind = match () {
-            () if first.contains("BINARY-LITTLE-ENDIAN") => Kind::Little,
-            () if first.contains("BINARY") => Kind::Big,
-            () if first.contains("ASCII") => Kind::Text,
+            () if first.contains("BINARY-LITTLE-ENDIAN") => AmiraEncoding::Little,
+            () if first.contains("BINARY") => AmiraEncoding::Big,
+            () if first.contains("ASCII") => AmiraEncoding::Text,
             () => {
                 return Err(Error::bad_input(
                     path,
@@ -373,7 +373,7 @@ impl File {
             })?;
             let length = match &array.packed {
                 Some(packed) => Some(packed.bytes),
-                None if self.kind == Kind::Text => self.text_length(start),
+                None if self.kind == AmiraEncoding::Text => self.text_length(start),
                 None => {
                     let size = self.sizes.iter().find(|(name, _)| *name == array.on).map(|(_, size)| *size);
                     let of_one = u64::from(array.field.components) * array.field.scalar.bytes() as u64;
@@ -441,19 +441,19 @@ impl File {
         let info = plain_info(self.source.path(), "AmiraMesh", [count, 1, 1], scalar, Geometry::default());
         let mut bytes = vec![];
         match (&array.packed, self.kind) {
-            (None, Kind::Text) => {
+            (None, AmiraEncoding::Text) => {
                 let mut slabs = TextSlabs::new(info, Arc::clone(&self.source), range)?;
                 read_all(&mut slabs, &mut bytes)?;
             }
             (None, kind) => {
                 bytes.resize((range.end - range.start) as usize, 0);
                 self.source.read_at(range.start, &mut bytes)?;
-                if kind == Kind::Big {
+                if kind == AmiraEncoding::Big {
                     swap_bytes(&mut bytes, scalar.bytes());
                 }
             }
             (Some(packed), kind) => {
-                let big = kind == Kind::Big;
+                let big = kind == AmiraEncoding::Big;
                 let mut slabs =
                     ByteSlabs::new(info, &self.source, range, packed.codec, 0, big, Tail::Nothing)?;
                 read_all(&mut slabs, &mut bytes)?;

@@ -23,13 +23,13 @@ impl Format for Bricks {
     }
 
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
-        Ok(Box::new(File(Arc::new(BrickedVolume::of(head.file()?)?))))
+        Ok(Box::new(BricksFile(Arc::new(BrickedVolume::of(head.file()?)?))))
     }
 }
 
-struct File(Arc<BrickedVolume>);
+struct BricksFile(Arc<BrickedVolume>);
 
-impl Dataset for File {
+impl Dataset for BricksFile {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let info = self.0.info();
         pick_field(&info.path, &info.fields, options.field.as_deref())?;

@@ -49,17 +49,17 @@ impl Format for Npy {
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
         let source = Arc::clone(head.file()?);
         let array = Array::parse(head.path, source.head_from(0)?)?;
-        Ok(Box::new(File { source, array }))
+        Ok(Box::new(NpyFile { source, array }))
     }
 }
 
 /// An NPY file.
-struct File {
+struct NpyFile {
     source: Arc<ByteSource>,
     array: Array,
 }
 
-impl Dataset for File {
+impl Dataset for NpyFile {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let (path, array) = (self.source.path(), &self.array);
         let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };

@@ -57,14 +57,14 @@ impl Format for Npz {
 /// An NPZ archive, and the arrays in it that can be read.
 struct Archive {
     source: Arc<ByteSource>,
-    arrays: Vec<(Member, Array)>,
+    arrays: Vec<(NpyMember, Array)>,
 }
 
 impl Dataset for Archive {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let path = self.source.path();
         let field =
-            |(m, a): &(Member, Array)| FieldInfo { name: m.name.clone(), scalar: a.scalar, components: 1 };
+            |(m, a): &(NpyMember, Array)| FieldInfo { name: m.name.clone(), scalar: a.scalar, components: 1 };
         let fields: Vec<FieldInfo> = self.arrays.iter().map(field).collect();
         let number = pick_field(path, &fields, options.field.as_deref())?;
         let (member, array) = &self.arrays[number];
@@ -93,13 +93,13 @@ impl Dataset for Archive {
 }
 
 /// A member of the archive that is an NPY file.
-struct Member {
+struct NpyMember {
     /// Without ".npy".
     name: String,
     stored: Stored,
 }
 
-impl Member {
+impl NpyMember {
     /// The array's header. NumPy writes at most 64 KiB of it unless more is asked for.
     fn array(&self, source: &Arc<ByteSource>) -> Result<Array> {
         let mut head = vec![];
@@ -131,7 +131,7 @@ impl Member {
 }
 
 /// The NPY members of an archive, in the order of its directory.
-fn members(source: &ByteSource) -> Result<Vec<Member>> {
+fn members(source: &ByteSource) -> Result<Vec<NpyMember>> {
     let (directory, mut places) = (Directory::of(source)?, vec![]);
     directory.each(source, |at, name| {
         if name.ends_with(b".npy") {
@@ -141,7 +141,7 @@ fn members(source: &ByteSource) -> Result<Vec<Member>> {
     let member = |at| {
         let member = directory.member(source, at)?;
         let name = member.name.strip_suffix(".npy").unwrap_or(&member.name).to_owned();
-        Ok(Member { name, stored: member.stored(source, &[])? })
+        Ok(NpyMember { name, stored: member.stored(source, &[])? })
     };
     places.into_iter().map(member).collect()
 }

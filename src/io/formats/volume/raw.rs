@@ -88,12 +88,12 @@ pub(in crate::formats) static ABOUT: About =
 
 /// Opens a headerless file: its layout is asked for with the volume.
 pub(in crate::formats) fn open(head: &Head<'_>) -> Result<Box<dyn Dataset>> {
-    Ok(Box::new(File(Arc::clone(head.file()?))))
+    Ok(Box::new(RawFile(Arc::clone(head.file()?))))
 }
 
-struct File(Arc<ByteSource>);
+struct RawFile(Arc<ByteSource>);
 
-impl Dataset for File {
+impl Dataset for RawFile {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let (source, path) = (&self.0, self.0.path());
         let layout = options.raw.as_ref().ok_or_else(|| no_layout(path))?;

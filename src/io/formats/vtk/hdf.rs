@@ -208,8 +208,8 @@ impl HdfFile {
         let ids = self.ids(&name("Offsets"), cell_count + pieces as u64)?;
         let offsets = Offsets { ids, at: 0, end: 0 };
         let connectivity = self.ids(&name("Connectivity"), vertex_count)?;
-        let piece = |((&points, cells), vertices)| Piece { points, cells, vertices };
-        let mut pieces: Vec<Piece> = self.points.iter().zip(cells).zip(vertices).map(piece).collect();
+        let piece = |((&points, cells), vertices)| PieceCounts { points, cells, vertices };
+        let mut pieces: Vec<PieceCounts> = self.points.iter().zip(cells).zip(vertices).map(piece).collect();
         pieces.reverse();
         Ok(Cells {
             path: self.path.clone(),
@@ -218,7 +218,7 @@ impl HdfFile {
             offsets,
             connectivity,
             pieces,
-            piece: Piece::default(),
+            piece: PieceCounts::default(),
             first: 0,
         })
     }
@@ -256,7 +256,7 @@ impl Ids {
 }
 
 #[derive(Default)]
-struct Piece {
+struct PieceCounts {
     points: u64,
     cells: u64,
     vertices: u64,
@@ -279,8 +279,8 @@ pub struct Cells {
     offsets: Offsets,
     connectivity: Ids,
     /// Pieces to come, the next one last.
-    pieces: Vec<Piece>,
-    piece: Piece,
+    pieces: Vec<PieceCounts>,
+    piece: PieceCounts,
     /// Points of the pieces before.
     first: u64,
 }

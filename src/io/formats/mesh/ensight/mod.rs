@@ -117,7 +117,7 @@ fn open(head: &Head<'_>, case: Case) -> Result<Shared> {
     let source = Arc::new(ByteSource::open(&case.geometry, io)?);
     let geometry = scan::geometry(&source)?;
     let wrong = |expected: &str, got: &str| Error::bad_input(path, "parts and variables", expected, got);
-    let total = |of: &dyn Fn(&scan::Part) -> u64| {
+    let total = |of: &dyn Fn(&scan::EnsightPart) -> u64| {
         geometry.parts.iter().try_fold(0u64, |sum, part| sum.checked_add(of(part)))
     };
     let points = total(&|part| part.points);
@@ -181,7 +181,7 @@ impl CellFile for Mesh {
     }
 
     fn points(&self) -> Result<Box<dyn NumberStream>> {
-        let run = |part: &scan::Part| {
+        let run = |part: &scan::EnsightPart| {
             let axes = part.axes.iter().map(|axis| axis.open(ScalarType::F32)).collect();
             (part.points, Some(axes), None)
         };
@@ -190,7 +190,7 @@ impl CellFile for Mesh {
     }
 
     fn cells(&self) -> Result<Box<dyn CellStream>> {
-        Ok(Box::new(Cells { shared: Arc::clone(&self.0), part: 0, group: 0, base: 0, open: None }))
+        Ok(Box::new(EnsightCells { shared: Arc::clone(&self.0), part: 0, group: 0, base: 0, open: None }))
     }
 
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>> {
@@ -269,7 +269,7 @@ impl NumberStream for Columns {
 }
 
 /// The elements of all parts.
-struct Cells {
+struct EnsightCells {
     shared: Arc<Shared>,
     part: usize,
     group: usize,
@@ -279,7 +279,7 @@ struct Cells {
     open: Option<(RangeNumbers, u64)>,
 }
 
-impl CellStream for Cells {
+impl CellStream for EnsightCells {
     fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
         out.clear();
         let mut nodes = vec![];

@@ -51,7 +51,7 @@ pub(super) struct Group {
 }
 
 /// A part of a geometry.
-pub(super) struct Part {
+pub(super) struct EnsightPart {
     pub(super) number: i64,
     pub(super) points: u64,
     /// The coordinates along x, y and z.
@@ -62,7 +62,7 @@ pub(super) struct Part {
 /// A geometry.
 pub(super) struct Geometry {
     pub(super) encoding: EnsightEncoding,
-    pub(super) parts: Vec<Part>,
+    pub(super) parts: Vec<EnsightPart>,
 }
 
 /// The kind of an element, and how many nodes it has; `None` of one that is not read.
@@ -95,7 +95,7 @@ fn kind_of(name: &str) -> Option<(CellKind, u64)> {
 /// [`Error::BadInput`] for a malformed file, structured blocks, elements that are not read.
 pub(super) fn geometry(source: &Arc<ByteSource>) -> Result<Geometry> {
     let (mut c, ids) = head(source)?;
-    let mut parts: Vec<Part> = vec![];
+    let mut parts: Vec<EnsightPart> = vec![];
     let mut line = c.optional_text()?;
     if line.as_deref().is_some_and(|l| l.starts_with("extents")) {
         c.skip(6)?;
@@ -163,7 +163,7 @@ fn head(source: &Arc<ByteSource>) -> Result<(Cursor<'_>, Ids)> {
 }
 
 /// Reads a part up to its first group of elements.
-fn points_of_part(c: &mut Cursor<'_>, ids: Ids) -> Result<Part> {
+fn points_of_part(c: &mut Cursor<'_>, ids: Ids) -> Result<EnsightPart> {
     let number = c.int()?;
     c.description()?;
     let section = c.text("coordinates")?;
@@ -180,7 +180,7 @@ fn points_of_part(c: &mut Cursor<'_>, ids: Ids) -> Result<Part> {
         c.skip(points)?;
     }
     let axes = [c.skip(points)?, c.skip(points)?, c.skip(points)?];
-    Ok(Part { number, points, axes, groups: vec![] })
+    Ok(EnsightPart { number, points, axes, groups: vec![] })
 }
 
 /// Reads a group of elements of a part.

@@ -96,7 +96,7 @@ impl Dataset for MeshFile<Mesh> {
     fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
         let file = &self.file.0;
         let name =
-            |(field, place): (&CellField, &Place)| (field.name.clone(), file.times[place.step as usize]);
+            |(field, place): (&CellField, &ValuePlace)| (field.name.clone(), file.times[place.step as usize]);
         Ok(known_times(file.info.fields.iter().zip(&file.places).map(name).collect()))
     }
 }
@@ -115,7 +115,7 @@ struct Shared {
     /// The time of each step, where that is a number.
     times: Vec<Option<f64>>,
     /// Where each field is.
-    places: Vec<Place>,
+    places: Vec<ValuePlace>,
 }
 
 /// A variable on nodes or elements.
@@ -126,7 +126,7 @@ struct Variable {
     number: u64,
 }
 
-struct Place {
+struct ValuePlace {
     variable: usize,
     step: u64,
 }
@@ -220,7 +220,7 @@ impl Shared {
                 };
                 let field = CellField { name, scalar, components: 1, center: variable.center };
                 self.info.fields.push(field);
-                self.places.push(Place { variable: number, step });
+                self.places.push(ValuePlace { variable: number, step });
             }
         }
         Ok(())
@@ -293,7 +293,7 @@ impl CellFile for Mesh {
     }
 
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>> {
-        let Place { variable, step } = self.0.places[field];
+        let ValuePlace { variable, step } = self.0.places[field];
         let variable = &self.0.variables[variable];
         let numbers = match variable.center {
             Center::Point => self.0.on_nodes(variable, step)?,

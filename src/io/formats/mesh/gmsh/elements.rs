@@ -1,6 +1,6 @@
 //! Elements of a `.msh` file: their types, their order of vertices, and their stream.
 
-use super::file::File;
+use super::file::GmshFile;
 use super::tokens::Tokens;
 use crate::cells::{BLOCK, CellBlock, CellKind, CellStream};
 use crate::error::Result;
@@ -128,7 +128,7 @@ pub(super) fn skip_elements(
 
 /// The elements of a file.
 pub(super) struct Elements {
-    file: Arc<File>,
+    file: Arc<GmshFile>,
     tokens: Tokens,
     group: Option<Group>,
     /// Whether the next element's own tag was read with its group.
@@ -140,7 +140,7 @@ pub(super) struct Elements {
 }
 
 impl Elements {
-    pub(super) fn new(file: &Arc<File>) -> Self {
+    pub(super) fn new(file: &Arc<GmshFile>) -> Self {
         let tokens = file.elements_start.clone();
         let file = Arc::clone(file);
         Self { file, tokens, group: None, tag_read: false, at: 0, nodes: vec![], vertices: vec![] }

@@ -5,7 +5,7 @@ use super::tokens::Tokens;
 use crate::cells::{CellsInfo, Center};
 
 /// A file that was looked through.
-pub(super) struct File {
+pub(super) struct GmshFile {
     pub(super) info: CellsInfo,
     pub(super) version_4: bool,
     /// The first block of nodes, or in version 2.2 the first node.

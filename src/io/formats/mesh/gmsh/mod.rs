@@ -44,7 +44,7 @@ use crate::error::Result;
 use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::mesh_file::{MeshFile, PlainMesh};
 use elements::Elements;
-use file::{DataList, File};
+use file::{DataList, GmshFile};
 use std::sync::Arc;
 use tokens::Tokens;
 
@@ -71,7 +71,7 @@ pub(crate) const MOST_RUNS: usize = 1 << 20;
 /// Numbers of a data list that are gathered at a time.
 const WINDOW: u64 = 1 << 20;
 
-struct Mesh(Arc<File>);
+struct Mesh(Arc<GmshFile>);
 
 impl CellFile for Mesh {
     fn info(&self) -> &CellsInfo {
@@ -112,7 +112,7 @@ impl CellFile for Mesh {
 
 /// The positions of all nodes.
 struct Positions {
-    file: Arc<File>,
+    file: Arc<GmshFile>,
     tokens: Tokens,
     /// Blocks begun; version 2.2 has one.
     blocks: u64,
@@ -165,7 +165,7 @@ impl NumberStream for Positions {
 
 /// The entries of a data list in the order of the points or cells.
 struct Gathered {
-    file: Arc<File>,
+    file: Arc<GmshFile>,
     field: usize,
     /// Whether the list is in the order of the points or cells.
     ordered: bool,
@@ -233,7 +233,7 @@ impl NumberStream for Gathered {
     }
 }
 
-impl File {
+impl GmshFile {
     /// The number of the point or cell of a tag.
     fn index_of(&self, center: Center, tag: u64) -> Option<u64> {
         match center {
@@ -245,7 +245,7 @@ impl File {
 
 impl DataList {
     /// Whether the entries are in the order of the points or cells.
-    fn is_ordered(&self, file: &File) -> Result<bool> {
+    fn is_ordered(&self, file: &GmshFile) -> Result<bool> {
         let (mut tokens, mut last) = (self.start.clone(), None);
         for _ in 0..self.entries {
             let tag = tokens.int()?;

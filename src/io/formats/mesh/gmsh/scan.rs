@@ -2,7 +2,7 @@
 
 use super::MOST_RUNS;
 use super::elements::skip_elements;
-use super::file::{DataList, File, Runs};
+use super::file::{DataList, GmshFile, Runs};
 use super::tokens::Tokens;
 use crate::bytes::ByteSource;
 use crate::cells::{CellField, CellsInfo, Center};
@@ -18,7 +18,7 @@ const MOST_STRINGS: u64 = 1000;
 const MOST_COMPONENTS: u64 = 1 << 10;
 
 /// Looks through a file.
-pub(super) fn scan(source: &Arc<ByteSource>) -> Result<File> {
+pub(super) fn scan(source: &Arc<ByteSource>) -> Result<GmshFile> {
     let mut tokens =
         Tokens { source: Arc::clone(source), at: 0, binary: false, big_endian: false, size_bytes: 8 };
     let version_4 = format(&mut tokens)?;
@@ -219,7 +219,7 @@ impl Look {
         Ok(())
     }
 
-    fn finish(mut self, source: &Arc<ByteSource>, binary: bool) -> Result<File> {
+    fn finish(mut self, source: &Arc<ByteSource>, binary: bool) -> Result<GmshFile> {
         let lacks = |what: &str| Error::bad_input(source.path(), "sections", what, "none");
         let (nodes_start, node_blocks, nodes) = self.nodes.ok_or_else(|| lacks("$Nodes"))?;
         let (elements_start, cells) = self.elements.ok_or_else(|| lacks("$Elements"))?;
@@ -257,7 +257,7 @@ impl Look {
         };
         source.check()?;
         let (version_4, data) = (self.version_4, self.data);
-        Ok(File { info, version_4, nodes_start, node_blocks, nodes, elements_start, elements, data })
+        Ok(GmshFile { info, version_4, nodes_start, node_blocks, nodes, elements_start, elements, data })
     }
 }
 

@@ -16,14 +16,14 @@ pub(super) struct DicomFile {
     pub(super) path: PathBuf,
     /// The series that it is of.
     pub(super) series: String,
-    pub(super) layout: Layout,
+    pub(super) layout: SampleLayout,
     pub(super) frames: Vec<Frame>,
     pub(super) big_endian: bool,
 }
 
 /// How samples are stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Layout {
+pub(super) struct SampleLayout {
     pub(super) columns: u16,
     pub(super) rows: u16,
     /// 8, 16 or 32.
@@ -50,7 +50,7 @@ pub(super) struct Frame {
     pub(super) unit: Option<Unit>,
 }
 
-impl Layout {
+impl SampleLayout {
     /// The type of a sample.
     pub(super) fn scalar(&self) -> ScalarType {
         match (self.bits_allocated, self.is_signed) {
@@ -170,7 +170,7 @@ fn encoding(path: &Path, syntax: &str) -> Result<DicomEncoding> {
         .with_help("write it uncompressed, e.g. with gdcmconv --raw, or convert it with dcm2niix"))
 }
 
-fn layout(path: &Path, reader: &Reader<'_>, all: &DataSet) -> Result<Layout> {
+fn layout(path: &Path, reader: &Reader<'_>, all: &DataSet) -> Result<SampleLayout> {
     let wrong = |at: &str, expected: &str, got: String| Err(Error::bad_input(path, at, expected, got));
     match all.bytes(PIXELS) {
         Some((bytes, _)) if !bytes.is_empty() => {}
@@ -209,7 +209,7 @@ fn layout(path: &Path, reader: &Reader<'_>, all: &DataSet) -> Result<Layout> {
         1 => true,
         other => return wrong("Pixel Representation", "0 or 1", other.to_string()),
     };
-    let mut layout = Layout { columns, rows, bits_allocated, bits_stored, is_signed, padding: None };
+    let mut layout = SampleLayout { columns, rows, bits_allocated, bits_stored, is_signed, padding: None };
     let padding = |tag| {
         let Some(word) = reader.integer(all, tag)? else { return Ok(None) };
         let number = layout.number(&word.to_le_bytes());

@@ -45,7 +45,7 @@ use crate::grid::IndexBox;
 use crate::volume::chunked::ChunkSource;
 use crate::volume::units::{Unit, Units};
 use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
-use file::{DicomFile, Layout};
+use file::{DicomFile, SampleLayout};
 use series::Series;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -150,7 +150,7 @@ impl Dataset for Images {
 
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let (path, series) = (&*self.path, &self.series);
-        let Layout { columns, rows, bits_stored, .. } = series.layout;
+        let SampleLayout { columns, rows, bits_stored, .. } = series.layout;
         let stored = series.layout.scalar();
         let first = &series.slices[0];
         let varies = series.slices.iter().any(|s| (s.slope, s.intercept) != (first.slope, first.intercept));

@@ -1,6 +1,6 @@
 //! Slices as one volume: which lie next to each other, and how far apart.
 
-use super::file::{DicomFile, Frame, Layout};
+use super::file::{DicomFile, Frame, SampleLayout};
 use crate::error::{Error, Result};
 use crate::formats::shared::header::geometry;
 use crate::geom::vec3::{cross, dot, minus};
@@ -16,7 +16,7 @@ const SAME: f64 = 1e-4;
 
 /// The slices of a volume, in order.
 pub(super) struct Series {
-    pub(super) layout: Layout,
+    pub(super) layout: SampleLayout,
     pub(super) slices: Vec<Slice>,
     pub(super) paths: Vec<PathBuf>,
     pub(super) geometry: Geometry,
@@ -36,7 +36,7 @@ pub(super) struct Slice {
 }
 
 /// A frame and its file, and how it is called in messages.
-struct Placed<'a> {
+struct PlacedFrame<'a> {
     file: usize,
     frame: &'a Frame,
     name: String,
@@ -79,7 +79,7 @@ pub(super) fn of(path: &Path, files: Vec<DicomFile>) -> Result<Series> {
                 let expected = format!("one for all slices: {:?}", first.spacing);
                 return Err(Error::bad_input(path, "Pixel Spacing", expected, got).with_help(PATTERN));
             }
-            all.push(Placed { file: number, frame, name, along: dot(frame.position, normal) });
+            all.push(PlacedFrame { file: number, frame, name, along: dot(frame.position, normal) });
         }
     }
     all.sort_by(|a, b| a.along.total_cmp(&b.along).then_with(|| a.name.cmp(&b.name)));
@@ -88,7 +88,7 @@ pub(super) fn of(path: &Path, files: Vec<DicomFile>) -> Result<Series> {
     let columns = [x.map(|v| v * between_columns), y.map(|v| v * between_rows), step];
     let at = "Image Position, Image Orientation and Pixel Spacing";
     let geometry = geometry(path, at, all[0].frame.position, columns)?;
-    let slice = |placed: &Placed<'_>| Slice {
+    let slice = |placed: &PlacedFrame<'_>| Slice {
         file: placed.file,
         at: placed.frame.at,
         big_endian: files[placed.file].big_endian,
@@ -138,7 +138,7 @@ fn axes(of: &[f64; 6]) -> [[f64; 3]; 2] {
 }
 
 /// The step from each slice to the next, which is the same for all.
-fn step(path: &Path, all: &[Placed<'_>]) -> Result<[f64; 3]> {
+fn step(path: &Path, all: &[PlacedFrame<'_>]) -> Result<[f64; 3]> {
     if all.len() < 2 {
         let got = "one slice";
         return Err(

@@ -11,7 +11,7 @@
 //! Such axes may be angles, energies or spatial frequencies, of which no volume is made: they are
 //! refused by their names.
 
-use super::{Field, Tree, all_f64, attribute_numbers, attribute_text, damaged, scalar_of};
+use super::{Hdf5Field, Tree, all_f64, attribute_numbers, attribute_text, damaged, scalar_of};
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::{Line, MOST_COORDINATES, kind_of_name};
 use hdf5_reader::attribute_api::Attribute;
@@ -27,10 +27,10 @@ const MOST_AXES: usize = 16;
 pub(super) struct Axes {
     /// The convention.
     pub(super) program: &'static str,
-    axes: Vec<Axis>,
+    axes: Vec<Hdf5Axis>,
 }
 
-struct Axis {
+struct Hdf5Axis {
     name: String,
     unit: String,
     coordinates: Coordinates,
@@ -67,7 +67,7 @@ impl Axes {
             let first = if has(datasets, "dim0") { 0 } else { 1 };
             let names = (first..first + MOST_AXES).map(|n| format!("dim{n}"));
             let axes = names.take_while(|name| has(datasets, name)).map(|name| emd(group, &name));
-            let axes: Vec<Axis> = axes.collect::<std::result::Result<_, _>>().map_err(wrong)?;
+            let axes: Vec<Hdf5Axis> = axes.collect::<std::result::Result<_, _>>().map_err(wrong)?;
             return Ok((!axes.is_empty()).then_some(Self { program: "EMD", axes }));
         }
         if has(groups, "axis-0") {
@@ -110,7 +110,7 @@ impl Axes {
             let is_known = matches!(self.kind(n), 't' | 'c');
             let good = if before { is_known || shape[n] == 1 } else { is_space };
             if !good {
-                let all: Vec<String> = self.axes.iter().map(Axis::shown).collect();
+                let all: Vec<String> = self.axes.iter().map(Hdf5Axis::shown).collect();
                 let got = format!("{} of {}", axis.shown(), all.join(", "));
                 let help = "cut out a volume of three axes of space, or write it as .nrrd or OME-Zarr";
                 return refuse("axes of space, and of time or channels before them", got, help);
@@ -138,7 +138,7 @@ impl Axes {
     }
 }
 
-impl Axis {
+impl Hdf5Axis {
     /// Whether its coordinates are numbers, as many as there are samples.
     fn is_read(&self, count: u64) -> bool {
         match &self.coordinates {
@@ -171,7 +171,7 @@ fn text(attribute: hdf5_reader::error::Result<Attribute>) -> String {
 }
 
 /// An axis of EMD. Units may be written as "[n_m]".
-fn emd(group: &Group, name: &str) -> Read<Axis> {
+fn emd(group: &Group, name: &str) -> Read<Hdf5Axis> {
     let line = group.dataset(name)?;
     let unit = text(line.attribute("units")).replace(['[', ']', '_'], "");
     let unit = match unit.as_str() {
@@ -182,11 +182,11 @@ fn emd(group: &Group, name: &str) -> Read<Axis> {
     let name = text(line.attribute("name"));
     let is_list = line.ndim() == 1;
     let coordinates = if is_list { Coordinates::Listed(Box::new(line)) } else { Coordinates::Unread };
-    Ok(Axis { name, unit, coordinates })
+    Ok(Hdf5Axis { name, unit, coordinates })
 }
 
 /// An axis of HyperSpy.
-fn hyperspy(group: &Group, name: &str) -> Read<Axis> {
+fn hyperspy(group: &Group, name: &str) -> Read<Hdf5Axis> {
     let axis = group.group(name)?;
     let number = |name: &str| {
         let numbers = axis.attribute(name).ok().and_then(|a| attribute_numbers(&a));
@@ -199,7 +199,7 @@ fn hyperspy(group: &Group, name: &str) -> Read<Axis> {
         }
         _ => Coordinates::Unread,
     };
-    Ok(Axis { name: text(axis.attribute("name")), unit: text(axis.attribute("units")), coordinates })
+    Ok(Hdf5Axis { name: text(axis.attribute("name")), unit: text(axis.attribute("units")), coordinates })
 }
 
 fn is_time(unit: &str) -> bool {
@@ -228,7 +228,7 @@ impl Tree {
     }
 }
 
-impl Field {
+impl Hdf5Field {
     /// The coordinates along an axis, by the description of its group.
     pub(super) fn described_line(&self, axis: usize, tree: &Tree) -> Option<Line> {
         tree.axes_of(&self.part.array)?.line(axis, self.dataset.shape()[axis])

@@ -169,7 +169,7 @@ fn refused(path: &Path, at: &str, got: impl Into<String>, help: &str) -> Error {
 }
 
 /// A field of a convention, placed as the convention says.
-pub(super) struct Placed {
+pub(super) struct PlacedField {
     /// Which of the tree's fields.
     pub(super) number: usize,
     /// All fields, by their names in the convention, and the one that is read.
@@ -182,7 +182,7 @@ pub(super) struct Placed {
     pub(super) assumed: Assumed,
 }
 
-impl Placed {
+impl PlacedField {
     /// A field whose numbers are its values, in units that are not known.
     pub(super) fn plain(number: usize, fields: Vec<FieldInfo>, geometry: Geometry) -> Self {
         let field = fields[number].clone();
@@ -199,7 +199,7 @@ impl Placed {
 }
 
 /// Picks a field of a VTKHDF image.
-pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
+pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<PlacedField> {
     let at = "/VTKHDF";
     let root = file.root_group().and_then(|r| r.group("VTKHDF")).map_err(|e| damaged(path, at, &e))?;
     expect_one_image(path, &root, at)?;
@@ -237,7 +237,7 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
         return Err(Error::bad_input(path, tree.fields[number].part.info.name.clone(), expected, got));
     }
     let geometry = extent.geometry(path, center)?;
-    Ok(Placed {
+    Ok(PlacedField {
         number,
         fields,
         field,
@@ -341,7 +341,7 @@ fn refuse_ghosts(path: &Path, tree: &Tree) -> Result<()> {
 
 /// The image of a file of ITK: `Origin`, `Spacing`, and in each row of `Directions` the direction
 /// of an axis.
-pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
+pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<PlacedField> {
     let read = |name: &str| -> Result<Vec<f64>> {
         let full = format!("ITKImage/0/{name}");
         let dataset = file.dataset(&full).map_err(|e| damaged(path, &full, &e))?;
@@ -364,14 +364,14 @@ pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     let geometry = geometry(path, "Origin, Spacing and Directions", origin, columns)?;
     let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
-    Ok(Placed::plain(number, fields, geometry))
+    Ok(PlacedField::plain(number, fields, geometry))
 }
 
 /// The image of a MINC file: axes by `dimorder`, values scaled slice by slice.
-pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
+pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<PlacedField> {
     let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.part.info.clone()).collect();
     let number = crate::formats::shared::pick_field(path, &fields, wanted)?;
-    let super::Field { part, dataset, .. } = &tree.fields[number];
+    let super::Hdf5Field { part, dataset, .. } = &tree.fields[number];
     let axes = minc_axes(dataset);
     let stored = minc::Stored {
         axes: &axes,
@@ -380,7 +380,7 @@ pub(super) fn minc(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&st
         moment: part.time.map(|axis| part.entries[axis]),
     };
     let minc::Image { geometry, convert, units, assumed } = minc::image(&Minc { path, file }, &stored)?;
-    Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert, units, assumed })
+    Ok(PlacedField { number, field: fields[number].clone(), fields, geometry, convert, units, assumed })
 }
 
 /// The names of the axes of an image of MINC.

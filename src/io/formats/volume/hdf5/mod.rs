@@ -59,8 +59,8 @@ mod times;
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::shared::cf::{
-    self, Attributes, Convert, Line, MOST_COORDINATES, Numbers, Packing, Part, kind_of_coordinate,
-    kind_of_name, signed_as,
+    self, AttributeNumbers, Attributes, Convert, Hyperslab, Line, MOST_COORDINATES, Packing,
+    kind_of_coordinate, kind_of_name, signed_as,
 };
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{self, About, Format, Head};
@@ -78,7 +78,7 @@ use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 pub use arrays::{arrays, vtk_kind};
 use axes::Axes;
 use chunks::Chunks;
-use dialect::{Dialect, Placed};
+use dialect::{Dialect, PlacedField};
 use half::f16;
 use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
@@ -125,7 +125,8 @@ const PIECE: u64 = 128 << 10;
 
 impl format::Dataset for Opened {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
-        let Placed { number, fields, field: info, geometry, convert, units, assumed } = self.pick(options)?;
+        let PlacedField { number, fields, field: info, geometry, convert, units, assumed } =
+            self.pick(options)?;
         let Self { source, file, dialect, tree } = self;
         let (path, dialect, field) = (source.path(), *dialect, &tree.fields[number]);
         let has_place = dialect != Dialect::Plain || field.lines(tree).iter().any(Option::is_some);
@@ -154,7 +155,7 @@ impl format::Dataset for Opened {
             }
         };
         let pieces =
-            |info, convert| Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, file, field, convert)?)));
+            |info, convert| Ok(VolumeSource::Chunked(Arc::new(Hdf5Pieces::new(info, file, field, convert)?)));
         if convert.is_some() {
             return pieces(info, convert);
         }
@@ -171,7 +172,7 @@ impl format::Dataset for Opened {
             return Ok(None);
         }
         let field = &self.tree.fields[self.pick(options)?.number];
-        let Part { info, world, .. } = &field.part;
+        let Hyperslab { info, world, .. } = &field.part;
         cf::grid_of(self.source.path(), &info.name, field.lines(&self.tree), *world, field.dims())
     }
 
@@ -215,7 +216,7 @@ impl Opened {
     }
 
     /// Picks a field by the file's convention.
-    fn pick(&self, options: &OpenOptions) -> Result<Placed> {
+    fn pick(&self, options: &OpenOptions) -> Result<PlacedField> {
         self.tree.pick(self.source.path(), &self.file, self.dialect, options)
     }
 }
@@ -286,7 +287,7 @@ fn virtual_dataset(path: &Path, at: &str, child: &str) -> Error {
 
 /// The datasets of a file.
 struct Tree {
-    fields: Vec<Field>,
+    fields: Vec<Hdf5Field>,
     /// Datasets of one axis, by their paths: coordinates, maybe.
     lines: Vec<(String, Dataset)>,
     /// The axes of the datasets in groups that NeXus marks, by the paths of the groups.
@@ -360,7 +361,13 @@ impl Tree {
     }
 
     /// The fields of a dataset with three axes or more.
-    fn fields_of(&self, path: &Path, name: &str, dataset: &Dataset, dialect: Dialect) -> Result<Vec<Field>> {
+    fn fields_of(
+        &self,
+        path: &Path,
+        name: &str,
+        dataset: &Dataset,
+        dialect: Dialect,
+    ) -> Result<Vec<Hdf5Field>> {
         if dialect == Dialect::Plain {
             let names = (0..dataset.ndim()).filter_map(|axis| self.line_of(name, dataset, axis));
             let names = names.map(|(path, _)| path.rsplit('/').next().unwrap_or(path).to_string());
@@ -378,7 +385,7 @@ impl Tree {
         let (scalar, big_endian) = scalar_of(path, name, dataset)?;
         let name = dialect.name_of(name);
         let parts = cf::parts_of(path, name, dataset.shape(), &kinds, scalar, dialect.rules())?;
-        Ok(parts.into_iter().map(|part| Field { part, dataset: dataset.clone(), big_endian }).collect())
+        Ok(parts.into_iter().map(|part| Hdf5Field { part, dataset: dataset.clone(), big_endian }).collect())
     }
 
     /// What each axis of a dataset is: x, y, z, t (time), c (channels, components), or '?'.
@@ -417,7 +424,13 @@ impl Tree {
     }
 
     /// Picks a field by the file's convention.
-    fn pick(&self, path: &Path, file: &Hdf5File, dialect: Dialect, options: &OpenOptions) -> Result<Placed> {
+    fn pick(
+        &self,
+        path: &Path,
+        file: &Hdf5File,
+        dialect: Dialect,
+        options: &OpenOptions,
+    ) -> Result<PlacedField> {
         let wanted = cf::with_channel(path, options, self.fields.iter().map(|f| &f.part))?;
         let wanted = wanted.map(|name| self.full_name(file, &name));
         if dialect != Dialect::Vtk {
@@ -433,7 +446,7 @@ impl Tree {
         let fields: Vec<FieldInfo> = self.fields.iter().map(|f| f.part.info.clone()).collect();
         let number = pick_field(path, &fields, wanted)?;
         let geometry = self.fields[number].placed(path, self)?;
-        Ok(Placed::plain(number, fields, geometry))
+        Ok(PlacedField::plain(number, fields, geometry))
     }
 
     /// The first frame of the dataset with four axes that a user's word means.
@@ -479,14 +492,14 @@ impl Tree {
 }
 
 /// A dataset of three axes, or one frame of a dataset with more.
-struct Field {
-    part: Part,
+struct Hdf5Field {
+    part: Hyperslab,
     dataset: Dataset,
     big_endian: bool,
 }
 
-impl AsRef<Part> for Field {
-    fn as_ref(&self) -> &Part {
+impl AsRef<Hyperslab> for Hdf5Field {
+    fn as_ref(&self) -> &Hyperslab {
         &self.part
     }
 }
@@ -510,11 +523,11 @@ struct Named<'a> {
 }
 
 impl Attributes for Named<'_> {
-    fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
+    fn numbers(&self, name: &str) -> Result<Option<AttributeNumbers>> {
         let Ok(attribute) = self.dataset.attribute(name) else { return Ok(None) };
         let are_floats = matches!(attribute.datatype, Datatype::FloatingPoint { .. });
         match attribute_numbers(&attribute) {
-            Some(values) => Ok(Some(Numbers { values, are_floats })),
+            Some(values) => Ok(Some(AttributeNumbers { values, are_floats })),
             None => Err(self.wrong(name, "numbers", kind(&attribute.datatype).into())),
         }
     }
@@ -629,7 +642,7 @@ fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
     !vax && message.get(8..8 + expected.len()) == Some(&expected[..])
 }
 
-impl Field {
+impl Hdf5Field {
     /// Samples along x, y, z.
     fn dims(&self) -> [u64; 3] {
         self.part.dims(self.dataset.shape())
@@ -873,7 +886,7 @@ fn little_endian(
 }
 
 /// The samples of a dataset in pieces: a chunk each, or some small ones.
-struct Pieces {
+struct Hdf5Pieces {
     info: VolumeInfo,
     dataset: Dataset,
     /// How it is stored, unless it is in one part.
@@ -889,8 +902,13 @@ struct Pieces {
     convert: Option<Convert>,
 }
 
-impl Pieces {
-    fn new(mut info: VolumeInfo, file: &Hdf5File, field: &Field, convert: Option<Convert>) -> Result<Self> {
+impl Hdf5Pieces {
+    fn new(
+        mut info: VolumeInfo,
+        file: &Hdf5File,
+        field: &Hdf5Field,
+        convert: Option<Convert>,
+    ) -> Result<Self> {
         let scalar = info.field.scalar;
         let axes = field.part.axes;
         let chunks =
@@ -930,7 +948,7 @@ impl Pieces {
     }
 }
 
-impl ChunkSource for Pieces {
+impl ChunkSource for Hdf5Pieces {
     fn info(&self) -> &VolumeInfo {
         &self.info
     }

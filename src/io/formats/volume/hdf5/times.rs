@@ -1,7 +1,7 @@
 //! The times of the steps in a file, and of a file that is one step.
 
 use super::dialect::{self, Dialect};
-use super::{Field, Opened, all_f64, attribute_text, kind_of_line, scalar_of};
+use super::{Hdf5Field, Opened, all_f64, attribute_text, kind_of_line, scalar_of};
 use crate::error::Result;
 use crate::formats::shared::{Frames, OpenOptions, cf};
 use hdf5_reader::attribute_api::Attribute;
@@ -58,11 +58,11 @@ impl Opened {
     }
 
     /// The times of the frames of a field's dataset.
-    fn times_of(&self, field: &Field) -> Option<Vec<f64>> {
+    fn times_of(&self, field: &Hdf5Field) -> Option<Vec<f64>> {
         self.line_of_time(field, field.part.frames?)
     }
 
-    fn line_of_time(&self, field: &Field, axis: usize) -> Option<Vec<f64>> {
+    fn line_of_time(&self, field: &Hdf5Field, axis: usize) -> Option<Vec<f64>> {
         match self.dialect {
             Dialect::Minc => dialect::minc_times(self.source.path(), &self.file, field.dataset.shape()[axis]),
             _ => field.line(axis, &self.tree),
@@ -70,7 +70,7 @@ impl Opened {
     }
 
     /// The time of a field.
-    fn time_of(&self, field: &Field) -> Option<f64> {
+    fn time_of(&self, field: &Hdf5Field) -> Option<f64> {
         match field.part.time {
             Some(axis) => self.line_of_time(field, axis)?.get(field.part.entries[axis] as usize).copied(),
             None if self.dialect == Dialect::Plain => field.single_time(&self.file).map(|(_, time)| time),
@@ -79,7 +79,7 @@ impl Opened {
     }
 }
 
-impl Field {
+impl Hdf5Field {
     /// The dataset with the one time of a dataset that has no axis of time, and that time.
     pub(super) fn single_time(&self, file: &Hdf5File) -> Option<(Dataset, f64)> {
         let text = |a: Attribute| attribute_text(&a);

@@ -65,12 +65,12 @@ impl Format for MetaImage {
         let bytes = sample_bytes(head.path, [dims[0], dims[1], dims[2].saturating_mul(frames)], scalar)?;
         let encoding = header.encoding()?;
         let (parts, start) = header.parts(source, head.io, bytes)?;
-        Ok(Box::new(File { header, dims, frames, scalar, encoding, parts, start }))
+        Ok(Box::new(MetaImageFile { header, dims, frames, scalar, encoding, parts, start }))
     }
 }
 
 /// A MetaImage file.
-struct File {
+struct MetaImageFile {
     header: MetaImageHeader,
     /// Samples along x, y, z.
     dims: [u64; 3],
@@ -83,7 +83,7 @@ struct File {
     start: u64,
 }
 
-impl Dataset for File {
+impl Dataset for MetaImageFile {
     fn files(&self) -> Vec<PathBuf> {
         self.parts.iter().map(|part| part.path().to_path_buf()).collect()
     }
@@ -425,7 +425,7 @@ impl MetaImageHeader {
     }
 }
 
-impl File {
+impl MetaImageFile {
     /// The volumes of a series, by the names of their fields; none where there is one volume.
     fn all_steps(&self, options: &OpenOptions) -> Result<Frames> {
         let frames = frames::list(self.frames, Some(self.header.times()?));

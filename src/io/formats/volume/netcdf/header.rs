@@ -1,7 +1,7 @@
 //! The header of a NetCDF-3 file.
 
 use crate::error::{Error, Result};
-use crate::formats::shared::cf::{Attributes, Numbers, Packing, netcdf_fill, signed_as};
+use crate::formats::shared::cf::{AttributeNumbers, Attributes, Packing, netcdf_fill, signed_as};
 use crate::formats::shared::numbers::to_f64;
 use crate::volume::ScalarType;
 use crate::volume::strided::swap_bytes;
@@ -31,7 +31,7 @@ pub(super) struct Variable {
     pub(super) name: String,
     /// The numbers of its dimensions, slowest first.
     pub(super) dims: Vec<usize>,
-    kind: Kind,
+    kind: NetcdfType,
     /// Byte of its first sample.
     pub(super) begin: u64,
     attributes: Vec<Attribute>,
@@ -40,19 +40,19 @@ pub(super) struct Variable {
 /// An attribute that is used.
 struct Attribute {
     name: String,
-    kind: Kind,
+    kind: NetcdfType,
     /// As they are stored.
     bytes: Vec<u8>,
 }
 
 /// The type of numbers, or text.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum NetcdfType {
     Text,
     Number(ScalarType),
 }
 
-impl Kind {
+impl NetcdfType {
     fn of(code: u32, version: u8) -> Option<Self> {
         let kind = match code {
             1 => Self::Number(ScalarType::I8),
@@ -250,15 +250,15 @@ impl Variable {
     /// [`Error::BadInput`] for text.
     pub(super) fn stored(&self, path: &Path) -> Result<ScalarType> {
         match self.kind {
-            Kind::Text => Err(Error::bad_input(path, &*self.name, "numbers", "text")
+            NetcdfType::Text => Err(Error::bad_input(path, &*self.name, "numbers", "text")
                 .with_help("write the numbers that are wanted to a variable of such a type")),
-            Kind::Number(scalar) => Ok(scalar),
+            NetcdfType::Number(scalar) => Ok(scalar),
         }
     }
 
     /// Whether it has characters.
     pub(super) fn is_text(&self) -> bool {
-        self.kind == Kind::Text
+        self.kind == NetcdfType::Text
     }
 
     /// The text of an attribute; none where there is no such text.
@@ -267,14 +267,14 @@ impl Variable {
     }
 
     /// The numbers of an attribute; `None` where there are none of this name.
-    pub(super) fn numbers(&self, name: &str) -> Option<Numbers> {
+    pub(super) fn numbers(&self, name: &str) -> Option<AttributeNumbers> {
         let found = self.attributes.iter().find(|a| a.name == name)?;
-        let Kind::Number(scalar) = found.kind else { return None };
+        let NetcdfType::Number(scalar) = found.kind else { return None };
         let (mut bytes, size) = (found.bytes.clone(), scalar.bytes());
         swap_bytes(&mut bytes, size);
         let mut values = vec![0.0; bytes.len() / size];
         to_f64(scalar, &bytes, &mut values);
-        Some(Numbers { values, are_floats: scalar.is_float() })
+        Some(AttributeNumbers { values, are_floats: scalar.is_float() })
     }
 
     fn has(&self, name: &str) -> bool {
@@ -300,7 +300,7 @@ impl Variable {
 
 /// The text of one of some attributes; "" where there is no such text.
 fn text_of(attributes: &[Attribute], name: &str) -> String {
-    let found = attributes.iter().find(|a| a.name == name && a.kind == Kind::Text);
+    let found = attributes.iter().find(|a| a.name == name && a.kind == NetcdfType::Text);
     found.map_or_else(String::new, |a| String::from_utf8_lossy(&a.bytes).trim_end_matches('\0').to_string())
 }
 
@@ -311,7 +311,7 @@ pub(super) struct OfVariable<'a> {
 }
 
 impl Attributes for OfVariable<'_> {
-    fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
+    fn numbers(&self, name: &str) -> Result<Option<AttributeNumbers>> {
         match self.variable.numbers(name) {
             None if self.variable.has(name) => Err(self.wrong(name, "numbers", "text".into())),
             found => Ok(found),
@@ -409,10 +409,10 @@ impl<'a> Cursor<'a> {
         Ok(used)
     }
 
-    fn kind(&mut self, what: &str) -> Result<Kind> {
+    fn kind(&mut self, what: &str) -> Result<NetcdfType> {
         let code = self.word(what)?;
         let wrong = || self.bad(what, "a type from 1 to 6, or of CDF-5 to 11", code.to_string());
-        Kind::of(code, self.version).ok_or_else(wrong)
+        NetcdfType::of(code, self.version).ok_or_else(wrong)
     }
 
     fn variable(&mut self, all: &[Dim]) -> Result<Variable> {

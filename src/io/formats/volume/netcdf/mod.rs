@@ -26,7 +26,7 @@ mod header;
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
-use crate::formats::shared::cf::{self, Convert, Line, MOST_COORDINATES, Part, Rules};
+use crate::formats::shared::cf::{self, Convert, Hyperslab, Line, MOST_COORDINATES, Rules};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::format::{About, Dataset, Format, Head};
 use crate::formats::shared::header::{given_geometry, plain_info};
@@ -65,7 +65,7 @@ impl Format for NetCdf {
     }
 
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
-        Ok(Box::new(File::open(head.file()?)?))
+        Ok(Box::new(NetcdfFile::open(head.file()?)?))
     }
 }
 
@@ -74,7 +74,7 @@ const MOST_FIELDS: usize = 1 << 20;
 /// Bytes of a piece whose numbers are converted together.
 const PIECE: u64 = 128 << 10;
 
-impl Dataset for File {
+impl Dataset for NetcdfFile {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let (path, field) = (self.path(), &self.fields[self.pick(options)?]);
         if self.dialect == Dialect::Minc {
@@ -122,7 +122,7 @@ impl Dataset for File {
     fn times(&self, _: &OpenOptions) -> Result<HashMap<String, f64>> {
         let mut failed = Ok(());
         let of_frames =
-            |field: &Field| field.part.frames.map_or(Ok(None), |axis| self.times_along(field, axis));
+            |field: &NetcdfField| field.part.frames.map_or(Ok(None), |axis| self.times_along(field, axis));
         let times = cf::times(self.fields.iter(), |field| {
             of_frames(field).unwrap_or_else(|e| {
                 failed = Err(e);
@@ -146,28 +146,28 @@ impl Dataset for File {
 }
 
 /// A file whose header was read.
-struct File {
+struct NetcdfFile {
     source: Arc<ByteSource>,
     header: NetcdfHeader,
     dialect: Dialect,
-    fields: Vec<Field>,
+    fields: Vec<NetcdfField>,
     /// Variables of three axes or more that are not read, and why.
     refused: Vec<(String, Error)>,
 }
 
 /// A variable of three axes, or a part of one with more.
-struct Field {
-    part: Part,
+struct NetcdfField {
+    part: Hyperslab,
     variable: usize,
 }
 
-impl AsRef<Part> for Field {
-    fn as_ref(&self) -> &Part {
+impl AsRef<Hyperslab> for NetcdfField {
+    fn as_ref(&self) -> &Hyperslab {
         &self.part
     }
 }
 
-impl File {
+impl NetcdfFile {
     fn open(source: &Arc<ByteSource>) -> Result<Self> {
         let path = source.path();
         let header = NetcdfHeader::parse(path, source.head_from(0)?, source.len())?;
@@ -181,7 +181,7 @@ impl File {
             }
             match file.parts(variable) {
                 Ok(parts) => {
-                    file.fields.extend(parts.into_iter().map(|part| Field { part, variable: number }));
+                    file.fields.extend(parts.into_iter().map(|part| NetcdfField { part, variable: number }));
                 }
                 Err(e) => file.refused.push((variable.name.clone(), e)),
             }
@@ -199,7 +199,7 @@ impl File {
     }
 
     /// The fields of a variable.
-    fn parts(&self, variable: &Variable) -> Result<Vec<Part>> {
+    fn parts(&self, variable: &Variable) -> Result<Vec<Hyperslab>> {
         let scalar = match self.dialect {
             Dialect::Plain => variable.scalar(self.path())?,
             Dialect::Minc => dialect::scalar_of_minc(variable, self.path())?,
@@ -235,14 +235,14 @@ impl File {
     }
 
     /// What the attributes say of units.
-    fn units(&self, field: &Field) -> Units {
+    fn units(&self, field: &NetcdfField) -> Units {
         let variable = &self.header.variables[field.variable];
         let time = self.time_variable(field).map(|time| time.text("units"));
         cf::units(&variable.text("units"), &self.lengths(field), time)
     }
 
     /// The variable with the times of a field, or with its one time.
-    fn time_variable(&self, field: &Field) -> Option<&Variable> {
+    fn time_variable(&self, field: &NetcdfField) -> Option<&Variable> {
         let variable = &self.header.variables[field.variable];
         match field.part.time {
             Some(axis) => self.coordinate(variable.dims[axis]),
@@ -262,7 +262,7 @@ impl File {
     }
 
     /// The time of a field.
-    fn time_of(&self, field: &Field) -> Result<Option<f64>> {
+    fn time_of(&self, field: &NetcdfField) -> Result<Option<f64>> {
         let variable = &self.header.variables[field.variable];
         let Some(axis) = field.part.time else {
             if self.dialect == Dialect::Minc {
@@ -276,7 +276,7 @@ impl File {
     }
 
     /// The times along an axis of a variable.
-    fn times_along(&self, field: &Field, axis: usize) -> Result<Option<Vec<f64>>> {
+    fn times_along(&self, field: &NetcdfField, axis: usize) -> Result<Option<Vec<f64>>> {
         if self.dialect == Dialect::Minc {
             let count = self.header.shape(&self.header.variables[field.variable])[axis];
             return Ok(minc::times(self, count));
@@ -284,7 +284,7 @@ impl File {
         Ok(self.line(field, axis)?.map(|line| line.values))
     }
 
-    fn info(&self, field: &Field, geometry: Geometry) -> VolumeInfo {
+    fn info(&self, field: &NetcdfField, geometry: Geometry) -> VolumeInfo {
         let (scalar, dims) = (field.part.info.scalar, self.dims(field));
         let mut info = plain_info(self.path(), self.header.name(), dims, scalar, geometry);
         info.field = field.part.info.clone();
@@ -293,21 +293,26 @@ impl File {
     }
 
     /// The samples of a field, as they are stored or converted.
-    fn source(&self, field: &Field, info: VolumeInfo, convert: Option<Convert>) -> Result<VolumeSource> {
+    fn source(
+        &self,
+        field: &NetcdfField,
+        info: VolumeInfo,
+        convert: Option<Convert>,
+    ) -> Result<VolumeSource> {
         let (at, strides) = self.place(field)?;
         let volume = StridedVolume::new(info, self.source.clone(), at, true, strides)?;
         Ok(match convert {
             None => volume.source(),
-            Some(convert) => VolumeSource::Chunked(Arc::new(Pieces::new(volume, convert))),
+            Some(convert) => VolumeSource::Chunked(Arc::new(NetcdfPieces::new(volume, convert))),
         })
     }
 
     /// The image of a MINC file.
-    fn image(&self, field: &Field, options: &OpenOptions) -> Result<VolumeSource> {
+    fn image(&self, field: &NetcdfField, options: &OpenOptions) -> Result<VolumeSource> {
         options.refuse_geometry(self.path(), "a MINC file")?;
         let variable = &self.header.variables[field.variable];
         let (axes, shape) = (self.header.dim_names(variable), self.header.shape(variable));
-        let Part { info, time, entries, .. } = &field.part;
+        let Hyperslab { info, time, entries, .. } = &field.part;
         let moment = time.map(|axis| entries[axis]);
         let stored = minc::Stored { axes: &axes, shape: &shape, scalar: info.scalar, moment };
         let minc::Image { geometry, convert, units, assumed } = minc::image(self, &stored)?;
@@ -337,12 +342,12 @@ impl File {
     }
 
     /// Samples along x, y, z.
-    fn dims(&self, field: &Field) -> [u64; 3] {
+    fn dims(&self, field: &NetcdfField) -> [u64; 3] {
         field.part.dims(&self.header.shape(&self.header.variables[field.variable]))
     }
 
     /// Byte of the first sample, and bytes a step along x, y, z.
-    fn place(&self, field: &Field) -> Result<(u64, [i64; 3])> {
+    fn place(&self, field: &NetcdfField) -> Result<(u64, [i64; 3])> {
         let variable = &self.header.variables[field.variable];
         let steps = self.header.steps(self.path(), variable)?;
         sample_bytes(self.path(), self.dims(field), field.part.info.scalar)?;
@@ -363,20 +368,20 @@ impl File {
     }
 
     /// The coordinates along x, y, z, where the file has them.
-    fn lines(&self, field: &Field) -> Result<[Option<Line>; 3]> {
+    fn lines(&self, field: &NetcdfField) -> Result<[Option<Line>; 3]> {
         let [x, y, z] = field.part.axes.map(|axis| self.line(field, axis));
         Ok(cf::in_one_unit([x?, y?, z?], &self.lengths(field), field.part.world))
     }
 
     /// The lengths along the axes of the world.
-    fn lengths(&self, field: &Field) -> Lengths {
+    fn lengths(&self, field: &NetcdfField) -> Lengths {
         let dims = &self.header.variables[field.variable].dims;
         let of_axis = |axis: usize| Some(self.coordinate(dims[axis])?.text("units"));
         cf::lengths(field.part.axes.map(of_axis), field.part.world)
     }
 
     /// The coordinates along an axis of a variable, where the file has them.
-    fn line(&self, field: &Field, axis: usize) -> Result<Option<Line>> {
+    fn line(&self, field: &NetcdfField, axis: usize) -> Result<Option<Line>> {
         let dim = self.header.variables[field.variable].dims[axis];
         let Some(variable) = self.coordinate(dim) else { return Ok(None) };
         // Names, for example, are no coordinates.
@@ -411,7 +416,7 @@ impl File {
     }
 }
 
-impl minc::Variables for File {
+impl minc::Variables for NetcdfFile {
     fn path(&self) -> &Path {
         self.source.path()
     }
@@ -442,14 +447,14 @@ impl minc::Variables for File {
 }
 
 /// The values of a variable with a valid range, as `f64`, piece by piece.
-struct Pieces {
+struct NetcdfPieces {
     info: VolumeInfo,
     volume: StridedVolume,
     convert: Convert,
     piece: [u64; 3],
 }
 
-impl Pieces {
+impl NetcdfPieces {
     fn new(volume: StridedVolume, convert: Convert) -> Self {
         let mut info = volume.info().clone();
         info.field.scalar = ScalarType::F64;
@@ -463,7 +468,7 @@ impl Pieces {
     }
 }
 
-impl ChunkSource for Pieces {
+impl ChunkSource for NetcdfPieces {
     fn info(&self) -> &VolumeInfo {
         &self.info
     }

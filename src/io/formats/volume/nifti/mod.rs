@@ -80,7 +80,7 @@ impl Format for Nifti {
         };
         let offset = header.offset(header.is_pair()?)?;
         let (path, gzip) = (head.path.to_path_buf(), is_gzip(&data)?);
-        Ok(Box::new(File { path, header, data, gzip, offset }))
+        Ok(Box::new(NiftiFile { path, header, data, gzip, offset }))
     }
 }
 
@@ -88,7 +88,7 @@ impl Format for Nifti {
 pub(super) const INTENT_LABEL: i32 = 1002;
 
 /// A file, or a pair.
-struct File {
+struct NiftiFile {
     /// The one that was named.
     path: PathBuf,
     header: NiftiHeader,
@@ -98,7 +98,7 @@ struct File {
     offset: u64,
 }
 
-impl Dataset for File {
+impl Dataset for NiftiFile {
     fn files(&self) -> Vec<PathBuf> {
         vec![self.header.path.clone(), self.data.path().to_path_buf()]
     }
@@ -155,7 +155,7 @@ impl Dataset for File {
     }
 }
 
-impl File {
+impl NiftiFile {
     /// The frames by the names of their fields, and their times: `toffset` and a `pixdim[4]` for
     /// each. None where there is one volume.
     fn all_steps(&self, options: &OpenOptions) -> Result<Frames> {

@@ -69,12 +69,12 @@ impl Format for Nrrd {
         let (axes, scalar) = (Axes::of(&header)?, header.scalar()?);
         let data = header.data(Arc::clone(source), &axes, head.io)?;
         let encoding = header.encoding()?;
-        Ok(Box::new(File { header, axes, scalar, data, encoding }))
+        Ok(Box::new(NrrdFile { header, axes, scalar, data, encoding }))
     }
 }
 
 /// An NRRD file, attached (`.nrrd`) or detached (`.nhdr`).
-struct File {
+struct NrrdFile {
     header: NrrdHeader,
     axes: Axes,
     scalar: ScalarType,
@@ -82,7 +82,7 @@ struct File {
     encoding: NrrdEncoding,
 }
 
-impl Dataset for File {
+impl Dataset for NrrdFile {
     fn files(&self) -> Vec<PathBuf> {
         self.data.parts.iter().map(|part| part.path().to_path_buf()).collect()
     }
@@ -118,7 +118,7 @@ impl Dataset for File {
     }
 }
 
-impl File {
+impl NrrdFile {
     /// The volumes of a series, by the names of their fields; none where there is one volume.
     fn all_steps(&self, options: &OpenOptions) -> Result<Frames> {
         let frames = self.axes.list(&self.header)?;

@@ -1,7 +1,7 @@
 //! A file of samples while it is written.
 
 use super::pack::{Packed, Packer, Stream};
-use super::{GridMeta, GridPlace, Layout, SampleField, SampleFormat, heads, nifti, tiff, vtk};
+use super::{FileLayout, GridMeta, GridPlace, SampleField, SampleFormat, heads, nifti, tiff, vtk};
 use crate::bytes::publish::{Unpublished, folder_of};
 use crate::bytes::store::{read_at, write_at};
 use crate::error::{Error, Result};
@@ -83,7 +83,7 @@ impl SampleFile {
         let (out, path) = (publishable(path)?, path.to_path_buf());
         let mut file =
             Self { out, header: None, meta, format, path, arrays: vec![], waiting: None, bytes: 0 };
-        file.write_around(&Layout { head, ..Layout::default() }, &[bytes])?;
+        file.write_around(&FileLayout { head, ..FileLayout::default() }, &[bytes])?;
         Ok(file)
     }
 
@@ -99,20 +99,20 @@ impl SampleFile {
         Ok(())
     }
 
-    fn layout(&self, stored: &[Packed]) -> Result<Layout> {
+    fn layout(&self, stored: &[Packed]) -> Result<FileLayout> {
         let (meta, path) = (&self.meta, &self.path);
         Ok(match self.format {
             SampleFormat::Npy => {
                 let [x, y, z] = meta.dims;
                 let head = heads::npy(&format!("({z}, {y}, {x})"), meta.field().scalar);
-                Layout { head, ..Layout::default() }
+                FileLayout { head, ..FileLayout::default() }
             }
             SampleFormat::Nrrd => {
-                Layout { head: heads::nrrd(meta, stored[0].is_packed())?, ..Layout::default() }
+                FileLayout { head: heads::nrrd(meta, stored[0].is_packed())?, ..FileLayout::default() }
             }
             SampleFormat::Mha | SampleFormat::Mhd => heads::metaimage(meta, self.format, path, &stored[0])?,
             SampleFormat::Nifti | SampleFormat::NiftiGz => {
-                Layout { head: nifti::head(meta, path)?, ..Layout::default() }
+                FileLayout { head: nifti::head(meta, path)?, ..FileLayout::default() }
             }
             SampleFormat::Tiff => tiff::layout(meta)?,
             SampleFormat::Vti | SampleFormat::Vtr | SampleFormat::Vts => vtk::layout(meta, stored)?,
@@ -126,7 +126,7 @@ impl SampleFile {
         self.write_around(&layout, &lengths)
     }
 
-    fn write_around(&mut self, layout: &Layout, lengths: &[u64]) -> Result<()> {
+    fn write_around(&mut self, layout: &FileLayout, lengths: &[u64]) -> Result<()> {
         self.out.write(&layout.head)?;
         self.out.flush()?;
         let (mut at, mut arrays) = (layout.head.len() as u64, vec![]);
@@ -238,7 +238,7 @@ impl SampleFile {
             stored.push(packer.pack(&prefix, length, &read, &mut put)?);
         }
         match whole {
-            true => self.write_around(&Layout::default(), &[stored[0].bytes()])?,
+            true => self.write_around(&FileLayout::default(), &[stored[0].bytes()])?,
             false => self.lay_out(&stored)?,
         }
         let mut from = 0;

@@ -1,7 +1,7 @@
 //! The headers of NPY, NRRD and MetaImage.
 
 use super::pack::Packed;
-use super::{Anatomy, GridMeta, Layout, SampleFormat};
+use super::{Anatomy, FileLayout, GridMeta, SampleFormat};
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use crate::volume::units::Unit;
@@ -103,7 +103,7 @@ pub(super) fn metaimage(
     format: SampleFormat,
     path: &Path,
     stored: &Packed,
-) -> Result<Layout> {
+) -> Result<FileLayout> {
     let field = meta.field();
     let kind = match field.scalar {
         ScalarType::U8 => "MET_UCHAR",
@@ -139,7 +139,7 @@ pub(super) fn metaimage(
     put("ElementType", kind.into());
     if format == SampleFormat::Mha {
         put("ElementDataFile", "LOCAL".into());
-        return Ok(Layout { head: text.into_bytes(), ..Layout::default() });
+        return Ok(FileLayout { head: text.into_bytes(), ..FileLayout::default() });
     }
     let samples = format.files(path).pop().unwrap_or_default();
     let name = samples.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
@@ -151,7 +151,7 @@ pub(super) fn metaimage(
         )));
     }
     put("ElementDataFile", name);
-    Ok(Layout { header: Some(text.into_bytes()), ..Layout::default() })
+    Ok(FileLayout { header: Some(text.into_bytes()), ..FileLayout::default() })
 }
 
 /// The error of a format without a type.

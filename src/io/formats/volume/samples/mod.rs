@@ -40,7 +40,7 @@ use std::path::{Path, PathBuf};
 
 /// What lies around the arrays of a file.
 #[derive(Debug, Default)]
-struct Layout {
+struct FileLayout {
     /// Before all of them.
     head: Vec<u8>,
     /// Directly before each of them; none where nothing does.

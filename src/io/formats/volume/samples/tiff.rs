@@ -10,7 +10,7 @@
 //! pages have those along x and y. The format: "TIFF Revision 6.0", Adobe 1992; BigTIFF, AWare
 //! Systems.
 
-use super::{GridMeta, GridPlace, Layout};
+use super::{FileLayout, GridMeta, GridPlace};
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 
@@ -26,7 +26,7 @@ const MOST_TAIL: u64 = 1 << 30;
 /// The least bytes of directories and what they point to, for each page.
 const PAGE: u64 = 400;
 
-pub(super) fn layout(meta: &GridMeta) -> Result<Layout> {
+pub(super) fn layout(meta: &GridMeta) -> Result<FileLayout> {
     let field = meta.field();
     let kind = match field.scalar {
         ScalarType::U8 | ScalarType::U16 | ScalarType::U32 | ScalarType::U64 => 1u64,
@@ -76,7 +76,7 @@ pub(super) fn layout(meta: &GridMeta) -> Result<Layout> {
         at += bytes.len() as u64;
         tail.extend(bytes);
     }
-    Ok(Layout { head, tail, ..Layout::default() })
+    Ok(FileLayout { head, tail, ..FileLayout::default() })
 }
 
 /// Samples a unit of length: two numbers of 32 bits, as exact as these are.

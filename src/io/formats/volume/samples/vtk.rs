@@ -2,7 +2,7 @@
 
 use super::heads::{no_type, numbers};
 use super::pack::{BLOCK, Packed};
-use super::{GridMeta, GridPlace, Layout, SampleField};
+use super::{FileLayout, GridMeta, GridPlace, SampleField};
 use crate::error::Result;
 use crate::formats::shared::text::xml_attribute;
 use crate::volume::ScalarType;
@@ -26,7 +26,7 @@ fn table(stored: &Packed) -> Vec<u8> {
     head.iter().chain(&stored.blocks).flat_map(|n| n.to_le_bytes()).collect()
 }
 
-pub(super) fn layout(meta: &GridMeta, stored: &[Packed]) -> Result<Layout> {
+pub(super) fn layout(meta: &GridMeta, stored: &[Packed]) -> Result<FileLayout> {
     let before: Vec<Vec<u8>> = stored.iter().map(table).collect();
     let (mut at, mut offsets) = (0, vec![]);
     for (table, array) in before.iter().zip(stored) {
@@ -79,7 +79,7 @@ pub(super) fn layout(meta: &GridMeta, stored: &[Packed]) -> Result<Layout> {
          <Piece Extent=\"{extent}\">\n      <PointData Scalars=\"{scalars}\">\n{fields}      </PointData>\n\
          {coordinates}    </Piece>\n  </{kind}>\n  <AppendedData encoding=\"raw\">\n   _"
     );
-    Ok(Layout {
+    Ok(FileLayout {
         head: head.into_bytes(),
         before,
         tail: b"\n  </AppendedData>\n</VTKFile>\n".to_vec(),

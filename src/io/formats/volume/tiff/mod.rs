@@ -53,7 +53,7 @@ use crate::volume::{Assumed, VolumeInfo, VolumeSource};
 use ifd::Tiff;
 pub(in crate::formats) use ifd::has_magic;
 use page::{Page, Shape};
-use place::{Place, imagej, ome};
+use place::{SampleSpacing, imagej, ome};
 use planes::Planes;
 use slices::SliceFiles;
 use std::collections::HashMap;
@@ -85,7 +85,7 @@ impl Format for TiffFile {
     }
 
     fn open(&self, head: &Head<'_>) -> Result<Box<dyn Dataset>> {
-        Ok(Box::new(File::open(head.file()?)?))
+        Ok(Box::new(TiffPages::open(head.file()?)?))
     }
 }
 
@@ -96,7 +96,7 @@ pub(in crate::formats) const SUFFIXES: [&str; 4] = [".tif", ".tiff", ".btf", ".t
 const CHUNK_BYTES: u64 = 1 << 20;
 
 /// One file of several pages.
-struct File {
+struct TiffPages {
     tiff: Tiff,
     /// Where the pages are, without thumbnails and masks.
     places: Vec<u64>,
@@ -107,7 +107,7 @@ struct File {
     planes: Option<Planes>,
 }
 
-impl File {
+impl TiffPages {
     fn open(source: &Arc<ByteSource>) -> Result<Self> {
         let (path, tiff) = (source.path(), Tiff::open(Arc::clone(source))?);
         let (mut places, mut pages) = (vec![], None::<(Page, bool)>);
@@ -134,7 +134,7 @@ impl File {
     }
 }
 
-impl Dataset for File {
+impl Dataset for TiffPages {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let Self { tiff, places, first, in_place, planes } = self;
         if let Some(planes) = planes {
@@ -171,7 +171,7 @@ impl Dataset for File {
     }
 }
 
-impl File {
+impl TiffPages {
     /// The pages of one channel and moment.
     fn of_planes(&self, planes: &Planes, options: &OpenOptions) -> Result<VolumeSource> {
         let Self { tiff, places, first, in_place, .. } = self;
@@ -317,7 +317,8 @@ fn info_at(
     let big = if tiff.big { "Big" } else { "" };
     let format = format!("{big}{kind}, {})", page.compression.name());
     // What a user gives has no unit of the file.
-    let place = if options.spacing.is_some() { Place::default() } else { Place::of(path, page)? };
+    let place =
+        if options.spacing.is_some() { SampleSpacing::default() } else { SampleSpacing::of(path, page)? };
     let geometry = geometry(path, "spacing", [0.0; 3], scaled_axes(place.spacing))?;
     let geometry = given_geometry(path, options, geometry)?;
     let mut info = plain_info(path, format, dims, scalar, geometry);

@@ -16,7 +16,7 @@ use quick_xml::events::Event;
 use std::path::Path;
 
 /// Where the samples of a file lie.
-pub(super) struct Place {
+pub(super) struct SampleSpacing {
     /// Along x, y, z.
     pub(super) spacing: [f64; 3],
     pub(super) unit: Option<Unit>,
@@ -26,13 +26,13 @@ pub(super) struct Place {
     pub(super) notes: Vec<String>,
 }
 
-impl Default for Place {
+impl Default for SampleSpacing {
     fn default() -> Self {
         Self { spacing: [1.0; 3], unit: None, missing: [false; 3], notes: vec![] }
     }
 }
 
-impl Place {
+impl SampleSpacing {
     /// What the description of a page says.
     ///
     /// # Errors

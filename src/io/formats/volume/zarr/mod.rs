@@ -50,8 +50,10 @@ use crate::bytes::IoMode;
 use crate::bytes::place::above;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Fault, Result};
-use crate::formats::shared::axes::{Layout, layout};
-use crate::formats::shared::cf::{self, Attributes, Convert, Line, MOST_COORDINATES, Numbers, Packing};
+use crate::formats::shared::axes::{AxisLayout, layout};
+use crate::formats::shared::cf::{
+    self, AttributeNumbers, Attributes, Convert, Line, MOST_COORDINATES, Packing,
+};
 use crate::formats::shared::coordinates::GridCoordinates;
 use crate::formats::shared::entries::{Channel, Entries, channels, field_name};
 use crate::formats::shared::format::{About, Dataset, Format, Head};
@@ -74,7 +76,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use store::{Part, Zip, folders_in, open_if_there, ranges_if_there};
+use store::{StorePart, Zip, folders_in, open_if_there, ranges_if_there};
 
 /// A folder with a Zarr array or a group of them.
 pub(in crate::formats) struct Zarr;
@@ -126,7 +128,7 @@ struct Group {
     /// The image that the arrays are levels of.
     image: Option<Image>,
     arrays: Named,
-    fields: Vec<Field>,
+    fields: Vec<ZarrField>,
 }
 
 impl Dataset for Group {
@@ -221,7 +223,7 @@ impl Group {
     fn open(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let (path, store) = (&*self.path, &self.store);
         let field = &self.fields[self.choose(options)?];
-        let Field { array, axes, fixed, frame, record, .. } = field;
+        let ZarrField { array, axes, fixed, frame, record, .. } = field;
         let (array, axes) = (&self.arrays[*array].1, *axes);
         let image = self.image_of(array)?;
         let time = frame.map(|frame| frame.axis);
@@ -309,7 +311,7 @@ impl Group {
     /// The number of the field that is read.
     fn choose(&self, options: &OpenOptions) -> Result<usize> {
         let Self { path, image, arrays, fields, .. } = self;
-        if let Some(wanted) = Wanted::of(path, options, image.as_ref(), arrays)? {
+        if let Some(wanted) = WantedField::of(path, options, image.as_ref(), arrays)? {
             if let Some(number) = fields.iter().position(|f| wanted.is(f)) {
                 return Ok(number);
             }
@@ -327,7 +329,7 @@ impl Group {
     /// The frames of the array that is wanted, or that is read without a choice, by the names of
     /// their fields, and their times, where OME-Zarr states them. None where there is one volume.
     fn frames(&self, options: &OpenOptions) -> Result<Frames> {
-        let wanted = Wanted::of(&self.path, options, self.image.as_ref(), &self.arrays)?;
+        let wanted = WantedField::of(&self.path, options, self.image.as_ref(), &self.arrays)?;
         let wanted = wanted.filter(|wanted| wanted.entries.frame.is_none());
         wanted.map_or(Ok(vec![]), |wanted| self.frames_of(|f| wanted.is_series(f)))
     }
@@ -338,7 +340,7 @@ impl Group {
         if self.image.is_some() {
             return Ok(None);
         }
-        let of_field = |field: &Field| {
+        let of_field = |field: &ZarrField| {
             let axis = field.frame.map(|frame| frame.axis).or(field.record);
             let times = times_of(&self.store, &self.arrays[field.array].1, axis)?;
             times.values.get(field.frame.map_or(0, |frame| frame.number) as usize).copied()
@@ -351,7 +353,7 @@ impl Group {
         Ok(common(times).filter(|_| !is_series))
     }
 
-    fn frames_of(&self, taken: impl Fn(&Field) -> bool) -> Result<Frames> {
+    fn frames_of(&self, taken: impl Fn(&ZarrField) -> bool) -> Result<Frames> {
         let mut out = vec![];
         for field in self.fields.iter().filter(|field| taken(field)) {
             let Some(frame) = field.frame else { continue };
@@ -492,7 +494,7 @@ fn line_unit(store: &Store, array: &ZarrArray, axis: Option<usize>) -> Option<St
 }
 
 impl Attributes for ZarrArray {
-    fn numbers(&self, name: &str) -> Result<Option<Numbers>> {
+    fn numbers(&self, name: &str) -> Result<Option<AttributeNumbers>> {
         let value = &self.attributes[name];
         let list = match value {
             Value::Null => return Ok(None),
@@ -509,7 +511,7 @@ impl Attributes for ZarrArray {
         };
         let values = list.iter().map(number).collect::<Option<Vec<f64>>>();
         let values = values.ok_or_else(|| self.wrong(name, "numbers", value.to_string()))?;
-        Ok(Some(Numbers { values, are_floats: list.iter().any(|v| !v.is_i64() && !v.is_u64()) }))
+        Ok(Some(AttributeNumbers { values, are_floats: list.iter().any(|v| !v.is_i64() && !v.is_u64()) }))
     }
 
     fn text(&self, name: &str) -> String {
@@ -544,7 +546,7 @@ fn attributes_file(array: &ZarrArray) -> PathBuf {
 }
 
 /// A volume that can be chosen: an array, or a channel or frame of one.
-struct Field {
+struct ZarrField {
     info: FieldInfo,
     /// The number of the array.
     array: usize,
@@ -568,7 +570,7 @@ struct FixedEntry {
 }
 
 /// All fields. An array whose axes are not understood is left out, unless it is the only one.
-fn fields(store: &Store, image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
+fn fields(store: &Store, image: Option<&Image>, arrays: &Named) -> Result<Vec<ZarrField>> {
     let (mut fields, mut refused) = (vec![], None);
     for (number, (name, array)) in arrays.iter().enumerate() {
         let around = match image {
@@ -598,7 +600,7 @@ fn fields(store: &Store, image: Option<&Image>, arrays: &Named) -> Result<Vec<Fi
             let channel = of_channel.zip(all.as_ref()).map(|(entry, all)| &all[entry.number as usize]);
             for frame in entries(time) {
                 let name = field_name(name, channel, frame.map(|t| t.number));
-                fields.push(Field {
+                fields.push(ZarrField {
                     info: FieldInfo { name, scalar: array.scalar, components: 1 },
                     array: number,
                     axes: space,
@@ -617,12 +619,12 @@ fn fields(store: &Store, image: Option<&Image>, arrays: &Named) -> Result<Vec<Fi
 }
 
 /// The field that a user means.
-struct Wanted {
+struct WantedField {
     array: usize,
     entries: Entries,
 }
 
-impl Wanted {
+impl WantedField {
     /// That of a word: an array (itself, the one whose path starts with it, or "scaleN" the one at
     /// that level), and with colons its channel and frame. Without a word the first level of an
     /// image, or the only array.
@@ -657,12 +659,12 @@ impl Wanted {
     }
 
     /// Whether it is this field.
-    fn is(&self, field: &Field) -> bool {
+    fn is(&self, field: &ZarrField) -> bool {
         self.is_series(field) && self.entries.frame == field.frame.map(|t| t.number)
     }
 
     /// Whether it is this field, or a series that it is a frame of.
-    fn is_series(&self, field: &Field) -> bool {
+    fn is_series(&self, field: &ZarrField) -> bool {
         self.array == field.array && self.entries.are_of(field.channel.as_ref())
     }
 }
@@ -930,11 +932,11 @@ fn axes(store: &Store, array: &ZarrArray, image: Option<&Image>) -> Result<AllAx
     let kinds = kinds(store, array, image, names.as_deref());
     let count = |axis: Option<usize>| axis.map_or(1, |axis| array.shape[axis]);
     let found = layout(&array.shape, &kinds).ok();
-    let is_few = |of: &Layout| {
+    let is_few = |of: &AxisLayout| {
         let all = count(of.series).checked_mul(count(of.channels));
         all.is_some_and(|n| n <= MOST_FRAMES)
     };
-    if let Some(Layout { space, series, channels }) = found.filter(is_few) {
+    if let Some(AxisLayout { space, series, channels }) = found.filter(is_few) {
         let by_name = ['x', 'y', 'z'].map(|kind| space.into_iter().find(|&axis| kinds[axis] == kind));
         let space = if by_name.iter().all(Option::is_some) { by_name } else { space.map(Some) };
         let record = (0..rank).find(|&axis| kinds[axis] == 't' && array.shape[axis] == 1);
@@ -1003,7 +1005,7 @@ struct Chunks {
 }
 
 /// A shard's file and index; `None`: it is not there.
-type OpenShard = Option<(Part, Vec<u8>)>;
+type OpenShard = Option<(StorePart, Vec<u8>)>;
 
 impl Chunks {
     fn new(info: VolumeInfo, array: ZarrArray, axes: Axes, fixed: Vec<FixedEntry>, io: IoMode) -> Self {
@@ -1045,7 +1047,7 @@ impl Chunks {
         }
     }
 
-    fn decoded(&self, source: &Part, range: Range<u64>) -> Result<Vec<u8>> {
+    fn decoded(&self, source: &StorePart, range: Range<u64>) -> Result<Vec<u8>> {
         let needed = self.array.unit().iter().product::<u64>() * self.array.scalar.bytes() as u64;
         let mut buffer = vec![];
         let at = format!("chunk at byte {}", range.start);
@@ -1112,7 +1114,12 @@ impl Chunks {
     }
 
     /// Where a chunk is in its shard; `None` where it is not.
-    fn range_in_shard(&self, inner: [u64; 3], source: &Part, index: &[u8]) -> Result<Option<Range<u64>>> {
+    fn range_in_shard(
+        &self,
+        inner: [u64; 3],
+        source: &StorePart,
+        index: &[u8],
+    ) -> Result<Option<Range<u64>>> {
         let (chunk, unit) = (&self.array.chunk, self.array.unit());
         let place = self.place(inner, |f| f.number % chunk[f.axis] / unit[f.axis]);
         let number = place.iter().zip(chunk.iter().zip(unit)).fold(0, |n, (p, (c, u))| n * (c / u) + p);

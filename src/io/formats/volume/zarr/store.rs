@@ -13,7 +13,7 @@ use crate::bytes::{ByteSource, IoMode, place};
 use crate::error::{Error, Fault, Result};
 use crate::formats::shared::codec::read_to_end;
 use crate::formats::shared::has_suffix;
-use crate::formats::shared::zip::{Directory, Member, Stored};
+use crate::formats::shared::zip::{Directory, Stored, ZipMember};
 use flate2::Crc;
 use flate2::bufread::DeflateDecoder;
 use std::collections::BTreeSet;
@@ -31,12 +31,12 @@ const LAST_FOR: Duration = Duration::from_secs(5);
 const EXTRA: u64 = 256;
 
 /// A file of a store, or the part of an archive that it is.
-pub(super) struct Part {
+pub(super) struct StorePart {
     source: Arc<ByteSource>,
     range: Range<u64>,
 }
 
-impl Part {
+impl StorePart {
     fn whole(source: ByteSource) -> Self {
         let range = 0..source.len();
         Self { source: Arc::new(source), range }
@@ -51,7 +51,7 @@ impl Part {
         self.source.path()
     }
 
-    /// As [`ByteSource::view`], which [`Part::check`] follows.
+    /// As [`ByteSource::view`], which [`StorePart::check`] follows.
     pub(super) fn view<'a>(&'a self, range: Range<u64>, buffer: &'a mut Vec<u8>) -> Result<&'a [u8]> {
         if range.start > range.end || range.end > self.len() {
             let got = format!("{} bytes of it", self.len());
@@ -116,18 +116,18 @@ pub(super) fn read_if_there(path: &Path, most: u64) -> Result<Option<Vec<u8>>> {
 
 /// A file of which all bytes are needed, at most `most` where they have to be fetched or unpacked;
 /// `None` where there is none.
-pub(super) fn open_if_there(path: &Path, io: IoMode, most: u64) -> Result<Option<Part>> {
+pub(super) fn open_if_there(path: &Path, io: IoMode, most: u64) -> Result<Option<StorePart>> {
     match archive_in(path) {
         Some((archive, name)) => Zip::open(archive, io)?.whole(name, most),
-        None => Ok(place::open_if_there(path, io, most)?.map(Part::whole)),
+        None => Ok(place::open_if_there(path, io, most)?.map(StorePart::whole)),
     }
 }
 
 /// A file that is read by ranges; `None` where there is none.
-pub(super) fn ranges_if_there(path: &Path, io: IoMode) -> Result<Option<Part>> {
+pub(super) fn ranges_if_there(path: &Path, io: IoMode) -> Result<Option<StorePart>> {
     match archive_in(path) {
         Some((archive, name)) => Zip::open(archive, io)?.ranges(name),
-        None => Ok(place::ranges_if_there(path, io)?.map(Part::whole)),
+        None => Ok(place::ranges_if_there(path, io)?.map(StorePart::whole)),
     }
 }
 
@@ -194,7 +194,7 @@ impl Zip {
     }
 
     /// The member of a name; the last one, where it was written again.
-    fn member(&self, name: &Path) -> Result<Option<Member>> {
+    fn member(&self, name: &Path) -> Result<Option<ZipMember>> {
         let name = text(name);
         let hash = xxh3_64(name.as_bytes());
         let first = self.by_name.partition_point(|&(h, _)| h < hash);
@@ -209,7 +209,7 @@ impl Zip {
     }
 
     /// All bytes of a member: as they lie in the archive, or unpacked, or fetched.
-    fn whole(&self, name: &Path, most: u64) -> Result<Option<Part>> {
+    fn whole(&self, name: &Path, most: u64) -> Result<Option<StorePart>> {
         let Some(member) = self.member(name)? else { return Ok(None) };
         // On a server its header comes in the same request, as far as it can be told.
         let fetched = if self.source.is_remote() { member.around(EXTRA, self.source.len()) } else { 0..0 };
@@ -230,7 +230,7 @@ impl Zip {
         if !stored.deflated && self.source.at_hand(bytes.clone()).is_some() {
             self.check_sum(&member, &stored, view)?;
             self.source.check()?;
-            return Ok(Some(Part { source: Arc::clone(&self.source), range: bytes }));
+            return Ok(Some(StorePart { source: Arc::clone(&self.source), range: bytes }));
         }
         if stored.len > most {
             return Err(too_long(&self.path_of(&member), stored.len, most));
@@ -243,14 +243,14 @@ impl Zip {
         }
         self.source.check()?;
         self.check_sum(&member, &stored, &out)?;
-        Ok(Some(Part::whole(ByteSource::from_vec(self.path_of(&member), out))))
+        Ok(Some(StorePart::whole(ByteSource::from_vec(self.path_of(&member), out))))
     }
 
-    fn path_of(&self, member: &Member) -> PathBuf {
+    fn path_of(&self, member: &ZipMember) -> PathBuf {
         self.source.path().join(&member.name)
     }
 
-    fn check_sum(&self, member: &Member, stored: &Stored, bytes: &[u8]) -> Result<()> {
+    fn check_sum(&self, member: &ZipMember, stored: &Stored, bytes: &[u8]) -> Result<()> {
         let mut sum = Crc::new();
         sum.update(bytes);
         if bytes.len() as u64 == stored.len && sum.sum() == stored.crc32 {
@@ -264,7 +264,7 @@ impl Zip {
     }
 
     /// A member where it lies in the archive.
-    fn ranges(&self, name: &Path) -> Result<Option<Part>> {
+    fn ranges(&self, name: &Path) -> Result<Option<StorePart>> {
         let Some(member) = self.member(name)? else { return Ok(None) };
         let stored = member.stored(&self.source, &[])?;
         if stored.deflated {
@@ -276,7 +276,7 @@ impl Zip {
             )
             .with_help("zip it again without compression (zip -0), or unpack it"));
         }
-        Ok(Some(Part { source: Arc::clone(&self.source), range: stored.bytes }))
+        Ok(Some(StorePart { source: Arc::clone(&self.source), range: stored.bytes }))
     }
 
     fn folders(&self, folder: &Path) -> Result<Vec<String>> {

@@ -130,7 +130,7 @@ impl CellFile for Grid {
                 last: None,
             },
         };
-        Ok(Box::new(Cells { shared: Arc::clone(&self.0), types, lists, at: 0, vertices: vec![] }))
+        Ok(Box::new(LegacyCells { shared: Arc::clone(&self.0), types, lists, at: 0, vertices: vec![] }))
     }
 
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>> {
@@ -144,7 +144,7 @@ enum Lists {
     Offsets { offsets: Ids, vertices: Ids, last: Option<u64> },
 }
 
-struct Cells {
+struct LegacyCells {
     shared: Arc<Shared>,
     types: Ids,
     lists: Lists,
@@ -153,7 +153,7 @@ struct Cells {
     vertices: Vec<u64>,
 }
 
-impl Cells {
+impl LegacyCells {
     fn wrong(&self, expected: impl Into<String>, got: impl Into<String>) -> Error {
         let at = format!("cell {} (counted from 0)", self.at);
         Error::bad_input(&self.shared.info.path, at, expected, got)
@@ -202,7 +202,7 @@ impl Cells {
     }
 }
 
-impl CellStream for Cells {
+impl CellStream for LegacyCells {
     fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
         out.clear();
         let n = (self.shared.info.cells - self.at).min(BLOCK as u64);

@@ -82,7 +82,7 @@ impl Format for VtkLegacy {
         if is_mesh(&head.bytes) {
             return Ok(Box::new(MeshFile::new(cells::open(source)?)?));
         }
-        Ok(Box::new(File::open(source)?))
+        Ok(Box::new(LegacyFile::open(source)?))
     }
 }
 
@@ -102,19 +102,19 @@ impl format::Dataset for MeshFile<cells::Grid> {
 }
 
 /// Structured points, or a rectilinear or curvilinear grid.
-struct File {
+struct LegacyFile {
     source: Arc<ByteSource>,
     scanned: Scanned,
 }
 
-impl File {
+impl LegacyFile {
     fn open(source: &Arc<ByteSource>) -> Result<Self> {
         let scanned = Scanner::new(source.path(), source.slice(0..source.len())?, &GRIDS)?.scan()?;
         Ok(Self { source: Arc::clone(source), scanned })
     }
 }
 
-impl format::Dataset for File {
+impl format::Dataset for LegacyFile {
     fn volume(&self, options: &OpenOptions) -> Result<VolumeSource> {
         let (source, file, path) = (&self.source, &self.scanned, self.source.path());
         let Picked { field, center, index, fields } = choose(path, file, options.field.as_deref())?;

@@ -108,7 +108,7 @@ fn rich(binary: bool) -> Vec<u8> {
 
 fn open_bytes(bytes: &[u8], field: Option<&str>) -> Result<VolumeSource> {
     let options = OpenOptions { field: field.map(Into::into), ..OpenOptions::default() };
-    let file = File::open(&Arc::new(ByteSource::from_vec("f.vtk", bytes.to_vec())))?;
+    let file = LegacyFile::open(&Arc::new(ByteSource::from_vec("f.vtk", bytes.to_vec())))?;
     format::Dataset::volume(&file, &options)
 }
 

@@ -97,7 +97,7 @@ enum Data {
 }
 
 /// Where an array's numbers are stored.
-enum Place {
+enum ArraySource {
     Text(TextNumbers),
     Binary(Stored),
 }
@@ -110,20 +110,20 @@ impl ArrayStream {
     pub fn open(doc: &Document, element: &Element, scalar: ScalarType, bytes: u64) -> Result<Self> {
         let data = match place(doc, element)? {
             // Writers disagree on the header of an empty array, and some leave it out.
-            Place::Binary(stored) if bytes == 0 => Data::Empty(stored),
-            Place::Text(numbers) => {
+            ArraySource::Binary(stored) if bytes == 0 => Data::Empty(stored),
+            ArraySource::Text(numbers) => {
                 // A digit and a space for each number.
                 let most = numbers.len().div_ceil(2).saturating_mul(scalar.bytes() as u64);
                 check_room(doc, element, most, bytes)?;
                 Data::Text(numbers)
             }
-            Place::Binary(mut stored) if doc.compressor == Compressor::None => {
+            ArraySource::Binary(mut stored) if doc.compressor == Compressor::None => {
                 let length = word(&mut stored, doc)?;
                 check_length(doc, element, length, bytes)?;
                 check_room(doc, element, stored.most_left(), bytes)?;
                 Data::Plain { stored, left: bytes }
             }
-            Place::Binary(stored) => {
+            ArraySource::Binary(stored) => {
                 let blocks = Blocks::open(doc, stored)?;
                 check_length(doc, element, blocks.total(), bytes)?;
                 check_room(doc, element, blocks.data.most_left().saturating_mul(BEST_RATIO), bytes)?;
@@ -144,14 +144,14 @@ impl ArrayStream {
         scalar: ScalarType,
     ) -> Result<Self> {
         let data = match place(doc, element)? {
-            Place::Text(numbers) => Data::Text(numbers),
-            Place::Binary(stored) if stored.most_left() == 0 => Data::Empty(stored),
-            Place::Binary(mut stored) if doc.compressor == Compressor::None => {
+            ArraySource::Text(numbers) => Data::Text(numbers),
+            ArraySource::Binary(stored) if stored.most_left() == 0 => Data::Empty(stored),
+            ArraySource::Binary(mut stored) if doc.compressor == Compressor::None => {
                 let left = word(&mut stored, doc)?;
                 check_room(doc, element, stored.most_left(), left)?;
                 Data::Plain { stored, left }
             }
-            Place::Binary(stored) => {
+            ArraySource::Binary(stored) => {
                 let blocks = Blocks::open(doc, stored)?;
                 check_room(doc, element, blocks.data.most_left().saturating_mul(BEST_RATIO), blocks.total())?;
                 Data::Blocks(Box::new(blocks))
@@ -246,7 +246,7 @@ impl BlockArray {
         if !raw || doc.compressor == Compressor::None || bytes == 0 {
             return Ok(None);
         }
-        let Place::Binary(stored) = place(doc, element)? else { return Ok(None) };
+        let ArraySource::Binary(stored) = place(doc, element)? else { return Ok(None) };
         let mut blocks = Blocks::open(doc, stored)?;
         check_length(doc, element, blocks.total(), bytes)?;
         check_room(doc, element, blocks.data.most_left().saturating_mul(BEST_RATIO), bytes)?;
@@ -320,21 +320,21 @@ pub(super) fn in_place(doc: &Document, element: &Element, bytes: u64) -> Result<
     if !raw || element.attribute("format") != Some("appended") {
         return Ok(None);
     }
-    let Place::Binary(mut stored) = place(doc, element)? else { return Ok(None) };
+    let ArraySource::Binary(mut stored) = place(doc, element)? else { return Ok(None) };
     let start = doc.source.len() - stored.most_left();
     let length = word(&mut stored, doc)?;
     check_length(doc, element, length, bytes)?;
     Ok(Some(start + if doc.wide { 8 } else { 4 }))
 }
 
-fn place(doc: &Document, element: &Element) -> Result<Place> {
+fn place(doc: &Document, element: &Element) -> Result<ArraySource> {
     let text = &element.text;
     match element.attribute("format").unwrap_or("ascii") {
         "ascii" => {
             let numbers = TextNumbers::new(&doc.source, text.clone());
-            Ok(Place::Text(numbers))
+            Ok(ArraySource::Text(numbers))
         }
-        "binary" => Ok(Place::Binary(Stored::base64(&doc.source, text.start, text.end))),
+        "binary" => Ok(ArraySource::Binary(Stored::base64(&doc.source, text.start, text.end))),
         "appended" => {
             let appended =
                 doc.appended.ok_or_else(|| doc.wrong(element, "an element AppendedData", "none"))?;
@@ -345,7 +345,7 @@ fn place(doc: &Document, element: &Element) -> Result<Place> {
                 doc.wrong(element, format!("an offset within a file of {end} bytes"), offset.to_string())
                     .with_help("the file is cut short or damaged")
             })?;
-            Ok(Place::Binary(match appended.base64 {
+            Ok(ArraySource::Binary(match appended.base64 {
                 true => Stored::base64(&doc.source, start, end),
                 false => Stored::plain(&doc.source, start, end),
             }))

@@ -55,7 +55,7 @@ pub(super) fn time(doc: &Document) -> Result<Option<f64>> {
     let array = arrays(doc.data.child("FieldData")).find(|a| name_of(a) == "TimeValue");
     let Some(array) = array else { return Ok(None) };
     let mut time = vec![];
-    Numbers::open(doc, array, 1)?.read_all(1, &mut time)?;
+    GridNumbers::open(doc, array, 1)?.read_all(1, &mut time)?;
     Ok(time.first().copied())
 }
 
@@ -72,7 +72,7 @@ fn axes(image: &Image) -> Result<[Vec<f64>; 3]> {
         for (a, array) in [x, y, z].into_iter().enumerate() {
             let (lo, hi) = (piece.voxels.lo[a] as usize, piece.voxels.hi[a] as usize);
             let mut table = vec![];
-            Numbers::open(&doc, array, (hi - lo) as u64)?.read_all((hi - lo) as u64, &mut table)?;
+            GridNumbers::open(&doc, array, (hi - lo) as u64)?.read_all((hi - lo) as u64, &mut table)?;
             if out[a].len() < hi {
                 out[a].resize(hi, f64::NAN);
             }
@@ -137,13 +137,13 @@ impl NumberStream for JoinedNumbers {
 }
 
 /// The numbers of one array.
-struct Numbers {
+struct GridNumbers {
     stream: ArrayStream,
     scalar: ScalarType,
     bytes: Vec<u8>,
 }
 
-impl Numbers {
+impl GridNumbers {
     fn open(doc: &Document, array: &Element, count: u64) -> Result<Self> {
         let scalar = array.attribute("type").and_then(scalar_type);
         let scalar = scalar.ok_or_else(|| doc.wrong(array, "numbers", "another type"))?;
@@ -162,7 +162,7 @@ impl Numbers {
     }
 }
 
-impl Numbers {
+impl GridNumbers {
     fn fill(&mut self, out: &mut [f64]) -> Result<()> {
         self.bytes.resize(out.len() * self.scalar.bytes(), 0);
         self.stream.fill(&mut self.bytes)?;

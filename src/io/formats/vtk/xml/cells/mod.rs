@@ -54,13 +54,13 @@ const MOST_VERTICES: u64 = 64 * BLOCK as u64;
 pub(super) fn open(source: &Arc<ByteSource>, io: IoMode) -> Result<Grid> {
     let kinds = [&GRIDS[..], &LISTS].concat();
     let doc = Arc::new(Document::open_one_of(source, &kinds)?);
-    let mut found = Found::default();
+    let mut found = ListedPieces::default();
     match doc.kind {
-        "UnstructuredGrid" => list_pieces(&doc, || Place::Open(Arc::clone(&doc)), &mut found.pieces)?,
+        "UnstructuredGrid" => list_pieces(&doc, || PieceSource::Open(Arc::clone(&doc)), &mut found.pieces)?,
         "PUnstructuredGrid" => found.add_index(&doc, io)?,
         _ => found.add_blocks(&doc, io)?,
     }
-    let Found { files, pieces, surfaces } = found;
+    let ListedPieces { files, pieces, surfaces } = found;
     let info = describe(&doc, &pieces, files, surfaces)?;
     Ok(Grid(Arc::new(Shared { info, doc, pieces })))
 }
@@ -73,19 +73,19 @@ pub(super) const LISTS: [&str; 3] =
 
 /// What a file and those that it lists have.
 #[derive(Default)]
-struct Found {
+struct ListedPieces {
     files: Vec<PathBuf>,
-    pieces: Vec<Piece>,
+    pieces: Vec<CellPiece>,
     /// Blocks that are surfaces.
     surfaces: u64,
 }
 
-impl Found {
+impl ListedPieces {
     /// The files that the index of a grid lists.
     fn add_index(&mut self, doc: &Document, io: IoMode) -> Result<()> {
         for file in listed_files(doc)? {
             let part = Document::open(&Arc::new(ByteSource::open(&file, io)?), "UnstructuredGrid")?;
-            list_pieces(&part, || Place::File(file.clone(), io), &mut self.pieces)?;
+            list_pieces(&part, || PieceSource::File(file.clone(), io), &mut self.pieces)?;
             self.files.push(file);
         }
         Ok(())
@@ -99,7 +99,7 @@ impl Found {
             let part = Document::open_one_of(&source, &kinds)?;
             match part.kind {
                 "UnstructuredGrid" => {
-                    list_pieces(&part, || Place::File(file.clone(), io), &mut self.pieces)?;
+                    list_pieces(&part, || PieceSource::File(file.clone(), io), &mut self.pieces)?;
                 }
                 "PUnstructuredGrid" => self.add_index(&part, io)?,
                 _ => self.surfaces += 1,
@@ -140,24 +140,24 @@ fn listed_files(doc: &Document) -> Result<Vec<PathBuf>> {
 }
 
 /// A piece, and where it is.
-struct Piece {
-    place: Place,
+struct CellPiece {
+    place: PieceSource,
     /// Its number among the pieces of its file.
     number: usize,
     points: u64,
     cells: u64,
 }
 
-enum Place {
+enum PieceSource {
     Open(Arc<Document>),
     File(PathBuf, IoMode),
 }
 
-impl Piece {
+impl CellPiece {
     fn document(&self) -> Result<Arc<Document>> {
         match &self.place {
-            Place::Open(doc) => Ok(Arc::clone(doc)),
-            Place::File(path, io) => {
+            PieceSource::Open(doc) => Ok(Arc::clone(doc)),
+            PieceSource::File(path, io) => {
                 let source = Arc::new(ByteSource::open(path, *io)?);
                 Ok(Arc::new(Document::open(&source, "UnstructuredGrid")?))
             }
@@ -171,7 +171,7 @@ impl Piece {
 }
 
 /// Appends the pieces of a file that are not empty.
-fn list_pieces(doc: &Document, place: impl Fn() -> Place, out: &mut Vec<Piece>) -> Result<()> {
+fn list_pieces(doc: &Document, place: impl Fn() -> PieceSource, out: &mut Vec<CellPiece>) -> Result<()> {
     for (number, element) in doc.data.all("Piece").enumerate() {
         let count = |name| {
             let found: Option<[u64; 1]> = doc.numbers(element, name)?;
@@ -179,7 +179,7 @@ fn list_pieces(doc: &Document, place: impl Fn() -> Place, out: &mut Vec<Piece>) 
         };
         let (points, cells) = (count("NumberOfPoints")?, count("NumberOfCells")?);
         if points > 0 || cells > 0 {
-            out.push(Piece { place: place(), number, points, cells });
+            out.push(CellPiece { place: place(), number, points, cells });
         }
     }
     Ok(())
@@ -201,8 +201,13 @@ fn fields_of(doc: &Document, piece: &Element) -> Result<Vec<CellField>> {
     Ok(all)
 }
 
-fn describe(doc: &Document, pieces: &[Piece], data_files: Vec<PathBuf>, surfaces: u64) -> Result<CellsInfo> {
-    let total = |of: fn(&Piece) -> u64| pieces.iter().try_fold(0u64, |sum, p| sum.checked_add(of(p)));
+fn describe(
+    doc: &Document,
+    pieces: &[CellPiece],
+    data_files: Vec<PathBuf>,
+    surfaces: u64,
+) -> Result<CellsInfo> {
+    let total = |of: fn(&CellPiece) -> u64| pieces.iter().try_fold(0u64, |sum, p| sum.checked_add(of(p)));
     let (points, cells) = (total(|p| p.points), total(|p| p.cells));
     // Far below overflow, and above any file: a position takes bytes.
     let sane = |n: &u64| *n <= i64::MAX as u64 / 64;
@@ -244,7 +249,7 @@ fn describe(doc: &Document, pieces: &[Piece], data_files: Vec<PathBuf>, surfaces
 ///
 /// # Errors
 /// [`Error::BadInput`] where some pieces alone have marks of ghosts.
-fn keep_common(pieces: &[Piece], all: &mut Vec<CellField>) -> Result<usize> {
+fn keep_common(pieces: &[CellPiece], all: &mut Vec<CellField>) -> Result<usize> {
     let has_ghosts =
         |fields: &[CellField]| fields.iter().any(|f| f.name == GHOSTS && f.center == Center::Cell);
     let expected = has_ghosts(all);
@@ -268,7 +273,7 @@ struct Shared {
     info: CellsInfo,
     /// The file that was named.
     doc: Arc<Document>,
-    pieces: Vec<Piece>,
+    pieces: Vec<CellPiece>,
 }
 
 /// An opened grid.
@@ -281,7 +286,7 @@ impl Grid {
     }
 
     fn numbers(&self, what: What) -> Box<dyn NumberStream> {
-        Box::new(Numbers { shared: Arc::clone(&self.0), what, piece: 0, open: None, bytes: vec![] })
+        Box::new(PieceNumbers { shared: Arc::clone(&self.0), what, piece: 0, open: None, bytes: vec![] })
     }
 }
 
@@ -295,7 +300,7 @@ impl CellFile for Grid {
     }
 
     fn cells(&self) -> Result<Box<dyn CellStream>> {
-        Ok(Box::new(Cells {
+        Ok(Box::new(PieceCells {
             shared: Arc::clone(&self.0),
             piece: 0,
             base: 0,
@@ -328,7 +333,7 @@ impl CellFile for Grid {
         }
         let mut hash = Xxh3::new();
         for piece in &self.0.pieces {
-            let Place::Open(doc) = &piece.place else { return Ok(None) };
+            let PieceSource::Open(doc) = &piece.place else { return Ok(None) };
             let element = piece.element(doc)?;
             hash.update(format!("{} {} {}", piece.points, piece.cells, doc.stored_as()).as_bytes());
             for parent in ["Points", "Cells"] {
@@ -353,7 +358,7 @@ enum What {
 }
 
 /// An array of each piece, one after another.
-struct Numbers {
+struct PieceNumbers {
     shared: Arc<Shared>,
     what: What,
     piece: usize,
@@ -368,8 +373,8 @@ struct OpenArray {
     left: u64,
 }
 
-impl Numbers {
-    fn open(&self, piece: &Piece) -> Result<OpenArray> {
+impl PieceNumbers {
+    fn open(&self, piece: &CellPiece) -> Result<OpenArray> {
         let doc = piece.document()?;
         let element = piece.element(&doc)?;
         let (array, scalar, count) = match self.what {
@@ -413,7 +418,7 @@ fn find<'a>(doc: &Document, piece: &'a Element, parent: &str, field: &CellField)
     })
 }
 
-impl NumberStream for Numbers {
+impl NumberStream for PieceNumbers {
     fn fill(&mut self, mut out: &mut [f64]) -> Result<()> {
         while !out.is_empty() {
             if self.open.as_ref().is_none_or(|o| o.left == 0) {
@@ -437,7 +442,7 @@ impl NumberStream for Numbers {
     }
 }
 
-impl Numbers {
+impl PieceNumbers {
     fn next_piece(&mut self) -> Result<()> {
         self.finish()?;
         let piece =
@@ -449,7 +454,7 @@ impl Numbers {
 }
 
 /// The cells of each piece, one after another.
-struct Cells {
+struct PieceCells {
     shared: Arc<Shared>,
     piece: usize,
     /// Points of the pieces before.
@@ -517,7 +522,7 @@ impl OpenCells {
         self.waiting.used < self.waiting.types.len()
     }
 
-    fn open(piece: &Piece) -> Result<Self> {
+    fn open(piece: &CellPiece) -> Result<Self> {
         let doc = piece.document()?;
         let element = piece.element(&doc)?;
         let cells = element.child("Cells").ok_or_else(|| doc.wrong(element, "an element Cells", "none"))?;
@@ -735,7 +740,7 @@ impl OpenCells {
     }
 }
 
-impl CellStream for Cells {
+impl CellStream for PieceCells {
     fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
         out.clear();
         loop {
