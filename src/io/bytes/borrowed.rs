@@ -7,15 +7,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A list of ranges that only grows, so that what it holds can be borrowed.
 #[derive(Debug, Default)]
 pub(super) struct Borrowed {
-    first: OnceLock<Box<Piece>>,
+    first: OnceLock<Box<KeptBytes>>,
     bytes: AtomicU64,
 }
 
 #[derive(Debug)]
-struct Piece {
+struct KeptBytes {
     start: u64,
     bytes: Vec<u8>,
-    next: OnceLock<Box<Piece>>,
+    next: OnceLock<Box<KeptBytes>>,
 }
 
 impl Borrowed {
@@ -41,7 +41,7 @@ impl Borrowed {
     /// Keeps bytes that begin at an offset.
     pub(super) fn keep(&self, start: u64, bytes: Vec<u8>) -> &[u8] {
         self.bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        let mut piece = Box::new(Piece { start, bytes, next: OnceLock::new() });
+        let mut piece = Box::new(KeptBytes { start, bytes, next: OnceLock::new() });
         let mut next = &self.first;
         loop {
             match next.set(piece) {

@@ -35,7 +35,7 @@ use std::ops::Range;
 pub(super) struct Mapping {
     map: Mmap,
     #[cfg(unix)]
-    guard: guard::Entry,
+    guard: guard::KnownMapping,
 }
 
 impl Mapping {
@@ -44,7 +44,7 @@ impl Mapping {
         // shrinks meanwhile raises SIGBUS, which the entry made below turns into zeros and a mark.
         let map = unsafe { MmapOptions::new().map(file)? };
         #[cfg(unix)]
-        let guard = guard::Entry::new(&map)?;
+        let guard = guard::KnownMapping::new(&map)?;
         Ok(Self {
             map,
             #[cfg(unix)]
@@ -120,9 +120,9 @@ mod guard {
 
     /// Keeps a mapping known to the handler; to be dropped before the mapping is.
     #[derive(Debug)]
-    pub(super) struct Entry(&'static Node);
+    pub(super) struct KnownMapping(&'static Node);
 
-    impl Entry {
+    impl KnownMapping {
         pub(super) fn new(map: &memmap2::Mmap) -> io::Result<Self> {
             install()?;
             let page = PAGE.load(Ordering::Relaxed);
@@ -141,7 +141,7 @@ mod guard {
         }
     }
 
-    impl Drop for Entry {
+    impl Drop for KnownMapping {
         fn drop(&mut self) {
             self.0.start.store(0, Ordering::Relaxed);
             self.0.end.store(0, Ordering::Release);

@@ -163,7 +163,7 @@ impl<R: Pod + Ord> Sorted<R> {
 #[derive(Debug)]
 pub struct Merge<R> {
     runs: Runs,
-    pieces: Vec<Piece<R>>,
+    pieces: Vec<RunBuffer<R>>,
     /// The least record of each run that is not at its end, and the number of its piece.
     least: BinaryHeap<Reverse<(R, usize)>>,
     scratch: PathBuf,
@@ -171,7 +171,7 @@ pub struct Merge<R> {
 
 /// The part of a run that is in memory, and the rest of it.
 #[derive(Debug)]
-struct Piece<R> {
+struct RunBuffer<R> {
     records: Vec<R>,
     at: usize,
     next: u64,
@@ -186,7 +186,7 @@ impl<R: Pod + Ord> Merge<R> {
         let most = (bytes / size_of::<R>()).max(1);
         let start = |run: usize| if run == 0 { 0 } else { runs.ends[run - 1] };
         let pieces = group
-            .map(|run| Piece { records: vec![], at: 0, next: start(run), end: runs.ends[run], most })
+            .map(|run| RunBuffer { records: vec![], at: 0, next: start(run), end: runs.ends[run], most })
             .collect();
         let mut merge = Self { runs, pieces, least: BinaryHeap::new(), scratch: scratch.to_path_buf() };
         for n in 0..merge.pieces.len() {
@@ -208,7 +208,7 @@ impl<R: Pod + Ord> Merge<R> {
     }
 }
 
-impl<R: Pod> Piece<R> {
+impl<R: Pod> RunBuffer<R> {
     fn take(&mut self, file: &File, scratch: &Path) -> Result<Option<R>> {
         if self.at == self.records.len() {
             let here = (self.end - self.next).min(self.most as u64);

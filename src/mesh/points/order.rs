@@ -14,14 +14,14 @@ const COORDINATE_BITS: u32 = 24;
 const SHORT: u32 = 10;
 
 /// The cells of a curve through a box.
-pub(super) struct Cells {
+pub(super) struct CurveCells {
     lo: LatticePos,
     bits: u32,
     /// Cells a lattice step along each axis, in 2^-32.
     scale: u64,
 }
 
-impl Cells {
+impl CurveCells {
     /// Cells at most as wide as those of a curve of `bits` an axis through the whole lattice.
     pub(super) fn new(b: &LatticeBox, bits: u32) -> Self {
         let longest = (0..3).map(|a| b.hi[a].saturating_sub(b.lo[a])).max().unwrap_or(0).max(1);
@@ -44,7 +44,7 @@ impl Cells {
 /// are put in order afterwards.
 pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, b: &LatticeBox, bits: u32, repeats: bool) {
     let (cells, number) =
-        (Cells::new(b, bits), |i| u32::try_from(i).expect("fewer sites than 2^32 fit in memory"));
+        (CurveCells::new(b, bits), |i| u32::try_from(i).expect("fewer sites than 2^32 fit in memory"));
     let mut sorted: Vec<Site> = Vec::with_capacity(sites.len());
     if cells.bits <= SHORT {
         let mut keys: Vec<u64> =
@@ -126,7 +126,7 @@ mod tests {
             let b = LatticeBox { lo: [0; 3], hi };
             for bits in [1, 3, 6, 9, 10, 11, 17, 20, 21] {
                 let mut sites: Vec<Site> = (0..3000).rev().chain(0..50).map(site).collect();
-                let cells = Cells::new(&b, bits);
+                let cells = CurveCells::new(&b, bits);
                 assert!(cells.key(b.hi.map(|x| x - 1)) < 1 << (3 * cells.bits));
                 let mut expected = sites.clone();
                 expected.sort_by_key(|s| (cells.key(s.pos), s.pos, s.id));

@@ -113,7 +113,7 @@ fn bricks_together_are_the_plain_sequence() {
 fn sites_are_sorted_along_the_curve() {
     for set in sets() {
         let all = sites(&set, &set.lattice().domain());
-        let cells = order::Cells::new(&set.lattice().domain(), set.order_bits());
+        let cells = order::CurveCells::new(&set.lattice().domain(), set.order_bits());
         let key = |s: &Site| (cells.key(s.pos), s.pos);
         assert!(all.windows(2).all(|w| key(&w[0]) < key(&w[1])));
         assert_eq!(all, sites(&set, &set.lattice().domain()), "the same again");

@@ -228,9 +228,9 @@ mod tests {
     }
 
     /// A file of these bytes, which is had by ranges.
-    struct File(Vec<u8>);
+    struct RangedFile(Vec<u8>);
 
-    impl Ranges for File {
+    impl Ranges for RangedFile {
         fn get(&self, name: &str, wanted: &Wanted) -> io::Result<Fetched> {
             if name != "folder/file" {
                 return Err(io::ErrorKind::NotFound.into());
@@ -248,8 +248,8 @@ mod tests {
     #[test]
     fn a_host_of_the_program_is_asked_for_what_is_not_kept() {
         let bytes: Vec<u8> = (0..10 * file::PAGE + 100).map(|i| (i * 7 / 5) as u8).collect();
-        add_host("one", File(bytes.clone()));
-        add_host("two", File(vec![7; 9]));
+        add_host("one", RangedFile(bytes.clone()));
+        add_host("two", RangedFile(vec![7; 9]));
         let path = Path::new("host://one/folder/file");
         assert_eq!(read_all(Path::new("host://two/folder/file"), 9).unwrap(), [7; 9]);
         let before = traffic(path);
