@@ -50,7 +50,7 @@ pub fn apart(
     let (own, others) = (own?, others?);
     let mut best = Paged::<f64>::new(own.len(), held as u64, &scratch);
     (0..own.len()).try_for_each(|n| best.set(n, f64::INFINITY))?;
-    let mut search = Search { own: &own, best, pool: pool(resources.threads)?, resources };
+    let mut search = NearestSearch { own: &own, best, pool: pool(resources.threads)?, resources };
     let size = (resources.memory / 2 / TRIANGLE).max(LEAST);
     let is_one = to.triangle_count() <= size;
     let mut places = Cached::new(&others, held);
@@ -64,14 +64,14 @@ pub fn apart(
             for t in batch {
                 piece.push(*t);
                 if piece.len() as u64 == size {
-                    search.look_in(&Piece::new(&piece, &mut places)?, round)?;
+                    search.look_in(&BoxedTriangles::new(&piece, &mut places)?, round)?;
                     piece.clear();
                 }
             }
             Ok(())
         })?;
         if !piece.is_empty() {
-            search.look_in(&Piece::new(&piece, &mut places)?, round)?;
+            search.look_in(&BoxedTriangles::new(&piece, &mut places)?, round)?;
         }
     }
     search.summed_up(from, held, origin)
@@ -88,13 +88,13 @@ enum Round {
 }
 
 /// Triangles that follow each other, and the box around them.
-struct Piece {
+struct BoxedTriangles {
     triangles: Triangles,
     lo: DVec3,
     hi: DVec3,
 }
 
-impl Piece {
+impl BoxedTriangles {
     fn new(triangles: &[[u32; 3]], places: &mut Cached<'_, [f32; 3]>) -> Result<Self> {
         let mut used: Vec<u32> = triangles.as_flattened().to_vec();
         used.sort_unstable();
@@ -117,15 +117,15 @@ impl Piece {
 }
 
 /// The vertices of a surface, and what each has found.
-struct Search<'a> {
+struct NearestSearch<'a> {
     own: &'a Store<[f32; 3]>,
     best: Paged<f64>,
     pool: ThreadPool,
     resources: &'a Resources,
 }
 
-impl Search<'_> {
-    fn look_in(&mut self, piece: &Piece, round: Round) -> Result<()> {
+impl NearestSearch<'_> {
+    fn look_in(&mut self, piece: &BoxedTriangles, round: Round) -> Result<()> {
         let nearest = Nearest::new(&piece.triangles, 0.0);
         let (mut places, count) = (vec![], self.own.len());
         for first in (0..count).step_by(BATCH as usize) {

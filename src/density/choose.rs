@@ -42,7 +42,7 @@ const MOST_REACH: u64 = 3;
 const PARTS_OF_LARGEST: u32 = 16;
 
 /// What the choice of a level depends on.
-struct Search<'a> {
+struct LevelChooser<'a> {
     curves: &'a ErrorCurves,
     /// 2^(i / PARTS).
     powers: [f64; PARTS as usize],
@@ -78,7 +78,7 @@ impl Choice {
             let n = (count as f64 * (curves.box_voxels() / voxels)).round() as u64;
             return Ok(Self { n, levels });
         }
-        let search = Search::new(curves, count as f64 / voxels);
+        let search = LevelChooser::new(curves, count as f64 / voxels);
         let prices = search.bisect(|levels| search.points(levels) <= count as f64);
         search.choice(search.graded(search.own_levels(prices.sparse, &prices)), count)
     }
@@ -91,7 +91,7 @@ impl Choice {
     /// # Errors
     /// [`crate::Error::Usage`] when there are more points than a set may have.
     pub fn of_bound(curves: &ErrorCurves, bound: f64, most: u64) -> Result<Self> {
-        let search = Search::new(curves, MIXED_DENSITY);
+        let search = LevelChooser::new(curves, MIXED_DENSITY);
         let cells = 0..curves.logs.len();
         let mut levels: Vec<u8> = cells.into_par_iter().map(|c| search.level_within(c, bound)).collect();
         Levels::grade(&curves.cells, &mut levels);
@@ -206,7 +206,7 @@ impl Choice {
     /// all samples is at most `rms`.
     pub fn count_of_rms(curves: &ErrorCurves, rms: f64) -> u64 {
         let samples = curves.samples;
-        let search = Search::new(curves, 1.0);
+        let search = LevelChooser::new(curves, 1.0);
         let prices = search.bisect(|levels| search.total_error(levels) > rms * rms * samples);
         let levels = search.graded(search.own_levels(prices.dense, &prices));
         search.points(&levels).min(samples).max(1.0) as u64
@@ -233,7 +233,7 @@ impl ErrorCurves {
     }
 }
 
-impl<'a> Search<'a> {
+impl<'a> LevelChooser<'a> {
     fn new(curves: &'a ErrorCurves, density: f64) -> Self {
         let below = |x: f64| libm::ceil(-libm::log2(x)).clamp(0.0, f64::from(Levels::LARGEST)) as u32;
         let samples = curves.voxels() as u64;

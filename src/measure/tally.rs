@@ -61,7 +61,7 @@ impl<const N: usize> Compared<N> {
             let found = error_of(original, reduced).to_bits();
             *error = if original.is_finite() & !reduced.is_nan() { found } else { NONE };
         }
-        let mut seen = Seen { most: [0; WIDTH], least: [u32::MAX; WIDTH], zeros: [0; WIDTH] };
+        let mut seen = ComparedLanes { most: [0; WIDTH], least: [u32::MAX; WIDTH], zeros: [0; WIDTH] };
         self.range = range_of(self.originals[..count].as_flattened());
         let (some, rest) = self.errors[..count].as_flattened().as_chunks::<WIDTH>();
         some.iter().for_each(|errors| seen.add(errors));
@@ -95,8 +95,8 @@ impl<const N: usize> Compared<N> {
     }
 }
 
-/// The least and the largest of each `N`-th number. Side by side, as in [`Seen`]: so many that
-/// vectors have them.
+/// The least and the largest of each `N`-th number. Side by side, as in [`ComparedLanes`]: so many
+/// that vectors have them.
 #[inline(always)]
 fn range_of<const N: usize>(values: &[f32]) -> [[f32; N]; 2] {
     let (mut least, mut largest) = ([f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]);
@@ -120,13 +120,13 @@ fn range_of<const N: usize>(values: &[f32]) -> [[f32; N]; 2] {
 const WIDTH: usize = 64;
 
 /// As in [`Compared`], of each [`WIDTH`]-th error.
-struct Seen {
+struct ComparedLanes {
     most: [u32; WIDTH],
     least: [u32; WIDTH],
     zeros: [u32; WIDTH],
 }
 
-impl Seen {
+impl ComparedLanes {
     #[inline(always)]
     fn add(&mut self, errors: &[u32]) {
         let seen = self.most.iter_mut().zip(&mut self.least).zip(&mut self.zeros);

@@ -53,9 +53,9 @@ pub fn largest_ball(
         return Ok(None);
     }
     let nearest = nearest_in_planes(map, phase, axes, means)?;
-    let search = Search { dims: map.dims(), axes, best: AtomicU64::new(0) };
+    let search = ColumnSearch { dims: map.dims(), axes, best: AtomicU64::new(0) };
     let rows = (means.memory / (4 * nx * nz).max(1)).clamp(1, ny);
-    let (mut found, mut block) = (Found::default(), vec![]);
+    let (mut found, mut block) = (NodeDistance::default(), vec![]);
     for first in (0..ny).step_by(rows) {
         means.cancel.check()?;
         let count = rows.min(ny - first);
@@ -64,7 +64,7 @@ pub fn largest_ball(
             nearest.read_from(((z * ny + first) * nx) as u64, part)?;
         }
         let of_row = |row: usize| search.row(first + row, &block[row * nx..], count * nx);
-        found = each_of(means.threads, 0..count, of_row).into_iter().fold(found, Found::or);
+        found = each_of(means.threads, 0..count, of_row).into_iter().fold(found, NodeDistance::or);
     }
     let node = [found.place % nx, found.place / nx % ny, found.place / nx / ny];
     Ok((found.squared > 0.0).then(|| Ball { node, distance: found.squared.sqrt() }))
@@ -84,18 +84,18 @@ fn each_of<T: Send>(
 
 /// A node and the square of its distance.
 #[derive(Clone, Copy, Debug)]
-struct Found {
+struct NodeDistance {
     squared: f64,
     place: usize,
 }
 
-impl Default for Found {
+impl Default for NodeDistance {
     fn default() -> Self {
         Self { squared: 0.0, place: usize::MAX }
     }
 }
 
-impl Found {
+impl NodeDistance {
     /// The farther one; of two as far the first.
     fn or(self, other: Self) -> Self {
         let is_farther = other.squared > self.squared;
@@ -176,18 +176,18 @@ fn square(x: f64) -> f64 {
 }
 
 /// The search in columns along z.
-struct Search<'a> {
+struct ColumnSearch<'a> {
     dims: [usize; 3],
     axes: &'a [Vec<f64>; 3],
     /// The bits of the largest square so far: they ascend with it.
     best: AtomicU64,
 }
 
-impl Search<'_> {
+impl ColumnSearch<'_> {
     /// The farthest node of a row of columns, whose nodes lie `stride` apart in `nearest`.
-    fn row(&self, y: usize, nearest: &[u32], stride: usize) -> Found {
+    fn row(&self, y: usize, nearest: &[u32], stride: usize) -> NodeDistance {
         let [nx, ny, nz] = self.dims;
-        let (mut envelope, mut found) = (Envelope::default(), Found::default());
+        let (mut envelope, mut found) = (Envelope::default(), NodeDistance::default());
         let (mut heights, mut most) = (vec![0.0; nz], vec![0.0; nz]);
         for x in 0..nx {
             let to_face = self.to_face(0, x).min(self.to_face(1, y));
@@ -205,7 +205,7 @@ impl Search<'_> {
             envelope.build(&self.axes[2], &heights);
             let mut at = |z: usize, squared: f64| {
                 let place = (z * ny + y) * nx + x;
-                found = found.or(Found { squared: squared.min(most[z]), place });
+                found = found.or(NodeDistance { squared: squared.min(most[z]), place });
             };
             if envelope.sites.is_empty() {
                 (0..nz).for_each(|z| at(z, f64::INFINITY));

@@ -39,13 +39,13 @@ impl Plane {
 
 /// Pieces that may still grow.
 #[derive(Debug, Default)]
-struct Pieces {
+struct GrowingPieces {
     parents: Vec<u32>,
     /// Which faces of the grid each root touches, a bit each: 2a is the lower one of axis a.
     faces: Vec<u8>,
 }
 
-impl Pieces {
+impl GrowingPieces {
     fn add(&mut self, faces: u8) -> u32 {
         self.parents.push(self.parents.len() as u32);
         self.faces.push(faces);
@@ -87,7 +87,7 @@ impl Pieces {
 pub fn connected(map: &PhaseMap, phase: Phase, cancel: &CancelToken) -> Result<Connected> {
     let [_, ny, nz] = map.dims();
     let by_diagonals = phase == Phase::Below;
-    let (mut pieces, mut bits, mut out) = (Pieces::default(), vec![], Connected::default());
+    let (mut pieces, mut bits, mut out) = (GrowingPieces::default(), vec![], Connected::default());
     let (mut below, mut plane) = (Plane::default(), Plane::default());
     for z in 0..nz {
         cancel.check()?;
@@ -116,7 +116,7 @@ pub fn connected(map: &PhaseMap, phase: Phase, cancel: &CancelToken) -> Result<C
 }
 
 /// Lists the runs of a plane, each a piece of its own.
-fn list_runs(bits: &[u64], map: &PhaseMap, z: usize, plane: &mut Plane, pieces: &mut Pieces) {
+fn list_runs(bits: &[u64], map: &PhaseMap, z: usize, plane: &mut Plane, pieces: &mut GrowingPieces) {
     let [nx, ny, nz] = map.dims();
     plane.runs.clear();
     plane.rows.clear();
@@ -151,10 +151,10 @@ fn next(row: &[u64], x: usize, is_set: bool, nx: usize) -> usize {
 }
 
 /// Counts the pieces that the runs of the last plane do not have, and numbers the others anew.
-fn end_pieces(pieces: &mut Pieces, runs: &mut [Run], out: &mut Connected) {
+fn end_pieces(pieces: &mut GrowingPieces, runs: &mut [Run], out: &mut Connected) {
     const ENDED: u32 = u32::MAX;
     let mut numbers = vec![ENDED; pieces.parents.len()];
-    let mut kept = Pieces::default();
+    let mut kept = GrowingPieces::default();
     for run in runs {
         let root = pieces.root(run.piece) as usize;
         if numbers[root] == ENDED {

@@ -1,6 +1,6 @@
 //! A sky of lights, and what each of them sees of the surface.
 
-use super::Placed;
+use super::CameraVertex;
 use isospan_io::geom::vec3::{cross, dot};
 use rayon::prelude::*;
 
@@ -72,7 +72,7 @@ impl Sky {
     }
 
     /// Draws triangles into all maps.
-    pub(super) fn draw(&mut self, triangles: &[[Placed; 3]]) {
+    pub(super) fn draw(&mut self, triangles: &[[CameraVertex; 3]]) {
         self.lights.par_iter_mut().for_each(|light| triangles.iter().for_each(|t| light.draw(t)));
     }
 
@@ -91,7 +91,7 @@ fn texel(c: f32) -> f32 {
 }
 
 impl Light {
-    fn draw(&mut self, triangle: &[Placed; 3]) {
+    fn draw(&mut self, triangle: &[CameraVertex; 3]) {
         let [u, v] = self.across;
         let [a, b, c] = triangle
             .map(|p| [texel(dot(u, p.position)), texel(dot(v, p.position)), dot(self.to, p.position)]);

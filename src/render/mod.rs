@@ -97,7 +97,7 @@ pub struct Subject<'a> {
 /// A vertex in camera space.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
-struct Placed {
+struct CameraVertex {
     position: [f32; 3],
     normal: [f32; 3],
     value: f32,
@@ -216,7 +216,7 @@ impl Look {
 /// A subject in camera space.
 struct Scenery<'a> {
     surface: &'a dyn SurfaceSource,
-    vertices: Store<Placed>,
+    vertices: Store<CameraVertex>,
     normals: Normals,
 }
 
@@ -256,11 +256,11 @@ impl<'a> Scenery<'a> {
         &self,
         memory: usize,
         settings: &RenderSettings,
-        mut each: impl FnMut(&[[Placed; 3]]),
+        mut each: impl FnMut(&[[CameraVertex; 3]]),
     ) -> Result<()> {
         let (vertices, surface) = (&self.vertices, self.surface);
         let mut cached = Cached::new(vertices, memory);
-        let mut batch: Vec<[Placed; 3]> = Vec::with_capacity(BATCH);
+        let mut batch: Vec<[CameraVertex; 3]> = Vec::with_capacity(BATCH);
         surface.triangles(&mut |triangles| {
             for t in triangles.iter().filter(|t| t.iter().all(|&v| u64::from(v) < vertices.len())) {
                 batch.push([cached.get(t[0].into())?, cached.get(t[1].into())?, cached.get(t[2].into())?]);
@@ -292,14 +292,18 @@ fn place(
     view: &View,
     memory: usize,
     settings: &RenderSettings,
-) -> Result<Store<Placed>> {
+) -> Result<Store<CameraVertex>> {
     let mut vertices = Store::new(memory, &settings.resources.scratch_folder());
     let (mut values, origin) = (subject.values.iter(), subject.surface.origin());
     subject.surface.vertices(&mut |batch| {
         for v in batch {
             let position = view.in_camera_space(DVec3::from_array(v.world(origin))).as_vec3();
             let value = values.next().copied().unwrap_or(0.0);
-            vertices.push(Placed { position: position.to_array(), normal: view.turn(v.normal), value })?;
+            vertices.push(CameraVertex {
+                position: position.to_array(),
+                normal: view.turn(v.normal),
+                value,
+            })?;
         }
         settings.resources.cancel.check()
     })?;
@@ -308,7 +312,7 @@ fn place(
 
 /// Gives each vertex the sum of its triangles' normals, weighted by area, added in the order of the
 /// triangles.
-fn add_normals(surface: &dyn SurfaceSource, vertices: &mut Store<Placed>, memory: usize) -> Result<()> {
+fn add_normals(surface: &dyn SurfaceSource, vertices: &mut Store<CameraVertex>, memory: usize) -> Result<()> {
     let count = vertices.len();
     let mut normals = vec![Vec3::ZERO; count as usize];
     let mut cached = Cached::new(vertices, memory);
@@ -345,7 +349,7 @@ const ASKED: usize = 1 << 16;
 
 /// Whether the vertices' normals point to the side from which triangles are counter-clockwise: some
 /// programs have it otherwise. By area, for in slivers they may differ.
-fn normals_agree(surface: &dyn SurfaceSource, vertices: &Store<Placed>, memory: usize) -> Result<bool> {
+fn normals_agree(surface: &dyn SurfaceSource, vertices: &Store<CameraVertex>, memory: usize) -> Result<bool> {
     let (mut cached, count) = (Cached::new(vertices, memory), vertices.len());
     let (mut asked, mut sum) = (0, 0.0f64);
     surface.triangles(&mut |batch| {
@@ -363,7 +367,7 @@ fn normals_agree(surface: &dyn SurfaceSource, vertices: &Store<Placed>, memory: 
 }
 
 /// The corners of a triangle on the image, their normals on the viewer's side of it.
-fn corners(triangle: &[Placed; 3], view: &View, samples: &Samples, normals: Normals) -> [Corner; 3] {
+fn corners(triangle: &[CameraVertex; 3], view: &View, samples: &Samples, normals: Normals) -> [Corner; 3] {
     let [a, b, c] = triangle.map(|v| Vec3::from_array(v.position));
     let plane = (b - a).cross(c - a);
     let faces_us = plane.dot(Vec3::from_array(view.viewer_from(a.to_array()))) >= 0.0;

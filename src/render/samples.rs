@@ -30,14 +30,14 @@ pub(super) struct Corner {
 
 /// What is seen.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Seen {
+pub(super) struct VisiblePoint {
     /// Unit normal, times 2^14; then twice the number of the subject, and 1 more where the far side
     /// of a triangle is seen.
     packed: [i16; 4],
     pub(super) value: f32,
 }
 
-impl Seen {
+impl VisiblePoint {
     pub(super) fn normal(&self) -> [f32; 3] {
         let [x, y, z, _] = self.packed;
         super::unit([x, y, z].map(f32::from))
@@ -79,7 +79,7 @@ pub(super) struct Samples {
     pub(super) size: [usize; 2],
     perspective: bool,
     pub(super) depths: Vec<f32>,
-    pub(super) seen: Vec<Seen>,
+    pub(super) seen: Vec<VisiblePoint>,
     /// Numbers of the triangles that are seen, and what was seen in front of them; empty where all
     /// is opaque.
     pub(super) orders: Vec<u32>,
@@ -98,7 +98,7 @@ impl Samples {
             size,
             perspective: view.is_perspective(),
             depths: vec![f32::NEG_INFINITY; size[0] * size[1]],
-            seen: vec![Seen::default(); size[0] * size[1]],
+            seen: vec![VisiblePoint::default(); size[0] * size[1]],
             orders: vec![0; layered],
             past: vec![Past::NONE; layered],
         }
@@ -124,16 +124,17 @@ impl Samples {
         let part = BAND * width;
         let layered = !self.past.is_empty();
         let (depths, seen) = (self.depths.par_chunks_mut(part), self.seen.par_chunks_mut(part));
-        let draw = |n: usize, depths: &mut [f32], seen: &mut [Seen], orders: &mut [u32], past: &[Past]| {
-            let top = (n * BAND) as i64;
-            let last = top + (depths.len() / width) as i64 - 1;
-            let mut band = Band { first: top, width, perspective, subject, depths, seen, orders, past };
-            for (k, (t, &[lo, hi])) in triangles.iter().zip(&rows).enumerate() {
-                if lo <= last && hi >= top {
-                    band.draw(t, first.wrapping_add(k as u32), [lo.max(top), hi.min(last)]);
+        let draw =
+            |n: usize, depths: &mut [f32], seen: &mut [VisiblePoint], orders: &mut [u32], past: &[Past]| {
+                let top = (n * BAND) as i64;
+                let last = top + (depths.len() / width) as i64 - 1;
+                let mut band = Band { first: top, width, perspective, subject, depths, seen, orders, past };
+                for (k, (t, &[lo, hi])) in triangles.iter().zip(&rows).enumerate() {
+                    if lo <= last && hi >= top {
+                        band.draw(t, first.wrapping_add(k as u32), [lo.max(top), hi.min(last)]);
+                    }
                 }
-            }
-        };
+            };
         if layered {
             let (orders, past) = (self.orders.par_chunks_mut(part), self.past.par_chunks(part));
             let bands = depths.zip(seen).zip(orders.zip(past)).enumerate();
@@ -158,7 +159,7 @@ struct Band<'a> {
     perspective: bool,
     subject: u16,
     depths: &'a mut [f32],
-    seen: &'a mut [Seen],
+    seen: &'a mut [VisiblePoint],
     orders: &'a mut [u32],
     past: &'a [Past],
 }
@@ -246,7 +247,9 @@ impl Band<'_> {
         let normal = super::unit(std::array::from_fn(|k| sum(&|c| c.normal[k], w)));
         let [x, y, z] = normal.map(|n| (n * 16384.0).round() as i16);
         let value = sum(&|c| c.value, w);
-        self.seen[at] =
-            Seen { packed: [x, y, z, 2 * self.subject as i16 + i16::from(corners[0].is_back)], value };
+        self.seen[at] = VisiblePoint {
+            packed: [x, y, z, 2 * self.subject as i16 + i16::from(corners[0].is_back)],
+            value,
+        };
     }
 }

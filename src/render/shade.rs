@@ -2,7 +2,7 @@
 
 use super::colour::{encode, linear, scale_linear};
 use super::light::Sky;
-use super::samples::{Samples, Seen};
+use super::samples::{Samples, VisiblePoint};
 use super::{ColourMap, Look, Paint, View};
 use isospan_io::geom::vec3::dot;
 use rayon::prelude::*;
@@ -106,7 +106,7 @@ impl Shader<'_> {
         row: &mut [Pixel],
         y: usize,
         depths: &[f32],
-        seen: &[Seen],
+        seen: &[VisiblePoint],
         through: impl Fn(usize) -> f32,
     ) {
         let (side, width) = (self.side, self.width * self.side);
@@ -120,11 +120,11 @@ impl Shader<'_> {
                 (depths[at] > f32::NEG_INFINITY).then(|| (n, place(), &seen[at], through(at)))
             }));
             // Light is let in at one place of the pixel, that of the sample nearest to its middle.
-            let middle = |c: &&(usize, [f32; 3], &Seen, f32)| {
+            let middle = |c: &&(usize, [f32; 3], &VisiblePoint, f32)| {
                 let off = |i: usize| (2 * i + 1).abs_diff(side).pow(2);
                 off(c.0 % side) + off(c.0 / side)
             };
-            let is_lit = |c: &&(usize, [f32; 3], &Seen, f32)| self.looks[c.2.subject()].is_lit();
+            let is_lit = |c: &&(usize, [f32; 3], &VisiblePoint, f32)| self.looks[c.2.subject()].is_lit();
             if let Some(&(_, place, seen, _)) = covered.iter().filter(is_lit).min_by_key(middle) {
                 self.sky.arriving(place, self.towards_us(seen, place), &mut arriving);
             }
@@ -145,14 +145,14 @@ impl Shader<'_> {
     }
 
     /// The normal; where interpolation has turned it away from the viewer, the nearest that is not.
-    fn towards_us(&self, seen: &Seen, place: [f32; 3]) -> [f32; 3] {
+    fn towards_us(&self, seen: &VisiblePoint, place: [f32; 3]) -> [f32; 3] {
         let (n, v) = (seen.normal(), self.view.viewer_from(place));
         let away = dot(n, v).min(0.0);
         let bent = super::unit(std::array::from_fn(|k| n[k] - away * v[k]));
         if bent == [0.0; 3] { v } else { bent }
     }
 
-    fn colour(&self, seen: &Seen, place: [f32; 3], arriving: &[([f32; 3], f32)]) -> [f32; 3] {
+    fn colour(&self, seen: &VisiblePoint, place: [f32; 3], arriving: &[([f32; 3], f32)]) -> [f32; 3] {
         let look = self.looks[seen.subject()];
         let normal = self.towards_us(seen, place);
         let light: f32 = arriving.iter().map(|&(to, strength)| strength * dot(to, normal).max(0.0)).sum();

@@ -90,7 +90,7 @@ impl Grid {
         TriMesh::from_source(&builder.finish().unwrap()).unwrap()
     }
 
-    pub(super) fn parts(&self, values: &[f32], chunk: &[usize]) -> Vec<Part> {
+    pub(super) fn parts(&self, values: &[f32], chunk: &[usize]) -> Vec<OwnedChunk> {
         let count = chunk.iter().max().map_or(0, |c| c + 1);
         let tets_of = |c: usize| (0..self.tets.len()).filter(move |&i| chunk[i] == c);
         let mut users = vec![0u32; self.positions.len()];
@@ -111,7 +111,7 @@ impl Grid {
                 1 => [b, c, a, d],
                 _ => [d, c, b, a],
             };
-            Part {
+            OwnedChunk {
                 positions: corners.iter().map(|&v| self.positions[v as usize]).collect(),
                 values: corners.iter().map(|&v| values[v as usize]).collect(),
                 ids: corners.iter().map(|&v| self.ids[v as usize]).collect(),
@@ -124,7 +124,7 @@ impl Grid {
 }
 
 /// A chunk that owns its arrays.
-pub(super) struct Part {
+pub(super) struct OwnedChunk {
     pub(super) positions: Vec<LatticePos>,
     pub(super) values: Vec<f32>,
     pub(super) ids: Vec<PointId>,
@@ -132,7 +132,7 @@ pub(super) struct Part {
     pub(super) tets: Vec<Tet>,
 }
 
-impl Part {
+impl OwnedChunk {
     pub(super) fn source(&self) -> CellSource<'_> {
         CellSource {
             positions: &self.positions,

@@ -15,7 +15,7 @@ use std::path::Path;
 const BATCH: u64 = 1 << 14;
 
 /// A part of a surface.
-pub(in crate::files) struct Part {
+pub(in crate::files) struct PartRange {
     /// Its place among all parts of the surface.
     pub(in crate::files) number: usize,
     pub(in crate::files) name: String,
@@ -27,23 +27,23 @@ pub(in crate::files) struct Part {
 
 /// Takes parts: for each `begin`, vertices, `between`, triangles, `end`.
 pub(in crate::files) trait TakeParts {
-    fn begin(&mut self, part: &Part) -> Result<()>;
+    fn begin(&mut self, part: &PartRange) -> Result<()>;
     /// Positions of the next vertices.
     fn vertices(&mut self, positions: &[[f32; 3]]) -> Result<()>;
     fn between(&mut self) -> Result<()> {
         Ok(())
     }
     /// The next triangles; a part has numbers of its own vertices.
-    fn triangles(&mut self, part: &Part, triangles: &[[u32; 3]]) -> Result<()>;
+    fn triangles(&mut self, part: &PartRange, triangles: &[[u32; 3]]) -> Result<()>;
     fn end(&mut self) -> Result<()>;
 }
 
 /// The parts of a surface that have triangles; a surface of one kind is one part.
-pub(in crate::files) fn parts_of(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Vec<Part> {
+pub(in crate::files) fn parts_of(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Vec<PartRange> {
     let (vertices, triangles) = (source.vertex_count(), source.triangle_count());
     if meta.parts.is_empty() {
         let name = meta.isovalue.map_or_else(|| "surface".to_owned(), |v| format!("isovalue {v}"));
-        let one = Part { number: 0, name, first: 0, vertices, triangles };
+        let one = PartRange { number: 0, name, first: 0, vertices, triangles };
         return if triangles > 0 { vec![one] } else { vec![] };
     }
     let mut sum = 0;
@@ -51,7 +51,7 @@ pub(in crate::files) fn parts_of(source: &dyn SurfaceSource, meta: &SurfaceMeta)
         let first = sum;
         sum += part.vertices;
         let (vertices, triangles) = (part.vertices, part.triangles);
-        Part { number, name: part.name(), first, vertices, triangles }
+        PartRange { number, name: part.name(), first, vertices, triangles }
     };
     meta.parts.iter().enumerate().map(part).filter(|part| part.triangles > 0).collect()
 }
@@ -59,7 +59,7 @@ pub(in crate::files) fn parts_of(source: &dyn SurfaceSource, meta: &SurfaceMeta)
 /// Hands parts to `take`. Vertices wait as `scratch` says; errors name `target`.
 pub(in crate::files) fn each_part(
     source: &dyn SurfaceSource,
-    parts: &[Part],
+    parts: &[PartRange],
     scratch: &BuilderSettings,
     target: &Path,
     take: &mut dyn TakeParts,
@@ -78,9 +78,9 @@ pub(in crate::files) fn each_part(
 /// A walk over the triangles.
 struct Walk<'a> {
     positions: &'a Store<[f32; 3]>,
-    rest: std::slice::Iter<'a, Part>,
+    rest: std::slice::Iter<'a, PartRange>,
     /// The part whose triangles come, and how many are still to come.
-    open: Option<(&'a Part, u64)>,
+    open: Option<(&'a PartRange, u64)>,
     target: &'a Path,
     take: &'a mut dyn TakeParts,
 }
@@ -106,7 +106,7 @@ impl<'a> Walk<'a> {
     }
 
     /// A triangle with the numbers of a part's own vertices.
-    fn local(&self, part: &Part, triangle: &[u32; 3]) -> Result<[u32; 3]> {
+    fn local(&self, part: &PartRange, triangle: &[u32; 3]) -> Result<[u32; 3]> {
         let own = triangle.map(|v| u64::from(v).checked_sub(part.first).filter(|&v| v < part.vertices));
         match own {
             [Some(a), Some(b), Some(c)] => Ok([a, b, c].map(|v| v as u32)),
@@ -118,7 +118,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Ends a part and begins the next one.
-    fn next(&mut self) -> Result<(&'a Part, u64)> {
+    fn next(&mut self) -> Result<(&'a PartRange, u64)> {
         if self.open.take().is_some() {
             self.take.end()?;
         }

@@ -191,7 +191,7 @@ fn read_field_data(doc: &Document, out: &mut StoredSurface) -> Result<()> {
     for array in arrays {
         match array.attribute("Name").unwrap_or_default() {
             TIME_VALUE if array.name == "DataArray" => {
-                out.time = Some(Numbers::floats(doc, array, 1, 1)?.next_number()?);
+                out.time = Some(ArrayNumbers::floats(doc, array, 1, 1)?.next_number()?);
             }
             name @ (LENGTH_UNIT | VALUE_UNIT | TIME_UNIT) if array.attribute("type") == Some("String") => {
                 take_unit(out, name, &first_text(doc, array)?);
@@ -210,19 +210,19 @@ fn read_points(doc: &Document, piece: &Element, out: &mut StoredSurface) -> Resu
         None if count == 0 => return Ok(()),
         None => return Err(doc.wrong(piece, "an array in Points", "none")),
     };
-    let mut points = Numbers::floats(doc, points, 3, count)?;
-    let mut normals = normals(piece).map(|n| Numbers::floats(doc, n, 3, count)).transpose()?;
+    let mut points = ArrayNumbers::floats(doc, points, 3, count)?;
+    let mut normals = normals(piece).map(|n| ArrayNumbers::floats(doc, n, 3, count)).transpose()?;
     for n in 0..count {
         let position = points.next_point()?;
         if !is_finite(&position.map(|x| x as f32)) {
             let got = format!("{position:?} for point {n}");
             return Err(doc.wrong(piece, "finite coordinates", got));
         }
-        let normal = normals.as_mut().map_or(Ok([0.0; 3]), Numbers::next_point)?;
+        let normal = normals.as_mut().map_or(Ok([0.0; 3]), ArrayNumbers::next_point)?;
         out.push_double(position, normal.map(|x| x as f32))?;
     }
     points.finish()?;
-    normals.map_or(Ok(()), Numbers::finish)
+    normals.map_or(Ok(()), ArrayNumbers::finish)
 }
 
 /// The point data's active normals.
@@ -243,11 +243,11 @@ fn read_polygons(doc: &Document, piece: &Element, first: u64, out: &mut StoredSu
         found.ok_or_else(|| doc.wrong(polys, format!("an array '{name}'"), "none"))
     };
     // The last offset is the number of corners, so the offsets are read twice.
-    let mut offsets = Numbers::integers(doc, named("offsets")?, count)?;
+    let mut offsets = ArrayNumbers::integers(doc, named("offsets")?, count)?;
     let all = (0..count).try_fold(0, |_, _| offsets.next_integer())?;
     offsets.finish()?;
-    let mut offsets = Numbers::integers(doc, named("offsets")?, count)?;
-    let mut corners = Numbers::integers(doc, named("connectivity")?, all)?;
+    let mut offsets = ArrayNumbers::integers(doc, named("offsets")?, count)?;
+    let mut corners = ArrayNumbers::integers(doc, named("connectivity")?, all)?;
     let (vertices, mut start) = (out.vertex_count() - first, 0);
     for _ in 0..count {
         let end = offsets.next_integer()?;
@@ -269,7 +269,7 @@ fn read_polygons(doc: &Document, piece: &Element, first: u64, out: &mut StoredSu
 }
 
 /// The numbers of an array, one after the other; a batch is in memory.
-struct Numbers<'a> {
+struct ArrayNumbers<'a> {
     doc: &'a Document,
     array: &'a Element,
     scalar: ScalarType,
@@ -283,7 +283,7 @@ struct Numbers<'a> {
 /// Bytes of a batch: a multiple of every number's size.
 const BATCH: u64 = 1 << 16;
 
-impl<'a> Numbers<'a> {
+impl<'a> ArrayNumbers<'a> {
     fn open(doc: &'a Document, array: &'a Element, components: u64, tuples: u64) -> Result<Self> {
         let found = doc.count(array, "NumberOfComponents", 1)?;
         if found != components {

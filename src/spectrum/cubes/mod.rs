@@ -59,7 +59,7 @@ impl ChunkPart {
                 assert_eq!(positions.len(), values.len(), "positions");
                 with_vectors(
                     #[inline(always)]
-                    || of.measure(&Placed { positions, size }, limits),
+                    || of.measure(&CurvilinearCells { positions, size }, limits),
                 )
             }
         }
@@ -103,12 +103,12 @@ impl Shapes for Even {
 }
 
 /// Cells between nodes anywhere.
-struct Placed<'a> {
+struct CurvilinearCells<'a> {
     positions: &'a [[f64; 3]],
     size: [usize; 3],
 }
 
-impl Shapes for Placed<'_> {
+impl Shapes for CurvilinearCells<'_> {
     #[inline(always)]
     fn world(&self, first: usize) -> World {
         let [nx, ny, _] = self.size;

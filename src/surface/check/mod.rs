@@ -231,7 +231,7 @@ fn check_in(
     let positions = positions(source, shares, &mut report)?;
     let mut places = Cached::new(&positions, shares.positions);
     let mut arcs = Arcs::new(sorted_arcs(source, shares, &mut report)?)?;
-    let mut pieces = Pieces::new(report.vertices as usize);
+    let mut pieces = VertexPieces::new(report.vertices as usize);
     let mut rims = Store::new(shares.positions / 4, shares.scratch);
     let (mut link, mut ends) = (Link::default(), None);
     for v in 0..report.vertices as u32 {
@@ -415,7 +415,7 @@ fn count_vertex(
     v: u32,
     link: &mut Link,
     report: &mut SurfaceCheckReport,
-    pieces: &mut Pieces,
+    pieces: &mut VertexPieces,
     rims: &mut Store<[u32; 2]>,
 ) -> Result<()> {
     if link.ends.is_empty() {
@@ -445,7 +445,7 @@ fn count_vertex(
 }
 
 /// Connected groups of edges.
-fn loops(edges: &Store<[u32; 2]>, pieces: &mut Pieces) -> Result<u64> {
+fn loops(edges: &Store<[u32; 2]>, pieces: &mut VertexPieces) -> Result<u64> {
     pieces.clear();
     edges.each(&mut |batch| {
         batch.iter().for_each(|&[a, b]| pieces.join(a, b));
@@ -640,7 +640,7 @@ fn root(parents: &mut [u32], mut i: u32) -> u32 {
 }
 
 /// Connected pieces of a graph on the vertices; vertices without an edge are none.
-struct Pieces {
+struct VertexPieces {
     /// The parent of each vertex; [`ALONE`] as long as it has no edge.
     parents: Vec<u32>,
 }
@@ -648,7 +648,7 @@ struct Pieces {
 /// There are fewer vertices than this.
 const ALONE: u32 = u32::MAX;
 
-impl Pieces {
+impl VertexPieces {
     fn new(vertices: usize) -> Self {
         Self { parents: vec![ALONE; vertices] }
     }

@@ -25,7 +25,7 @@
 
 use super::cells::{CellSource, Sorted};
 use super::fours::Corner;
-use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
+use super::patch::{ActiveTet, CORNERS, Corners, NO_EDGE, Patch};
 use isospan_io::geom::PointId;
 use isospan_mesh::mesh::tet::Tet;
 
@@ -159,7 +159,7 @@ impl Numbering {
                 count += usize::from(is_new);
             }
             self.codes.push(code_of(corners));
-            list.add(Member { corners, case: sorted.case }, |case, k| {
+            list.add(ActiveTet { corners, case: sorted.case }, |case, k| {
                 join(case.edges[k].map(|corner| corners[usize::from(corner) % 4]))
             });
         }

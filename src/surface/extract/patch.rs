@@ -24,7 +24,7 @@ pub(super) const CORNERS: usize = 256;
 /// Tetrahedra and their crossed edges: buffers, some ten kilobytes.
 #[derive(Debug, Default)]
 pub(super) struct Patch {
-    tets: Vec<Member>,
+    tets: Vec<ActiveTet>,
     gradients: Vec<Gradient>,
     edges: Edges,
     /// A tetrahedron and an edge of it, for each of them.
@@ -34,7 +34,7 @@ pub(super) struct Patch {
 
 /// An active tetrahedron: its corners in the order of their ids.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Member {
+pub(super) struct ActiveTet {
     pub(super) corners: [u8; 4],
     /// The mask of corners inside, and [`ODD`].
     pub(super) case: u8,
@@ -237,7 +237,7 @@ impl<const SLOTS: usize> Listing<'_, SLOTS> {
     ///
     /// A second triangle and a fourth edge are written even where there is none, and then ignored.
     #[inline(always)]
-    pub(super) fn add(&mut self, member: Member, slot_of: impl Fn(&Case, usize) -> u16) {
+    pub(super) fn add(&mut self, member: ActiveTet, slot_of: impl Fn(&Case, usize) -> u16) {
         let Patch { tets, edges, uses, triangles, .. } = &mut *self.patch;
         let case = &CASES[usize::from(member.case) % CASES.len()];
         let tet = tets.len() as u16;
@@ -283,7 +283,7 @@ pub(super) fn up([a, b]: [&Corner; 2]) -> [f32; 3] {
     std::array::from_fn(|k| high[k] - low[k])
 }
 
-impl Member {
+impl ActiveTet {
     /// -1 if the corners' order is an odd permutation of a positively oriented one.
     #[inline(always)]
     fn sign(&self) -> f64 {

@@ -11,7 +11,7 @@ fn wave(p: [f64; 3]) -> f64 {
 /// Six slabs of tetrahedra, and the extracted surface of each.
 fn slabs(grid: &Grid, world: &WorldMap) -> Vec<ChunkSurface> {
     let chunk: Vec<usize> = (0..grid.tets.len()).map(|i| i * 6 / grid.tets.len()).collect();
-    let surface = |part: &super::super::testing::Part| {
+    let surface = |part: &super::super::testing::OwnedChunk| {
         let mut out = ChunkSurface::default();
         extract(&part.source(), 1.0, world, &mut Workbench::default(), &mut out);
         out

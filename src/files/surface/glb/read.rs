@@ -26,7 +26,7 @@ pub(in crate::files) fn read(
     limits: &ReadLimits,
     out: &mut StoredSurface,
 ) -> Result<()> {
-    let mut file = File::parse(path, bytes, limits)?;
+    let mut file = GlbFile::parse(path, bytes, limits)?;
     file.refuse_what_changes_the_shape()?;
     file.decode(limits)?;
     let places = file.places()?;
@@ -48,7 +48,7 @@ fn list<'a>(value: &'a Value, name: &str) -> &'a [Value] {
     value.get(name).and_then(Value::as_array).map_or(&[], Vec::as_slice)
 }
 
-struct File<'a> {
+struct GlbFile<'a> {
     path: &'a Path,
     json: Value,
     bin: &'a [u8],
@@ -58,18 +58,18 @@ struct File<'a> {
 
 /// The way from the numbers of a mesh to the world.
 #[derive(Clone, Copy, Debug)]
-struct Frame {
+struct Dequantization {
     scale: f64,
     place: [f64; 3],
 }
 
-impl Default for Frame {
+impl Default for Dequantization {
     fn default() -> Self {
         Self { scale: 1.0, place: [0.0; 3] }
     }
 }
 
-impl Frame {
+impl Dequantization {
     fn to_world(self, p: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|k| self.place[k] + self.scale * p[k])
     }
@@ -82,9 +82,9 @@ fn triple(value: Option<&Value>) -> Option<[f64; 3]> {
 }
 
 /// What a node that we wrote says of the way to the world.
-fn own_frame(node: &Value) -> Option<Frame> {
+fn own_frame(node: &Value) -> Option<Dequantization> {
     let world = node.pointer("/extras/world")?;
-    Some(Frame { scale: world.get("scale")?.as_f64()?, place: triple(world.get("translation"))? })
+    Some(Dequantization { scale: world.get("scale")?.as_f64()?, place: triple(world.get("translation"))? })
 }
 
 /// Corners of triangles as indices of two or four bytes.
@@ -134,7 +134,7 @@ impl<'a> Elements<'a> {
     }
 }
 
-impl<'a> File<'a> {
+impl<'a> GlbFile<'a> {
     fn parse(path: &'a Path, bytes: &'a [u8], limits: &ReadLimits) -> Result<Self> {
         let bad = |at: &str, expected: &str, got: String| Err(Error::bad_input(path, at, expected, got));
         let word = |at: usize| bytes.get(at..at + 4).map(LE::read_u32);
@@ -201,7 +201,7 @@ impl<'a> File<'a> {
 
     /// What is added to the positions of each mesh: the translation of its node, where that has
     /// neither a parent nor children, and is alone with the mesh.
-    fn places(&self) -> Result<HashMap<usize, Frame>> {
+    fn places(&self) -> Result<HashMap<usize, Dequantization>> {
         let nodes = list(&self.json, "nodes");
         let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
         let children = || nodes.iter().flat_map(|node| list(node, "children")).filter_map(number);
@@ -227,7 +227,7 @@ impl<'a> File<'a> {
             if !is_alone {
                 return Err(self.transformed(n));
             }
-            places.insert(mesh, Frame { scale: 1.0, place });
+            places.insert(mesh, Dequantization { scale: 1.0, place });
         }
         Ok(places)
     }
@@ -357,7 +357,7 @@ impl<'a> File<'a> {
         &self,
         primitive: &Value,
         at: &str,
-        place: Frame,
+        place: Dequantization,
         out: &mut StoredSurface,
     ) -> Result<()> {
         match self.number(primitive, "mode", Some(TRIANGLES))? as u64 {
@@ -392,7 +392,7 @@ impl<'a> File<'a> {
         &self,
         primitive: &Value,
         at: &str,
-        place: Frame,
+        place: Dequantization,
         out: &mut StoredSurface,
     ) -> Result<usize> {
         let none = Value::Null;

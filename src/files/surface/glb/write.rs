@@ -49,7 +49,7 @@ pub(in crate::files) fn check_limits(vertices: u64, triangles: u64, meta: &Surfa
 }
 
 /// One of the surfaces of a file: a node with a mesh.
-struct Piece<'a> {
+struct GlbSurface<'a> {
     name: Option<String>,
     /// The label and how it is shown, of a surface of one.
     label: Option<(f64, &'a LabelStyle)>,
@@ -63,7 +63,7 @@ struct Piece<'a> {
 /// What is written, before the first byte of it.
 struct Plan<'a> {
     meta: &'a SurfaceMeta,
-    pieces: Vec<Piece<'a>>,
+    pieces: Vec<GlbSurface<'a>>,
     origin: [f64; 3],
     vertices: u64,
     triangles: u64,
@@ -101,7 +101,7 @@ fn extend(bounds: &mut [[f32; 3]; 2], by: [[f32; 3]; 2]) {
 }
 
 /// Moves on to the piece that has the item of a number; `end` tells where a piece ends.
-fn move_on(pieces: &[Piece<'_>], at: &mut usize, number: u64, end: impl Fn(&Piece<'_>) -> u64) {
+fn move_on(pieces: &[GlbSurface<'_>], at: &mut usize, number: u64, end: impl Fn(&GlbSurface<'_>) -> u64) {
     while pieces.get(*at).is_some_and(|piece| number >= end(piece)) {
         *at += 1;
     }
@@ -141,8 +141,8 @@ impl<'a> Plan<'a> {
 }
 
 /// The surfaces of a file.
-fn pieces<'a>(source: &dyn SurfaceSource, meta: &'a SurfaceMeta) -> Vec<Piece<'a>> {
-    let piece = |name, vertices, triangles| Piece {
+fn pieces<'a>(source: &dyn SurfaceSource, meta: &'a SurfaceMeta) -> Vec<GlbSurface<'a>> {
+    let piece = |name, vertices, triangles| GlbSurface {
         name,
         label: None,
         vertices,
@@ -361,7 +361,7 @@ impl Plan<'_> {
     }
 
     /// Adds a node, its mesh and what that refers to.
-    fn add_piece(&self, out: &mut Value, number: usize, piece: &Piece<'_>) {
+    fn add_piece(&self, out: &mut Value, number: usize, piece: &GlbSurface<'_>) {
         let (meta, [position, normal]) = (self.meta, vector_bytes(self.meta));
         let push = |out: &mut Value, list: &str, item: Value| {
             let list = out[list].as_array_mut().expect("a list was made");
@@ -417,7 +417,7 @@ impl Plan<'_> {
     }
 
     /// The least and the largest position of a mesh, as its numbers are.
-    fn bounds(&self, piece: &Piece<'_>) -> [[f64; 3]; 2] {
+    fn bounds(&self, piece: &GlbSurface<'_>) -> [[f64; 3]; 2] {
         // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
         piece.bounds.map(|b| match self.meta.compress.is_quantized() {
             true => self.quantized.position(b).map(f64::from),
@@ -457,7 +457,7 @@ impl Plan<'_> {
 }
 
 /// The material of a surface; that of a label has its colour, whose light is linear in glTF.
-fn material(piece: &Piece<'_>) -> Value {
+fn material(piece: &GlbSurface<'_>) -> Value {
     let mut material = json!({
         "doubleSided": true,
         "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.7 },

@@ -45,7 +45,7 @@ const OF_TRIANGLE: u64 = 512;
 const AT_ONCE: u64 = 1 << 20;
 
 /// What the writer may use.
-pub(super) struct Means<'a> {
+pub(super) struct WriterMeans<'a> {
     pub(super) memory: u64,
     pub(super) scratch: PathBuf,
     pub(super) pool: ThreadPool,
@@ -54,7 +54,7 @@ pub(super) struct Means<'a> {
     pub(super) target: &'a Path,
 }
 
-impl Means<'_> {
+impl WriterMeans<'_> {
     /// A part of the memory, for what lies on disk beyond it.
     pub(super) fn share(&self, part: u64) -> BuilderSettings {
         let memory_bytes = usize::try_from(self.memory / part).unwrap_or(usize::MAX);
@@ -93,7 +93,7 @@ impl Lattice {
 
 /// A surface on its way through its levels.
 struct Levels<'a> {
-    means: &'a Means<'a>,
+    means: &'a WriterMeans<'a>,
     lattice: Lattice,
 }
 
@@ -118,13 +118,13 @@ struct Level {
 /// A piece of a triangle that lies in one cell, as it is sorted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
 #[repr(C)]
-struct Piece {
+struct TrianglePiece {
     /// The Morton number of the cell, its highest 16 bits first.
     cell: [u16; 4],
     corners: Corners,
 }
 
-impl Piece {
+impl TrianglePiece {
     fn of(corners: &[Place; 3], cells: Place) -> Self {
         // What lies in the last plane belongs to the last cell.
         let at: Place = std::array::from_fn(|k| (span(corners, k)[0] / CELL).min(cells[k] - 1));
@@ -165,7 +165,7 @@ struct Fragment {
 /// [`Error::Budget`] for memory, [`Error::Cancelled`], those of the scratch folder and of `put`.
 pub(super) fn write_levels(
     mut surface: StoredSurface,
-    means: &Means<'_>,
+    means: &WriterMeans<'_>,
     put: &mut dyn FnMut(&[u8]) -> Result<()>,
 ) -> Result<Vec<u8>> {
     let Some(lattice) = lattice_of(&surface)? else { return Ok(manifest(&NOTHING, &[])) };
@@ -225,7 +225,7 @@ fn edge_of(length: f64) -> f32 {
 
 /// The length of an edge of a triangle, about, and a lattice of which no cell has far more than the
 /// usual number of triangles.
-fn fit_cells(surface: &StoredSurface, lattice: Lattice, means: &Means<'_>) -> Result<(f64, Lattice)> {
+fn fit_cells(surface: &StoredSurface, lattice: Lattice, means: &WriterMeans<'_>) -> Result<(f64, Lattice)> {
     let (count, longest) = (surface.triangle_count(), lattice.size.into_iter().fold(0.0, f64::max));
     // A surface has about four times as many cells of half the edge.
     let mut depth = (0..DEEPEST).find(|depth| OF_CELL << (2 * depth) >= count).unwrap_or(DEEPEST);
@@ -304,7 +304,7 @@ impl Levels<'_> {
     }
 
     /// The pieces of all triangles, cell by cell.
-    fn pieces(&self, surface: &StoredSurface, level: u32) -> Result<Sorted<Piece>> {
+    fn pieces(&self, surface: &StoredSurface, level: u32) -> Result<Sorted<TrianglePiece>> {
         let (means, cells) = (self.means, self.lattice.cells(level));
         let place = means.share(8);
         let mut sorter = Sorter::new(place.memory_bytes, &place.scratch);
@@ -319,7 +319,7 @@ impl Levels<'_> {
                 }
                 pieces.clear();
                 cut(corners, level > 0, &mut pieces);
-                pieces.iter().try_for_each(|piece| sorter.push(Piece::of(piece, cells)))?;
+                pieces.iter().try_for_each(|piece| sorter.push(TrianglePiece::of(piece, cells)))?;
             }
             Ok(())
         })?;
@@ -329,9 +329,9 @@ impl Levels<'_> {
     /// The triangles of the cell of a piece; `next` is then the first piece of the next one.
     fn fragment(
         &self,
-        first: Piece,
-        sorted: &mut Sorted<Piece>,
-        next: &mut Option<Piece>,
+        first: TrianglePiece,
+        sorted: &mut Sorted<TrianglePiece>,
+        next: &mut Option<TrianglePiece>,
     ) -> Result<Fragment> {
         let mut fragment = Fragment { number: first.number(), filled: 0, triangles: vec![] };
         while let Some(piece) = next.filter(|piece| piece.cell == first.cell) {

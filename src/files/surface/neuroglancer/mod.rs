@@ -17,7 +17,7 @@ mod levels;
 mod shard;
 
 use super::SurfaceMeta;
-use super::parts::{Part, TakeParts, each_part, parts_of};
+use super::parts::{PartRange, TakeParts, each_part, parts_of};
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
 use isospan_io::bytes::StagedFolder;
@@ -25,7 +25,7 @@ use isospan_io::bytes::publish::folder_of;
 use isospan_io::bytes::read_whole;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Resources, pool};
-use levels::{Means, write_levels};
+use levels::{WriterMeans, write_levels};
 use serde::Serialize;
 use serde_json::json;
 use shard::Shard;
@@ -92,8 +92,8 @@ fn transform(source: &dyn SurfaceSource, meta: &SurfaceMeta) -> Result<Vec<f64>>
 }
 
 /// The numbers of segments of parts.
-fn segments(parts: &[Part], meta: &SurfaceMeta) -> Result<Vec<u64>> {
-    let segment = |part: &Part| {
+fn segments(parts: &[PartRange], meta: &SurfaceMeta) -> Result<Vec<u64>> {
+    let segment = |part: &PartRange| {
         let Some(label) = meta.parts.get(part.number).filter(|_| meta.are_labels()) else {
             return Ok(part.number as u64 + 1);
         };
@@ -147,7 +147,7 @@ pub(in crate::files) fn write(
     is_replaced()?;
     let mut folder = Folder { path: stage.new_folder(), bytes: 0 };
     folder.put_info(&transform(source, meta)?, &parts, &segments)?;
-    let means = Means {
+    let means = WriterMeans {
         // The other half holds the surface.
         memory: resources.memory / 2,
         scratch: resources.scratch.clone().unwrap_or_else(|| above.to_path_buf()),
@@ -210,7 +210,7 @@ impl Folder {
         written.map_err(|e| Error::io("write", path, e))
     }
 
-    fn put_info(&mut self, transform: &[f64], parts: &[Part], segments: &[u64]) -> Result<()> {
+    fn put_info(&mut self, transform: &[f64], parts: &[PartRange], segments: &[u64]) -> Result<()> {
         let of_names = self.path.join(PROPERTIES);
         fs::create_dir(&of_names).map_err(|e| Error::io("create the folder", of_names, e))?;
         let info = json!({
@@ -235,7 +235,7 @@ impl Folder {
 struct Meshes<'a> {
     shard: Shard,
     segments: std::slice::Iter<'a, u64>,
-    means: &'a Means<'a>,
+    means: &'a WriterMeans<'a>,
     /// The segment that comes, and what is there of its mesh.
     mesh: Option<(u64, StoredSurface)>,
 }
@@ -247,7 +247,7 @@ impl Meshes<'_> {
 }
 
 impl TakeParts for Meshes<'_> {
-    fn begin(&mut self, _: &Part) -> Result<()> {
+    fn begin(&mut self, _: &PartRange) -> Result<()> {
         let segment = *self.segments.next().expect("each part has a segment");
         self.mesh = Some((segment, StoredSurface::new(&self.means.share(8))));
         Ok(())
@@ -259,7 +259,7 @@ impl TakeParts for Meshes<'_> {
         positions.iter().try_for_each(|position| mesh.push_vertex(vertex(position)))
     }
 
-    fn triangles(&mut self, _: &Part, triangles: &[[u32; 3]]) -> Result<()> {
+    fn triangles(&mut self, _: &PartRange, triangles: &[[u32; 3]]) -> Result<()> {
         let mesh = self.mesh();
         triangles.iter().try_for_each(|&triangle| mesh.push_triangle(triangle))
     }

@@ -20,7 +20,7 @@
 mod zip;
 
 use super::obj::{push_decimal, put};
-use super::parts::{Part, TakeParts, each_part, parts_of};
+use super::parts::{PartRange, TakeParts, each_part, parts_of};
 use super::{SurfaceMeta, VertexValues};
 use crate::surface::SurfaceSource;
 use crate::surface::weld::BuilderSettings;
@@ -155,7 +155,7 @@ impl Model<'_, '_> {
     }
 
     /// The end of the model: each object at its place.
-    fn put_build(&mut self, parts: &[Part], origin: [f64; 3], scale: f64) -> Result<()> {
+    fn put_build(&mut self, parts: &[PartRange], origin: [f64; 3], scale: f64) -> Result<()> {
         self.put("  </resources>\n  <build>\n")?;
         let [x, y, z] = origin.map(|c| scale * c);
         let transform = match scale == 1.0 && origin == [0.0; 3] {
@@ -171,7 +171,7 @@ impl Model<'_, '_> {
 }
 
 impl TakeParts for Model<'_, '_> {
-    fn begin(&mut self, part: &Part) -> Result<()> {
+    fn begin(&mut self, part: &PartRange) -> Result<()> {
         let (name, id) = (xml_attribute(&part.name), COLOURS + 1 + part.number);
         let colour = match self.meta.are_labels() && self.meta.values.is_none() {
             true => format!(" pid=\"{COLOURS}\" pindex=\"{}\"", part.number),
@@ -199,7 +199,7 @@ impl TakeParts for Model<'_, '_> {
         self.put("        </vertices>\n        <triangles>\n")
     }
 
-    fn triangles(&mut self, part: &Part, triangles: &[[u32; 3]]) -> Result<()> {
+    fn triangles(&mut self, part: &PartRange, triangles: &[[u32; 3]]) -> Result<()> {
         for &[a, b, c] in triangles {
             put(&mut self.text, format_args!("<triangle v1=\"{a}\" v2=\"{b}\" v3=\"{c}\""));
             if let Some((values, cached)) = &mut self.colours {

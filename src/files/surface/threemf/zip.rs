@@ -30,7 +30,7 @@ const ELSEWHERE: u32 = u32::MAX;
 const HANDED_ON: usize = 1 << 16;
 
 /// A member that is complete.
-struct Member {
+struct WrittenMember {
     name: &'static str,
     crc: u32,
     packed: u64,
@@ -51,7 +51,7 @@ struct Open {
 /// An archive that is being written.
 #[derive(Default)]
 pub(super) struct Zip {
-    members: Vec<Member>,
+    members: Vec<WrittenMember>,
     open: Option<Open>,
     /// Bytes before the next one.
     at: u64,
@@ -108,8 +108,13 @@ impl Zip {
         let Some(open) = self.open.take() else { return Ok(()) };
         let rest = open.encoder.finish().map_err(|e| Error::io("compress for", sink.target(), e))?;
         let (crc, bytes) = (open.crc.sum(), open.bytes);
-        let member =
-            Member { name: open.name, crc, packed: open.packed + rest.len() as u64, bytes, at: open.at };
+        let member = WrittenMember {
+            name: open.name,
+            crc,
+            packed: open.packed + rest.len() as u64,
+            bytes,
+            at: open.at,
+        };
         self.write(sink, &rest)?;
         let mut tail = b"PK\x07\x08".to_vec();
         tail.extend(crc.to_le_bytes());

@@ -19,7 +19,7 @@ use super::cells::{CellSource, in_order};
 use super::fours::Corner;
 use super::numbering::{Ring, code_of};
 use super::ordered::{EDGE_SLOTS, Order, SHARED, Unpacked, shared_ids, sides_of, slot_of};
-use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
+use super::patch::{ActiveTet, CORNERS, Corners, NO_EDGE, Patch};
 use isospan_io::exec::will_read;
 use isospan_io::geom::PointId;
 use isospan_mesh::mesh::tet::{Tet, is_active, range};
@@ -206,7 +206,7 @@ impl NumberedBlock {
             let inside = |i: usize| (sides[usize::from(corners[i])] & 1) << i;
             let odd = if d < c { ODD } else { 0 };
             let case = odd | inside(0) | inside(1) | inside(2) | inside(3);
-            list.add(Member { corners, case }, |case, k| tet.edges[usize::from(case.numbers[k]) % 6]);
+            list.add(ActiveTet { corners, case }, |case, k| tet.edges[usize::from(case.numbers[k]) % 6]);
         }
         list.end();
         patch.alone_are(|edge| edge < self.alone);
