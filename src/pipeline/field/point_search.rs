@@ -112,7 +112,7 @@ pub(super) fn each_value(
     mut each: impl FnMut(u32, &[f32], bool) + Send,
 ) -> Result<u64> {
     let batch = PointBatch::new(archive.chunks.bricks(), points);
-    let mut search = Search { archive, lists, find, batch, chunks_read: 0 };
+    let mut search = PointLookup { archive, lists, find, batch, chunks_read: 0 };
     let foreign = search.in_tetrahedra(&mut each)?;
     search.at_nearest_places(foreign, &mut each)?;
     Ok(search.chunks_read)
@@ -156,7 +156,7 @@ impl<'a> PointBatch<'a> {
 }
 
 /// Points that are looked for; those found are taken out.
-struct Search<'a> {
+struct PointLookup<'a> {
     archive: &'a StepView,
     lists: Lists<'a>,
     find: &'a Find<'a>,
@@ -167,7 +167,7 @@ struct Search<'a> {
 /// Values of other bodies, for points that have none of their own.
 type Foreign = BTreeMap<u32, Vec<f32>>;
 
-impl<'a> Search<'a> {
+impl<'a> PointLookup<'a> {
     /// Finds the points in tetrahedra. Those in tetrahedra of other bodies alone are returned.
     fn in_tetrahedra(&mut self, each: &mut (impl FnMut(u32, &[f32], bool) + Send)) -> Result<Foreign> {
         let (visit, extra) = self.visit(0)?;

@@ -42,7 +42,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 /// The part of a plan that stays the same, so that its chunks do.
-pub(super) struct Frame {
+pub(super) struct PlanFrame {
     pub(super) brick_edge: [u64; 3],
     pub(super) order_bits: u32,
     pub(super) record: FrameRecord,
@@ -181,7 +181,7 @@ impl Plan {
     ///
     /// # Errors
     /// [`Error::Usage`] for more points than a set may have.
-    pub(super) fn adapt(&mut self, n: u64, levels: &Arc<Levels>, frame: Option<&Frame>) -> Result<()> {
+    pub(super) fn adapt(&mut self, n: u64, levels: &Arc<Levels>, frame: Option<&PlanFrame>) -> Result<()> {
         let (mesh, spec) = (&mut self.mesh, PointSpec::Halton { n });
         mesh.lattice = levels.cells().lattice;
         PointSet::graded(spec, mesh.lattice, Arc::clone(levels))?;

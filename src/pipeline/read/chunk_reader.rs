@@ -15,7 +15,7 @@ use super::corners::{ChunkCorners, CornerLists};
 use super::damaged::damaged;
 use super::reader_memory::ReaderMemory;
 use super::step_view::StepView;
-use super::wanted::Wanted;
+use super::wanted::WantedBlocks;
 use crate::archive::Malformed;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::mesh::{BlockHead, ChunkHeader, PAGE_HEADS, TetBlock, TetScratch};
@@ -140,7 +140,7 @@ impl<'a> ChunkReader<'a> {
     pub(in crate::pipeline) fn block(
         &mut self,
         number: u32,
-        wanted: &Wanted<'_>,
+        wanted: &WantedBlocks<'_>,
         out: &mut Block,
     ) -> Result<bool> {
         out.tets.clear();
@@ -231,7 +231,7 @@ impl<'a> ChunkReader<'a> {
         number: u32,
         bytes: &[u8],
         head: &BlockHead,
-        wanted: &Wanted<'_>,
+        wanted: &WantedBlocks<'_>,
         out: &mut Block,
     ) -> Result<bool> {
         let block = self.open_block(number, bytes, head)?;

@@ -69,4 +69,4 @@ pub(super) use steps::Ranges;
 pub(super) use summary::summarize;
 pub use summary::{ArchiveSummary, LevelSummary, PyramidLevel, StepSummary};
 pub(super) use visit::{Blocks, Visit, full_region};
-pub(super) use wanted::{Needed, Wanted};
+pub(super) use wanted::{Needed, WantedBlocks};

@@ -75,7 +75,7 @@ impl StepView {
     /// # Errors
     /// [`Error::BadInput`] for a damaged archive.
     pub(in crate::pipeline) fn tile(&self, id: TileId) -> Result<Option<Arc<Tile>>> {
-        Reader { view: self, of: self.pyramid()? }.tile(id).map_err(|Found(e)| e)
+        Reader { view: self, of: self.pyramid()? }.tile(id).map_err(|TileReadError(e)| e)
     }
 
     /// The nodes of a level in a box, x fastest, less the offset of the source; NaN where the
@@ -136,7 +136,7 @@ impl StepView {
             return self.labels(of, level, wanted);
         }
         let levels = Levels { pyramid: &of.pyramid, scale: &of.scale, top: self.coarse(of)?.tiles.top() };
-        levels.nodes(level, &box3(wanted), &mut Reader { view: self, of }).map_err(|Found(e)| e)
+        levels.nodes(level, &box3(wanted), &mut Reader { view: self, of }).map_err(|TileReadError(e)| e)
     }
 
     /// Corrects samples of a box.
@@ -280,9 +280,9 @@ pub(super) fn damaged(path: &Path, block: u64, what: &isospan_wavelet::Error) ->
 }
 
 /// An error of the program as one that the crate of wavelets passes on.
-struct Found(Error);
+struct TileReadError(Error);
 
-impl From<isospan_wavelet::Error> for Found {
+impl From<isospan_wavelet::Error> for TileReadError {
     fn from(e: isospan_wavelet::Error) -> Self {
         match e {
             isospan_wavelet::Error::Level { level, coarsest } => Self(Error::usage(format!(
@@ -299,20 +299,20 @@ struct Reader<'a> {
 }
 
 impl TileSource for Reader<'_> {
-    type Error = Found;
+    type Error = TileReadError;
 
-    fn tile(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, Found> {
+    fn tile(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, TileReadError> {
         let (view, of) = (self.view, self.of);
         if let Some(known) = lock(&of.tiles).get(&id) {
             return Ok(Some(known));
         }
         let tile = if id.level > of.pyramid.details() {
-            view.coarse(of).map_err(Found)?.tiles.tile(&of.pyramid, id, self)?
+            view.coarse(of).map_err(TileReadError)?.tiles.tile(&of.pyramid, id, self)?
         } else {
             let at = of.pyramid.chunk_of(id);
             let chunk = chunk_number(&of.pyramid, at);
             let (number, block) = of.pyramid.block_of(at, id);
-            let stored = view.tile_block(of, chunk, number, &block).map_err(Found)?;
+            let stored = view.tile_block(of, chunk, number, &block).map_err(TileReadError)?;
             let bytes = stored.places.get(&id).map(|place| &stored.bytes[place.clone()]);
             decode_tile(&of.pyramid, id, bytes, self)?
         };
@@ -323,8 +323,8 @@ impl TileSource for Reader<'_> {
         Ok(Some(tile))
     }
 
-    fn before(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, Found> {
-        self.view.base().map_or(Ok(None), |base| base.tile(id)).map_err(Found)
+    fn before(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, TileReadError> {
+        self.view.base().map_or(Ok(None), |base| base.tile(id)).map_err(TileReadError)
     }
 
     fn room(&mut self, nodes: usize) -> Vec<f32> {

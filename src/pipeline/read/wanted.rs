@@ -12,7 +12,7 @@ pub(in crate::pipeline) enum Needed<'a> {
 }
 
 /// Which blocks are wanted, by where their corners are.
-pub(in crate::pipeline) enum Wanted<'a> {
+pub(in crate::pipeline) enum WantedBlocks<'a> {
     All,
     /// Those that may touch a cut.
     Touching(&'a Cut),
@@ -20,7 +20,7 @@ pub(in crate::pipeline) enum Wanted<'a> {
     AtEnds(LatticePos),
 }
 
-impl Wanted<'_> {
+impl WantedBlocks<'_> {
     /// Whether a block may be wanted, judged by a box that holds its corners.
     pub(super) fn may_be(&self, hull: impl FnOnce() -> Result<LatticeBox>) -> Result<bool> {
         Ok(match self {

@@ -60,7 +60,7 @@ pub(super) fn make_coarse(
             all.copy_common(&mut low, &place, &values);
         }
     }
-    let bytes = Coarse::encode(pyramid, scale, low, &mut BaseTiles(base)).map_err(|Found(e)| e)?;
+    let bytes = Coarse::encode(pyramid, scale, low, &mut BaseTiles(base)).map_err(|BaseTileError(e)| e)?;
     let mut file = SegmentWriter::create(layout.coarse(), SegmentKind::Coarse, hash)?;
     file.push_block(&bytes)?;
     if !missing.is_empty() && has_coarse_mask(pyramid, pyramid.details()) {
@@ -76,19 +76,19 @@ pub(super) fn make_coarse(
 pub(super) struct BaseTiles<'a>(pub(super) Option<&'a StepView>);
 
 /// An error of the program as one that the crate of wavelets passes on.
-pub(super) struct Found(pub(super) Error);
+pub(super) struct BaseTileError(pub(super) Error);
 
-impl From<isospan_wavelet::Error> for Found {
+impl From<isospan_wavelet::Error> for BaseTileError {
     fn from(e: isospan_wavelet::Error) -> Self {
         Self(too_fine(&e))
     }
 }
 
 impl TileSource for BaseTiles<'_> {
-    type Error = Found;
+    type Error = BaseTileError;
 
-    fn tile(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, Found> {
-        self.0.map_or(Ok(None), |base| base.tile(id)).map_err(Found)
+    fn tile(&mut self, id: TileId) -> std::result::Result<Option<Arc<Tile>>, BaseTileError> {
+        self.0.map_or(Ok(None), |base| base.tile(id)).map_err(BaseTileError)
     }
 }
 

@@ -249,10 +249,11 @@ fn dense_enough(
     }
     let Some(adapt) = &job.settings.adapt else {
         let (set, kind) = (&job.settings.set, job.settings.points);
-        let (points, boundary) = Search { store, how, path, wanted }.find(store.filled(), |count| {
-            let points = PointSpec::with_count(kind, &plan.mesh.lattice, count, set)?;
-            Ok((points, None, points))
-        })?;
+        let (points, boundary) =
+            PointSetSearch { store, how, path, wanted }.find(store.filled(), |count| {
+                let points = PointSpec::with_count(kind, &plan.mesh.lattice, count, set)?;
+                Ok((points, None, points))
+            })?;
         let count = PointSet::new(points, plan.mesh.lattice)?.interior_len();
         let spaced = Plan::on_lattice(plan.mesh.lattice, count, plan.first().source.clone(), job.settings)?;
         plan.mesh = MeshPlan { points, repeated: plan.mesh.repeated, ..spaced.mesh };
@@ -271,7 +272,7 @@ fn dense_enough(
         let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
         return Ok((Dense { levels, wanted }, boundary));
     }
-    let (adapted, boundary) = Search { store, how, path, wanted }.find(1.0, |count| {
+    let (adapted, boundary) = PointSetSearch { store, how, path, wanted }.find(1.0, |count| {
         let mut plan = plan.clone();
         let (points, levels) = adapted(&mut plan, curves.choose(None, count)?)?;
         Ok((points, Some(Arc::clone(&levels)), (plan.mesh, levels)))
@@ -294,7 +295,7 @@ fn boundary_of(
 }
 
 /// Looks for the set with as many points as are wanted.
-struct Search<'a> {
+struct PointSetSearch<'a> {
     store: &'a CellStore,
     how: &'a StoreSettings,
     path: &'a Path,
@@ -306,7 +307,7 @@ const TRIES: usize = 12;
 /// A number of points is met within this part of it.
 const MET: f64 = 0.005;
 
-impl Search<'_> {
+impl PointSetSearch<'_> {
     /// Searches the sets that `make` gives for a count. About the share `filled` of `count` points
     /// lies inside. Sets too large to be counted are judged by smaller ones.
     fn find<T>(

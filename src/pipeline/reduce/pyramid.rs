@@ -14,7 +14,7 @@
 //! Memory decides in which parts a chunk is made, and that changes no byte.
 
 use super::build::{Build, SegmentSource, Segments};
-use super::coarse::{BaseTiles, Found, make_coarse, mask_of_nodes, too_fine};
+use super::coarse::{BaseTileError, BaseTiles, make_coarse, mask_of_nodes, too_fine};
 use super::encode::BadSteps;
 use super::encoded::EncodedChunk;
 use super::labels::LabelMaker;
@@ -73,7 +73,7 @@ impl MakeChunks for DetailMaker<'_> {
             samples.iter_mut().for_each(|v| *v = work.scale.enter(f64::from(*v)));
             let mut base = BaseTiles(self.base);
             let made = encode_part(work.pyramid, work.scale, &part, samples, &mut base);
-            let made = made.map_err(|Found(e)| e)?;
+            let made = made.map_err(|BaseTileError(e)| e)?;
             whole.copy_common(&mut low, &work.pyramid.low_box(&part), &made.low);
             tiles.extend(made.tiles);
             times.encode += start.elapsed();
@@ -155,9 +155,15 @@ impl<'a> RangeMaker<'a> {
 
     /// Widens the ranges of the bricks of coarse levels by the cells that begin in a part, and adds
     /// the errors of these levels at its samples, if they are measured.
-    fn look_at_levels(&self, samples: &[f32], place: &IndexBox, part: &Box3, seen: &mut Seen) -> Result<()> {
+    fn look_at_levels(
+        &self,
+        samples: &[f32],
+        place: &IndexBox,
+        part: &Box3,
+        seen: &mut ChunkStatistics,
+    ) -> Result<()> {
         let pyramid = self.work.pyramid;
-        let Seen { bricks, ranges, levels: sums, .. } = seen;
+        let ChunkStatistics { bricks, ranges, levels: sums, .. } = seen;
         let samples_of_volume = pyramid.nodes(0).iter().map(|n| *n as u64).product();
         for level in 1..=pyramid.details().max(sums.len()) {
             let ends = samples_of_level(pyramid, level);
@@ -264,7 +270,7 @@ impl RangeMaker<'_> {
 }
 
 /// What a chunk's decoded samples tell, part after part.
-struct Seen {
+struct ChunkStatistics {
     /// The samples of the chunk.
     place: Box3,
     bricks: Vec<Brick>,
@@ -281,7 +287,7 @@ struct Seen {
     levels: Vec<Squares>,
 }
 
-impl Seen {
+impl ChunkStatistics {
     fn nothing(maker: &RangeMaker<'_>, chunk: &Chunk) -> Self {
         let (work, pyramid) = (&maker.work, maker.work.pyramid);
         let (place, bricks) = (work.samples(chunk), bricks_of(pyramid, chunk.brick_lo.map(|n| n as usize)));
@@ -335,7 +341,7 @@ impl Seen {
 
 impl RangeMaker<'_> {
     /// Adds what the decoded samples of a part tell.
-    fn look_at(&self, part: &Box3, seen: &mut Seen, times: &mut StageTimes) -> Result<()> {
+    fn look_at(&self, part: &Box3, seen: &mut ChunkStatistics, times: &mut StageTimes) -> Result<()> {
         let (work, dims) = (&self.work, self.work.pyramid.nodes(0));
         let corrects = work.correction != Correction::None;
         // The nodes of all cells that begin in the part.
@@ -375,7 +381,7 @@ impl RangeMaker<'_> {
 impl MakeChunks for RangeMaker<'_> {
     fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
         let (work, mut times) = (&self.work, StageTimes::default());
-        let mut seen = Seen::nothing(self, chunk);
+        let mut seen = ChunkStatistics::nothing(self, chunk);
         for part in work.pyramid.parts(chunk.brick_lo.map(|n| n as usize), work.edge) {
             work.cancel.check()?;
             self.look_at(&part, &mut seen, &mut times)?;

@@ -9,7 +9,7 @@ use crate::archive::manifest::{CorrectionRecord, Source, StepPlan, WaveletRecord
 use crate::archive::values::Quantiser;
 use crate::density::Choice;
 use crate::pipeline::inputs::{Errors, Reading, Sampled, Shift, copy_bytes, range_of};
-use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, source_of};
+use crate::pipeline::plan::{Attachments, Inputs, Plan, PlanFrame, count_of, parts, source_of};
 use crate::pipeline::read::{OpenArchive, coordinate_hash, scale_of};
 use crate::pipeline::settings::{Bound, CompleteSettings, DEFAULT_ERROR, Target};
 use isospan_io::error::{Error, Result};
@@ -159,7 +159,7 @@ fn choose(
     plan: &mut Plan,
     attachments: &mut Attachments,
     choice: &Choice,
-    frame: Option<&Frame>,
+    frame: Option<&PlanFrame>,
 ) -> Result<()> {
     let levels = Arc::new(choice.levels.clone());
     plan.adapt(choice.n, &levels, frame)?;

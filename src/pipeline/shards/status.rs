@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 /// A file that a plan asks for.
-pub(super) struct Wanted {
+pub(super) struct PlannedFile {
     path: PathBuf,
     kind: SegmentKind,
     hash: PlanHash,
@@ -50,9 +50,9 @@ impl<'a> Inventory<'a> {
     }
 
     /// The files of a segment.
-    pub(super) fn files_of(&self, segment: u64) -> Vec<Wanted> {
+    pub(super) fn files_of(&self, segment: u64) -> Vec<PlannedFile> {
         let (layout, file) = (&self.layout, self.file);
-        let wanted = |path, kind, hash| Wanted { path, kind, hash, chunks: layout.chunks_of(segment) };
+        let wanted = |path, kind, hash| PlannedFile { path, kind, hash, chunks: layout.chunks_of(segment) };
         let mut files = vec![];
         // A mesh that follows by formula is not stored.
         if file.plan.mesh.stores_mesh() {
@@ -77,13 +77,13 @@ impl<'a> Inventory<'a> {
         files
     }
 
-    pub(super) fn look(&self, f: &Wanted, depth: Depth) -> SegmentState {
+    pub(super) fn look(&self, f: &PlannedFile, depth: Depth) -> SegmentState {
         inspect(&f.path, f.kind, f.hash, &f.chunks, depth)
     }
 
     /// The files of a segment that are not whole.
     fn faults(&self, segment: u64, depth: Depth) -> Vec<Fault> {
-        let look = |f: Wanted| Fault { segment, state: self.look(&f, depth), path: f.path };
+        let look = |f: PlannedFile| Fault { segment, state: self.look(&f, depth), path: f.path };
         self.files_of(segment).into_iter().map(look).filter(|f| f.state != SegmentState::Whole).collect()
     }
 

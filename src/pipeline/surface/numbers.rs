@@ -95,7 +95,7 @@ pub(in crate::pipeline) fn numbers(
         if nodes.iter().all(|n| *n > 1) {
             let found = phases(archive, level, kept, settings, (&threads, &scratch), progress)?;
             report.set_volumes(found.above, found.all);
-            let means = Means { archive, level, settings, threads: &threads, scratch: &scratch };
+            let means = PhaseMeans { archive, level, settings, threads: &threads, scratch: &scratch };
             means.measure(&found, &mut report)?;
         }
     } else {
@@ -148,7 +148,7 @@ fn surface_totals(
 }
 
 /// What the phases of a grid are measured with.
-struct Means<'a> {
+struct PhaseMeans<'a> {
     archive: &'a StepView,
     level: usize,
     settings: &'a SurfaceSettings,
@@ -156,7 +156,7 @@ struct Means<'a> {
     scratch: &'a Path,
 }
 
-impl Means<'_> {
+impl PhaseMeans<'_> {
     fn measure(&self, found: &Phases, report: &mut NumbersReport) -> Result<()> {
         let axes = self.axes()?;
         for (phase, to) in [(Phase::Above, &mut report.above), (Phase::Below, &mut report.below)] {

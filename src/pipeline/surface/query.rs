@@ -8,7 +8,7 @@ use super::extract::Extraction;
 use super::level::level_of;
 use super::parts::{Parts, SurfaceSink};
 use super::question::{ChunkWork, Question};
-use super::refine::{Means, RefineReport};
+use super::refine::{RefineMeans, RefineReport};
 use super::settings::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
 };
@@ -16,7 +16,7 @@ use super::weld::{Extracted, SurfaceStorage};
 use crate::files::surface::{self, SurfaceFormat, SurfaceMeta, write_surface};
 use crate::pipeline::read::{
     Block, ChunkReader, CornerValues, Cut, Needed, ReaderMemory, Roi, RoiSpace, StepView, ValuesMemory,
-    Wanted, expect_in_f32, in_memory, in_world, world_map,
+    WantedBlocks, expect_in_f32, in_memory, in_world, world_map,
 };
 use crate::pipeline::stage::Stage;
 use crate::surface::check::zero_area_triangles;
@@ -93,7 +93,7 @@ fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result
     let mut values = CornerValues::new(archive, work.chunk, reader.vertices(), ValuesMemory::default())?;
     let (mut block, mut sides, mut active, mut count) = (Block::default(), Sides::default(), vec![], 0);
     for entry in &work.blocks {
-        reader.block(entry.block, &Wanted::All, &mut block)?;
+        reader.block(entry.block, &WantedBlocks::All, &mut block)?;
         values.take(&Needed::ForActive(&[isovalue]), &mut block)?;
         active.clear();
         sides.select(&block.tets, &block.corners.values, isovalue, &mut active);
@@ -359,7 +359,7 @@ impl<'a> Prepared<'a> {
         scratch: &Path,
     ) -> Result<(Vec<Extracted>, Vec<RefineReport>)> {
         let (faces, voxel) = (self.faces(settings), self.voxel()?);
-        let means = Means {
+        let means = RefineMeans {
             memory: settings.resources.memory,
             surfaces: surfaces.len() as u64,
             threads: settings.resources.threads,

@@ -2,7 +2,7 @@
 
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{BlockCorners, Cut, Needed, StepView, Wanted};
+use crate::pipeline::read::{BlockCorners, Cut, Needed, StepView, WantedBlocks};
 use crate::surface::WorldMap;
 use isospan_io::error::Result;
 use isospan_io::geom::LatticePos;
@@ -85,13 +85,13 @@ impl Question<'_> {
     }
 
     /// What is wanted of an entry's block; one without active tetrahedra is read for caps only.
-    pub(super) fn wanted(&self, entry: &Entry) -> Wanted<'_> {
+    pub(super) fn wanted(&self, entry: &Entry) -> WantedBlocks<'_> {
         match (self.cut, self.caps) {
-            (Some(cut), _) => Wanted::Touching(cut),
+            (Some(cut), _) => WantedBlocks::Touching(cut),
             (None, Some(top)) if !self.isovalues.iter().any(|&v| is_active(entry.min, entry.max, v)) => {
-                Wanted::AtEnds(top)
+                WantedBlocks::AtEnds(top)
             }
-            _ => Wanted::All,
+            _ => WantedBlocks::All,
         }
     }
 

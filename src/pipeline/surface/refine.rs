@@ -44,7 +44,7 @@ pub struct RefineReport {
 }
 
 /// What a refinement may use.
-pub(super) struct Means<'a> {
+pub(super) struct RefineMeans<'a> {
     /// All that the run may use.
     pub(super) memory: u64,
     /// Surfaces that are kept while they are refined one after another.
@@ -85,7 +85,7 @@ impl Refine {
     pub(super) fn apply(
         &self,
         surface: StoredSurface,
-        means: &Means<'_>,
+        means: &RefineMeans<'_>,
     ) -> Result<(StoredSurface, RefineReport)> {
         let share = 2 * means.surfaces.max(1);
         let memory_bytes = usize::try_from(means.memory / share).unwrap_or(usize::MAX);

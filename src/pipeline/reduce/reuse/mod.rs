@@ -3,7 +3,7 @@
 //! A round of a search makes some cells denser, and the rest stays as it is. The contents of a
 //! chunk follow from the points in its region and from the samples there. Nothing else of the plan
 //! matters, as long as chunks are cut and points ordered as before. So the next plan keeps a
-//! [`Frame`] of the one before, and each chunk is compared:
+//! [`PlanFrame`] of the one before, and each chunk is compared:
 //!
 //! ```text
 //!  levels ─▶ frame ─▶ plan ─▶ for each chunk: the same levels wherever its mesh reached (core, halo, all retries)?
@@ -19,7 +19,7 @@ use super::encoded::EncodedChunk;
 use super::sums::StoredSums;
 use crate::archive::manifest::{FrameRecord, MeshPlan, StepPlan};
 use crate::density::Choice;
-use crate::pipeline::plan::{Frame, Halo, MeshParts, Plan, estimate};
+use crate::pipeline::plan::{Halo, MeshParts, Plan, PlanFrame, estimate};
 use crate::pipeline::read::{StepView, limits};
 use crate::pipeline::stage::StageTimes;
 use isospan_io::error::Result;
@@ -37,19 +37,19 @@ pub(in crate::pipeline) struct Round {
     /// The wanted density of points.
     pub(super) choice: Choice,
     /// What the plan has from that of the try before.
-    pub(super) frame: Option<Frame>,
+    pub(super) frame: Option<PlanFrame>,
     /// That try.
     pub(super) before: StepView,
 }
 
 impl Round {
     pub(super) fn new(choice: Choice, before: StepView) -> Result<Self> {
-        let frame = Frame::of(&before, &choice)?;
+        let frame = PlanFrame::of(&before, &choice)?;
         Ok(Self { choice, frame, before })
     }
 }
 
-impl Frame {
+impl PlanFrame {
     /// The frame of an archive, for other levels of its points; `None` where their bricks or chunks
     /// would be too large.
     fn of(before: &StepView, choice: &Choice) -> Result<Option<Self>> {

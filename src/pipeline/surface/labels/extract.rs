@@ -1,6 +1,6 @@
 //! The sides of all quads, part by part, sorted by label: what meshes are made of.
 
-use super::image::{CellBox, LabelImage, Wanted};
+use super::image::{CellBox, LabelImage, LabelSelection};
 use super::settings::LabelSettings;
 use crate::pipeline::plan::estimate;
 use crate::surface::nets::{LabelBlock, LabelBuilder, LabelMeshSize, Side, nodes_around, quads_of};
@@ -53,7 +53,7 @@ impl LabelMeshes {
     /// Finds the sides of the wanted labels in some bricks.
     pub(super) fn of(
         image: &LabelImage<'_>,
-        wanted: &Wanted,
+        wanted: &LabelSelection,
         bricks: impl IntoIterator<Item = [u64; 3]> + Clone,
         settings: &LabelSettings,
         scratch: &Path,
@@ -147,7 +147,7 @@ fn part_bytes(part: &CellBox, steps: u32) -> u64 {
 }
 
 /// The sides of the wanted labels in a part.
-fn sides_of(image: &LabelImage<'_>, wanted: &Wanted, part: CellBox, steps: u32) -> Result<Vec<Side>> {
+fn sides_of(image: &LabelImage<'_>, wanted: &LabelSelection, part: CellBox, steps: u32) -> Result<Vec<Side>> {
     let around = nodes_around(steps) as i64;
     let start = part.map(|[lo, _]| lo as i64 - 1 - around);
     let size = std::array::from_fn(|a| (part[a][1] as i64 + around + 1 - start[a]) as usize);

@@ -26,7 +26,7 @@ pub(super) struct LabelImage<'a> {
 }
 
 /// Which labels are wanted, as the archive has values.
-pub(super) enum Wanted {
+pub(super) enum LabelSelection {
     /// These, ascending.
     Each(Vec<i32>),
     /// All but one.
@@ -34,7 +34,7 @@ pub(super) enum Wanted {
     All,
 }
 
-impl Wanted {
+impl LabelSelection {
     pub(super) fn has(&self, label: i32) -> bool {
         label != NO_LABEL
             && match self {
@@ -112,22 +112,22 @@ impl<'a> LabelImage<'a> {
     }
 
     /// The labels that are wanted. Those that no value of the archive can have are left out.
-    pub(super) fn wanted(&self, labels: &Labels) -> Wanted {
+    pub(super) fn wanted(&self, labels: &Labels) -> LabelSelection {
         let kept = |label: i64| i32::try_from(label - self.offset).ok().filter(|label| *label != NO_LABEL);
         match labels {
             Labels::Each(labels) => {
                 let mut labels: Vec<i32> = labels.iter().filter_map(|&label| kept(label)).collect();
                 labels.sort_unstable();
-                Wanted::Each(labels)
+                LabelSelection::Each(labels)
             }
-            Labels::All => kept(0).map_or(Wanted::All, Wanted::AllBut),
-            Labels::AllWithBackground => Wanted::All,
+            Labels::All => kept(0).map_or(LabelSelection::All, LabelSelection::AllBut),
+            Labels::AllWithBackground => LabelSelection::All,
         }
     }
 
     /// The bricks that may hold a part of the surfaces: those that have several labels, one of them
     /// wanted; and those of one that is wanted at the ends of the image.
-    pub(super) fn active_bricks(&self, wanted: &Wanted) -> Result<ActiveBricks> {
+    pub(super) fn active_bricks(&self, wanted: &LabelSelection) -> Result<ActiveBricks> {
         let counts = self.brick_counts();
         let all = counts.iter().product();
         let Some(range) = self.view.value_range() else {
@@ -153,7 +153,7 @@ impl<'a> LabelImage<'a> {
     fn add_bricks(
         &self,
         entries: &[Entry],
-        wanted: &Wanted,
+        wanted: &LabelSelection,
         counts: &[u64; 3],
         places: &mut BTreeSet<[u64; 3]>,
     ) -> Result<()> {
