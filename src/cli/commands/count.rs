@@ -3,7 +3,7 @@
 use super::grammar::{self, Value};
 use super::labels::{self, LabelArgs};
 use super::level::LevelArgs;
-use super::numbers::{self, Means, With};
+use super::numbers::{self, MeasureFlags, With};
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
@@ -51,7 +51,7 @@ pub struct Args {
     #[command(flatten)]
     step: StepArgs,
     #[command(flatten)]
-    means: Means,
+    means: MeasureFlags,
     /// Print the result as JSON, one object per line.
     #[arg(long)]
     json: bool,

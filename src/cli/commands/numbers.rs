@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 /// What measuring takes.
 #[derive(clap::Args, Clone, Debug)]
-pub(crate) struct Means {
+pub(crate) struct MeasureFlags {
     #[command(flatten)]
     machine: Machine,
     /// Folder for what does not fit in memory [default: the system's temporary folder].
@@ -20,7 +20,7 @@ pub(crate) struct Means {
     scratch: Option<PathBuf>,
 }
 
-impl Means {
+impl MeasureFlags {
     pub(crate) fn resources(&self, talk: &Talk) -> Resources {
         self.machine.resources(self.scratch.clone(), talk)
     }

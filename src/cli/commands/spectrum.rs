@@ -1,7 +1,7 @@
 //! `isospan spectrum`: how the isosurface changes with the isovalue.
 
 use super::grammar::{self, Value};
-use super::numbers::{self, Means, With};
+use super::numbers::{self, MeasureFlags, With};
 use super::output::Force;
 use super::progress::Talk;
 use super::step::StepArgs;
@@ -48,14 +48,14 @@ pub struct Args {
     #[command(flatten)]
     force: Force,
     #[command(flatten)]
-    means: Means,
+    means: MeasureFlags,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
+    let format = args.plot.as_deref().map(figure::FigureFormat::of).transpose()?;
     args.plot.iter().try_for_each(|plot| args.force.check(plot, [&args.archive]))?;
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
     let archive = Archive::open(&args.archive)?.in_field(args.step.field());

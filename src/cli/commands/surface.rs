@@ -63,7 +63,7 @@ pub struct Args {
     pub output: PathBuf,
     /// The format [default: as the file's name ends; ply for standard output].
     #[arg(long, value_enum)]
-    format: Option<Format>,
+    format: Option<FormatArg>,
     /// A .glb of fewer bytes. Without HOW or with 'quantized', of about half: positions of 16
     /// bits, normals of 8 (KHR_mesh_quantization). Positions are off by at most 1/131070 of the
     /// longest edge of the surface's box. With 'meshopt', of about a quarter: the same numbers and
@@ -159,7 +159,7 @@ const LABELS_SMOOTHED: u32 = 10;
 const STANDARD_OUTPUT: &str = "-";
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum Format {
+enum FormatArg {
     Ply,
     Stl,
     Obj,
@@ -177,17 +177,17 @@ enum Compress {
     Meshopt,
 }
 
-impl From<Format> for SurfaceFormat {
-    fn from(format: Format) -> Self {
+impl From<FormatArg> for SurfaceFormat {
+    fn from(format: FormatArg) -> Self {
         match format {
-            Format::Ply => Self::Ply,
-            Format::Stl => Self::Stl,
-            Format::Obj => Self::Obj,
-            Format::Vtp => Self::Vtp,
-            Format::Vtkhdf => Self::VtkHdf,
-            Format::Glb => Self::Glb,
-            Format::ThreeMf => Self::ThreeMf,
-            Format::Precomputed => Self::Neuroglancer,
+            FormatArg::Ply => Self::Ply,
+            FormatArg::Stl => Self::Stl,
+            FormatArg::Obj => Self::Obj,
+            FormatArg::Vtp => Self::Vtp,
+            FormatArg::Vtkhdf => Self::VtkHdf,
+            FormatArg::Glb => Self::Glb,
+            FormatArg::ThreeMf => Self::ThreeMf,
+            FormatArg::Precomputed => Self::Neuroglancer,
         }
     }
 }
@@ -200,7 +200,7 @@ impl Args {
     /// What is written.
     fn format(&self) -> Result<SurfaceFormat> {
         match self.format {
-            Some(Format::Precomputed) if self.is_to_standard_output() => Err(Error::usage(
+            Some(FormatArg::Precomputed) if self.is_to_standard_output() => Err(Error::usage(
                 "meshes of neuroglancer are a folder: give -o a name such as meshes.precomputed in place of -",
             )),
             Some(format) => Ok(format.into()),

@@ -32,12 +32,12 @@ const COLOURS: [RGBColor; 3] = [RGBColor(0, 92, 163), RGBColor(190, 60, 20), RGB
 
 /// What is written.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Format {
+pub(crate) enum FigureFormat {
     Svg,
     Png,
 }
 
-impl Format {
+impl FigureFormat {
     /// By the ending of a file's name.
     pub(crate) fn of(file: &Path) -> Result<Self> {
         let ending = file.extension().unwrap_or_default().to_ascii_lowercase();
@@ -82,7 +82,7 @@ pub(crate) fn write(
     name: &str,
     units: &Units,
     file: &Path,
-    format: Format,
+    format: FigureFormat,
 ) -> Result<()> {
     write_figure(&Curves { report, name, units }, file, format)
 }
@@ -93,13 +93,13 @@ fn in_brackets(unit: Option<&Unit>) -> String {
 }
 
 /// Draws a figure into a file.
-pub(crate) fn write_figure(figure: &impl Figure, file: &Path, format: Format) -> Result<()> {
+pub(crate) fn write_figure(figure: &impl Figure, file: &Path, format: FigureFormat) -> Result<()> {
     // Registering again replaces the same font by itself.
     let registered = register_font("sans-serif", FontStyle::Normal, FONT).is_ok();
     assert!(registered, "the font is part of the program, and sound");
     let bytes = match format {
-        Format::Svg => svg(figure),
-        Format::Png => png(figure),
+        FigureFormat::Svg => svg(figure),
+        FigureFormat::Png => png(figure),
     };
     publish(file, |out| out.write_all(&bytes).map_err(|e| Error::io("write", file, e)))
 }
@@ -312,7 +312,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let files = ["a.svg", "a.png"].map(|f| dir.path().join(f));
         let units = Units { value: Unit::new("K"), ..Units::of_length(Unit::length("mm")) };
-        files.iter().for_each(|f| write(&report, "tooth", &units, f, Format::of(f).unwrap()).unwrap());
+        files.iter().for_each(|f| write(&report, "tooth", &units, f, FigureFormat::of(f).unwrap()).unwrap());
         let svg = std::fs::read_to_string(&files[0]).unwrap();
         for words in [
             "Contour spectrum of tooth",
@@ -332,6 +332,6 @@ mod tests {
             let curve = [colour.0, colour.1, colour.2];
             assert!(pixels.chunks_exact(3).filter(|p| **p == curve).count() > 200, "{colour:?}");
         }
-        assert!(Format::of(Path::new("x.pdf")).is_err());
+        assert!(FigureFormat::of(Path::new("x.pdf")).is_err());
     }
 }

@@ -124,7 +124,7 @@ fn colour(share: f64) -> RGBColor {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Format, write_figure};
+    use super::super::{FigureFormat, write_figure};
     use super::*;
     use isospan::pipeline::Knot;
     use isospan::pipeline::SpectrumReport;
@@ -159,7 +159,7 @@ mod tests {
         for name in ["a.svg", "a.png"] {
             let file = dir.path().join(name);
             let drawn = OverTime { steps: &steps, name: "waves", units: &Units::default() };
-            write_figure(&drawn, &file, Format::of(&file).unwrap()).unwrap();
+            write_figure(&drawn, &file, FigureFormat::of(&file).unwrap()).unwrap();
             assert!(std::fs::metadata(&file).unwrap().len() > 1000);
         }
         let svg = std::fs::read_to_string(dir.path().join("a.svg")).unwrap();

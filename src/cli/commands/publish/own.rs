@@ -33,18 +33,18 @@ impl Hash {
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct List {
     format: String,
-    files: BTreeMap<String, Entry>,
+    files: BTreeMap<String, ListedFile>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
-struct Entry {
+struct ListedFile {
     bytes: u64,
     xxh3: String,
 }
 
 impl List {
     pub(super) fn add(&mut self, name: String, bytes: u64, hash: u64) {
-        self.files.insert(name, Entry { bytes, xxh3: format!("{hash:016x}") });
+        self.files.insert(name, ListedFile { bytes, xxh3: format!("{hash:016x}") });
     }
 
     pub(super) fn to_text(&self) -> String {
@@ -119,7 +119,7 @@ impl List {
     }
 }
 
-impl Entry {
+impl ListedFile {
     /// Whether a file is the one that was written.
     fn is_of(&self, path: &Path) -> bool {
         let Some(mut file) = plain_file(path) else { return false };

@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// What a file is, by the ending of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum FilmFormat {
     Png,
     /// A PNG by the name of animated ones.
     Apng,
@@ -20,7 +20,7 @@ const GIF_SIDE: usize = u16::MAX as usize;
 /// Pixels that the quantizer of colours looks at: one of so many.
 const GIF_SPEED: i32 = 10;
 
-impl Kind {
+impl FilmFormat {
     pub(super) fn of(file: &Path) -> Result<Self> {
         let ending = file.extension().unwrap_or_default().to_ascii_lowercase();
         match ending.to_str() {
@@ -65,14 +65,14 @@ impl<'a> Film<'a> {
     pub(super) fn begin(
         file: &'a Path,
         out: &'a mut File,
-        kind: Kind,
+        kind: FilmFormat,
         [width, height]: [usize; 2],
         pace: Pace,
         opaque: bool,
     ) -> Result<Self> {
         let failed = |e: std::io::Error| Error::io("write", file, e);
         let out = BufWriter::new(out);
-        let encoder = if kind == Kind::Gif {
+        let encoder = if kind == FilmFormat::Gif {
             if width.max(height) > GIF_SIDE {
                 let text =
                     format!("a GIF is at most {GIF_SIDE} pixels wide and high, not {width} x {height}");

@@ -25,7 +25,7 @@ pub(super) struct Parts {
     pub(super) scale_bar: bool,
 }
 
-pub(super) struct Layout {
+pub(super) struct PanelLayout {
     columns: usize,
     panel: [usize; 2],
     /// Height of a line of words, and of the letters in it.
@@ -47,7 +47,7 @@ pub(super) fn ink([r, g, b, opacity]: [u8; 4]) -> [u8; 3] {
     if dark { [235; 3] } else { [30; 3] }
 }
 
-impl Layout {
+impl PanelLayout {
     pub(super) fn new(args: &Args, parts: Parts) -> Result<Self> {
         let Parts { panels, frames, .. } = parts;
         let columns = args.columns.unwrap_or(panels.min(4)).clamp(1, panels.max(1));

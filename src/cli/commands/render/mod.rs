@@ -18,7 +18,7 @@ use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
 use clap::Parser as _;
-use film::{Film, Kind, Pace};
+use film::{Film, FilmFormat, Pace};
 use isospan::compare::{CompareSettings, distances};
 use isospan::exec::{CancelToken, Progress};
 use isospan::formats::surface::load_surface;
@@ -28,7 +28,7 @@ use isospan::surface::check::CheckSettings;
 use isospan::surface::{SurfaceSource, TriMesh};
 use isospan::volume::units::{Unit, common};
 use isospan::{Error, Resources, Result};
-use layout::{Layout, Parts};
+use layout::{PanelLayout, Parts};
 use scene::{Input, Panel, Shape};
 use serde::Serialize;
 use std::ffi::OsString;
@@ -289,7 +289,7 @@ pub fn draw(
 }
 
 fn drawn(args: &Args, talk: &Talk, cancel: CancelToken, progress: &dyn Progress) -> Result<Drawn> {
-    let kind = Kind::of(&args.output)?;
+    let kind = FilmFormat::of(&args.output)?;
     args.force.check(&args.output, args.inputs.iter().chain(&args.distance_to))?;
     let memory = args.machine.memory(talk);
     let scratch = args.scratch.clone().unwrap_or_else(std::env::temp_dir);
@@ -327,8 +327,8 @@ struct Alone {
 impl BothWays<'_> {
     /// Refuses a name that is not one of a picture.
     pub(crate) fn check(out: &Path) -> Result<()> {
-        match Kind::of(out)? {
-            Kind::Png => Ok(()),
+        match FilmFormat::of(out)? {
+            FilmFormat::Png => Ok(()),
             _ => {
                 Err(Error::usage(format!("{} is an animation: give a name that ends in .png", out.display())))
             }
@@ -401,7 +401,7 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn draw(&self, kind: Kind, progress: &dyn Progress) -> Result<Drawn> {
+    fn draw(&self, kind: FilmFormat, progress: &dyn Progress) -> Result<Drawn> {
         let args = self.args;
         let inputs = self.open()?;
         let steps = args.step_range().is_some();
@@ -424,7 +424,7 @@ impl Job<'_> {
             bar: !args.distance_to.is_empty() || !args.slice.is_empty() || args.colour_by.is_some(),
             scale_bar: args.scale_bar,
         };
-        let layout = Layout::new(args, parts)?;
+        let layout = PanelLayout::new(args, parts)?;
         self.check_captions(count)?;
         let colours = self.colours(&inputs)?;
         let mut panels = self.panels(&inputs, steps_are_frames, progress)?;
@@ -455,7 +455,7 @@ impl Job<'_> {
     }
 
     /// How many frames there are; 1 of a picture.
-    fn frames(&self, inputs: &[Input], kind: Kind, steps_are_frames: bool) -> Result<usize> {
+    fn frames(&self, inputs: &[Input], kind: FilmFormat, steps_are_frames: bool) -> Result<usize> {
         let args = self.args;
         if let Some(n) = args.turntable {
             return Ok(n as usize);
@@ -661,7 +661,7 @@ fn plain(text: &str) -> String {
 /// All that frames are drawn from.
 struct Stage<'a> {
     job: &'a Job<'a>,
-    layout: Layout,
+    layout: PanelLayout,
     inputs: usize,
     panels: Vec<Panel>,
     views: Vec<View>,

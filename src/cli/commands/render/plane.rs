@@ -132,7 +132,7 @@ impl Slice {
         resources: &Resources,
     ) -> Result<Canvas> {
         let mut canvas = Canvas::new(size, background);
-        let frame = Frame::new(&canvas, self, size, unit)?;
+        let frame = PlotFrame::new(&canvas, self, size, unit)?;
         let [left, top, width, height] = frame.place;
         let middle = |n: usize, side: usize| (n as f64 + 0.5) / side as f64;
         let share = |n: usize| [middle(n % width, width), 1.0 - middle(n / width, height)];
@@ -147,7 +147,7 @@ impl Slice {
 }
 
 /// Where a flat picture lies on its panel, and its axes.
-struct Frame {
+struct PlotFrame {
     /// Left, top, width, height.
     place: [usize; 4],
     letters: f32,
@@ -157,7 +157,7 @@ struct Frame {
     names: [String; 2],
 }
 
-impl Frame {
+impl PlotFrame {
     fn new(canvas: &Canvas, slice: &Slice, size: [usize; 2], unit: Option<&Unit>) -> Result<Self> {
         let across = slice.across();
         let ends = across.map(|a| [slice.hull[0][a], slice.hull[1][a]]);

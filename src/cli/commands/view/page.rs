@@ -1,7 +1,7 @@
 //! The files of the page, compiled in: `src/cli/page`.
 
 /// A file of the page.
-pub(in crate::commands) struct File {
+pub(in crate::commands) struct PageFile {
     pub(in crate::commands) name: &'static str,
     pub(super) kind: &'static str,
     pub(in crate::commands) content: &'static [u8],
@@ -14,7 +14,7 @@ macro_rules! file {
         file!($name, $kind, "", false)
     };
     ($name:literal, $kind:literal, $suffix:literal, $is_gzip:literal) => {
-        File {
+        PageFile {
             name: $name,
             kind: concat!($kind, "; charset=utf-8"),
             content: include_bytes!(concat!("../../page/", $name, $suffix)),
@@ -24,7 +24,7 @@ macro_rules! file {
 }
 
 /// All files; the first is the page itself.
-pub(in crate::commands) const FILES: &[File] = &[
+pub(in crate::commands) const FILES: &[PageFile] = &[
     file!("index.html", "text/html"),
     file!("style.css", "text/css"),
     file!("main.js", "text/javascript"),

@@ -209,15 +209,15 @@ fn words(error: &Error) -> String {
 
 /// What an answer is.
 #[derive(Clone, Copy)]
-struct Kind {
+struct AnswerKind {
     content: &'static str,
     /// Whether the last part can say what went wrong.
     in_parts: bool,
 }
 
-const JSON: Kind = Kind { content: "application/json", in_parts: false };
-const NUMBERS: Kind = Kind { content: "application/octet-stream", in_parts: false };
-const PARTS: Kind = Kind { in_parts: true, ..NUMBERS };
+const JSON: AnswerKind = AnswerKind { content: "application/json", in_parts: false };
+const NUMBERS: AnswerKind = AnswerKind { content: "application/octet-stream", in_parts: false };
+const PARTS: AnswerKind = AnswerKind { in_parts: true, ..NUMBERS };
 
 async fn archives(State(server): State<Arc<Server>>, Extension(busy): Extension<Busy>) -> Response {
     answer(server, busy, JSON, |server, _, sink| answers::archives(&server.archives, sink)).await
@@ -230,7 +230,10 @@ async fn colours(State(server): State<Arc<Server>>, Extension(busy): Extension<B
 /// A question about an archive: the archives, which of them, the parameters, what may be used.
 type Question<Q> = fn(&Archives, usize, &Q, &Resources, &mut dyn Sink) -> Result<()>;
 
-fn ask<Q: DeserializeOwned + Send + 'static>(kind: Kind, question: Question<Q>) -> MethodRouter<Arc<Server>> {
+fn ask<Q: DeserializeOwned + Send + 'static>(
+    kind: AnswerKind,
+    question: Question<Q>,
+) -> MethodRouter<Arc<Server>> {
     get(
         move |State(server): State<Arc<Server>>,
               Extension(busy): Extension<Busy>,
@@ -248,7 +251,7 @@ fn ask<Q: DeserializeOwned + Send + 'static>(kind: Kind, question: Question<Q>) 
 async fn answer(
     server: Arc<Server>,
     busy: Busy,
-    kind: Kind,
+    kind: AnswerKind,
     work: impl FnOnce(&Server, &Resources, &mut dyn Sink) -> Result<()> + Send + 'static,
 ) -> Response {
     // As many wait as there are connections.
@@ -312,7 +315,7 @@ impl Stream {
     }
 
     /// Ends the answer with an error, or with what is left of its bytes.
-    fn end(mut self, mut result: Result<()>, kind: Kind) {
+    fn end(mut self, mut result: Result<()>, kind: AnswerKind) {
         if self.has_begun && kind.in_parts {
             result = result.or_else(|e| answers::failed_part(&words(&e), &mut self));
         }
