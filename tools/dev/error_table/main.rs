@@ -195,7 +195,7 @@ impl Volume {
             let k = f64::midpoint(few, many);
             if count(kept(k)) > most { many = k } else { few = k }
         }
-        let axes: Vec<Axis> = kept(few).iter().zip(dims).map(|(&n, d)| Axis::new(n, d)).collect();
+        let axes: Vec<KeptAxis> = kept(few).iter().zip(dims).map(|(&n, d)| KeptAxis::new(n, d)).collect();
         let slice = |z: usize| -> Result<Vec<f32>> {
             let mut out = vec![0.0; dims[0] * dims[1]];
             let z = z as u64;
@@ -228,13 +228,13 @@ fn dense(values: Values) -> ReduceSettings {
 }
 
 /// The voxels of an axis that are kept, and where each voxel lies among them.
-struct Axis {
+struct KeptAxis {
     kept: Vec<usize>,
     /// Number of the one before, and the weight of the one after.
     between: Vec<(usize, f64)>,
 }
 
-impl Axis {
+impl KeptAxis {
     fn new(n: usize, d: usize) -> Self {
         let last = (d - 1) as f64;
         let kept: Vec<usize> = (0..n).map(|i| (i as f64 * last / (n - 1) as f64).round() as usize).collect();
@@ -249,7 +249,7 @@ impl Axis {
 }
 
 /// The squared errors of a slice between two that are kept.
-fn slice_error(axes: &[Axis], slice: &[f32], [below, above]: &[Vec<f32>; 2], weight: f64) -> f64 {
+fn slice_error(axes: &[KeptAxis], slice: &[f32], [below, above]: &[Vec<f32>; 2], weight: f64) -> f64 {
     let (nx, mut sum) = (axes[0].between.len(), 0.0);
     let mix = |a: f64, b: f64, w: f64| a + (b - a) * w;
     for (y, &(j, wy)) in axes[1].between.iter().enumerate() {
@@ -328,7 +328,7 @@ mod tests {
 
     #[test]
     fn a_field_linear_along_each_axis_has_no_error_between_voxels() {
-        let axes = [Axis::new(3, 8), Axis::new(4, 5), Axis::new(2, 3)];
+        let axes = [KeptAxis::new(3, 8), KeptAxis::new(4, 5), KeptAxis::new(2, 3)];
         assert_eq!(axes[0].kept, [0, 4, 7]);
         let f = |x: usize, y: usize, z: usize| (x * 2 + y * 3 + x * y + z * 5) as f32;
         let slice = |z: usize| (0..40).map(|n| f(n % 8, n / 8, z)).collect::<Vec<_>>();

@@ -28,7 +28,7 @@ mod targets;
 use folders::Folder;
 use isospan::{Error, Result};
 use mutate::{Random, mutate};
-use seeds::Format;
+use seeds::FormatSeeds;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -110,9 +110,9 @@ fn parse(args: &[String]) -> Result<Settings> {
 
 /// What a case is about.
 enum Target<'a> {
-    Volume(&'a Format),
-    Mesh(&'a Format),
-    Surface(&'a Format),
+    Volume(&'a FormatSeeds),
+    Mesh(&'a FormatSeeds),
+    Surface(&'a FormatSeeds),
     Folders(&'a [Folder]),
     Blocks(&'a [Vec<u8>]),
     Arrays(&'a [Vec<u8>]),

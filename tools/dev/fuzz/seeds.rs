@@ -16,7 +16,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Good inputs of one format.
-pub(crate) struct Format {
+pub(crate) struct FormatSeeds {
     /// What the file's name ends in, without the first dot.
     pub(crate) extension: &'static str,
     pub(crate) inputs: Vec<Vec<u8>>,
@@ -27,7 +27,7 @@ pub(crate) struct Format {
 const LARGEST: u64 = 40_000;
 
 /// Formats of volumes, of meshes, then of surfaces, each with at least one input.
-pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
+pub(crate) fn all(folder: &Path) -> Result<[Vec<FormatSeeds>; 3]> {
     let (mut volumes, mut meshes) = (volumes(folder)?, meshes());
     let mut surfaces = vec![];
     for format in SurfaceFormat::ALL.into_iter().filter(|format| format.is_read()) {
@@ -41,11 +41,11 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
     Ok([volumes, meshes, surfaces])
 }
 
-fn of(extension: &'static str, inputs: Vec<Vec<u8>>) -> Format {
-    Format { extension, inputs }
+fn of(extension: &'static str, inputs: Vec<Vec<u8>>) -> FormatSeeds {
+    FormatSeeds { extension, inputs }
 }
 
-fn volumes(folder: &Path) -> Result<Vec<Format>> {
+fn volumes(folder: &Path) -> Result<Vec<FormatSeeds>> {
     Ok(vec![
         of("nrrd", nrrd()),
         of("nhdr", vec![b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nendian: little\nencoding: raw\ndata file: x%d.raw 1 2 1\n".to_vec()]),
@@ -96,7 +96,7 @@ fn volumes(folder: &Path) -> Result<Vec<Format>> {
     ])
 }
 
-fn meshes() -> Vec<Format> {
+fn meshes() -> Vec<FormatSeeds> {
     vec![
         of("vtu", vec![VTU.into(), POLYHEDRA.into(), POLYHEDRA_OLD.into()]),
         of("vtm", vec![LIST.into()]),
@@ -128,7 +128,7 @@ fn meshes() -> Vec<Format> {
 }
 
 /// Adds the small files below a folder to their formats, in the order of their names.
-fn add_shared(folder: &Path, formats: &mut [&mut Vec<Format>]) {
+fn add_shared(folder: &Path, formats: &mut [&mut Vec<FormatSeeds>]) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
     paths.sort();

@@ -1,7 +1,7 @@
 //! Volumes that are folders: a stack of TIFF slices, a Zarr array. Both are made as the slices
 //! come.
 
-use crate::{Kind, Settings};
+use crate::{NumberType, Settings};
 use isospan::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -64,7 +64,7 @@ fn tiff_head(s: &Settings) -> Vec<u8> {
     let bits = 8 * s.kind.bytes() as u32;
     let [x, y, _] = s.dims.map(|d| d as u32);
     // Unsigned integers are sample format 1, floating-point numbers 3.
-    let format = if s.kind == Kind::F32 { 3 } else { 1 };
+    let format = if s.kind == NumberType::F32 { 3 } else { 1 };
     let mut tags = [
         (256, LONG, x),
         (257, LONG, y),
@@ -101,9 +101,9 @@ fn tiff_head(s: &Settings) -> Vec<u8> {
 /// Version 3: https://zarr-specs.readthedocs.io/en/latest/v3/core/index.html
 fn zarr_json(s: &Settings) -> String {
     let kind = match s.kind {
-        Kind::F32 => "float32",
-        Kind::U8 => "uint8",
-        Kind::U16 => "uint16",
+        NumberType::F32 => "float32",
+        NumberType::U8 => "uint8",
+        NumberType::U16 => "uint16",
     };
     let endian = if s.big_endian { "big" } else { "little" };
     let [x, y, z] = s.dims;

@@ -44,13 +44,13 @@ enum Field {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
+enum NumberType {
     F32,
     U8,
     U16,
 }
 
-impl Kind {
+impl NumberType {
     fn bytes(self) -> usize {
         match self {
             Self::F32 => 4,
@@ -73,7 +73,7 @@ enum Format {
 struct Settings {
     field: Field,
     dims: [usize; 3],
-    kind: Kind,
+    kind: NumberType,
     big_endian: bool,
     periods: u32,
     format: Format,
@@ -98,7 +98,7 @@ fn main() -> ExitCode {
 impl Settings {
     fn parse(args: &[String]) -> Result<Self> {
         let (mut field, mut dims, mut out) = (None, None, None);
-        let (mut kind, mut big_endian, mut periods) = (Kind::F32, false, 2);
+        let (mut kind, mut big_endian, mut periods) = (NumberType::F32, false, 2);
         let mut args = args.iter();
         while let Some(arg) = args.next() {
             let mut value =
@@ -108,7 +108,11 @@ impl Settings {
                 "--type" => {
                     kind = one_of(
                         value()?,
-                        &[("float32", Kind::F32), ("uint8", Kind::U8), ("uint16", Kind::U16)],
+                        &[
+                            ("float32", NumberType::F32),
+                            ("uint8", NumberType::U8),
+                            ("uint16", NumberType::U16),
+                        ],
                     )?;
                 }
                 "--endian" => big_endian = one_of(value()?, &[("little", false), ("big", true)])?,
@@ -175,11 +179,11 @@ impl Settings {
         let (lo, hi) = self.range();
         let scaled = |max: f64| ((value - lo) / (hi - lo) * max + 0.5).clamp(0.0, max).floor();
         match (self.kind, self.big_endian) {
-            (Kind::F32, false) => bytes.extend((value as f32).to_le_bytes()),
-            (Kind::F32, true) => bytes.extend(swapped((value as f32).to_le_bytes())),
-            (Kind::U16, false) => bytes.extend((scaled(65535.0) as u16).to_le_bytes()),
-            (Kind::U16, true) => bytes.extend(swapped((scaled(65535.0) as u16).to_le_bytes())),
-            (Kind::U8, _) => bytes.push(scaled(255.0) as u8),
+            (NumberType::F32, false) => bytes.extend((value as f32).to_le_bytes()),
+            (NumberType::F32, true) => bytes.extend(swapped((value as f32).to_le_bytes())),
+            (NumberType::U16, false) => bytes.extend((scaled(65535.0) as u16).to_le_bytes()),
+            (NumberType::U16, true) => bytes.extend(swapped((scaled(65535.0) as u16).to_le_bytes())),
+            (NumberType::U8, _) => bytes.push(scaled(255.0) as u8),
         }
     }
 
@@ -223,9 +227,9 @@ impl Settings {
     fn nrrd_header(&self) -> Vec<u8> {
         let ([x, y, z], [dx, dy, dz]) = (self.dims, self.spacing());
         let kind = match self.kind {
-            Kind::F32 => "float",
-            Kind::U8 => "uint8",
-            Kind::U16 => "uint16",
+            NumberType::F32 => "float",
+            NumberType::U8 => "uint8",
+            NumberType::U16 => "uint16",
         };
         let (endian, lo) = (if self.big_endian { "big" } else { "little" }, self.domain().0);
         format!(
@@ -242,11 +246,11 @@ impl Settings {
     fn npy_header(&self) -> Vec<u8> {
         let [x, y, z] = self.dims;
         let descr = match (self.kind, self.big_endian) {
-            (Kind::U8, _) => "|u1",
-            (Kind::U16, false) => "<u2",
-            (Kind::U16, true) => ">u2",
-            (Kind::F32, false) => "<f4",
-            (Kind::F32, true) => ">f4",
+            (NumberType::U8, _) => "|u1",
+            (NumberType::U16, false) => "<u2",
+            (NumberType::U16, true) => ">u2",
+            (NumberType::F32, false) => "<f4",
+            (NumberType::F32, true) => ">f4",
         };
         let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({z}, {y}, {x}), }}");
         while (10 + text.len() + 1) % 64 != 0 {

@@ -40,7 +40,7 @@ const REAL: [(&str, &str, f32); 4] = [
 ];
 
 /// A field with what reductions of it are measured against.
-struct Field {
+struct MeasuredField {
     name: String,
     input: PathBuf,
     isovalue: f32,
@@ -112,7 +112,7 @@ impl Way {
     }
 
     /// Those that a field can be reduced in.
-    fn of(field: &Field, quick: bool) -> Vec<Self> {
+    fn of(field: &MeasuredField, quick: bool) -> Vec<Self> {
         if quick {
             let [sampled, fitted] = [Values::Sample, Values::Fit].map(|v| Self::Set(Points::Hammersley, v));
             return vec![sampled, fitted, Self::Adapted(Values::Sample), Self::Voxels];
@@ -125,7 +125,7 @@ impl Way {
     }
 }
 
-impl Field {
+impl MeasuredField {
     /// The fields of this run: of the lab, and real ones where there is a folder of them.
     fn all(lab: &Lab, shared: Option<&Path>, quick: bool) -> Result<Vec<Self>> {
         let mut out = vec![];
@@ -297,7 +297,7 @@ impl Curves {
     /// Reduces all fields in all ways.
     pub(crate) fn new(lab: &Lab, folder: &Path, shared: Option<&Path>, quick: bool) -> Result<Self> {
         let mut fields = vec![];
-        for field in Field::all(lab, shared, quick)? {
+        for field in MeasuredField::all(lab, shared, quick)? {
             let curves = Way::of(&field, quick).into_iter().map(|way| field.curve(way, folder));
             fields.push((field.name.clone(), curves.collect::<Result<_>>()?));
         }

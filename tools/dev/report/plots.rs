@@ -157,12 +157,12 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Drawn {
     let each = if chart.lines.len() > MANY { 0.065 } else { 0.11 };
     let room = 0.12 + each * chart.lines.len() as f64;
     if !chart.log {
-        let axis = |hi: f64| Axis { range: (0.0..hi).into(), ticks: None };
+        let axis = |hi: f64| PlotAxis { range: (0.0..hi).into(), ticks: None };
         return axes(area, chart, axis(x1 * 1.05), axis(y1 * (1.0 + room)));
     }
     let [x0, x1, y0, y1] = [x0, x1, y0, y1].map(f64::log10);
     let tall = (y1 - y0).max(0.3);
-    let axis = |lo: f64, hi: f64| Axis { range: (lo..hi).into(), ticks: Some(ticks(lo, hi)) };
+    let axis = |lo: f64, hi: f64| PlotAxis { range: (lo..hi).into(), ticks: Some(ticks(lo, hi)) };
     axes(area, chart, axis(x0 - 0.08, x1 + 0.08), axis(y0 - 0.08 * tall, y1 + room * tall))
 }
 
@@ -178,12 +178,12 @@ fn ticks(lo: f64, hi: f64) -> Vec<f64> {
 }
 
 /// An axis of numbers, or of logarithms with marks of its own.
-struct Axis {
+struct PlotAxis {
     range: RangedCoordf64,
     ticks: Option<Vec<f64>>,
 }
 
-impl Ranged for Axis {
+impl Ranged for PlotAxis {
     type FormatOption = NoDefaultFormatting;
     type ValueType = f64;
 
@@ -200,13 +200,13 @@ impl Ranged for Axis {
     }
 }
 
-impl ValueFormatter<f64> for Axis {
+impl ValueFormatter<f64> for PlotAxis {
     fn format(value: &f64) -> String {
         short(*value)
     }
 }
 
-fn axes(area: &Area<'_>, chart: &Chart, x: Axis, y: Axis) -> Drawn {
+fn axes(area: &Area<'_>, chart: &Chart, x: PlotAxis, y: PlotAxis) -> Drawn {
     let font = |size: u32| ("sans-serif", size * LARGER).into_font().color(&INK);
     // Of a logarithmic axis, the number that is meant; without what rounding adds.
     let label =

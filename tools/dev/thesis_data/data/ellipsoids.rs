@@ -98,14 +98,14 @@ pub(crate) fn mesh_body(layers: &[Layer], vertices: usize) -> Result<TetMesh> {
 }
 
 /// Points of a body.
-struct Placed {
+struct BodyPoints {
     positions: Vec<[f64; 3]>,
     /// The ellipsoid on which each lies.
     on: Vec<Option<usize>>,
 }
 
-fn place(layers: &[Layer], spacing: f64) -> Placed {
-    let mut placed = Placed { positions: vec![], on: vec![] };
+fn place(layers: &[Layer], spacing: f64) -> BodyPoints {
+    let mut placed = BodyPoints { positions: vec![], on: vec![] };
     for (number, layer) in layers.iter().enumerate() {
         let n = (layer.area() / (spacing * spacing)).round().max(12.0) as usize;
         placed.positions.extend(layer.fibonacci(n));
@@ -140,7 +140,7 @@ fn signed(n: u64) -> f64 {
 }
 
 /// Tetrahedra of the points; positions become those of the lattice on which the kernel works.
-fn join(layers: &[Layer], placed: &Placed) -> Result<TetMesh> {
+fn join(layers: &[Layer], placed: &BodyPoints) -> Result<TetMesh> {
     let outer = layers.last().expect("a body has an ellipsoid");
     let longest = outer.axes.iter().fold(0.0, |a: f64, &b| a.max(b));
     let step = 2.0 * longest / f64::from((1u32 << 24) - 2);

@@ -40,7 +40,7 @@ const SPONGE: usize = 20;
 const AIR: usize = 2;
 
 /// A step of the simulation.
-pub(crate) struct Frame {
+pub(crate) struct SeismicStep {
     pub(crate) step: usize,
     pub(crate) seconds: f64,
     /// |v|, x fastest, z downwards.
@@ -80,13 +80,13 @@ fn material([x, y, z]: [usize; 3]) -> Material {
 }
 
 /// Simulates; the frames of the series, the last of which is SEIS.
-pub(crate) fn simulate() -> Vec<Frame> {
+pub(crate) fn simulate() -> Vec<SeismicStep> {
     let mut simulation = Simulation::new(settings(), material);
     let mut frames = vec![];
     for step in 1..=RECORDED {
         simulation.advance();
         if step % EACH == 0 {
-            frames.push(Frame { step, seconds: simulation.time(), speeds: speeds(&simulation) });
+            frames.push(SeismicStep { step, seconds: simulation.time(), speeds: speeds(&simulation) });
         }
     }
     let recorded = frames.last().expect("the recorded step is one of the series");

@@ -166,7 +166,7 @@ pub(crate) extern "C" fn answer() -> u32 {
     ASKED.set((now(), false));
     grow();
     STATE.with_borrow(|state| {
-        let mut pieces = Pieces(Vec::with_capacity(PIECE));
+        let mut pieces = PageSink(Vec::with_capacity(PIECE));
         let viewer = state.viewer.as_ref().ok_or_else(|| Error::usage("no archive is open"));
         let answered = viewer.and_then(|viewer| viewer.answer(text_of(&state.text)?, &mut pieces));
         status(answered.and_then(|()| pieces.flush()))
@@ -194,9 +194,9 @@ fn fail(text: &str) {
 }
 
 /// Bytes on their way to the page.
-struct Pieces(Vec<u8>);
+struct PageSink(Vec<u8>);
 
-impl Sink for Pieces {
+impl Sink for PageSink {
     fn write(&mut self, bytes: &[u8]) -> Result<()> {
         bytes.chunks(PIECE).try_for_each(|part| {
             if self.0.len() + part.len() > PIECE {
