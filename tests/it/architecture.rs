@@ -1,5 +1,6 @@
 //! The table of imports in ARCHITECTURE.md is the code's: each row names what its module uses of
-//! others, no less and no more, and only modules of the rows above it.
+//! others, no less and no more, and only modules of the rows above it. And no five types share a
+//! name.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -23,19 +24,24 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
+/// The sources of a crate below a folder.
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    // Cargo checks the imports of another crate.
+    add_sources(folder, &|path| !path.join("Cargo.toml").exists(), found);
+}
+
+/// The sources in a folder and in those below it that are `looked_into`, without files of tests.
+fn add_sources(folder: &Path, looked_into: &dyn Fn(&Path) -> bool, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let of_tests =
             name.ends_with("tests.rs") || ["tests", "testing.rs", "shared_data.rs"].contains(&&*name);
-        // A crate of its own, whose imports cargo checks.
-        let of_another_crate = path.join("Cargo.toml").exists();
         match path.is_dir() {
-            _ if of_tests || of_another_crate => {}
-            true => sources(&path, found),
+            _ if of_tests => {}
+            true if looked_into(&path) => add_sources(&path, looked_into, found),
             false if name.ends_with(".rs") => found.push(path),
-            false => {}
+            _ => {}
         }
     }
 }
@@ -275,4 +281,39 @@ fn modules_use_those_of_the_rows_above() {
             assert!(order[..at].iter().any(|m| m == other), "{module} uses {other}, which is below it");
         }
     }
+}
+
+/// Types that may share a name, at most: the name of five says too little of each.
+const MOST_NAMESAKES: usize = 4;
+
+/// The name of the type that a line of code begins to define.
+fn type_of(line: &str) -> Option<&str> {
+    let line = line.trim_start();
+    let line = match line.strip_prefix("pub(") {
+        Some(rest) => rest.split_once(") ")?.1,
+        None => line.strip_prefix("pub ").unwrap_or(line),
+    };
+    let rest = ["struct ", "enum ", "trait "].iter().find_map(|kind| line.strip_prefix(kind))?;
+    Some(word(rest)).filter(|name| name.starts_with(char::is_uppercase))
+}
+
+#[test]
+fn no_five_types_share_a_name() {
+    let (root, mut files) = (root(), vec![]);
+    for folder in ["src", "tools"] {
+        add_sources(&root.join(folder), &|_| true, &mut files);
+    }
+    files.sort();
+    let mut places = BTreeMap::<String, Vec<String>>::new();
+    for file in &files {
+        let below = file.strip_prefix(&root).unwrap().to_string_lossy();
+        for name in code(&fs::read_to_string(file).unwrap()).lines().filter_map(type_of) {
+            places.entry(name.to_owned()).or_default().push(below.to_string());
+        }
+    }
+    assert!(places.len() > 1000, "{} names", places.len());
+    // Each command has its own, after the custom of clap: `surface::Args`.
+    assert!(places.remove("Args").is_some());
+    places.retain(|_, files| files.len() > MOST_NAMESAKES);
+    assert!(places.is_empty(), "give all but the most central types more telling names: {places:#?}");
 }
