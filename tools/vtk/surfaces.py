@@ -179,10 +179,10 @@ assert properties["ids"] == ["1", "2"] and properties["properties"][0]["values"]
 shard = (folder / "0.shard").read_bytes()
 assert info["sharding"]["minishard_bits"] == info["sharding"]["shard_bits"] == 0, info
 start, end = np.frombuffer(shard, "<u8", 2) + 16
-segments, gaps, counts = np.frombuffer(shard[start:end], "<u8").reshape(3, -1)
+segments, gaps, lengths = np.frombuffer(shard[start:end], "<u8").reshape(3, -1)
 assert np.cumsum(segments).tolist() == [1, 2]
-at = int(16 + gaps[0] + counts[0] + gaps[1])
-floats = np.frombuffer(shard[at : at + int(counts[1])], "<f4")
+at = int(16 + gaps[0] + lengths[0] + gaps[1])
+floats = np.frombuffer(shard[at : at + int(lengths[1])], "<f4")
 numbers = floats.view("<u4")
 cell, origin, levels = floats[:3].astype(float), floats[3:6].astype(float), int(numbers[6])
 scales = floats[7 : 7 + levels]
@@ -190,7 +190,7 @@ assert levels > 1 and (np.diff(scales) > 0).all() and not floats[7 + levels : 7 
 counts = numbers[7 + 4 * levels : 7 + 5 * levels].tolist()
 rest = numbers[7 + 5 * levels :]
 # The fragments lie between the manifest of the first segment and this one.
-mesh_bytes, at = shard[int(16 + gaps[0] + counts[0]) : at], 0
+mesh_bytes, at = shard[int(16 + gaps[0] + lengths[0]) : at], 0
 transform = np.array([*info["transform"], 0, 0, 0, 1]).reshape(4, 4)
 areas, sizes = [], []
 for level, count in enumerate(counts):
