@@ -353,7 +353,7 @@ fn place_of(number: u64) -> [u32; 3] {
 }
 
 /// Adds cells without triangles, so that each cell lies in one of the next level. And a coarse cell
-/// with triangles in an octant has a finer cell there: else the coarse ones would stay in the picture.
+/// with triangles in an octant has a finer cell there: else the coarse ones would stay in view.
 fn link(levels: &mut [Level]) {
     for level in (1..levels.len()).rev() {
         let octants = |(&number, node): (&u64, &Node)| {
