@@ -71,6 +71,8 @@ const COMMANDS: &[&str] = &[
     "surface zeros.isospan -i 0 -o zeros.stl",
     "surface cells.isospan -i 0.3 -o cells.obj",
     "surface own.isospan -i 0.3 -o own.ply",
+    "reduce waves.npy -o units.isospan --length-unit um",
+    "surface units.isospan -i -0.3,0.2 -o waves.precomputed",
     "surface hammersley.isospan -i 0.2 -o fewer.ply --decimate 0.3 --largest 2",
     "surface series.isospan -i 0.1 -o between.ply --time 1.3",
     "probe hole.isospan --grid 17,13,11 -o grid.npy",

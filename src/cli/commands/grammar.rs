@@ -160,7 +160,13 @@ pub(crate) struct Volume {
 impl Volume {
     /// The volume in world units, of which a length is in `unit`.
     pub(crate) fn in_world(self, unit: Option<&Unit>) -> isospan::Result<f64> {
-        let edge = self.edge.map_or(Ok(1.0), |edge| edge.in_world(unit, None))?;
+        let Some(edge) = self.edge else { return Ok(self.number) };
+        let edge = edge.in_world(unit, None).map_err(|_| {
+            Error::usage(
+                "the unit of lengths in the world is not known: give the volume in world units, as in 5, or \
+                 name the unit with --length-unit as the archive is made",
+            )
+        })?;
         Ok(self.number * edge.powi(3))
     }
 }

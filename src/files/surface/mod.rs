@@ -33,8 +33,7 @@
 //! **Far from 0** `f32` does not tell the vertices of a small surface apart. Such a surface is in
 //! memory as `f32` less an origin ([`SurfaceSource::origin`]). PLY, VTP and VTKHDF then have
 //! doubles, OBJ decimals of more digits. GLB and 3MF have the origin in the transform of what they
-//! place, neuroglancer in that of all meshes, STL in its
-//! comment alone: [`SurfaceFormat::shifts`].
+//! place, neuroglancer in that of all meshes, STL in its comment alone: [`SurfaceFormat::shifts`].
 
 pub mod glb;
 pub mod neuroglancer;

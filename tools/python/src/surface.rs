@@ -2,7 +2,6 @@
 
 use crate::archive::Machine;
 use crate::arrays::interface;
-use crate::errors::exception;
 use crate::json::to_python;
 use crate::work::run;
 use isospan::compare::{CompareSettings, compare};
@@ -193,16 +192,10 @@ impl Surface {
 
     /// Writes a file; returns its bytes.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
-        let write = || {
-            write_surface(
-                &self.mesh,
-                &path,
-                SurfaceFormat::from_path(&path)?,
-                &self.meta(),
-                &Resources::default(),
-            )
-        };
-        py.detach(write).map_err(|e| exception(py, &e))
+        run(py, None, |cancel, _| {
+            let resources = Resources::default().with_cancel(cancel.clone());
+            write_surface(&self.mesh, &path, SurfaceFormat::from_path(&path)?, &self.meta(), &resources)
+        })
     }
 
     /// Writes several surfaces to one file, as the program does; returns its bytes.
@@ -220,10 +213,10 @@ impl Surface {
         }
         let parts = surfaces.iter().map(|s| s.part()).collect();
         let meta = SurfaceMeta { isovalue: None, parts, ..first.meta() };
-        let write = || {
+        run(py, None, |cancel, _| {
             let joined = Joined::new(surfaces.iter().map(|s| &s.mesh as &dyn SurfaceSource).collect());
-            write_surface(&joined, &path, SurfaceFormat::from_path(&path)?, &meta, &Resources::default())
-        };
-        py.detach(write).map_err(|e| exception(py, &e))
+            let resources = Resources::default().with_cancel(cancel.clone());
+            write_surface(&joined, &path, SurfaceFormat::from_path(&path)?, &meta, &resources)
+        })
     }
 }

@@ -58,18 +58,18 @@ struct GlbFile<'a> {
 
 /// The way from the numbers of a mesh to the world.
 #[derive(Clone, Copy, Debug)]
-struct Dequantization {
+struct NodeToWorld {
     scale: f64,
     place: [f64; 3],
 }
 
-impl Default for Dequantization {
+impl Default for NodeToWorld {
     fn default() -> Self {
         Self { scale: 1.0, place: [0.0; 3] }
     }
 }
 
-impl Dequantization {
+impl NodeToWorld {
     fn to_world(self, p: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|k| self.place[k] + self.scale * p[k])
     }
@@ -82,9 +82,9 @@ fn triple(value: Option<&Value>) -> Option<[f64; 3]> {
 }
 
 /// What a node that we wrote says of the way to the world.
-fn own_frame(node: &Value) -> Option<Dequantization> {
+fn own_frame(node: &Value) -> Option<NodeToWorld> {
     let world = node.pointer("/extras/world")?;
-    Some(Dequantization { scale: world.get("scale")?.as_f64()?, place: triple(world.get("translation"))? })
+    Some(NodeToWorld { scale: world.get("scale")?.as_f64()?, place: triple(world.get("translation"))? })
 }
 
 /// Corners of triangles as indices of two or four bytes.
@@ -201,7 +201,7 @@ impl<'a> GlbFile<'a> {
 
     /// What is added to the positions of each mesh: the translation of its node, where that has
     /// neither a parent nor children, and is alone with the mesh.
-    fn places(&self) -> Result<HashMap<usize, Dequantization>> {
+    fn places(&self) -> Result<HashMap<usize, NodeToWorld>> {
         let nodes = list(&self.json, "nodes");
         let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
         let children = || nodes.iter().flat_map(|node| list(node, "children")).filter_map(number);
@@ -227,7 +227,7 @@ impl<'a> GlbFile<'a> {
             if !is_alone {
                 return Err(self.transformed(n));
             }
-            places.insert(mesh, Dequantization { scale: 1.0, place });
+            places.insert(mesh, NodeToWorld { scale: 1.0, place });
         }
         Ok(places)
     }
@@ -357,7 +357,7 @@ impl<'a> GlbFile<'a> {
         &self,
         primitive: &Value,
         at: &str,
-        place: Dequantization,
+        place: NodeToWorld,
         out: &mut StoredSurface,
     ) -> Result<()> {
         match self.number(primitive, "mode", Some(TRIANGLES))? as u64 {
@@ -392,7 +392,7 @@ impl<'a> GlbFile<'a> {
         &self,
         primitive: &Value,
         at: &str,
-        place: Dequantization,
+        place: NodeToWorld,
         out: &mut StoredSurface,
     ) -> Result<usize> {
         let none = Value::Null;

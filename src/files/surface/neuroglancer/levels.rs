@@ -6,9 +6,10 @@
 //! ```
 //!
 //! Level `k` has cells of `2^k` times the edge of those of level 0, and steps of `2^k` times the
-//! length. Each level is decimated from the one before, so it keeps all pieces and holes of the
-//! surface. A corner is off by half a step along each axis at most: `2^k / 131070` of the edge of a
-//! cell of level 0.
+//! length, which is 1/65535 of the edge. Each level is decimated from the one before, which keeps
+//! all pieces and holes of the surface. A corner is off by half a step along each axis at most; one
+//! that is new, where a triangle is cut, by a step. What is smaller than a step vanishes: cells are
+//! so small that nearly all edges of triangles have several steps.
 //!
 //! Source: "Multi-resolution mesh format" of neuroglancer's documentation.
 
@@ -31,6 +32,10 @@ use std::path::{Path, PathBuf};
 
 /// Triangles that a cell of level 0 has, about, before they are cut.
 const OF_CELL: u64 = 1 << 14;
+/// Triangles that a cell of a coarser level has at most: without it there is no such level.
+const MOST_OF_CELL: u64 = 1 << 16;
+/// Steps that 99 % of the edges of triangles have at least.
+const OF_EDGE: f64 = 4.0;
 /// A surface in one cell with no more triangles has no coarser level.
 const FEW: u64 = 1 << 11;
 /// The part of the triangles that the next level has.
@@ -47,6 +52,8 @@ const AT_ONCE: u64 = 1 << 20;
 /// What the writer may use.
 pub(super) struct WriterMeans<'a> {
     pub(super) memory: u64,
+    /// Bytes that each store of vertices or triangles holds; more lie in the scratch folder.
+    pub(super) held: usize,
     pub(super) scratch: PathBuf,
     pub(super) pool: ThreadPool,
     pub(super) cancel: CancelToken,
@@ -55,11 +62,16 @@ pub(super) struct WriterMeans<'a> {
 }
 
 impl WriterMeans<'_> {
-    /// A part of the memory, for what lies on disk beyond it.
-    pub(super) fn share(&self, part: u64) -> BuilderSettings {
-        let memory_bytes = usize::try_from(self.memory / part).unwrap_or(usize::MAX);
-        BuilderSettings { memory_bytes, scratch: self.scratch.clone() }
+    /// What a store may hold.
+    pub(super) fn store(&self) -> BuilderSettings {
+        BuilderSettings { memory_bytes: self.held, scratch: self.scratch.clone() }
     }
+}
+
+/// The memory of a run in which the largest mesh, of this many triangles, is decimated: half of it
+/// holds the surface, and half of the rest the stores.
+pub(super) fn least_memory(triangles: u64) -> u64 {
+    if triangles > FEW { 4 * Decimation::least_memory(triangles) } else { 0 }
 }
 
 /// The box of a surface and its cells of level 0.
@@ -79,6 +91,12 @@ impl Lattice {
 
     fn cell_edge(&self, level: u32) -> f64 {
         f64::from(self.edge) * f64::from(1u32 << level)
+    }
+
+    /// The Morton number of the cell of a level in which a position lies.
+    fn cell(&self, position: [f32; 3], level: u32, cells: Place) -> u64 {
+        let at = self.place(position, level, cells);
+        morton(std::array::from_fn(|k| (at[k] / CELL).min(cells[k] - 1) as u32))
     }
 
     /// The step of a level that is nearest to a position.
@@ -159,7 +177,8 @@ struct Fragment {
     triangles: Vec<Corners>,
 }
 
-/// Hands on the fragments of all levels, and returns the manifest of the mesh.
+/// Hands on the fragments of all levels, and returns the manifest of the mesh; none where no
+/// triangle is as large as a step.
 ///
 /// # Errors
 /// [`Error::Budget`] for memory, [`Error::Cancelled`], those of the scratch folder and of `put`.
@@ -167,34 +186,57 @@ pub(super) fn write_levels(
     mut surface: StoredSurface,
     means: &WriterMeans<'_>,
     put: &mut dyn FnMut(&[u8]) -> Result<()>,
-) -> Result<Vec<u8>> {
-    let Some(lattice) = lattice_of(&surface)? else { return Ok(manifest(&NOTHING, &[])) };
-    let (edge, lattice) = fit_cells(&surface, lattice, means)?;
+) -> Result<Option<Vec<u8>>> {
+    let Some(whole) = lattice_of(&surface)? else { return Ok(None) };
+    let (edge, lattice) = fit_cells(&surface, &whole, means)?;
     let (all, levels) = (surface.triangle_count(), Levels { means, lattice });
     let mut done: Vec<Level> = vec![];
     loop {
         let (level, count) = (done.len() as u32, surface.triangle_count());
         let scale = edge * (all as f64 / count as f64).sqrt();
         let nodes = levels.write(&surface, level, put)?;
+        if level == 0 && nodes.is_empty() {
+            return Ok(None);
+        }
         done.push(Level { scale: (scale as f32).max(f32::MIN_POSITIVE), nodes });
         let is_one = levels.lattice.cells(level) == [1; 3];
         if is_one && count <= FEW || level > DEEPEST {
             break;
         }
         let goal = Decimation { ratio: RATIO, ..Decimation::default() };
-        let (memory, cancel) = (means.share(2), &means.cancel);
-        let fewer = means.pool.install(|| decimate(surface, &goal, &Faces::default(), &memory, cancel));
+        let memory_bytes = usize::try_from(means.memory / 2).unwrap_or(usize::MAX);
+        let memory = BuilderSettings { memory_bytes, ..means.store() };
+        let fewer =
+            means.pool.install(|| decimate(surface, &goal, &Faces::default(), &memory, &means.cancel));
         surface = fewer.map_err(|e| e.of_share(means.memory / 2, means.memory))?.0;
-        if surface.triangle_count() as f64 > TOO_MANY * count as f64 {
+        let is_worth_it = surface.triangle_count() as f64 <= TOO_MANY * count as f64;
+        if !is_worth_it || levels.most_in_cell(&surface, level + 1)? > MOST_OF_CELL {
             break;
         }
     }
     link(&mut done);
-    Ok(manifest(&levels.lattice, &done))
+    Ok(Some(manifest(&levels.lattice, &done)))
 }
 
-/// What the manifest of a mesh without triangles says of its cells.
-const NOTHING: Lattice = Lattice { origin: [0.0; 3], size: [0.0; 3], edge: 1.0 };
+/// Hands on the corners of all triangles.
+fn each_triangle(
+    surface: &StoredSurface,
+    means: &WriterMeans<'_>,
+    mut each: impl FnMut([[f32; 3]; 3]) -> Result<()>,
+) -> Result<()> {
+    let mut vertices = surface.random_vertices(means.held);
+    surface.triangles(&mut |batch| {
+        means.cancel.check()?;
+        for triangle in batch {
+            let mut corners = [[0.0; 3]; 3];
+            for (corner, &v) in corners.iter_mut().zip(triangle) {
+                *corner = vertices.get(u64::from(v))?.position;
+            }
+            each(corners)?;
+        }
+        Ok(())
+    })
+}
 
 /// The box of a surface, in one cell; none where no vertex is.
 fn lattice_of(surface: &StoredSurface) -> Result<Option<Lattice>> {
@@ -223,39 +265,98 @@ fn edge_of(length: f64) -> f32 {
     }
 }
 
-/// The length of an edge of a triangle, about, and a lattice of which no cell has far more than the
-/// usual number of triangles.
-fn fit_cells(surface: &StoredSurface, lattice: Lattice, means: &WriterMeans<'_>) -> Result<(f64, Lattice)> {
-    let (count, longest) = (surface.triangle_count(), lattice.size.into_iter().fold(0.0, f64::max));
-    // A surface has about four times as many cells of half the edge.
-    let mut depth = (0..DEEPEST).find(|depth| OF_CELL << (2 * depth) >= count).unwrap_or(DEEPEST);
+/// The length of an edge of a triangle, about, and a lattice of level 0: its cells have no far more
+/// triangles than usual, and its steps are short enough for the edges.
+///
+/// Where a surface is dense at one place and has large triangles at others, cells are not so small
+/// that cutting makes far more triangles, or that cells have few.
+fn fit_cells(surface: &StoredSurface, whole: &Lattice, means: &WriterMeans<'_>) -> Result<(f64, Lattice)> {
+    let (count, longest) = (surface.triangle_count(), whole.size.into_iter().fold(0.0, f64::max));
+    // What fills its box has eight times as many cells of half the edge, and others fewer.
+    let mut depth = (0..DEEPEST).find(|depth| OF_CELL << (3 * depth) >= count).unwrap_or(DEEPEST);
+    let mut coarser: Option<Lattice> = None;
     loop {
-        let edge = edge_of(longest / f64::from(1u32 << depth));
-        let lattice = Lattice { edge, ..lattice };
-        let cells = lattice.cells(0);
-        let mut vertices = surface.random_vertices(means.share(8).memory_bytes);
-        let (mut area, mut in_cells) = (0.0, HashMap::<u64, u64>::new());
-        surface.triangles(&mut |batch| {
-            means.cancel.check()?;
-            for triangle in batch {
-                let mut corners = [[0.0; 3]; 3];
-                for (corner, &v) in corners.iter_mut().zip(triangle) {
-                    *corner = vertices.get(u64::from(v))?.position;
-                }
-                area += area_of(corners);
-                let at = lattice.place(corners[0], 0, cells);
-                let at = std::array::from_fn(|k| (at[k] / CELL).min(cells[k] - 1) as u32);
-                *in_cells.entry(morton(at)).or_default() += 1;
+        let lattice = Lattice { edge: edge_of(longest / f64::from(1u32 << depth)), ..*whole };
+        let census = Census::of(surface, &lattice, means)?;
+        let edge = (census.area * 4.0 / 3f64.sqrt() / count.max(1) as f64).sqrt();
+        if let Some(coarser) = coarser.filter(|_| census.is_too_fine(count)) {
+            return Ok((edge, coarser));
+        }
+        let is_fine = census.short_edge() >= OF_EDGE * f64::from(lattice.edge) / CELL as f64;
+        if is_fine && census.most() <= 2 * OF_CELL || depth == DEEPEST {
+            return Ok((edge, lattice));
+        }
+        (coarser, depth) = (Some(lattice), depth + 1);
+    }
+}
+
+/// What the triangles of a surface say of the cells of a lattice.
+struct Census {
+    area: f64,
+    /// Edges by the highest bits of their lengths.
+    edges: Vec<u64>,
+    /// First corners of triangles in each cell.
+    in_cells: HashMap<u64, u64>,
+    /// Pieces that cutting makes, about.
+    pieces: f64,
+}
+
+/// Bits of an `f32` that do not choose its place among lengths.
+const LOW_BITS: u32 = 20;
+
+impl Census {
+    fn of(surface: &StoredSurface, lattice: &Lattice, means: &WriterMeans<'_>) -> Result<Self> {
+        let mut census =
+            Self { area: 0.0, edges: vec![0; 1 << (32 - LOW_BITS)], in_cells: HashMap::new(), pieces: 0.0 };
+        let most_cells = most_cells(surface.triangle_count());
+        let (cells, edge) = (lattice.cells(0), f64::from(lattice.edge));
+        each_triangle(surface, means, |corners| {
+            census.area += area_of(corners);
+            let mut longest = 0.0;
+            for n in 0..3 {
+                let [from, to] = [corners[n], corners[(n + 1) % 3]].map(|p| p.map(f64::from));
+                let along = minus(to, from);
+                let length = dot(along, along).sqrt();
+                longest = f64::max(longest, length);
+                census.edges[((length as f32).to_bits() >> LOW_BITS) as usize] += 1;
+            }
+            census.pieces += (1.0 + longest / edge).powi(2);
+            let number = lattice.cell(corners[0], 0, cells);
+            if census.in_cells.len() as u64 <= most_cells || census.in_cells.contains_key(&number) {
+                *census.in_cells.entry(number).or_default() += 1;
             }
             Ok(())
         })?;
-        let most = in_cells.values().copied().max().unwrap_or(0);
-        if most <= 2 * OF_CELL || depth == DEEPEST {
-            // Of equilateral triangles.
-            return Ok(((area * 4.0 / 3f64.sqrt() / count.max(1) as f64).sqrt(), lattice));
-        }
-        depth += 1;
+        Ok(census)
     }
+
+    fn most(&self) -> u64 {
+        self.in_cells.values().copied().max().unwrap_or(0)
+    }
+
+    /// A length that 99 % of the edges have at least. Edges between equal positions do not count.
+    fn short_edge(&self) -> f64 {
+        let all: u64 = self.edges.iter().skip(1).sum();
+        let mut shorter = 0;
+        for (bits, count) in self.edges.iter().enumerate().skip(1) {
+            shorter += count;
+            if 100 * shorter > all {
+                return f64::from(f32::from_bits((bits as u32) << LOW_BITS));
+            }
+        }
+        f64::INFINITY
+    }
+
+    /// Whether cells are too small for so many triangles.
+    fn is_too_fine(&self, triangles: u64) -> bool {
+        let most_pieces = 1.5 * triangles as f64 + 4096.0;
+        self.in_cells.len() as u64 > most_cells(triangles) || self.pieces > most_pieces
+    }
+}
+
+/// Cells that a surface of so many triangles has at most.
+fn most_cells(triangles: u64) -> u64 {
+    triangles / 64 + 1024
 }
 
 fn area_of(corners: [[f32; 3]; 3]) -> f64 {
@@ -306,24 +407,25 @@ impl Levels<'_> {
     /// The pieces of all triangles, cell by cell.
     fn pieces(&self, surface: &StoredSurface, level: u32) -> Result<Sorted<TrianglePiece>> {
         let (means, cells) = (self.means, self.lattice.cells(level));
-        let place = means.share(8);
-        let mut sorter = Sorter::new(place.memory_bytes, &place.scratch);
-        let mut vertices = surface.random_vertices(place.memory_bytes);
+        let mut sorter = Sorter::new(means.held, &means.scratch);
         let mut pieces = vec![];
-        surface.triangles(&mut |batch| {
-            means.cancel.check()?;
-            for triangle in batch {
-                let mut corners = [[0; 3]; 3];
-                for (corner, &v) in corners.iter_mut().zip(triangle) {
-                    *corner = self.lattice.place(vertices.get(u64::from(v))?.position, level, cells);
-                }
-                pieces.clear();
-                cut(corners, level > 0, &mut pieces);
-                pieces.iter().try_for_each(|piece| sorter.push(TrianglePiece::of(piece, cells)))?;
-            }
-            Ok(())
+        each_triangle(surface, means, |corners| {
+            pieces.clear();
+            let corners = corners.map(|corner| self.lattice.place(corner, level, cells));
+            cut(corners, level > 0, &mut pieces);
+            pieces.iter().try_for_each(|piece| sorter.push(TrianglePiece::of(piece, cells)))
         })?;
         sorter.finish()
+    }
+
+    /// The most triangles that begin in a cell of a level.
+    fn most_in_cell(&self, surface: &StoredSurface, level: u32) -> Result<u64> {
+        let (cells, mut in_cells) = (self.lattice.cells(level), HashMap::<u64, u64>::new());
+        each_triangle(surface, self.means, |corners| {
+            *in_cells.entry(self.lattice.cell(corners[0], level, cells)).or_default() += 1;
+            Ok(())
+        })?;
+        Ok(in_cells.into_values().max().unwrap_or(0))
     }
 
     /// The triangles of the cell of a piece; `next` is then the first piece of the next one.
@@ -333,15 +435,19 @@ impl Levels<'_> {
         sorted: &mut Sorted<TrianglePiece>,
         next: &mut Option<TrianglePiece>,
     ) -> Result<Fragment> {
+        let (memory, mut count) = (self.means.memory, 0);
         let mut fragment = Fragment { number: first.number(), filled: 0, triangles: vec![] };
         while let Some(piece) = next.filter(|piece| piece.cell == first.cell) {
             fragment.filled |= 1 << piece.octant();
-            fragment.triangles.push(piece.corners);
-            let (memory, needed) = (self.means.memory, OF_TRIANGLE * fragment.triangles.len() as u64);
-            if needed > memory / 4 {
-                return Err(Error::memory("for a cell of a mesh", 4 * needed, memory));
+            count += 1;
+            if OF_TRIANGLE * count <= memory / 4 {
+                fragment.triangles.push(piece.corners);
             }
             *next = sorted.next()?;
+        }
+        let needed = 4 * OF_TRIANGLE * count;
+        if needed > memory {
+            return Err(Error::memory("for a cell of a mesh", needed, memory));
         }
         Ok(fragment)
     }

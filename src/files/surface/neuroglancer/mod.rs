@@ -25,10 +25,12 @@ use isospan_io::bytes::publish::folder_of;
 use isospan_io::bytes::read_whole;
 use isospan_io::error::{Error, Result};
 use isospan_io::exec::{Resources, pool};
-use levels::{WriterMeans, write_levels};
+use levels::{WriterMeans, least_memory, write_levels};
+use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
 use shard::Shard;
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -98,9 +100,9 @@ fn segments(parts: &[PartRange], meta: &SurfaceMeta) -> Result<Vec<u64>> {
             return Ok(part.number as u64 + 1);
         };
         let value = label.isovalue;
-        if value < 0.0 {
+        if value < 1.0 {
             return Err(Error::usage(format!(
-                "neuroglancer has segments from 0 on, and this surface the label {value}: write .glb"
+                "neuroglancer has segments from 1 on, and this surface the label {value}: write .glb"
             )));
         }
         Ok(value as u64)
@@ -137,6 +139,10 @@ pub(in crate::files) fn write(
     }
     let parts = parts_of(source, meta);
     let segments = segments(&parts, meta)?;
+    let least = least_memory(parts.iter().map(|part| part.triangles).max().unwrap_or(0));
+    if resources.memory < least {
+        return Err(Error::memory("for levels of detail of a mesh", least, resources.memory));
+    }
     // It puts back what a run that was killed had moved.
     let stage = StagedFolder::begin(path)?;
     let is_replaced = || match path.symlink_metadata() {
@@ -146,10 +152,10 @@ pub(in crate::files) fn write(
     };
     is_replaced()?;
     let mut folder = Folder { path: stage.new_folder(), bytes: 0 };
-    folder.put_info(&transform(source, meta)?, &parts, &segments)?;
     let means = WriterMeans {
         // The other half holds the surface.
         memory: resources.memory / 2,
+        held: usize::try_from(resources.memory / 16).unwrap_or(usize::MAX),
         scratch: resources.scratch.clone().unwrap_or_else(|| above.to_path_buf()),
         pool: pool(resources.threads)?,
         cancel: resources.cancel.clone(),
@@ -157,9 +163,22 @@ pub(in crate::files) fn write(
     };
     let (shard, file) = folder.create(shard::NAME)?;
     let shard = Shard::begin(shard, file, segments.len())?;
-    let mut meshes = Meshes { shard, segments: segments.iter(), means: &means, mesh: None };
-    each_part(source, &parts, &means.share(8), path, &mut meshes)?;
+    let mut meshes = Meshes {
+        shard,
+        segments: segments.iter(),
+        means: &means,
+        mesh: None,
+        waiting: vec![],
+        held: 0,
+        written: BTreeSet::new(),
+    };
+    each_part(source, &parts, &means.store(), path, &mut meshes)
+        .and_then(|()| meshes.write_waiting())
+        .map_err(|e| e.of_share(means.memory, resources.memory))?;
     folder.bytes += meshes.shard.finish()?;
+    folder.put_info(&transform(source, meta)?, segments.len())?;
+    let named = segments.iter().zip(&parts).filter(|(segment, _)| meshes.written.contains(segment));
+    folder.put_names(&named.collect::<Vec<_>>())?;
     // Somebody may have put files there meanwhile.
     stage.publish(is_replaced()?)?;
     Ok(folder.bytes)
@@ -210,21 +229,26 @@ impl Folder {
         written.map_err(|e| Error::io("write", path, e))
     }
 
-    fn put_info(&mut self, transform: &[f64], parts: &[PartRange], segments: &[u64]) -> Result<()> {
-        let of_names = self.path.join(PROPERTIES);
-        fs::create_dir(&of_names).map_err(|e| Error::io("create the folder", of_names, e))?;
+    /// Writes what the meshes are, of this many segments.
+    fn put_info(&mut self, transform: &[f64], segments: usize) -> Result<()> {
         let info = json!({
             "@type": KIND,
             "vertex_quantization_bits": 16,
             "lod_scale_multiplier": 1,
             "transform": transform,
-            "sharding": shard::sharding(segments.len()),
+            "sharding": shard::sharding(segments),
             PROPERTIES: PROPERTIES,
         });
-        self.put("info", format!("{info}\n").as_bytes())?;
-        let values = parts.iter().map(|part| part.name.clone()).collect();
+        self.put("info", format!("{info}\n").as_bytes())
+    }
+
+    /// Writes the names of segments.
+    fn put_names(&mut self, segments: &[(&u64, &PartRange)]) -> Result<()> {
+        let of_names = self.path.join(PROPERTIES);
+        fs::create_dir(&of_names).map_err(|e| Error::io("create the folder", of_names, e))?;
+        let values = segments.iter().map(|(_, part)| part.name.clone()).collect();
         let properties = [Property { id: "label", kind: "label", values }];
-        let inline = Inline { ids: segments.iter().map(u64::to_string).collect(), properties };
+        let inline = Inline { ids: segments.iter().map(|(id, _)| id.to_string()).collect(), properties };
         let text = serde_json::to_string(&Properties { kind: "neuroglancer_segment_properties", inline });
         let text = text.map_err(|e| Error::io("write", &self.path, e.into()))?;
         self.put(&format!("{PROPERTIES}/info"), format!("{text}\n").as_bytes())
@@ -238,9 +262,47 @@ struct Meshes<'a> {
     means: &'a WriterMeans<'a>,
     /// The segment that comes, and what is there of its mesh.
     mesh: Option<(u64, StoredSurface)>,
+    /// Small meshes, and their triangles.
+    waiting: Vec<(u64, StoredSurface)>,
+    held: u64,
+    /// Segments that have a mesh.
+    written: BTreeSet<u64>,
 }
 
+/// A mesh of no more triangles waits, to be coded beside others.
+const SMALL: u64 = 1 << 14;
+/// Bytes for each of its triangles, while it waits and is coded.
+const OF_SMALL: u64 = 1 << 10;
+
 impl Meshes<'_> {
+    /// Writes the meshes that wait.
+    fn write_waiting(&mut self) -> Result<()> {
+        self.held = 0;
+        let (waiting, means) = (std::mem::take(&mut self.waiting), self.means);
+        let code = |(segment, mesh)| {
+            let mut fragments = vec![];
+            let mut put = |fragment: &[u8]| {
+                fragments.extend_from_slice(fragment);
+                Ok(())
+            };
+            let manifest = write_levels(mesh, means, &mut put)?;
+            Ok((segment, fragments, manifest))
+        };
+        let coded: Vec<_> = means.pool.install(|| waiting.into_par_iter().map(code).collect());
+        for one in coded {
+            let (segment, fragments, manifest) = one?;
+            self.shard.put(&fragments)?;
+            self.end_segment(segment, manifest)?;
+        }
+        Ok(())
+    }
+
+    fn end_segment(&mut self, segment: u64, manifest: Option<Vec<u8>>) -> Result<()> {
+        let Some(manifest) = manifest else { return Ok(()) };
+        self.written.insert(segment);
+        self.shard.end_segment(segment, &manifest)
+    }
+
     fn mesh(&mut self) -> &mut StoredSurface {
         &mut self.mesh.as_mut().expect("a part was begun").1
     }
@@ -249,25 +311,37 @@ impl Meshes<'_> {
 impl TakeParts for Meshes<'_> {
     fn begin(&mut self, _: &PartRange) -> Result<()> {
         let segment = *self.segments.next().expect("each part has a segment");
-        self.mesh = Some((segment, StoredSurface::new(&self.means.share(8))));
+        self.mesh = Some((segment, StoredSurface::new(&self.means.store())));
         Ok(())
     }
 
     fn vertices(&mut self, positions: &[[f32; 3]]) -> Result<()> {
+        self.means.cancel.check()?;
         let vertex = |&position| Vertex { position, normal: [0.0; 3] };
         let mesh = self.mesh();
         positions.iter().try_for_each(|position| mesh.push_vertex(vertex(position)))
     }
 
     fn triangles(&mut self, _: &PartRange, triangles: &[[u32; 3]]) -> Result<()> {
+        self.means.cancel.check()?;
         let mesh = self.mesh();
         triangles.iter().try_for_each(|&triangle| mesh.push_triangle(triangle))
     }
 
     fn end(&mut self) -> Result<()> {
         let Some((segment, mesh)) = self.mesh.take() else { return Ok(()) };
+        let triangles = mesh.triangle_count().max(16);
+        let is_small = triangles <= SMALL;
+        if !is_small || (self.held + triangles) * OF_SMALL > self.means.memory / 2 {
+            self.write_waiting()?;
+        }
+        if is_small {
+            self.held += triangles;
+            self.waiting.push((segment, mesh));
+            return Ok(());
+        }
         let manifest = write_levels(mesh, self.means, &mut |fragment| self.shard.put(fragment))?;
-        self.shard.end_segment(segment, &manifest)
+        self.end_segment(segment, manifest)
     }
 }
 

@@ -128,6 +128,10 @@ fn open_edges(triangles: &[[Place; 3]]) -> usize {
     edges.values().filter(|sum| **sum != 0).count()
 }
 
+fn area_of(mesh: &TriMesh) -> f64 {
+    crate::surface::check::check(mesh).area
+}
+
 fn area(triangles: &[[Place; 3]], step: f64) -> f64 {
     let one = |t: &[Place; 3]| {
         let [u, v] = [1, 2].map(|n| std::array::from_fn(|k| (t[n][k] - t[0][k]) as f64 * step));
@@ -200,7 +204,7 @@ fn each_label_is_a_segment_in_nanometres() {
 fn levels_are_closed_and_lie_in_their_cells() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.precomputed");
-    let mesh = torus(200);
+    let mesh = torus(300);
     write(&source(mesh.clone()), &path, &micrometres(), &Resources::default()).unwrap();
     let (edge, origin, levels) = read_segment(&path, 1);
     assert!(levels.len() > 3 && levels[0].cells.len() > 8, "{} {}", levels.len(), levels[0].cells.len());
@@ -256,8 +260,13 @@ fn threads_and_memory_do_not_show() {
     assert_eq!(one, bytes("four", Resources::default().with_threads(4)));
     assert_eq!(one, bytes("little", Resources::default().with_memory(100 << 20)));
     let path = dir.path().join("none.precomputed");
-    let error = write(&mesh, &path, &micrometres(), &Resources::default().with_memory(1 << 20)).unwrap_err();
-    assert_eq!(error.exit_code(), 4, "{error}");
+    let little = Resources::default().with_memory(1 << 20);
+    let error = write(&mesh, &path, &micrometres(), &little).unwrap_err();
+    let Error::Budget { needed, available, .. } = error else { panic!("{error}") };
+    assert_eq!(available, 1 << 20);
+    // What it says suffices.
+    write(&mesh, &path, &micrometres(), &Resources::default().with_memory(needed)).unwrap();
+    fs::remove_dir_all(&path).unwrap();
     let stopped = Resources::default();
     stopped.cancel.cancel();
     assert_eq!(write(&mesh, &path, &micrometres(), &stopped).unwrap_err().exit_code(), 75);
@@ -282,12 +291,101 @@ fn what_has_no_triangles_is_an_empty_folder() {
     let path = dir.path().join("none.precomputed");
     write(&source(TriMesh::default()), &path, &micrometres(), &Resources::default()).unwrap();
     assert_eq!(fs::read_dir(&path).unwrap().count(), 3);
-    // Triangles that are points leave cells without bytes, and so no mesh.
+    // Triangles that are points leave no mesh, and no segment.
     let point =
         TriMesh { vertices: vec![near().vertices[0]; 3], triangles: vec![[0, 1, 2]], origin: [0.0; 3] };
-    write(&source(point), &path, &micrometres(), &Resources::default()).unwrap();
+    let joined = (source(point), source(near()));
+    let part = |isovalue: f64, vertices: u64, triangles: u64| SurfacePart {
+        isovalue,
+        vertices,
+        triangles,
+        label: None,
+    };
+    let meta = SurfaceMeta { parts: vec![part(0.5, 3, 1), part(0.7, 4, 4)], ..micrometres() };
+    write(&Joined::new(vec![&joined.0, &joined.1]), &path, &meta, &Resources::default()).unwrap();
+    let names: serde_json::Value =
+        serde_json::from_slice(&fs::read(path.join("segment_properties/info")).unwrap()).unwrap();
+    assert_eq!(names["inline"]["ids"], json!(["2"]));
+    assert_eq!(read_segment(&path, 2).2[0].triangles().len(), 4);
+}
+
+/// A mesh of several copies of another one, each scaled and moved.
+fn copies(of: &TriMesh, places: impl IntoIterator<Item = (f32, [f32; 3])>) -> TriMesh {
+    let mut all = TriMesh::default();
+    for (scale, place) in places {
+        let first = all.vertices.len() as u32;
+        let moved = |v: &Vertex| Vertex {
+            position: std::array::from_fn(|k| place[k] + scale * v.position[k]),
+            normal: v.normal,
+        };
+        all.vertices.extend(of.vertices.iter().map(moved));
+        all.triangles.extend(of.triangles.iter().map(|t| t.map(|v| v + first)));
+    }
+    all
+}
+
+#[test]
+fn small_pieces_far_apart_are_there() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.precomputed");
+    // Rings of about 1/40 000 of the domain.
+    let places = (0..64)
+        .map(|n| (0.025 / 40.0, [(n % 4) as f32, (n / 4 % 4) as f32, (n / 16) as f32].map(|x| 330.0 * x)));
+    let mesh = copies(&torus(10), places);
+    write(&source(mesh.clone()), &path, &micrometres(), &Resources::default()).unwrap();
+    let (edge, _, levels) = read_segment(&path, 1);
+    let found = levels[0].triangles();
+    assert_eq!((found.len(), open_edges(&found)), (mesh.triangles.len(), 0));
+    let step = f64::from(edge) / CELL as f64;
+    let exact = 64.0 * area_of(&torus(10)) * (0.025 / 40.0f64).powi(2);
+    let off = area(&found, step) / exact - 1.0;
+    assert!(off.abs() < 0.05, "{off} of a step of {step}");
+}
+
+#[test]
+fn a_dense_spot_does_not_cut_what_is_large() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.precomputed");
+    // A ring of 80 000 triangles within 1/3000 of a ring of 200.
+    let mut mesh = copies(&torus(200), [(1.0 / 3000.0, [0.0; 3])]);
+    let large = copies(&torus(10), [(1.0, [0.0; 3])]);
+    let first = mesh.vertices.len() as u32;
+    mesh.vertices.extend(&large.vertices);
+    mesh.triangles.extend(large.triangles.iter().map(|t| t.map(|v| v + first)));
+    write(&source(mesh.clone()), &path, &micrometres(), &Resources::default()).unwrap();
     let (_, _, levels) = read_segment(&path, 1);
-    assert_eq!((levels.len(), levels[0].triangles().len()), (1, 0));
+    let found = levels[0].triangles();
+    assert_eq!(open_edges(&found), 0);
+    let (most, cells) = (2 * mesh.triangles.len(), levels[0].cells.len());
+    assert!(found.len() < most && cells < 5000, "{} triangles in {cells} cells", found.len());
+}
+
+#[test]
+fn what_lies_on_disk_does_not_show() {
+    let dir = tempfile::tempdir().unwrap();
+    let mesh = torus(60);
+    let bytes = |held: usize| {
+        let means = WriterMeans {
+            memory: 64 << 20,
+            held,
+            scratch: dir.path().to_path_buf(),
+            pool: pool(2).unwrap(),
+            cancel: Resources::default().cancel,
+            target: dir.path(),
+        };
+        let mut surface = StoredSurface::new(&means.store());
+        mesh.vertices.iter().for_each(|v| surface.push_vertex(*v).unwrap());
+        mesh.triangles.iter().for_each(|t| surface.push_triangle(*t).unwrap());
+        let mut out = vec![];
+        let mut put = |fragment: &[u8]| {
+            out.extend_from_slice(fragment);
+            Ok(())
+        };
+        let manifest = write_levels(surface, &means, &mut put).unwrap().unwrap();
+        [out, manifest]
+    };
+    // A vertex has 24 bytes, a piece of a triangle 26: nearly all are on disk.
+    assert_eq!(bytes(1 << 10), bytes(16 << 20));
 }
 
 #[test]
@@ -302,8 +400,10 @@ fn what_neuroglancer_does_not_have_is_refused() {
     let parsecs = SurfaceMeta { units: Units::of_length(Unit::new("pc")), ..SurfaceMeta::default() };
     refused(near(), &parsecs, "'pc'");
     let label = Some(LabelStyle { name: String::new(), colour: [0; 4] });
-    let parts = vec![SurfacePart { isovalue: -2.0, vertices: 4, triangles: 4, label }];
-    refused(near(), &SurfaceMeta { parts, ..micrometres() }, "the label -2");
+    for number in [-2.0, 0.0] {
+        let parts = vec![SurfacePart { isovalue: number, vertices: 4, triangles: 4, label: label.clone() }];
+        refused(near(), &SurfaceMeta { parts, ..micrometres() }, &format!("the label {number}"));
+    }
     fs::create_dir(&path).unwrap();
     refused(near(), &micrometres(), "not a folder of neuroglancer's meshes alone");
     let scratch = BuilderSettings::default();

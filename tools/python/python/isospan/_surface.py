@@ -174,7 +174,8 @@ class Surface:
         }
 
     def save(self, path: PathLike) -> int:
-        """Writes a file, .ply, .stl, .obj, .vtp, .vtkhdf, .glb or .3mf, and returns its bytes.
+        """Writes a file, .ply, .stl, .obj, .vtp, .vtkhdf, .glb or .3mf, or a folder .precomputed of
+        meshes for neuroglancer, and returns its bytes.
 
         It is the file that ``isospan surface`` writes, and replaces one that is there, as ``numpy.save``
         does.
@@ -220,6 +221,6 @@ def save_surfaces(surfaces: Sequence[Surface], path: PathLike) -> int:
     """Writes several surfaces of an archive to one file, and returns its bytes.
 
     PLY, VTP and VTKHDF files have an array ``isovalue`` then, of labels ``label``, OBJ files a group
-    for each surface, GLB files a node.
+    for each surface, GLB files a node, 3MF files an object, a folder .precomputed a segment.
     """
     return _isospan.Surface.save_all([surface._core for surface in surfaces], path)
