@@ -96,7 +96,7 @@ fn crossing(from: Place, to: Place, axis: usize, plane: i64) -> Place {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use std::collections::HashMap;
 
@@ -110,8 +110,8 @@ mod tests {
         }
     }
 
-    /// How often each edge is used in one direction less in the other.
-    fn open_edges(triangles: &[[Place; 3]]) -> usize {
+    /// Edges that are not used as often in one direction as in the other.
+    pub(in super::super) fn open_edges(triangles: &[[Place; 3]]) -> usize {
         let mut edges: HashMap<[Place; 2], i64> = HashMap::new();
         for t in triangles {
             for n in 0..3 {

@@ -1,4 +1,4 @@
-use super::cut::{CELL, HALF, Place};
+use super::cut::{CELL, HALF, Place, tests::open_edges};
 use super::*;
 use crate::files::labels::LabelStyle;
 use crate::files::surface::tests::{far_tetrahedron, source};
@@ -8,7 +8,7 @@ use crate::surface::{Joined, TriMesh};
 use draco_core::{DecoderBuffer, Mesh, MeshDecoder, PointIndex};
 use isospan_io::bytes::read_whole as read;
 use isospan_io::volume::units::{Unit, Units};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
 fn near() -> TriMesh {
     TriMesh { origin: [0.0; 3], ..far_tetrahedron() }
@@ -113,19 +113,6 @@ fn decoded(bytes: &[u8]) -> Vec<[[u32; 3]; 3]> {
         std::array::from_fn(|k| u32::from_le_bytes(data[4 * k..4 * k + 4].try_into().unwrap()))
     };
     mesh.faces().iter().map(|face| face.map(corner)).collect()
-}
-
-/// Edges that are not used as often in one direction as in the other.
-fn open_edges(triangles: &[[Place; 3]]) -> usize {
-    let mut edges: HashMap<[Place; 2], i64> = HashMap::new();
-    for t in triangles {
-        for n in 0..3 {
-            let (a, b) = (t[n], t[(n + 1) % 3]);
-            let (edge, sign) = if a < b { ([a, b], 1) } else { ([b, a], -1) };
-            *edges.entry(edge).or_default() += sign;
-        }
-    }
-    edges.values().filter(|sum| **sum != 0).count()
 }
 
 fn area_of(mesh: &TriMesh) -> f64 {
